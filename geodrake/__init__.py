@@ -1,4 +1,4 @@
-"""geodrake: what a robot's model is missing, found in its measurements, and then fixed."""
+"""geodrake: find what a robot's model is missing from measurements, and add it."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any

@@ -6,7 +6,7 @@ __all__ = ["main"]
 
 
 def main() -> None:
-    """Run the command; what stops it is said in a word, even while it is still being imported."""
+    """Run the command; interrupts end it with one word, even during imports."""
     with interruptible():
         from geodrake.cli.app import main as run
 

@@ -1,4 +1,4 @@
-"""What a model is missing: compare it with measurements, diagnose, add, explain."""
+"""Finds what a model is missing: compare, diagnose, add, explain."""
 
 from geodrake.diagnosis.add import add
 from geodrake.diagnosis.beliefs import Beliefs

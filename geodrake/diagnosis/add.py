@@ -1,4 +1,4 @@
-"""Add one effect to a model, refit, and see what it changes."""
+"""Add one effect to a model and refit it."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ def add(
 ) -> Explanation:
     """Add an effect to a model and refit, whatever the evidence for it.
 
-    Bodies that are wrong let the inertial parameters go, and an effect of an episode acts in the
-    windows that the residual shows. Places `where` are joints or bodies, or the two joints of a
-    pair; by default all joints (a delay is then that of all efforts), or the body that helps most,
-    or of the pairs of joints that follow each other the one that does. Other arguments are those
-    of `explain`. The explanation has one step, with held-out errors before and after.
+    Wrong bodies free the inertial parameters, and episodes act in windows that are found in the
+    residual. Places `where` are joints, bodies, or the two joints of a pair; by default all joints
+    (a delay then applies to all efforts), or the body or pair of neighbouring joints with the
+    largest improvement. Other arguments are those of `explain`. The explanation has one step, with
+    held-out errors before and after.
 
     Raises:
         ArgumentError: There is no such effect or place, the effect takes no place, the model has it
@@ -71,7 +71,7 @@ def add(
 def _refuse_what_cannot_be(
     kind: type[Effect], model: RobotModel, where: Sequence[str] | None
 ) -> None:
-    """Raise an ArgumentError for what no log could add."""
+    """Raise an ArgumentError for effects that cannot be added with any log."""
     if where and kind.role in (Role.INERTIA, Role.EPISODE):
         shown = kind.role is Role.EPISODE
         whose = "found in the residual" if shown else "one of the whole robot"
@@ -91,7 +91,7 @@ def check_places(model: RobotModel, where: Sequence[str], *, of_joints: bool = F
 
 
 def _refuse_unidentifiable(fitted: RobotModel, added: set[Effect]) -> None:
-    """Raise an ArgumentError for an effect of which no parameter is identifiable."""
+    """Raise an ArgumentError for an effect without identifiable parameters."""
     missing = [
         f.effect
         for f in fitted.effects
@@ -106,7 +106,7 @@ def _refuse_unidentifiable(fitted: RobotModel, added: set[Effect]) -> None:
 
 
 def _further(kind: type[Effect], case: Case, where: Sequence[str] | None) -> tuple[Effect, ...]:
-    """Return the wanted effects of joints that do not follow each other."""
+    """Return the wanted effects at joints that are not neighbours."""
     if kind.places != "joint_pair":
         return ()
     pairs = other_pairs(case.model, case.model.single_joints)

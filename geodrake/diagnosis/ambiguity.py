@@ -1,4 +1,4 @@
-"""Which motion would distinguish effects that logs cannot: what to ask `geodrake excite`."""
+"""Commands of `geodrake excite` that tell ambiguous effects apart."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ Finding = tuple[str, Sequence[str]]
 
 
 def distinguishing_commands(found: Diagnosis | Explanation) -> tuple[str, ...]:
-    """Return commands that design the motions by which ambiguous findings would be settled.
+    """Return commands that design motions which tell ambiguous findings apart.
 
     They are `geodrake excite MODEL --tell-apart A,B[@PLACE]`, one for each pair that a motion can
-    tell apart, a few at most; a delay, a wrong inertia and what belongs to one log are none of
-    these, nor a rival of which no place is known.
+    tell apart, a few at most. Delays, wrong inertias, effects of one log and rivals without a known
+    place are excluded.
     """
     findings = _of_diagnosis(found) if isinstance(found, Diagnosis) else _of_explanation(found)
     pairs = dict.fromkeys(pair for one, other in findings for pair in _pair(one, other))
@@ -46,7 +46,7 @@ def _of_explanation(found: Explanation) -> Iterator[tuple[list[Finding], list[Fi
 
 
 def _rivals_place(step: Step, name: str, model: RobotModel) -> Sequence[str] | None:
-    """Return where a rival of a step was found; None where no motion can be designed."""
+    """Return the place of a rival of a step; None if no motion can be designed."""
     effect, rival = _class(step.effect), _class(name)
     if effect is None or rival is None:
         return None
@@ -70,7 +70,7 @@ def _single(names: str, where: Sequence[str], joints: set[str]) -> list[Finding]
 
 
 def _pair(one: Sequence[Finding], other: Sequence[Finding]) -> list[str]:
-    """Return `A,B@PLACE` of what one finding has and the other has not; or nothing."""
+    """Return `A,B@PLACE` of the effects in which two findings differ, or nothing."""
     first, second = [name for name, _ in one], [name for name, _ in other]
     mine = [_placed(*finding) for finding in one if finding[0] not in second]
     yours = [_placed(*finding) for finding in other if finding[0] not in first]
@@ -96,7 +96,7 @@ def _placed(name: str, where: Sequence[str]) -> tuple[str, str, str] | None:
 
 
 def _class(name: str) -> type[Effect] | None:
-    """Return the effect that a motion can be designed for; None if it cannot, at any place."""
+    """Return the effect that a motion can be designed for; None if there is none."""
     try:
         cls = effect_class(name)
     except ArgumentError:  # an effect of the user's own

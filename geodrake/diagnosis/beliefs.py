@@ -1,8 +1,7 @@
-"""Prior beliefs about a robot, before its logs are seen: the numbers that decide.
+"""Prior beliefs about a robot, before its logs are seen.
 
-A diagnosis weighs explanations by their probability, and these are the prior probabilities and
-widths. Those of errors in columns, such as usual zeros, gains and ranges of joints, stand with the
-columns' evidence.
+A diagnosis compares explanations by their probability; these are the prior odds and widths. Those
+of mistakes in columns, such as usual zeros, gains and ranges of joints, are in `columns.evidence`.
 """
 
 from __future__ import annotations
@@ -18,34 +17,33 @@ class Beliefs:
     """Prior odds and widths of everything that may be missing in a model.
 
     Attributes:
-        size: Standard deviation of the effort that a parameter of an effect makes, as a share of
-            the deviation of its joint's measured effort: a friction may be as large as all else.
-        rarer: How much rarer an effect is than one that is less complex by one.
-        again: Odds against an effect at one joint more of a robot that has it elsewhere.
-        shape: Values among which the data choose a shape parameter, such as an exponent.
-        order: Values among which they choose one that is found in a spectrum, or an instant.
-        delays: Delays among which they choose.
-        widths: How well a model file knows its bodies, as geometric distances: each is tried.
-        wrong: Widths above this one mean that the file is wrong.
-        fitted: Odds against a body, or an effect, of a model that was fitted before being another
-            one since.
-        free: Widths of one body that is wrong while the others are right: each is tried.
-        payloads: Masses of payloads, from light to heavy, in tenths of the robot's mass; what a
-            body carries that carries others is thought to be the last but one.
-        load: How well each of these is known, as a geometric distance.
+        size: Prior standard deviation of the effort of an effect's parameter, relative to the
+            standard deviation of its joint's measured effort.
+        rarer: Odds against an effect for each unit of complexity.
+        again: Odds against an effect at each further joint.
+        shape: Effective number of values of a shape parameter, such as an exponent.
+        order: The same for an order found in a spectrum, or an instant.
+        delays: The same for delays.
+        widths: Prior widths of the bodies of a model file, as geometric distances; each is tried.
+        wrong: Width beyond which the model file counts as wrong.
+        fitted: Odds against a change of a body or effect that was fitted before.
+        free: Prior widths of a single wrong body; each is tried.
+        payloads: Masses of payloads, from light to heavy, in tenths of the robot's mass; on a body
+            that carries others, the last but one.
+        load: Prior width of each of these, as a geometric distance.
         inner: Odds against a payload on a body that carries others.
-        unknown: As `size`, for each term of a function of the motion that no effect describes.
-        curves: The same for a curve of one signal of the motion as a whole: each is tried.
-        reversal: As `size`, for what friction does at speeds that a log does not resolve.
-        columns: Odds of a mistake in the columns of a log; all kinds and places share them.
-        odd_joint: Odds of efforts at some joint that have nothing to do with its motion, or have
-            something unknown in them.
-        discrepancy: What is more than sensor noise in a residual is worth so many samples, however
-            long logs are: it varies with the motion in a way that no effect describes.
-        part: Beside an error that nothing explains, an effect that takes so many times as much of
-            the squared error away is as likely itself as it is a part of something unknown.
-        sharpness: With so many times the logarithm of that number, its odds grow.
-        least: A finding is no step if it is less probable than this beside something unknown.
+        unknown: As `size`, for each term of an unknown function of the motion.
+        curves: The same for an unknown curve over one signal as a whole; each is tried.
+        reversal: As `size`, for friction at speeds that a log does not resolve.
+        columns: Prior odds of a mistake in the columns of a log, shared by all kinds and places.
+        odd_joint: Prior odds of efforts at some joint that are unrelated to its motion, or have an
+            unknown component.
+        discrepancy: Effective number of samples of a residual beyond sensor noise, however long
+            the logs are, as it varies with the motion in a way that no effect describes.
+        part: Ratio of squared errors, removed by an effect to remaining, at which the effect is as
+            probable as being part of something unknown.
+        sharpness: Exponent with which these odds grow with the ratio.
+        least: Probability below which a finding, compared with something unknown, is not a step.
     """
 
     size: float = 1.0

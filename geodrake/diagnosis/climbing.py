@@ -1,4 +1,4 @@
-"""Climbing from one explanation to a more probable one, until none nearby is more probable."""
+"""Hill climbing from one explanation to a more probable neighbour."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _MOST_COUNTS = 4
 _OPTIMISTIC = 0.3
 """On the way up, residuals are worth at least this share of their rows: what is missing still
 makes them look as if they were worth less."""
-_COUNTED = 20  # neighbours, of those that promise most, are fitted by what residuals count now
+_COUNTED = 20  # most promising neighbours, fitted with the present weights of the residuals
 _JUDGED = 5
-"""So many neighbours that promise most have their own residuals counted."""
+"""So many of the most promising neighbours have their residuals counted anew."""
 
 Watch = Callable[[Fit, Fit], None]
 """Called with the explanation before and after each step."""

@@ -1,4 +1,4 @@
-"""One window of a log: which contact of a body explains the residual in it, and how well."""
+"""The contact of a body that explains the residual in a window of a log, and its evidence."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def columns(window: ResidualWindow, contact: PointEpisode) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class WrenchColumns:
-    """What the d joints that move a body feel of it, for a search among contacts of that body.
+    """Columns of a body's contact at the d joints that move it, for a search over contacts.
 
     Columns are linear in the weights in time and in the point, so that these come last.
     """
@@ -126,7 +126,7 @@ def refined(window: ResidualWindow, contact: PointEpisode, *, tries: int = ENOUG
         return shape if np.abs(shape[3:]).max() <= _FARTHEST else None
 
     def explained(step: Array) -> float:
-        """By the wrench of least squares, less the directions that the joints hardly feel."""
+        """By the least-squares wrench, without the directions that hardly act on the joints."""
         shape = moved(step)
         if shape is None:
             return 0.0
@@ -144,7 +144,7 @@ def refined(window: ResidualWindow, contact: PointEpisode, *, tries: int = ENOUG
 
 
 def least_step(loss: Callable[[Array], float], steps: Array, tries: int, **close: float) -> Array:
-    """Return the step from zero to where a loss is least, by the simplex of Nelder and Mead."""
+    """Return the step from zero to the minimum of a loss, by the Nelder–Mead simplex."""
     simplex = np.vstack([np.zeros(len(steps)), np.diag(steps)])
     options = {"initial_simplex": simplex, "maxiter": tries, **close}
     return np.asarray(minimize(loss, simplex[0], method="Nelder-Mead", options=options).x)
@@ -168,13 +168,13 @@ def with_point(window: ResidualWindow, contact: PointEpisode) -> PointEpisode:
 
 
 def _wrench(A: Array, b: Array) -> Array:
-    """Return (6,) least squares, without the directions that the joints hardly feel."""
+    """Return the (6,) least-squares wrench, without directions that hardly act on the joints."""
     sizes = _sizes(A)
     return np.asarray(np.linalg.lstsq(A / sizes, b, rcond=_cut(b))[0] / sizes)
 
 
 def _sizes(A: Array) -> Array:
-    """Return (6,) norms of columns, by which forces and moments are made alike.
+    """Return (6,) norms of columns, with which forces and moments are made comparable.
 
     Each counts alike, but one that is hardly felt: a quiet joint that feels one moment alone would
     make that column larger than all others by far.
@@ -205,7 +205,7 @@ class Predicted:
 
 
 def evidence(window: ResidualWindow, contact: PointEpisode) -> Predicted:
-    """Return what the wrench of every other piece of a window predicts of the rest."""
+    """Return the prediction of the rest by the wrench of every other piece of a window."""
     A = columns(window, contact)
     inside = (window.outputs >= contact.start) & (window.outputs <= contact.end)
     since = (window.outputs - contact.start) / (contact.end - contact.start)

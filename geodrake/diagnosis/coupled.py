@@ -1,4 +1,4 @@
-"""Signs of actuators that turn with two joints which do not follow each other."""
+"""Evidence for actuators that turn with two joints which are not neighbours."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _OWN = 4
 
 @dataclass(frozen=True, eq=False)
 class _Sharing:
-    """How the residual of a joint varies with what it may share with m others.
+    """How the residual of a joint depends on columns that it may share with m others.
 
     What friction and a rotor of its own explain is taken out of residual and columns, and both are
     scaled so that the residual is of length one.
@@ -46,7 +46,7 @@ class _Sharing:
 def coupled_joints(
     case: Case, joints: Sequence[JointResidual], motion: Sequence[tuple[int, Segment]]
 ) -> Iterator[Proposal]:
-    """Yield friction and rotors that pairs of joints share which `RobotModel.joint_pairs` has not.
+    """Yield friction and rotors shared by joints that are not in `RobotModel.joint_pairs`.
 
     Both joints must show them, with the same parameters and beyond friction and a rotor of their
     own: the evidence is that of the joint that shows them less. Pairs that
@@ -76,7 +76,7 @@ def coupled_joints(
 
 
 def other_pairs(model: RobotModel, moving: Sequence[str]) -> list[tuple[str, str]]:
-    """Return pairs of moving joints that both turn, or both slide, and do not follow each other."""
+    """Return pairs of moving joints of one kind that are not neighbours."""
     single = [joint for joint in model.single_joints if joint in moving]
     return [
         (one, other)
@@ -93,7 +93,7 @@ def _look(
     motion: Sequence[tuple[int, Segment]],
     effect: type[SharedActuatorEffect],
 ) -> _Sharing:
-    """Return how the residual of a joint varies with what it may share with its partners."""
+    """Return the dependence of a joint's residual on columns that it shares with partners."""
     own = case.model.joints.index(joint.joint)
     others = [case.model.joints.index(name) for name in partners]
 
@@ -123,7 +123,7 @@ def _look(
 
 
 def _together(places: Sequence[tuple[_Sharing, int]]) -> tuple[float, float]:
-    """Return what one actuator explains at both of its joints, with the sign that explains more.
+    """Return what one actuator explains at both of its joints, with the better sign.
 
     `places` are the look at either joint, and which of its partners the other one is. Returned are
     the share of the squared error that it takes away, in the mean of both joints, and about χ² of

@@ -1,4 +1,4 @@
-"""Which effect is missing, with the evidence."""
+"""Rank the effects that a model may lack."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ def diagnose(
 ) -> Diagnosis:
     """Rank the effects that a model may lack, each added alone.
 
-    Columns are taken at their word: `check_columns` tells of those that are not what they seem.
+    Columns are assumed to be correct; `check_columns` finds mistakes in them.
 
     Arguments are those of `explain`.
 
     Returns:
-        Candidates. The first is the first step of `explain`, the most probable explanation's; what
-        may stand in its place comes next, then what else improves the model alone.
+        Candidates. The first is the first step of the most probable explanation, as of `explain`;
+        then come alternatives to it, and other effects that improve the model alone.
 
     Raises:
         LogError: A log cannot be used.

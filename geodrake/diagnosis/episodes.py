@@ -1,4 +1,4 @@
-"""Episodes: stretches of time in which several joints feel what no model of the motion explains.
+"""Episodes: time windows in which several joints have an effort that no model explains.
 
 A contact is no property of the robot, so that nothing can be learned of it from other parts of a
 log. It is looked for in the residual itself: a window in which two joints or more err far beyond
@@ -71,7 +71,7 @@ class _Scale:
 def find_episodes(
     case: Case, hypothesis: Hypothesis, on_time: tuple[int, ...]
 ) -> tuple[PointEpisode, ...]:
-    """Return contacts that stand out of what a robust fit of a hypothesis leaves.
+    """Return contacts that stand out in the residual of a robust fit of a hypothesis.
 
     The model's own delays are `on_time`, indices of the dataset's.
     """
@@ -115,7 +115,7 @@ def _scaled(case: Case, hypothesis: Hypothesis, on_time: tuple[int, ...]) -> _Sc
 
 
 def _typical(residual: Array, least: float) -> float:
-    """Return the deviation of residuals (K,), of which some are much larger."""
+    """Return the standard deviation of residuals (K,), robust to outliers."""
     return max(float(np.median(np.abs(residual))) / 0.6745, least)
 
 
@@ -154,7 +154,7 @@ class _Grids:
 def _robust_residuals(
     case: Case, hypothesis: Hypothesis, on_time: tuple[int, ...]
 ) -> list[JointResidual]:
-    """Fit again, with little weight on stretches of large errors; return what that leaves.
+    """Fit again with little weight on windows of large errors, and return the residual.
 
     An ordinary fit bends towards a contact and spreads its error over the whole log. So may a
     delay: efforts that are on time are tried, too. Bounds of parameters are left aside.
@@ -176,7 +176,7 @@ def _robust_residuals(
         return np.array([_typical(own, least[j]) for j, own in zip(moving, left, strict=True)])
 
     def settled(x: Array, delay: tuple[int, ...]) -> list[Array]:
-        """Return what is left (K,) of each joint after fits that begin with parameters (p,)."""
+        """Return the residuals (K,) of each joint after fits that begin with parameters (p,)."""
         rows = [(*own, b[:, delay[j]]) for j, own, b in zip(moving, columns, efforts, strict=True)]
         left = [b - A @ x[felt] for A, felt, b in rows]
         for _ in range(_ROBUST_FITS):
@@ -205,7 +205,7 @@ def _robust_residuals(
 
 
 def _averaged(grid: Array, period: float) -> Array:
-    """Return squares (T, n) of values averaged over a while; 1 where there is none."""
+    """Return squares (T, n) of values averaged over a time; 1 where there is none."""
     known, width = np.isfinite(grid), max(3, round(_AVERAGE / period))
     sums, counts = (
         uniform_filter1d(values, width, axis=0, mode="nearest")
@@ -215,7 +215,7 @@ def _averaged(grid: Array, period: float) -> Array:
 
 
 def _windows(log: int, grid: Array, period: float) -> Iterator[Window]:
-    """Yield log, start and end of stretches in which several joints err beyond the usual."""
+    """Yield log, start and end of windows in which several joints have unusual errors."""
     known, mean = np.isfinite(grid), _averaged(grid, period)
     # At rest nothing is known; a push goes on meanwhile.
     rows = np.flatnonzero(known.any(1))
@@ -258,7 +258,7 @@ def _cut_out(
 
 
 def _contacts(case: Case, log: str, window: ResidualWindow, tried: int) -> list[PointEpisode]:
-    """Return the contacts that explain a window, likeliest first.
+    """Return the contacts that explain a window, most probable first.
 
     They are of one body, one whose wrench turns with it and one whose wrench does not.
     """

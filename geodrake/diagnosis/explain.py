@@ -1,4 +1,4 @@
-"""What a model lacks: the most probable explanation of logs, added step by step."""
+"""Find what a model lacks: the most probable explanation of logs, step by step."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _STOPPED = "the search was interrupted: more effects or rivals may exist"
 
 @dataclass(frozen=True, eq=False)
 class Investigation(Short):
-    """An explanation, and what it rests on."""
+    """An explanation, and the search behind it."""
 
     explanation: Explanation
     case: Case  # the case, with the columns of what was found
@@ -60,20 +60,20 @@ def explain(
 ) -> Explanation:
     """Find what a model lacks, add it, and refit.
 
-    Columns are taken at their word: `check_columns` tells of those that are not what they seem.
+    Columns are assumed to be correct; `check_columns` finds mistakes in them.
 
     Args:
         model: The model as it stands.
         logs: Logs or their files; several logs are several trajectories.
-        extra: Effect classes of the user's own to try beside the catalogue's.
+        extra: User-defined effect classes to try in addition to the catalogue.
         bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
             or chosen from the data.
-        blocks: Blocks into which every log is cut for validation.
-        hold_resting: Whether joints that hardly move in any log are held; see
+        blocks: Number of validation blocks of each log.
+        hold_resting: Whether joints that hardly move in any log are fixed; see
             `geodrake.model.logged_joints.holding_resting`.
         beliefs: Prior odds and widths.
-        progress: Called with each `FoundStep`. It may raise `StopSearch`, as a handler of signals
-            may: the steps found by then are the result, which says so.
+        progress: Called with each `FoundStep`. It or a signal handler may raise `StopSearch` to
+            return the steps found so far, with a note.
 
     Returns:
         The steps with held-out errors before and after, and the final model.
@@ -115,7 +115,7 @@ def explained(
     forced: bool = False,
     notes: Sequence[str] = (),
 ) -> Investigation:
-    """Fit what a search found, and judge it once by held-out data."""
+    """Fit the result of a search, and validate it once on held-out data."""
     found, after_case, fit, start, steps = _holding(case, found, findings, forced=forced)
     before, model = comparison(case), case.model
     fades = found.case.model.fading_speed is not model.fading_speed
@@ -147,7 +147,7 @@ def explained(
 def _holding(
     case: Case, found: Found, findings: Sequence[Finding], *, forced: bool
 ) -> tuple[Found, Case, ModelFit, Hypothesis, tuple[Step, ...]]:
-    """Return the final fit and its steps, less last ones that lower no held-out error."""
+    """Return the final fit and its steps, without last ones that lower no held-out error."""
     while True:
         if forced:
             start, stages = staged(found, findings)

@@ -1,4 +1,4 @@
-"""The last fit: what a search found, physically consistent, ready to be put into the model."""
+"""The final fit of the effects that were found, physically consistent."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from geodrake.model.robot_model import RobotModel
 
 
 def final_fit(case: Case, found: Found) -> tuple[Case, ModelFit]:
-    """Fit what was found, physically consistent, with loads and delay brought up to date.
+    """Fit the effects that were found, physically consistent, with updated loads and delays.
 
     Returned with the fit is the case with its columns.
     """
@@ -64,7 +64,7 @@ def final_fit(case: Case, found: Found) -> tuple[Case, ModelFit]:
 
 
 def searched_model(model: RobotModel, found: Hypothesis) -> RobotModel:
-    """Return the model that all data of a hypothesis give, without delays."""
+    """Return the model fitted to all data of a hypothesis, without delays."""
     x, unknowns = found.cv.fit_all, found.unknowns
     fitted = [FittedEffect(effect, x[unknowns.span(effect)]) for effect in unknowns.effects]
     phi = x[: model.phi.size].reshape(model.phi.shape)
@@ -72,7 +72,7 @@ def searched_model(model: RobotModel, found: Hypothesis) -> RobotModel:
 
 
 def _with_gains_of_loads(model: RobotModel) -> RobotModel:
-    """Return a model whose gains are of loads, not of the logged efforts that stood for these.
+    """Return a model whose gains apply to loads instead of logged efforts.
 
     Of an effort (1 + ε) τ the part x = ε / (1 + ε) is too much.
     """
@@ -86,7 +86,7 @@ def _with_gains_of_loads(model: RobotModel) -> RobotModel:
 
 
 def _with_companions(unknowns: Unknowns, dataset: Dataset) -> Unknowns:
-    """Return the companions of effects, so that neither stands in for the other in a fit.
+    """Return companions of effects, which are fitted with them to avoid bias.
 
     Where dry friction was found and viscous friction was not worth a step, the viscous one is
     fitted along all the same: left out, it would bias the dry one by all that it may be.

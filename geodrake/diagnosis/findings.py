@@ -1,4 +1,4 @@
-"""Findings: what the terms of an explanation say by name, how sure that is, and what stays."""
+"""Findings: the effects of an explanation by name, and their probabilities."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Finding:
 
 
 def believed(found: Found) -> tuple[Found, Posterior]:
-    """Return what was found, where nothing is more probable in the place of any of its terms.
+    """Return the explanation without terms that are less probable than their alternatives.
 
     The most probable explanation may have a term that most others have not: what they agree on is
     adopted, another term or none. Where explanations lead to each other, the one is adopted whose
@@ -78,7 +78,7 @@ def believed(found: Found) -> tuple[Found, Posterior]:
 
 
 def _instead(found: Found, term: Term, told: Certainty) -> Fit | None:
-    """Return the explanation without a term that is less probable than what is in its place."""
+    """Return the explanation without a term that is less probable than an alternative."""
     likely = max(told.rivals, key=lambda rival: rival.probability, default=None)
     if likely is not None and likely.probability > max(told.probability, told.chance):
         return likely.fit
@@ -87,7 +87,7 @@ def _instead(found: Found, term: Term, told: Certainty) -> Fit | None:
 
 
 def without(found: Found, gone: Sequence[Term]) -> Found:
-    """Return what was found without some of its terms, if the others may be without them."""
+    """Return the explanation without some of its terms, if the others do not need them."""
     fit, model = found.fit, found.model
     kept = tuple(term for term in fit.terms if term not in gone)
     if not gone or not model.are_compatible(kept):
@@ -96,14 +96,14 @@ def without(found: Found, gone: Sequence[Term]) -> Found:
 
 
 def _refitted(found: Found, choice: Choice) -> Found:
-    """Return what was found with another explanation in its place."""
+    """Return the result of the search with another explanation."""
     model, was = found.model, found.fit
     return replace(found, fit=model.unbounded(choice, model.shares(was), was.noise))
 
 
 @dataclass(frozen=True)
 class Unnamed:
-    """What no finding has."""
+    """Evidence for something that is not a finding."""
 
     motion: tuple[Correlate, ...]  # what no effect describes varies with
     loads: Mapping[str, float]  # body -> how probable a payload is that bodies take in
@@ -111,7 +111,7 @@ class Unnamed:
 
 
 def named(found: Found) -> tuple[Found, list[Finding], Unnamed]:
-    """Return what is believed of what was found: findings, and what has no name.
+    """Return the findings, and evidence that is not a finding.
 
     A function of a joint's motion that no effect describes is not fitted.
     """
@@ -124,7 +124,7 @@ def named(found: Found) -> tuple[Found, list[Finding], Unnamed]:
 
 
 def _correlates(found: Found, left: Found, unknown: Sequence[Term]) -> tuple[Correlate, ...]:
-    """Return what efforts go with that no effect describes, by what each takes off what is left."""
+    """Return the signals that correlate with unexplained efforts, by the error they remove."""
     if not unknown:
         return ()
     end, start, told = _squares(found), _squares(left), list[Correlate]()
@@ -143,14 +143,14 @@ def _squares(found: Found) -> dict[str, float]:
 
 
 def _signal(term: Term) -> str:
-    """Return in words what an unknown function is one of."""
+    """Return the signal of an unknown function, in words."""
     if isinstance(term.effect, CURVES):
         return term.effect.curve.words(*term.where[1:])
     return "its position and its velocity"
 
 
 def findings_of(found: Found, posterior: Posterior | None = None) -> list[Finding]:
-    """Return each finding of a search once; every payload is one of its own.
+    """Return the findings of a search; every payload is a finding of its own.
 
     A function that no effect describes is not a finding.
     """
@@ -206,7 +206,7 @@ def _refines(finding: Finding, others: Sequence[Finding]) -> bool:
 
 
 def _with(found: Found, was: Choice, finding: Finding) -> Fit:
-    """Return an explanation and one finding more, as it was found."""
+    """Return an explanation with one finding added."""
     end = found.fit.choice
     width = end.width if finding.name == INERTIA and not finding.terms else was.width
     delay = end.delay if finding.name == DELAY else was.delay
@@ -224,7 +224,7 @@ def _fitted(found: Found, choice: Choice) -> Fit:
 def probable(
     case: Case, found: Found, findings: Sequence[Finding]
 ) -> tuple[Found, Hypothesis, list[StagedFinding]]:
-    """Return what was found and its stages, less findings that likely are parts of an unknown."""
+    """Return the result and its stages without findings that are likely part of an unknown."""
     while True:
         start, stages = staged(found, findings)
         hypotheses = [start, *(stage.validated for stage in stages)]
@@ -239,7 +239,7 @@ def probable(
 def without_finding(
     found: Found, findings: Sequence[Finding], gone: Finding
 ) -> tuple[Found, list[Finding]]:
-    """Return what was found without one of its findings, and without those that need it.
+    """Return the explanation without one finding and those that need it.
 
     Where none is left, bodies that come closer to the logs than those of the file are one.
     """
@@ -253,7 +253,7 @@ def without_finding(
 
 
 def _left(found: Found, findings: Sequence[Finding], gone: Finding) -> list[Finding]:
-    """Return the findings that may be without one of them."""
+    """Return the findings that do not need a given one."""
     left, kept, terms = [f for f in findings if f is not gone], list[Finding](), tuple[Term, ...]()
     while able := [f for f in left if found.model.are_compatible((*terms, *f.terms))]:
         left.remove(able[0])
@@ -265,7 +265,7 @@ def _left(found: Found, findings: Sequence[Finding], gone: Finding) -> list[Find
 def unknown_probabilities(
     found: Found, findings: Sequence[Finding], tables: Sequence[ErrorTable]
 ) -> list[float]:
-    """Return how probable it is that each finding is a part of something unknown.
+    """Return the probability that each finding is part of something unknown.
 
     What others cannot be without is as likely as they are. `tables` are the errors before the first
     finding and after each.
@@ -279,7 +279,7 @@ def unknown_probabilities(
 
 
 def unknown_probability(found: Found, finding: Finding, errors: Sequence[ErrorTable]) -> float:
-    """Return how probable it is that a finding is a part of something that no effect describes.
+    """Return the probability that a finding is part of an effort that no effect describes.
 
     Whatever is unknown, some effect takes a part of its squared error away. One that takes away
     many times of what is left in the end is likely to be there itself. What reversals leave that
@@ -318,14 +318,14 @@ def _with_bodies_that_stay(found: Found, finding: Finding) -> tuple[Fit, Fit]:
 
 
 def felt(found: Found, finding: Finding) -> NDArray[np.bool_]:
-    """Return (nv,) which joints feel a finding; all if it is no effect."""
+    """Return (nv,) which joints a finding acts on; all if it is no effect."""
     data = found.model.dataset
     known = [data.felt(effect) for effect in finding.effects]
     return np.logical_or.reduce(known) if known else np.ones(len(data.joints), bool)
 
 
 def holds(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> bool:
-    """Return whether data that took no part in a fit agree with a finding.
+    """Return whether held-out data agree with a finding.
 
     The logarithms of the squared errors of the joints that feel it must fall, in the mean over the
     folds, by more than the standard error of that mean: what shows in one fold alone just does. The
@@ -368,7 +368,7 @@ def verdict_of(errors: ErrorTable, found: bool, *, left: float = np.inf) -> Verd
 
 
 def where_of(found: Found, finding: Finding, phi: Array) -> tuple[str, ...]:
-    """Return the joints or bodies of a finding; bodies as a fit (nb, 10) moved them."""
+    """Return the joints or bodies of a finding; bodies as changed by a fit (nb, 10)."""
     if finding.name == INERTIA:
         return tuple(moved_bodies(found.case, phi, finding))
     if finding.name == DELAY:
@@ -379,7 +379,7 @@ def where_of(found: Found, finding: Finding, phi: Array) -> tuple[str, ...]:
 
 
 def late_joints(found: Found) -> tuple[str, ...]:
-    """Return the joints that are late alone; empty where all are alike."""
+    """Return the joints with delays of their own; empty if all are alike."""
     late = found.model.lateness(found.fit.choice)
     if np.ptp(late) < 1e-9:
         return ()
@@ -387,7 +387,7 @@ def late_joints(found: Found) -> tuple[str, ...]:
 
 
 def moved_bodies(case: Case, phi: Array, finding: Finding) -> dict[str, float]:
-    """Return the bodies that a fit (nb, 10) moved, and how far: the wrong ones, or the farthest."""
+    """Return the bodies that a fit (nb, 10) changed, and how much: wrong ones, or the farthest."""
     wrong, step = {term.where[0] for term in finding.terms}, phi - case.model.phi
     distance = np.sqrt(np.einsum("bi,bij,bj->b", step, pullback_metric(case.model.phi), step))
     far = distance >= max(0.5 * distance.max(), 1e-9)

@@ -1,4 +1,4 @@
-"""Payloads that a log shows to be picked up or put down, and when.
+"""Payloads that are picked up or put down in a log, and when.
 
 A fit of one model to all of a log is wrong before an instant or after it, in the way in which a
 body of other inertia is. So the columns of a body are cut in time: what those of a window add to
@@ -50,7 +50,7 @@ _MOVED = 5e-4  # s, below which an instant stays
 
 
 def handled(case: Case, model: LogModel, fit: Fit) -> list[Episode]:
-    """Return bodies that a log shows to be held for a while.
+    """Return bodies that carry a payload during part of a log.
 
     Friction and offsets may be beside the explanation so far.
     """
@@ -80,7 +80,7 @@ def handled(case: Case, model: LogModel, fit: Fit) -> list[Episode]:
 
 
 def instants(case: Case, model: LogModel, fit: Fit) -> dict[Effect, Effect]:
-    """Return the effects of a fit that are held for a while, at the instants that suit it best."""
+    """Return temporary effects of a fit, at their most probable instants."""
     moved = dict[Effect, Effect]()
     for term in fit.terms:
         effect = term.effect
@@ -92,7 +92,7 @@ def instants(case: Case, model: LogModel, fit: Fit) -> dict[Effect, Effect]:
 
 
 def is_short(case: Case, effect: Effect | None) -> bool:
-    """Return whether an effect is held for so short a part of its log that it may be a contact."""
+    """Return whether an effect is so short that it may be a contact."""
     if not isinstance(effect, Episode) or effect.proposer is not Proposer.HANDLING:
         return False
     start, end, _, number = effect.window

@@ -1,4 +1,4 @@
-"""What a final fit says beside its steps, in words."""
+"""Notes on a final fit."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from geodrake.model.robot_model import RobotModel
 
 _LATE = 0.005  # s, by which the clock of a log that begins is said not to be at zero
 _ALIKE = 0.01
-"""Gains are alike if they differ by less than this."""
+"""Gains are equal if they differ by less than this."""
 
 
 def notes_of(found: Found, case: Case, fit: ModelFit, bodies: Sequence[BodyChange]) -> list[str]:
-    """Return what is to be said of a final fit to a case, and of what it made of the bodies."""
+    """Return notes on a final fit to a case, and on its bodies."""
     return [
         *_companions(found.model.unknowns_of(found.fit.choice), fit),
         *fit.result.notes,
@@ -39,7 +39,7 @@ def notes_of(found: Found, case: Case, fit: ModelFit, bodies: Sequence[BodyChang
 
 
 def unnamed_notes(rest: Unnamed) -> list[str]:
-    """Describe what no finding has."""
+    """Return notes on evidence that is not a finding."""
     unknown = [
         f"the remaining error at {each.joint} varies with {each.words}, which no effect "
         "describes; `--draft-effect FILE` searches for a formula"
@@ -60,7 +60,7 @@ def unnamed_notes(rest: Unnamed) -> list[str]:
 
 
 def left_out_notes(findings: Sequence[Finding], steps: Sequence[Step]) -> list[str]:
-    """Describe findings that became no steps."""
+    """Return notes on findings that are not steps."""
     told, notes = {step.effect for step in steps}, []
     for finding in findings:
         if finding.name not in told:
@@ -73,7 +73,7 @@ def left_out_notes(findings: Sequence[Finding], steps: Sequence[Step]) -> list[s
 
 
 def changed_notes(model: RobotModel, steps: Sequence[Step]) -> list[str]:
-    """Describe what a model said of effects that it has and whose values are others."""
+    """Return notes on effects of the model whose values changed."""
     notes = list[str]()
     for step in steps:
         known = [f for f in model.effects if f.effect.name == step.effect]
@@ -88,7 +88,7 @@ def changed_notes(model: RobotModel, steps: Sequence[Step]) -> list[str]:
 
 
 def _companions(found: Unknowns, fit: ModelFit) -> list[str]:
-    """Describe what was fitted along without being a step."""
+    """Return notes on effects that were fitted without being a step."""
     added = [f for f in fit.model.effects if f.effect not in found.effects and len(f.parameters)]
     sliding = set(fit.model.sliding_joints)
     notes = []
@@ -103,7 +103,7 @@ def _companions(found: Unknowns, fit: ModelFit) -> list[str]:
 
 
 def _fading(before: RobotModel, after: RobotModel) -> list[str]:
-    """Describe the speeds at which dry friction was found to fade."""
+    """Return notes on the speeds below which dry friction fades."""
     speeds, known = after.sign_widths(0.0), before.sign_widths(0.0)
     rubbing = {p for f in after.effects if f.effect.jumps for p in f.effect.where}
     return [
@@ -115,7 +115,7 @@ def _fading(before: RobotModel, after: RobotModel) -> list[str]:
 
 
 def _episodes(case: Case, model: RobotModel) -> list[str]:
-    """Return in which log episodes are, and when by its clock, where that is not plain."""
+    """Return notes on the log of episodes, and their times on its clock."""
     found = list[str]()
     for effect in [f.effect for f in model.effects if isinstance(f.effect, Episode)]:
         for log in case.trajectories:
@@ -137,7 +137,7 @@ def _episodes(case: Case, model: RobotModel) -> list[str]:
 
 
 def _stated_mass(case: Case, fitted: RobotModel) -> list[str]:
-    """Say that a mass that was stated wrong explains the gains that were found, if it does.
+    """Return a note if a wrong known mass explains the fitted gains.
 
     It does where all joints that bear it have one gain, or all but one, as the bodies take in the
     rest. Where bodies are known from other logs, they cannot.

@@ -1,4 +1,4 @@
-"""How probable a finding is: the sum over explanations that have it.
+"""Probabilities of findings: sums over the explanations that contain them.
 
 The explanations are the most probable one and its neighbours, each by its evidence and prior odds,
 residuals counted alike. So probabilities add up, and what was adopted is the most probable.
@@ -25,7 +25,7 @@ _LEAST = 0.01
 
 @dataclass(frozen=True)
 class Instead:
-    """What stands in the place of a finding in other explanations."""
+    """Alternative to a finding in other explanations."""
 
     effect: str  # name; several joined by " + "
     where: tuple[str, ...]
@@ -36,7 +36,7 @@ class Instead:
 
 @dataclass(frozen=True)
 class Certainty:
-    """How probable a finding is."""
+    """Probability of a finding."""
 
     probability: float  # sum over explanations that have all of it
     chance: float  # sum over those that have nothing in its place
@@ -61,23 +61,23 @@ class Posterior:
         self._weights = weights / weights.sum()
 
     def of_terms(self, terms: Sequence[Term]) -> Certainty:
-        """Return how probable some terms of the explanation are together."""
+        """Return the joint probability of some terms of the explanation."""
         keys = {term.key for term in terms}
         return self._certainty([keys <= _keys(fit) for fit in self._fits], keys)
 
     def of_delay(self) -> Certainty:
-        """Return how probable it is that efforts are late as they are found to be."""
+        """Return the probability of the delays that were found."""
         model = self._model
         has = [model.are_apart(fit.choice.delay, model.on_time) for fit in self._fits]
         return self._certainty(has, set())
 
     def of_bodies(self) -> Certainty:
-        """Return how probable it is that bodies are farther from the file than it may be wrong."""
+        """Return the probability that bodies differ from the file by more than its errors."""
         least = self._model.widths[0]
         return self._certainty([fit.choice.width > least for fit in self._fits], set())
 
     def of_loads(self) -> dict[str, float]:
-        """Return how probable payloads are beside all of the explanation, by body."""
+        """Return the probability of further payloads, by body."""
         own, loads = _keys(self._fit), dict[str, float]()
         for fit, weight in zip(self._fits, self._weights.tolist(), strict=True):
             more = [term for term in fit.terms if term.is_whole and term.key not in own]

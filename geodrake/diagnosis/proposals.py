@@ -1,4 +1,4 @@
-"""What a residual suggests: effects whose shape is looked for there, not tried on a grid."""
+"""Effects whose shape is found in the residual instead of on a grid."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _FEW = 5.0  # waves in the range of motion
 _FEW_WAVES = (-0.6, -0.3, 0.0, 0.3)  # distances of the orders tried, in resolutions
 _MANY_WAVES = (-0.15, 0.0, 0.15)
 _WAVES_BESIDE = 2.5
-"""Beside a spring, the range of motion holds at least so many waves.
+"""Beside a spring, the range of motion must contain at least so many waves.
 
 With fewer, the two together fit any smooth function of the position.
 """
 _WHOLE = 0.25  # distance from a whole order within which that is tried, in the same units
 _CHANCE, _NOTABLE = 0.01, 0.1
-"""What noise alone suggests with no more than this probability is tried, and what explains this
-share of a joint's squared error: the search judges it."""
+"""An effect is tried if noise alone suggests it with at most this probability, or if it explains
+this share of a joint's squared error; the search then judges it."""
 
 
 def proposed(case: Case, model: LogModel, fit: Fit) -> list[Effect]:

@@ -1,4 +1,4 @@
-"""What an explanation is not linear in, made exact: delays, shapes, slopes about a place, loads.
+"""Refinement of nonlinear parameters: delays, shapes, expansion points, loads.
 
 Each is a coordinate of the explanation. Columns are made anew for its neighbouring values.
 """

@@ -1,4 +1,4 @@
-"""Residuals of a hypothesis, joint by joint, as something to look into."""
+"""Residuals of a hypothesis by joint, for proposals of effects."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SLOW = 0.01
 
 @dataclass(frozen=True)
 class Proposal:
-    """An effect that a residual suggests."""
+    """An effect proposed by a residual."""
 
     effects: tuple[Effect, ...]  # the effect with the shapes to try
     share: float  # of the squared error at its joint that it explains

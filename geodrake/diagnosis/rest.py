@@ -1,4 +1,4 @@
-"""What is left of an error, and how much of it varies with the motion: that no noise does."""
+"""The remaining error, and the share of it that the motion predicts."""
 
 from __future__ import annotations
 

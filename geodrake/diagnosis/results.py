@@ -1,4 +1,4 @@
-"""What comparing, diagnosing and explaining give: plain frozen dataclasses."""
+"""Results of comparing, diagnosing and explaining, as frozen dataclasses."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Verdict = Literal["adequate", "explained", "unexplained", "undecided"]
 
 @dataclass(frozen=True)
 class Correlate:
-    """What the error that is left at a joint varies with.
+    """A signal with which the remaining error of a joint varies.
 
     Attributes:
         words: Such as "its direction of motion times the position of wrist_1_joint".
@@ -31,15 +31,15 @@ class Correlate:
 
 @dataclass(frozen=True, eq=False)
 class Candidate(Short):
-    """An effect that could be missing.
+    """An effect that may be missing.
 
     Attributes:
         effect: Name; two names joined by " + " for effects found together.
-        error_after: Held-out nrms with it, everything that may move refitted.
-        evidence: Twice the logarithm of how much more probable it makes the model, alone; 0 for
-            what stands in the place of the first one.
-        false_alarm_probability: How probable it is that it is not needed.
-        tied: Whether it is the first one, or stands in its place in other explanations.
+        error_after: Held-out nrms with it, with all parameters refitted.
+        evidence: Twice the log posterior odds of the model with it alone; 0 for alternatives to
+            the first one.
+        false_alarm_probability: Probability that it is not needed.
+        tied: Whether it is the first one, or an alternative to it in other explanations.
     """
 
     effect: str
@@ -53,12 +53,11 @@ class Candidate(Short):
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis(Shown):
-    """What is missing in a model, best candidate first.
+    """Effects that may be missing in a model, best candidate first.
 
     Attributes:
-        verdict: "adequate" if nothing convinces and only noise is left, "unexplained" if nothing
-            convinces and more is left, "undecided" if nothing convinces and noise is not known,
-            "explained" if there is a candidate.
+        verdict: "explained" if there is a candidate; otherwise "adequate" if only noise is left,
+            "unexplained" if the error is larger, and "undecided" if the noise is unknown.
         candidates: Convincing candidates, the chosen one first.
         start: The model as it stands.
         refitted: Held-out errors of the model with its parameters refitted within their prior.
@@ -76,7 +75,7 @@ class Diagnosis(Shown):
 
 @dataclass(frozen=True)
 class FittedRival:
-    """What stands in the place of a finding in other explanations of the logs."""
+    """An alternative to a finding in other explanations of the logs."""
 
     effect: str  # name; two names joined by " + " for effects found together
     where: tuple[str, ...]  # joints or bodies
@@ -101,21 +100,20 @@ class Step(Short):
         where: Joints or bodies it was added at.
         parameters: Place -> parameter name -> value, SI units.
         deviations: The same for the standard deviations.
-        indistinguishable_from: Effects that stand in its place in other explanations, of a
-            probability above 1 %.
-        false_alarm_probability: How probable it is that nothing is in its place.
-        agreement: Share of the held-out blocks in which it lowers the error where it acts; one
+        indistinguishable_from: Alternatives in other explanations, of a probability above 1 %.
+        false_alarm_probability: Probability that no effect is needed there.
+        agreement: Share of the held-out blocks in which it lowers the error where it acts; a block
             that hardly changes may count half.
         rms_before: Joint -> held-out RMS before, N·m or N.
         rms_after: Joint -> held-out RMS after, N·m or N.
         rivals: These effects with their places, the most probable first.
-        unknown_probability: How probable it is that it is a part of something that no effect
-            describes: it takes little away beside the error that is left in the end.
-        systematic: As `deviations`, those that more data do not narrow: from the gains of the
-            efforts, known to the logs' `effort_uncertainty` only, and from what stays unexplained.
-        series: What is measured and predicted after it, on held-out data; none for the last step,
-            after which it is the explanation's `after`.
-        model: The model after it; None for the last step, after which it is the explanation's.
+        unknown_probability: Probability that it is part of an effect outside the catalogue, as it
+            removes little compared with the remaining error.
+        systematic: Further deviations that more data do not reduce: from effort gains, known to the
+            logs' `effort_uncertainty`, and from unexplained errors.
+        series: Measured and predicted efforts after it, on held-out data; none for the last step,
+            for which the explanation's `after` has them.
+        model: The model after it; None for the last step, for which it is the explanation's.
     """
 
     effect: str
@@ -146,13 +144,13 @@ class Step(Short):
 
     @property
     def probabilities_of_rivals(self) -> tuple[float, ...]:
-        """Return how probable each of `rivals` is."""
+        """Return the probability of each of `rivals`."""
         return tuple(rival.odds * self.probability for rival in self.rivals)
 
 
 @dataclass(frozen=True, eq=False)
 class Explanation(Shown):
-    """The loop of comparing, diagnosing and adding, to the floor or to where nothing helps.
+    """Effects added to a model until only noise is left, or nothing explains the rest.
 
     Attributes:
         verdict: "adequate" or "explained" if only noise is left, "unexplained" if more is, and
@@ -165,14 +163,13 @@ class Explanation(Shown):
         before: Comparison with the model as it stands.
         after: Comparison with held-out predictions of the final model.
         notes: What was done to the logs and noticed about the model.
-        bodies: What the final fit made of the model's bodies, the farthest change first; none
-            where the model stays as it is.
-        of_motion: Joint -> share of its squared error that varies with the motion: that a smooth
-            function of positions and velocities predicts on held-out data. Of the final model;
-            without a step, of the model refitted within its prior.
+        bodies: Changes of the model's bodies, the largest first; none if the model is unchanged.
+        of_motion: Joint -> share of its squared error that a smooth function of positions and
+            velocities predicts on held-out data. Of the final model; without a step, of the model
+            refitted within its prior.
         is_interrupted: Whether the search was stopped before its end.
-        certificate: What the MathematicalProgram of the final fit says of it; None where the model
-            stays as it is.
+        certificate: Certificate of the final fit by its MathematicalProgram; None if the model is
+            unchanged.
     """
 
     verdict: Verdict

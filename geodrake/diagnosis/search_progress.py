@@ -1,4 +1,4 @@
-"""What a search tells of itself while it goes on."""
+"""Progress of a search."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from geodrake.effects.lookup import effect_of
 
 @dataclass(frozen=True)
 class FoundStep:
-    """A step of a search, as it is taken; what comes later may still change it."""
+    """A step of a search when it is taken; later steps may change it."""
 
     effect: str  # name of what was found; several joined by " + "; empty if something only went
     where: tuple[str, ...]  # joints or bodies; of what went, if nothing was found
@@ -30,7 +30,7 @@ class FoundStep:
 
     @property
     def share(self) -> float:
-        """How far the error has come on its way to the noise, by its logarithm, from 0 to 1."""
+        """Progress of the error towards the noise, on a logarithmic scale, from 0 to 1."""
         way = np.log(self.start / max(self.floor, _LEAST * self.start))
         done = np.log(self.start / max(self.after, _LEAST * self.start))
         return float(np.clip(done / way, 0.0, 1.0)) if way > 0 else 1.0

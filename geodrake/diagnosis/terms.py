@@ -1,4 +1,4 @@
-"""Terms: what may be missing in a model, each with columns, a prior and prior odds."""
+"""Terms that a model may lack, each with columns, a prior and prior odds."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _PHYSICAL = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """Something that a model may lack, at one place: an effect, or a body that is wrong."""
+    """Something that a model may lack at one place: an effect, or a wrong body."""
 
     name: str
     where: tuple[str, ...]

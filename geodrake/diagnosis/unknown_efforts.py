@@ -1,4 +1,4 @@
-"""Efforts that no effect of the catalogue describes, which every explanation competes with."""
+"""Efforts that no effect of the catalogue describes, as rivals of every explanation."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class UnresolvedReversal(JointEffect):
 
 @dataclass(frozen=True)
 class UnknownFunction(JointEffect):
-    """A smooth function of a joint's own motion: something that no effect describes."""
+    """A smooth function of a joint's own motion, which no effect describes."""
 
     center: float  # middle of the joint's range of motion, rad or m
     reach: float  # half that range

@@ -1,4 +1,4 @@
-"""Physical effects: what a rigid-body model lacks, one class each, in files by family.
+"""Physical effects that a rigid-body model lacks, one class each, in files by family.
 
 The effort that a robot needs is that of its rigid bodies and a sum of effects (docs/design.md).
 `catalogue` lists the effects that come with geodrake. One of your own is a frozen dataclass with a

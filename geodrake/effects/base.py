@@ -1,4 +1,4 @@
-"""What a physical effect is: the base classes of the family.
+"""Base classes of physical effects.
 
 A robot model is a sum of effects, Eq. (1) of docs/design.md:
 
@@ -62,14 +62,14 @@ Rows = Mapping[str, Array]
 Slopes = Sequence[Mapping[str, ArrayLike]]
 
 SIGNALS = frozenset({"q", "v", "vd", "load", "time", "bodies", "history", "temperature"})
-"""What columns may depend on; see `Effect`."""
+"""Dependencies of columns; see `Effect`."""
 
 BEYOND_MOTION = frozenset({"time", "history", "temperature"})
 """Those of them that a formula of the present q, v and v̇ does not have."""
 
 
 class Effect(CheckedFields, abc.ABC):
-    """A physical effect at its place, and all that anyone asks of it.
+    """A physical effect at its place.
 
     Subclasses are frozen dataclasses whose fields are the place and the shape parameters. They
     define `name`, `parameters` and columns; all else has a default that suits most effects.
@@ -163,7 +163,7 @@ class Effect(CheckedFields, abc.ABC):
         """
 
     def formula_rows(self, motion: RobotMotion) -> Rows:
-        """`rows` by functions of NumPy's alone, for what records them (`geodrake.model.source`).
+        """`rows` with NumPy functions only, for recording (`geodrake.model.source`).
 
         An effect whose `rows` run compiled code defines it, too. One that depends on the time or
         on history is as if it had gone on for long.
@@ -198,7 +198,7 @@ class Effect(CheckedFields, abc.ABC):
         raise NotImplementedError
 
     def states_along(self, motion: RobotMotion) -> Array:
-        """Hidden states (N, s) that a series and what was before it leave; zero if not known."""
+        """Hidden states (N, s) after a series and its history; zero if unknown."""
         return np.zeros((len(motion.v), self.state_count))
 
     @property
@@ -239,12 +239,12 @@ class Effect(CheckedFields, abc.ABC):
 
     @property
     def free_shapes(self) -> int:
-        """Return how many shape parameters the data choose, beside the linear ones."""
+        """Return the number of shape parameters that are fitted, besides the linear ones."""
         return sum(isinstance(value, float) for value in self.shape.values())
 
     @property
     def refines(self) -> tuple[tuple[type[Effect], ...], ...]:
-        """What it comes on top of: one of these sets of effects must be at its place already.
+        """Sets of effects, one of which must already be at its place.
 
         Nothing for most effects. Alone, a refinement would be a compromise of what it refines,
         unless an empty set is among them.
@@ -261,7 +261,7 @@ class Effect(CheckedFields, abc.ABC):
         return self
 
     def gravity_of_bodies(self, gravity: Array) -> Array | None:
-        """Gravity that columns of bodies are made with beside the effect; None for the model's.
+        """Gravity for columns of bodies with the effect; None for the model's.
 
         An effect that changes gravity (3,), m/s², is a product of its parameters with those of
         bodies. About that gravity it is linear in both.
@@ -271,7 +271,7 @@ class Effect(CheckedFields, abc.ABC):
 
     @property
     def in_bodies(self) -> Array:
-        """(k,) parameters at `gravity_of_bodies`: what the columns of bodies have in them."""
+        """(k,) parameters that the columns of bodies contain at `gravity_of_bodies`."""
         return np.zeros(len(self.parameters))
 
     def course(self, along: Array) -> Array:
@@ -362,7 +362,7 @@ class JointEffect(Effect):
         return motion.efforts_at(self.joint, np.stack(shaped, -1))
 
     def slopes(self, joint: JointMotion) -> Slopes | None:
-        """Of each column, its derivatives by `JointMotion` field; fields left out have none.
+        """The derivative of each column by `JointMotion` fields; missing ones are zero.
 
         `sign_v` is a field of its own: how it depends on v is known. None if the effect does not
         know them: they are then taken by differences.

@@ -88,7 +88,7 @@ def _by_name(mass: float, com: Array) -> Values:
 
 @dataclass(frozen=True)
 class TemporaryPayload(Episode):
-    """Rigid body that a link holds from when it is picked up until it is put down.
+    """Rigid body that a link carries from when it is picked up until it is put down.
 
     effort = w(t) Y_B(q, v, v̇) φ, with the weight w of the episode (see `Episode`) and the payload's
     φ as that of `Payload`.
@@ -117,23 +117,23 @@ class TemporaryPayload(Episode):
 
     @property
     def place(self) -> str:
-        """Return the body, and when it holds the payload."""
+        """Return the body, and the times of the payload."""
         return f"{self.body}, {self.when}"
 
     @property
     def free_shapes(self) -> int:
-        """Return how many of start and end there are."""
+        """Return the number of free start and end times."""
         return (self.start is not None) + (self.end is not None)
 
     @property
     def reported_shape(self) -> dict[str, float]:
-        """Return when it is picked up and put down: the log's number says nothing."""
+        """Return when it is picked up and put down."""
         shape = super().reported_shape.items()
         return {name: value for name, value in shape if name in ("start", "end")}
 
     @classmethod
     def unit_of(cls, name: str) -> str:
-        """Unit of a parameter, or of what results report."""
+        """Unit of a parameter, or of a reported value."""
         return "s" if name in ("start", "end", "rise") else Payload.unit_of(name)
 
     def reported(self, parameters: Array, deviations: Array) -> tuple[Values, Values]:
@@ -147,7 +147,7 @@ class TemporaryPayload(Episode):
         return Payload(self.body).manifold
 
     def rows(self, motion: RobotMotion) -> Rows:
-        """Return the link's ten inertial columns at every joint, while it holds the payload."""
+        """Return the link's ten inertial columns at every joint, during the episode."""
         held = np.zeros(len(motion.v))
         if motion.time is not None and self.is_of(motion.log):
             held = self.weight(motion.time)
@@ -186,6 +186,6 @@ class WrongInertia(Effect):
         return "kg" if name == "mass" else super().unit_of(name)
 
     def rows(self, motion: RobotMotion) -> Rows:
-        """Nothing beside the columns of the bodies."""
+        """No columns in addition to those of the bodies."""
         del motion
         return {}

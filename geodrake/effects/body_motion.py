@@ -43,7 +43,7 @@ class BodyMotion:
 
 @dataclass(frozen=True, eq=False)
 class RobotBodies:
-    """The bodies of a robot in N configurations; nothing is computed before it is asked for."""
+    """The bodies of a robot in N configurations, evaluated lazily."""
 
     tree: KinematicTree
     q: Array  # (N, nq) positions in Drake's order

@@ -1,4 +1,4 @@
-"""Columns of effects: what may go on into factors, and whose line gives what may not."""
+"""Checks of effects' columns, with the line of user code in errors."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _OURS = frozenset(str(path) for path in Path(__file__).parent.glob("*.py"))
 
 
 def rows_of(effect: Any, motion: RobotMotion) -> Mapping[str, Array]:
-    """Return what `Effect.rows` gives, as all that takes columns may rely on."""
+    """Return the checked result of `Effect.rows`."""
     kind = type(effect)
     if of_geodrake(kind):
         return effect.rows(motion)
@@ -46,7 +46,7 @@ def rows_of(effect: Any, motion: RobotMotion) -> Mapping[str, Array]:
 
 
 def of_geodrake(kind: type[Any]) -> bool:
-    """Return whether a class comes with geodrake, so that its columns are known to be usable."""
+    """Return whether a class comes with geodrake, so that its columns need no checks."""
     return kind.__module__.startswith("geodrake.")
 
 
@@ -97,7 +97,7 @@ def _checked(what: str, line: str, values: ArrayLike, shape: tuple[int, ...]) ->
 
 @contextmanager
 def telling(name: str, line: str) -> Iterator[None]:
-    """Tell what would end the program unseen, such as `sys.exit`, as an error of the effect."""
+    """Convert what would end the program, such as `sys.exit`, to an error of the effect."""
     try:
         yield
     except (Exception, KeyboardInterrupt, GeneratorExit):
@@ -107,7 +107,7 @@ def telling(name: str, line: str) -> Iterator[None]:
 
 
 def line_of(effect: type[Any], *methods: str) -> str:
-    """Return line and file of the last of some methods of a user's own effect, in words.
+    """Return line and file of the last of some methods of a user's effect.
 
     Args:
         *methods: Names of methods, of which the effect may have some.

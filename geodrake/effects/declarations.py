@@ -1,4 +1,4 @@
-"""What effects declare: their role, what proposes them, places, parameters and shapes."""
+"""Declarations of effects: role, proposer, places, parameters and shapes."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Role(Enum):
 
 
 class Proposer(Enum):
-    """What in the residual of a model proposes an effect.
+    """The pattern in the residual of a model that proposes an effect.
 
     BENDING and PLAY propose a `DeflectionEffect`, SHARED_ACTUATOR a `SharedActuatorEffect`, EPISODE
     a `PointEpisode`, HANDLING another `Episode`, the others a `JointEffect`: WAVES one whose one
@@ -143,7 +143,7 @@ class Shape:
             number(self.usual, "usual")
 
     def values(self, scales: Mapping[str, float]) -> tuple[float, ...]:
-        """Return the values to try, where some sizes are known."""
+        """Return the values to try, scaled by known sizes."""
         if not self.scale and self.grid:
             return self.grid
         if self.scale in scales:
@@ -152,7 +152,7 @@ class Shape:
 
 
 def when_sliding(unit: str) -> str:
-    """Return the unit at a joint that slides of what has some unit at one that turns."""
+    """Return the unit at a prismatic joint for a unit at a revolute one."""
     for angular, linear in _LINEAR:
         unit = unit.replace(angular, linear)
     return re.sub(r"\((\w+)\)", r"\1", unit)  # m/(N) is m/N
@@ -183,7 +183,7 @@ class CheckedFields:
 
 
 def whole_numbers(effect: Any, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values of fields of a class of effects, those of type `int` whole.
+    """Return fields of a class of effects, with those of type `int` as integers.
 
     A saved model holds all numbers as floats.
     """
@@ -198,12 +198,12 @@ def whole_numbers(effect: Any, values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _declared(kind: Any) -> str:
-    """Return the type of a field as it is written: `float`, `float | None`, `tuple[str, str]`."""
+    """Return the annotation of a field: `float`, `float | None`, `tuple[str, str]`."""
     words = kind.__name__ if type(kind) is type else str(kind).replace("typing.", "")
     return f"{words[9:-1]} | None" if words.startswith("Optional[") else words
 
 
 def require_positive(effect: Any, *names: str) -> None:
-    """Refuse fields of an effect that are not positive and finite."""
+    """Raise for fields of an effect that are not positive and finite."""
     for name in names:
         positive(getattr(effect, name), f"{name} of {effect.name}")

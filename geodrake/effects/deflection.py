@@ -1,4 +1,4 @@
-"""What it changes in the efforts that a link is not quite where its motor is."""
+"""Efforts caused by deflection between motor and link."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ class DeflectionEffect(JointEffect):
         )
 
     def rollout_values(self, parameters: Array) -> Values:
-        """Return positive values that a simulated motion shows, and efforts hardly; none for most.
+        """Return positive values that a simulated motion shows better than efforts do.
 
         They are of parameters (k,) and shapes, by their names; `geodrake.control.fit_rollouts` fits
         them.
@@ -117,7 +117,7 @@ class DeflectionEffect(JointEffect):
         )
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
-        """Nothing that the joint's own motion says."""
+        """No columns of the joint's own motion."""
         return [np.zeros_like(joint.v)]
 
     def column(self, motion: RobotMotion) -> Array:

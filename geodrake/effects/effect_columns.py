@@ -28,10 +28,10 @@ from geodrake.effects.robot_motion import Array, JointMotion, RobotMotion
 Indices = NDArray[np.intp]
 
 _BEHIND = frozenset({"q", "v", "bodies"})
-"""Signals that effects of joints behind a transmission depend on, beside their own."""
+"""Signals that effects of joints behind a transmission also depend on."""
 
 Trial = Callable[[Array, Array, Array], RobotMotion]
-"""Gives a motion of a robot with some velocities, accelerations and loads, each (N, nv)."""
+"""Function to the motion of a robot with given velocities, accelerations and loads, (N, nv)."""
 
 _SAMPLES = 8
 
@@ -120,7 +120,7 @@ class EffectColumns:
 
     @cached_property
     def _signals(self) -> tuple[frozenset[str], ...]:
-        """What each effect depends on."""
+        """The dependencies of each effect."""
         own = [dependencies(e, self.trial, len(self.joints)) for e in self.effects]
         return tuple(
             names | _BEHIND if e.at_motor and not self._indices.keys() >= {*e.where} else names
@@ -172,7 +172,7 @@ class EffectColumns:
         return Y
 
     def _agrees(self, group: _Together) -> bool:
-        """Return whether the effects of a group give together what each of them gives alone.
+        """Return whether effects of a group evaluated together equal each alone.
 
         Those of geodrake do. One of a user's own may see its joint's name or other samples.
         """
@@ -194,7 +194,7 @@ class EffectColumns:
 
 @dataclass(frozen=True, eq=False)
 class _Together:
-    """Joint effects that differ in nothing but their joint."""
+    """Joint effects that differ only in their joint."""
 
     members: tuple[tuple[JointEffect, slice], ...]  # they, with the places of their parameters
     joints: Indices | None  # (k,) their velocities; None for all velocities in order
@@ -205,7 +205,7 @@ class _Together:
     def of(
         cls, members: Sequence[tuple[JointEffect, slice]], joints: tuple[str, ...], count: int
     ) -> _Together:
-        """Return some of the effects of the joints, which have `count` parameters in all."""
+        """Return the effects of some joints, which have `count` parameters in total."""
         at = np.array([joints.index(effect.joint) for effect, _ in members])
         columns = np.array([range(part.start, part.stop) for _, part in members]).T
         in_order = np.array_equal(at, np.arange(len(joints)))
@@ -228,7 +228,7 @@ def _put(Y: Array, effects: Sequence[tuple[Effect, slice]], motion: RobotMotion)
 
 
 def sees_joint_only(effect: Effect) -> TypeGuard[JointEffect]:
-    """Return whether an effect's columns are functions of the motion of its own joint."""
+    """Return whether an effect's columns depend on the motion of its own joint only."""
     return isinstance(effect, JointEffect) and type(effect).rows is JointEffect.rows
 
 
@@ -261,7 +261,7 @@ def dependencies(effect: Effect, trial: Trial | None, joints: int) -> frozenset[
 
 
 def declares_signals(kind: type[Effect]) -> bool:
-    """Return whether a class says what its columns depend on where these are written, or below."""
+    """Return whether a class declares its dependencies with its columns, or in a subclass."""
     written = ("depends_on", "columns", "rows")
     nearest = next(base for base in kind.__mro__ if any(name in vars(base) for name in written))
     return "depends_on" in vars(nearest)

@@ -1,4 +1,4 @@
-"""What is around a robot: the slope it stands on, what it touches, and the air."""
+"""Effects of a robot's environment: tilt of its base, contacts, and air."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _LEAST_CHANGE = 1e-4  # of the weight
 
 @dataclass(frozen=True)
 class GravityTilt(RobotEffect):
-    """Base that is turned by two angles against what the model says.
+    """Base that is tilted by two angles relative to the model.
 
     effort = ∂τ_g/∂g · (R(θ)ᵀ g − g), for the base turned by the rotation vector θ = (θx, θy, 0) rad
     about the axes of the model's world frame. The effort is linear in gravity, and gravity
@@ -59,7 +59,7 @@ class GravityTilt(RobotEffect):
 
     @property
     def reported_shape(self) -> dict[str, float]:
-        """None: where the columns are exact is no property of the robot."""
+        """None: the expansion point is not a property of the robot."""
         return {}
 
     def expanded_about(self, parameters: Array, bodies: RobotBodies) -> GravityTilt:
@@ -86,7 +86,7 @@ class GravityTilt(RobotEffect):
         return np.array([self.about_x, self.about_y, 0.0])
 
     def rows(self, motion: RobotMotion) -> Rows:
-        """Return the effort of the change of gravity that each angle makes, at every joint."""
+        """Return the efforts of the change of gravity with each angle, at every joint."""
         bodies = motion.body_motions(self.name)
         columns = bodies.gravity_efforts(self._change(bodies.gravity))
         return {joint: columns[:, i] for i, joint in enumerate(motion.joints)}

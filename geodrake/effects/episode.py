@@ -1,4 +1,4 @@
-"""What acts during a part of one log."""
+"""Effects during part of one log."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from geodrake.errors import ArgumentError
 
 
 class Episode(BodyEffect):
-    """What acts on a body during a part of one log.
+    """An effect on a body during part of one log.
 
     It is an event of that log, no property of the robot: where time is not known, or the log is
     another one, there is none. Its weight is w = ½ tanh((t − t₀)/r) − ½ tanh((t − t₁)/r): one from
@@ -80,7 +80,7 @@ class Episode(BodyEffect):
 
 @dataclass(frozen=True)
 class PointEpisode(Episode):
-    """What acts at a point P of a body during an episode. Subclasses define `columns`."""
+    """An effect at a point P of a body during an episode. Subclasses define `columns`."""
 
     start: float  # t₀, s since the log began
     end: float  # t₁, s since the log began
@@ -128,7 +128,7 @@ class PointEpisode(Episode):
 
     @property
     def reported_shape(self) -> dict[str, float]:
-        """Window and point: its place says whether it turns, and the log's number says nothing."""
+        """Window and point."""
         shape = super().reported_shape.items()
         return {name: value for name, value in shape if name not in ("log", "turning")}
 
@@ -144,6 +144,6 @@ class PointEpisode(Episode):
 
     @classmethod
     def in_window(cls, body: str, start: float, end: float, **shape: Any) -> tuple[Self, ...]:
-        """Return what may act on a body in a window: forces fixed in W, or turning with it."""
+        """Return possible effects on a body in a window: forces fixed in W, or rotating with it."""
         make: Callable[..., Self] = cls
         return tuple(make(body, start, end, **shape, turning=turning) for turning in (0, 1))

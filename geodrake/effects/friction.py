@@ -69,7 +69,7 @@ class CoulombFriction(JointEffect):
 
 @dataclass(frozen=True)
 class AsymmetricFriction(JointEffect):
-    """Dry and viscous friction with magnitudes of their own in each direction.
+    """Dry and viscous friction that differ between the directions.
 
     effort = F₊ + c₊ v where v > 0, and −F₋ + c₋ v where v < 0; F in N·m, c in N·m·s/rad, all ≥ 0.
 
@@ -100,7 +100,7 @@ class AsymmetricFriction(JointEffect):
 
 @dataclass(frozen=True)
 class FrictionOvercompensation(JointEffect):
-    """What a drive takes out of dry friction beyond what there is.
+    """Dry friction that a drive compensates beyond the existing one.
 
     effort = −F sgn v, with F ≥ 0 in N·m.
 
@@ -131,7 +131,7 @@ _SHARES = tuple(np.geomspace(0.01, 0.3, 4).tolist())  # of the peak speed
 
 @dataclass(frozen=True)
 class StribeckFriction(JointEffect):
-    """What dry friction has at low speed over its value at high speed.
+    """Additional dry friction at low speed.
 
     effort = (S − F) exp(−|v / v_s|^α) sgn v, with the excess S − F ≥ 0 in N·m.
 
@@ -198,7 +198,7 @@ class NonlinearViscousFriction(JointEffect):
 
     @property
     def refines(self) -> tuple[tuple[type[Effect], ...], ...]:
-        """With α < 1, dry and viscous friction, between which it stands; a drag refines nothing."""
+        """With α < 1, dry and viscous friction; a drag refines nothing."""
         return ((CoulombFriction, ViscousFriction),) if self.exponent < 1.0 else ()
 
 
@@ -351,7 +351,7 @@ class CoupledFriction(SharedActuatorEffect):
 
     @staticmethod
     def shared(v: Array, turned_v: Array, turned_vd: Array, direction: Direction) -> Array:
-        """[sgn w, w] with w = v + s vⱼ, whatever the joint: at joint j, s is taken out."""
+        """[sgn w, w] with w = v + s vⱼ, for either joint; at joint j, s is factored out."""
         del turned_vd
         w = v + turned_v
         return np.stack([direction(w), w], -1)
@@ -359,7 +359,7 @@ class CoupledFriction(SharedActuatorEffect):
 
 @dataclass(frozen=True)
 class FrictionDrift(JointEffect):
-    """What dry and viscous friction have at the start of a log over what they settle at.
+    """Additional dry and viscous friction at the start of a log, which decays.
 
     effort = e^{−t/T} (F sgn v + c v), with F in N·m and c in N·m·s/rad, t s after the log began.
 
@@ -387,7 +387,7 @@ class FrictionDrift(JointEffect):
     refines = ((CoulombFriction,), (ViscousFriction,), ())
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
-        """Nothing, of a joint that has settled."""
+        """Zero, at a joint that has settled."""
         return [np.zeros_like(joint.v), np.zeros_like(joint.v)]
 
     def rows(self, motion: RobotMotion) -> Rows:
@@ -405,7 +405,7 @@ class FrictionDrift(JointEffect):
 
 @dataclass(frozen=True)
 class ThermalFriction(JointEffect):
-    """What dry and viscous friction gain with every degree that a joint is warmer.
+    """Change of dry and viscous friction with the temperature of a joint.
 
     effort = (T − T₀) (F sgn v + c v), with F in N·m/°C and c in N·m·s/(rad·°C), at T °C.
 
@@ -433,11 +433,11 @@ class ThermalFriction(JointEffect):
     refines = ((CoulombFriction,), (ViscousFriction,))
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
-        """Nothing, of a joint at T₀."""
+        """Zero, at a joint at T₀."""
         return [np.zeros_like(joint.v), np.zeros_like(joint.v)]
 
     def rows(self, motion: RobotMotion) -> Rows:
-        """Return (T − T₀) [sgn v, v]; nothing where T is not known."""
+        """Return (T − T₀) [sgn v, v]; zero if T is unknown."""
         if motion.temperature is None:
             return super().rows(motion)
         joint, warmer = motion.joint(self.joint), motion.warmer(self.joint, self.reference)
@@ -493,7 +493,7 @@ class Hysteresis(JointEffect):
         return {self.joint: self.states_along(motion)}
 
     def states_along(self, motion: RobotMotion) -> Array:
-        """Return the bend z (N, 1) along the motion, and along what was before it."""
+        """Return the bristle deflection z (N, 1) along the motion and its history."""
         at = motion.index(self.joint)
         before = motion.q[:0] if motion.before is None else motion.before
         q = np.concatenate([before[:, at], motion.q[:, at]])

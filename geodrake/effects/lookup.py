@@ -21,7 +21,7 @@ FAMILIES = ("friction", "sensors", "motor_and_transmission", "bodies", "environm
 
 @cache
 def catalogue() -> tuple[type[Effect], ...]:
-    """Return the effects that come with geodrake, by family, in the order of definition."""
+    """Return geodrake's effects by family, in the order of definition."""
     modules = [import_module(f"{__package__}.{name}") for name in FAMILIES]
     return tuple(effect for module in modules for effect in effects_in(module))
 

@@ -1,4 +1,4 @@
-"""Springs across joints, and what motors and gears add: ripple, rotors, give and play."""
+"""Springs across joints, and effects of motors and gears: ripple, rotors, elasticity, backlash."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ class TorqueRipple(JointEffect):
 
 @dataclass(frozen=True)
 class RotorInertia(JointEffect):
-    """Inertia of a rotor behind a gear, as the joint feels it (the reflected inertia).
+    """Reflected inertia of a rotor behind a gear.
 
     effort = I v̇, with I = (gear ratio)² · rotor inertia ≥ 0 in kg·m² (kg at a prismatic joint).
     """
@@ -143,7 +143,7 @@ class RotorInertia(JointEffect):
 
 @dataclass(frozen=True)
 class CoupledRotorInertia(SharedActuatorEffect):
-    """What a rotor that turns with vᵢ and vⱼ adds between the two joints.
+    """Inertial coupling of two joints by a rotor that turns with vᵢ and vⱼ.
 
     effort of joint i = I v̇ⱼ and effort of joint j = I v̇ᵢ, from the kinetic energy I vᵢ vⱼ: one
     symmetric pair of entries of the mass matrix. I is in kg·m², and negative where the rotor turns
@@ -300,12 +300,12 @@ class Backlash(DeflectionEffect):
         return Give(play=max(parameters[0], 0.0) * self.half_width)
 
     def rollout_values(self, parameters: Array) -> Values:
-        """Return half the width of the gap that the share makes of the shape."""
+        """Return half the width of the gap."""
         width = float(parameters[0]) * self.half_width
         return {"half_width": width} if width > 0.0 else {}
 
     def with_rollout_values(self, values: Values, deviations: Values) -> FittedEffect:
-        """Return a gap as wide as its shape says."""
+        """Return the effect with another width of the gap."""
         width = values["half_width"]
         share = np.array([deviations["half_width"] / width])
         return FittedEffect(replace(self, half_width=width), np.ones(1), share)

@@ -29,7 +29,7 @@ from geodrake.robot.files.checks import rotation
 
 
 class _Stated:
-    """What has no shape that data choose, as a file states it."""
+    """An effect of a model file without fitted shape parameters."""
 
     free_shapes = 0
 
@@ -63,7 +63,7 @@ class PolynomialSpring(_Stated, JointEffect):
 
 
 BRAKING_SHARE = 0.45
-"""The braking load of a gear over 1/k: friction grows by at most 0.9 of what the load grows by."""
+"""The braking load of a gear over 1/k: friction grows by at most 0.9 of the load."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class SquaredLoadFriction(_Stated, JointEffect):
 
 @dataclass(frozen=True)
 class JointCoupling(JointPairEffect):
-    """What a spring and a damper of length cᵢ qᵢ + cⱼ qⱼ add between the two joints.
+    """Coupling of two joints by a spring and a damper of length cᵢ qᵢ + cⱼ qⱼ.
 
     effort of joint i = k qⱼ + d vⱼ and effort of joint j = k qᵢ + d vᵢ, from the energy k qᵢ qⱼ:
     k = cᵢ cⱼ times the stiffness of a tendon over both, and d likewise. What the tendon is at each
@@ -247,7 +247,7 @@ _LEAST_LENGTH = 1e-150  # m, whose inverse is a number
 
 @dataclass(frozen=True)
 class Strut(_Stated, Effect):
-    """Spring and damper between a point P of a body and a point Q of another one, or of the world.
+    """Spring and damper between a point P of a body and a point Q of another, or of the world.
 
     With L the distance of the two, effort = (k L + p + d L̇) ∂L/∂q: a counterbalance or a gas spring
     of stiffness k in N/m, preload p = −k L₀ in N and damping d in N·s/m.
@@ -302,7 +302,7 @@ class Strut(_Stated, Effect):
 
 
 def _point(bodies: RobotBodies, body: str, p_BoP_B: Array) -> tuple[Array, Array, tuple[int, ...]]:
-    """Return the position (N, 3) of a point of a body, its Jacobian, and what moves it."""
+    """Return the position (N, 3) of a point of a body, its Jacobian, and its velocities."""
     if body == _WORLD:
         return p_BoP_B[None], np.zeros((1, 3, bodies.tree.num_velocities)), ()
     motion = bodies.motion(body)

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class JointMotion(Short):
-    """Motion of one joint, each field (N,): what a joint effect is a function of.
+    """Motion of one joint, each field (N,), on which joint effects depend.
 
     Attributes:
         q: Position, rad or m.
@@ -126,7 +126,7 @@ class RobotMotion(Short):
         return found
 
     def _behind(self, name: str) -> tuple[tuple[Array, Array, Array, Array], int, int] | None:
-        """Return the motion of the tree and the place of a joint behind a transmission, or None."""
+        """Return the motion of the tree and the index of a joint behind a transmission, or None."""
         if name in self.joints or self.bodies is None:
             return None
         places = self.bodies.joints_behind
@@ -139,7 +139,7 @@ class RobotMotion(Short):
         return bodies.tree_samples(self.v, self.vd)
 
     def index(self, name: str) -> int:
-        """Return the column of a joint; ArgumentError if there is no such joint."""
+        """Return the column of a joint; raise an ArgumentError if it does not exist."""
         if name not in self.joints:
             raise ArgumentError(
                 f"There is no joint {name!r}.", advice=f"Joints are {', '.join(self.joints)}."
@@ -199,5 +199,5 @@ def smoothed_sign(width: Array) -> Callable[[Array], Array]:
 
 
 def log_number(name: str) -> int:
-    """Return a number that tells a log from others, by its name."""
+    """Return a number that identifies a log by its name."""
     return zlib.crc32(name.encode(errors="surrogatepass")) or 1

@@ -1,4 +1,4 @@
-"""What sensors of effort and of forces make of them: offsets, gains and delays."""
+"""Effects of effort and force sensors: offsets, gains and delays."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ class EffortScale(JointEffect):
         return (joint.load,)
 
     def rows(self, motion: RobotMotion) -> Rows:
-        """[τ], what the joint needs by all other effects of the model."""
+        """[τ], the effort of the joint by all other effects of the model."""
         if motion.effort is None:
             return super().rows(motion)
         at = motion.index(self.joint)
@@ -200,12 +200,12 @@ class EffortDelay(Effect):
             raise ArgumentError(f"{self.name} needs a finite delay; it got {self.delay}.")
 
     def rows(self, motion: RobotMotion) -> Rows:
-        """Nothing: a delay adds no effort."""
+        """No rows, as a delay adds no effort."""
         del motion
         return {}
 
     def delayed(self, signal: ArrayLike, period: float, *, spline: BSpline | None = None) -> Array:
-        """Return the signal as it was δ ago, by quintic spline interpolation.
+        """Return the signal delayed by δ, by quintic spline interpolation.
 
         Args:
             signal: (N, ...) samples at a uniform rate.
@@ -228,7 +228,7 @@ class EffortDelay(Effect):
 
 
 def delays_of(effects: Sequence[Effect], joints: Sequence[str]) -> Array:
-    """Return (n,) delays, s, that some effects make together at n joints."""
+    """Return (n,) total delays, s, of effects at n joints."""
     delays = np.zeros(len(joints))
     for effect in effects:
         if effect.role is Role.DELAY:
@@ -248,7 +248,7 @@ def effort_delays(delays: ArrayLike, joints: Sequence[str]) -> list[EffortDelay]
 def delayed_by(
     delays: ArrayLike, signals: Array, period: float, *, spline: BSpline | None = None
 ) -> Array:
-    """Return signals (N, n), a period apart, as they were (n,) s ago."""
+    """Return signals (N, n), one period apart, delayed by (n,) s."""
     seconds = np.asarray(delays, float).tolist()
     if len(set(seconds)) == 1:
         return EffortDelay(seconds[0]).delayed(signals, period, spline=spline)

@@ -1,4 +1,4 @@
-"""Users' own effects: their files, whether their classes declare what they must, candidates."""
+"""User-defined effects: loading of files, and checks of their classes and candidates."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ _KINDS: Mapping[type, tuple[Any, str]] = {
     frozenset: ((frozenset, set), "a set"),
     Role: (Role, "a Role"),
 }
-"""What may stand where a class attribute of `Effect` is of a type, also in words."""
+"""Valid values of class attributes of `Effect` by type, also in words."""
 
 _BASES: Mapping[Role, type] = {Role.DEFLECTION: DeflectionEffect, Role.EPISODE: Episode}
-"""What an effect of a role derives from, where that is not the one effect that has it."""
+"""Base class of an effect with a role, if other than the one effect with it."""
 
 _PROPOSED: Mapping[Proposer, type] = {
     Proposer.BENDING: DeflectionEffect,
@@ -57,7 +57,7 @@ _PROPOSED: Mapping[Proposer, type] = {
     Proposer.EPISODE: PointEpisode,
     Proposer.HANDLING: Episode,
 }
-"""What an effect of a proposer derives from."""
+"""Base class of an effect with a proposer."""
 
 
 def load_effect_file(path: str | Path) -> tuple[type[Effect], ...]:
@@ -116,7 +116,7 @@ def load_effect_file(path: str | Path) -> tuple[type[Effect], ...]:
 
 
 def candidates_of(effect: type[Effect], *place: Any) -> tuple[Effect, ...]:
-    """Return what `Effect.candidates` gives at a place."""
+    """Return the candidates of `Effect.candidates` at a place."""
     line = line_of(effect, "candidates")
     with telling(effect.name, line):
         made: Any = effect.candidates(*place)
@@ -134,7 +134,7 @@ def candidates_of(effect: type[Effect], *place: Any) -> tuple[Effect, ...]:
 
 
 def check_class(effect: type[Effect]) -> None:
-    """Refuse a class of effects whose class attributes are not what `Effect` says."""
+    """Raise for a class of effects with invalid class attributes."""
     _check_names(effect)
 
     def check(holds: bool, has: str, wanted: str) -> None:
@@ -187,7 +187,7 @@ def check_class(effect: type[Effect]) -> None:
 
 
 def _check_names(effect: type[Effect]) -> None:
-    """Refuse attributes that hide a method of geodrake's, or are a declaration but for a letter."""
+    """Raise for attributes that hide a method of geodrake's, or misspell a declaration."""
     own = [kind for kind in effect.__mro__ if issubclass(kind, Effect) and not _is_ours(kind)]
     ours: Any = next(kind for kind in effect.__mro__ if _is_ours(kind))
     declared = set(Effect.__annotations__)

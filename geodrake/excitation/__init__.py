@@ -1,4 +1,4 @@
-"""Excitation: from which motion parameters are identified best, and which from a given one.
+"""Excitation: design of motions for identification, and identifiability of parameters.
 
     limits = motion_limits(model, bounded=True)               # what the robot may do
     target = make_target(model, noise=0.1)                    # what is unknown, measured how well

@@ -1,4 +1,4 @@
-"""Collision geometry: of a robot's file, of a scene's, and what a user says stands in the way.
+"""Collision geometry of a robot's file, of scenes, and of obstacles.
 
 Drake takes a mesh for its convex hull wherever it measures distances, so meshes become convex hulls
 in memory; those of STL files too, which Drake does not read.
@@ -56,7 +56,7 @@ _FORMS = (
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A shape that stands in the way, or that a link has.
+    """A shape of an obstacle or a link.
 
     Attributes:
         shape: Drake's shape, such as `Box(0.5, 0.5, 0.1)`.
@@ -251,7 +251,7 @@ def solids_of_file(path: Path, given: Given) -> dict[str, list[Solid]]:
 
 
 def _prepare(root: Element, where: Where, folder: Path) -> None:
-    """Leave collision geometry alone; hulls of STL files go to a folder as OBJ."""
+    """Keep collision geometry only; hulls of STL files are written to a folder as OBJ."""
     drop(root, "visual")
     files = (folder / f"{number}.obj" for number in count())
     move_meshes(root, lambda name: _readable(name, where, next(files)))

@@ -151,7 +151,7 @@ class CollisionWorld:
         return names[0], names[1]
 
     def _allow_overlaps(self, model: RobotModel) -> tuple[str, ...]:
-        """Let links overlap that always do, and say which."""
+        """Allow collisions of links that always overlap, with notes."""
         lower, upper = self._plant.GetPositionLowerLimits(), self._plant.GetPositionUpperLimits()
         bounded = np.isfinite(lower) & np.isfinite(upper)
         lower, upper = np.where(bounded, lower, -np.pi), np.where(bounded, upper, np.pi)

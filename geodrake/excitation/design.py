@@ -75,7 +75,7 @@ class DesignProgress:
 
 @dataclass(frozen=True)
 class SeedOutcome:
-    """What one start came to."""
+    """Outcome of one initial motion."""
 
     seed: int | None  # of the random motion that it began with; None for a given motion
     random_value: float  # criterion of the motion that it began with, which keeps the limits
@@ -113,7 +113,7 @@ class ExcitationResult(Shown):
 
     @property
     def executed(self) -> ExecutableMotion:
-        """The motion to execute and to save: with its ramps, if there are some."""
+        """The motion to execute and to save, with its ramps if any."""
         return self.ramps or self.trajectory
 
     @property
@@ -131,7 +131,7 @@ def identifiable_directions(result: ExcitationResult) -> int:
 
 
 def improvement(result: ExcitationResult) -> float:
-    """Return by what factor the best random motion that a start began with is worse.
+    """Return the ratio of the best initial motion's criterion to the result's.
 
     Of D-optimality, the factor of the geometric mean of the variances.
     """
@@ -152,7 +152,7 @@ def design_excitation(
     seeds: int | Sequence[int] = 3,
     progress: Callable[[DesignProgress], None] | None = None,
 ) -> ExcitationResult:
-    """Return the motion within limits from which a robot's parameters are identified best.
+    """Return the most informative motion of a robot within its limits.
 
     Args:
         what: A robot, of which all inertias and the model's effects are to be identified from
@@ -245,7 +245,7 @@ def _with_ramps(
 
 
 def _time_notes(run: _Run, left_out: int) -> tuple[str, ...]:
-    """Return what there was no time for."""
+    """Return notes on what was not tried for lack of time."""
     why = "it was interrupted" if run.is_stopped else "time was up"
     notes = [_STOPPED] if run.is_stopped else []
     if left_out:
@@ -272,7 +272,7 @@ class _Run:
     is_stopped: bool = False
 
     def from_seeds(self, seeds: Sequence[int], budget: Budget) -> list[tuple[Array, SeedOutcome]]:
-        """Return the best motions (f, nv) from random ones, and from the guess if there is one.
+        """Return the best motions (f, nv) from random ones, and from the guess if any.
 
         A start has half of the time that is left, the last one all of it; those that it does not
         reach are left out.
@@ -309,7 +309,7 @@ class _Run:
         return ends
 
     def _random(self, seed: int | None, budget: Budget) -> Array:
-        """Return a random motion within the limits; a moment for it there is always."""
+        """Return a random motion within the limits."""
         least = Budget.of(max(budget.left, _A_MOMENT))
         return random_guess(self.problem, self.postures, np.random.default_rng(seed), least)
 
@@ -347,7 +347,7 @@ class _Run:
     def _improved(
         self, number: int, stage: Criterion, guess: Array, budget: Budget
     ) -> tuple[Array, str]:
-        """Return the better of a motion and what a stage makes of it, and what the solver said."""
+        """Return the better of a motion and its improvement by a stage, and the solver's status."""
         problem = replace(self.problem, objective=replace(self.problem.objective, criterion=stage))
         found = solve(
             problem,
@@ -366,7 +366,7 @@ class _Run:
     def _inside(
         self, problem: DesignProblem, found: SolverEnd, guess: Array, budget: Budget
     ) -> Array:
-        """Return a motion within limits: what was reached, or near it, or the best seen on the way.
+        """Return a motion within limits: the solution, one near it, or the best seen on the way.
 
         Solvers keep linear limits on their way, those of efforts and collisions in the end only. A
         solver that is stopped may be beyond these, and the way back long.
@@ -384,7 +384,7 @@ class _Run:
         return within_limits(self.problem, nearest, guess, budget)
 
     def _stop(self, number: int, value: float) -> None:
-        """Begin nothing more, and tell of it."""
+        """Start nothing more, and report it."""
         self.is_stopped = True
         if self.progress is not None:
             now = DesignProgress(number, self.starts, self.evaluations, value, is_stopped=True)

@@ -58,7 +58,7 @@ class MotionFamily(abc.ABC):
 
     @property
     def steepness(self) -> float:
-        """Bound on the largest size of a derivative over that of its function, 1/s; inf: none."""
+        """Bound on the ratio of the maxima of a derivative and its function, 1/s; inf for none."""
         return np.inf
 
     @abc.abstractmethod
@@ -154,7 +154,7 @@ class FourierMotion(MotionFamily):
 
     @property
     def steepness(self) -> float:
-        """Return the last mode's rate, by Bernstein's inequality, if the motion has whole periods.
+        """Return the last mode's rate, by Bernstein's inequality, for whole periods.
 
         |f'| ≤ nω max |f| for a trigonometric polynomial f of degree n.
         """
@@ -248,12 +248,12 @@ class FreeSamples(MotionFamily):
         return 0.0
 
     def times(self, samples: int) -> Array:
-        """Return zeros, one for each sample there is."""
+        """Return a zero for each sample."""
         del samples
         return np.zeros(self.samples)
 
     def limit_times(self, share: float = 0.05) -> Array:
-        """Return zeros, one for each sample there is."""
+        """Return a zero for each sample."""
         del share
         return np.zeros(self.samples)
 
@@ -265,7 +265,7 @@ class FreeSamples(MotionFamily):
         return np.eye(self.count).reshape(3, self.samples, self.count)
 
     def conditions(self, *, rest: bool, start: bool) -> Array:
-        """Return no rows: there is neither start nor end."""
+        """Return no rows, as there is neither start nor end."""
         del rest, start
         return np.zeros((0, self.count))
 

@@ -1,4 +1,4 @@
-"""What is identifiable from given motions, and identification of that alone, [Lee2019] §4.5.1.
+"""Identifiable directions of motions, and reduced identification, [Lee2019] §4.5.1.
 
 The normalized covariance of an estimate has eigenvalues λ₁ ≤ … ≤ λ_n: variances along principal
 directions, in squares of relative changes, whatever frames and units are. Directions of a variance
@@ -122,7 +122,7 @@ class ReducedIdentification(Short):
 def measurement_factor(
     target: Target, motions: Motion | Sequence[Motion], measured: Sequence[ArrayLike] | None = None
 ) -> Array:
-    """Return all that motions, and what was measured in them, say: one triangular matrix.
+    """Return the information of motions and measurements as one triangular matrix.
 
     Args:
         motions: Motions, (N, ·) each.
@@ -151,7 +151,7 @@ def measurement_factor(
 def _whitened(
     target: Target, motions: Sequence[Motion], outputs: Sequence[Array | None]
 ) -> Iterator[Array]:
-    """Yield whitened rows, some samples at a time."""
+    """Yield blocks of whitened rows."""
     for motion, output in zip(motions, outputs, strict=True):
         if output is not None:
             real_array(output, "measured", (len(motion), len(target.noise)))
@@ -166,7 +166,7 @@ def _whitened(
 def identifiable_parameters(
     target: Target, factor: ArrayLike, *, threshold: float = 1e-2, kept: int | None = None
 ) -> IdentifiableParameters:
-    """Return what is identifiable from data, [Lee2019] steps a.1 to a.4.
+    """Return the identifiable directions of data, [Lee2019] steps a.1 to a.4.
 
     Args:
         target: What is unknown; its nominal parameters are the prior.
@@ -182,7 +182,7 @@ def identifiable_parameters(
 def reduced_identification(
     target: Target, factor: ArrayLike, *, threshold: float = 1e-2, kept: int | None = None
 ) -> ReducedIdentification:
-    """Return least squares along what data identify, and the prior elsewhere, [Lee2019] step a.5.
+    """Return least squares along identifiable directions, with the prior elsewhere, step a.5.
 
     Args:
         factor: (p + 1, p + 1) `measurement_factor` with what was measured.
@@ -276,7 +276,7 @@ class IdentifiableBlock:
 
     @property
     def share(self) -> float:
-        """Identifiable over possible; zero where nothing is possible."""
+        """Identifiable over possible; zero if nothing is possible."""
         return self.count / self.possible if self.possible > _NOTHING else 0.0
 
     @property
@@ -300,7 +300,7 @@ class ParameterCombination:
 
 @dataclass(frozen=True, eq=False)
 class LogIdentifiability(Shown):
-    """What is identifiable of a model from logs.
+    """Identifiability of a model's parameters from logs.
 
     Attributes:
         noise: (nv,) deviation that a filtered sample counts with, N·m or N.
@@ -342,7 +342,7 @@ class LogIdentifiability(Shown):
 
     @property
     def count_at_floor(self) -> int:
-        """How many directions would be if the sensor noise were all there is."""
+        """Number of identifiable directions if only sensor noise remained."""
         return int(np.count_nonzero(self.floor_variances <= self.identifiable.threshold))
 
     @property
@@ -364,7 +364,7 @@ def log_identifiability(
     blocks: int | None = None,
     progress: Callable[[str], None] = lambda words: None,
 ) -> LogIdentifiability:
-    """Return what is identifiable of a model's inertias and effects from logs.
+    """Return the identifiability of a model's inertias and effects from logs.
 
     Args:
         model: The model; its parameters are the nominal ones.

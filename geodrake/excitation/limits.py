@@ -1,4 +1,4 @@
-"""What a robot may do: limits of its joints, and whether they leave room to move."""
+"""Limits of a robot's joints, and whether they allow motion."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def motion_limits(
     jerk: ByJoint = None,
     bounded: bool = False,
 ) -> MotionLimits:
-    """Return the limits of a robot's model file, and others in their place.
+    """Return the limits of a robot's model file, with overrides.
 
     Efforts are no more than the model knows its motors to give (`EffortSignal.limit`). A turning
     joint whose position is not limited may go half a turn to either side.
@@ -155,7 +155,7 @@ def motion_limits(
 
 
 def motor_accelerations(model: RobotModel, limits: MotionLimits) -> Array:
-    """Return accelerations (nv,) that joints may have where nobody says, rad/s² or m/s².
+    """Return accelerations (nv,) of joints without stated limits, rad/s² or m/s².
 
     The lesser of two: what the motor's whole effort gives to the joint's inertia Mⱼⱼ(q) where that
     is greatest within the limits of position, the other joints at rest; and the largest speed in
@@ -176,7 +176,7 @@ def motor_accelerations(model: RobotModel, limits: MotionLimits) -> Array:
 
 
 def signal_limits(model: RobotModel, signal: Mapping[str, float]) -> Array:
-    """Return the efforts (nv,) that limited currents, voltages or duty cycles make, N·m or N.
+    """Return the efforts (nv,) of limited currents, voltages or duty cycles, N·m or N.
 
     Their largest values are by joint, A, V or 1; efforts of other joints are infinite.
     """
@@ -194,7 +194,7 @@ def signal_limits(model: RobotModel, signal: Mapping[str, float]) -> Array:
 
 
 def _overridden(model: RobotModel, values: Array, given: ByJoint, what: str) -> Array:
-    """Return values (nv,) with those given in their place."""
+    """Return values (nv,) with overrides."""
     values = np.array(values, float)
     if given is None:
         return values

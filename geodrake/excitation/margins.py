@@ -43,12 +43,12 @@ class LimitUse:
 
     @property
     def distance(self) -> float:
-        """Least distance of bodies, m; infinite if nothing came near."""
+        """Smallest distance of bodies, m; infinite if nothing came near."""
         return min((distance for distance, _ in self.clearances.values()), default=np.inf)
 
     @property
     def nearest(self) -> str:
-        """Between what the least distance is; "" if nothing came near."""
+        """Bodies with the smallest distance; "" if nothing came near."""
         return min(self.clearances.values(), default=(np.inf, ""))[1]
 
     @property
@@ -59,7 +59,7 @@ class LimitUse:
 
 
 def limit_use(problem: DesignProblem, variables: Array) -> LimitUse:
-    """Return what a motion uses of its limits; collisions are looked for at all instants."""
+    """Return a motion's use of its limits; collisions are checked at all instants."""
     motion, use = _use_of_joints(problem, variables)
     world = problem.collisions
     if world is None:
@@ -101,7 +101,7 @@ def stays_clear(world: CollisionWorld, q: Array, budget: Budget = UNLIMITED) -> 
 
 
 def _use_of_joints(problem: DesignProblem, variables: Array) -> tuple[Motion, LimitUse]:
-    """Return the motion, and what it uses of limits without those of collisions."""
+    """Return the motion, and its use of limits without collisions."""
     trajectory, limits = problem.trajectory(variables), problem.limits
     timed = problem.family.timed
     basis = problem.family.basis(problem.family.limit_times(FINE), orders=3 + timed)

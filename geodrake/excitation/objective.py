@@ -90,7 +90,7 @@ class Criterion:
                 return float(np.sqrt(kept.max() / kept.min()))
 
     def objective(self, log_eigenvalues: ArrayLike) -> tuple[float, Array]:
-        """Return what a solver minimizes, and its gradient (n,), as functions of log λ (n,)."""
+        """Return the solver's objective, and its gradient (n,), as functions of log λ (n,)."""
         logs = real_array(log_eigenvalues, "log_eigenvalues", ("n",))
         order = np.argsort(logs, kind="stable")[len(logs) - len(self._largest(logs)) :]
         kept, gradient = logs[order], np.zeros_like(logs)
@@ -224,7 +224,7 @@ class Objective(Short):
         return self.criterion.value(self.eigenvalues(motion))
 
     def value_and_gradient(self, motion: Motion) -> tuple[float, MotionGradient]:
-        """Return what a solver minimizes (`Criterion.objective`), and its gradient by the motion.
+        """Return the solver's objective (`Criterion.objective`), and its gradient by the motion.
 
         [Lee2019] Eqs. (4.4.48) to (4.4.52), by way of the regressor's entries.
 

@@ -110,13 +110,13 @@ class DesignProblem(Short):
 
     @property
     def start(self) -> Array | None:
-        """(nv,) position at the start by joint; None if it is free, as of free samples."""
+        """(nv,) position at the start by joint; None if it is free, as for free samples."""
         start = self.options.start
         return None if start is None or not self.family.timed else np.asarray(start, float)
 
     @property
     def collisions(self) -> CollisionWorld | None:
-        """What may not be hit."""
+        """Obstacles and collision geometry."""
         return self.options.collisions
 
     @property

@@ -194,7 +194,7 @@ def make_target(
     sign_width: ArrayLike | None = None,
     X_WP: RigidTransform | None = None,
 ) -> Target:
-    """Return what a motion of a robot is to identify.
+    """Return the parameters that a motion of a robot should identify.
 
     Args:
         model: The robot; its parameters are the nominal ones.

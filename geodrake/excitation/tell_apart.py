@@ -322,7 +322,7 @@ def make_separation(
     sign_width: ArrayLike | None = None,
     spread: float = SPREAD,
 ) -> Separation:
-    """Return what distinguishing two effects of a robot amounts to.
+    """Return the objective that distinguishes two effects of a robot.
 
     Args:
         model: The robot. Its other effects may be refitted within what is known of them; if it has

@@ -1,4 +1,4 @@
-"""Many logs of many robots: digests of them, and which robot changed, where, since when.
+"""Many logs of many robots: digests, and detection of changes by robot, joint and time.
 
 A log comes as weighted normal matrices of its joints (`history`). `type_learning` learns what
 robots of a type share, `changes` finds what changed in one; both take arrays and give arrays.

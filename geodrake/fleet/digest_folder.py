@@ -73,7 +73,7 @@ class DigestRow(Short):
 
 @dataclass(frozen=True, eq=False)
 class DigestRun(Short):
-    """What became of several logs.
+    """Outcome of digesting several logs.
 
     Attributes:
         settings: Their settings; None if no log could be used, so that none are chosen.

@@ -88,7 +88,7 @@ class Wanted:
 
 @dataclass(frozen=True)
 class LogFacts:
-    """What is known of a log beside what is in it.
+    """Facts about a log that it does not contain.
 
     Attributes:
         content: SHA-256 of the bytes of its files.

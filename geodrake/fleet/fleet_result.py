@@ -26,7 +26,7 @@ CHANGED, STEADY, UNKNOWN = "changed", "steady", "no logs"
 
 @dataclass(frozen=True)
 class ChangedParameter:
-    """By how much a parameter changed.
+    """Change of a parameter.
 
     Attributes:
         unit: Its unit; empty for shares.
@@ -120,7 +120,7 @@ class OwnParameter:
 
 @dataclass(frozen=True, eq=False)
 class RobotResult(Short):
-    """What was found in one robot.
+    """Results of one robot.
 
     Attributes:
         dates: (T,) when these were recorded, s since 1970; neighbours together if they are many.
@@ -150,7 +150,7 @@ class RobotResult(Short):
 
 @dataclass(frozen=True)
 class UnusedLog(Short):
-    """A log that findings are not of: it could not be used, or holds the same as another."""
+    """A log that was not used: it is invalid, or has the same content as another."""
 
     robot: str
     log: str
@@ -159,7 +159,7 @@ class UnusedLog(Short):
 
 @dataclass(frozen=True, eq=False)
 class FleetResult(Short):
-    """What was found in a fleet.
+    """Results of a fleet.
 
     Attributes:
         robots: The robots, worst first.

@@ -43,7 +43,7 @@ from geodrake.model.holding import holding
 
 @dataclass(frozen=True)
 class FleetWork(Short):
-    """Who works, and how careful findings are.
+    """Workers, and the rate of false alarms.
 
     Attributes:
         workers: Processes of this machine, or 0 for this one; None for one on each core.
@@ -74,7 +74,7 @@ def run_fleet(
     told: Told = lambda words, share: None,
     said: Callable[[str], None] = lambda line: None,
 ) -> tuple[FleetResult, FleetDigests]:
-    """Digest the logs of a fleet, and tell which robots changed.
+    """Digest the logs of a fleet, and find which robots changed.
 
     Args:
         said: Called with what is worth a line that stays.

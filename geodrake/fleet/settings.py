@@ -113,7 +113,7 @@ class DigestEffect:
 
 @dataclass(frozen=True, eq=False)
 class DigestSettings(Short):
-    """What all digests of a folder have in common.
+    """Settings that all digests of a folder share.
 
     Attributes:
         model: Hash of the model; see `model_hash`.

@@ -21,7 +21,7 @@ from geodrake.identification.identify import (
 from geodrake.identification.regularizer import Regularizer
 
 EQUAL = 1e-5
-"""Greatest relative difference of two residuals that counts as none."""
+"""Largest relative difference of two residuals that count as equal."""
 
 _EXACT = 1e-20
 """Share of the squared data below which a residual is rounding."""
@@ -29,7 +29,7 @@ _EXACT = 1e-20
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RegularizerComparison(Short):
-    """Results by name of the regularizer, in the order asked for, of a residual equal to 1e-5.
+    """Results by regularizer, in the requested order, with residuals equal to 1e-5.
 
     The `gamma` given is that of the `reference`. Regularizers without a solution of that residual
     are among the `failures` instead, with the reason.

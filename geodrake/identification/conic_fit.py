@@ -40,7 +40,7 @@ SOLVER = "clarabel"
 """It certifies a fit, and solves one where Newton's method gives up."""
 
 _LOGARITHM = np.array([[0.0, 1.0], [0.0, 0.0], [1.0, 0.0]])
-"""Rows of the exponential cone that holds (t, y) with t ≤ log y."""
+"""Rows of the exponential cone of (t, y) with t ≤ log y."""
 
 
 @dataclass(eq=False)
@@ -67,7 +67,7 @@ class FitProgram:
         return values
 
     def evaluated(self, x: Array) -> tuple[float, float]:
-        """Return what Drake evaluates at parameters x (p,): the cost, and the worst violation.
+        """Return the cost and the worst violation at parameters x (p,), evaluated by Drake.
 
         The cost is in the unit of the fit's, less a constant; the violation is how far they are
         outside the constraints at most, in the program's variables.
@@ -299,7 +299,7 @@ def certified(
 
 
 def uncertified(fit: FitResult, failure: str, scope: Scope = "global") -> FitResult:
-    """Return the fit with a certificate that says in words why there is none."""
+    """Return the fit with a certificate that says why it is not certified."""
     told = Certificate(solver=SOLVER, gap=np.inf, cost=np.nan, violation=np.nan, scope=scope)
     return replace(fit, certificate=replace(told, failure=failure))
 
@@ -353,7 +353,7 @@ def solution_of(fit: FitProgram, result: MathematicalProgramResult) -> tuple[Arr
 
 
 def _in_closed_form(problem: FitProblem) -> FitResult | None:
-    """Return the fit by least squares alone; None where that does not solve the problem."""
+    """Return the least-squares fit; None if it does not solve the problem."""
     begin = time.perf_counter()
     entropic = problem.entropic or problem.entropic_scalars
     if entropic or problem.constraints is not None or problem.residual_bound is not None:

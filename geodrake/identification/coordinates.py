@@ -109,7 +109,7 @@ class Coordinates:
         return np.column_stack([R @ self.transform, r - R @ self.problem.prior_mean])
 
     def prior_root(self) -> Array:
-        """Return some C (k, p) with Cᵀ C = Tᵀ Λ T."""
+        """Return a matrix C (k, p) with Cᵀ C = Tᵀ Λ T."""
         metric = self.transform.T @ self.problem.prior_information @ self.transform
         known = np.flatnonzero(np.diagonal(metric))
         root = np.zeros((len(known), len(metric)))

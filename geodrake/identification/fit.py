@@ -1,4 +1,4 @@
-"""The solution of a fit, with what it leaves known and what its program says of it."""
+"""Solution of a fit, with information and certificate."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _SAME, SAME_COST = 1e-4, 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
-    """What the MathematicalProgram of a fit says of the reported parameters.
+    """Optimality certificate of reported parameters by the fit's MathematicalProgram.
 
     A cost has the unit of squared deviations, with whitened data. The scope is "global" of a convex
     program; "local" where a distance that is not convex was replaced by its second order at the
@@ -91,7 +91,7 @@ class LocalMinima:
 
     @property
     def distinct(self) -> int:
-        """Return the number of different minima that were found, told apart by their costs."""
+        """Return the number of different minima, distinguished by their costs."""
         reached = np.isfinite(self.costs)
         if (self.distances[reached] < _SAME).all():
             return 1
@@ -124,7 +124,7 @@ class FitResult(Short):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Return what solved it, where that was not the usual, and what certifies it, in words."""
+        """Return notes on an unusual solver, and on the certificate."""
         certificate = self.certificate
         return tuple(filter(None, [self.note, certificate.words if certificate else ""]))
 
@@ -144,7 +144,7 @@ class FitResult(Short):
         return np.asarray(inverse / np.outer(size, size))
 
     def standard_deviations(self) -> Array:
-        """Return standard deviations (p,) of x, in its units; inf where nothing is known."""
+        """Return standard deviations (p,) of x, in its units; inf if unidentified."""
         return np.sqrt(np.diagonal(self.covariance()))
 
 

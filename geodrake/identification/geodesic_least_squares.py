@@ -1,4 +1,4 @@
-"""Geodesic least squares: the bodies closest to the hyperplanes that measurements stand for."""
+"""Geodesic least squares: the bodies closest to the hyperplanes of measurements."""
 
 from __future__ import annotations
 
@@ -166,7 +166,7 @@ class _GeodesicPoint:
         return cls(root, X, rows[:, -1], gammas, gamma, root, everything).at(root, everything)
 
     def at(self, root: Array, used: NDArray[np.bool_]) -> _GeodesicPoint:
-        """Return other bodies with some of the rows, less those without a projection there."""
+        """Return other bodies with some rows, without those that have no projection there."""
         there = replace(self, root=root, used=used)
         if (exists := there.projections.exists).all():
             return there
@@ -226,12 +226,12 @@ class _GeodesicPoint:
 
     @property
     def promise(self) -> float:
-        """What the slope promises of Newton's step."""
+        """Decrease of the cost predicted by the slope of Newton's step."""
         return float(self.step @ self.downhill)
 
     @property
     def rounding(self) -> float:
-        """What the cost is not known better than."""
+        """Rounding error of the cost."""
         return float(rounding_of_squares(self.cost, self.weights.sum() + self.gamma))
 
     def moved(self, change: Array) -> _GeodesicPoint:
@@ -240,7 +240,7 @@ class _GeodesicPoint:
         return self.at(self.root @ spectral(axes, np.sqrt(1.0 + values)), self.used)
 
     def newton_step(self) -> _GeodesicPoint:
-        """Return bodies of lower cost along Newton's step; rows are lost if nothing else helps."""
+        """Return bodies of lower cost along Newton's step, dropping rows if necessary."""
         change = smat(self.step.reshape(len(self.root), -1))
         longest = _SHARE / max(_SHARE, -float(np.linalg.eigvalsh(change).min()))
         trial = self
@@ -384,7 +384,7 @@ def project(roots: Array, X: Array, b: Array) -> Projections:
 
 
 def _multipliers(sigma: Array, b: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return roots λ (m,) of C(λ) = Σ_k σ_k exp(−W(λ σ_k)) − b, and whether there are any.
+    """Return roots λ (m,) of C(λ) = Σ_k σ_k exp(−W(λ σ_k)) − b, and whether they exist.
 
     [Lee2019] Eq. (3.4.40): C decreases from one end of the interval where all λ σ_k ≥ −1/e to the
     other, so that its values there tell whether it has a root. Newton's method, kept in a bracket.

@@ -164,7 +164,7 @@ def _rounded(what: str) -> IdentificationError:
 
 
 def regularizer_of(regularizer: str | Regularizer) -> Regularizer:
-    """Return the regularizer of a name, with default settings; one stays what it is."""
+    """Return the regularizer of a name, with default settings; regularizers are unchanged."""
     if isinstance(regularizer, Regularizer):
         return regularizer
     return REGULARIZERS[one_of(regularizer, "regularizer", REGULARIZERS)]()

@@ -1,4 +1,4 @@
-"""Least squares without a regularizer, where the data alone must identify all parameters."""
+"""Least squares without a regularizer, for data that identify all parameters."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def physical_least_squares(
     constraints: BodyConstraints | None = None,
     solver: str = "clarabel",
 ) -> FitResult:
-    """Solve least squares over physical bodies, with P(φ) ≻ 0 and nothing else known.
+    """Solve least squares over physical bodies, with P(φ) ≻ 0, without a prior.
 
     [Lee2019] §3.2.2: the solution often lies at the boundary of physical bodies (`active_blocks`).
 
@@ -100,7 +100,7 @@ def physical_least_squares(
 
 
 def open_directions(factor: Array) -> Array:
-    """Return directions (k, p) that leave ‖R x − r‖ as it is, each as few parameters as can be.
+    """Return sparse directions (k, p) that do not change ‖R x − r‖.
 
     They have the greatest value 1; there are none if the data (n, p + 1) identify all parameters.
     """

@@ -1,4 +1,4 @@
-"""Solve convex fits by Newton's method, some ten primal–dual steps on the triangular factor.
+"""Newton's method for convex fits, some ten primal–dual steps on the triangular factor.
 
 With dual matrices Z_i and multipliers λ, the minimum of a `NewtonProgram` is where
 
@@ -56,13 +56,13 @@ _EXACT, _QUADRATIC = 1e-11, 1e-4
 _ROUNDING, _GOOD = 1e-16, 1e-9
 """Gaps, relative to the cost: only rounding is left; it will do where rounding ends the way."""
 _FLOOR = 1e-15
-"""Products S Z, relative to the misfit, below which rounding would make Z or S indefinite."""
+"""Products S Z, relative to the misfit, below which rounding makes Z or S indefinite."""
 _SAME_RESIDUAL, _NEARLY = 1e-10, 1e-7
 """Relative differences from the residual bound: that aimed at, and that rounding may leave."""
 _RIGID, _IDLE = 1e-12, 1e10
 """Weights, relative to the cost of the prior, at which prior and data no longer matter."""
 _LEAP, _MOST_TRIALS, _NARROW = 6.0, 60, 1e-12
-"""Longest step of the weight's logarithm, trials of Brent's method, and what it can tell apart."""
+"""Longest step of the weight's logarithm, iterations of Brent's method, and its tolerance."""
 _PANEL = 16
 _UNIT = np.eye(4)
 _BARRIER, _LEAST = 1e-10, 1e-11
@@ -381,7 +381,7 @@ def _cold_start(program: NewtonProgram) -> Iterate:
 
 
 class _Direction(NamedTuple):
-    """A step, and what it does to the scaled S and Z, (n, 4, 4)."""
+    """A step, and its effect on the scaled S and Z, (n, 4, 4)."""
 
     step: Iterate
     primal: Array
@@ -430,7 +430,7 @@ class _Linearization:
 
     @property
     def is_feasible(self) -> bool:
-        """Whether inequalities and equalities hold, but for their slacks."""
+        """Whether inequalities and equalities hold, up to their slacks."""
         errors = np.abs(np.append(self._slack_error, self._equality_error))
         scale = 1.0 + np.abs(self.at.z).max(initial=0.0)
         return bool(errors.max(initial=0.0) <= _FEASIBLE * scale)
@@ -506,7 +506,7 @@ class _Linearization:
         return float(1.0 / fall) if fall > 0 else np.inf
 
     def excess(self, direction: _Direction, length: float) -> float:
-        """Return the mean of what S Z and s λ have beyond γ, after a length of a step."""
+        """Return the mean of S Z and s λ minus γ, after a length of a step."""
         S, Z = self._D + length * direction.primal, self._D + length * direction.dual
         s = self.at.slack + length * direction.step.slack
         y = self.at.multipliers + length * direction.step.multipliers
@@ -517,14 +517,14 @@ class _Linearization:
 
 
 def _linearized(program: NewtonProgram, point: Iterate) -> _Linearization | None:
-    """Return the conditions at a point; None where rounding has put it at the boundary."""
+    """Return the conditions at a point; None if rounding put it at the boundary."""
     with contextlib.suppress(np.linalg.LinAlgError):
         return _Linearization(program, point)
     return None
 
 
 def _next(here: _Linearization) -> _Linearization | None:
-    """Return the conditions after a predictor and a corrector; None where no way is left.
+    """Return the conditions after a predictor and a corrector; None if no step is possible.
 
     Multipliers of constraints that contradict each other grow until they overflow.
     """

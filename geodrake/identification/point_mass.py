@@ -129,7 +129,7 @@ class PointMasses(Short):
         return np.asarray(block_diag(*(unit.T for unit in units)))
 
     def parameters(self, masses: ArrayLike | None = None) -> Array:
-        """Return the parameters (nb, 10) of masses μ (N,), of the prior ones if None."""
+        """Return the parameters (nb, 10) of masses μ (N,), by default the prior ones."""
         mu = self.prior if masses is None else real_array(masses, "masses", (len(self.prior),))
         return (self.matrix() @ mu).reshape(-1, PARAMETERS_PER_BODY)
 
@@ -212,7 +212,7 @@ class PointMassRegularizer(Regularizer):
     def solve(
         self, problem: FitProblem, prior: Array, gamma: float, solver: Solver, certify: bool = False
     ) -> FitResult:
-        """Return the masses that fit best, by Drake's conic solver of that name, Clarabel if None.
+        """Return the best masses, with Drake's conic solver of that name, by default Clarabel.
 
         There is no certificate, as that solves a MathematicalProgram itself.
         The ArgumentError of a residual bound that no masses reach has the `minimum` that they do.

@@ -1,4 +1,4 @@
-"""What is fitted: triangular data, bodies that must be physical, bounds and a prior."""
+"""Problem of a fit: triangular data, physical bodies, bounds and a prior."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def whitened_factor(A: ArrayLike, b: ArrayLike, *, sigma: ArrayLike | None = Non
 
 
 def whitened(A: ArrayLike, b: ArrayLike, *, sigma: ArrayLike | None = None) -> Array:
-    """Return the rows [A | b]/σ, (m, p + 1), of what `whitened_factor` takes."""
+    """Return the rows [A | b]/σ, (m, p + 1), of the arguments of `whitened_factor`."""
     A = real_array(A, "A", ("m", "n"))
     b = real_array(b, "b", (len(A),))
     deviations = real_array(1.0 if sigma is None else sigma, "sigma")
@@ -208,7 +208,7 @@ def _check_constraints(constraints: LinearConstraints, p: int) -> None:
 
 
 def check_residual_bound(problem: FitProblem) -> None:
-    """Raise if the residual bound is below the least squares minimum, which nothing lowers."""
+    """Raise if the residual bound is below the least-squares minimum."""
     bound = problem.residual_bound
     if bound is None:
         return
@@ -227,7 +227,7 @@ def least_residual(A: Array, b: Array) -> float:
 def out_of_reach(
     bound: float, minimum: float, who: str = "physical bodies inside all constraints"
 ) -> ArgumentError:
-    """Return what is wrong with a residual bound below the minimum that some can reach."""
+    """Return the error of a residual bound below the minimum."""
     return ArgumentError(
         f"residual_bound is {bound:.10g}, but the smallest squared residual of {who} is "
         f"{minimum:.10g}.",
@@ -252,7 +252,7 @@ class BodyConstraints(Short):
     com_bounds: ArrayLike | None = None
 
     def rows(self, prior: Array, size: int) -> LinearConstraints | None:
-        """Return those on x = [Φ, extra] (size,) with a prior Φ⁰ (nb, 10), which they may refuse.
+        """Return the rows on x = [Φ, extra] (size,) with a prior Φ⁰ (nb, 10); may raise.
 
         They are None if nothing limits x.
         """

@@ -1,4 +1,4 @@
-"""Regularizers: distances from a prior that make an ill-posed fit well posed."""
+"""Regularizers: distances from a prior that make an ill-posed fit well-posed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from geodrake.identification.problem import FitProblem
 from geodrake.inertia import Array, entropic_divergence, pullback_metric
 
 Solver = str | None
-"""Name of a solver; None for the usual one."""
+"""Name of a solver; None for the default."""
 
 _WIDE = 5e-5
 

@@ -294,7 +294,7 @@ class RiemannianProgram(NewtonProgram):
         return 0.5 * (information + information.T)
 
     def compared(self, found: Mapping[str, LocalMinimum | None], best: LocalMinimum) -> LocalMinima:
-        """Return what several starts led to (name -> minimum or None) against the best of them."""
+        """Return the results of several starts (name -> minimum or None) against the best."""
         root = np.linalg.inv(np.linalg.cholesky(self.matrices(best.z)))
         own = self.scalars.ratios(best.z)
         costs, distances = np.full(len(found), np.inf), np.full(len(found), np.inf)

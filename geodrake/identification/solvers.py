@@ -1,4 +1,4 @@
-"""Run one of Drake's conic solvers in a process of its own, and say what is wrong when it fails.
+"""Drake's conic solvers in a subprocess, with descriptions of failures.
 
 A panic in Rust, a failed assertion in C++ or `exit` in C end the process they are in, and nothing
 in Python can catch them. A copy of this process by `fork` has all data, whatever they are.
@@ -65,7 +65,7 @@ _CAUSES = {
 
 
 class LostProcessError(Exception):
-    """What became of a process that gave no answer, as the rest of a sentence."""
+    """The failure of a subprocess without a result, as the rest of a sentence."""
 
 
 class LateProcessError(LostProcessError):
@@ -73,7 +73,7 @@ class LateProcessError(LostProcessError):
 
 
 def in_subprocess(work: Callable[[], T], *, seconds: float) -> T:
-    """Return or raise what a function does, called in a copy of this process that prints nothing.
+    """Return or raise the result of a function in a silent copy of this process.
 
     What it returns is pickled. What it raises is a LostProcessError, unless it is a GeodrakeError,
     as are its end and, as a LateProcessError, the end of its time.
@@ -115,7 +115,7 @@ def in_subprocess(work: Callable[[], T], *, seconds: float) -> T:
 
 
 def _ended(child: int, patience: int) -> str:
-    """Make sure that a process has ended, and return how."""
+    """Ensure that a process has ended, and return its status."""
     try:
         found, status = os.waitpid(child, patience)
         if not found:
@@ -129,7 +129,7 @@ def _ended(child: int, patience: int) -> str:
 
 
 def _serve(work: Callable[[], Any], line: Connection) -> NoReturn:
-    """Send what `work` returns and raises, as a pair, and end this process."""
+    """Send the result or exception of `work`, and end this process."""
     try:
         for number in _INTERRUPTS:
             signal.signal(number, signal.SIG_DFL)  # an interrupt is the first process's
@@ -160,7 +160,7 @@ def check_solver(solver: str) -> None:
 
 
 def solved_apart(solve: Callable[[Accuracies], T], solver: str) -> T:
-    """Return what `solve`, given accuracies to try, makes of a solver in a process of its own.
+    """Return the result of `solve`, given accuracies to try, in a subprocess.
 
     Where rounding has left no digit of a step, Clarabel panics on the numbers that are none, and
     that ends the process it is in. No check before the call can tell, as it takes the last digits
@@ -219,6 +219,6 @@ def run_solver(
 def no_parameters(
     solver: str, why: tuple[str, str], how: str = "", **evidence: Any
 ) -> IdentificationError:
-    """Return the error of a solver that found none, with a likely cause and what to do about it."""
+    """Return the error of a solver without a solution, with a likely cause and advice."""
     problem = f"{solver} found no parameters{how}. {why[0]}"
     return IdentificationError(problem, advice=why[1], solver=solver, **evidence)

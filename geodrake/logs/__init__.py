@@ -1,4 +1,4 @@
-"""Measurements of a robot: read, checked, filtered, prepared, and cut into blocks."""
+"""Logs of a robot: reading, checks, filtering, preparation, and validation blocks."""
 
 from geodrake.logs.files import Reading, log_of_frame, read_log, write_log
 from geodrake.logs.known_payload import KnownPayload

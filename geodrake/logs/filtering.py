@@ -182,7 +182,7 @@ class ZeroPhaseFilter:
         return float(np.linalg.norm(self.kernel))
 
     def response(self, frequency: ArrayLike) -> Array:
-        """Return the amplitude that is left of sines at some frequencies, Hz."""
+        """Return the gain for sines of some frequencies, Hz."""
         return np.interp(np.abs(frequency), *self._passed, right=0.0)
 
     @cached_property
@@ -306,7 +306,7 @@ def spline_through(signal: Array) -> BSpline:
 
 
 def resample(time: Array, signals: Array, instants: Array, *, sharp: bool = False) -> Array:
-    """Move jittered signals (N, n) to other instants; samples that are there stay as they are.
+    """Interpolate jittered signals (N, n) at other instants; existing samples are unchanged.
 
     Args:
         instants: (K,) new time stamps between the first and the last.
@@ -324,7 +324,7 @@ def resample(time: Array, signals: Array, instants: Array, *, sharp: bool = Fals
 
 
 def choose_bandwidth(pieces: Sequence[tuple[Array, float]]) -> float:
-    """Return the bandwidth that holds the motion and little of the position's noise.
+    """Return the bandwidth that contains the motion and little of the position's noise.
 
     The spectrum of the acceleration falls where the motion ends and rises again, as f⁴, where
     the position's noise is differentiated twice; the bandwidth is where it is lowest between

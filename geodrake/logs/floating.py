@@ -50,7 +50,7 @@ _BESIDE = 0.02  # s, around a touch or a lift within which a frame may be in con
 
 
 def floating_name(column: str) -> str | None:
-    """Return what a column of a file is of a free base or a contact; None if it is neither."""
+    """Return the meaning of a column of a floating base or a contact; None otherwise."""
     if (found := _CONTACT.fullmatch(column)) is not None:
         return f"{found['frame']}.contact"
     found = _VECTOR.fullmatch(re.sub(r"(?<=\w)/(?=\w)", ".", column.strip("/")))
@@ -108,7 +108,7 @@ class ContactFlags:
 
 
 def widened(time: Array, flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return flags (N, c) that hold a little before they were said to, and a little longer."""
+    """Return flags (N, c) that start a little earlier and end a little later."""
     first = np.searchsorted(time, time - _BESIDE)
     last = np.searchsorted(time, time + _BESIDE, side="right")
     sums = np.vstack([np.zeros((1, flags.shape[1])), np.cumsum(flags, axis=0)])

@@ -1,4 +1,4 @@
-"""Validation folds: whole trajectories, or long blocks of time with gaps between them.
+"""Validation folds: complete trajectories, or long time blocks with gaps between them.
 
 Residuals of real robots are correlated over many samples, so that folds of single samples call
 nearly every smooth regressor real. Folds here are long stretches of time. Their gaps take at most a
@@ -44,7 +44,7 @@ class Block:
 
 @dataclass(frozen=True)
 class Fold:
-    """What is held out together."""
+    """Blocks that are held out together."""
 
     name: str
     blocks: tuple[Block, ...]

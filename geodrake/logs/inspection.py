@@ -1,4 +1,4 @@
-"""What was understood of a log: columns, rates, gaps, units, rest, and what sensors did wrong."""
+"""Inspection of a log: columns, rates, gaps, units, rest, and sensor faults."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _LEAST_STEP = 1e-7  # s, to which stamps since 1970 are exact
 
 @dataclass(frozen=True)
 class UnderstoodColumn:
-    """A column of a log and where it comes from."""
+    """A column of a log and its source."""
 
     joint: str
     quantity: str
@@ -47,7 +47,7 @@ class UnderstoodColumn:
 
 @dataclass(frozen=True, eq=False)
 class LogInspection:
-    """What was understood of a log.
+    """How a log was read.
 
     Attributes:
         log: The log, without what its sensors did wrong.
@@ -94,7 +94,7 @@ def inspect_log(
     partial: bool = False,
     reading: Reading | None = None,
 ) -> LogInspection:
-    """Read a log, and find out what there is to say of it without a model.
+    """Read a log, and inspect it without a model.
 
     Args:
         path: The file; see `read_log`.
@@ -135,7 +135,7 @@ def inspect_log(
 
 
 def _unused(log: JointLog) -> str:
-    """Return what of a log without faults cannot be used, or why nothing of it can."""
+    """Return what cannot be used of a log without faults, or why none of it can."""
     told = np.isnan(log.effort).all(axis=0)  # by commands, in the place of efforts
     log = replace(log, effort=np.where(told, 0.0, log.effort)) if told.any() else log
     try:
@@ -151,7 +151,7 @@ def mapping_text(
     columns: Sequence[UnderstoodColumn],
     gain_deviations: Mapping[str, float] | None = None,
 ) -> str:
-    """Return the text of a mapping that reads a log as it was understood, or as columns say.
+    """Return the text of a mapping that reads a log in the same way, or with given columns.
 
     Args:
         gain_deviations: Joint -> standard deviation of the gain that the user gave.
@@ -173,7 +173,7 @@ def mapping_text(
 
 
 def _check_said(path: Path, found: LogInspection, text: str) -> None:
-    """Refuse a mapping that does not read the log again: cells may name joints, for example."""
+    """Raise for a mapping that would not read the log again, as when cells name joints."""
     try:
         mapping = mapping_of(path, yaml.safe_load(text))
         again = read_log(path, reading=Reading(mapping=mapping), partial=True)

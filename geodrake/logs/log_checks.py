@@ -1,4 +1,4 @@
-"""Logs that are refused: commands that say nothing, saturated efforts, and logs given twice."""
+"""Checks of logs: uninformative commands, saturated efforts, and duplicates."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _STEPS = 8  # of resolution that a largest value has at least, where it is none 
 
 
 def check_commands(log: JointLog) -> None:
-    """Refuse commands that say nothing, as they never differ from where the joint is."""
+    """Raise for commands that always equal the joint's position."""
     for at, joint in enumerate(log.joints):
         if log.command is None or np.isfinite(log.effort[:, at]).any():
             continue
@@ -42,7 +42,7 @@ def check_commands(log: JointLog) -> None:
 
 
 def _is_copy(command: Array, position: Array, late: int) -> bool:
-    """Return whether positions are commands of some rows before, up to rounding."""
+    """Return whether commands are positions of some rows before, up to rounding."""
     command, position = command[: len(command) - late], position[late:]
     known = np.isfinite(command) & np.isfinite(position)
     if not known.any():
@@ -53,7 +53,7 @@ def _is_copy(command: Array, position: Array, late: int) -> bool:
 
 
 def check_saturation(log: JointLog) -> None:
-    """Refuse efforts that are at their largest value most of the time."""
+    """Raise for efforts that are at their largest value most of the time."""
     for at, joint in enumerate(log.joints):
         if log.effort_kinds.get(joint, "effort") not in ("effort", "current"):
             continue  # voltages may be switched
@@ -87,7 +87,7 @@ def _moving(log: JointLog, at: int) -> NDArray[np.bool_]:
 
 
 def _is_coarse(effort: Array) -> bool:
-    """Return whether rounding alone may give a largest value: few steps, nothing beside."""
+    """Return whether rounding alone may explain a largest value."""
     levels = np.unique(effort)
     if len(levels) == 2 and levels[0] == -levels[1]:
         return False  # a switch
@@ -99,7 +99,7 @@ _MOST_SHARED = 0.5  # of such rows of a log, that another may have
 
 
 def check_repeated(logs: Sequence[JointLog]) -> None:
-    """Refuse logs of which one has the measurements of another.
+    """Raise if two logs have the same measurements.
 
     Positions and efforts are compared number by number, where a joint moves in each of some rows;
     names, formats and time stamps do not matter.
@@ -116,7 +116,7 @@ def check_repeated(logs: Sequence[JointLog]) -> None:
 
 
 def _digests(log: JointLog) -> NDArray[np.int64]:
-    """Return a number for some rows of a log each, that only those with the same numbers have."""
+    """Return a hash of some rows of each log."""
     if len(log) < _TOGETHER:
         return np.zeros(0, np.int64)
     rows, draw = np.hstack([log.position, log.effort]), np.random.default_rng(0).integers

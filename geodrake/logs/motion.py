@@ -29,35 +29,35 @@ MEMORY = 20_000
 """Samples before the first one that effects with a memory look back at."""
 
 QUANTITIES = ("position", "velocity", "acceleration", "effort", "command", "temperature")
-"""What a log may hold of each of its joints."""
+"""Quantities of each joint in a log."""
 
 PARTIAL = ("command", "temperature")
-"""Those that some joints may have and others not."""
+"""Quantities that only some joints may have."""
 
 SIGNAL_KINDS = ("current", "voltage", "pwm")
-"""What may be measured of a motor in the place of an effort."""
+"""Signals of a motor that may replace its effort."""
 
 PASSIVE = "passive"
-"""The kind of the efforts of a joint without a motor: they are zero, and nobody measured them."""
+"""Kind of the efforts of a joint without a motor: zero, and not measured."""
 
 GROUND = "ground"
-"""The kind of the efforts of a free base: what its surroundings do to it, as far as measured."""
+"""Kind of the efforts of a floating base: external wrenches, as far as measured."""
 
 UNMEASURED = "unmeasured"
-"""The kind of the efforts of a joint with a motor that nobody measured, of a free base's limbs."""
+"""Kind of unmeasured efforts of a joint with a motor, in the limbs of a floating base."""
 
 EFFORT_KINDS = ("effort", *SIGNAL_KINDS, PASSIVE)
-"""What efforts may be: N·m or N, A, V, a share of the supply's voltage, or none of a motor."""
+"""Kinds of efforts: N·m or N, A, V, a share of the supply's voltage, or none."""
 
 USUAL_GAIN_DEVIATION = 0.05
-"""How well gains of efforts are known where nobody says it, as a share: as torque constants are."""
+"""Default relative uncertainty of effort gains, as of torque constants."""
 
 _ROWS = 100_000  # of a log that are copied at once
 
 
 @dataclass(frozen=True, eq=False)
 class JointLog(Short):
-    """What was measured at the joints of a robot; rows may hold NaN where nothing was.
+    """Measurements at the joints of a robot, with NaN for missing ones.
 
     Attributes:
         name: What messages call the log.
@@ -151,7 +151,7 @@ class JointLog(Short):
         check_time(self.name, np.asarray(self.time, float))
 
     def _check_efforts(self) -> None:
-        """Raise an ArgumentError if what is said of the efforts cannot be."""
+        """Raise an ArgumentError for invalid facts about efforts."""
         if np.shape(self.effort_uncertainty) not in ((), (len(self.joints),)):
             raise ArgumentError(
                 f"Log {self.name!r} has {len(self.joints)} joints, but effort_uncertainty of "
@@ -171,7 +171,7 @@ class JointLog(Short):
 
     @property
     def unmeasured(self) -> tuple[str, ...]:
-        """Joints of a free base's limbs whose efforts nobody measured: their rows say nothing."""
+        """Joints of a floating base's limbs with unmeasured efforts."""
         return tuple(j for j in self.joints if self.effort_kinds.get(j) == UNMEASURED)
 
     @property
@@ -183,7 +183,7 @@ class JointLog(Short):
         return len(self.time)
 
     def columns(self) -> dict[str, Array]:
-        """Return what was measured, (N,) each, by the names that log files have for it.
+        """Return the measurements, (N,) each, by their names in log files.
 
         Efforts of joints that have commands in their place, or that nobody measured, are left out,
         as are commands and temperatures where there are none.
@@ -212,7 +212,7 @@ class JointLog(Short):
 
     @property
     def fingerprint(self) -> str:
-        """Digest of the measurements, whatever the order of the joints: distinguishes logs."""
+        """Digest of the measurements, independent of the order of the joints."""
         order = np.argsort(self.joints)
         digest = hashlib.sha256(np.ascontiguousarray(self.time).data)
         told = () if self.command is None else (self.command,)
@@ -224,7 +224,7 @@ class JointLog(Short):
         return digest.hexdigest()[:16]
 
     def select(self, joints: Sequence[str]) -> JointLog:
-        """Return the log of some of its joints, in the order given; itself if nothing changes.
+        """Return the log of some of its joints in the given order; itself if unchanged.
 
         Raises:
             LogError: If the log lacks one of them; the message offers the nearest names.
@@ -349,7 +349,7 @@ class Trajectory:
 
     @property
     def is_grounded(self) -> bool:
-        """Return whether the ground pushes, so that only motors tell the loads of joints."""
+        """Return whether ground forces act, so that only motors measure the loads of joints."""
         return self.contacts is not None or any(s[:1].ground is not None for s in self.segments)
 
     @property
@@ -358,7 +358,7 @@ class Trajectory:
         return self.force_sensors if self.contacts is None else tuple(self.contacts.frames)
 
     def temperature(self, time: Array) -> Array | None:
-        """Return (N, n) temperatures at time stamps (N,), s, NaN at joints without; None of all."""
+        """Return (N, n) temperatures at time stamps (N,), s, NaN at joints without; or None."""
         courses = self.temperatures
         return None if courses is None else courses.at(time - self.began, self.joints)
 

@@ -1,4 +1,4 @@
-"""What is published of servos and actuators, and what it says of the gains of their signals."""
+"""Published data of servos and actuators, and priors of their gains."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Motor(Schema, kw_only=True):
     dry_friction: Published | None = None
 
     def gain(self, kind: str) -> tuple[float, float] | None:
-        """Return the gain of a kind of signal and its deviation; None if nothing is published."""
+        """Return the published gain of a kind of signal and its deviation, or None."""
         name = _GAINS.get(kind)
         told: Published | None = None if name is None else getattr(self, name)
         return None if told is None else told[:2]
@@ -83,7 +83,7 @@ def motor_named(name: str, motors: Mapping[str, Motor] | None = None) -> Motor:
 
 @typed
 def motor_of_robot(name: str) -> Motor | None:
-    """Return the motor that all joints of a robot have, as its name tells; None if it does not."""
+    """Return the motor of all joints of a robot, by its name, or None."""
     plain = _plain(name)
     motors = known_motors().values()
     return next((m for m in motors if any(word in plain for word in m.robots)), None)
@@ -112,5 +112,5 @@ def _read(path: Path) -> dict[str, Motor]:
 
 
 def _plain(name: str) -> str:
-    """Return letters and digits alone, in small letters."""
+    """Return letters and digits only, in lower case."""
     return "".join(c for c in name.lower() if c.isalnum())

@@ -157,7 +157,7 @@ def _prepare(
 def _left_out(
     uniform: UniformLog, stretches: Sequence[Stretch], standstill: tuple[float, float]
 ) -> tuple[bool, str]:
-    """Return whether much of a log is not used, and what, in one line; "" for nothing."""
+    """Return a note on data that are not used, and whether they are many; "" for none."""
     time, of_pieces = uniform.log.time, uniform.seconds
     known = time[np.isfinite(time)]
     whole = max(float(known[-1] - known[0]), of_pieces)
@@ -187,7 +187,7 @@ def _left_out(
 
 
 def _failed_sensors(log: JointLog, known: Temperatures | None) -> list[str]:
-    """Return which joints have readings of temperature that are none, in words."""
+    """Return the joints with failing temperature sensors, in words."""
     if log.temperature is None:
         return []
     read = np.asarray(np.isfinite(log.temperature).any(axis=0))
@@ -228,7 +228,7 @@ def _smooth(
 def _measured_lag(
     uniform: UniformLog, smoother: ZeroPhaseFilter
 ) -> tuple[Array | None, str | None]:
-    """Return (n,) lag of measured velocities, s; NaN of those that positions say better.
+    """Return (n,) lag of measured velocities, s; NaN if positions are better.
 
     The noise of positions is no disagreement: where it makes up their derivatives, measured
     velocities are the better ones. None if there are none.

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 LARGEST = 1e9
-"""Magnitude above which nothing is a position, velocity or effort of a robot in SI units."""
+"""Magnitude that positions, velocities and efforts of robots in SI units do not exceed."""
 
 _SHARE = 0.01  # of what the joint of its kind moves that moves most: less is rest
 _FAR = 1.0  # rad or m; that a wheel turns a hundred times makes no joint of an arm rest
@@ -23,12 +23,12 @@ _STEPS = 3.5  # of an encoder, between which a position at rest may change
 
 
 def readings(column: Array) -> Array:
-    """Return those of some values that were measured and may be of a robot."""
+    """Return values that were measured and are plausible."""
     return column[np.abs(column) <= LARGEST]  # which NaN is not
 
 
 def logged_ranges(positions: Sequence[Array]) -> tuple[Array, Array, Array]:
-    """Return the least and the largest positions of joints over all logs, and what noise makes.
+    """Return the range of positions of joints over all logs, and that caused by noise.
 
     Velocities are left aside, as their noise is no motion.
 
@@ -55,7 +55,7 @@ def logged_ranges(positions: Sequence[Array]) -> tuple[Array, Array, Array]:
 def resting(
     low: ArrayLike, high: ArrayLike, sliding: ArrayLike, noise: ArrayLike = 0.0
 ) -> NDArray[np.bool_]:
-    """Return (n,) whether joints hardly move, beside others of their kind.
+    """Return (n,) whether joints hardly move, compared with others of their kind.
 
     Each is told by its least and largest position, rad or m if `sliding`, and by the part of that
     range that is noise.
@@ -79,7 +79,7 @@ def travels(velocity: Array, period: float, least: float) -> bool:
 
 
 def _width(position: Array) -> float:
-    """Return the width of the range that noise and steps of an encoder make at rest."""
+    """Return the range caused by noise and quantization at rest."""
     changes = np.abs(np.diff(position))
     step = float(changes.min(initial=np.inf, where=changes > 0.0))
     steps = min(_STEPS * step, _COARSE) if np.isfinite(step) else 0.0

@@ -1,4 +1,4 @@
-"""What sensors do wrong, and no robot: spikes, wraps, frozen readings, values that cannot be.
+"""Sensor faults: outliers, wraps, stuck readings, impossible values.
 
 A fault of a sensor is told from motion by size: from one row to the next a robot moves about as far
 as it does elsewhere in the log, and a sensor jumps as it likes. On 97 joints of 20 public logs
@@ -44,7 +44,7 @@ _MOST_FROZEN = 0.5  # of a log, above which the rest says nothing of the robot
 
 
 def without_faults(log: JointLog) -> JointLog:
-    """Return a log without its sensor faults, with notes on them; itself if it has none.
+    """Return a log without its sensor faults, with notes; itself if it has none.
 
     Positions that wrap at a full turn are unwrapped. Readings that jump by orders of magnitude and
     come back within a few rows become NaN, and so do positions and efforts that stay exactly the
@@ -67,7 +67,7 @@ def without_faults(log: JointLog) -> JointLog:
 
 @dataclass(frozen=True, eq=False)
 class _Sensor:
-    """What one sensor of one joint measured.
+    """Measurements of one sensor of one joint.
 
     Attributes:
         period: Typical time between rows, s.
@@ -98,7 +98,7 @@ class _Sensor:
         return f"{self.quantity} of {self.log.joints[self.joint]}"
 
     def repaired(self) -> tuple[Array, list[str]]:
-        """Return the column (N,) of the log without faults, and what they were."""
+        """Return the column (N,) of the log without faults, and a description of them."""
         column = getattr(self.log, self.quantity)[:, self.joint]
         values, words = self._unwrapped() if self.quantity == "position" else (self.values, "")
         notes = [f"the {self.name} {words}"] if words else []
@@ -112,7 +112,7 @@ class _Sensor:
         return column, notes
 
     def _faults(self) -> Iterator[tuple[Indices | slice, str]]:
-        """Yield readings that are invalid, and what is wrong with them."""
+        """Yield invalid readings, and what is wrong with them."""
         jumps = self._jumps()
         spikes = self._spikes(jumps)
         if len(spikes):
@@ -142,7 +142,7 @@ class _Sensor:
             yield from self._stays(np.setdiff1d(jumps, np.concatenate(explained)))
 
     def _check_possible(self, spikes: Indices) -> None:
-        """Raise a LogError if readings beside spikes are none of a robot."""
+        """Raise a LogError for impossible readings other than outliers."""
         rows = np.setdiff1d(np.flatnonzero(np.abs(self.values) > LARGEST), spikes)
         if len(rows):
             row = int(np.arange(len(self.log))[self.rows][rows[0]]) + 1
@@ -155,7 +155,7 @@ class _Sensor:
             )
 
     def _unwrapped(self) -> tuple[Array, str]:
-        """Return positions without wraps at a full turn, and what was done."""
+        """Return positions without wraps at a full turn, and a note."""
         steps = np.diff(self.values)
         fast = np.abs(steps) > _JUMP["position"][1] * np.maximum(np.diff(self.time), self.period)
         for turn in _TURNS if fast.any() else ():
@@ -176,7 +176,7 @@ class _Sensor:
         return self.values, ""
 
     def _jumps(self) -> Indices:
-        """Return readings right before a step that no robot makes."""
+        """Return the readings before impossible steps."""
         steps = np.abs(np.diff(self.values))
         ratio, rate = _JUMP[self.quantity]
         if not steps.max(initial=0.0) > rate * self.period:
@@ -208,7 +208,7 @@ class _Sensor:
         return np.concatenate(found)
 
     def _stays(self, jumps: Indices) -> Iterator[tuple[slice, str]]:
-        """Yield readings right before jumps that do not come back and that nothing announces."""
+        """Yield readings before jumps that do not return."""
         steps = np.abs(np.diff(self.values)) if len(jumps) else np.zeros(0)
         for before in jumps.tolist():
             beside = steps[max(0, before - 1) : before], steps[before + 1 : before + 2]
@@ -242,7 +242,7 @@ class _Sensor:
                 yield first, last
 
     def _moves_on(self, run: slice) -> bool:
-        """Return whether the velocity says that the joint moves while its position stays."""
+        """Return whether the velocity shows motion while the position is stuck."""
         share, speed, least = _MOVING
         if self._rests:
             return False
@@ -252,7 +252,7 @@ class _Sensor:
 
     @cached_property
     def _rests(self) -> bool:
-        """Whether positions stay throughout, and velocities are small beside those of others.
+        """Whether positions are constant, and velocities small compared with others.
 
         A joint that is held has noise for its velocity, of any colour, and a few steps of its
         encoder for its position.
@@ -265,7 +265,7 @@ class _Sensor:
 
     @cached_property
     def _velocity(self) -> Array:
-        """(K,) measured velocities, 0 where there are none."""
+        """(K,) measured velocities, or 0."""
         if self.log.velocity is None:
             return np.zeros(len(self.values))
         velocity = self.log.velocity[:, self.joint][self.rows]

@@ -1,4 +1,4 @@
-"""Stretches of a log that are resampled and smoothed where somebody looks, and nowhere else.
+"""Pieces of a log that are resampled and smoothed on access only.
 
 A log of hours fills memory by itself; its uniform, smoothed and differentiated copies would do so
 four times over. Each slice is therefore made from the raw rows around it. Splines and filters
@@ -27,7 +27,7 @@ _KEPT = 50_000
 """Samples of a log that stay in memory, smoothed, where it has no more."""
 
 SPLINE_REACH = 40
-"""Samples beyond which an interpolating spline does not feel a change."""
+"""Samples beyond which an interpolating spline is not affected by a change."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +97,7 @@ class Segment:
 
     @property
     def motor_effort(self) -> Array:
-        """(N, n) efforts of the motors alone, without what measured wrenches do at joints."""
+        """(N, n) efforts of the motors alone, without those of measured wrenches."""
         return self.effort if self.ground is None else self.effort - self.ground
 
     @property
@@ -108,7 +108,7 @@ class Segment:
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Part of a piece in which a log is of use, smoothed and differentiated slice by slice.
+    """Usable part of a piece of a log, smoothed and differentiated slice by slice.
 
     Attributes:
         lag: (n,) time by which measured velocities are late, s; NaN of those that are derived from
@@ -147,7 +147,7 @@ class Stretch:
 
     @property
     def _whole(self) -> Segment | None:
-        """The whole piece, if it stays in memory."""
+        """The whole piece, if it is kept in memory."""
         if self.made is None:
             return None
         if not self.made:
@@ -214,6 +214,6 @@ class Stretch:
 def smooth_pieces(
     pieces: Sequence[Piece], smoother: ZeroPhaseFilter, lag: Array | None
 ) -> tuple[Stretch, ...]:
-    """Return the pieces of a log, smoothed where somebody looks; see `Stretch` for arguments."""
+    """Return the pieces of a log, smoothed on access; see `Stretch` for arguments."""
     kept = sum(map(len, pieces)) <= _KEPT
     return tuple(Stretch(p, smoother, lag, 0, len(p), [] if kept else None) for p in pieces)

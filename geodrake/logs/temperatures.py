@@ -61,7 +61,7 @@ def _without_failed(readings: Array) -> Array:
 
 
 def _averaged(time: Array, readings: Array) -> tuple[Array, Array]:
-    """Return means (K,) of time and readings (N,) over every second in which there are any."""
+    """Return means (K,) of time and readings (N,) over every second with readings."""
     known = np.isfinite(readings) & np.isfinite(time)
     seconds = np.floor(time[known] / _SECOND)
     _, second, counts = np.unique(seconds, return_inverse=True, return_counts=True)

@@ -35,12 +35,12 @@ _GAP = 1.0  # s that are taken to lie between rows before and after a clock was 
 
 
 def longest_step(period: float) -> float:
-    """Return the time between rows, s, beyond which there is a gap, from that which is usual."""
+    """Return the time between rows, s, beyond which there is a gap, from the usual one."""
     return max(_GAP_STEPS * period, _GAP_SECONDS)
 
 
 def time_unit(name: str, time: Array) -> tuple[float, str] | None:
-    """Return the factor to seconds of time stamps (N,) of no known unit, and why; None for s.
+    """Return the factor from time stamps (N,) of unknown unit to seconds, and why; None for s.
 
     They are of an epoch in ms, µs, ns or days, or of no plausible rate in any unit but one; those
     in a column of the `name` time are in s unless they are of an epoch, as geodrake writes them.
@@ -92,7 +92,7 @@ def with_clock_set_back(time: Array) -> tuple[Array, tuple[str, ...]]:
 
 
 def order_of_time(time: Array, position: Array) -> NDArray[np.intp] | None:
-    """Return the order of rows by time, where many are in none; None where they are in order.
+    """Return the order of rows by time if many are out of order; None otherwise.
 
     Positions must be smooth in that order, and not as they are: those of two recordings are not,
     nor those of rows whose time is damaged.
@@ -151,7 +151,7 @@ def _roughness(time: Array, position: Array) -> float:
 
 
 def repeats(time: Array, numbers: Sequence[Array]) -> NDArray[np.bool_]:
-    """Return which rows have the time of the row before; none if many do, but for copies of it."""
+    """Return which rows repeat the time of the row before; none if many do, except copies."""
     same = np.concatenate([[False], np.diff(time) == 0.0])
     if np.count_nonzero(same) <= _REPEATED * len(time):
         return same

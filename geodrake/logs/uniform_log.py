@@ -28,7 +28,7 @@ _LEAST_SHARE = 0.25  # of the noise's power that steps make
 
 
 def step_notes(log: JointLog) -> Iterator[str]:
-    """Yield which efforts come in steps that make a good part of their noise, in words.
+    """Yield notes on efforts whose quantization is a good part of their noise.
 
     A step s makes a noise of deviation s/√12. Numbers that are printed with few digits come in
     steps, too; where their noise is much larger nothing is said.
@@ -52,7 +52,7 @@ def effort_steps(log: JointLog) -> Array:
 
 
 def _step(readings: Array) -> float:
-    """Return the step of some readings (N,) in time, 0 for none."""
+    """Return the quantization step of readings (N,) in time, or 0."""
     readings = readings[np.isfinite(readings)]
     values = np.unique(readings)
     if len(values) < _FEWEST:
@@ -69,7 +69,7 @@ def _step(readings: Array) -> float:
 
 
 def _makes_the_noise(step: float, readings: Array) -> bool:
-    """Return whether a step makes a good part of the noise of readings, as their bends show it."""
+    """Return whether quantization is a good part of the noise of readings."""
     noise = np.sqrt(np.mean(np.diff(readings, 2) ** 2) / 6.0)
     return bool(step**2 / 12.0 >= _LEAST_SHARE * noise**2)
 
@@ -115,7 +115,7 @@ class UniformLog:
 
     @property
     def time_scale(self) -> float:
-        """By what its time is to be multiplied to be that of its measured velocities.
+        """Factor of time that matches positions to measured velocities.
 
         It is NaN if there are none, if those of most joints do not agree on it, or if no log of a
         robot would have such a period.
@@ -141,7 +141,7 @@ class UniformLog:
 
 @contextmanager
 def naming_log(log: JointLog) -> Iterator[None]:
-    """Say in errors which log they are of, as `evidence["log"]`: others may be used without it."""
+    """Add the log's name to errors as `evidence["log"]`, as others may be used without it."""
     try:
         yield
     except LogError as error:
@@ -151,7 +151,7 @@ def naming_log(log: JointLog) -> Iterator[None]:
 
 
 def make_uniform(log: JointLog, *, faultless: bool = False) -> UniformLog:
-    """Split a log at gaps and empty cells, and find its period, its noise and what moves.
+    """Split a log at gaps and empty cells, and find its period, noise and moving joints.
 
     Args:
         faultless: Whether it is already without what its sensors did wrong.
@@ -223,7 +223,7 @@ def _never_measured(log: JointLog) -> str:
 
 
 def _check_period(log: JointLog, period: float) -> None:
-    """Refuse time stamps that no log of a robot in seconds has."""
+    """Raise for time stamps that no log of a robot in seconds has."""
     latest = float(np.max(np.abs(log.time), initial=0.0, where=np.isfinite(log.time)))
     span = f"from t = {log.time[0]:.6g} to {log.time[-1]:.6g} s"
     if period >= _LONGEST_PERIOD:

@@ -28,7 +28,7 @@ _ROWS = 100_000  # of a log that are looked at together
 
 
 def effort_unit_hint(log: JointLog, effort_limits: ArrayLike) -> str | None:
-    """Return a sentence for the user if efforts look like another unit than N·m or N; else None.
+    """Return a hint if efforts look like another unit than N·m or N; else None.
 
     They are compared with the model's (n,) limits; zeros and infinities count as unknown.
     """
@@ -61,7 +61,7 @@ _UNIT_ADVICE = (
 
 
 def position_unit_hint(log: JointLog) -> str | None:
-    """Return a sentence for the user if positions look like degrees or ticks; else None."""
+    """Return a hint if positions look like degrees or ticks; else None."""
     peaks = _peaks(log.position)
     worst = int(np.argmax(peaks))
     farthest = f"{log.joints[worst]} reaches {peaks[worst]:.4g}, and most joints exceed 10"
@@ -73,7 +73,7 @@ def position_unit_hint(log: JointLog) -> str | None:
 
 
 def check_ticks(log: JointLog) -> None:
-    """Refuse positions that are whole numbers, farther from 0 than joints turn in rad."""
+    """Raise for positions that are integers beyond the range of joints in rad."""
     if not are_whole(log.position[:_ROWS]):
         return
     peaks = _peaks(log.position)
@@ -89,7 +89,7 @@ def check_ticks(log: JointLog) -> None:
 
 
 def effort_sign_hint(log: JointLog) -> str | None:
-    """Return a sentence for the user if efforts are magnitudes by the look of them; else None.
+    """Return a hint if efforts look like magnitudes; else None.
 
     Efforts that only gravity keeps from changing their sign do not come back from zero again and
     again.
@@ -125,7 +125,7 @@ def effort_sign_hint(log: JointLog) -> str | None:
 
 
 def position_limit_hint(log: JointLog, lower: ArrayLike, upper: ArrayLike) -> str | None:
-    """Return a sentence for the user if positions are beyond a model's limits (n,); else None."""
+    """Return a hint if positions are beyond a model's limits (n,); else None."""
     ends = np.stack([np.asarray(lower, float), np.asarray(upper, float)])
     found = []
     for name, q, (low, high) in zip(log.joints, log.position.T, ends.T, strict=True):
@@ -152,7 +152,7 @@ def _share_outside(q: Array, low: float, high: float) -> float:
 
 
 def _cause_beyond(q: Array, low: float, high: float) -> str:
-    """Return what would bring positions (N,) into limits, in a sentence."""
+    """Return a hint on what would bring positions (N,) within limits."""
     if _share_outside(-q, low, high) <= _FEW:
         return (
             " With the opposite sign they are within: is the joint's axis, or the column, reversed?"
@@ -170,7 +170,7 @@ def _cause_beyond(q: Array, low: float, high: float) -> str:
 
 
 def row_order_hint(log: JointLog) -> str | None:
-    """Return a sentence for the user if rows are not in the order of time; else None."""
+    """Return a hint if rows are not sorted by time; else None."""
     rows = log.position[np.isfinite(log.position).all(axis=1)][:_ROWS]
     if len(rows) < _ENOUGH_ROWS:
         return None
@@ -190,7 +190,7 @@ def row_order_hint(log: JointLog) -> str | None:
 
 
 def _peaks(values: Array) -> Array:
-    """Return (n,) largest magnitude of each column, 0 where nothing was measured."""
+    """Return (n,) largest magnitude of each column, 0 without measurements."""
     peaks = np.zeros(values.shape[1])
     for first in range(0, len(values), _ROWS):
         part = np.abs(values[first : first + _ROWS])

@@ -1,4 +1,4 @@
-"""`RobotModel`: a robot, its effects, their parameters, and what is known about them."""
+"""`RobotModel`: a robot with its effects and parameters."""
 
 from geodrake.effects import FittedEffect
 from geodrake.model.dynamics_check import DynamicsCheck, check_dynamics

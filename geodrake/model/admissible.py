@@ -1,4 +1,4 @@
-"""What the parameters of a body and of an effect must be: those that exist.
+"""Checks that parameters of bodies and effects are physical.
 
 Fits end at bounds and at the edge of the cone of physical inertias, so bounds themselves are
 admitted, and what rounding and the tolerance of solvers put beyond them.
@@ -18,13 +18,13 @@ from geodrake.inertia.parameters import PARAMETER_NAMES
 from geodrake.manifolds import Interval, PhysicalInertia
 
 ROUNDING = 1e-6
-"""Of the largest eigenvalue, entry or parameter beside it: what may be beyond an edge."""
+"""Tolerance beyond an edge, relative to the largest eigenvalue, entry or parameter."""
 
 _LEAST = 1e-9  # of a parameter beyond a bound, in its unit
 
 
 def check_body(what: str, phi: Array) -> None:
-    """Refuse inertial parameters (10,) of no body."""
+    """Raise for unphysical inertial parameters (10,)."""
     _check_finite(what, PARAMETER_NAMES, phi)
     if phi[0] < 1.0 / LARGEST:
         raise ModelError(f"{what} have a mass of {phi[0]:g} kg.")
@@ -37,7 +37,7 @@ def check_body(what: str, phi: Array) -> None:
 
 
 def check_effect(fitted: FittedEffect) -> None:
-    """Refuse parameters beyond the manifold of their effect, as negative friction is."""
+    """Raise for parameters outside the manifold of their effect, such as negative friction."""
     effect, what = fitted.effect, f"parameters of {named(fitted)}"
     names = [parameter.name for parameter in effect.parameters]
     for key, value in effect.shape.items():

@@ -1,4 +1,4 @@
-"""What known payloads are to a model: bodies that it has while a log lasts, and no longer."""
+"""Known payloads as temporary bodies of a model."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def carried_phi(model: RobotModel, payloads: Payloads) -> Array:
 
 
 def carrying(model: RobotModel, payloads: Payloads) -> RobotModel:
-    """Return the model of the robot while it carries known payloads; itself if there are none."""
+    """Return the model with known payloads; itself if there are none."""
     phi = carried_phi(model, payloads)
     carried = [
         FittedEffect(payload, own)
@@ -72,7 +72,7 @@ def _joints_of(model: RobotModel, bodies: Sequence[str]) -> tuple[str, ...]:
 
 
 def payload_notes(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:
-    """Return what is done about known payloads, in words."""
+    """Return notes on known payloads."""
     notes = [
         f"{log.name}: the effort of the known payload of {payload.mass:g} kg at "
         f"{payload.body} is subtracted from the measured one"

@@ -44,7 +44,7 @@ States = tuple[Array, Array, Array]
 
 
 def second_opinion(model: RobotModel, states: States) -> tuple[str, Array, Array] | str:
-    """Return what MuJoCo or Pinocchio makes of the file of a model; otherwise why there is none.
+    """Return the comparison with MuJoCo or Pinocchio on the model's file, or why there is none.
 
     Args:
         states: (N, nq), (N, nv), (N, nv) positions, velocities and accelerations of the model.
@@ -136,13 +136,14 @@ class Agreement(Short):
 
 @dataclass(frozen=True, eq=False)
 class DynamicsCheck(Short):
-    """What a model's dynamics are by geodrake, by MultibodyPlant and by a third program.
+    """Comparison of a model's dynamics with MultibodyPlant and with another program.
 
     Attributes:
-        repairs: What of the model's file is not used as it stands.
-        left_out: What of that is no part of the model, other than inertias.
-        second: Of the efforts by another program, which reads the file itself; None for none.
-        by: That program; otherwise why there is none.
+        repairs: What was repaired in the model's file.
+        left_out: What of that is not in the model, other than inertias.
+        second: Agreement of efforts with another program, which reads the file itself; None if
+            there is none.
+        by: That program, or why there is none.
     """
 
     agreements: tuple[Agreement, ...]

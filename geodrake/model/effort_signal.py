@@ -1,4 +1,4 @@
-"""Where a joint's efforts come from: what was measured in their place, its gains, its limits."""
+"""Signals that replace measured efforts: kinds, gains and limits."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from geodrake.inertia import Array
 from geodrake.logs.motion import SIGNAL_KINDS
 
 COMMAND = "command"
-"""The kind of a joint of which only the position that its servo was told to go to is known."""
+"""Kind of a joint with position commands of a servo only."""
 
 EFFORT = "effort"
-"""The kind of a joint whose motor is asked for efforts, and gives them within a limit."""
+"""Kind of a joint with commanded efforts, which its motor gives within a limit."""
 
 SERVO = "servo"
 """What a `COMMAND` goes through, among the names of effects."""
@@ -55,7 +55,7 @@ class MotorLimit:
         return replace(self, effort=factor * self.effort)
 
     def given(self, asked: Array, velocity: Array) -> Array:
-        """Return efforts (K,), N·m or N, that the motor gives of those asked for, at velocities."""
+        """Return efforts (K,), N·m or N, of a motor for commanded ones at given velocities."""
         falling = velocity / self.no_load_speed
         return np.clip(asked, -self.effort * (1.0 + falling), self.effort * (1.0 - falling))
 
@@ -68,7 +68,7 @@ class MotorLimit:
 
 @dataclass(frozen=True)
 class EffortSignal:
-    """What stands for a joint's effort in logs, and what makes an effort of it.
+    """A signal that replaces a joint's effort in logs, and its conversion to an effort.
 
     The effort is gain·s of a signal s, a current, a voltage, or the effort that the motor is asked
     for. Of a servo it is
@@ -152,7 +152,7 @@ class EffortSignal:
 
     @property
     def motor(self) -> MotorLimit:
-        """What its motor can give."""
+        """Limits of its motor."""
         return MotorLimit(self.limit, self.no_load_speed)
 
     @property
@@ -162,5 +162,5 @@ class EffortSignal:
 
 
 def signal_of(signals: Iterable[EffortSignal], joint: str) -> EffortSignal | None:
-    """Return the signal that replaces a joint's efforts; None where efforts are measured."""
+    """Return the signal that replaces a joint's efforts; None if efforts are measured."""
     return next((signal for signal in signals if signal.joint == joint), None)

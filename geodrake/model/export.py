@@ -50,7 +50,7 @@ class Export:
 
 
 def save_export(model: RobotModel, path: str | Path) -> Export:
-    """Write a copy of a model's file with the model's inertias, `total_phi`; whole or not at all.
+    """Write a copy of a model's file with the model's inertias, `total_phi`, atomically.
 
     Raises:
         ModelError: The model's file cannot take them.
@@ -64,7 +64,7 @@ def save_export(model: RobotModel, path: str | Path) -> Export:
 
 
 def check_export(model: RobotModel, path: Path) -> None:
-    """Refuse a model, or a name for its copy, before the work."""
+    """Raise for a model that cannot be exported, or a wrong name of its copy."""
     kind = file_kind(model)
     if path.suffix.lower() not in _SUFFIXES[kind]:
         raise OutputError(
@@ -104,7 +104,7 @@ def export_model(model: RobotModel) -> Export:
 
 
 def export_bodies(model: RobotModel) -> Export:
-    """As `export_model`, with notes on bodies alone."""
+    """As `export_model`, with notes on bodies only."""
     kind, data = file_kind(model), read_expanded(model.path, model.given)
     file, plant = EditedFile(data, model.path), MultibodyPlant(time_step=0.0)
     with drake_messages():
@@ -148,7 +148,7 @@ def export_bodies(model: RobotModel) -> Export:
 
 
 def reasons(effects: Sequence[FittedEffect]) -> list[str]:
-    """Return why no model file can hold effects of a drive, or of a part of a log."""
+    """Return why model files cannot express effects of a drive or of part of a log."""
     pushing, passing = dict[str, list[str]](), list[str]()
     for effect in (fitted.effect for fitted in effects):
         if effect.by_drive:
@@ -162,12 +162,12 @@ def reasons(effects: Sequence[FittedEffect]) -> list[str]:
 
 
 def repair_comments(model: RobotModel) -> list[str]:
-    """Return what a file made of a model says of inertias that its own file states in vain."""
+    """Return comments for an exported file on repairs of the original one."""
     return [f"geodrake repaired {model.path.name}: {r}" for r in model.repairs]
 
 
 def distributed(body: LumpedBody, stated: Array, phi: Array) -> tuple[Array, str]:
-    """Return the share an identified body among the k links that make it up.
+    """Return the shares of an identified body among the k links that form it.
 
     Args:
         stated: (k, 10) what the file states for each, in its own frame.
@@ -223,7 +223,7 @@ def _upper_root(phi: Array) -> Array:
 
 
 def _check(content: bytes, path: Path, written: Mapping[str, Array]) -> None:
-    """That what was written reads back; XML has more ways to hide a number than edits know."""
+    """Check that the written file reads back, as edits may miss some XML."""
     text = model_text_of(content, path)
     for name, phi in written.items():
         read = text.stated_inertia(name)

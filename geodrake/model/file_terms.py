@@ -1,4 +1,4 @@
-"""What model files, simulators and servos have of their own of what geodrake calls effects."""
+"""Effects that model files, simulators and servos define differently from geodrake."""
 
 from geodrake.effects import CoulombFriction as DryFriction
 from geodrake.effects import CoupledFriction as CoupledDry

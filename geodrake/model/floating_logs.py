@@ -1,4 +1,4 @@
-"""Logs of robots that nothing fixes to the world: their poses, IMUs, and what the ground does.
+"""Logs of floating robots: poses, IMUs, and ground forces.
 
 Positions of the six joints of a base (`geodrake.robot.arrangement`) are the pose. Their
 accelerations come from the IMU: the specific force f turned into the world, R f + g. An error of R
@@ -39,7 +39,7 @@ _ADVICE = "Log base.position.x … and base.orientation.w …, or imu.angular_ve
 
 
 def with_base(log: JointLog, model: RobotModel) -> JointLog:
-    """Return a log with the six joints of a floating model's base, and what the ground does.
+    """Return a log with the six joints of a floating base, and ground forces.
 
     The log of a fixed model is itself; a note says so if it has the pose of a base.
     """
@@ -161,7 +161,7 @@ def _orientation(log: JointLog, gravity: Array) -> tuple[Rotation, NDArray[np.bo
 
 
 def _checked(quaternion: Array, force: Array | None, gravity: Array, name: str) -> Array:
-    """Return quaternions (N, 4), w, x, y, z, of length one; refuse what gravity contradicts."""
+    """Return unit quaternions (N, 4), w, x, y, z; raise if gravity contradicts them."""
     length = np.linalg.norm(quaternion, axis=1)
     wrong = np.abs(length - 1.0)
     if np.nanmax(wrong, initial=0.0) > _NORM:
@@ -376,7 +376,7 @@ def with_ground(log: JointLog, model: RobotModel) -> JointLog:
 
 
 def on_soles(contacts: ContactFlags, frames: Sequence[ContactFrame]) -> bool:
-    """Return whether frames touch by surfaces: nobody stands on the points of two feet."""
+    """Return whether frames are soles, as robots cannot stand on the points of two feet."""
     most = int(contacts.flags.sum(axis=1).max(initial=0))
     return most < _POINTS and not any(frame.radius for frame in frames)
 
@@ -389,7 +389,7 @@ def _bodies(log: JointLog, model: RobotModel) -> tuple[NDArray[np.bool_], RobotB
 
 
 def _low(log: JointLog, model: RobotModel, frames: Sequence[ContactFrame]) -> NDArray[np.bool_]:
-    """Return (N, c) whether frames are as low as the ground; where nobody knows, they are."""
+    """Return (N, c) whether frames are at the height of the ground; true if unknown."""
     known, bodies = _bodies(log, model)
     found = np.ones((len(log), len(frames)), bool)
     if known.any():
@@ -399,7 +399,7 @@ def _low(log: JointLog, model: RobotModel, frames: Sequence[ContactFrame]) -> ND
 
 
 def _efforts_of_wrenches(log: JointLog, model: RobotModel, names: Sequence[str]) -> Array:
-    """Return Σ Jᵀ w (N, n) of wrenches at links, in the log's order; NaN where nobody knows."""
+    """Return Σ Jᵀ w (N, n) of wrenches at links, in the log's order; NaN if unknown."""
     known, bodies = _bodies(log, model)
     efforts = np.full((len(log), len(model.joints)), np.nan)
     efforts[known] = 0.0
@@ -427,7 +427,7 @@ def _efforts_of_wrenches(log: JointLog, model: RobotModel, names: Sequence[str])
 
 
 def _check_axes(sums: Array, model: RobotModel, name: str) -> None:
-    """Refuse forces that carry the robot by axes of the world, and not by those of links."""
+    """Raise for forces that balance gravity in world axes, but not in those of links."""
     weight = -model.total_phi[:, 0].sum() * model.tree.gravity
     size = max(float(np.linalg.norm(weight)), 1e-12)
     own, world = np.linalg.norm(sums - weight, axis=1) / size

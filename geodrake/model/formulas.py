@@ -54,7 +54,7 @@ _BINARY = (
 )
 _COMMUTING = ("add", "multiply", "maximum", "minimum", "equal", "not_equal")
 OPERATIONS = frozenset((*_UNARY, *_BINARY, "where"))
-"""What can be recorded; `where` takes a condition and both values."""
+"""Operations that can be recorded; `where` takes a condition and both values."""
 
 _MADE_OF: dict[str, Callable[..., Operand]] = {  # what is written by other operations
     "square": lambda x: x * x,
@@ -98,7 +98,7 @@ def record(name: str, *operands: Operand) -> Operand:
 
 
 def _simplified(name: str, operands: tuple[Operand, ...]) -> Operand | None:
-    """Return what an operation comes to where one of its operands is 0 or 1; None for no less."""
+    """Return the result of an operation with an operand 0 or 1; None if it is not simpler."""
     first, last = operands[0], operands[-1]
     found = None
     match name, *operands:
@@ -156,13 +156,13 @@ class Symbol(NDArrayOperatorsMixin):
     def __array_ufunc__(
         self, ufunc: np.ufunc, method: str, *inputs: Operand, **options: Any
     ) -> Operand:
-        """Records a function of NumPy's; a symbol itself stays what it is in `x += …`."""
+        """Record a NumPy function; in `x += …` the original symbol is unchanged."""
         if options.get("out", (None,))[0] is self:
             del options["out"]
         return _recorded(ufunc, method, inputs, options)
 
     def __getattr__(self, name: str) -> Callable[[], Operand]:
-        """Return what NumPy calls for a function of an array that it knows for one of objects."""
+        """Return the method that NumPy calls for a function of an object array."""
         if name in _UNARY or name in _MADE_OF:
             return lambda: record(name, self)
         raise AttributeError(name)
@@ -189,7 +189,7 @@ _KNOWN: WeakValueDictionary[tuple[Any, ...], Symbol] = WeakValueDictionary()
 
 
 def in_order(formulas: Iterable[Operand]) -> Iterator[Symbol]:
-    """Yield all symbols of formulas once, each after what it is of; without recursion."""
+    """Yield all symbols of formulas once, operands first, without recursion."""
     pending, seen = [x for x in formulas if isinstance(x, Symbol)][::-1], set[Symbol]()
     while pending:
         symbol = pending[-1]
@@ -204,7 +204,7 @@ def in_order(formulas: Iterable[Operand]) -> Iterator[Symbol]:
 
 
 class Symbols(np.ndarray):
-    """An array of symbols and numbers; what NumPy does with it is recorded."""
+    """An array of symbols and numbers, on which NumPy operations are recorded."""
 
     @classmethod
     def of(cls, values: Any) -> Symbols:
@@ -254,7 +254,7 @@ def _entrywise(name: str, inputs: Sequence[Operand]) -> Operand:
 
 
 def _boxed(x: Operand) -> Any:
-    """Return an operand in a plain array, which NumPy asks nothing."""
+    """Return an operand in a plain array."""
     box = np.empty((), object)
     if isinstance(x, Symbol):
         box[()] = x

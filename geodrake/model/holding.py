@@ -1,4 +1,4 @@
-"""A model with some joints held: what moves with a held joint's parent is a part of it.
+"""Models with fixed joints, whose child bodies become part of the parents.
 
 Two bodies that no longer move against each other are one, φ = φ_P + X φ_B with X the change from
 the frame of B to that of P at the value at which the joint is held. What is known about the old
@@ -30,18 +30,17 @@ from geodrake.robot.transmission.statements import Drive
 def holding(
     model: RobotModel, held: Mapping[str, float], *, why: str = "so that they do not move"
 ) -> RobotModel:
-    """Return the model with joints held where they stand: they are none of its joints any more.
+    """Return the model with joints fixed, which are then no longer joints of the model.
 
-    Inertias and payloads of bodies that they moved go to the bodies that carry them. Other effects
-    at these joints and bodies are left out, which a note says.
+    Inertias and payloads of bodies that they moved are added to their parents. Other effects at
+    these joints and bodies are removed, with a note.
 
     Args:
-        held: Joint -> where it is held, rad or m. One that is held already may be held elsewhere
-            by loading the model file again.
+        held: Joint -> position at which it is fixed, rad or m. To fix a joint elsewhere later, load
+            the model file again.
 
     Raises:
-        ModelError: There is no such joint, its limits do not let it stand there, or no joint is
-            left that moves.
+        ModelError: A joint does not exist or cannot have that position, or no joint remains.
     """
     held = {joint: number(value, f"held[{joint!r}]") for joint, value in held.items()}
     _check_names(model, held)
@@ -88,13 +87,13 @@ def holding(
 
 
 def held_notes(held: Mapping[str, float], why: str = "so that they do not move") -> list[str]:
-    """Return that joints are held, and where (rad or m), in words."""
+    """Return a note on fixed joints and their positions (rad or m)."""
     words = ", ".join(f"{joint} at {value:.4g}" for joint, value in held.items())
     return [f"Fixed, {why}: {words}."] if words else []
 
 
 def why_no_place(model: RobotModel, name: str) -> str:
-    """Return why the model lacks a joint or link of the file, or an empty text."""
+    """Return why the model lacks a joint or link of the file, or ""."""
     if name in model.held:
         return f"{name} is fixed by --lock, or because it hardly moves (--no-auto-lock keeps it). "
     for body in lumped_bodies(model.plant):

@@ -1,4 +1,4 @@
-"""Joints of a model and joints of logs: what was not logged is held, and what hardly moves."""
+"""Matching of a model's joints with logs: joints without efforts, or at rest, are fixed."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def reading_for(model: RobotModel, reading: Reading | None = None) -> Reading:
 def model_of_logs(
     model: RobotModel, logs: Sequence[JointLog], *, hold_resting: bool = True
 ) -> RobotModel:
-    """Return the model with joints held that no log records; itself if there are none.
+    """Return the model with joints fixed that no log records; itself if there are none.
 
     They are held where they stand, if their positions were logged, and else where the model file
     has them by default. A joint that stands still all the time under an effort that never changes
@@ -90,7 +90,7 @@ def model_of_logs(
 
 
 def _led_by(model: RobotModel, logs: Sequence[JointLog]) -> RobotModel:
-    """Return the model with other joints of closed loops free where logs have those in their place.
+    """Return the model with other independent joints of closed loops, if logs have those.
 
     A model that is no longer that of its file keeps its own.
     """
@@ -109,7 +109,7 @@ def _led_by(model: RobotModel, logs: Sequence[JointLog]) -> RobotModel:
 
 
 def holding_resting(model: RobotModel, logs: Sequence[JointLog]) -> RobotModel:
-    """Return the model with those joints held that hardly move; itself if there are none.
+    """Return the model with joints fixed that hardly move; itself if there are none.
 
     At rest dry friction may be anything up to breakaway, so that the effort of such a joint says
     nothing that a model could be held to. Samples at which a joint that moves stands still are left
@@ -192,7 +192,7 @@ def _with_followers(log: JointLog, model: RobotModel) -> JointLog:
 
 
 def _of_loop(log: JointLog, drive: Drive, loop: LoopTransmission) -> tuple[Array, list[str]]:
-    """Return a closed loop's efforts at its free joints, and notes on what is odd."""
+    """Return a closed loop's efforts at its independent joints, and notes."""
     free = [log.joints.index(name) for name in drive.actuators]
     others = [joint for joint in loop.joints if joint not in drive.actuators]
     at = {joint: log.joints.index(joint) for joint in others if joint in log.joints}
@@ -245,7 +245,7 @@ def _noise(positions: Array) -> float:
 
 
 def _travels(log: JointLog, joint: str) -> bool:
-    """Return whether velocities say that a joint moves, whose position may be stuck."""
+    """Return whether velocities show motion of a joint whose position may be stuck."""
     if log.velocity is None or len(log) < 2:
         return False
     velocity = readings(log.velocity[:, log.joints.index(joint)])
@@ -254,7 +254,7 @@ def _travels(log: JointLog, joint: str) -> bool:
 
 
 def _check_sides(model: RobotModel, logs: Sequence[JointLog], silent: Sequence[str]) -> None:
-    """Refuse logs of joints where the model has actuators in their place."""
+    """Raise for logs with joints where the model has actuators."""
     for drive in model.transmission:
         for log in logs:
             missing = [name for name in drive.actuators if name in silent]
@@ -288,7 +288,7 @@ def _moves(log: JointLog, joint: str) -> bool:
 
 
 def _says(log: JointLog, joint: str) -> bool:
-    """Return whether a log says something of a joint's effort."""
+    """Return whether a log has information on a joint's effort."""
     if joint not in log.joints:
         return False
     at = log.joints.index(joint)
@@ -304,7 +304,7 @@ def _says(log: JointLog, joint: str) -> bool:
 
 
 def _place(model: RobotModel, logs: Sequence[JointLog], joint: str) -> float:
-    """Return where a joint stands in the logs, or else by default."""
+    """Return the position of a joint in the logs, or its default."""
     places = {}
     for log in logs:
         if joint in log.standing:

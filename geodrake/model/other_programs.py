@@ -176,7 +176,7 @@ def joint_units(plant: MultibodyPlant) -> list[tuple[Joint, ...]]:
 
 
 def check_loops(text: MjcfText, plant: MultibodyPlant, held: Places, q: Array, v: Array) -> None:
-    """Refuse closed loops that are not closed by MuJoCo's constraints in the same MJCF.
+    """Raise if closed loops differ from MuJoCo's constraints in the same MJCF.
 
     Positions (N, nq) and velocities (N, nv) are those of the plant.
     """
@@ -271,7 +271,7 @@ def by_pinocchio(model: Model, text: ModelText, held: Places, units: Units) -> O
 
 
 def by_drake(model: Model, held: Places, units: Units) -> OtherProgram | str:
-    """Return Drake with the file as it stands, which geodrake simplifies before Drake reads it."""
+    """Return Drake with the original file, which geodrake otherwise simplifies."""
     plant, own = MultibodyPlant(time_step=0.0), model.plant
     floating = {base[-1].child_body().scoped_name().get_full() for base in base_joints(own)}
     try:
@@ -324,7 +324,7 @@ def by_drake(model: Model, held: Places, units: Units) -> OtherProgram | str:
 
 
 def _read_by_pinocchio(pinocchio: ModuleType, model: Model, text: ModelText) -> Any:
-    """Return Pinocchio's model of a file, with gravity as its root feels it where the plant has it.
+    """Return Pinocchio's model of a file, with gravity in the plant's direction.
 
     That is all that matters of where it stands, and links may have names of joints.
     """

@@ -1,4 +1,4 @@
-"""A robot model: rigid bodies, effects, their parameters, and what is known about them."""
+"""A robot model: rigid bodies, effects, and their parameters."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ LARGEST_REGRESSOR = 10_000_000
 
 @dataclass(frozen=True, eq=False)
 class RobotModel(Short):
-    """What is known about a robot: effort needed = Y_rb φ + Σ_e Y_e μ_e.
+    """A robot with its effects and parameters: effort needed = Y_rb φ + Σ_e Y_e μ_e.
 
     Attributes:
         plant: Finalized MultibodyPlant of the rigid bodies alone, inertias as in its file, closed
@@ -135,7 +135,7 @@ class RobotModel(Short):
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
-        """Names of the nv velocities: the joints', or those of the actuators in their place."""
+        """Names of the nv velocities: of joints, or of their actuators."""
         return self.coordinates.names
 
     @cached_property
@@ -169,12 +169,12 @@ class RobotModel(Short):
         return DrivenPlant(self, plant, sign_width, log, temperatures)
 
     def place_of(self, joint: Joint) -> int | None:
-        """Return a plant joint's velocity in the model; None if it has none of its own."""
+        """Return the velocity index of a plant's joint in the model; None if it has none."""
         return self.coordinates.standing.get(int(joint.velocity_start()))
 
     @cached_property
     def led(self) -> Mapping[str, tuple[str, float]]:
-        """Joint that follows another one -> its name, and how far it moves when that moves by 1."""
+        """Following joint -> its leader, and its motion per unit of the leader's."""
         names, driven = joint_names(self.plant), {j for d in self.transmission for j in d.joints}
         return {
             names[to]: (names[of], ratio)
@@ -210,7 +210,7 @@ class RobotModel(Short):
 
     @property
     def known_effort_limits(self) -> Array:
-        """Largest efforts (nv,), N·m or N: of the file, or less where logs told so."""
+        """Largest efforts (nv,), N·m or N: of the file, or smaller ones found in logs."""
         signals = (signal_of(self.effort_signals, joint) for joint in self.joints)
         told = np.array([signal.limit if signal else np.inf for signal in signals])
         of_file = self.effort_limits
@@ -478,7 +478,7 @@ class RobotModel(Short):
         sign_width: ArrayLike = 1e-2,
         log: str | None = None,
     ) -> RobotInDiagram:
-        """Make a robot in a larger plant move as this model: inertias, effects and delays.
+        """Make a robot in a larger plant move like this model: inertias, effects and delays.
 
             robot = model.add_to_scene(builder, RobotInstance(plant, "arm"))
             builder.Connect(controller.get_output_port(), robot.effort)
@@ -521,7 +521,7 @@ class RobotModel(Short):
         information: Array,
         effort_noise: Array,
     ) -> RobotModel:
-        """Return the model with fitted parameters, as in its attributes, in place of its own."""
+        """Return the model with fitted parameters."""
         effects = instances(effects, "effects", FittedEffect)
         p = self.phi.size + sum(len(fitted.parameters) for fitted in effects)
         phi = real_array(phi, "phi", self.phi.shape)
@@ -587,7 +587,7 @@ def from_loaded_plant(
 
 
 def _check_against_mujoco(model: RobotModel, text: MjcfText, held: Mapping[str, float]) -> None:
-    """Refuse a model whose efforts at random are not MuJoCo's of its file, less what is left out.
+    """Raise if random efforts differ from MuJoCo's with the same file, except ignored elements.
 
     Dry friction, limits and contacts, which are soft in MuJoCo, take no part, nor do carried
     weights, media and struts, on which `geodrake check` has MuJoCo's opinion. Free bodies rest.
@@ -626,7 +626,7 @@ def _check_against_mujoco(model: RobotModel, text: MjcfText, held: Mapping[str, 
 def _bent_drives(
     loaded: LoadedPlant, given: Sequence[Drive]
 ) -> tuple[tuple[Drive, ...], list[str]]:
-    """Return drives of joints that follow by a ratio that changes, and what of them is lost."""
+    """Return drives of joints that follow with varying ratio, and what they cannot express."""
     known = [drive.statement for drive in given]
     moving = [name for name in joint_names(loaded.plant) if name in loaded.joints]
     following = {f.joint.rpartition("::")[2] for f in loaded.followers}
@@ -643,7 +643,7 @@ def _bent_drives(
 
 
 def read_again(model: RobotModel) -> RobotModel:
-    """Return the model as its file says, without what was fitted or added since."""
+    """Return the model of the original file, without fits and additions."""
     return load_description(
         model.path,
         floating=model.floating,

@@ -79,7 +79,7 @@ class SavedEffect(Schema):
 
 
 class SavedEffortSignal(Schema):
-    """What stands for the efforts of a joint; see `EffortSignal`."""
+    """Signal that replaces the efforts of a joint; see `EffortSignal`."""
 
     joint: str = ""
     kind: str = ""
@@ -154,18 +154,17 @@ def load_model(
     """Load a robot model: a URDF, SDF, MJCF or Drake directives file, or a saved model.
 
     Args:
-        path: The file, or the name of a robot of robot_descriptions, such as ur5e: its URDF or
-            xacro, or its MJCF where there is no other (panda_mj asks for that).
-        floating: Leave roots free that the file does not attach to the world (a saved model
-            remembers).
-        extra: Effect classes of the user's own that a saved model may name.
-        lock: Joint -> where it is held, rad or m, as in `geodrake.model.holding`.
-        given: Which of several robots, folders of ROS packages, arguments of a xacro file (a saved
-            model remembers).
-        transmission: What moves joints in their place (a saved model remembers): a transmission
-            file, its parts, `file` for what the model file itself states of motors, or `none`. If
-            None, the file beside the model file, arm.transmission.yaml beside arm.urdf, if there is
-            one.
+        path: The file, or a name in robot_descriptions, such as ur5e for its URDF or xacro, or its
+            MJCF if there is no other (panda_mj selects that).
+        floating: Give bodies that the file does not attach to the world a floating base (a saved
+            model has its own setting).
+        extra: User-defined effect classes that a saved model may contain.
+        lock: Joint -> position at which it is fixed, rad or m, as in `geodrake.model.holding`.
+        given: Robot of several, folders of ROS packages, arguments of a xacro file (a saved model
+            has its own).
+        transmission: Transmission between actuators and joints (a saved model has its own): a
+            file, its parts, `file` for that in the model file, or `none`. If None, the file beside
+            the model file, arm.transmission.yaml beside arm.urdf, if it exists.
 
     Raises:
         ModelError: The file cannot be read or does not describe a robot; the file that a saved
@@ -196,7 +195,7 @@ def load_model(
 def _transmission(
     path: Path, given: str | Path | Sequence[Drive] | None, how: Given
 ) -> tuple[tuple[Drive, ...], list[str]]:
-    """Return the drives that a model file is to have, and notes on where they come from."""
+    """Return the drives of a model file, and notes on their source."""
     if given == OF_FILE:
         parts = read_description(path, how).motors()
         if not parts:
@@ -220,7 +219,7 @@ def _transmission(
 
 
 def is_saved_model(path: Path) -> bool:
-    """Return whether a file is one that `save_model` wrote, of whatever version."""
+    """Return whether a file was written by `save_model`, of any version."""
     try:
         with open_regular(path, "model file", ModelError) as file:
             return path.suffix in {".yaml", ".yml"} and _HEAD.search(file.read(1000)) is not None
@@ -229,7 +228,7 @@ def is_saved_model(path: Path) -> bool:
 
 
 def save_model(model: RobotModel, path: str | Path) -> None:
-    """Write a model into a YAML file, which appears whole or not at all.
+    """Write a model into a YAML file atomically.
 
     The base model's path is written relative to it, so that both can be moved together; it is also
     looked for beside it, and where it was.
@@ -239,7 +238,7 @@ def save_model(model: RobotModel, path: str | Path) -> None:
 
 
 def saved_text(model: RobotModel, path: str | Path) -> str:
-    """Return what `save_model` writes."""
+    """Return the text that `save_model` writes."""
     base, folder = instance(model, "model", RobotModel).path.resolve(), Path(path).resolve().parent
     problem, advice = "", "Put it back."
     try:
@@ -354,7 +353,7 @@ def _given_with(path: Path, saved: SavedModel, given: Given) -> Given:
 
 
 def _check_effects(path: Path, saved: SavedModel, extra: Sequence[type[Effect]]) -> None:
-    """Refuse effects that neither the catalogue nor the user's own files have."""
+    """Raise for effects that are neither in the catalogue nor user-defined."""
     for effect in saved.effects:
         try:
             effect_class(effect.name, extra)
@@ -406,7 +405,7 @@ def _base_of_saved(path: Path, saved: SavedModel) -> Path:
 
 
 def _is_file(path: Path) -> bool:
-    """Return whether there is a file; no name that no file can have is an error."""
+    """Return whether a file exists; invalid names are no error."""
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -414,7 +413,7 @@ def _is_file(path: Path) -> bool:
 
 
 def _digest(path: Path) -> str:
-    """Return the SHA-256 of a file; nothing if it cannot be read."""
+    """Return the SHA-256 of a file; "" if it cannot be read."""
     try:
         return sha256_of(path)
     except GeodrakeError:
@@ -506,7 +505,7 @@ def _of_joints(
 
 
 def _ordered(field: str, values: dict[str, T], names: Sequence[str]) -> dict[str, T]:
-    """Return the values in the order of some names, when there is one for each and no other."""
+    """Return the values in the order of some names; there must be exactly one for each."""
     odd = [name for name in values if name not in names]
     missing = [name for name in names if name not in values]
     if odd or missing:
@@ -516,7 +515,7 @@ def _ordered(field: str, values: dict[str, T], names: Sequence[str]) -> dict[str
 
 
 def check_model(model: RobotModel) -> None:
-    """Refuse a model whose numbers no robot can have.
+    """Raise for a model with impossible numbers.
 
     Inertial parameters φ of every body need P(φ) ⪰ 0 and a mass, parameters of effects must lie on
     the effect's manifold or its edge, deviations and noise must not be negative, bandwidths

@@ -1,4 +1,4 @@
-"""Logs of currents, voltages, commands and efforts asked for, turned into logs of efforts.
+"""Conversion of logs of currents, voltages and commands into logs of efforts.
 
 How integrals of servos grow is measured, where they began is not. In a long gap nothing is
 measured, and they begin anew after it. Arrays are (N,), of the rows of a log; NaN is not known.
@@ -58,7 +58,7 @@ def in_efforts(
 
 
 def kind_of(log: JointLog, joint: str) -> str:
-    """Return what stands for the effort of a joint: of `KINDS`."""
+    """Return the kind of a joint's effort signal, of `KINDS`."""
     at = log.joints.index(joint)
     told = log.command is not None and np.isfinite(log.command[:, at]).any()
     if told and joint not in log.effort_kinds and not np.isfinite(log.effort[:, at]).any():
@@ -68,7 +68,7 @@ def kind_of(log: JointLog, joint: str) -> str:
 
 
 def limited_effort(log: JointLog, at: int, motor: MotorLimit, asked: Array) -> Array:
-    """Return what the motor of a log's joint gives of efforts, N·m or N, as its positions change.
+    """Return efforts limited by the motor of a log's joint, N·m or N, along its motion.
 
     What a log has as velocities may be none. Where positions are not known, the joint stands.
     """
@@ -87,7 +87,7 @@ def servo_effort(
 
 
 def integral_effort(log: JointLog, at: int, signal: EffortSignal) -> Array:
-    """Return what the integral of a servo makes of its effort, N·m or N, by a log's efforts."""
+    """Return the integral part of a servo's effort, N·m or N, from a log's efforts."""
     return _parts(log, at, signal, log.effort[:, at])[1]
 
 
@@ -121,7 +121,7 @@ def _parts(
 
 
 def delayed_command(log: JointLog, at: int, delay: float) -> tuple[Array, Array]:
-    """Return the command of a joint as it was some seconds before, and its rate."""
+    """Return the delayed command of a joint, and its rate."""
     late, told, rates = late_commands(log, at, delay)
     if len(late) < 2 or log.command is None:
         nothing = np.full(len(log), np.nan)
@@ -223,7 +223,7 @@ def constants_beside_friction(effort: Array, velocity: Array, runs: NDArray[np.i
 
 
 def servos_of(model: RobotModel) -> tuple[EffortSignal | None, ...]:
-    """Return the servo of each of a model's joints; None where efforts come from something else."""
+    """Return the servo of each of a model's joints; None for other effort signals."""
     signals = (signal_of(model.effort_signals, joint) for joint in model.joints)
     return tuple(each if each and each.kind == COMMAND else None for each in signals)
 

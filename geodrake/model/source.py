@@ -153,7 +153,7 @@ inline std::array<double, kJoints> effort(
 
 @dataclass(frozen=True)
 class Language:
-    """A language that formulas are written in, and what a file in it is made of.
+    """A programming language of formulas, and the parts of a file in it.
 
     Attributes:
         comment: Mark of a line of a comment.
@@ -249,7 +249,7 @@ _NOT_INCLUDED = {
 
 @typed
 def is_written(effect: Effect) -> bool:
-    """Return whether a formula of q, v and v̇ has an effect as it is."""
+    """Return whether a formula of q, v and v̇ can express an effect exactly."""
     return effect.role not in _NOT_INCLUDED and not effect.depends_on & BEYOND_MOTION
 
 
@@ -322,10 +322,10 @@ _LANGUAGES = {"python": PYTHON, "cpp": CPP}
 
 
 def python_source(model: RobotModel, *, sign_width: ArrayLike = 0.0) -> str:
-    """Return a Python module with a function effort(q, v, vd); it imports `math` alone.
+    """Return a Python module with a function effort(q, v, vd), which imports `math` only.
 
-    The function has the rigid bodies, payloads and effects of the model. What needs the history of
-    the motion is named in the comment at its head.
+    The function has the rigid bodies, payloads and effects of the model. A comment lists effects
+    that depend on the history of the motion, which are not included.
 
     Args:
         sign_width: Speed below which dry friction fades, rad/s or m/s, at least; one for all
@@ -335,7 +335,7 @@ def python_source(model: RobotModel, *, sign_width: ArrayLike = 0.0) -> str:
 
 
 def cpp_source(model: RobotModel, *, sign_width: ArrayLike = 0.0) -> str:
-    """Return a C++17 header with a function effort(q, v, vd); it includes standard headers alone.
+    """Return a C++17 header with a function effort(q, v, vd), without dependencies.
 
     Raises:
         ModelError: An effect cannot be written as source code.

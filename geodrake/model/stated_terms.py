@@ -1,4 +1,4 @@
-"""What a model file states of joints, tendons, weights and a medium, as effects of a model.
+"""Effects from elements of a model file: joints, tendons, gravity compensation, a medium.
 
 Files state joints' terms at joints; effects act at actuators. Where one actuator moves a joint by a
 constant ratio J, damping, rotor inertia and stiffness are J² there, and dry friction |J|. Where
@@ -53,7 +53,7 @@ _WORDS: Mapping[type[Effect], str] = {
     StrutEffect: "tendon",
     Medium: "medium",
 }
-"""What files call effects, in the order of effects in a model."""
+"""Names of effects in files, in the order of a model's effects."""
 
 
 class StatedEffects:
@@ -80,7 +80,7 @@ class StatedEffects:
         self.add(Rotor(first) if first == second else CoupledRotor(pair), value)
 
     def add_length(self, length: stated.StatedLength) -> None:
-        """Add what is stated along a length of coordinates."""
+        """Add terms along a length, a linear combination of coordinates."""
         shares, friction = length.shares, length.friction
         for name, share in shares.items():
             for power, value in enumerate(length.damping, start=1):
@@ -109,7 +109,7 @@ class StatedEffects:
             )
 
     def fitted(self) -> list[FittedEffect]:
-        """Return the effects whose parameters are not all zero, which notes tell of."""
+        """Return the effects with nonzero parameters, which notes list."""
         for name, spring in self._springs.items():
             preload, stiffness, *powers = spring.coefficients
             if stiffness >= 0.0 and not any(powers):  # a linear one that pulls back
@@ -177,7 +177,7 @@ def stated_effects(loaded: LoadedPlant, coordinates: RobotCoordinates) -> Stated
 
 
 def _add_of_bodies(found: StatedEffects, loaded: LoadedPlant) -> None:
-    """Add what carries weights, struts and media, at the bodies that their links are parts of."""
+    """Add gravity compensation, struts and media, at the bodies of their links."""
     terms, plant = loaded.terms, loaded.plant
     places, still = stated.places_of_links(plant), (stated.WORLD, RigidTransform())
     weights = defaultdict[str, Array](lambda: np.zeros(4))

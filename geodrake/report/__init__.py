@@ -1,4 +1,4 @@
-"""What results look like: one description of each, which a terminal, a page and a notebook print.
+"""Pages, figures and JSON of results, for terminals, HTML and notebooks.
 
 `render(page_of(result))` is a self-contained HTML page, `figures_of(page_of(result))` its charts as
 matplotlib's figures.
@@ -35,7 +35,7 @@ _MODULES = ("numbers", "page", "html", "terminal", "views", "figures", "adaptati
 
 
 def __getattr__(name: str) -> Any:
-    """Import matplotlib when a figure is first asked for; words and pages need none."""
+    """Import matplotlib when a figure is first requested."""
     if name in __all__:
         for module in _MODULES:
             found = vars(import_module(f"geodrake.report.{module}"))

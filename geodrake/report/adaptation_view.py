@@ -1,4 +1,4 @@
-"""An arm that adapts, in MeshCat: its estimate as ellipsoids, the desired pose as a ghost."""
+"""An adapting arm in MeshCat: its estimate as ellipsoids, the desired pose as a ghost."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ FRAME_PERIOD = 1.0 / 32.0  # time between two pictures, s: that of MeshCat's rec
 
 
 class AdaptationView(LeafSystem):
-    """Shows an arm, the ellipsoids of its estimated bodies, and where it should be.
+    """Shows an arm, the ellipsoids of its estimated bodies, and the desired pose.
 
     .. pydrake_system::
 
@@ -166,12 +166,12 @@ class AdaptationView(LeafSystem):
 
 
 _POINT = np.array([1.0, 0.0, 0.0, 0.0, 1e-6, 1e-6, 1e-6, 0.0, 0.0, 0.0])
-"""Stands in for bodies that cannot be drawn."""
+"""Replaces bodies that cannot be drawn."""
 
 
 @typed
 def save_recording(meshcat: Meshcat, path: str | Path) -> None:
-    """Publish what MeshCat recorded, and write the scene as one HTML file that plays it."""
+    """Publish MeshCat's recording, and write the scene as one HTML file that plays it."""
     meshcat.StopRecording()
     meshcat.PublishRecording()
     write_whole(path, meshcat.StaticHtml())

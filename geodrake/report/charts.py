@@ -1,4 +1,4 @@
-"""Charts as plain data: curves over an axis, and bars. A page draws them, and matplotlib."""
+"""Charts as plain data, curves over an axis and bars, which pages and matplotlib draw."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _LEAST = 1e-6  # nrms, so that a perfect model has a place on a logarithmic axis
 
 @dataclass(frozen=True)
 class Stage:
-    """What curves of one colour show: the measurement, or a model."""
+    """A curve's subject: the measurement, or a model."""
 
     label: str  # the same in all charts of a page that show it
     color: str  # name of the colour in the page's style sheet
@@ -39,7 +39,7 @@ class Stage:
 
     @property
     def key(self) -> str:
-        """Return what a page calls it."""
+        """Return its identifier on a page."""
         return f"{self.label} ({self.look})"
 
 
@@ -75,7 +75,7 @@ class Plot:
 
 @dataclass(frozen=True)
 class Shade:
-    """A stretch of the axis, from start to end, in which a stage is worst, and why in words."""
+    """An interval of the axis in which the error of a stage is largest, with a description."""
 
     stage: Stage
     start: float
@@ -121,7 +121,7 @@ class Chart:
 
     @property
     def stretches(self) -> tuple[tuple[str, float, float, float], ...]:
-        """Return the spans; of one stretch, from the first to the last instant of a panel."""
+        """Return the spans; without any, one from the first to the last instant of a panel."""
         time = self.panels[0].time if self.panels else np.array([])
         if self.spans or self.abreast or not len(time):
             return self.spans
@@ -129,13 +129,13 @@ class Chart:
 
     @property
     def stages(self) -> tuple[Stage, ...]:
-        """Return of which stages the curves are, in their order."""
+        """Return the stages of the curves, in their order."""
         plots = (plot for panel in self.panels for plot in panel.plots)
         return tuple(dict.fromkeys(stage for plot in plots for stage in plot.curves))
 
     @property
     def data(self) -> str:
-        """The chart as JSON that may stand in a page."""
+        """The chart as JSON for embedding in a page."""
         numbers = {
             "ends": self.ends,
             "axis": self.axis,
@@ -195,7 +195,7 @@ def _panel(panel: Panel) -> dict[str, Any]:
 
 
 def _derived(panel: Panel) -> tuple[Stage, ...]:
-    """Return the stages whose curve is the first one less what the panel's residuals are."""
+    """Return the stages whose curve is the first one minus the panel's residuals."""
     residuals = next((plot.curves for plot in panel.plots if plot.centred), {})
     first, *others = panel.plots[0].curves.items()
     return tuple(
@@ -274,7 +274,7 @@ def gap_filled(time: Array) -> Array:
 
 @dataclass(frozen=True)
 class Color:
-    """What a colour of bars stands for."""
+    """The meaning of a colour of bars."""
 
     name: str  # its name in the style sheet
     opacity: float = 1.0  # how strong it is, from 0 to 1
@@ -301,7 +301,7 @@ class Bar:
 
 @dataclass(frozen=True)
 class BarRow:
-    """What belongs to one name; marks of nothing are not drawn."""
+    """The bars of one name; marks without a value are not drawn."""
 
     label: str
     bars: tuple[Bar, ...]
@@ -309,13 +309,13 @@ class BarRow:
 
     @property
     def shown_marks(self) -> tuple[Bar, ...]:
-        """Return the marks that there are."""
+        """Return the marks that have a value."""
         return tuple(mark for mark in self.marks if 0.0 < mark.value < inf)
 
 
 @dataclass(frozen=True)
 class Bars:
-    """A figure of bars, by a short name; the note is what to know of it, "" for nothing."""
+    """A bar chart with a short name and an optional note."""
 
     name: str
     caption: str
@@ -331,11 +331,11 @@ class Bars:
 
     @property
     def letters(self) -> int:
-        """Most letters of a number, for which there is to be room beside the longest bar."""
+        """Return the maximum number of characters beside the longest bar."""
         return max((len(bar.text) for row in self.rows for bar in row.bars), default=0)
 
     def end(self, bar: Bar) -> float:
-        """Return where a bar ends, from 0 to 1; at 0 where it has no value."""
+        """Return the end of a bar, from 0 to 1; 0 without a value."""
         if not isfinite(bar.value):
             return 0.0
         low, high = self._range

@@ -1,4 +1,4 @@
-"""Robots in the colours of errors, as triangles, and as pictures of what a camera sees of them."""
+"""Robots coloured by errors, as triangles and as rendered pictures."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ _DARKEST = 0.45  # share of its colour that a surface has which no light meets
 
 
 def top_error(relative: Array, least: float) -> float:
-    """Return the error that has the last colour: hardly any is larger."""
+    """Return the error of the last colour, which hardly any exceeds."""
     known = relative[np.isfinite(relative)]
     return max(float(np.quantile(known, 0.99)), least) if len(known) else 1.0
 
@@ -87,7 +87,7 @@ class _Surface:
 
 @dataclass(frozen=True)
 class Camera:
-    """Where pictures are taken from, and their size."""
+    """The pose and size of a camera."""
 
     place: Array  # (3,) of the camera in the world, m
     target: Array  # (3,) what is in the middle, m
@@ -121,7 +121,7 @@ class DrawnRobots:
         self._surfaces = [[_surface(link.shapes) for link in robot.links] for robot in robots]
 
     def picture(self, frame: int) -> Pixels:
-        """Return a frame (height, width, 4), RGBA, on no ground."""
+        """Return a frame (height, width, 4), RGBA, with a transparent background."""
         camera, corners, colors = self._camera, list[Array](), list[Array]()
         for robot, surfaces in zip(self._robots, self._surfaces, strict=True):
             for link, surface in zip(robot.links, surfaces, strict=True):
@@ -143,7 +143,7 @@ class DrawnRobots:
 
 
 def on_ground(picture: Pixels, ground: Sequence[int]) -> Pixels:
-    """Return a picture (height, width, 3) on a colour."""
+    """Return a picture (height, width, 3) on a background colour."""
     cover = picture[..., 3:] / 255.0
     return np.rint(picture[..., :3] * cover + np.array(ground) * (1.0 - cover)).astype(np.uint8)
 
@@ -159,7 +159,7 @@ def _surface(shapes: Sequence[Any]) -> _Surface:
 
 
 def _brightness(corners: Array) -> Array:
-    """Return how bright triangles are, (m,), from their corners (m, 3, 3) in the camera's axes."""
+    """Return the brightness (m,) of triangles with corners (m, 3, 3) in the camera's axes."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     normals *= np.where(normals[:, 2:] < 0.0, -1.0, 1.0)  # of the side that is seen

@@ -1,4 +1,4 @@
-"""Bodies as the uniform ellipsoids that have their inertia, over the robot: figures and pages."""
+"""Figures and pages of bodies as uniform ellipsoids with the same inertia."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from geodrake.report.meshcat_scene import LEAST_THICKNESS, calm_meshcat, legend
 PRIOR, IDENTIFIED, TRUTH = "#8a94a0", "#1b6ca8", "#3f9c6b"
 BOUNDARY, AT_BOUNDARY = "#c8322b", "at the boundary of physically valid inertias"
 OTHERS = ("#7a4fa3", "#c78a1e", "#2a8f8f", "#a34f6e", "#5b7a2a")
-"""Colours of what is drawn: prior, identified, truth, bodies at the boundary, regularizers."""
+"""Colours of prior, identified, truth, bodies at the boundary, and regularizers."""
 
 _LINE_WIDTH, _SHORTEST = 0.006, 1e-4  # m
 _LEAST_GAP = 0.3  # m
@@ -62,7 +62,7 @@ class EllipsoidSet:
     def of(
         cls, name: str, phi: Array, *, color: str = IDENTIFIED, at_boundary: Sequence[int] = ()
     ) -> EllipsoidSet:
-        """Return a set of φ (nb, 10) in which the bodies of some numbers are at the boundary."""
+        """Return a set of φ (nb, 10) with the given indices of bodies at the boundary."""
         phi = np.asarray(phi, float)
         if phi.ndim != 2 or phi.shape[1] != PARAMETERS_PER_BODY:
             raise ArgumentError(f"phi must have shape (nb, 10); got {phi.shape}.")
@@ -100,7 +100,7 @@ class PlacedEllipsoids:
 
 
 def placed(plant: MultibodyPlant, context: Context, phi: Array) -> PlacedEllipsoids:
-    """Return the ellipsoids of physical φ (nb, 10) where a plant's configuration puts bodies."""
+    """Return the ellipsoids of physical φ (nb, 10) at the poses of a plant's configuration."""
     bodies = lumped_bodies(plant)
     if len(phi) != len(bodies):
         raise ArgumentError(f"phi has {len(phi)} bodies, but the plant has {len(bodies)}.")
@@ -139,7 +139,7 @@ class SkeletonLines:
             meshcat.SetObject(f"{path}/{k}/end", Sphere(2 * _LINE_WIDTH), color)
 
     def move(self, lines: Array, time: float | None = None) -> None:
-        """Put lines, (k, 2, 3) ends as `skeleton` gives them, where they are, at a time if any."""
+        """Move lines, (k, 2, 3) ends as from `skeleton`, optionally at a time."""
         for k, (start, end) in enumerate(lines):
             length = float(np.linalg.norm(end - start))
             direction = (end - start) / length if length > 0 else np.array([0.0, 0.0, 1.0])
@@ -173,7 +173,7 @@ def identification_sets(found: ModelIdentification) -> tuple[EllipsoidSet, ...]:
 def ellipsoid_page(
     plant: MultibodyPlant, sets: Sequence[EllipsoidSet], *, context: Context | None = None
 ) -> str:
-    """Return one HTML page that loads nothing from elsewhere, with the sets side by side."""
+    """Return a self-contained HTML page with the sets side by side."""
     context = plant.CreateDefaultContext() if context is None else context
     lines = skeleton(plant, context)
     ends = lines.reshape(-1, 3)

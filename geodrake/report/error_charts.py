@@ -114,7 +114,7 @@ def effort_chart(
     units: Units,
     between: Mapping[Stage, Sequence[Series]] | None = None,
 ) -> Chart:
-    """Return efforts over time as one model or two, and those between them, predict them."""
+    """Return efforts over time as predicted by one or two models and those between them."""
     (first, before), *others = models.items()
     predicted = {first: before.series, **(between or {})}
     predicted |= {stage: found.series for stage, found in others}
@@ -136,7 +136,7 @@ def effort_chart(
 
 
 def step_stages(explanation: Explanation) -> dict[Stage, Sequence[Series]]:
-    """Return the models after each step, with what they predict where that is known."""
+    """Return the models after each step, with their predictions if known."""
     return {
         Stage(
             f"after {count}: + {effect_label(step.effect)}",
@@ -170,7 +170,7 @@ def _plots(
 
 
 def _on(broken: Array, at: Array, values: Array) -> Array:
-    """Return values at other instants: the same, but where a model was prepared in another way."""
+    """Return values at other instants, interpolated if a model was prepared differently."""
     if np.array_equal(broken, at, equal_nan=True):
         return values
     known = np.isfinite(at)
@@ -197,7 +197,7 @@ def _shades(
 
 
 def _badges(tables: Sequence[ErrorTable]) -> dict[str, str]:
-    """Return the joints that err most, by name."""
+    """Return labels of the worst joints by name."""
     if len(tables[0].joints) < 2:
         return {}
     first, last = worst_joint(tables[0]).joint, worst_joint(tables[-1]).joint

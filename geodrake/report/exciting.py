@@ -1,4 +1,4 @@
-"""Pages of `excite` and `identifiable`: what a motion, or logs, can tell of a model."""
+"""Pages of `excite` and `identifiable`: the information in a motion or in logs."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _CERTAIN = 1e-6  # least deviation that is drawn
 
 
 def excitation_page(result: ExcitationResult, about: About) -> Page:
-    """Say what a designed motion is worth, and how it uses the robot's limits."""
+    """Return the page of a designed motion."""
     apart = isinstance(result.objective, Separation)
     units, nearest = Units.of(result.objective.target.model), _nearest(result)
     starts = [
@@ -83,7 +83,7 @@ def excitation_page(result: ExcitationResult, about: About) -> Page:
 
 
 def motion_words(result: ExcitationResult) -> str:
-    """Return what kind of motion it is."""
+    """Return a description of the family of motions."""
     family = result.trajectory.family
     if isinstance(family, FourierMotion):
         base = family.omega / (2.0 * np.pi)
@@ -96,7 +96,7 @@ def motion_words(result: ExcitationResult) -> str:
 
 
 def excitation_verdict(result: ExcitationResult) -> str:
-    """Return what a designed motion amounts to, in a few sentences."""
+    """Return the verdict on a designed motion, in a few sentences."""
     if distinguished_pairs(result):
         return _separation_verdict(result)
     criterion, normalization = result.objective.criterion.name, result.objective.normalization
@@ -132,7 +132,7 @@ def _times(factor: float) -> str:
 
 
 def _nearest(result: ExcitationResult) -> str:
-    """Say how near the robot comes to itself and to each obstacle; "" if nobody looked."""
+    """Return the smallest distances of the robot to itself and to obstacles; "" if not checked."""
     use = result.use
     if not use.clearances:
         return ""
@@ -144,7 +144,7 @@ def _nearest(result: ExcitationResult) -> str:
 
 
 def _time(result: ExcitationResult) -> str:
-    """Say how long the motion takes and where it starts; "" of samples without a time."""
+    """Return the duration and start of the motion; "" for free samples."""
     trajectory = result.trajectory
     if not trajectory.length:
         return ""
@@ -160,7 +160,7 @@ def _time(result: ExcitationResult) -> str:
 
 
 def _tiles(result: ExcitationResult) -> tuple[Tile, ...]:
-    """Return what a motion is worth in numbers; of pairs the hardest one."""
+    """Return the key numbers of a motion; of pairs the hardest one."""
     objective, gained = result.objective, improvement(result)
     if pairs := distinguished_pairs(result):
         least, gained = f"{number(pairs[0].deviations)} σ", gained**0.5
@@ -220,7 +220,7 @@ def _pairs_section(result: ExcitationResult, units: Units) -> Section:
 
 
 def _pairs_table(result: ExcitationResult, units: Units) -> Table:
-    """Return pairs of effects and by how much they differ on a motion, the most alike first."""
+    """Return pairs of effects and their difference on a motion, the most similar first."""
     rows = []
     for entry in distinguished_pairs(result)[:_MOST_PAIRS]:
         truth, rival = _shaped(entry.pair.truth), _shaped(entry.pair.rival)
@@ -238,7 +238,7 @@ def _shaped(name: str) -> Cell:
 
 
 def _imitation_chart(result: ExcitationResult, units: Units) -> Chart:
-    """Return efforts of effects, and the best that their rivals make of them."""
+    """Return efforts of effects, and the best approximations by their rivals."""
     separation, family = result.objective, result.trajectory.family
     times = family.times(result.samples)
     at = times if family.timed else np.arange(float(len(times)))
@@ -317,7 +317,7 @@ def motion_chart(result: ExcitationResult, units: Units) -> Chart:
 
 
 def identifiability_page(found: LogIdentifiability, about: About) -> Page:
-    """Say which parameters logs identify, and which they do not."""
+    """Return the page of the identifiability of logs."""
     units, most = about.units, percent(found.identifiable.threshold**0.5)
     count, of = sum(entry.is_identifiable for entry in found.effects), len(found.effects)
     effects = [Tile("effects identifiable", f"{count} of {of}")] if of else []
@@ -380,7 +380,7 @@ def identifiability_verdict(found: LogIdentifiability) -> str:
 
 
 def _beyond(found: LogIdentifiability) -> str:
-    """Return which effects are identifiable, and what would be with a better model."""
+    """Return the identifiable effects, and what a better model would identify."""
     words = []
     unknown = [entry.label for entry in found.effects if not entry.is_identifiable]
     if unknown:
@@ -404,7 +404,7 @@ def _identifiable_share(found: LogIdentifiability) -> str:
 
 
 def _bodies_table(found: LogIdentifiability) -> Table:
-    """Return how many parameters of every body are identifiable, of those that a motion shows."""
+    """Return the number of identifiable parameters of each body, out of those a motion can show."""
     rows = [
         cells(
             body.name,
@@ -475,7 +475,7 @@ def _identifiable_chart(found: LogIdentifiability) -> Chart:
 
 
 def _excitation_values(result: ExcitationResult) -> dict[str, Any]:
-    """Return what a designed motion is worth, its coefficients, and what it uses of the limits."""
+    """Return the value of a designed motion, its coefficients, and its use of the limits."""
     objective, trajectory, pairs = result.objective, result.trajectory, distinguished_pairs(result)
     identifiable = None if pairs else identifiable_directions(result)
     family, joints = trajectory.family, result.limits.joints
@@ -504,7 +504,7 @@ def _excitation_values(result: ExcitationResult) -> dict[str, Any]:
 
 
 def _identifiable_values(found: LogIdentifiability) -> dict[str, Any]:
-    """Return directions, and what limits each joint's efforts."""
+    """Return directions, and the effort noise of each joint."""
     variances, shares = found.identifiable.variances, found.identifiable.shares.T
     return {
         "verdict": identifiability_verdict(found),
@@ -558,4 +558,4 @@ VIEWS = {
         figure="directions",
     ),
 }
-"""How to see each of these results."""
+"""How each type of result is shown."""

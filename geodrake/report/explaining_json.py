@@ -1,4 +1,4 @@
-"""Comparisons, diagnoses, explanations and identifications in numbers: JSON, and rows of tables."""
+"""JSON and records of comparisons, diagnoses, explanations and identifications."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def draft_values(draft: Draft) -> dict[str, Any]:
 
 
 def identification_values(found: ModelIdentification) -> dict[str, Any]:
-    """Return the bodies and the effects of an identified model, those that have parameters."""
+    """Return the bodies of an identified model, and its effects with parameters."""
     model = found.model
     bodies = zip(model.bodies, model.phi, strict=True)
     return {

@@ -1,4 +1,4 @@
-"""Pages of `export`, `check`, `digest` and `log`: what was written, compared and understood."""
+"""Pages of `export`, `check`, `digest` and `log`."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _EFFORT = Stage("effort", "before")
 
 
 def export_page(found: ProvenExport, about: About) -> Page:
-    """Say what an export holds and lacks, and what simulators make of it."""
+    """Return the page of an export."""
     units, costs = about.units, found.costs
     tiles = [Tile("format", found.form.name, ", ".join(found.exported.files))]
     if costs is not None:
@@ -82,7 +82,7 @@ def export_page(found: ProvenExport, about: About) -> Page:
 
 
 def _export_words(found: ProvenExport) -> str:
-    """Return what an export holds, and what that means, in a sentence or more."""
+    """Return the content of an export and its consequences, in sentences."""
     names = [lost.effect for lost in found.lacks]
     lacks = ", ".join(names) if len(names) <= _NAMED else f"{len(names)} effects"
     words = (
@@ -126,7 +126,7 @@ def _holds_table(found: ProvenExport, units: Units) -> Table:
 
 
 def _lacks_table(found: ProvenExport, units: Units) -> Table:
-    """Return the effects that the files cannot hold, and what each costs."""
+    """Return the effects that the files lack, and the loss of accuracy of each."""
     rows = []
     for lost in found.lacks:
         where, into = lost.where, " and ".join(lost.into)
@@ -144,7 +144,7 @@ def _lacks_table(found: ProvenExport, units: Units) -> Table:
 
 
 def _proof_table(found: ProvenExport, units: Units) -> Table:
-    """Return how far each simulator is from the model."""
+    """Return the differences of each simulator from the model."""
     rows = []
     for each in found.proof.differences:
         unit = units.at(each.joint, "N·m" if each.what == "effort" else "rad")
@@ -157,7 +157,7 @@ def _proof_table(found: ProvenExport, units: Units) -> Table:
 
 
 def check_page(found: DynamicsCheck, about: About) -> Page:
-    """Say whether a model's dynamics are MultibodyPlant's, and where they differ most."""
+    """Return the page of a comparison with MultibodyPlant."""
     states = "1 random state" if found.samples == 1 else f"{found.samples} random states"
     rows = [
         cells(
@@ -184,7 +184,7 @@ def check_page(found: DynamicsCheck, about: About) -> Page:
 
 
 def _check_words(found: DynamicsCheck) -> str:
-    """Return what a check amounts to, in a sentence."""
+    """Return the outcome of a check, in a sentence."""
     worst, second = found.worst, found.second
     file = ""
     if second is not None:
@@ -224,7 +224,7 @@ def _largest(each: Agreement) -> str:
 
 
 def digests_page(run: DigestRun, about: About) -> Page:
-    """Say which logs have digests, and which do not."""
+    """Return the page of digested logs."""
     made, there, failed = (run.count(status) for status in (MADE, THERE, FAILED))
     headline = f"{made} digested, {there} existed, {failed} failed: "
     headline += "exit code 1." if failed else f"every log has a digest in {run.folder}."
@@ -261,7 +261,7 @@ def _digest_cells(row: DigestRow) -> tuple[Cell, ...]:
 
 
 def digest_notes(run: DigestRun) -> list[str]:
-    """Return where settings are from, and what is to say of digests."""
+    """Return the source of the settings, and notes on digests."""
     notes = list(run.repairs)
     notes += [
         f"{row.file}: {row.reason}" for row in run.rows if row.status != FAILED and row.reason
@@ -281,7 +281,7 @@ def digest_notes(run: DigestRun) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class InspectedLogs:
-    """Logs as they were understood, by name, and their columns beside a model."""
+    """Logs as they were read, by name, and the check of their columns."""
 
     logs: Sequence[tuple[str, LogInspection]]
     columns: Sequence[ColumnFinding] = ()  # what is wrong with columns
@@ -293,7 +293,7 @@ class InspectedLogs:
 
 
 def logs_page(found: InspectedLogs, about: About) -> Page:
-    """Say what was understood of logs; one that is alone is drawn, too."""
+    """Return the page of logs; a single log is also drawn."""
     sections = [
         Section("Columns with mistakes", items=tuple(map(str, found.columns))),
         Section(
@@ -313,7 +313,7 @@ def logs_page(found: InspectedLogs, about: About) -> Page:
 
 
 def _columns_table(found: LogInspection) -> Table:
-    """Return which column became which joint and quantity."""
+    """Return the joint and quantity of each column."""
     rows = []
     for each in found.columns:
         unit = each.unit or _SI.get(each.quantity, "")
@@ -351,7 +351,7 @@ def _named(words: Sequence[str]) -> str:
 
 
 def log_chart(found: LogInspection) -> Chart:
-    """Return positions and efforts of every joint over time, stretches at rest shaded.
+    """Return positions and efforts of every joint over time, with rest shaded.
 
     Commands are beside positions; without efforts, how far they are from there.
     """
@@ -369,7 +369,7 @@ def log_chart(found: LogInspection) -> Chart:
 
 
 def _effort_curve(found: LogInspection, row: int) -> tuple[NDArray[np.float64], str]:
-    """Return (N,) what a joint has for its effort, and what it is."""
+    """Return (N,) the effort signal of a joint, and its kind."""
     log = found.log
     kind = log.effort_kinds.get(log.joints[row], "effort")
     effort = log.effort[:, row]
@@ -380,7 +380,7 @@ def _effort_curve(found: LogInspection, row: int) -> tuple[NDArray[np.float64], 
 
 
 def _export_values(found: ProvenExport) -> dict[str, Any]:
-    """Return what an export lacks, and what that costs."""
+    """Return what an export lacks, and the loss of accuracy."""
     error, costs = dict[str, float](), found.costs
     if costs is not None:
         error = {"nrms": costs.whole, "held_nrms": costs.held}
@@ -393,7 +393,7 @@ def _export_values(found: ProvenExport) -> dict[str, Any]:
 
 
 def _digest_values(run: DigestRun) -> dict[str, Any]:
-    """Return what became of logs."""
+    """Return the outcome for each log."""
     settings = run.settings
     return {
         "settings": settings and record("DigestSettings", settings, columns=len(settings.columns)),
@@ -443,4 +443,4 @@ VIEWS = {
     DigestRun: View(digests_page, "Digests", _digest_values),
     InspectedLogs: View(logs_page, "InspectedLogs", _log_values),
 }
-"""How to see each of these results."""
+"""How each type of result is shown."""

@@ -1,4 +1,4 @@
-"""Charts and bars as matplotlib's figures, and the way to PNG files."""
+"""Charts and bars as matplotlib figures and PNG files."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def save_figures(figures: Mapping[str, Figure], folder: str | Path) -> tuple[Pat
 
 @style.own_look()
 def chart_figure(chart: Chart, most: int = MOST_PANELS) -> Figure:
-    """Return the panels that a page shows at first.
+    """Return a figure of the panels that a page shows first.
 
     Two plots of a panel stand above each other; more, or those with axes of their own, abreast.
     """
@@ -131,7 +131,7 @@ def _draw(ax: Axes, chart: Chart, panel: Panel, plot: Plot, stages: list[Stage])
 
 
 def _label_time(ax: Axes, chart: Chart) -> None:
-    """Label the axis with each log's own time, and draw lines where a log begins."""
+    """Label the axis with each log's own time, and draw lines at the beginning of logs."""
     low, high = chart.ends
     places: dict[float, str] = {}
     for _, first, last, shift in chart.stretches:
@@ -150,7 +150,7 @@ def _label_time(ax: Axes, chart: Chart) -> None:
 
 @style.own_look()
 def bars_figure(bars: Bars) -> Figure:
-    """Return bars as long as on a page, each with its number."""
+    """Return bars with their numbers, as long as on a page."""
     count = sum(len(row.bars) for row in bars.rows) + len(bars.rows)
     figure = style.new_figure(1.0 + 0.2 * count)
     ax = style.polish(figure.subplots(), grid="none")

@@ -1,4 +1,4 @@
-"""What was found in a fleet: the page of `fleet`, JSON, a line at a time, and tables in Parquet.
+"""Results of a fleet: the page of `fleet`, JSON, lines of findings, and tables in Parquet.
 
 Numbers have six significant digits, of themselves or of their deviation: more would be rounding,
 which differs from one machine to another, and files of one result are to be the same.
@@ -58,7 +58,7 @@ _CERTAIN = 3.0  # deviations from 0 from which on a part of a change is told in 
 
 
 def fleet_page(result: FleetResult, about: About) -> Page:
-    """Say which robots of a fleet changed, at which joint, by what, since when."""
+    """Return the page of a fleet."""
     changed = [robot for robot in result.robots if robot.findings]
     steady = [robot for robot in result.robots if not robot.findings]
     shown = (changed or [robot for robot in steady if robot.logs][:1])[:_MOST_PAGES]
@@ -160,7 +160,7 @@ def _changed(parameter: ChangedParameter) -> str:
 
 
 def _size(finding: FleetFinding) -> str:
-    """Return what changed by how much: the parts that are not nothing, at least the first."""
+    """Return the size of a change: the parts that are not negligible, at least the first."""
     first, *others = finding.parameters
     told = [each for each in others if abs(each.size) > _CERTAIN * each.deviation]
     return "; ".join(map(_changed, (first, *told)))
@@ -171,7 +171,7 @@ def _label(effect: str) -> str:
 
 
 def _change_label(finding: FleetFinding) -> str:
-    """Return what changed, in words: `Coulomb friction, going on`."""
+    """Return a change in words: `Coulomb friction, continuing`."""
     return _label(finding.effect) + (", continuing" if finding.kind == RAMP else "")
 
 
@@ -190,7 +190,7 @@ def _findings_table(findings: Sequence[FleetFinding]) -> Table:
 
 
 def _robots_table(robots: Sequence[RobotResult]) -> Table:
-    """Return what is known of robots, and what is farthest from others."""
+    """Return the robots, and their largest deviation from others."""
     rows = []
     for robot in robots:
         ends = map(_day, robot.dates[[0, -1]].tolist()) if len(robot.dates) else ("", "")
@@ -204,14 +204,14 @@ def _robots_table(robots: Sequence[RobotResult]) -> Table:
 
 
 def _parameter(parameter: FleetParameter) -> str:
-    """Return `Coulomb friction of elbow, coulomb`, say; of bodies the combination itself."""
+    """Return, for example, `Coulomb friction of elbow, coulomb`; for bodies the combination."""
     if parameter.effect == BODIES:
         return parameter.name
     return f"{effect_label(parameter.effect)} of {parameter.where}, {parameter.name}"
 
 
 def _glance_tables(robots: Sequence[RobotResult]) -> tuple[Table, ...]:
-    """Return robots × joints for each type: what changed there, or how far it is from others."""
+    """Return robots × joints for each type: changes, or deviations from others."""
     tables = []
     for kind in dict.fromkeys(robot.type for robot in robots):
         own = [robot for robot in robots if robot.type == kind]
@@ -236,7 +236,7 @@ def _glance_tables(robots: Sequence[RobotResult]) -> tuple[Table, ...]:
 
 
 def _robot_section(robot: RobotResult, at: int) -> Section:
-    """Return one robot: its joints over time, and what it has beside others."""
+    """Return the section of a robot: its joints over time, and its deviations from others."""
     farthest = sorted(robot.own, key=lambda each: -abs(each.apart))[:_MOST_PLACES]
     rows = [
         cells(
@@ -277,7 +277,7 @@ def _chart(robot: RobotResult, at: int) -> Chart:
 
 
 def _panel(robot: RobotResult, place: str, days: Array) -> Panel:
-    """Return one joint: its parameters above each other, and when changes began."""
+    """Return the panel of a joint: its parameters, and the times of changes."""
     histories = [each for each in robot.histories if each.parameter.where == place]
     places = {each.parameter.where for each in robot.histories}
     # Changes of bodies are seen by all joints.
@@ -391,7 +391,7 @@ def finding_line(finding: FleetFinding) -> str:
 
 
 def _without_reasons(finding: FleetFinding) -> dict[str, Any]:
-    """Return a finding with nothing, and no reason, where a change is no share of anything."""
+    """Return a finding without the reasons for nulls that need none."""
     said = finding_dict(finding)
     for own in said["parameters"].values():
         own["share"] = own["share"] if isinstance(own["share"], float) else None
@@ -518,4 +518,4 @@ def _parameter_rows(result: FleetResult) -> list[dict[str, Any]]:
 VIEWS = {
     FleetResult: View(fleet_page, "Fleet", _fleet_values),
 }
-"""How to see each of these results."""
+"""How each type of result is shown."""

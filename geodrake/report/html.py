@@ -1,4 +1,4 @@
-"""Pages as self-contained HTML, and as what a notebook shows."""
+"""Pages as self-contained HTML, and for notebooks."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from geodrake.report.page import Page, Table
 
 
 def render(page: Page) -> str:
-    """Return a page as one HTML file that loads nothing from elsewhere; all text is escaped."""
+    """Return a page as one self-contained HTML file; all text is escaped."""
     for words, address in page.about.links.items():
         scheme, colon, _ = address.split("/")[0].partition(":")
         if colon and scheme.lower() not in ("http", "https"):
@@ -75,7 +75,7 @@ def _asset(name: str) -> str:
 
 
 def _policy(scripts: Sequence[str]) -> str:
-    """Return what a browser may load for a page: nothing; and run: these scripts and no other."""
+    """Return the content security policy of a page: no external content, and only these scripts."""
     hashes = (base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts)
     allowed = " ".join(f"'sha256-{each}'" for each in hashes)
     return (

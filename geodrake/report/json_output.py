@@ -27,7 +27,7 @@ _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast whe
 
 @dataclass(frozen=True)
 class NoNumber:
-    """What stands for a number that there is not: null in JSON, with the reason."""
+    """A missing number: null in JSON, with the reason."""
 
     reason: str
 
@@ -63,7 +63,7 @@ def keys_of(kind: str) -> Mapping[str, Key]:
 
 
 def type_and_reason(said: str) -> tuple[str, str]:
-    """Return the name of a type without its mark, and why a value may be null; "" if unsaid."""
+    """Return the name of a type without its mark, and why a value may be null, or ""."""
     name, _, reason = said.partition(" | ")
     return name.rstrip("*"), reason
 
@@ -85,7 +85,7 @@ def record(kind: str, source: object = None, /, **given: Any) -> dict[str, Any]:
 
 
 def _at(source: Any, place: Any) -> Any:
-    """Return what is at a place of an object, or at several by name."""
+    """Return the value at a path of an object, or several by name."""
     if isinstance(place, Mapping):
         return {name: _at(source, each) for name, each in place.items()}
     values, by, names = place.partition(" for ")
@@ -113,7 +113,7 @@ def _by_name(names: Sequence[str], values: Sequence[Any] | None) -> dict[str, An
 
 
 def _made(said: Any, value: Any) -> Any:
-    """Convert a value to its type, nested objects to records; what is missing to its reason."""
+    """Convert a value to its type, nested objects to records, missing values to their reason."""
     if isinstance(value, NoNumber):
         return value
     if isinstance(said, dict):

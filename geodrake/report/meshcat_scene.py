@@ -1,4 +1,4 @@
-"""Robots in MeshCat, recorded: links, efforts as arrows, effects at their places; and replays."""
+"""Robots in MeshCat recordings: links, efforts as arrows, effects as marks; and replays."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def clock(frame: int) -> float:
 
 
 def calm_meshcat() -> Meshcat:
-    """Return a MeshCat for a page: light, without axes; where it listens does not matter."""
+    """Return a MeshCat for a page: light, without axes, on any port."""
     with drake_messages():
         meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
     meshcat.SetProperty("/Background/<object>", "top_color", [1.0, 1.0, 1.0])
@@ -77,7 +77,7 @@ def calm_meshcat() -> Meshcat:
 
 @contextmanager
 def recording(meshcat: Meshcat) -> Iterator[None]:
-    """Record what is drawn at a time, to be played again and again."""
+    """Record a looping animation."""
     meshcat.StartRecording(frames_per_second=FRAMES, set_visualizations_while_recording=False)
     yield
     meshcat.StopRecording()
@@ -88,7 +88,7 @@ def recording(meshcat: Meshcat) -> Iterator[None]:
 
 
 def legend(page: str, entries: Sequence[tuple[str, str]]) -> str:
-    """Return a page of MeshCat's with what its colours mean over the scene."""
+    """Return a MeshCat page with a legend of its colours."""
     spans = "".join(
         f'<div><span style="display:inline-block;width:12px;height:12px;margin-right:8px;'
         f'border-radius:6px;background:{color}"></span>{html_text(name)}</div>'
@@ -170,7 +170,7 @@ def draw_efforts(meshcat: Meshcat, path: str, played: PlayedModel, size: float) 
 
 @dataclass(frozen=True)
 class Mark:
-    """Words at a place of the scene."""
+    """A label in the scene."""
 
     path: str  # folder of the scene that is there
     words: str
@@ -187,7 +187,7 @@ def draw_effects(
     units: Units,
     size: float,
 ) -> list[Mark]:
-    """Draw the effects of a model at their places, and return what to say where.
+    """Draw the effects of a model, and return labels and their positions.
 
     These are bodies, contacts, and rings at joints; what is of the whole robot is said at its foot.
     """
@@ -239,7 +239,7 @@ def draw_effects(
 def _draw_contact(
     meshcat: Meshcat, path: str, effect: PointEpisode, force: Array, size: float
 ) -> None:
-    """Draw an arrow of the force that the robot applies, at the point where it does."""
+    """Draw an arrow of the contact force on the robot at its point."""
     if effect.turning:
         meshcat.SetTransform(path, RigidTransform(effect.point))
     norm = float(np.linalg.norm(force))
@@ -282,7 +282,7 @@ def _rgba(color: str, opaque: float = 1.0) -> Rgba:
 
 @typed
 def replay_page(model: RobotModel, times: Array, q: Array) -> str:
-    """Return one HTML page that loads nothing and replays positions (N, nq) at instants (N,), s.
+    """Return a self-contained HTML page that replays positions (N, nq) at instants (N,), s.
 
     The robot looks as its file says, meshes included; links that cannot be shown are sticks.
     """

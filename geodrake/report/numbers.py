@@ -1,4 +1,4 @@
-"""Numbers as people read them: sensible digits, standard deviations, shares, chances, units."""
+"""Formatting of numbers, standard deviations, shares, probabilities and units."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _NOTICED = 0.3  # a systematic deviation is shown from this share of the other o
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Return a value with so many significant digits; times 10ⁿ if very small or large."""
+    """Return a value with so many significant digits, times 10ⁿ if very small or large."""
     if not math.isfinite(value):
         return UNKNOWN
     if value == 0:
@@ -32,7 +32,7 @@ def number(value: float, digits: int = 3) -> str:
 
 
 def with_deviation(value: float, deviation: float, systematic: float = math.nan) -> str:
-    """Return `3.084 ± 0.012`: both to the last digit that the standard deviation leaves certain.
+    """Return `3.084 ± 0.012`, rounded to the last digit that the standard deviation leaves certain.
 
     With a systematic one that is not small beside it `3.084 ± 0.012 ± 0.154`.
 
@@ -55,7 +55,7 @@ def with_deviation(value: float, deviation: float, systematic: float = math.nan)
 
 
 def if_known(value: float, deviation: float) -> str:
-    """Return `with_deviation`, or that a value is unknown where its deviation is no smaller."""
+    """Return `with_deviation`, or that a value is unknown if its deviation is no smaller."""
     if math.isfinite(deviation) and deviation >= abs(value):
         return f"unknown, ± {number(deviation, 2)}"
     return with_deviation(value, deviation)
@@ -75,7 +75,7 @@ def estimate(value: float, deviation: float, systematic: float = math.nan) -> st
 
 
 def percent(share: float) -> str:
-    """Return a share in percent, with more digits where it is close to none or all of it."""
+    """Return a share in percent, with more digits near 0 and 100 %."""
     if not math.isfinite(share):
         return UNKNOWN
     if 0.9995 <= share < 1:
@@ -142,24 +142,24 @@ class Units:
         return " or ".join(sorted(found, reverse=True))
 
     def parameter(self, effect: str, name: str, place: str) -> str:
-        """Return the unit of a parameter at a place, such as `a & b`; "" for plain numbers."""
+        """Return the unit of a parameter at a place, such as `a & b`; "" if dimensionless."""
         if self._in_milliseconds(effect, name):
             return "ms"
         unit = self._unit(effect, name)
         return "" if unit == "1" else self.at(place.partition(" & ")[0], unit)
 
     def shown(self, effect: str, name: str, value: float) -> float:
-        """Return a parameter's value in the unit in which it is shown, `parameter`."""
+        """Return a parameter's value in its displayed unit, `parameter`."""
         return 1e3 * value if self._in_milliseconds(effect, name) else value
 
     def _in_milliseconds(self, effect: str, name: str) -> bool:
-        """Return whether a parameter is a time by which efforts are late, which is short."""
+        """Return whether a parameter is a delay, which is shown in milliseconds."""
         kind = self.effects.get(effect)
         late = effect == SERVO if kind is None else kind.role is Role.DELAY
         return late and self._unit(effect, name) == "s"
 
     def _unit(self, effect: str, name: str) -> str:
-        """Return the SI unit at a joint that turns; 1 for what nothing is known of."""
+        """Return the SI unit at a revolute joint; 1 if unknown."""
         if effect in self.effects:
             return self.effects[effect].unit_of(name)
         return _SERVO_UNITS.get(name, "1") if effect == SERVO else "1"

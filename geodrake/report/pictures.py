@@ -1,4 +1,4 @@
-"""Robots coloured by the errors of their joints: the picture at the head of a page, and videos."""
+"""Pictures and videos of robots coloured by the errors of their joints."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def _drawn(model: RobotModel, compared: Mapping[str, Comparison]) -> Pictures | 
 
 
 def _worst(found: Comparison) -> tuple[Series, int]:
-    """Return the samples, and the one among them, at which a joint errs most for its size."""
+    """Return the samples and the index at which the relative error of a joint is largest."""
     sizes = {joint.joint: max(joint.std, 1e-300) for joint in found.errors.joints}
     some = [series for series in found.series if len(series.time)]
     worst = max(some, key=lambda s: float(np.abs(s.residual).max()) / sizes[s.joint])
@@ -118,7 +118,7 @@ def _png(picture: Pixels) -> bytes:
 
 
 def check_video(file: Path) -> None:
-    """Refuse a video that nothing here can encode."""
+    """Raise if a video cannot be encoded here."""
     if file.suffix.lower() == ".mp4":
         _encoder()
 
@@ -138,7 +138,7 @@ def _encoder() -> Any:
 
 
 def video(found: Playback, suffix: str, *, speed: float = 1.0) -> bytes:
-    """Return a video, ".mp4" or ".gif", at so many seconds of the log in a second."""
+    """Return a video, ".mp4" or ".gif", played at a speed."""
     rate, count = RATES[suffix], len(found.q)
     step = FRAMES * speed / rate
     numbers = np.minimum(np.arange(0.0, count, step).round().astype(int), count - 1)

@@ -1,4 +1,4 @@
-"""What is played over the robot: excerpts of logs, errors by joint and time, the worst moments."""
+"""Data of replayed logs: excerpts, errors by joint and time, and the worst moments."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from geodrake.robot.shapes import RobotShapes
 Array = NDArray[np.float64]
 
 MOST_SECONDS = 30.0
-"""Of longer logs, that many seconds are played: those in which the models err most."""
+"""Maximum length of the excerpts, s."""
 
 _PART = 5.0  # s, length of the parts among which the worst are chosen
 _MEAN_OVER = 0.3  # s, over which an error is the RMS: residuals change their sign
@@ -103,7 +103,7 @@ class PlayedRobot(ColoredRobot):
 
 @dataclass(frozen=True, eq=False)
 class Playback:
-    """Motions and errors, frame by frame, and how the robot looks in them."""
+    """Motions and errors in all frames, and the shapes of the robot."""
 
     joints: tuple[str, ...]
     excerpts: tuple[Excerpt, ...]  # what is played, one after another
@@ -117,7 +117,7 @@ class Playback:
         return np.concatenate([excerpt.q for excerpt in self.excerpts])
 
     def own_time(self, frame: int) -> tuple[str, float]:
-        """Return the log of a frame, and the time there, s."""
+        """Return the log of a frame, and its time there, s."""
         for excerpt in self.excerpts:
             if frame < len(excerpt.time):
                 return excerpt.log, float(excerpt.time[frame])
@@ -152,7 +152,7 @@ class Playback:
 
     @cached_property
     def extent(self) -> Extent:
-        """Return where the robot goes."""
+        """Return the bounding region of the motion."""
         model = self.models[-1].model
         return Extent.of(model, model.positions(self.q))
 
@@ -173,7 +173,7 @@ class Playback:
 
     @property
     def left_out(self) -> list[str]:
-        """Return what is not played, in words."""
+        """Return a note on what is not played."""
         left = self.seconds_left_out
         words = (
             f"only the windows of largest error are played; {left:.0f} s of the logs are "
@@ -182,7 +182,7 @@ class Playback:
         return [words] if left > 0.5 else []
 
     def moment_words(self, moment: Moment) -> str:
-        """Return when a joint is how far off."""
+        """Return a moment of large error, in words."""
         joint = self.joints[moment.joint]
         log, time = self.own_time(moment.frame)
         return (
@@ -257,7 +257,7 @@ def play_back(
 def _excerpts(
     case: Case, found: Sequence[Comparison], seconds: float
 ) -> tuple[tuple[Excerpt, ...], float]:
-    """Return what is played, and the seconds that are not."""
+    """Return the excerpts, and the seconds that are not played."""
     stretches = [(t, s) for t in case.trajectories for s in t.segments]
     parts = []  # (stretch, first sample, first one after it, score)
     whole = sum(len(s) * s.period for _, s in stretches) <= seconds
@@ -290,7 +290,7 @@ def _excerpts(
 
 
 def _score(log: str, ends: tuple[float, float], found: Sequence[Comparison]) -> float:
-    """Return how far the models err between two instants, each measured by its own error."""
+    """Return the errors between two instants, relative to each model's own error."""
     score = 0.0
     for one in found:
         stds = {joint.joint: joint.std for joint in one.errors.joints}
@@ -374,7 +374,7 @@ def _around(frames: Array, time: Array, measured: Array, predicted: Array) -> Ar
 
 
 def _worst(number: int, played: PlayedModel) -> Iterable[Moment]:
-    """Yield the instants of largest relative error, apart from each other."""
+    """Yield well separated instants of largest relative error."""
     left = np.nan_to_num(played.relative, nan=-1.0)
     counts = np.zeros(left.shape[1], int)
     for _ in range(_MOST_MOMENTS):
@@ -403,7 +403,7 @@ def _findings(played: PlayedModel, units: Units) -> list[tuple[str, str | None]]
 
 
 def playback_page(playback: Playback, about: About) -> Page:
-    """Say when models err most, and beside it how the last one does."""
+    """Return the page of a playback."""
     lists = []
     for k, played in enumerate(playback.models):
         data = "training data" if played.trained else "held-out data"
@@ -419,7 +419,7 @@ def playback_page(playback: Playback, about: About) -> Page:
 
 
 def _playback_values(playback: Playback) -> dict[str, Any]:
-    """Return where the models err most."""
+    """Return the worst moments."""
     moments: list[list[Any]] = [[] for _ in playback.models]
     for moment in playback.moments:
         log, time = playback.own_time(moment.frame)
@@ -430,7 +430,7 @@ def _playback_values(playback: Playback) -> dict[str, Any]:
 
 
 def effect_words(fitted: FittedEffect, units: Units) -> str:
-    """Return an effect and its most telling value, such as `payload 2.49 kg`."""
+    """Return an effect and its main value, such as `payload 2.49 kg`."""
     effect = fitted.effect
     label = printable(effect.label or effect_label(effect.name))
     values, _ = effect.reported(fitted.parameters, np.full(len(fitted.parameters), np.nan))

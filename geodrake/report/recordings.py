@@ -1,4 +1,4 @@
-"""A playback as a recording for other viewers: Rerun's, or MCAP for Foxglove and PlotJuggler."""
+"""Recordings of playbacks for Rerun, and as MCAP for Foxglove and PlotJuggler."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _MARK = 0.05  # m, of the balls whose colour is a joint's error
 
 
 def check_viewer(to: str, file: Path) -> None:
-    """Refuse a viewer that is unknown or not installed, and a file of another kind."""
+    """Raise if a viewer is unknown or not installed, or the file has another suffix."""
     suffix, module, _ = _VIEWERS[one_of(to, "--to", _VIEWERS)]
     if file.suffix.lower() != suffix:
         raise OutputError(
@@ -36,7 +36,7 @@ def check_viewer(to: str, file: Path) -> None:
 
 
 def recording(to: str, found: Playback, *, title: str) -> bytes:
-    """Return a recording for "rerun" or "mcap": robots, joints and efforts, and what was found."""
+    """Return a recording for "rerun" or "mcap": robots, joints, efforts and findings."""
     _, module, write = _VIEWERS[one_of(to, "to", _VIEWERS)]
     package = optional_package(module, "viewers", f"recordings for {to}", OutputError)
     with TemporaryDirectory() as folder:

@@ -1,4 +1,4 @@
-"""A robot as it is drawn, apart from what draws it: links, their poses, joints, and the camera."""
+"""Geometry of a drawn robot: links, poses, joints, and the camera."""
 
 from __future__ import annotations
 

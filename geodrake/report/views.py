@@ -56,7 +56,7 @@ def view_of(result: object, part: str = "page") -> View:
 
 
 def page_of(result: object, about: About | None = None) -> Page:
-    """Return all that there is to say of a result, by default of its own model, without names."""
+    """Return the page of a result, by default with its own model and without names."""
     if about is None:
         model = getattr(result, "model", None)
         about = About() if model is None else About(units=Units.of(model))

@@ -1,4 +1,4 @@
-"""A robot as its model file says: plant, tree, regressors, base parameters, transmissions."""
+"""A robot from its model file: plant, tree, regressors, base parameters, transmissions."""
 
 from geodrake.robot.base_parameters import BaseParameters, base_parameters
 from geodrake.robot.joints import joint_names

@@ -1,4 +1,4 @@
-"""What of a model file's plant moves: one robot of several, what hangs free, what is held or cut.
+"""The moving part of a model file's plant: one robot, floating bodies, fixed and cut joints.
 
 Free roots get six joints to the world, which slide along x, y and z of it and then turn by yaw,
 pitch and roll, with massless frames between. So the pose of a base is six positions, whose rates
@@ -111,7 +111,7 @@ def open_loops(plant: MultibodyPlant) -> tuple[Closure, ...]:
 
 
 def remove_joint(plant: MultibodyPlant, joint: Joint) -> None:
-    """Take a joint out of a plant that is not finalized, and what drives it."""
+    """Remove a joint from an unfinalized plant, with its actuators."""
     for actuator in _actuators(plant).get(int(joint.index()), []):
         plant.RemoveJointActuator(actuator)
     plant.RemoveJoint(joint)
@@ -136,7 +136,7 @@ def _actuators(plant: MultibodyPlant) -> dict[int, list[JointActuator]]:
 
 
 def _steps(plant: MultibodyPlant, joints: list[Joint]) -> NDArray[np.float64]:
-    """Return how many joints lie between each body and the world, or a body that hangs on none."""
+    """Return the number of joints between each body and the world, or a free root."""
     count = plant.num_bodies()
     ends = np.array([ends_of(joint) for joint in joints])
     graph = coo_array((np.ones(len(ends)), ends.T), (count, count))
@@ -190,7 +190,7 @@ _WORLD = 0
 
 @dataclass(frozen=True)
 class Arrangement:
-    """What of a model file moves, and by itself.
+    """The parts of a model file that move, and independently.
 
     Attributes:
         floating: Whether free roots float instead of being welded to the world.
@@ -225,7 +225,7 @@ class OneRobot:
 
 
 def robots_of(plant: MultibodyPlant) -> tuple[OneRobot, ...]:
-    """Return the robots of a plant: what moves and is joined, in order of their bodies."""
+    """Return the robots of a plant: connected moving bodies, in order."""
     joints, group = joints_of(plant), DisjointSet(range(1, plant.num_bodies()))
     ends = list(map(ends_of, joints))
     for pair in ends:

@@ -38,7 +38,7 @@ _PREFERENCE = (*range(4, PARAMETERS_PER_BODY), 1, 2, 3, 0)  # what is kept: I, t
 
 @dataclass(frozen=True, eq=False)
 class BaseParameters(Short):
-    """Which combinations of p parameters a regressor sees.
+    """Combinations of p parameters that determine a regressor's efforts.
 
     Attributes:
         matrix: (n_B, p) B, with φ_B = B φ; the identity in the columns `independent`.
@@ -97,7 +97,7 @@ class BaseParameters(Short):
 def base_parameters(
     regressor: ArrayLike, *, extra: int = 0, tolerance: float = 1e-9
 ) -> BaseParameters:
-    """Return base parameters of the motions that a regressor was made of.
+    """Return base parameters for the motions of a regressor.
 
     Of motions that excite everything, these are the robot's own (`structural_base_parameters`); of
     a measured motion, they are what it excites. Units of length and time are scaled out before

@@ -81,7 +81,7 @@ class Led:
         yield from zip(*(column.tolist() for column in columns), strict=True)
 
     def spread(self, rows: Array) -> None:
-        """Write rows (N, nv, ...) of them, of those of what they follow."""
+        """Add rows (N, nv, ...) of leaders for those of their followers."""
         to, of = self.velocities
         rows[:, to] = self.ratios.reshape(-1, *(1,) * (rows.ndim - 2)) * rows[:, of]
 
@@ -123,7 +123,7 @@ class RobotCoordinates:
         followers: Sequence[Follower] = (),
         drives: Sequence[Drive] = (),
     ) -> RobotCoordinates:
-        """Find the places in a plant, of whose joints some follow others, and drives move some."""
+        """Return the indices in a plant with following joints and drives."""
         joints, num_positions = joint_names(plant), plant.num_positions()
         single = single_joints(plant)
         positions = {int(j.velocity_start()): int(j.position_start()) for j in single}
@@ -167,7 +167,7 @@ class RobotCoordinates:
 
     @cached_property
     def constant(self) -> Array | None:
-        """J (nv of the tree, nv) where no ratio changes with the position; else None."""
+        """J (nv of the tree, nv) if all ratios are constant; else None."""
         if any(place.drive.map.constant_jacobian is None for place in self.places):
             return None
         return self._along(np.zeros((1, self.num_positions)), None)[1][0]
@@ -371,7 +371,7 @@ class RobotCoordinates:
 
     @cached_property
     def standing(self) -> dict[int, int]:
-        """Velocity of the tree -> that of the robot in its place."""
+        """Velocity of the tree -> the corresponding one of the robot."""
         found = dict(zip(self.kept_v[1].tolist(), self.kept_v[0].tolist(), strict=True))
         for place in self.places:
             found |= dict(zip(place.seats.tolist(), place.actuator_v.tolist(), strict=True))
@@ -448,7 +448,7 @@ def seated_at(drive: Drive, joints: Sequence[int]) -> list[int]:
 
 
 def _check(drives: Sequence[Drive], by_name: Mapping[str, int]) -> None:
-    """Refuse names that do not fit, of joints and actuators."""
+    """Raise for names of joints and actuators that do not match."""
     joints = [joint for drive in drives for joint in drive.joints]
     actuators = [name for drive in drives for name in drive.actuators]
     for joint in joints:

@@ -226,7 +226,7 @@ def look_inboard(
 def motion_changes(
     s: Vector, t: Vector, inboard: Array, j: int
 ) -> tuple[tuple[Vector, Vector, Vector], ...]:
-    """Return what ω, α and a of a body change with q, v and v̇ of its velocity j."""
+    """Return the derivatives of a body's ω, α and a by q, v and v̇ of velocity j."""
     w_P, wd_P, a_P = row(inboard, 0, j), row(inboard, 1, j), row(inboard, 2, j)
     w_r, v_r = row(inboard, 3, j), row(inboard, 4, j)
     turned, slid = cross(w_P, s), cross(w_P, t)

@@ -55,7 +55,7 @@ class Features(IntEnum):
 
 @dataclass(frozen=True)
 class FrameMotion:
-    """How a frame moves in another one, with a motion subspace constant in the inboard one.
+    """Motion of a frame in another one, with a constant motion subspace in the inboard one.
 
     For a joint, that is frame M in frame F; for a mobilizer, the frame of the outboard body B,
     displaced to Mo, in the frame of the inboard body P.
@@ -232,7 +232,7 @@ def joint_names(plant: MultibodyPlant) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Follower:
-    """A joint θ of one degree of freedom that follows another one.
+    """A joint θ with one degree of freedom that follows another one.
 
     Attributes:
         joint: Scoped name of the joint.
@@ -248,7 +248,7 @@ class Follower:
 
 
 def resolved(stated: Sequence[Follower], joints: Sequence[str]) -> tuple[Follower, ...]:
-    """Return followers whose leaders follow none; those that cannot follow are left out.
+    """Return followers of independent leaders, without those that cannot follow.
 
     Args:
         joints: Scoped names of the joints that there are, of one degree of freedom.

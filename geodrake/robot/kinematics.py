@@ -158,7 +158,7 @@ class KinematicTree(Short):
         return self.actuation.moved_by(velocities)
 
     def through(self, q: Array, jacobian: Array) -> Array:
-        """Jacobians (N, m, nv) of what has the Jacobians (N, m, ·) with the joints' velocities."""
+        """Map Jacobians (N, m, ·) with respect to joint velocities to the robot's (N, m, nv)."""
         return jacobian if self.actuation is None else jacobian @ self.actuation.jacobian(q)
 
     def branch(self, body: int) -> KinematicTree:

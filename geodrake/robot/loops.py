@@ -58,7 +58,7 @@ _FARTHEST = 1e6  # m, of a closure from its body
 
 @dataclass(frozen=True)
 class LoopJoints:
-    """What is known of joints beside what closes loops.
+    """Facts about joints in closed loops.
 
     Attributes:
         bent: Joints that follow others by a ratio that changes.
@@ -93,7 +93,7 @@ class Loops:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Return what is worth knowing of them, in words."""
+        """Return notes on them."""
         held = ", ".join(f"{joint} at {place:.4g}" for joint, place in self.held.items())
         still = (
             (f"Fixed, as constraints of the file do not let them move: {held}.",) if held else ()
@@ -103,7 +103,7 @@ class Loops:
     def places(
         self, held: Mapping[str, float], path: object
     ) -> tuple[dict[str, float], dict[str, float]]:
-        """Joint -> where it is if some are held: of joints in loops, and of those that stand."""
+        """Joint -> position with some joints fixed, of joints in loops and of fixed ones."""
         every, still = dict[str, float](), dict[str, float]()
         for loop in self.loops:
             posture = loop.posture(held, path)
@@ -125,7 +125,7 @@ def closed_loops(
 
 @dataclass(frozen=True)
 class _Link:
-    """A closure whose bodies are found: its frames, and the mobilizers on either side alone."""
+    """A loop closure with its frames, and the mobilizers on either side only."""
 
     closure: Closure
     ends: tuple[tuple[int, RigidTransform], tuple[int, RigidTransform]]
@@ -133,7 +133,7 @@ class _Link:
 
 
 _Group = tuple[set[int], list[_Link], list[Followers]]
-"""Velocities, and what moves by them."""
+"""Velocities, and the bodies they move."""
 
 
 class _LoopFinder:
@@ -338,7 +338,7 @@ def _closed(shape: LoopRecords, x: Array, following: Sequence[int]) -> tuple[Arr
 def _free_and_following(
     shape: LoopRecords, x: Array, order: Sequence[Sequence[int]]
 ) -> tuple[list[int] | None, list[int]]:
-    """Return joints that are free at a posture (k,) and those that follow; None if singular.
+    """Return independent and following joints at a posture (k,); None if singular.
 
     Joints that the loop does not see, as a rod that turns about itself, are neither.
     """

@@ -31,7 +31,7 @@ _NAMED = {
     ".mtl": re.compile(rb"^\s*(?:map_\w+|bump|disp|decal|refl|norm)\s+(.+)", re.MULTILINE),
     ".gltf": re.compile(rb'"uri"\s*:\s*"([^"]*)"'),
 }
-"""Suffix -> what names other files: materials, textures, buffers."""
+"""Suffix -> references to other files: materials, textures, buffers."""
 _NAME = re.compile(r"(?!data:)[^\0]{1,200}")
 _MATERIALS = re.compile(rb"<bind_material.*?</bind_material>", re.DOTALL)
 _ERROR = re.compile(r"^\w+Error: ")

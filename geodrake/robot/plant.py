@@ -63,7 +63,7 @@ _SAME = 1e-9  # of the largest of a body's parameters: what text and Drake may c
 
 @dataclass(frozen=True, eq=False)
 class BuiltPlant:
-    """A plant of rigid bodies, and what it was made without.
+    """A plant of rigid bodies, and the elements that were left out.
 
     Attributes:
         lengths: Damping and reflected inertia of its joints.
@@ -219,7 +219,7 @@ def _motors(description: ModelDescription) -> Iterator[tuple[bool, str]]:
 def _draft(
     description: ModelDescription, *, floating: bool, held: Mapping[str, float], given: Given
 ) -> tuple[BuiltPlant, Arrangement, Loops]:
-    """Return the plant before repairs, of the robot asked for, with its joints held."""
+    """Return the unrepaired plant of the chosen robot, with its joints fixed."""
     arrangement = Arrangement(floating)
     draft = _build(description, arrangement)
     if given.robot is not None:
@@ -311,7 +311,7 @@ def _follower_notes(arrangement: Arrangement) -> list[str]:
 
 
 def _ignored(description: ModelDescription, arrangement: Arrangement) -> list[str]:
-    """Return which joints cannot follow, though the file says so, in words."""
+    """Return notes on joints that cannot follow as the file requires."""
     there = {f.joint for f in arrangement.followers}.union(arrangement.held, arrangement.aside)
     apart = [_last(f.joint) for f in description.terms.followers if f.joint not in there]
     if not apart:
@@ -386,7 +386,7 @@ def _write_inertias(description: ModelDescription, plant: MultibodyPlant, phi: A
 
 
 def _check_inertias(plant: MultibodyPlant, phi: ArrayLike, path: Path) -> None:
-    """Refuse a plant that has other inertial parameters than were written: no text took them."""
+    """Raise if a plant's inertial parameters are not those that were written."""
     there, wanted = inertial_parameters(plant), np.asarray(phi, float)
     size = np.abs(wanted).max(axis=1)
     wrong = np.flatnonzero(np.abs(there - wanted).max(axis=1) > _SAME * size)
@@ -402,7 +402,7 @@ def _check_inertias(plant: MultibodyPlant, phi: ArrayLike, path: Path) -> None:
 
 
 def _root_notes(plant: MultibodyPlant, arrangement: Arrangement) -> list[str]:
-    """Welds the free roots to the world unless they shall float; says what is worth saying."""
+    """Weld free roots to the world unless they float; return notes."""
     robot, floating = arrangement.robot, arrangement.floating
     own = [b for b in free_roots(plant) if robot is None or int(b.index()) in robot]
     weld_roots(plant, lambda body: floating and body in own)
@@ -420,7 +420,7 @@ def _root_notes(plant: MultibodyPlant, arrangement: Arrangement) -> list[str]:
 
 
 def arrange_as(plant: MultibodyPlant, other: MultibodyPlant) -> None:
-    """Welds what moves in a plant of a model file, and does not in another one of the same file.
+    """Weld moving parts of a plant as in another one of the same file.
 
     Args:
         plant: A plant that is not finalized, such as one with geometry; changed.

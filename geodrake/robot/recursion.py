@@ -90,7 +90,7 @@ MOTION = np.dtype(
     ],
     align=True,
 )
-"""How a body B stands to P inboard of it at one sample, and ω, u, α and a of Bo, in B."""
+"""Motion of a body B relative to P inboard at one sample, and ω, u, α and a of Bo, in B."""
 
 POSE = np.dtype([("R_WB", float, (3, 3)), ("p_WoBo_W", float, (3,))], align=True)
 """Where a body is at one sample."""
@@ -228,7 +228,7 @@ def find_subspaces(mobilizers: Record, motions: Record, turn: Array, slide: Arra
 
 @inlined
 def put_block(motion: Motion, s: Vector, t: Vector, out: Array, place: Any) -> None:
-    """Write the ten factors of φ in the effort that a body asks of a velocity.
+    """Write the ten factors of φ in the effort of a body at a velocity.
 
     The place is that of the first of them in out (N, rows, columns).
     """
@@ -251,7 +251,7 @@ def put_block(motion: Motion, s: Vector, t: Vector, out: Array, place: Any) -> N
 
 @compiled
 def calc_regressor(tree: TreeRecords, samples: Samples, which: tuple[int, int], out: Array) -> None:
-    """Write the regressor into zeros (N, rows, 10 nb); of one body alone into (N, rows, 10).
+    """Write the regressor into zeros (N, rows, 10 nb); for one body into (N, rows, 10).
 
     Args:
         which: First velocity that has a row; and the body, of a tree that may be its branch, −1 for

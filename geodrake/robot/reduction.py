@@ -1,4 +1,4 @@
-"""Triangular factors: what a least-squares problem of any length says, in one small matrix.
+"""Triangular factors: a least-squares problem of any length as one small matrix.
 
 R with RᵀR = AᵀA has the same residuals as A up to a constant, ‖A x − b‖² = ‖R [x; −1]‖² with
 R of [A b], and orthogonal transformations keep all digits that AᵀA would lose by squaring the

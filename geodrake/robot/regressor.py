@@ -85,7 +85,7 @@ def inverse_dynamics(
 def regressor_pieces(
     plant: MultibodyPlant | KinematicTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike
 ) -> Iterator[tuple[slice, Array]]:
-    """Yield the regressor in pieces that a core's cache holds, for reductions over long logs.
+    """Yield the regressor in pieces that fit a core's cache, for long logs.
 
     Yields:
         The samples, as a slice, and their Y (n, nv, 10 nb). The next piece overwrites the array.
@@ -115,7 +115,7 @@ def put_regressor(tree: KinematicTree, samples: Samples, out: Array) -> None:
 def checked_samples(
     plant: MultibodyPlant | KinematicTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike
 ) -> tuple[KinematicTree, Samples, Array | None]:
-    """Return what `KinematicTree.joint_samples` does, of arrays that fit the plant."""
+    """Return the result of `KinematicTree.joint_samples`, with checked arrays."""
     tree = checked_tree(plant)
     sizes: Sizes = {}
     nq, nv = tree.num_positions, tree.num_velocities

@@ -1,4 +1,4 @@
-"""Inertias in model files that no body can have, and the least change that makes them usable."""
+"""Smallest repairs of unphysical inertias in model files."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ def _has_size(phi: Array) -> bool:
 
 
 def stated_inertias(description: ModelDescription, plant: MultibodyPlant) -> dict[str, Array]:
-    """Return what a file states of every link (10,), possible or not, by scoped name."""
+    """Return the inertias of links in a file (10,), physical or not, by scoped name."""
     links = map(plant.get_body, map(BodyIndex, range(1, plant.num_bodies())))
     found = {
         link.scoped_name().get_full(): from_spatial_inertia(link.default_spatial_inertia())
@@ -155,7 +155,7 @@ def stated_inertias(description: ModelDescription, plant: MultibodyPlant) -> dic
 
 
 def _stated_parameters(links: Mapping[str, Array], body: LumpedBody) -> Array:
-    """Return what the file states for each member (k, 10), in the representative's frame."""
+    """Return the file's parameters of each member (k, 10), in the representative's frame."""
     rows = []
     for member in body.members:
         phi = links[member.scoped_name]
@@ -198,7 +198,7 @@ def _problem(phi: Array) -> str:
 
 
 def _write(description: ModelDescription, body: LumpedBody, phi: Array) -> None:
-    """Give the representative all of a body, and the links welded to it nothing."""
+    """Assign all of a body to its representative, and nothing to the links welded to it."""
     for k, member in enumerate(body.members):
         if not description.set_inertia(member.scoped_name, phi if k == 0 else None):
             raise ModelError(

@@ -1,4 +1,4 @@
-"""A robot as one model instance of a plant that holds more: its joints, its ports, its base."""
+"""A robot as one model instance of a larger plant: joints, ports, base."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _WELD_ALIKE = (
 
 @dataclass(frozen=True, eq=False)
 class RobotPorts:
-    """Where a controller meets a robot.
+    """Ports of a robot for its controller.
 
     Attributes:
         joints: Names of the n joints, whose order all ports have.
@@ -56,7 +56,7 @@ class RobotPorts:
 
 @dataclass(frozen=True, eq=False)
 class RobotInstance:
-    """A robot in a plant: one model instance of it, or all that moves in it.
+    """A robot in a plant: one model instance, or all moving bodies.
 
         RobotInstance(plant, "arm")
 
@@ -119,14 +119,14 @@ class RobotInstance:
 
     @cached_property
     def body_names(self) -> Mapping[str, str]:
-        """Name of a body among all of the plant -> what the robot calls it."""
+        """Body name in the whole plant -> name in the robot."""
         names = body_names(self.plant)
         own = [i for which in self._which for i in self.plant.GetBodyIndices(which)]
         short = {names[int(index)]: self.plant.get_body(index).name() for index in own}
         return {name: short.get(name, name) for name in names}
 
     def positions(self, joints: Sequence[str] | None = None) -> NDArray[np.intp]:
-        """Return (n,) places in q of the plant of joints in some order, or of all in Drake's."""
+        """Return (n,) indices in the plant's q of joints in some order, or of all in Drake's."""
         places = {}
         for joint in self._moving:
             if joint.num_velocities() != 1 or joint.num_positions() != 1:
@@ -139,7 +139,7 @@ class RobotInstance:
         return np.array([places[joint] for joint in joints or self.joints], int)
 
     def order(self, joints: Sequence[str]) -> NDArray[np.intp]:
-        """Return (n,) where each of the robot's joints, in some order, is among its own."""
+        """Return (n,) the indices of joints in the robot's order."""
         if sorted(joints) != sorted(self.joints):
             more = "" if self.name else ", or name the robot's: RobotInstance(plant, name)"
             raise ArgumentError(
@@ -152,7 +152,7 @@ class RobotInstance:
         return np.array([self.joints.index(joint) for joint in joints], int)
 
     def ports(self, builder: DiagramBuilder, joints: Sequence[str]) -> RobotPorts:
-        """Return where a controller connects, with all the robot's joints in an order of its own.
+        """Return the robot's ports, with joints in a given order.
 
         Efforts go to the actuators of the robot; to generalized forces of its joints if it has no
         actuators.
@@ -220,7 +220,7 @@ class RobotInstance:
         set_lump_inertias(self.plant, context, [members for members in own if members], phi)
 
     def plant_parameters(self, phi: ArrayLike) -> Array:
-        """Return those (nb, 10) of the whole plant, with the robot's in their places."""
+        """Return the plant's parameters (nb, 10) with those of the robot replaced."""
         context = self.plant.CreateDefaultContext()
         self.set_inertial_parameters(context, phi)
         return inertial_parameters(self.plant, context)
@@ -240,7 +240,7 @@ class RobotInstance:
     def check_base(
         self, tree: KinematicTree, joints: Sequence[str], *, turned: bool = False
     ) -> None:
-        """Check that gravity acts on the robot's base as it does in a model of the robot.
+        """Check that gravity acts on the robot's base as in a model of the robot.
 
         A base may stand anywhere and be turned about the vertical, as efforts are then the same;
         not so where `turned`, as a turn matters to what acts in world axes.
@@ -287,7 +287,7 @@ class RobotInstance:
 
     @cached_property
     def _in_ports(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Places in q and v of the plant of what the robot's state port has, in its order."""
+        """Indices in q and v of the plant of the robot's state port, in its order."""
         plant = self.plant
         q, v = np.arange(plant.num_positions()), np.arange(plant.num_velocities())
         for index in self._which:
@@ -329,7 +329,7 @@ class RobotInstance:
 
 @typed
 def take_out_stated(plant: MultibodyPlant, name: str) -> None:
-    """Take damping and rotor inertia out of a robot, as they are to be effects of a model."""
+    """Remove damping and rotor inertia of a robot, which become effects of a model."""
     if plant.is_finalized() or not plant.HasModelInstanceNamed(name):
         raise ArgumentError(
             f"The plant is finalized, or has no model instance {name!r}.",
@@ -347,7 +347,7 @@ def take_out_stated(plant: MultibodyPlant, name: str) -> None:
 def add_generalized_force(
     builder: DiagramBuilder, plant: MultibodyPlant, force: OutputPort
 ) -> None:
-    """Connect a generalized force (nv), N·m or N, to a plant, beside those that act on it."""
+    """Add a generalized force (nv), N·m or N, to those that act on a plant."""
     port = plant.get_applied_generalized_force_input_port()
     if builder.IsConnectedOrExported(port):
         place = (plant, port.get_index())
@@ -367,7 +367,7 @@ def add_generalized_force(
 
 
 def selected(builder: DiagramBuilder, port: OutputPort, places: NDArray[np.intp]) -> OutputPort:
-    """Return an output with the values of a port at some places."""
+    """Return an output with selected values of a port."""
     if np.array_equal(places, np.arange(port.size())):
         return port
     gain = builder.AddSystem(MatrixGain(np.eye(port.size())[places]))
@@ -376,6 +376,6 @@ def selected(builder: DiagramBuilder, port: OutputPort, places: NDArray[np.intp]
 
 
 def _places(wanted: NDArray[np.intp], there: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return where each of some numbers is among others."""
+    """Return the index of each number among others."""
     at = {int(number): place for place, number in enumerate(there)}
     return np.array([at[int(number)] for number in wanted], int)

@@ -1,4 +1,4 @@
-"""What a robot looks like: the shapes that its file gives its links, and what is said of them."""
+"""Shapes of a robot's links in its file, with notes."""
 
 from __future__ import annotations
 
@@ -170,7 +170,7 @@ class RobotShapes:
 
 
 def robot_shapes(path: Path, given: Given) -> RobotShapes:
-    """Return the visual shapes of a model's file; of links that have none, their collision shapes.
+    """Return the visual shapes of a model's file, or collision shapes of links without any.
 
     STL and COLLADA meshes are read too. A file whose shapes nobody can read gives none, and a note.
     """
@@ -194,7 +194,7 @@ def robot_shapes(path: Path, given: Given) -> RobotShapes:
 def add_visuals(
     plant: MultibodyPlant, scene_graph: SceneGraph, path: Path, given: Given
 ) -> tuple[str, ...]:
-    """Give the bodies of a plant the shapes of its file, and return what cannot be shown.
+    """Add the shapes of its file to a plant's bodies, and return what cannot be shown.
 
     Nothing collides.
     """
@@ -237,7 +237,7 @@ def _read(
 
 
 Where = Callable[[str], Path]
-"""From what a URDF or SDF calls a mesh to its file; a ModelError says why that is nowhere."""
+"""Mesh references of URDF or SDF -> files, or a ModelError if not found."""
 
 
 def scene_of(

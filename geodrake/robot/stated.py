@@ -1,4 +1,4 @@
-"""What model files state beside rigid bodies: terms of joints, tendons, weights, closed loops."""
+"""Terms of model files other than rigid bodies: joints, tendons, gravity, closed loops."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Spring:
         return Spring(center, _four(moved.coef))
 
     def through(self, ratio: float, offset: float) -> Spring:
-        """Return what it is at a joint q that its own, ratio q + offset, follows."""
+        """Return it for a leader q of the joint, which is at ratio q + offset."""
         powers = ratio ** np.arange(1, 5)
         return Spring((self.center - offset) / ratio, _four(powers * self.coefficients))
 
@@ -96,7 +96,7 @@ class StatedLength:
     name: str = ""
 
     def each(self, joints: Collection[str]) -> list[StatedLength]:
-        """Return it for each velocity of a joint that has several, of the joints that there are."""
+        """Return it for each velocity of a joint that has several."""
         (joint, share), *others = self.shares.items()
         several = [f"{joint}[{k}]" for k in range(_MOST_VELOCITIES) if f"{joint}[{k}]" in joints]
         if others or not several:
@@ -104,7 +104,7 @@ class StatedLength:
         return [replace(self, shares={own: share}) for own in several]
 
     def through(self, places: Mapping[str, Followed]) -> StatedLength:
-        """Return the length over what its joints follow."""
+        """Return the length over the leaders of its joints."""
         shares, shift = dict[str, float](), 0.0
         for joint, share in self.shares.items():
             place = places[joint]
@@ -158,7 +158,7 @@ class Closure:
 
 @dataclass(frozen=True)
 class BoxInMedium:
-    """What a medium acts on: a body as the box that has its inertia.
+    """A body in a medium, as the box with its inertia.
 
     Attributes:
         body: Scoped name of the body.
@@ -197,7 +197,7 @@ class StatedStrut:
 
 @dataclass(eq=False)
 class FileTerms:
-    """What model files state beside rigid bodies, by scoped names of joints and links, SI.
+    """Terms of model files other than rigid bodies, by scoped names, SI units.
 
     Attributes:
         notes: Sentences on what was taken otherwise than it is stated.
@@ -239,7 +239,7 @@ class FileTerms:
 
     @classmethod
     def joined(cls, parts: Sequence[FileTerms]) -> FileTerms:
-        """Return what several files state together."""
+        """Return the combination of several files."""
         found = cls()
         for part in parts:
             for name in (each.name for each in fields(cls)):

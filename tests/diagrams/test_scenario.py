@@ -180,7 +180,7 @@ def test_a_robot_elsewhere_that_is_silent_ends_the_wait():
         ("gamma: 30.0", "law: fast", 'one of "natural", "pullback"'),
         ("factor: 1.2", "factor: 0.0", "robots.arm: control: factor must be"),
         ("double_pendulum.urdf, g", "gone.urdf, g", "gone.urdf does not exist"),
-        (f"{{models: {MODELS}", "{models: /nowhere", "package 'models' does not exist"),
+        (f"{{models: {MODELS}", "{models: /nowhere", "package 'models' is not there"),
         ("1.0, 2.0]", "2.0, 2.0]", "two times or more, increasing"),
         ("arm::base_link", "arm::foot", "foot"),
         ("      motion:", "      messages: {lcm_bus: lab}\n      motion:", "lab"),

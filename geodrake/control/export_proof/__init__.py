@@ -1,4 +1,4 @@
-"""Exports tried in simulators: what they hold, what they lack, and what that costs."""
+"""Exports verified in simulators: their content, what they lack, and the loss of accuracy."""
 
 from geodrake.control.export_proof.export import ProvenExport, export_to
 

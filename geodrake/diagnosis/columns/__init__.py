@@ -1,4 +1,4 @@
-"""What a log's columns are: mistakes in them are tried before anything is missed in a model."""
+"""Detection of mistakes in a log's columns, before anything is missing in a model."""
 
 from geodrake.diagnosis.columns.check import MOST_JOINTS, check_columns
 from geodrake.diagnosis.columns.corrections import corrected, with_motor_limits

@@ -36,9 +36,9 @@ def check_columns(
 ) -> tuple[ColumnFinding, ...]:
     """Find mistakes in columns of logs: wrong signs, units, gains, zeros, times, swapped joints.
 
-    Every mistake is another assignment of columns to joints, and one Gaussian evidence weighs them:
-    bodies near the model's, friction, offsets and rotors free. Its rivals are a payload, a slope,
-    and efforts that have something unknown in them; `Beliefs` has the prior odds.
+    Each mistake is an alternative assignment of columns to joints. One Gaussian evidence compares
+    them, with bodies near the model's and free friction, offsets and rotors. Rivals are a payload,
+    a tilted base, and efforts with an unknown component; `Beliefs` has the prior odds.
 
     Args:
         model: The model as it stands.

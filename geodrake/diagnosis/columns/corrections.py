@@ -23,10 +23,10 @@ Array = NDArray[np.float64]
 
 
 def corrected(log: JointLog, findings: Sequence[ColumnFinding]) -> JointLog:
-    """Return a log with what was found in its columns corrected, one after the other.
+    """Return a log whose columns are corrected, one finding after the other.
 
-    What was taken out of the efforts stays so: no column has it. A limit of a motor is one of its
-    efforts: currents, voltages and commands stay as they are.
+    Terms that were subtracted from efforts cannot be restored. Motor limits apply to efforts only;
+    currents, voltages and commands are unchanged.
 
     Raises:
         ArgumentError: A finding is of a joint that the log does not have.
@@ -92,7 +92,7 @@ def corrected_columns(
 def with_motor_limits(
     model: RobotModel, logs: Sequence[JointLog], findings: Sequence[ColumnFinding]
 ) -> RobotModel:
-    """Return the model that knows what was found of its motors' limits, for these and other logs.
+    """Return the model with the motor limits that were found, for these and other logs.
 
     Limits are left out of motors whose logs have something else than what the model knows of them,
     such as currents of unknown gains, and of servos, which have their own.

@@ -1,4 +1,4 @@
-"""Formulas for what stays unexplained: a sparse search, and effect classes written out.
+"""Formulas for the unexplained error: a sparse search, and generated effect classes.
 
 `draft_effects` explains as `geodrake.diagnosis.explain` does, and then searches sums of products of
 simple functions of positions, velocities, accelerations and loads for what takes the rest away.

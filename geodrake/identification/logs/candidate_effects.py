@@ -106,7 +106,7 @@ def candidate_effects(
 
 
 def _effects_behind(model: RobotModel, segments: Sequence[Segment]) -> Iterator[Effect]:
-    """Yield effects of joints that follow others by a ratio that changes, in a closed loop say."""
+    """Yield effects of joints that follow with varying ratio, as in closed loops."""
     speeds = _speeds_behind(model, segments)
     for effect in catalogue() if speeds else ():
         for joint, peak in speeds.items() if _acts_behind(effect) else ():
@@ -151,7 +151,7 @@ def _at_joint(
 
 
 def mean_temperatures(trajectories: Sequence[Trajectory]) -> dict[str, float]:
-    """Joint -> mean temperature in the logs, °C, where it changes enough to show what it does."""
+    """Joint -> mean temperature in the logs, °C, if it changes enough."""
     courses = [t.temperatures.courses for t in trajectories if t.temperatures is not None]
     found = {}
     for joint in trajectories[0].joints:

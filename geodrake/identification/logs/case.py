@@ -56,7 +56,7 @@ _LEAST_EFFORT = 1e-12  # N·m or N, by which a measured effort changes
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """What a case was opened with."""
+    """Options with which a case was prepared."""
 
     logs: tuple[JointLog, ...]  # the logs, joints in the model's order
     extra: tuple[type[Effect], ...]  # effect classes of the user's own
@@ -113,7 +113,7 @@ def open_case(
     motion_bandwidth: float | None = None,
     hold_resting: bool = False,
 ) -> Case:
-    """Prepare and reduce logs for a model; `candidates` says whether effects to try get columns.
+    """Prepare and reduce logs for a model, with columns for `candidates` if wanted.
 
     The `bandwidth` of the filter, Hz, is by default that at which the model was fitted to these
     logs, or chosen from the data. Every log is cut into `blocks` for validation; by default there
@@ -204,7 +204,7 @@ def _dealt(
     trajectories: tuple[Trajectory, ...],
     reduce: Callable[[tuple[Fold, ...]], Dataset],
 ) -> tuple[tuple[Fold, ...], Dataset]:
-    """Return folds of which none has most of a joint's motion, where possible, and their dataset.
+    """Return folds that do not have most of a joint's motion, if possible, and their dataset.
 
     Joints may move one after the other, in one log or in one log each. Without the fold that has
     all of a joint's motion, nothing would be left to fit its friction.
@@ -248,7 +248,7 @@ def prepared_as_measured(
     bandwidth: float | None = None,
     blocks: int | None = None,
 ) -> tuple[tuple[Trajectory, ...], tuple[Fold, ...], frozenset[str]]:
-    """Return prepared logs and their folds, whatever the model says of efforts.
+    """Return prepared logs and their folds, independent of the model's effort signals.
 
     The `bandwidth` of the filter, Hz, is by default chosen from the motion. Joints whose efforts
     are those of commands, by gains that were fitted to these logs, come last.
@@ -276,7 +276,7 @@ def prepared_as_measured(
 def _with_usable(
     logs: Sequence[JointLog], prepare: Callable[[Sequence[JointLog]], T]
 ) -> tuple[T, list[JointLog], list[str]]:
-    """Prepare logs, those that cannot be used left out: what came of it, the rest, and why."""
+    """Prepare logs without unusable ones: result, remaining logs, and notes."""
     used, notes = list(logs), list[str]()
     while True:
         try:
@@ -291,7 +291,7 @@ def _with_usable(
 
 
 def reopen(case: Case, model: RobotModel) -> Case:
-    """Return the case with a model fitted to it, whose effects alone get columns."""
+    """Return the case with a model fitted to it, with columns for its effects only."""
     dataset = reduce_logs(
         model,
         case.trajectories,
@@ -364,7 +364,7 @@ def series(
 
 
 def _matched(model: RobotModel, logs: Sequence[JointLog | str | Path]) -> list[JointLog]:
-    """Return logs, read if they are files, joints in the model's order, each of its own name."""
+    """Return logs, read from files, with the model's joint order and unique names."""
     known, reading = model.known_joints, reading_for(model)
     read = [
         log
@@ -399,7 +399,7 @@ def _still_notes(dataset: Dataset) -> list[str]:
 
 
 def _filtered_note(trajectory: Trajectory, *, fitted: bool) -> str:
-    """Say that efforts were filtered before, if so; a model is fitted to them, or will be."""
+    """Return a note if efforts were filtered before logging."""
     end = filtered_below(trajectory)
     if not np.isfinite(end):
         return ""

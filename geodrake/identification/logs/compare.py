@@ -32,7 +32,7 @@ def compare(
     blocks: int | None = None,
     hold_resting: bool = True,
 ) -> Comparison:
-    """Compare a model as it stands with measurements that it was not fitted to.
+    """Compare a model, without refitting, with measurements that it was not fitted to.
 
     Nothing in the model is refitted. The `bandwidth` of the filter, Hz, is by default that of the
     model's fit to the same logs, or chosen from the data; every log is cut into so many `blocks`.
@@ -52,7 +52,7 @@ def compare(
 def comparison(
     case: Case, unknowns: Unknowns | None = None, held_out: HeldOut | None = None
 ) -> Comparison:
-    """Compare a case's model as it stands, or parameters fitted without each fold."""
+    """Compare a case's model without refitting, or parameters fitted without each fold."""
     dataset = case.dataset
     if unknowns is None or held_out is None:
         unknowns, held_out = model_unknowns(dataset, case.model), as_it_stands(dataset, case.model)

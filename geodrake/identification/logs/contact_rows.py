@@ -35,7 +35,7 @@ _ARM = 0.15  # m, by which forces make moments of the base
 
 
 def contact_rows(model: RobotModel, trajectory: Trajectory, segment: Segment) -> MixedRows | None:
-    """Return rows N at the instants of a segment; None if no force and no effort is unknown."""
+    """Return rows N at the instants of a segment; None if all forces and efforts are known."""
     measured = ~np.isin(model.joints, trajectory.unmeasured)
     if (contacts := trajectory.contacts) is None:
         own = np.tile(measured.astype(float), (len(segment), 1))
@@ -100,7 +100,7 @@ class MixedRows:
 def add_weighted(
     row: Array, columns: Array, which: tuple[Indices, Indices, Indices], total: Array
 ) -> None:
-    """Add some columns (N, ·) of velocities, by their weights in a row (N, nv), to others.
+    """Add columns (N, ·) of velocities, weighted by a row (N, nv), to others.
 
     Args:
         which: (k,) the columns, the velocities that they are of, and which others they go to.
@@ -135,7 +135,7 @@ def rows_without(
     *,
     measured: NDArray[np.bool_] | None = None,
 ) -> MixedRows:
-    """Return rows N for the Jacobians (N, c, k, nv) of frames; (N, c) says which touch.
+    """Return rows N for the Jacobians (N, c, k, nv) of frames; (N, c) marks contacts.
 
     Args:
         scales: (nv,) noise of the rows of velocities, N·m or N.
@@ -178,7 +178,7 @@ def rows_without(
 
 @inlined
 def _orthogonalize(basis: Array, k: int) -> None:
-    """Make row k of a basis orthogonal to those before it, of length one, or zero."""
+    """Orthonormalize row k of a basis against those before it, or set it to zero."""
     row, whole = basis[k], 0.0
     for i in range(len(row)):
         whole += row[i] * row[i]

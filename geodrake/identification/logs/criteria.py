@@ -27,13 +27,13 @@ LEAST_NOISE = 1e-4
 """No sensor of efforts has less noise than this share of their deviation."""
 
 NOISE_MARGIN = 1.25
-"""All joints together err by noise alone up to this many times their noise floor.
+"""Ratio to the noise floor up to which the error of all joints is noise.
 
 A formula is searched at every joint that errs by more, as that may be all that is above the noise.
 """
 
 JOINT_NOISE_MARGIN = 1.6
-"""One joint errs by noise alone up to this many times its floor, which is known less well.
+"""Ratio to its floor up to which the error of one joint is noise.
 
 It counts beside `NOISE_MARGIN`: the others' noise must not cover up one joint at which most of the
 squared error is something else.
@@ -48,7 +48,7 @@ LARGEST = 10.0
 """An effect is thought to need at most so many times the deviation of its joint's effort."""
 
 WORTH = 4.0
-"""What varies with the motion and stays unexplained is worth so many samples, in any log.
+"""Effective number of samples of unexplained errors that vary with the motion, in any log.
 
 It is the same whenever the motion repeats: part of it, half of its size in the mean, varies with
 any one column of a fit.

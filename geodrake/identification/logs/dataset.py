@@ -55,7 +55,7 @@ class JointRows:
 
 @dataclass(frozen=True, eq=False)
 class JointData:
-    """What all folds say about one joint."""
+    """Data of all folds for one joint."""
 
     # (p_j,) global indices of the columns that can be nonzero at this joint, ascending.
     columns: Indices
@@ -103,7 +103,7 @@ class JointData:
 
     @property
     def still(self) -> float:
-        """Share of the rows left out because the joint stands still."""
+        """Share of the rows that are not used as the joint is at rest."""
         return float(1.0 - self.samples.sum() / self.seen.sum())
 
     def parameters(self, columns: Indices, x: Array) -> Array:
@@ -222,7 +222,7 @@ class Dataset(Short):
         return {}
 
     def felt(self, effect: Effect) -> NDArray[np.bool_]:
-        """Return (nv,) whether a joint feels an effect."""
+        """Return (nv,) whether an effect acts on a joint."""
         if effect not in self._felt:
             self._felt[effect] = np.asarray(self.reach[:, self.effect_columns(effect)].any(axis=1))
         return self._felt[effect]
@@ -234,7 +234,7 @@ class Dataset(Short):
 
     @cached_property
     def has_rows(self) -> NDArray[np.bool_]:
-        """(nv,) which joints have rows: those of a limb that stands throughout have none."""
+        """(nv,) which joints have rows: those of a limb that always stands have none."""
         return np.asarray(self.samples.any(axis=0))
 
     @cached_property
@@ -256,7 +256,7 @@ def column_starts(effects: tuple[Effect, ...], bodies: tuple[str, ...]) -> dict[
 
 
 def inertias_of(shares: Array, x: Array) -> Array:
-    """Return the inertias (nv, …) that parameters (…, p) with shares (nv, p) in them make.
+    """Return the inertias (nv, …) of parameters (…, p) with shares (nv, p) in them.
 
     Joints without shares, whose efforts were measured, have ones.
     """

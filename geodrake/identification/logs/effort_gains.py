@@ -1,4 +1,4 @@
-"""Gains of currents, voltages and commands, found by what is known of the inertias.
+"""Gains of currents, voltages and commands, estimated with the prior of the inertias.
 
 A joint whose effort is not measured has a signal s in its place, of which efforts are g s with g
 unknown:
@@ -51,7 +51,7 @@ _CLEARLY = 3.0  # deviations of a negative gain that is taken for one
 
 @dataclass(frozen=True, eq=False)
 class SignalGains:
-    """What efforts the signals of joints are."""
+    """Conversion of joints' signals to efforts."""
 
     gains: Array  # (nv,) N·m or N for a unit of the signal; negative where its sign is the other
     deviations: Array  # (nv,) standard deviations of log |gain|
@@ -126,11 +126,11 @@ class SignalRows:
         return self.factor[self.free :, self.free : -2] @ slope[self.columns]
 
     def left(self, a: float, phi: Array) -> Array:
-        """Return (r,) rows of what bodies with an inverse gain a leave, of the other sign."""
+        """Return (r,) residual rows of the bodies with an inverse gain a, sign reversed."""
         return a * self.load(phi) - self.factor[self.free :, -1]
 
     def least_squares_gain(self, phi: Array) -> float:
-        """Return the inverse gain a with these bodies, of this joint alone; negative if clear."""
+        """Return the inverse gain a of this joint with these bodies; negative if significant."""
         load = self.load(phi)
         size = max(float(load @ load), np.finfo(float).tiny)
         a = float(load @ self.factor[self.free :, -1]) / size
@@ -153,7 +153,7 @@ class SignalRows:
 
 @dataclass(frozen=True, eq=False)
 class GainPriors:
-    """What is known of the gains of joints' signals before anything is measured."""
+    """Prior of the gains of joints' signals."""
 
     expected: Array  # (nv,) their sizes, N·m or N for a unit of the signal
     deviations: Array  # (nv,) of their logarithms; inf where nothing is known
@@ -254,7 +254,7 @@ class _GeodesicBodies:
 
     @classmethod
     def of(cls, model: RobotModel) -> _GeodesicBodies:
-        """Return bodies about those of a model, as well known as it says."""
+        """Return bodies near a model's, with its uncertainty."""
         factors = np.asarray(np.linalg.cholesky(pseudo_inertia(model.total_phi)), float)
         d = model.phi.size
         free = cls(factors, np.eye(d) / SPREAD**2)

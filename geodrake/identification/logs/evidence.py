@@ -1,4 +1,4 @@
-"""Evidence for an effect that holds for coloured residuals.
+"""Evidence for an effect that is valid for coloured residuals.
 
 Residuals of robots are not white, so samples are counted by how many independent ones they are
 worth, and errors are always those of data that the fit did not see.
@@ -44,7 +44,7 @@ def effective_samples_of_each(series: Sequence[Sequence[Array]]) -> Array:
 
 
 def effective_by_covariance(covariance: Array, samples: ArrayLike) -> Array:
-    """Return how many independent samples n of some autocovariance are worth: n / (1 + 2 Σ ρ_k).
+    """Return the effective number of n samples with an autocovariance: n / (1 + 2 Σ ρ_k).
 
     The autocorrelation ρ is summed up to its first value below 0.02. The numbers (…) are between 1
     and n, and n where nothing is known of ρ. Covariances (…, L) are sums of r_t r_{t+k} over t, for

@@ -83,7 +83,7 @@ def normal_matrices(
 
 
 class CrossValidation:
-    """Fits of given unknowns to all folds but one, with physical bodies if asked for.
+    """Fits of given unknowns to all folds but one, optionally with physical bodies.
 
     The weights (nv,) are those of a squared residual of each joint, 1 / (N·m)².
     """
@@ -184,7 +184,7 @@ def _within(x: Array, rhs: Array, scaled: tuple[Array, Array], unknowns: Unknown
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis(Short):
-    """The model with the effects among `unknowns`, and what it gets wrong on held-out data."""
+    """The model with the effects among `unknowns`, and its held-out errors."""
 
     dataset: Dataset
     unknowns: Unknowns
@@ -302,7 +302,7 @@ def _alike(weights: Array, before: Array) -> bool:
 
 
 def first_hypothesis(dataset: Dataset, unknowns: Unknowns, *, delay: Delay = 0) -> Hypothesis:
-    """Return the model as it came, its parameters refitted within their prior."""
+    """Return the given model with its parameters refitted within their prior."""
     weights = _FIRST_SHARE / dataset.effort_std**2
     cv = CrossValidation(dataset, unknowns, weights, delay=delay)
     effective = np.asarray(_FIRST_SHARE * dataset.rows, float)

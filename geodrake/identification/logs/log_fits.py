@@ -32,7 +32,7 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.description import drake_messages
 
 _NOTHING = 1e-200
-"""Logs say nothing of an effect if the information of `effect_prior` is below this."""
+"""Information in the scale of `effect_prior` below which an effect is unidentified."""
 
 _PROBE = 0.1
 """The scale of a regularizer is measured at this geometric distance."""
@@ -182,12 +182,12 @@ class LogFits:
 
     @property
     def extra_bounds(self) -> Array | None:
-        """(extra, 2) least and greatest values of the effects' parameters; None without any."""
+        """(extra, 2) bounds of the effects' parameters; None without any."""
         bounds = np.column_stack([self.unknowns.lower, self.unknowns.upper])[self._inertial :]
         return bounds if len(bounds) else None
 
     def extra_prior(self, regularizer: str, gamma: float | None) -> Array | None:
-        """Return (extra, 2) what the model has of positive parameters, and weights; None of none.
+        """Return (extra, 2) the model's positive parameters and weights; or None.
 
         The weights make the parameters known to within their own size, whatever γ. Without one, as
         with a residual bound, γ is that of inertias known to within `SPREAD`.
@@ -249,7 +249,7 @@ class Weighing:
 
 
 def weigh(fits: LogFits, regularizer: str) -> tuple[float, tuple[Weighing, ...]]:
-    """Return the largest γ that is not clearly worse than the best, and what each one tried gives.
+    """Return the largest γ that is not clearly worse than the best, and the errors of each.
 
     Decades of γ are tried, then half decades around the best; none below `_LEAST_DECADE` is chosen.
     "Clearly" is one standard error of the difference over the folds, so that where the data say

@@ -33,7 +33,7 @@ from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regresso
 
 Array = NDArray[np.float64]
 Part = Effect | str
-"""What has columns of its own: an effect, or `INERTIA`."""
+"""Owner of columns: an effect, or `INERTIA`."""
 
 Blocks = Mapping[int, Array]
 """Columns (K, k) by the index of the joint."""
@@ -42,14 +42,14 @@ ROOM = 10_000_000
 """Reductions of the same logs share at most so many numbers: 80 MB."""
 
 MIXED_ROOM = 30_000_000
-"""As many where unknown contact forces are taken out: rows of a base feel what every joint has."""
+"""The same with unknown contact forces, where rows of the base depend on all joints."""
 
 SIGNALS_ROOM = 2_000_000
 """At most so many of them are signals at the logs' full rate; filtered columns cost more."""
 
 
 class RowCache:
-    """What reductions of the same logs by the same robot share, by what it belongs to.
+    """Cache that reductions of the same logs and robot share.
 
     The columns of an effect do not depend on what else is tried, so that only those have to be
     evaluated that no reduction had before. When there is no more room for so many numbers, what no
@@ -68,25 +68,25 @@ class RowCache:
         self._stale = sorted(self._used, key=self._used.__getitem__, reverse=True)
 
     def get(self, key: Hashable) -> Blocks | None:
-        """Return what is kept under a key, if anything is."""
+        """Return the cached value of a key, or None."""
         if key in self._used:
             self._used[key] = self._turn
         return self._kept.get(key)
 
     def once(self, key: Hashable, make: Callable[[], Blocks], *, signals: bool = False) -> Blocks:
-        """Return what is kept under a key, or make it and keep it; `signals` as in `keep`."""
+        """Return the cached value of a key, or compute and cache it; `signals` as in `keep`."""
         if (found := self.get(key)) is None:
             self.keep(key, found := make(), signals=signals)
         return found
 
     def read_only(self) -> RowCache:
-        """Return what is kept here, for reductions whose columns are not needed again."""
+        """Return the cache for reductions whose columns are not needed again."""
         reader = RowCache(0)
         reader._kept = self._kept
         return reader
 
     def keep(self, key: Hashable, blocks: Blocks, *, signals: bool = False) -> None:
-        """Keep blocks as long as there is room; `signals` are at the full rate."""
+        """Cache blocks within the limit; `signals` are at the full rate."""
         if (size := _size(blocks)) == 0 or key in self._kept:
             return
         while size > self._room and self._stale and not signals:
@@ -106,7 +106,7 @@ def _size(blocks: Blocks) -> int:
 
 
 INERTIA = "inertia"
-"""What columns of inertial parameters belong to, as others belong to an effect."""
+"""Owner of the columns of inertial parameters."""
 
 _OWN = -1  # where rows that are velocities' own stand among those of contacts
 _FELT = 0.02  # share of a row's noise from which the friction of a joint at rest matters to it
@@ -169,7 +169,7 @@ class Layout:
         return cls(model, effects, sign_width, still_speed, joined, coupling=coupling)
 
     def over_base(self, base: BaseParameters) -> Layout:
-        """Return the layout with the columns of the tree's base parameters, which say as much.
+        """Return the layout with columns of the tree's base parameters, with the same span.
 
         Y φ = Y_B (B φ), and Y_B are some of the columns of Y.
         """
@@ -179,7 +179,7 @@ class Layout:
         return replace(self, columns=kept, base=base)
 
     def visible_parameters(self, phi: Array) -> Array:
-        """Return (10·nb,) inertial parameters whose columns alone give the efforts of φ."""
+        """Return (10·nb,) inertial parameters whose columns have the span of φ."""
         if self.base is None:
             return phi
         parameters = np.zeros_like(phi)
@@ -188,7 +188,7 @@ class Layout:
 
     @cached_property
     def parts(self) -> tuple[Part, ...]:
-        """What has columns of its own, in their order."""
+        """Owners of columns, in their order."""
         return (INERTIA, *(effect for effect in self.effects if not is_payload(effect)))
 
     def places(self, part: Part, columns: Indices, row: int) -> Indices:
@@ -209,7 +209,7 @@ class Layout:
 
     @property
     def tree(self) -> KinematicTree:
-        """The tree that columns of bodies are computed with, under the gravity that they feel."""
+        """The tree with which columns of bodies are computed, with the gravity on them."""
         return self._felt[0]
 
     @cached_property
@@ -224,7 +224,7 @@ class Layout:
         return np.asarray(blocks[effect][joint] @ effect.in_bodies)
 
     def origin_of(self, part: Part) -> Hashable:
-        """Return what the columns of a part depend on beside the motion."""
+        """Return the dependencies of a part's columns other than the motion."""
         if not isinstance(part, Effect):
             return self.tree.gravity.tobytes()
         of_motion = declares_signals(type(part)) and not part.depends_on & {"load", "bodies"}
@@ -247,7 +247,7 @@ class Layout:
         parts: Collection[Part],
         load: Array | None = None,
     ) -> tuple[list[Blocks], Array]:
-        """Return unfiltered columns of some parts at a motion of a log, and the load (N, nv).
+        """Return unfiltered columns of some parts at a log's motion, and the load (N, nv).
 
         That is the effort of the bodies with what they hold, which may be known already.
         """
@@ -321,7 +321,7 @@ class LogSlice:
 
     @cached_property
     def _near(self) -> tuple[Segment, slice]:
-        """The samples and some around them, and where in these they are."""
+        """The samples and their neighbourhood, and their indices in it."""
         late = float(np.abs(self.advance).max(initial=0.0)) / self.stretch.period
         margin = SPLINE_REACH + round(late)
         low = max(0, self.samples.start - margin)
@@ -352,7 +352,7 @@ class LogSlice:
 
     @cached_property
     def _effort_spline(self) -> BSpline | None:
-        """What efforts at other instants are read from, if any are asked for."""
+        """Spline that interpolates efforts at other instants, if needed."""
         effort = self._near[0].motor_effort
         if len(effort) < 2 or not any(seconds.any() for seconds in self.advance):
             return None
@@ -394,7 +394,7 @@ class LogSlice:
         return np.stack([shared.once(key, partial(advanced, s))[0] for key, s in pairs], -1)
 
     def _carried(self, blocks: Sequence[Blocks], shared: RowCache) -> list[Array]:
-        """Return per joint (K,) filtered effort beside what is fitted: of the log's known payloads.
+        """Return per joint (K,) filtered efforts of the log's known payloads.
 
         It is less by what the columns of bodies have in them of effects that have their own.
         """
@@ -433,7 +433,7 @@ class LogSlice:
         return [blocks for blocks in found.values() if blocks is not None]
 
     def _load(self, motion: Motion, rows: MixedRows | None) -> Array:
-        """Return loads (N, nv) of joints beside the ground's forces, which no model tells.
+        """Return loads (N, nv) of joints without ground forces, which no model predicts.
 
         They are the efforts of motors, by the gains that the model has; in limbs in the air they
         are what the model needs. Columns that follow measured efforts there would explain the noise
@@ -449,7 +449,7 @@ class LogSlice:
     def _filtered(
         self, parts: Sequence[Part], blocks: Sequence[Blocks], shared: RowCache
     ) -> list[dict[int, Array]]:
-        """Return columns of some parts in the rows that joints have, of those of velocities."""
+        """Return filtered columns of some parts in the rows of joints, from those of velocities."""
         moving, found = self._moving(shared), [dict[int, Array]() for _ in parts]
         for row, widths, columns in self._unfiltered(parts, blocks, shared):
             filtered = self.trajectory.filter.apply(columns, moving[row])
@@ -551,7 +551,7 @@ def _probe(model: RobotModel, samples: int) -> Motion:
 
 
 def _felt(model: RobotModel, effects: Sequence[Effect]) -> tuple[KinematicTree, Effect | None]:
-    """Return the tree under the gravity that bodies feel beside effects, and that which changes it.
+    """Return the tree with the gravity on its bodies, and the effect that changes it.
 
     Where columns are exact about two places, they are so about the latter.
     """

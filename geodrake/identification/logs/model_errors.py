@@ -41,7 +41,7 @@ class JointError:
 
     @property
     def shows_noise(self) -> bool:
-        """Whether the floor may be that of a sensor: efforts that were filtered show none."""
+        """Whether the floor may be that of a sensor, unlike that of filtered efforts."""
         return self.floor > 0.0
 
     @property
@@ -51,7 +51,7 @@ class JointError:
 
     @property
     def removable(self) -> float:
-        """Share of the squared error that some model could still remove; NaN without a floor."""
+        """Share of the squared error that a model could still remove; NaN without a floor."""
         if not self.shows_noise:
             return math.nan
         return max(0.0, 1.0 - (self.floor / self.rms) ** 2) if self.rms > 0 else 0.0
@@ -69,7 +69,7 @@ class ErrorTable(Short):
 
     @property
     def nrms(self) -> float:
-        """Root mean square over joints of rms / std: joints count by what they could show."""
+        """Root mean square over joints of rms / std."""
         return _root_mean_square(joint.nrms for joint in self.joints)
 
     @property
@@ -89,12 +89,12 @@ class ErrorTable(Short):
 
     @property
     def shows_noise(self) -> bool:
-        """Whether the floor may be that of a sensor: efforts that were filtered show none."""
+        """Whether the floor may be that of a sensor, unlike that of filtered efforts."""
         return self.floor_nrms > 0.0
 
     @property
     def knows_noise(self) -> bool:
-        """Whether the noise of all joints is known whatever a model leaves, and less than the rest.
+        """Whether the noise of all joints is known independently of the model, and small enough.
 
         Where it is as large as all that the efforts show beside it, any error passes for noise.
         """
@@ -107,17 +107,17 @@ class ErrorTable(Short):
 
     @property
     def is_noise(self) -> bool:
-        """Whether no more than sensor noise is left, on the whole and at every joint."""
+        """Whether the error is only sensor noise, in total and at every joint."""
         return self.whole_is_noise and not self.above_noise
 
     @property
     def whole_is_noise(self) -> bool:
-        """Whether no more than sensor noise is left on the whole, whatever single joints do."""
+        """Whether the total error is only sensor noise."""
         return self.nrms <= NOISE_MARGIN * self.floor_nrms
 
     @property
     def above_noise(self) -> tuple[JointError, ...]:
-        """Joints that err by more than noise, whatever the others do."""
+        """Joints whose error exceeds noise."""
         return tuple(joint for joint in self.joints if not joint.is_noise)
 
     def by_joint(self) -> dict[str, float]:
@@ -164,7 +164,7 @@ class Failing:
 
 @dataclass(frozen=True, eq=False)
 class Comparison(Shown):
-    """How far a model is from logs, and where."""
+    """Errors of a model on logs, and where they are largest."""
 
     errors: ErrorTable
     failing: tuple[Failing, ...]  # where the error is concentrated, worst first

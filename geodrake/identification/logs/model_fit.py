@@ -1,4 +1,4 @@
-"""Fits of a `RobotModel` to a `Dataset`: physically consistent, and with what they leave known."""
+"""Physically consistent fits of a `RobotModel` to a `Dataset`, with information."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from geodrake.model.robot_model import RobotModel
 def model_unknowns(
     dataset: Dataset, model: RobotModel, *, spread: float = SPREAD, stated: float = 1.0
 ) -> Unknowns:
-    """Return everything a fit of the model may move, with what is known about it as the prior.
+    """Return all parameters of a model that a fit may change, with their prior.
 
     A model that was fitted before is known as well as its information matrix says; of a model
     file, inertias are known to within `spread`, a geometric distance, and parameters of effects to
@@ -74,7 +74,7 @@ def fit_model(
     of_motion: Array | None = None,
     delays: Sequence[FittedEffect] = (),
 ) -> ModelFit:
-    """Fit, hold out, and put the result into the model.
+    """Fit, validate, and return the fitted model.
 
     Efforts of the dataset are advanced by the model's `delays` already. The residuals are worth
     `effective` samples (nv,); a share `of_motion` (nv,) of their square varies with the motion.
@@ -117,7 +117,7 @@ def model_with(
 def _gain_shifts(
     dataset: Dataset, unknowns: Unknowns, weights: Array, fit: FitResult, *, known: bool
 ) -> Array:
-    """Return (nv, p) what the parameters of a fit change by with the gain of each joint's efforts.
+    """Return (nv, p) changes of the fitted parameters with the gain of each joint's efforts.
 
     A wrong gain 1 + g of joint j moves them by g times its row, to first order; that of a joint
     whose gain is fitted moves nothing else. It acts on the measured effort, of which known payloads
@@ -140,7 +140,7 @@ def _gain_shifts(
 def _unexplained_covariance(
     dataset: Dataset, unknowns: Unknowns, weights: Array, fit: FitResult, samples: Array
 ) -> Array:
-    """Return the covariance (p, p) of the parameters of a fit by what stays unexplained.
+    """Return the covariance (p, p) of fitted parameters by the unexplained error.
 
     With A the information of the fit and G_j the weighted normal matrix of joint j, noise gives
     Σ_j A⁻¹ G_j A⁻¹, if samples are counted by what they are worth. Of the part of the residual that
@@ -155,7 +155,7 @@ def _unexplained_covariance(
 
 
 def _moved(fit: FitResult, pulls: Array) -> Array:
-    """Return (p, k) what parameters change by with each of some slopes (p, k) of the fit's cost."""
+    """Return (p, k) changes of parameters with slopes (p, k) of the fit's cost."""
     factor, scale = scaled_cholesky(fit.information)
     return np.asarray(scale[:, None] * solved(factor, scale[:, None] * pulls))
 

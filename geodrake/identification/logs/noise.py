@@ -256,7 +256,7 @@ def _is_precise(model: RobotModel, trajectories: Sequence[Trajectory]) -> bool:
 
 
 def coherent_bandwidth(model: RobotModel, trajectories: Sequence[Trajectory]) -> float | None:
-    """Return the frequency above which the motion asks for efforts that were not measured, Hz.
+    """Return the frequency above which the motion and the measured efforts disagree, Hz.
 
     From there on the effort that the model needs, a rough one, has more than 25 times the measured
     power, the geometric mean over joints. None if it has not up to the bandwidth, or has from the

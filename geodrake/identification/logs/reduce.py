@@ -143,7 +143,7 @@ def reduced_joints(
     advance: Sequence[Array],
     shared: RowCache | None = None,
 ) -> tuple[JointData, ...]:
-    """Return what logs say about every joint, over the columns of a layout; see `reduce_logs`.
+    """Return the reduced data of every joint, with the columns of a layout; see `reduce_logs`.
 
     A joint may rest all the time. `advance` are (nv,) seconds by which the efforts were logged
     late, for each column of efforts.
@@ -330,7 +330,7 @@ def effort_scale(
     data: Sequence[JointData],
     deviation: Array,
 ) -> Array:
-    """Return (nv,) what each joint's effort could show, N·m or N.
+    """Return (nv,) the scale of each joint's effort, N·m or N.
 
     That is the `deviation` of its effort, if it moves. The effort of a joint at rest, or without a
     motor, deviates by next to nothing, and is no measure of an error: there it is the effort that

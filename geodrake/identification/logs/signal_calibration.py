@@ -1,4 +1,4 @@
-"""Logs without efforts: the gains of what was measured in their place, and the efforts."""
+"""Logs without efforts: gains of the signals that replace them, and the efforts."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ _SHARP = 20.0  # Hz
 def calibrate_efforts(
     model: RobotModel, logs: Sequence[JointLog], *, simulate: bool = True
 ) -> tuple[RobotModel, list[JointLog], list[str]]:
-    """Return the model that makes efforts of signals, logs with efforts, and what was found.
+    """Return the model with effort signals, logs with efforts, and notes.
 
     Gains that the model does not know are found by its inertias; see `effort_gains`. Logs have
     their joints in the model's order. Servos are those of simulated joints; where columns are only
@@ -110,7 +110,7 @@ def calibrate_efforts(
 
 
 def _check_known(found: Sequence[EffortSignal], logs: Sequence[JointLog]) -> None:
-    """Refuse signals of motors that go with nothing the model needs: efforts would be noise."""
+    """Raise for motor signals that are unrelated to the efforts of the motion."""
     measured = [signal for signal in found if signal.kind in SIGNAL_KINDS]
     if not measured or len(measured) < len(found) or not all(map(_is_unknown, measured)):
         return
@@ -131,7 +131,7 @@ def _is_unknown(signal: EffortSignal) -> bool:
 
 
 def _limit_notes(model: RobotModel, asked: JointLog, given: JointLog) -> list[str]:
-    """Return notes on efforts of a log that motors were `asked` for, beyond what they gave."""
+    """Return notes on commanded efforts of a log that exceed motor limits."""
     notes = []
     for at, joint in enumerate(asked.joints):
         signal = signal_of(model.effort_signals, joint)
@@ -148,7 +148,7 @@ def _limit_notes(model: RobotModel, asked: JointLog, given: JointLog) -> list[st
 
 
 def _known_efforts(model: RobotModel, log: JointLog) -> JointLog:
-    """Return the log with efforts at joints of whose signals the model knows what makes efforts."""
+    """Return the log with efforts of joints whose signals the model can convert."""
     signals = model.effort_signals
     summed = any(each.integral and kind_of(log, each.joint) == COMMAND for each in signals)
     known = in_efforts(log, signals, _needed(model, log) if summed else None)
@@ -178,7 +178,7 @@ def _needed(model: RobotModel, log: JointLog) -> Array:
 def gain_words(
     model: RobotModel, signals: Sequence[EffortSignal], logs: Sequence[JointLog] = ()
 ) -> str:
-    """Return what was found of signals, in words, and beside data sheets of motors."""
+    """Return the fitted gains in words, with data sheets of motors."""
     words = []
     for signal in signals:
         slides = signal.joint in model.sliding_joints
@@ -199,7 +199,7 @@ def gain_words(
 def calibrated(
     model: RobotModel, logs: Sequence[JointLog], kinds: Sequence[str], *, simulate: bool = True
 ) -> tuple[EffortSignal, ...]:
-    """Find what makes efforts of the signals of all joints whose efforts were not measured.
+    """Fit the signals of all joints without measured efforts.
 
     `kinds` (nv,) are what stands for the efforts of each joint. A linear fit takes efforts of
     servos for a gain times how far the command is away; how their joints move says the rest, from
@@ -250,13 +250,13 @@ _LINEAR = WeakKeyDictionary[RobotModel, tuple[tuple[JointLog, ...], _Linear]]()
 
 
 def _is_same(log: JointLog, other: JointLog) -> bool:
-    """Return whether logs have the very same values, whatever was noticed while they were read."""
+    """Return whether logs have identical values, apart from notes."""
     names = [field.name for field in fields(log) if field.name != "notes"]
     return all(getattr(log, name) is getattr(other, name) for name in names)
 
 
 def _linear(model: RobotModel, logs: Sequence[JointLog], kinds: Sequence[str]) -> _Linear:
-    """Fit the gains of signals of logs, whose `kinds` (nv,) stand for the efforts of each joint."""
+    """Fit gains of logs' signals, whose `kinds` (nv,) are those of the joints."""
     trajectories = prepare_logs(signals_as_efforts(logs, kinds))
     usual = [kind for kind in catalogue() if kind.complexity == 0]
     free = [kind.shaped(joint)[0] for joint in model.single_joints for kind in usual]
@@ -282,7 +282,7 @@ def _alike(model: RobotModel, kinds: Sequence[str]) -> list[str]:
 
 
 def _gain_priors(model: RobotModel, logs: Sequence[JointLog], kinds: Sequence[str]) -> GainPriors:
-    """Return what logs say of their efforts' gains, and data sheets of those of signals."""
+    """Return the priors of gains of efforts, from logs, and of signals, from data sheets."""
     deviations = np.max([log.gain_deviations for log in logs], axis=0)
     known = np.where([kind == EFFORT for kind in kinds], np.maximum(deviations, 1e-6), np.inf)
     expected = np.ones(len(kinds))
@@ -297,7 +297,7 @@ def _gain_priors(model: RobotModel, logs: Sequence[JointLog], kinds: Sequence[st
 def published_gain(
     logs: Sequence[JointLog], joint: str, kind: str
 ) -> tuple[float, float, str] | None:
-    """Return what a data sheet says of a signal's gain, its deviation, and the motor's name."""
+    """Return a published gain of a signal, its deviation, and the motor's name."""
     for log in logs:
         motor = log.motors.get(joint)
         told = None if motor is None else motor.gain(kind)
@@ -307,7 +307,7 @@ def published_gain(
 
 
 def expected_servo(logs: Sequence[JointLog], joint: str, stiffness: float) -> Expected:
-    """Return what data sheets say of a joint's servo, or else about which stiffness is usual."""
+    """Return the servo in data sheets, or a usual stiffness."""
     found = {"stiffness": (stiffness, ALIKE)}
     motors = [log.motors[joint] for log in logs if joint in log.motors]
     for motor in motors[:1]:
@@ -320,7 +320,7 @@ def expected_servo(logs: Sequence[JointLog], joint: str, stiffness: float) -> Ex
 
 
 def _log_deviation(value: float, deviation: float) -> float:
-    """Return the deviation of the logarithm of a value; what is exact is known to a thousandth."""
+    """Return the deviation of a value's logarithm; at least a thousandth."""
     return max(float(np.sqrt(np.log1p((deviation / value) ** 2))), 1e-3)
 
 
@@ -335,7 +335,7 @@ def servo_motions(
     joints: Sequence[int],
     trajectories: Sequence[Trajectory] | None = None,
 ) -> dict[int, JointMotions]:
-    """Return what simulations of joints with servos need, motion as sharp as these need it.
+    """Return the data for simulations of joints with servos, at sufficient bandwidth.
 
     Bodies are those of the model that is saved, not as a linear fit moves them. The logs may have
     been prepared for such a fit, as `trajectories`.
@@ -473,7 +473,7 @@ def signals_as_efforts(logs: Sequence[JointLog], kinds: Sequence[str]) -> list[J
 
 
 def _kinds(model: RobotModel, logs: Sequence[JointLog]) -> tuple[str, ...]:
-    """Return (nv,) what stands for the efforts of each joint."""
+    """Return (nv,) the kind of each joint's effort signal."""
     found = []
     for joint in model.joints:
         kinds = {kind_of(log, joint): log.name for log in logs}

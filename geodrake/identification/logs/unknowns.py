@@ -1,4 +1,4 @@
-"""What a fit may move: columns of a dataset with their prior, bounds and physical blocks.
+"""Unknowns of a fit: columns of a dataset with prior, bounds and physical blocks.
 
 `fit_problem` is its convex program.
 """
@@ -55,7 +55,7 @@ class Unknowns:
 
     @property
     def is_inertial(self) -> NDArray[np.bool_]:
-        """Return (p,) which unknowns are of bodies."""
+        """Return (p,) which unknowns belong to bodies."""
         inertial = np.zeros(len(self.columns), bool)
         for start in self.inertia_blocks:
             inertial[start : start + PARAMETERS_PER_BODY] = True
@@ -68,7 +68,7 @@ class Unknowns:
         return np.where(inertial, -np.inf, self.lower), np.where(inertial, np.inf, self.upper)
 
     def span(self, effect: Effect) -> slice:
-        """Return where an effect's parameters stand among the unknowns."""
+        """Return the indices of an effect's parameters among the unknowns."""
         start = self.starts[self.effects.index(effect)]
         return slice(start, start + len(effect.parameters))
 
@@ -89,7 +89,7 @@ class Unknowns:
         )
 
     def released(self, effect: Effect, information: Array, mean: Array | None = None) -> Unknowns:
-        """Return these unknowns with what was known about one effect forgotten.
+        """Return these unknowns without the prior of one effect.
 
         `information` (k, k) is what is known about it instead, around a mean (k,) or zero.
         """
@@ -135,7 +135,7 @@ def pullback_information(phi: Array, spread: float) -> Array:
 
 
 def payload_reference(phi: Array) -> Array:
-    """Return a body (10,) in the middle of what a robot of bodies φ (nb, 10) may carry.
+    """Return a typical payload (10,) of a robot with bodies φ (nb, 10).
 
     Its mass is a tenth of the robot's. Its radius of gyration is a third of that of the robot's
     bodies about their own origins.

@@ -35,14 +35,14 @@ _FAR = 2.0
 """Factor of a mass from which on a body's change is worth a word."""
 
 _USUAL = 2.0
-"""All bodies together are usually no farther off than so many times what a file knows them to."""
+"""Ratio to the file's uncertainty up to which all bodies together usually differ."""
 
 USUAL = tuple(e.name for e in catalogue() if e.complexity == 0 and "v" in e.depends_on)
-"""Effects that a real robot is hardly without; inertias that lack them stand in for them."""
+"""Effects that almost every robot has, and that inertias otherwise approximate."""
 
 
 def changed_bodies(model: RobotModel, fit: ModelFit) -> tuple[BodyChange, ...]:
-    """Return what a fit made of the bodies of a model, the farthest change first."""
+    """Return the changes of a model's bodies in a fit, the largest first."""
     changes = body_changes(model.bodies, model.phi, fit.model.phi, fit.result)
     return tuple(sorted(changes, key=lambda body: -body.distance))
 
@@ -71,7 +71,7 @@ def body_changes(
 
 
 def model_notes(model: RobotModel, bodies: Sequence[BodyChange]) -> list[str]:
-    """Return what to know of a fitted model: no friction, masses far from the prior."""
+    """Return notes on a fitted model: missing friction, masses far from the prior."""
     notes = []
     if not any("friction" in fitted.effect.name for fitted in model.effects):
         notes.append(
@@ -121,7 +121,7 @@ def identify_model(
     effects: Sequence[Effect] = (),
     progress: Callable[[str], None] = lambda words: None,
 ) -> ModelIdentification:
-    """Identify the inertial parameters and effects of a model, which is the prior as it stands.
+    """Identify the inertial parameters and effects of a model, with the model as prior.
 
     The inertial parameters are regularized towards those of the model. Of its effects, positive
     parameters such as friction and rotor inertias are known to within their own size, by the

@@ -1,4 +1,4 @@
-"""What identifying a model takes and gives: plain frozen dataclasses."""
+"""Settings and results of model identification, as frozen dataclasses."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class BodyChange(Short):
 
 @dataclass(frozen=True, eq=False)
 class Alternative(Short):
-    """What another regularizer makes of the same training residual."""
+    """Result of another regularizer at the same training residual."""
 
     regularizer: str
     gamma: float  # weight with which it reaches the residual
@@ -93,7 +93,7 @@ class IdentificationSettings(Short):
     hold_resting: bool = True
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be done before the long work."""
+        """Raise for invalid settings."""
         one_of(self.regularizer, "regularizer", REGULARIZERS)
         for name, words in (("gamma", "gamma"), ("total_mass", "The total mass, in kg,")):
             if (given := getattr(self, name)) is not None:

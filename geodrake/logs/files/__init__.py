@@ -101,7 +101,7 @@ def understand(
     partial: bool = False,
     reading: Reading | None = None,
 ) -> tuple[JointLog, Columns]:
-    """Return a log, and what its columns were taken for; see `read_log`."""
+    """Return a log, and the meaning of its columns; see `read_log`."""
     path = file_path(path)
     joints = None if joints is None else instances(joints, "joints", str)
     reading = Reading() if reading is None else instance(reading, "reading", Reading)
@@ -128,7 +128,7 @@ def understand(
 def log_of(
     table: LogTable, joints: Sequence[str] | None, reading: Reading, *, partial: bool = False
 ) -> tuple[JointLog, Columns]:
-    """Return the log that a table is, and what its columns were taken for; see `read_log`.
+    """Return the log in a table, and the meaning of its columns; see `read_log`.
 
     Columns of efforts that say nothing of them are not used, if others may stand for them.
     """
@@ -153,7 +153,7 @@ def _understood(
 
 
 def _check_silent(table: LogTable, reading: Reading, joints: Sequence[str] | None) -> None:
-    """Refuse a table whose columns of the log have no numbers: else they would only be missing."""
+    """Raise if used columns have no numbers, which would otherwise only be missing."""
     needed = {mapped.among(table.counted) for _, mapped in reading.mapping or ()}
     if reading.mapping is None:
         rare = {name for name, words in table.silent.items() if words.startswith(RARE)}
@@ -215,7 +215,7 @@ def log_of_frame(
 
 
 def _frame_arrays(frame: Any, called: str) -> dict[str, Any]:
-    """Return columns by their names, whatever holds them; a lazy frame of polars is collected."""
+    """Return columns by their names from any container; a lazy polars frame is collected."""
     if hasattr(frame, "collect_schema") and hasattr(frame, "collect"):
         frame = frame.collect()
     if isinstance(frame, np.ndarray) and frame.dtype.names is not None:

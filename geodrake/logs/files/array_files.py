@@ -83,7 +83,7 @@ def _json_table(path: Path, content: Any, reading: Reading) -> LogTable:
 
 
 def read_echo(path: Path, reading: Reading) -> LogTable:
-    """Return the columns of what `topic echo` of ROS wrote: a document of YAML for each message."""
+    """Return the columns of ROS's `topic echo`: a YAML document for each message."""
     advice = "Is it cut off? Remove the last message, or record a bag: ros2 bag record."
     with readable(path, "output of topic echo", advice):
         text = _whole(path, "YAML")
@@ -93,7 +93,7 @@ def read_echo(path: Path, reading: Reading) -> LogTable:
 
 
 def read_rsi(path: Path, reading: Reading) -> LogTable:
-    """Return the columns of what a KUKA sent by its interface for sensors, elements of XML."""
+    """Return the columns of messages of a KUKA's robot sensor interface (RSI), as XML."""
     with readable(path, "XML of a robot", "Remove a last element that is cut off."):
         root = ElementTree.fromstring(b"<log>" + _whole(path, "XML") + b"</log>")
     return records_table(path, [_of_element(element) for element in root])
@@ -106,7 +106,7 @@ def _of_element(element: ElementTree.Element) -> dict[str, Any]:
 
 
 def _whole(path: Path, kind: str) -> bytes:
-    """Return the text of a file, which becomes many times as large, if there is room for that."""
+    """Return the text of a file, if there is enough memory for its much larger content."""
     with open_log(path) as file:
         text = file.read(1 + int(_JSON_SHARE * machine_memory()))  # of what may be packed well
     check_room(path, int(len(text) / (8.0 * _JSON_SHARE)), f"{len(text) / 1e9:.3g} GB of {kind}")
@@ -114,7 +114,7 @@ def _whole(path: Path, kind: str) -> bytes:
 
 
 def _of_pandas(content: Any) -> Any:
-    """Return what a data frame that was written as JSON holds, as columns."""
+    """Return the columns of a data frame that was written as JSON."""
     if not isinstance(content, Mapping):
         return content
     if {"columns", "data"} <= content.keys() <= {"columns", "index", "data"}:
@@ -170,7 +170,7 @@ def _is_hdf5(path: Path) -> bool:
 
 
 def _of_hdf5(path: Path, *, matlab: bool = True) -> dict[str, Any]:
-    """Return the arrays of a file: every object once, whatever leads to it."""
+    """Return the arrays of a file, each object once, however many links lead to it."""
     what = "MATLAB files of version 7.3 (or save them with -v7)" if matlab else "HDF5 files"
     h5py = optional_package("h5py", "logs", what, LogError)
     names: list[str] = []
@@ -208,7 +208,7 @@ def _of_hdf5(path: Path, *, matlab: bool = True) -> dict[str, Any]:
 
 
 def _attributes(group: Any) -> list[tuple[str, Any]]:
-    """Return attributes of a group, and what texts of JSON among them say, as robomimic's."""
+    """Return attributes of a group, and the content of JSON texts among them, as in robomimic."""
     found = [*group.attrs.items()]
     for _, text in [*found]:
         if isinstance(text, str) and text.startswith("{"):
@@ -218,7 +218,7 @@ def _attributes(group: Any) -> list[tuple[str, Any]]:
 
 
 def _arrays(variables: dict[str, Any]) -> dict[str, Any]:
-    """Return arrays, and numbers alone; a struct around all else says nothing.
+    """Return arrays and scalars; a single struct around everything else is omitted.
 
     Signals of Simulink, structs of values with a label each, are arrays by these.
     """

@@ -50,7 +50,7 @@ HEADER = "time,<joint>.position,<joint>.velocity,<joint>.effort"
 _MOST_COLUMNS = 10_000  # ten times more than a robot of a hundred joints has
 HEADER_ADVICE = f"The first line names the columns: {HEADER}; velocity is optional."
 SIGNAL_ADVICE = "<joint>.current, .voltage, .pwm or .command may replace effort."
-"""What a joint may have whose efforts are not measured."""
+"""Signals that may replace the measured effort of a joint."""
 
 
 def read_column(meaning: Meaning, numbers: dict[str, Array], *, since_first: bool = True) -> Array:
@@ -67,14 +67,14 @@ def read_column(meaning: Meaning, numbers: dict[str, Array], *, since_first: boo
 
 
 def in_seconds(meaning: Meaning, time: Array) -> tuple[Array, tuple[str, ...]]:
-    """Return time stamps (N,) in s, where nobody said their unit, and a note of it."""
+    """Return time stamps (N,) of unknown unit in s, and a note."""
     said = meaning.unit is not None or meaning.nanoseconds is not None
     found = None if said else time_unit(meaning.column, time)
     return (time, ()) if found is None else (found[0] * time, (found[1],))
 
 
 def check_text(path: Path, names: Sequence[str]) -> None:
-    """Refuse names that no text has, and those of the format that come twice."""
+    """Raise for column names that are not text, and for duplicates of geodrake's own names."""
     if len(names) > _MOST_COLUMNS:
         raise LogError(
             f"Log {str(path)!r} has {len(names)} columns; at most {_MOST_COLUMNS} are read.",
@@ -89,7 +89,7 @@ def check_text(path: Path, names: Sequence[str]) -> None:
 
 
 def no_header(path: Path, first: Sequence[str]) -> LogError:
-    """Return what is said of a table whose columns nobody names, by the cells of its first row."""
+    """Return the error for a table without a header, from the cells of its first row."""
     return LogError(
         f"Log {str(path)!r} has no header: its first line is {','.join(first)[:60]!r}.",
         advice=f"{HEADER_ADVICE} Or name its columns with --columns or --mapping.",
@@ -97,7 +97,7 @@ def no_header(path: Path, first: Sequence[str]) -> LogError:
 
 
 def check_once(path: Path, names: Sequence[str], used: Collection[str] | None = None) -> None:
-    """Refuse columns that are needed and there twice; by default all are needed."""
+    """Raise for duplicate columns, by default in all."""
     counts = Counter(names)
     twice = sorted(name for name in set(names if used is None else used) if counts[name] > 1)
     if twice:
@@ -128,7 +128,7 @@ _STEADY = 0.2  # of its mean, by which the voltage of a supply may vary
 def candidates(
     meanings: Sequence[Meaning], found: Mapping[str, str], reading: Reading
 ) -> tuple[Best, dict[str, tuple[str, ...]]]:
-    """Return what may be each quantity of each joint, what is taken first.
+    """Return the candidate columns for each quantity of each joint, best first.
 
     A joint with efforts of any kind has no command, unless one is called as geodrake itself does.
     Returned are the columns by (joint, quantity), and further ones by joint that could stand for
@@ -166,7 +166,7 @@ def _is_own(meaning: Meaning) -> bool:
 
 
 def _preference(meaning: Meaning, said: str | None) -> tuple[bool, bool, bool, int, int]:
-    """Return what orders several columns of one quantity of one joint: the least is taken."""
+    """Return the sort key of several columns of one quantity of a joint, best first."""
     if meaning.log_quantity != "effort":
         return False, not _is_own(meaning), False, 0, meaning.role
     kind = EFFORT_KINDS.index(meaning.quantity)
@@ -177,7 +177,7 @@ def _preference(meaning: Meaning, said: str | None) -> tuple[bool, bool, bool, i
 def settled(
     path: Path, meaning: Meaning, joint: str, reading: Reading, units: Mapping[str, str]
 ) -> Meaning:
-    """Return what a column of a joint is with its unit, and of efforts what they are.
+    """Return the meaning of a joint's column with its unit and the kind of efforts.
 
     Units are those that the user says, that the name says, or that the file states.
     """
@@ -234,7 +234,7 @@ def settled(
 
 
 def without_use(log: JointLog, columns: Columns) -> frozenset[str]:
-    """Return columns that were taken for efforts and say nothing, where others may stand for them.
+    """Return columns of efforts without information, where others may replace them.
 
     They are empty, or they are the voltage of a supply, which hardly changes.
     """
@@ -261,7 +261,7 @@ _KIND_WORDS = {
 
 
 def choice_words(best: Mapping[tuple[str, str], Sequence[Meaning]]) -> Iterator[str]:
-    """Yield which columns were taken where several are of one quantity, in words."""
+    """Yield notes on the choice among several columns of one quantity."""
     for quantity in QUANTITIES:
         several = [same for (_, q), same in best.items() if q == quantity]
         chosen, others = [s[0] for s in several], [m for s in several for m in s[1:]]
@@ -329,7 +329,7 @@ _MAPPING_ADVICE = "Or map the columns with --mapping."
 def columns_of(
     table: LogTable, joints: Sequence[str] | None, reading: Reading, *, partial: bool = False
 ) -> Columns:
-    """Return what the columns of a table are; see `read_log` for arguments."""
+    """Return the meaning of a table's columns; see `read_log` for arguments."""
     path, names = table.path, table.names
     if joints is not None and len(set(joints)) < len(joints):
         raise ArgumentError(f"Log {str(path)!r} would have a joint twice: {listed(joints)}.")
@@ -360,7 +360,7 @@ def columns_of(
 
 
 def likely_clock(table: LogTable) -> tuple[str, str]:
-    """Return the column that may be time by its values or its name, and how it is asked for."""
+    """Return the column that may be time by its values or its name, with a question."""
     others = [name for name in table.names[:_MOST_CLOCKS] if meaning_of(name) is None]
     with suppress(LogError):  # of cells that are no numbers
         for name, values in table.read(others, skip=True)[0].items():
@@ -377,7 +377,7 @@ def likely_clock(table: LogTable) -> tuple[str, str]:
 
 
 def _by_names(table: LogTable, joints: Sequence[str] | None, reading: Reading) -> Columns:
-    """Return what the names of the columns say."""
+    """Return the meaning of columns by their names."""
     path, names, units = table.path, table.names, table.units
     beside = [name for name in names if floating_name(name) is None]
     meanings = meanings_of(beside)
@@ -409,7 +409,7 @@ def _by_names(table: LogTable, joints: Sequence[str] | None, reading: Reading) -
 
 
 def _by_mapping(table: LogTable, reading: Reading) -> Columns:
-    """Return what a mapping says."""
+    """Return the meaning of columns by a mapping."""
     places, path, names = dict[tuple[str, str], Meaning](), table.path, table.names
     mapping = reading.mapping or ColumnMapping({})
     for name, mapped in mapping:
@@ -439,7 +439,7 @@ def _by_mapping(table: LogTable, reading: Reading) -> Columns:
 
 @dataclass
 class Columns:
-    """Which column of a file is which quantity of which joint, and what is read of them.
+    """The quantity and joint of each column of a file, and how they are read.
 
     Attributes:
         reading: How the user said that the file is to be read.
@@ -480,7 +480,7 @@ class Columns:
 
     @property
     def kinds(self) -> dict[str, str]:
-        """Joint -> what is in the place of its efforts, where it has none."""
+        """Joint -> kind of the signal that replaces its efforts, if any."""
         named = {joint: self.places.get((joint, "effort")) for joint in self.joints}
         found = {joint: source.quantity for joint, source in named.items() if source is not None}
         found |= dict.fromkeys(self.passive, PASSIVE)
@@ -492,7 +492,7 @@ class Columns:
         return tuple(dict.fromkeys(c for source in self.sources.values() for c in source.columns))
 
     def date(self, table: LogTable) -> None:
-        """Take time for seconds, whatever its name says, if since a known instant.
+        """Read time as seconds since a known instant, whatever its name.
 
         Time is left out where a rate says it. Commands are in the unit of their joint's position
         if nobody says theirs.
@@ -519,7 +519,7 @@ class Columns:
             self.notes += [] if since is None else [f"time is in s since {date_words(since)}"]
 
     def choose(self, table: LogTable, wanted: Sequence[str] | None, *, partial: bool) -> None:
-        """Find the joints of the log, and those of which there is the position alone."""
+        """Find the joints of the log, and those with positions only."""
         path, moved = table.path, self._of_model(self.having("position"), wanted)
         efforts = self.having("effort", "command")
         heard = {*efforts, *self._without_motor(moved)}
@@ -559,7 +559,7 @@ class Columns:
         self.left_out = tuple(beside) if wanted is not None else ()
 
     def keep_used(self, names: Sequence[str]) -> None:
-        """Keep what is read of columns of some names, and note what becomes of others."""
+        """Keep the columns that are read, with notes on others."""
         own, reading, used = self.joints, self.reading, {*self.files}
         for quantity in QUANTITIES:
             missing = [f"{j}.{quantity}" for j in own if (j, quantity) not in self.places]
@@ -598,7 +598,7 @@ class Columns:
         return replace(source, gain=gain * source.gain, quantity="effort")
 
     def _of_model(self, joints: Sequence[str], wanted: Sequence[str] | None) -> tuple[str, ...]:
-        """Return joints without those that the model lacks, if it has some of the log's.
+        """Return the joints without those that the model lacks, if it has any of the log's.
 
         A joint that is called like one that the log lacks stays: it is that one, misspelled.
         """
@@ -614,7 +614,7 @@ class Columns:
         )
 
     def _without_motor(self, joints: Sequence[str]) -> tuple[str, ...]:
-        """Return those of some joints without a motor, as the log, the user or the model says."""
+        """Return the joints without a motor, according to the log, the user or the model."""
         heard, said = self.having("effort", "command"), self.having(PASSIVE)
         says = bool(heard) or not self.reading.of_base  # else nobody measured what motors do
         return tuple(
@@ -635,7 +635,7 @@ class Columns:
         return list(dict.fromkeys(joint for joint, other in self.places if other in quantities))
 
     def check_said(self) -> None:
-        """Refuse gains and kinds of joints that have no such column."""
+        """Raise for gains and kinds of joints without such a column."""
         path, joints = self.path, self.joints
         heard, told = self.having("effort"), self.having("command")
         whats = {PASSIVE: "--passive names", "gain": "There is a gain for"}
@@ -670,7 +670,7 @@ class Columns:
 
 
 def time_source(meanings: Sequence[Meaning], reading: Reading, table: LogTable) -> Meaning | None:
-    """Return the column of time, the likeliest of several; with one of nanoseconds beside it."""
+    """Return the column of time, and one of nanoseconds if there is one."""
     times = sorted((m for m in meanings if m.quantity == "time"), key=lambda m: m.role)
     times = times or [Meaning(n, "time") for n in table.origins if table.is_time(n)]
     if not times:
@@ -680,7 +680,7 @@ def time_source(meanings: Sequence[Meaning], reading: Reading, table: LogTable) 
 
 
 def _nanoseconds(time: str, names: Sequence[str]) -> str | None:
-    """Return the column of nanoseconds beside a column of seconds."""
+    """Return the column of nanoseconds that belongs to a column of seconds."""
     seconds, known = meaning_of(time), filter(None, map(meaning_of, names))
     beside = (m for m in known if m.quantity == "nanoseconds")
     return next((m.column for m in beside if seconds and m.style == seconds.style), None)

@@ -1,4 +1,4 @@
-"""The formats of log files, by suffix, by what is in a folder, and by bytes; logs in several."""
+"""Formats of log files, recognized by suffix, folder content or bytes, and joined logs."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ FOLDERS: Mapping[str, Reader] = {
     "*.db3": read_bag,
     INFO: read_lerobot,
 }
-"""Reader of folders, by what is in them."""
+"""Readers of folders, by their content."""
 
 BEGINNINGS: Mapping[bytes, Reader] = {
     MAGIC: read_lcm,
@@ -106,7 +106,7 @@ def table_of(path: Path, reading: Reading) -> LogTable:
 
 
 def reader_of(path: Path) -> Reader | None:
-    """Return what reads a file or folder that is there; None if none of these formats is it."""
+    """Return the reader of an existing file or folder; None for unknown formats."""
     if path.is_dir():
         return next((reader for mark, reader in FOLDERS.items() if any(path.glob(mark))), None)
     kind = unpacked(path).suffix.lower()
@@ -200,7 +200,7 @@ def _named_table(path: Path, reading: Reading) -> LogTable:
 
 
 def _renamed(table: LogTable, names: Mapping[str, str]) -> LogTable:
-    """Return the table with other names of some columns."""
+    """Return the table with some columns renamed."""
 
     def with_them(told: Mapping[str, Any]) -> dict[str, Any]:
         return {names.get(name, name): each for name, each in told.items()}

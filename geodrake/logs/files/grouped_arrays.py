@@ -1,4 +1,4 @@
-"""Groups in one file: demonstrations, one after the other, and parts with time of their own."""
+"""Groups in one file: concatenated demonstrations, and parts with their own time."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _EPISODE = re.compile(
 def fields_of(
     record: Mapping[str, Any], prefix: str = "", *, lists: bool = False
 ) -> Iterator[tuple[str, Any]]:
-    """Yield what is in nested tables by its path; of lists each item, if these are fields, too."""
+    """Yield the fields of nested tables by path, also those in lists."""
     for name, value in record.items():
         if lists and isinstance(value, list):
             items = {f"[{k}]": each for k, each in enumerate(value)}
@@ -44,7 +44,7 @@ def fields_of(
 
 
 def arrays_of(variables: Mapping[str, Any]) -> dict[str, Any]:
-    """Return arrays, lists and numbers by their paths; arrays of one number say nothing."""
+    """Return arrays, lists and scalars by path, without arrays of one number."""
     found = {}
     for name, value in fields_of(variables):
         size = value.size if isinstance(value, np.ndarray) else 2
@@ -73,7 +73,7 @@ def records_table(path: Path, content: Sequence[Mapping[str, Any]]) -> LogTable:
 
 
 def grouped_table(path: Path, content: Any, reading: Reading) -> LogTable | None:
-    """Return the columns of demonstrations, or of parts with time of their own; None of others."""
+    """Return the columns of demonstrations or of parts with their own time; None otherwise."""
     found = _episodes_in(content, least=1 if reading.episode is not None else 2)
     if found:
         return _in_turn(path, found, content, reading)
@@ -157,7 +157,7 @@ def _going_on(before: Array, time: Array) -> Array:
 
 
 def _parts_in(content: Any, name: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Yield tables of columns or lists of records that have time of their own, and their names."""
+    """Yield names and tables or lists of records that have their own time."""
     if are_records(content):
         if any(map(is_time, content[0])) and not any(isinstance(x, list) for x in _times(content)):
             yield name, content

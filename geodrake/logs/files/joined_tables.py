@@ -102,7 +102,7 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
 
 
 def _twice(columns: Sequence[str]) -> list[str]:
-    """Return what is done about columns that several parts have, as a note."""
+    """Return a note about columns that occur in several parts."""
     said = f"columns {listed(columns)} occur in several parts; those of the first are used"
     return [said] if columns else []
 
@@ -117,12 +117,12 @@ def _order(tables: Sequence[LogTable], reading: Reading) -> list[str]:
 
 
 def _is_time(table: LogTable, column: str, reading: Reading) -> bool:
-    """Return whether a column has the time, as its name, its dates or the mapping says."""
+    """Return whether a column is time, by its name, its dates or the mapping."""
     return table.is_time(column) or _what(column, reading)[1] == "time"
 
 
 def _what(column: str, reading: Reading) -> tuple[str, str]:
-    """Return the joint of a column, and what it is: a quantity of a log, or of a base or frame."""
+    """Return the joint or frame of a column, and its quantity."""
     for name, mapped in reading.mapping or ():
         if mapped.column == column:
             joint, _, quantity = name.rpartition(".")
@@ -186,7 +186,7 @@ def _slow_parts(
 
 
 def _turns_slowly(columns: Mapping[str, Array]) -> bool:
-    """Return whether orientations of a base are about what those before and after them say."""
+    """Return whether orientations of a base are close to the interpolation of their neighbours."""
     named = {known: values for c, values in columns.items() if (known := floating_name(c))}
     q = vectors(named, "base.orientation")
     q = np.zeros((0, 4)) if q is None else q[np.isfinite(q).all(axis=1)]
@@ -201,7 +201,7 @@ def _turns_slowly(columns: Mapping[str, Array]) -> bool:
 
 
 def _time(table: LogTable, reading: Reading) -> tuple[Array | None, tuple[str, ...]]:
-    """Return time stamps of a table, s, and a note of a unit that nobody said."""
+    """Return time stamps of a table, s, and a note if their unit was inferred."""
     mapped = reading.mapping.time if reading.mapping else None
     if mapped is not None and (stamps := table.columns.get(str(mapped.column))) is not None:
         if mapped.column in table.origins:
@@ -295,7 +295,7 @@ def _side_by_side(log: Path, tables: Sequence[LogTable]) -> dict[str, Array]:
 
 
 def at_instants(instants: Array, time: Array, values: Array, *, holds: bool = False) -> Array:
-    """Return values (K,) at instants (N,): between neighbours; NaN outside, in gaps, beside NaN."""
+    """Interpolate values (K,) at instants (N,); NaN outside, in gaps and next to NaN."""
     good = np.isfinite(time)
     time, values = time[good], values[good]
     if len(time) < 2:
@@ -320,7 +320,7 @@ _MOST_JOINTS, _MOST_SIGNALS = 200, 2000  # more different words are no names
 
 
 def reshaped(table: LogTable, reading: Reading) -> LogTable:
-    """Return a table in which numbers stand under the names of joints, if its cells name these."""
+    """Return a table with a column for each joint, if cells name the joints."""
     words = {n: w for column, cells in table.words.items() for n, w in _items(column, cells)}
     numbers = {n: _numbered(table.columns[n]) for n in table.columns if numbers_joints(n)}
     words |= {n: w for n, w in numbers.items() if w is not None}
@@ -365,13 +365,13 @@ def _items(column: str, cells: Texts) -> Iterator[tuple[str, Texts]]:
 
 
 def _numbered(values: Array) -> Texts | None:
-    """Return the joints that whole numbers name; None of others, or of one joint."""
+    """Return the joints that integers number; None otherwise, or for one joint."""
     several = 1 < len(np.unique(values)) <= _MOST_JOINTS and np.all(values == np.rint(values))
     return np.array([f"joint_{value:.0f}" for value in values], object) if several else None
 
 
 def _check_names(table: LogTable, column: str, words: Texts) -> None:
-    """Refuse cells without a name, of a column that is to say whose the numbers are."""
+    """Raise for empty cells in a column of joint names."""
     if not all(words):
         row = 1 + next(k for k, word in enumerate(words) if not word)
         raise LogError(
@@ -383,7 +383,7 @@ def _check_names(table: LogTable, column: str, words: Texts) -> None:
 
 
 def _named(table: LogTable, naming: Mapping[str, Texts]) -> LogTable:
-    """Return the table with numbered columns under the names that stand beside them in each row."""
+    """Return the table with numbered columns renamed by the names in each row."""
     in_lists = all(name.endswith("]") for name in naming)
     joints = {number_of(name): words for name, words in naming.items()}
     measured = (m for m in meanings_of(table.columns) if m.quantity in OF_JOINTS)
@@ -417,7 +417,7 @@ def _likeliest(
 
 
 def _unit_of(table: LogTable, meaning: Meaning) -> str | None:
-    """Return the unit of a column, as its name or the file says."""
+    """Return the unit of a column, from its name or the file."""
     return meaning.unit.name if meaning.unit else table.units.get(meaning.column)
 
 
@@ -462,7 +462,7 @@ def _brought_together(
 
 
 def _check_at_once(table: LogTable, naming: str, words: Texts) -> None:
-    """Refuse a table of one joint after the other: nobody knows where the others were meanwhile.
+    """Raise for a table in which joints follow each other in time.
 
     Tables may also have all rows of a joint together, as many and of the same time as the others'.
     """

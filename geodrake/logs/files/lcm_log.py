@@ -19,11 +19,11 @@ from geodrake.logs.files.table import LogTable, readable
 from geodrake.logs.files.topics import Topic, chosen_topics, topics_table
 
 MAGIC = b"\xed\xa1\xda\x01"
-"""What each event of a log begins with."""
+"""Magic number at the start of each event."""
 
 _TYPES = ("lcmt_iiwa_status", "lcmt_jaco_status", "lcmt_panda_status")
 _NEGATIVE = ("lcmt_iiwa_status",)
-"""Types with torques of the other sign than Drake's, as their definition says."""
+"""Types whose torques have the opposite sign to Drake's, by definition."""
 
 _EVENT = struct.Struct(">4sQQII")  # begin, number, time, and lengths of a channel and its message
 _LARGEST = 100_000_000  # bytes of a message, which the package lcm would take into memory
@@ -80,14 +80,14 @@ def _check_sizes(path: Path, file: BinaryIO) -> None:
 
 
 def _types() -> Mapping[bytes, type]:
-    """Return types of messages about joints, by what their messages begin with."""
+    """Return types of messages about joints, by their fingerprints."""
     drake = importlib.import_module("drake")
     found = [getattr(drake, name) for name in _TYPES]
     return {kind._get_packed_fingerprint(): kind for kind in found}
 
 
 def _topics(events: Any, types: Mapping[bytes, type]) -> list[Topic]:
-    """Return all channels with what their messages say."""
+    """Return all channels with the content of their messages."""
     topics: dict[str, Topic] = {}
     rows: dict[str, MessageRows] = {}
     for event in events:

@@ -21,7 +21,7 @@ from geodrake.logs.files.table import LogTable, readable
 Array = NDArray[np.float64]
 
 INFO = "meta/info.json"
-"""What makes a folder a dataset."""
+"""Files that identify a folder as a dataset."""
 
 _LARGEST_INFO = 100_000_000  # bytes
 _ACTION = "action"  # what a policy or a person told the joints
@@ -62,7 +62,7 @@ def read_lerobot(path: Path, reading: Reading) -> LogTable:
 
 
 def _meaning(features: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str], str]]:
-    """Feature and column -> `<joint>.<quantity>`, for what is observed of joints, and actions."""
+    """Feature and column -> `<joint>.<quantity>`, for observations of joints, and actions."""
     for feature, description in features.items():
         told, is_action = meaning_of(f"{feature}[0]"), feature == _ACTION
         if (
@@ -87,7 +87,7 @@ def _meaning(features: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str], str
 
 
 def _names(names: Any, size: int) -> list[str] | None:
-    """Return names of the numbers of a feature, however they are nested; None if there are none."""
+    """Return the names of a feature's numbers, however nested; None if there are none."""
     if isinstance(names, Mapping):
         names = [name for each in names.values() if isinstance(each, list) for name in each]
     if isinstance(names, list) and len(names) == 1 and isinstance(names[0], list):
@@ -98,7 +98,7 @@ def _names(names: Any, size: int) -> list[str] | None:
 
 
 def _time(stamps: Array, episodes: Array) -> Array:
-    """Return time that goes on from one episode to the next."""
+    """Return time that continues from one episode to the next."""
     steps = np.diff(stamps, prepend=stamps[:1])
     steps[1:][np.diff(episodes) != 0] = _BETWEEN
     return np.asarray(np.cumsum(steps))

@@ -1,4 +1,4 @@
-"""Files that say which column of a log is what: read, and proposed where names say too little."""
+"""Mapping files of log columns: reading, and drafts for unknown names."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ _JointSchema: Any = msgspec.defstruct(
 
 
 class _MappingSchema(Schema):
-    """What a mapping file holds."""
+    """The content of a mapping file."""
 
     joints: dict[str | int, _JointSchema]
     time: _Column = None
@@ -76,7 +76,7 @@ class _MappingSchema(Schema):
 
 
 def mapping_of(path: Path, content: object) -> ColumnMapping:
-    """Return what the content of a mapping file says; see `read_mapping`."""
+    """Return the mapping in the content of a file; see `read_mapping`."""
     said = as_schema(content, _MappingSchema)
     joints = {
         str(joint): {
@@ -198,11 +198,11 @@ _HEAD = """\
 # gain: such as torque constant times gear ratio, for motor currents.
 """
 _UNKNOWN = MappedColumn("")
-"""What is written of a column that the user is to fill in."""
+"""Placeholder for a column that the user has to fill in."""
 
 
 def mapping_lines(mapping: ColumnMapping) -> list[str]:
-    """Return lines of YAML that say a mapping."""
+    """Return a mapping as lines of YAML."""
     time = mapping.time
     lines = [f"rate: {mapping.rate}" if time is None else f"time: {_written(time)}", "joints:"]
     for joint, columns in mapping.joints.items():

@@ -48,10 +48,10 @@ def on_clock(table: LogTable, clock: Clock | None) -> LogTable:
 
 
 _LATEST = 1 << 62
-"""What no stamp reaches, ns since 1970: the year 2116, and steps between two fit 64 bits."""
+"""Upper bound of stamps, ns since 1970: the year 2116; differences fit 64 bits."""
 
 NUMBERS = "data"
-"""What the numbers of a message are called that says nothing of them."""
+"""Names of numbers that do not tell their quantity."""
 
 _NAMES = ("name", "names", "joint_name", "joint_names")
 _OUTPUT = ("output", "effort")  # of a controller, where nobody measures
@@ -61,7 +61,7 @@ _POINTS = "points"  # of a trajectory, which joints are told
 
 @dataclass(frozen=True)
 class JointFields:
-    """Where messages of a type have the names of joints and what is measured at them.
+    """Where messages of a type have names of joints and their measurements.
 
     Attributes:
         arrays: Quantity -> where its array may be; the first with numbers counts. `NUMBERS` of
@@ -77,7 +77,7 @@ class JointFields:
 
     @classmethod
     def of(cls, message: Any) -> JointFields | None:
-        """Return the fields of messages such as this one; None if no log needs them."""
+        """Return the fields of messages such as this one; None if a log does not need them."""
         names = next(
             (n for n in _NAMES if isinstance(getattr(message, n, None), list | tuple)), None
         )
@@ -153,11 +153,11 @@ class MessageNumbers:
         return stamps, np.frombuffer(group.numbers).reshape(len(stamps), -1)
 
     def columns(self, key: Any) -> Iterable[tuple[Hashable, Mapping[str, int]]]:
-        """Return what has numbers in a group, such as joints -> its columns, and their places."""
+        """Return the groups with numbers, such as joints -> columns, and their positions."""
         raise NotImplementedError
 
     def tables_of(self, keys: Iterable[Any], *, shared: bool = True) -> list[LogTable]:
-        """Return the columns of some groups, with `time`: a table for the same instants.
+        """Return the columns of some groups, with `time`: one table for each set of instants.
 
         Args:
             shared: Whether what has the same instants shares a table; else each has its own.
@@ -180,7 +180,7 @@ class MessageNumbers:
 
     @property
     def clock(self) -> Clock | None:
-        """When messages were measured and received; None unless all of them say it."""
+        """Times of measurement and receipt; None unless all messages have both."""
         return self._stamps if (self._stamps[0] > 0).all() else None
 
     @property
@@ -212,7 +212,7 @@ class _Group:
 
 @dataclass
 class MessageRows(MessageNumbers):
-    """What messages of one topic say of joints."""
+    """The joint data in messages of one topic."""
 
     fields: JointFields
     from_controller: bool = field(default=False, init=False)
@@ -234,7 +234,7 @@ class MessageRows(MessageNumbers):
 
     @property
     def quantities(self) -> frozenset[str]:
-        """Return what some joint has in one message."""
+        """Return the quantities of joints in one message."""
         best = max((q for _, q in self.groups), key=lambda q: (is_complete(q), len(q)), default=())
         return frozenset(best)
 
@@ -252,7 +252,7 @@ class MessageRows(MessageNumbers):
             yield joint, {each: k + at * len(joints) for at, each in enumerate(named)}
 
     def tables(self, *, part: bool = False) -> list[LogTable]:
-        """Return what the messages say; of a part of a log, nothing is left out."""
+        """Return the data as tables; joints without effort are kept in a part of a log."""
         groups = [key for key in self.groups if (key[1] if part else is_complete(key[1]))]
         notes = list[str]()
         if len({joints for joints, _ in groups}) > len({frozenset(joints) for joints, _ in groups}):
@@ -279,7 +279,7 @@ class MessageRows(MessageNumbers):
         return [first.noting(*notes), *others]
 
     def _without_spare(self, table: LogTable) -> LogTable:
-        """Return a table without what messages have for motors behind the last of the robot."""
+        """Return a table without entries of unused motors after the robot's last."""
         if not self.fields.by_motor:
             return table
         places = {n: int(n.rpartition("[")[2][:-1]) for n in table.columns if n.endswith("]")}
@@ -291,13 +291,13 @@ class MessageRows(MessageNumbers):
 
 
 def stamp_of(message: Any) -> int:
-    """Return when a message of ROS was measured, ns; 0 if it does not say."""
+    """Return the time stamp of a ROS message, ns; 0 if it has none."""
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     return 0 if stamp is None else int(stamp.sec * 1_000_000_000 + stamp.nanosec)
 
 
 def _leaves(message: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Yield what is in a message of ROS or LCM, and in messages in it, and where it is.
+    """Yield the fields of a ROS or LCM message and of nested ones, with their paths.
 
     Of a list of messages, one for each motor, numbers of each field together; of several
     temperatures of a motor, the first.
@@ -317,7 +317,7 @@ def _leaves(message: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[st
 
 @lru_cache(1024)
 def _quantity_at(path: tuple[str, ...]) -> tuple[str, int]:
-    """Return what the numbers at a place in messages are, by its name, and the role; "" of others.
+    """Return the quantity and role of numbers at a path, by its name; "" for others.
 
     Positions that are wanted are commands, which stand for efforts that nobody measures.
     """
@@ -335,7 +335,7 @@ def _quantity_at(path: tuple[str, ...]) -> tuple[str, int]:
 
 
 def _at(message: Any, path: Sequence[str]) -> Any:
-    """Return what a message has at a place, None for nothing; of several, numbers of each."""
+    """Return the value at a path of a message, or None; for several, numbers of each."""
     for name in path:
         first, *others = message if isinstance(message, list) and message else [message]
         message = _field(first, name)
@@ -346,7 +346,7 @@ def _at(message: Any, path: Sequence[str]) -> Any:
 
 
 def _field(message: Any, name: str) -> Any:
-    """Return a field of a message, None if it has none; of `name[0]` the first of its numbers."""
+    """Return a field of a message, or None; for `name[0]` its first number."""
     value = getattr(message, name.removesuffix(_FIRST), None)
     if name.endswith(_FIRST) and value is not None:
         return value[0] if len(value) else np.nan
@@ -399,12 +399,12 @@ def base_sources(
 
 
 _Places = tuple[list[str], Callable[[Any], Sequence[float]]]
-"""Columns of a frame, and what takes their numbers out of a message."""
+"""Columns of a frame, and functions that extract their numbers from a message."""
 
 
 @dataclass
 class BaseRows(MessageNumbers):
-    """What messages of one topic say of a free base, its IMU, or forces at feet."""
+    """The data of a floating base, its IMU, or forces at feet in messages of one topic."""
 
     frames: dict[str, _Places] = field(default_factory=dict, init=False)
 
@@ -437,7 +437,7 @@ class BaseRows(MessageNumbers):
 
 
 def _frames(message: Any) -> Iterator[tuple[Any, str]]:
-    """Return what of a message tells of a frame, and the name of that frame."""
+    """Return the part of a message about a frame, and the frame's name."""
     if not hasattr(message, "transforms"):
         yield message, message.header.frame_id.strip("/").rpartition("/")[2]
     for each in getattr(message, "transforms", ()):

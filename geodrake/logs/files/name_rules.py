@@ -1,4 +1,4 @@
-"""What the name of a column says: quantity, joint, unit, and whether it was measured.
+"""Rules for names of columns: quantity, joint, unit, and whether it was measured.
 
 Loggers name columns as they like: `actual_q_0`, `tau_J[0]`, `AxisPos1`, `vel_shoulder`,
 `/joint_states/elbow/effort`. The names are made of few words, though, which are listed here.
@@ -24,7 +24,7 @@ from geodrake.logs.motion import EFFORT_KINDS, PARTIAL, PASSIVE, QUANTITIES, SIG
 Words = tuple[str | int, ...]
 
 OF_JOINTS = (*QUANTITIES, *SIGNAL_KINDS, PASSIVE)
-"""What a column of a joint may be."""
+"""Quantities of a joint's column."""
 
 
 def _words(kind: str) -> frozenset[str]:
@@ -32,7 +32,7 @@ def _words(kind: str) -> frozenset[str]:
 
 
 def _by_word(said: Mapping[str, str]) -> dict[str, str]:
-    """Return what each of some words says, of lists of words by that."""
+    """Return the meaning of each word in lists of words."""
     return {word: what for what, words in said.items() for word in words.split()}
 
 
@@ -46,11 +46,11 @@ ROLE_WORDS: Mapping[str, int] = {
     word: ("measured", "", "motor", "desired", "other").index(role)
     for word, role in _by_word(WORDS["roles"]).items()
 }
-"""Words that say whether numbers were measured at the joint, and so which of several are taken."""
+"""Words that show whether a column was measured at the joint, by preference."""
 
 ROLES = ("measured", "", "of motors", "desired", "of something else")
 MAPPED = ("mapped",)
-"""The style of columns that the user said."""
+"""The style of columns that the user named."""
 
 _COMMAND, _SHORT, _FILLERS = map(_words, ("commands", "short", "fillers"))
 _NO_SIGNAL, _SUPPLY, _NAMING = map(_words, ("no_signal", "supply", "naming"))
@@ -72,7 +72,7 @@ _LONGEST_NAME = 200  # letters of a name of words
 
 @dataclass(frozen=True)
 class Meaning:
-    """What a column is, by its name.
+    """The meaning of a column by its name.
 
     Attributes:
         quantity: time, nanoseconds beside seconds, or of `OF_JOINTS`.
@@ -102,16 +102,16 @@ class Meaning:
 
     @property
     def factor(self) -> float:
-        """What its numbers are multiplied by to be in SI units."""
+        """Factor that converts its numbers to SI units."""
         return self.gain * (self.unit.factor if self.unit else 1.0)
 
     @property
     def offset(self) -> float:
-        """What is added to its numbers after the factor."""
+        """Offset that is added to its numbers after the factor."""
         return self.gain * self.unit.offset if self.unit else 0.0
 
     def written(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return numbers (N,) in SI units as they stand in the file."""
+        """Return numbers (N,) in SI units as written in the file."""
         return (numbers - self.offset) / self.factor
 
     @property
@@ -121,18 +121,18 @@ class Meaning:
 
     @property
     def is_bare(self) -> bool:
-        """Whether it is of a joint, and says nothing of which."""
+        """Whether it has a quantity of a joint, but no joint name."""
         return self.quantity in OF_JOINTS and not (self.words or self.joint)
 
     @property
     def number(self) -> int | None:
-        """The number of the joint, where the name has nothing else of it."""
+        """The number of the joint, if its name is only a number."""
         only = self.words[0] if len(self.words) == 1 else None
         return only if isinstance(only, int) else None
 
 
 def meaning_of(name: str) -> Meaning | None:
-    """Return what a column of that name is; None if it is none of a joint, and no time."""
+    """Return the meaning of a column name; None if it is neither of a joint nor time."""
     own = _own(name)
     if own is not None or len(name) > _LONGEST_NAME:
         return own
@@ -140,7 +140,7 @@ def meaning_of(name: str) -> Meaning | None:
 
 
 def meanings_of(names: Iterable[str]) -> list[Meaning]:
-    """Return what columns are, of those whose names say it.
+    """Return the meanings of columns whose names have one.
 
     A letter that is a unit of what the name says, as in `cur_A`, is no joint if no other has it.
     """
@@ -155,7 +155,7 @@ def meanings_of(names: Iterable[str]) -> list[Meaning]:
 
 
 def is_time(name: str) -> bool:
-    """Return whether a column of that name is of time, or of nanoseconds beside it."""
+    """Return whether a column name means time, or its nanoseconds."""
     meaning = meaning_of(name)
     return meaning is not None and meaning.quantity in ("time", "nanoseconds")
 
@@ -172,13 +172,13 @@ def names_joints(column: str) -> bool:
 
 
 def names_signals(column: str) -> bool:
-    """Return whether a column of words, by its name, says what the value in each row is."""
+    """Return whether a column of words, by its name, has the signal of each row."""
     words = _split(column)
     return bool(words) and _SIGNALS.issuperset(words)
 
 
 def numbers_joints(column: str) -> bool:
-    """Return whether a column of whole numbers, by its name, says which joint a row is of."""
+    """Return whether a column of integers, by its name, has the joint of each row."""
     return names_joints(column) and number_of(column) is None and meaning_of(column) is None
 
 
@@ -194,7 +194,7 @@ def number_of(text: str) -> int | None:
 
 
 def words_of(text: str) -> Words:
-    """Return the words of a joint's name that tell it from others, and its numbers."""
+    """Return the words and numbers that distinguish a joint's name from others."""
     words = _split(text)
     return _telling(words) or words
 
@@ -260,7 +260,7 @@ def _time(name: str) -> Meaning | None:
 
 
 def _joint(column: str) -> Meaning | None:
-    """Read a name of a quantity of a joint, its words in whatever order."""
+    """Parse a name of a joint's quantity, with words in any order."""
     name = _TYPED.sub("", _SECOND.sub("qdd", column))
     name = _FIRST_SENSOR.sub("", name)
     name = _INDEX.sub(r"_\1", name).replace(*_OBSERVED)
@@ -329,7 +329,7 @@ def _measured_in(name: str) -> Meaning | None:
 
 
 RULES: tuple[Callable[[str], Meaning | None], ...] = (_time, _joint, _measured_in)
-"""What is asked of a name that is none of geodrake's own, from the most certain on."""
+"""Rules for names other than geodrake's own, the most certain first."""
 
 
 def _quantity(words: Words) -> str | None:
@@ -347,7 +347,7 @@ def _quantity(words: Words) -> str | None:
 
 
 def _used(words: Words) -> frozenset[str]:
-    """Return the words that say the quantity and the role."""
+    """Return the words that determine quantity and role."""
     return frozenset(
         w
         for w in words
@@ -356,7 +356,7 @@ def _used(words: Words) -> frozenset[str]:
 
 
 def _rest(text: str, used: frozenset[str]) -> str:
-    """Return what is left of a name without these words."""
+    """Return a name without these words."""
     kept = _WORD.sub(lambda found: "\0" if found[0].lower() in used else found[0], text)
     return re.sub(r"[\s_.\-\[\]()]*\0[\s_.\-]*", "_", kept).strip(" _.-[]()")
 
@@ -421,7 +421,7 @@ def matched(
 
 
 def _as_others(style: Sequence[Meaning], ordered: Mapping[int, set[str]]) -> dict[str, str]:
-    """Return joints of numbered columns of some joints, where those of all joints are in order."""
+    """Return joints of numbered columns, where those of all joints are in order."""
     found: dict[str, str] = {}
     if len(style) == len(ordered):
         return found
@@ -500,7 +500,7 @@ def _numbers(keys: Sequence[Words]) -> dict[Words, int]:
 
 
 def _by_number(numbers: Mapping[Words, int], joints: Sequence[str]) -> dict[Words, str] | None:
-    """Return the joints whose names end in these numbers, from 0 or 1; None if not all do."""
+    """Return the joints whose names end in these numbers, from 0 or 1; None if any is missing."""
     ends: dict[int, list[tuple[int, str]]] = defaultdict(list)
     for joint in joints:
         words = words_of(joint)

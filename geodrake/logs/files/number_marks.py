@@ -63,7 +63,7 @@ def number_marks(path: Path, rows: Sequence[Sequence[str]]) -> tuple[str, dict[i
 
 
 def _marks_of(rows: Sequence[Sequence[str]]) -> Iterator[tuple[int, str, int, str]]:
-    """Yield columns, marks in their numbers, what these are in the column, and such a number."""
+    """Yield columns, separators in their numbers, their meaning, and an example."""
     for k, column in enumerate(zip_longest(*rows, fillvalue="")):
         cells = [cell for each in column if _NUMBER.fullmatch(cell := each.strip())]
         for mark, grouped in _GROUPED.items():
@@ -84,7 +84,7 @@ def may_be_grouped(cell: str) -> bool:
 
 
 def plain(cell: str, decimal: str, mark: str | None) -> str:
-    """Return a number as Python writes it; other cells, such as dates and lists, as they are."""
+    """Return a number in Python's notation; other cells, such as dates, are unchanged."""
     if mark is not None and _GROUPED[mark].fullmatch(cell.strip()):
         cell = cell.replace(mark, "")
     return (

@@ -1,4 +1,4 @@
-"""Logs that are packed, as `log.csv.gz` is: unpacked while they are read, never as a whole."""
+"""Compressed logs, such as `log.csv.gz`, decompressed while they are read."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ PACKED: Mapping[str, Callable[[Any], Any]] = {
     ".xz": lzma.open,
     ".zst": _zstandard,
 }
-"""Suffix of packed files -> what unpacks an open one."""
+"""Suffix of compressed files -> function that decompresses an open one."""
 
 
 def unpacked(path: Path) -> Path:
-    """Return the path without the suffix of what it is packed by."""
+    """Return the path without the suffix of its compression."""
     return path.with_suffix("") if path.suffix.lower() in PACKED else path
 
 
 def log_name(path: Path) -> str:
-    """Return what messages call the log of a file, or of several that are joined by `+`."""
+    """Return the name of a log for messages, from a file or several joined by `+`."""
     parts = [Path(part) for part in path.name.split("+")]
     are_files = all(part.suffix[1:].isalnum() for part in parts)
     return "+".join(unpacked(part).stem for part in (parts if are_files else [path]))

@@ -1,4 +1,4 @@
-"""How the user says that a log is to be read, where its file does not say it."""
+"""How a log is read, as given by the user where the file does not tell."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from geodrake.logs.motors import Motor
 Array = NDArray[np.float64]
 
 KINDS = (*EFFORT_KINDS, "command")
-"""What efforts of a log may be said to be; commands where measured ones are not to be used."""
+"""Kinds of efforts; commands may replace measured ones."""
 
 _GAIN_FORM = "Write 13.2, or 13.2±0.5 with its standard deviation."
 
@@ -98,7 +98,7 @@ class ColumnMapping:
 
 @dataclass(frozen=True)
 class Reading:
-    """How a log is to be read; what is not given is found out from the names of the columns.
+    """How a log is read; anything not given is inferred from the column names.
 
     Attributes:
         mapping: Which column is what.
@@ -167,11 +167,11 @@ class Reading:
 
     @property
     def topics(self) -> tuple[str, ...]:
-        """Names of the topics that were asked for."""
+        """Names of the requested topics."""
         return (self.topic,) if isinstance(self.topic, str) else tuple(self.topic or ())
 
     def kind_of(self, joint: str) -> str | None:
-        """Return what the efforts of a joint were said to be; None if nothing was."""
+        """Return the given kind of a joint's efforts, or None."""
         return self.kinds.get(joint, self.kinds.get(""))
 
     def motors_of(self, joints: Sequence[str]) -> dict[str, Motor]:

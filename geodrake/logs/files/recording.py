@@ -33,7 +33,7 @@ _ROUNDING = 1e-3  # by which a whole number is off after a unit's factor
 
 
 def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> JointLog:
-    """Return the log of a file's numbers; its columns are given units that these tell.
+    """Return the log from a file's numbers, with units inferred from them.
 
     Every number is held once, but for those of a quantity: ten million rows of seven joints fill
     more than a gigabyte.
@@ -132,7 +132,7 @@ def _with_signs(data: dict[str, Array], columns: Columns) -> list[str]:
 
 
 def _signed_register(numbers: Array, *, magnitudes: bool) -> tuple[Array, str] | None:
-    """Return numbers (N,) with their signs, and how they were written; None if they have signs.
+    """Return numbers (N,) with their signs, and their encoding; None if they have signs.
 
     A register of k bits that is read without its sign shows small numbers, numbers next to 2ᵏ, and
     none in between: at least half of the range is never visited. With a bit for the sign the
@@ -162,7 +162,7 @@ def _signed_register(numbers: Array, *, magnitudes: bool) -> tuple[Array, str] |
 
 
 def are_whole(numbers: Array) -> bool:
-    """Return whether numbers (N,) are whole ones, but for rounding, empty cells and infinity."""
+    """Return whether numbers (N,) are integers, except for rounding, empty cells and infinity."""
     with np.errstate(invalid="ignore"):
         return not np.any(np.abs(numbers - np.rint(numbers)) > _ROUNDING)
 
@@ -217,7 +217,7 @@ def _take_ticks(data: dict[str, Array], columns: Columns) -> None:
 
 
 def _share_within(columns: Columns, ticks: Array, unit: Unit) -> float:
-    """Return the share of positions (N, n), counted in a unit, that limits of the model hold."""
+    """Return the share of positions (N, n) in a unit that are within the model's limits."""
     limits = columns.reading.limits
     within = [
         (low - _MARGIN <= unit.factor * q + unit.offset)
@@ -229,7 +229,7 @@ def _share_within(columns: Columns, ticks: Array, unit: Unit) -> float:
 
 
 def _without_motors(data: dict[str, Array], columns: Columns) -> tuple[dict[str, str], list[str]]:
-    """Make efforts (N, n) zeros at joints without a motor; return kinds of efforts, and notes."""
+    """Set efforts (N, n) of joints without a motor to zero; return kinds of efforts, and notes."""
     kinds, notes, effort, command = columns.kinds, [], data["effort"], data.get("command")
     says = bool(columns.having("effort", "command")) or not columns.reading.of_base
     for at, joint in enumerate(columns.joints):
@@ -255,7 +255,7 @@ def _without_motors(data: dict[str, Array], columns: Columns) -> tuple[dict[str,
 
 
 def _place(position: Array) -> float:
-    """Return where a joint stands whose effort is not there; NaN if it moves."""
+    """Return the position of a joint without effort; NaN if it moves."""
     known = position[np.isfinite(position)]
     if not len(known) or known.max() - _STILL > known.min():
         return np.nan
@@ -271,7 +271,7 @@ def _at(instants: Array, time: Array, values: Array, *, holds: bool) -> Array:
 
 
 def _rows_of_the_rarest(time: Array, values: Mapping[str, Array]) -> NDArray[np.bool_] | None:
-    """Return rows (N,) that have the column which fewest have; None of a log with whole rows.
+    """Return rows (N,) that have the rarest column; None for a log with complete rows.
 
     It has whole rows if half of them come in runs that are long enough to be of use.
     """

@@ -57,7 +57,7 @@ _UNDEFINED = (
         for name in ("reference", "feedback", "error", "output", "desired", "actual")
     ),
 )
-"""What controllers publish, for bags of SQLite that do not say it: until Foxy, and in Humble."""
+"""Controller messages, for SQLite bags without definitions (until Foxy, and in Humble)."""
 
 
 _INTERFACES = (
@@ -68,7 +68,7 @@ _INTERFACES = (
 
 
 Decoder = Callable[[bytes, str], Any]
-"""What makes a message of bytes and its type."""
+"""Function from bytes to a message, and its type."""
 
 
 def read_bag(path: Path, reading: Reading) -> LogTable:
@@ -107,7 +107,7 @@ def _base_sources(connections: Sequence[Any], reading: Reading) -> tuple[list[li
 def _base(
     reader: Any, connections: Sequence[Any], method: str, sources: Sequence[Sequence[str]]
 ) -> tuple[list[BaseRows], list[str]]:
-    """Return what is said of a free base and its feet, by the first topic of each source."""
+    """Return data of a floating base and its feet, from the first topic of each source."""
     found, others = list[BaseRows](), list[str]()
     for names in sources:
         for k, name in enumerate(names):
@@ -127,7 +127,7 @@ def _base(
 
 
 def _storage(path: Path) -> Path:
-    """Return what the reader takes: the folder, or its only file if it was not closed."""
+    """Return the path for the reader: the folder, or its only file if it was not closed."""
     if not path.is_dir():
         return path
     inside = regular_files((each for each in path.iterdir() if not each.is_dir()), "log", LogError)
@@ -163,7 +163,7 @@ def _probed(reader: Any, connections: Sequence[Any], method: str) -> Topic:
 def _rows(
     reader: Any, connections: Sequence[Any], decode: Decoder, most: int | None = None
 ) -> MessageRows | None:
-    """Return what the messages of a topic say of joints, or the first of them."""
+    """Return the joint data in messages of a topic, or in the first of them."""
     rows = None
     for connection, received, data in islice(reader.messages(connections=connections), most):
         message = decode(data, connection.msgtype)
@@ -177,7 +177,7 @@ def _rows(
 
 
 def _definitions(kind: str, definition: Any) -> tuple[str, ...]:
-    """Return what the messages of a type may be, if it can be about joints at all."""
+    """Return the possible definitions of a message type, if it can be about joints."""
     if len(definition.data) > _LONGEST_DEFINITION or _LONG_ARRAY.search(definition.data):
         return ()  # no message about joints has such a one
     numbers = kind == _DYNAMIC_STATE or _NUMBERS.fullmatch(kind)
@@ -189,7 +189,7 @@ def _definitions(kind: str, definition: Any) -> tuple[str, ...]:
 
 
 def _store(kind: str, definition: str, form: str) -> Any:
-    """Return what decodes messages: by the bag's own definition, else with the types of ROS 2."""
+    """Return the decoder of messages, with the bag's own definitions or ROS 2's."""
     typesys = importlib.import_module("rosbags.typesys")
     stores = typesys.Stores
     store = typesys.get_typestore(stores.LATEST if form == "NONE" else stores.EMPTY)

@@ -30,7 +30,7 @@ from geodrake.logs.time_stamps import check_time
 
 @contextmanager
 def readable(path: Path, what: str, advice: str = "Write it again, or as CSV.") -> Iterator[None]:
-    """Turn whatever the reader of a damaged file raises into an error of the log."""
+    """Convert exceptions of readers of damaged files to errors of the log."""
     try:
         yield
     except (GeodrakeError, MemoryError):
@@ -46,7 +46,7 @@ _LARGEST_SHARE = 0.5  # of the memory that the numbers of a log may take; the re
 
 
 def check_room(path: Path, count: int, words: str) -> None:
-    """Raise a LogError if so many numbers and what is made of them would fill the memory."""
+    """Raise a LogError if so many numbers and their derived data would exceed the memory."""
     needed, there = 8 * count, machine_memory()
     if needed > _LARGEST_SHARE * there:
         raise LogError(
@@ -73,7 +73,7 @@ _SECOND, _DAY = 1_000_000_000, 86_400  # ns, s
 
 
 def date_of(text: str, *, day_first: bool = False) -> int | None:
-    """Return the nanoseconds since 1970 of a date with its time of day; None if the text is none.
+    """Return a date with time of day in nanoseconds since 1970; None if the text is not one.
 
     Args:
         text: In ISO 8601, with a blank for the T or strokes if need be; or day, month and year with
@@ -120,7 +120,7 @@ def is_date(text: str) -> bool:
 
 
 def order_of_days(texts: Iterable[str]) -> tuple[bool, str]:
-    """Return whether days come before months in dates with strokes, and why; no words without any.
+    """Return whether days precede months in dates with slashes, and why.
 
     All dates in some texts together tell it: by a number that is no month, or as they follow each
     other more closely in one of the orders.
@@ -148,7 +148,7 @@ def order_of_days(texts: Iterable[str]) -> tuple[bool, str]:
 
 
 def date_words(nanoseconds: int) -> str:
-    """Return a date as messages write it; a time of day alone has none."""
+    """Return a date as in messages, or only a time of day."""
     instant = _EPOCH + timedelta(microseconds=nanoseconds // 1000)
     if nanoseconds < _DAY * _SECOND:
         return f"{instant:%H:%M:%S} of a day"
@@ -192,7 +192,7 @@ class TornRows:
             raise self._refusal(self.rows, row + 1, f"in the first {row + 1} rows")
 
     def settle(self, time: Array) -> tuple[Mask | None, tuple[str, ...]]:
-        """Return which rows are kept, all if None, and what was left out, by time stamps (N,)."""
+        """Return the rows that are kept (all if None) and a note, by time stamps (N,)."""
         bad = np.array(self.rows, int)
         count = min(len(self.rows), _AT_END)  # a last row that was cut off, or a few words
         cut = self.rows == [*range(len(time) - count, len(time))]
@@ -213,7 +213,7 @@ class TornRows:
         )
 
     def _check_order(self, time: Array, backwards: NDArray[np.intp]) -> None:
-        """Raise what is wrong with the order of time, unless such rows are to be left out."""
+        """Raise for rows out of order, unless such rows are skipped."""
         few = len(backwards) <= MOST * len(time)
         if self.skip and few:
             return
@@ -277,7 +277,7 @@ def _runs(rows: Sequence[int]) -> str:
 
 @dataclass(eq=False)
 class LogTable:
-    """What a file of any format holds, as columns of numbers.
+    """Columns of numbers of a file of any format.
 
     Readers of formats make it; which joint and quantity a column is of is found out afterwards.
     Tables of text are read in parts.
@@ -324,7 +324,7 @@ class LogTable:
 
     @property
     def first_words(self) -> dict[str, str]:
-        """Columns without numbers -> what is in them first."""
+        """Columns without numbers -> their first word."""
         return {name: str(cells[0]) for name, cells in self.words.items() if len(cells)}
 
     def is_time(self, name: str) -> bool:
@@ -336,7 +336,7 @@ class LogTable:
     def read(
         self, names: Sequence[str], *, skip: bool = False
     ) -> tuple[dict[str, Array], TornRows]:
-        """Return some columns (N,), and rows that cannot be read, which are NaN or left out."""
+        """Return some columns (N,), with unreadable rows as NaN or skipped."""
         found = {name: self.columns[name] for name in dict.fromkeys(names)}
         return found, TornRows(self.path, max(map(len, found.values()), default=0), skip)
 
@@ -365,7 +365,7 @@ NOTHING = frozenset(f(word) for word in _SAYS_NOTHING for f in (str, str.upper, 
     "[]",
     "()",
 }
-"""What stands in a cell where nothing was measured."""
+"""Cells that mean a missing value."""
 
 LIST = re.compile(r"(?:(?:array|tensor)\()?[\[({]([^\[\](){}]*)[\])}](?:, dtype=[\w.]+)?\)?")
 _FORTRAN = re.compile(r"(?<=\d)[Dd](?=[+-]\d)")  # in 1.5D+00
@@ -375,7 +375,7 @@ _NUMBERS = msgspec.json.Decoder(list[float])
 
 @dataclass(frozen=True)
 class Cells:
-    """What the cells of a column hold: numbers, lists of numbers, or dates.
+    """Cells of a column: numbers, lists of numbers, or dates.
 
     Attributes:
         count: How many numbers each list has.
@@ -389,7 +389,7 @@ class Cells:
 
     @classmethod
     def of(cls, first: Any, *, day_first: bool = False) -> Cells | None:
-        """Return it by the first cell that has something; None of words."""
+        """Return the kind of the first nonempty cell; None for words."""
         if (items := _list_in(first)) is not None:
             return cls(len(items))
         for order in (day_first, not day_first):
@@ -398,7 +398,7 @@ class Cells:
         return None if number_in(first) is None else cls()
 
     def numbers(self, cell: Any) -> list[float] | None:
-        """Return the numbers in a cell, a date as seconds since the first; None for others."""
+        """Return the numbers in a cell, a date as seconds since the first; None otherwise."""
         found: list[float] | None = None
         if self.count is not None:
             items = _list_in(cell) or []
@@ -412,14 +412,14 @@ class Cells:
 
 
 def is_nothing(cell: Any) -> bool:
-    """Return whether a cell says that nothing was measured; empty lists do."""
+    """Return whether a cell means a missing value, as empty lists do."""
     if isinstance(cell, Sized) and not isinstance(cell, str):
         return not len(cell)
     return str(cell).strip() in NOTHING
 
 
 def _list_in(cell: Any) -> list[float] | None:
-    """Return the numbers of a list, or of a text such as `[0.1, 0.2]`; None of others."""
+    """Return the numbers of a list, or of a text such as `[0.1, 0.2]`; None otherwise."""
     if isinstance(cell, str):
         with suppress(msgspec.DecodeError):  # as nearly all lists are JSON, which is read at once
             return _NUMBERS.decode(cell)
@@ -438,7 +438,7 @@ def _date_text(value: Any) -> str:
 
 
 def number_in(value: Any) -> float | None:
-    """Return the number that a text or an object is; None for others."""
+    """Return the number in a text or an object; None otherwise."""
     try:
         if isinstance(value, str):
             if "_" in value:  # which Python takes in its own numbers
@@ -499,7 +499,7 @@ _RATES = (
 
 
 def rate_in(name: str, value: Any) -> float | None:
-    """Return the rows a second that a number alone in a file gives by its name, if it does."""
+    """Return the sampling rate from a scalar with a suitable name in a file, or None."""
     word = re.sub(r"[^a-z]", "", re.split(r"[./]", name.lower())[-1])
     if not _is_alone(value) or word not in (*_PERIODS, *_RATES):
         return None
@@ -522,7 +522,7 @@ def _texts(name: str, values: Any, rows: int) -> dict[str, NDArray[np.object_]]:
 
 
 def _text(value: Any) -> str | list[str] | None:
-    """Return a text, or the texts of a list; None of others."""
+    """Return a text, or the texts of a list; None otherwise."""
     if isinstance(value, bytes | str):
         return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
     if not isinstance(value, Sized):
@@ -536,7 +536,7 @@ def _is_alone(value: Any) -> bool:
 
 
 def rows_of(arrays: Mapping[str, Any]) -> int:
-    """Return how many rows a log of some arrays has: those of its time, or of most arrays."""
+    """Return the number of rows of a log of arrays: that of its time, or of most arrays."""
     several = {name: len(values) for name, values in arrays.items() if not _is_alone(values)}
     times = [length for name, length in several.items() if is_time(name)]
     lengths = times or [*several.values()]
@@ -544,7 +544,7 @@ def rows_of(arrays: Mapping[str, Any]) -> int:
 
 
 def _what_else(values: Any, rows: int) -> str:
-    """Return what is in an array that has no numbers, in words."""
+    """Return a description of an array without numbers."""
     if np.ndim(values) == 0:
         return f"has only one value, {str(values)[:_LONGEST_TEXT]!r}"
     if len(values) != rows:
@@ -578,7 +578,7 @@ def spread(name: str, values: Array) -> Iterator[tuple[str, Array]]:
 
 
 def numbers(values: Any) -> tuple[Array | None, int | None, str]:
-    """Return an array of floats, NaN where nothing is; None for what has no numbers.
+    """Return an array of floats, NaN where empty; None for arrays without numbers.
 
     Of dates, the seconds from the first on, and the first, ns since 1970; and in which order they
     are taken, if that is a question.
@@ -600,7 +600,7 @@ def numbers(values: Any) -> tuple[Array | None, int | None, str]:
 
 
 def _array(values: Any) -> NDArray[Any]:
-    """Return an array; of lists of several lengths, or of lists and nothing, one of objects."""
+    """Return an array; an object array for lists of different lengths or with None."""
     try:
         return np.asarray(values)
     except ValueError:
@@ -610,7 +610,7 @@ def _array(values: Any) -> NDArray[Any]:
 
 
 def _of_objects(array: NDArray[Any]) -> tuple[Array | None, int | None, str]:
-    """Return numbers of lists, or of objects that are numbers, dates or nothing; see `numbers`."""
+    """Return numbers from lists, or from objects that are numbers, dates or None; see `numbers`."""
     first = next((value for value in array.flat if not is_nothing(value)), np.nan)
     dates = array.flat if is_date(_date_text(first)) else ()
     day_first, note = order_of_days(map(_date_text, dates))

@@ -64,7 +64,7 @@ _MAY_BE_MARKED = defaultdict(
     lambda: re.compile(r"\d[,'’ \u00a0\u202f]\d|,\d|\d\.\d{3}(?!\d)"),
     {",": re.compile('"'), _WHITESPACE: re.compile("[,'’]")},
 )
-"""Separator -> what numbers have that are not as Python writes them."""
+"""Separator -> differences of its numbers from Python's notation."""
 
 _UNIT_BEHIND = re.compile(r"\s+(?=[\[(][^\d\W][^\])]*[\])])")  # blanks before `[rad]`
 _NUMBER_OF = re.compile(r"[+-]?[\d.,]+\s*([^\W\d]\S*|°\S*|%)")  # a unit
@@ -73,7 +73,7 @@ _HEADS = (
     ("header.stamp.sec", "header.stamp.nanosec", "header.frame_id"),
     ("%time", "header.seq", "header.stamp", "header.frame_id"),
 )
-"""What comes before the names of joints, in ROS 2 and in ROS 1."""
+"""Text before the names of joints, in ROS 2 and in ROS 1."""
 
 _EXCEL = re.compile(r'"?sep=(.)"?')  # the first line of what is to be opened by it
 
@@ -105,7 +105,7 @@ class TextLayout:
 
     @cached_property
     def kinds(self) -> dict[str, Cells | None]:
-        """What the cells of columns hold, where that is not nothing; None of words."""
+        """Kinds of the cells of columns that are not empty; None for words."""
         cells = self.first.items()
         return {name: Cells.of(cell, day_first=name in self.day_first) for name, cell in cells}
 
@@ -126,7 +126,7 @@ class TextLayout:
         return [name for name, kind in self.kinds.items() if kind is None]
 
     def cells(self, lines: Sequence[str]) -> Iterator[tuple[int, list[str]]]:
-        """Cells of every line that has some and is no comment, with the number of its line."""
+        """Cells of every line that is neither empty nor a comment, with its line number."""
         if self.is_keyed:
             rows = ((k, [cell for _, cell in _keyed(line)]) for k, line in enumerate(lines, 1))
         elif self.separator is None:
@@ -223,7 +223,7 @@ def _rows_above(
 
 
 def _names_nothing(cells: Sequence[str]) -> bool:
-    """Return whether cells are a title alone, or a row with few numbers."""
+    """Return whether cells are only a title, or a row with few numbers."""
     return sum(map(bool, cells)) == 1 or _are_numbers(cells[:1])
 
 
@@ -238,7 +238,7 @@ def _begins_with_time(cells: Sequence[str]) -> bool:
 def _keyed_names(
     path: Path, above: Sequence[Sequence[str]], lines: Sequence[str], separator: str | None
 ) -> tuple[Sequence[str], dict[str, str]]:
-    """Return names and units in rows that begin with what they say; no names in others.
+    """Return names and units from rows that begin with a keyword, or none.
 
     TwinCAT and LabVIEW write several, such as `Name`, `SampleTime[ms]` and `Unit`. The first column
     of the numbers in these lines is time; others of its name must be the same.
@@ -263,7 +263,7 @@ def _keyed_names(
 
 
 def _cells_of(line: str, separator: str | None) -> list[str]:
-    """Return the cells of a line alone."""
+    """Return the cells of a single line."""
     if separator is None:
         return line.split()
     with suppress(csv.Error):
@@ -274,7 +274,7 @@ def _cells_of(line: str, separator: str | None) -> list[str]:
 def _whole_header(
     header: Sequence[str], lines: Sequence[str], after: int, separator: str | None
 ) -> tuple[Sequence[str], int]:
-    """Return the header with what lines below it say of it, and the place of the line after it.
+    """Return the header extended by lines below it, and the index of the line after it.
 
     Names that come twice may have a second level below. Rows may have names that no column has.
     """
@@ -295,7 +295,7 @@ def _whole_header(
 
 
 def _joint_state(cells: Sequence[str]) -> tuple[str, ...]:
-    """Return names for the cells of a JointState that ROS's `topic echo` wrote; none for others."""
+    """Return names for the cells of a JointState from ROS's `topic echo`, or none."""
     for head in _HEADS:
         count, odd = divmod(len(cells) - len(head), 4)
         names, rest = cells[len(head) : len(head) + count], cells[len(head) + count :]
@@ -318,7 +318,7 @@ def _first_cells(layout: TextLayout, lines: Sequence[str]) -> dict[str, str]:
 
 
 def _units(header: Sequence[str], cells: Sequence[str]) -> dict[str, str]:
-    """Return units in a row beside the header: as many as names, most of them known ones."""
+    """Return units in a row below the header: as many as names, most of them known."""
     cells = [cell.strip(' \t\r\n[]()"') for cell in cells]
     if len(cells) != len(header):
         return {}
@@ -331,12 +331,12 @@ def _units(header: Sequence[str], cells: Sequence[str]) -> dict[str, str]:
 
 
 def _with_units(names: Sequence[str], units: Mapping[str, str]) -> list[str]:
-    """Return names that say nothing with the units that are beside them."""
+    """Return uninformative names together with their units."""
     return [n if meaning_of(n) or not units.get(n) else f"{n} [{units[n]}]" for n in names]
 
 
 def _separator(line: str) -> str | None:
-    """Return what is between the cells of a line; commas may be decimal ones."""
+    """Return the separator of cells in a line; commas may be decimal ones."""
     counts = {mark: line.count(mark) for mark in (",", ";", "\t", "|")}
     most = max(counts, key=lambda mark: counts[mark])
     if counts[";"] and _are_numbers([c.replace(",", ".") for c in line.strip().split(";")]):
@@ -377,7 +377,7 @@ def _are_numbers(cells: Sequence[str]) -> bool:
 
 
 def renamed(path: Path, reading: Reading, cells: Sequence[str]) -> Sequence[str]:
-    """Return the names that the user gave, as many as there are columns."""
+    """Return the names given by the user, which must match the number of columns."""
     if len(reading.columns) != len(cells):
         raise LogError(
             f"Log {str(path)!r} has {len(cells)} columns, but --columns names "
@@ -405,7 +405,7 @@ _LONGEST = 8_000_000  # bytes of a line, which hold 400,000 numbers
 _LINE_ENDS = re.compile(rb"\r\n?|\n")
 
 Opener = Callable[[], AbstractContextManager[BinaryIO]]
-"""What opens the bytes of a table anew."""
+"""Function that reopens the bytes of a table."""
 
 
 class TextTable(LogTable):
@@ -427,7 +427,7 @@ class TextTable(LogTable):
 
     @property
     def first_words(self) -> dict[str, str]:
-        """Columns without numbers -> what is in them first."""
+        """Columns without numbers -> their first word."""
         return {name: self._layout.first[name] for name in self._layout.words}
 
     def read(
@@ -480,7 +480,7 @@ class TextTable(LogTable):
         before: tuple[int, int],
         torn: TornRows,
     ) -> list[list[Any]]:
-        """Read lines cell by cell into K rows of some places: slower, but errors name the cell.
+        """Parse lines cell by cell into K rows of some columns: slower, but errors name the cell.
 
         `before` counts the rows and the lines of the file that come before them.
         """
@@ -621,7 +621,7 @@ def _text_table(path: Path, reading: Reading, opened: Opener) -> LogTable:
 
 
 def _blocks(path: Path, opened: Opener, skip: int = 0) -> Iterator[bytes]:
-    """Yield whole lines of a file, many at once, without the first `skip` of them."""
+    """Yield blocks of complete lines of a file, without the first `skip` lines."""
     rest = b""
     with opened() as file:
         for data in chain(iter(lambda: file.read(_BLOCK), b""), [b""]):
@@ -641,7 +641,7 @@ def _blocks(path: Path, opened: Opener, skip: int = 0) -> Iterator[bytes]:
 
 
 def _count(block: bytes) -> int:
-    """Return how many line ends of any system there are."""
+    """Return the number of line ends of any system."""
     return len(_LINE_ENDS.findall(block)) if b"\r" in block else block.count(b"\n")
 
 
@@ -652,7 +652,7 @@ def _lines(block: bytes) -> list[str]:
 def _numbers(
     layout: TextLayout, block: bytes, places: Sequence[tuple[int, int]], *, quick: bool
 ) -> Array | None:
-    """Return (places, K) of lines whose cells there are nothing but numbers; None for others.
+    """Return (columns, K) of lines with only numbers in these cells; None otherwise.
 
     With `quick` Arrow reads them, which is quicker for many, and takes time to import.
     """
@@ -706,7 +706,7 @@ def _by_arrow(block: bytes, layout: TextLayout, columns: Sequence[int]) -> Array
 
 
 def _refusal(path: Path, row: int, column: str, text: str, kind: Cells) -> LogError:
-    """Return what is said of a cell that holds something else than its column."""
+    """Return the error for a cell that does not match its column."""
     what = "not a number"
     advice = "Leave a cell empty or write nan where nothing was measured."
     if may_be_grouped(text):

@@ -53,7 +53,7 @@ class Topic:
 
     @property
     def part(self) -> frozenset[str]:
-        """Quantities that it has as a part of a log; a topic of what is wanted has commands."""
+        """Quantities that it can add to a joined log; a requested topic also has commands."""
         found = frozenset[str]() if self.rows is None else self.rows.quantities
         if NUMBERS in found:
             meaning = meaning_of(f"{self.name}/{NUMBERS}[0]")
@@ -62,7 +62,7 @@ class Topic:
 
     @property
     def has_efforts(self) -> bool:
-        """Whether efforts, or what is measured in their place, are among these."""
+        """Whether efforts, or signals that replace them, are among these."""
         return not self.part.isdisjoint(EFFORT_KINDS)
 
     def __str__(self) -> str:
@@ -100,7 +100,7 @@ def chosen_topics(path: Path, topics: Sequence[Topic], reading: Reading) -> tupl
 
 
 def _best(topics: Sequence[Topic]) -> Sequence[Topic]:
-    """Return those with efforts, if there are some, and of these those that are made for joints."""
+    """Return the topics with efforts, if any, and of these those for joints."""
     heard = [topic for topic in topics if topic.has_efforts] or topics
     return [topic for topic in heard if topic.made_for_joints] or heard
 
@@ -130,7 +130,7 @@ def _parts(path: Path, topics: Sequence[Topic]) -> tuple[Topic, Topic]:
 
 
 def _named(path: Path, topics: Sequence[Topic], name: str, *, alone: bool) -> Topic:
-    """Return a topic by its name, which has all of the log if it is alone."""
+    """Return a topic by its name; a single one must have all of the log."""
     found = [topic for topic in topics if topic.name.strip("/") == name.strip("/")]
     if found and (found[0].fits if alone else found[0].part):
         return found[0]
@@ -171,7 +171,7 @@ def topics_table(
     reading: Reading,
     base: Sequence[BaseRows] = (),
 ) -> LogTable:
-    """Join what topics say at the time stamps of the one with the lowest rate.
+    """Join topics at the time stamps of the one with the lowest rate.
 
     Of a column that two have, that of the first is taken. Messages without stamps are put on the
     clock of those with: on average they take no time from there to the recorder.
@@ -228,7 +228,7 @@ def _part_tables(topic: Topic, rows: MessageRows, *, part: bool) -> list[LogTabl
 
 
 def _commands(columns: Mapping[str, Array]) -> dict[str, Array]:
-    """Positions that are wanted, as commands, and no more; all columns where there are none."""
+    """Positions of command messages as commands; all columns if there are none."""
     found = {}
     for name, column in columns.items():
         joint, dot, _ = name.rpartition(".position")

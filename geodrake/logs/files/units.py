@@ -17,7 +17,7 @@ from geodrake.errors import ArgumentError
 WORDS: Mapping[str, Any] = msgspec.yaml.decode(
     Path(__file__).with_name("words.yaml").read_bytes(), type=dict[str, Any]
 )
-"""Words in names of columns and of units, and what they say."""
+"""Words in names of columns and of units, and their meaning."""
 
 _UNITS: dict[str, dict[str, float]] = WORDS["units"]
 _WAYS = _UNITS["angle"] | _UNITS["length"]
@@ -57,7 +57,7 @@ _FORM = (
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit of a quantity; its factor is NaN where nobody knows it."""
+    """A unit of a quantity; its factor is NaN if unknown."""
 
     name: str
     factor: float
@@ -65,7 +65,7 @@ class Unit:
 
     @property
     def signal(self) -> str | None:
-        """What it measures in the place of efforts, "current" for mA; None for other units."""
+        """The signal that it measures instead of effort, "current" for mA; None for other units."""
         return next((kind for kind, units in _SIGNALS.items() if self.name in units), None)
 
 
@@ -95,7 +95,7 @@ def unit_of(text: str, quantity: str) -> Unit:
 
 
 def find_unit(text: str, quantity: str) -> Unit | None:
-    """Return the unit that a text stands for, such as `°/s`, `N·mm` or `rad_s`, or None."""
+    """Return the unit of a text such as `°/s`, `N·mm` or `rad_s`, or None."""
     known = UNITS.get(quantity, {})
     for name in _spelled(text.strip()) if text else ():
         if name in known:
@@ -104,7 +104,7 @@ def find_unit(text: str, quantity: str) -> Unit | None:
 
 
 def scaled_unit(text: str, quantity: str) -> Unit | None:
-    """Return the unit that a text in a name stands for, perhaps behind a power of ten, or None."""
+    """Return the unit of a text in a name, perhaps after a power of ten, or None."""
     found = _SCALED.fullmatch(text.strip())
     is_plain = found is None or not (found["share"] or found["zero"])
     is_scale = found is None or not found["factor"] or _TEN.fullmatch(found["factor"])
@@ -112,7 +112,7 @@ def scaled_unit(text: str, quantity: str) -> Unit | None:
 
 
 def _scaled(text: str, quantity: str) -> Unit | None:
-    """Return a unit with a factor, a share of it, and what it counts at 0, if they are there."""
+    """Return a unit with its factor, share and count at zero, if given."""
     found = _SCALED.fullmatch(text.strip())
     if (plain := find_unit(text, quantity)) is not None or found is None:
         return plain
@@ -131,7 +131,7 @@ def _scaled(text: str, quantity: str) -> Unit | None:
 
 @lru_cache(1024)
 def _spelled(text: str) -> tuple[str, ...]:
-    """Return ways to write a unit: as it is, without dots, with a slash, in small letters."""
+    """Return spellings of a unit: unchanged, without dots, with a slash, in lower case."""
     plain = re.sub(r"[·*\s.⋅-]", "", text).replace("^2", "²").replace("s2", "s²")
     over = re.sub(r"(?:_|per)(s|min)", r"/\1", plain)
     over = over.replace("/s/s", "/s²").replace("/sec", "/s")

@@ -177,12 +177,12 @@ class EffectForce(LeafSystem):
 
     @property
     def soft_joints(self) -> tuple[str, ...]:
-        """Return the joints whose motors have a state of their own."""
+        """Return the joints whose motors have their own state."""
         return self.law.soft.names
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Return what was assumed."""
+        """Return the assumptions."""
         return self.law.notes
 
     def effect_parameters(self, context: Context, effect: Effect) -> Array:
@@ -199,7 +199,7 @@ class EffectForce(LeafSystem):
         context.get_mutable_numeric_parameter(_PARAMETERS).SetFromVector(mu)
 
     def set_inertial_parameters(self, context: Context, phi: ArrayLike) -> None:
-        """Changes what inertial parameters (nb, 10) the plant is taken to have, in a Context.
+        """Set the plant's inertial parameters (nb, 10) in a Context.
 
         They are those that `set_inertial_parameters` writes into the plant's.
         """

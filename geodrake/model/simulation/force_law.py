@@ -1,4 +1,4 @@
-"""The force law of effects on a plant: what they depend on, and the acceleration they need.
+"""The force law of effects on a plant: dependencies, and accelerations.
 
 Between the motors and the links of a plant there may be springs and dead bands. The rotor of a
 geared joint spins about its axis only, as in Spong's model of a flexible joint:
@@ -41,7 +41,7 @@ _POSTURES = 32  # in which the weight of a link is looked for
 
 @dataclass(frozen=True)
 class Coupling:
-    """What holds one motor and its link together.
+    """Spring and damper, or gap, between a motor and its link.
 
     Attributes:
         stiffness: Beyond the dead band, N·m/rad or N/m.
@@ -98,11 +98,11 @@ class SoftJoints:
     damping: float
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return their number."""
         return len(self.names)
 
     def couplings(self, mu: Array) -> list[Coupling]:
-        """Return what holds motors and links together, by the parameters (k,) of all effects.
+        """Return the couplings of motors and links for the parameters (k,) of all effects.
 
         Springs have the damping 2 ζ √(k I), with I the inertia of motor and link against each
         other. Sides of a dead band without a spring yield by a tenth of half the band, and at least
@@ -112,7 +112,7 @@ class SoftJoints:
         return self.held_by([_give_of((e, mu[at]) for e, at in each) for each in self.effects])
 
     def held_by(self, gives: Sequence[Give]) -> list[Coupling]:
-        """Return what holds motors and links together that give way (m,) in some manner."""
+        """Return the couplings of one kind between motors and links, for (m,) joints."""
         against = 1.0 / (1.0 / self.link_inertia + 1.0 / self.motor_inertia)
         found = []
         for i, (give, inertia) in enumerate(zip(gives, against.tolist(), strict=True)):
@@ -145,7 +145,7 @@ def _give_of(effects: Iterable[tuple[DeflectionEffect, Array]]) -> Give:
 def giving(
     effects: Sequence[Effect], mu: Array, parts: Sequence[slice]
 ) -> dict[str, list[tuple[DeflectionEffect, slice]]]:
-    """Return joint -> what gives way there, and where its parameters are among all μ (k,)."""
+    """Return joint -> elastic effect, and the indices of its parameters in μ (k,)."""
     found: dict[str, list[tuple[DeflectionEffect, slice]]] = {}
     for effect, place in zip(effects, parts, strict=True):
         if isinstance(effect, DeflectionEffect):
@@ -154,7 +154,7 @@ def giving(
 
 
 def links_of(motion: PlantMotion, phi: Array) -> tuple[Array, Array]:
-    """Return what turns one joint alone feels of its link, 1 / (M⁻¹)_jj (nv,), and usual loads.
+    """Return the link inertias 1 / (M⁻¹)_jj (nv,) at single joints, and usual loads.
 
     Those are the largest weights that are found, and what moves links as usual (nv,), N·m or N.
     """
@@ -182,7 +182,7 @@ EffectWithValues = FittedEffect | tuple[Effect, ArrayLike]
 
 
 class Response(NamedTuple):
-    """What effects do at a state.
+    """Response of effects at a state.
 
     Attributes:
         effort: (nv,) effort that they need: taken away from the plant, N·m or N.
@@ -196,7 +196,7 @@ class Response(NamedTuple):
 
 
 class ForceLaw:
-    """What effects need of a plant, and how motors move that are not where their links are.
+    """Forces of effects on a plant, and accelerations of motors with elastic joints.
 
     Without soft joints all effects see the plant's motion. With them, what acts at motors
     (`Effect.at_motor`) sees the motion of the motors, and what acts at bodies that of the links.
@@ -222,7 +222,7 @@ class ForceLaw:
         *,
         spring_damping: float,
     ) -> None:
-        """Check effects, and sort them by what they depend on; see `EffectForce`."""
+        """Check effects, and sort them by their dependencies; see `EffectForce`."""
         self.plant = plant
         self.phi = plant.phi if phi is None else real_array(phi, "phi", plant.phi.shape).copy()
         given = list(map(_fitted, instances(effects, "effects", (tuple, FittedEffect))))
@@ -248,7 +248,7 @@ class ForceLaw:
             self.soft = self._softened(soft, at, damping)
 
     def _check(self, *, known_phi: bool) -> None:
-        """Refuse effects that are no forces here, and those that do not fit the plant."""
+        """Raise for effects that are not forces, or do not fit the plant."""
         still = self.plant.trial(*np.zeros((3, 1, len(self.plant.joints))))
         for effect in self.effects:
             if effect.role is Role.DELAY:
@@ -269,7 +269,7 @@ class ForceLaw:
                 rows_of(effect, still)
 
     def _terms(self, belongs: Callable[[Effect], bool]) -> Terms:
-        """Return those of some effects that are forces."""
+        """Return the effects that are forces."""
         chosen = [
             i
             for i, effect in enumerate(self.effects)
@@ -286,7 +286,7 @@ class ForceLaw:
         at: NDArray[np.intp],
         damping: float,
     ) -> SoftJoints:
-        """Return the soft joints at some velocities; their motors may need some inertia."""
+        """Return the elastic joints at some velocities; their motors may need more inertia."""
         plant = self.plant
         for joint, place in zip(soft, plant.positions[at], strict=True):
             if place < 0:
@@ -344,7 +344,7 @@ class ForceLaw:
         return acting
 
     def at_motors(self, state: PlantState) -> PlantState:
-        """Return a state as it is measured: positions and velocities are those of the motors."""
+        """Return a state as measured, with positions and velocities of motors."""
         if not self.soft:
             return state
         q, v = state.q.copy(), state.v.copy()
@@ -353,7 +353,7 @@ class ForceLaw:
         return replace(state, q=q, v=v)
 
     def response(self, state: PlantState, u: Array, parameters: Parameters) -> Response:
-        """Return what effects need, and how motors of soft joints accelerate.
+        """Return the efforts of effects, and the accelerations of elastic joints' motors.
 
         With x = (q̈, θ̈ of the soft joints), q̈ = L x of the links, and A x the accelerations of all
         motors, rigid or soft, the equations of motion are linear in x:
@@ -441,7 +441,7 @@ def admissible(effect: Effect, values: ArrayLike) -> Array:
 
 
 def _parts(sizes: list[int]) -> tuple[slice, ...]:
-    """Return where things of some sizes are, one after the other."""
+    """Return consecutive slices of given sizes."""
     ends = np.cumsum([0, *sizes]).tolist()
     return tuple(map(slice, ends[:-1], ends[1:]))
 

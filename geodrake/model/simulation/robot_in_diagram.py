@@ -75,7 +75,7 @@ class RobotInDiagram:
             self.set_parameters(root, phi=self.total_phi)
 
     def set_state(self, root: Context, q: ArrayLike, v: ArrayLike | None = None) -> None:
-        """Set where the robot starts, as it is measured, in the whole diagram's Context.
+        """Set the initial state of the robot, as measured, in the whole diagram's Context.
 
         Links of soft joints are where a steady load has them.
 
@@ -223,7 +223,7 @@ def _efforts(
 
 
 def late(builder: DiagramBuilder, name: str, effort: OutputPort, delays: Array) -> OutputPort:
-    """Return an effort (nv,), late by those of some delays (nv,), s, that are positive."""
+    """Return an effort (nv,) delayed by the positive delays (nv,), s."""
     delays = np.maximum(delays, 0.0)
     if not delays.any():
         return effort

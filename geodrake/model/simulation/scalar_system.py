@@ -69,7 +69,7 @@ _ONE_AT_A_TIME = RLock()
 
 
 def differenced(made: System) -> System:
-    """Let a LeafSystem class be cloned, and converted to AutoDiffXd.
+    """Make a LeafSystem class clonable, and convertible to AutoDiffXd.
 
     A clone is made of the arguments of the constructor. AutoDiffXd has derivatives with inputs,
     states, numeric parameters and time, by differences: exact to some 1e-9, where the
@@ -187,7 +187,7 @@ class _Differenced:
         function: Callable[[Any], Array],
         inputs: Sequence[int] | None = None,
     ) -> Scalars:
-        """Return what a function (n,) of a Context of the source gives, with derivatives.
+        """Return the values (n,) of a function of the source's Context, with derivatives.
 
         Args:
             inputs: Indices of the inputs that matter; all if None.

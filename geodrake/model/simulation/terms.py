@@ -30,7 +30,7 @@ from geodrake.robot.robot_instance import RobotInstance
 
 
 class PlantMotion:
-    """What is constant about a plant, for the motion that effects see, and the plant's dynamics.
+    """Constants of a plant, its dynamics, and the motion that effects depend on.
 
     Attributes:
         robot: The robot in the plant; effects act on nothing else.
@@ -112,7 +112,7 @@ class PlantMotion:
         return effort
 
     def trial(self, v: Array, vd: Array, load: Array) -> RobotMotion:
-        """Return the plant in some configurations, of v, v̇ and loads (N, nv), to try effects."""
+        """Return the plant in some configurations, with v, v̇ and loads (N, nv), for tests."""
         q = np.tile(self.plant.GetPositions(self.plant.CreateDefaultContext()), (len(v), 1))
         single = self.positions[self.positions >= 0]
         q[:, single] = np.random.default_rng(0).normal(size=(len(v), len(single)))
@@ -140,7 +140,7 @@ class PlantMotion:
         return found
 
     def moving_force(self, state: Array, acceleration: Array) -> Array:
-        """Return what the plant needs to move as its model does, where it is driven by one."""
+        """Return the additional force of a driven plant that makes it move as its model."""
         raise NotImplementedError
 
     def dynamics(self, q: Array, v: Array, phi: Array) -> tuple[Array, Array, Array]:
@@ -196,7 +196,7 @@ class PlantState:
 
 @dataclass(frozen=True, eq=False)
 class Terms:
-    """Some effects of a plant, evaluated together.
+    """Effects of a plant that are evaluated together.
 
     Attributes:
         places: (k,) where their parameters are among those of all effects.
@@ -241,7 +241,7 @@ class Terms:
         return self.plant.own(columns @ parameters[0][self.places])
 
     def added_mass(self, at: PlantState, load: Array, parameters: Parameters) -> Array:
-        """Return (nv, nv) what they add to the mass matrix, under a load (nv,)."""
+        """Return (nv, nv) their contribution to the mass matrix, under a load (nv,)."""
         if not self.turning:
             return np.zeros((len(at.v), len(at.v)))
         own = self._motion(at, load), parameters[0][self.places]
@@ -297,7 +297,7 @@ class DrivenPlant(PlantMotion):
         log: str | None,
         temperatures: Temperatures | None,
     ) -> None:
-        """Refuse effects that give way; see `RobotModel.driving`."""
+        """Raise for elastic effects; see `RobotModel.driving`."""
         for effect in (fitted.effect for fitted in model.effects):
             if effect.role is Role.DEFLECTION:
                 raise ModelError(
@@ -329,7 +329,7 @@ class DrivenPlant(PlantMotion):
         return np.concatenate([ways.tree_positions(q[None])[0], ways.jacobian(q[None])[0] @ v])
 
     def moving_force(self, state: Array, acceleration: Array) -> Array:
-        """Return what (nv of the plant,) the plant needs to move as its model, accelerated so."""
+        """Return the force (nv of the plant,) for the model's motion with given accelerations."""
         q, v = self.split(state)
         ways, nq = self.model.coordinates, self.plant.num_positions()
         J, rate = ways.jacobian(q[None])[0], ways.jacobian_rate(q[None], v[None])[0]
@@ -351,7 +351,7 @@ class DrivenPlant(PlantMotion):
         return (np.array(units) - drift).T, drift, drift
 
     def trial(self, v: Array, vd: Array, load: Array) -> RobotMotion:
-        """Return the model in some configurations, of v, v̇ and loads (N, nv), to try effects."""
+        """Return the model in some configurations, with v, v̇ and loads (N, nv), for tests."""
         q = np.random.default_rng(0).normal(size=(len(v), self.sizes[0]))
         return self.seen(self.model.tree.inside(q), (v, vd, load), self.phi)
 

@@ -1,4 +1,4 @@
-"""Model files: their texts, simplified before Drake parses them, and what those do not hold."""
+"""Model files: texts simplified for Drake's parser, and the elements that are left out."""
 
 from geodrake.robot.files.description import ModelDescription, read_description
 from geodrake.robot.files.given import Given

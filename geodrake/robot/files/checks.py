@@ -34,7 +34,7 @@ def drop(element: Element, *tags: str) -> None:
 
 
 def numbers(text: str, count: int) -> Array:
-    """Return numbers of a text, NaN where there are none; an empty text means zeros."""
+    """Return the numbers in a text, NaN for others; an empty text means zeros."""
     parts = text.split()
     if not parts:
         return np.zeros(count)
@@ -84,14 +84,14 @@ def words(values: Array | float) -> str:
 
 
 LARGEST = 1e12
-"""In SI units, larger than anything of a robot but a limit, which may stand for none."""
+"""In SI units, larger than any value of a robot except limits."""
 
 _NUMBER = re.compile(r"[-+]?((\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|inf)")
 
 
 @dataclass(frozen=True)
 class Numbers:
-    """What numbers may stand in one place.
+    """Requirements on numbers in a place.
 
     Attributes:
         counts: How many; none at all is left to Drake.
@@ -102,7 +102,7 @@ class Numbers:
     most: float = LARGEST
 
     def problem(self, text: str) -> str:
-        """Return what is wrong with a text, to be read after it; nothing if it will do."""
+        """Return what is wrong with a text; "" if nothing."""
         words = text.split()
         wrong = [word for word in words if not _NUMBER.fullmatch(word)]
         if wrong:
@@ -119,7 +119,7 @@ class Numbers:
 
 
 Numeric = Mapping[str, Mapping[str, Numbers | None]]
-"""Tag -> attribute -> numbers, None for any word.
+"""Tag -> attribute -> numbers, or None for any word.
 
 The attribute "" is the text, the tag "" stands for all.
 """
@@ -174,7 +174,7 @@ MJCF_NUMBERS: Numeric = {
 
 
 def check_numbers(root: Element, numeric: Numeric, path: Path) -> None:
-    """Refuse text that is no number, too few or too many numbers, and numbers out of bounds.
+    """Raise for text that is not a number, wrong counts, and numbers out of bounds.
 
     Those of an `inertial` are left to the repair of inertias.
     """
@@ -189,14 +189,14 @@ def check_numbers(root: Element, numeric: Numeric, path: Path) -> None:
 
 
 def check_links(links: Mapping[str, Element], path: Path) -> None:
-    """Refuse names that Drake takes for a link of another model."""
+    """Raise for names that Drake takes for a link of another model."""
     for link in links.values():
         if "::" in link.get("name", ""):
             raise _wrong(link, path, f"has name={link.get('name')!r}: :: separates model and link")
 
 
 def check_inertia(link: Element, phi: Array, path: Path) -> None:
-    """Refuse inertial parameters (10,) that are numbers, but larger than anything of a robot.
+    """Raise for inertial parameters (10,) that are impossibly large.
 
     What is not finite passes.
     """
@@ -207,7 +207,7 @@ def check_inertia(link: Element, phi: Array, path: Path) -> None:
 
 
 def check_limits(root: Element, path: Path) -> None:
-    """Refuse lower limits above upper ones."""
+    """Raise for lower limits above upper ones."""
     for element in root.iter():
         limits = []
         if element.tag == "limit":
@@ -226,7 +226,7 @@ def check_limits(root: Element, path: Path) -> None:
 
 
 def check_poses(plant: MultibodyPlant, path: Path) -> None:
-    """Refuse joints at places that are no numbers, or beyond all that is a robot."""
+    """Raise for poses of joints that are not numbers, or impossibly large."""
     for joint in (plant.get_joint(index) for index in plant.GetJointIndices()):
         frames = (joint.frame_on_parent(), joint.frame_on_child())
         poses = [frame.GetFixedPoseInBodyFrame() for frame in frames]

@@ -1,4 +1,4 @@
-"""What is known of a model file beside what is in it."""
+"""Options for reading a model file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _NAME = re.compile(r"[^\s/:=]+")
 
 
 class Expanded(NamedTuple):
-    """What a xacro file was expanded to.
+    """Result of expanding a xacro file.
 
     Attributes:
         read: Files that it reads, itself among them -> their checksums, None if they are not there.
@@ -27,7 +27,7 @@ class Expanded(NamedTuple):
 
 @dataclass(frozen=True)
 class Given:
-    """How a description file is to be read, beside what is in it.
+    """How a model file is read.
 
     Attributes:
         robot: Name of the robot, where the file has several; None for all that it has.

@@ -1,4 +1,4 @@
-"""Files that model files name: packages of ROS, and what they include.
+"""References of model files: ROS packages and includes.
 
 Includes are followed before Drake, which would never end in a circle.
 """
@@ -33,7 +33,7 @@ _DEEPEST = 30  # files that include each other in a row
 
 
 class Includes:
-    """Follows what a model file includes.
+    """Resolves the includes of a model file.
 
     Args:
         folders: Package -> folder, which come before those that are found.
@@ -120,7 +120,7 @@ class Includes:
                     )
 
     def name_by_urls(self, root: Element) -> None:
-        """Make the paths of an SDF's includes absolute, and remove includes that do not exist."""
+        """Make the paths of an SDF's includes absolute, and remove missing ones."""
         self._drop_absent(root, self.path.parent)
         for uri in root.iterfind(".//include/uri"):
             place = (uri.text or "").strip()
@@ -194,7 +194,7 @@ def _last_name(url: str) -> str:
 
 
 def _models_of(place: Path, by_url: bool) -> list[Path]:
-    """Return the files that an include of a file or a folder may stand for."""
+    """Return the files that an include of a file or a folder may refer to."""
     try:
         if not place.is_dir():
             return [place]
@@ -213,7 +213,7 @@ def _version(root: Element) -> tuple[int, ...]:
 
 
 def _means_the_same(one: tuple[int, ...], other: tuple[int, ...]) -> bool:
-    """Return whether models of two versions of SDF may stand in one file."""
+    """Return whether models of two SDF versions may be in one file."""
     return one == other or min(one, other) >= _LIKE_LATER
 
 
@@ -226,7 +226,7 @@ def _has_forces(root: Element) -> bool:
 
 
 def _merged(model: Element) -> list[Element]:
-    """Return what a model puts into the one that it is merged with: its parts, and its own frame.
+    """Return the parts of a merged model, and its own frame.
 
     Parts whose poses are relative to the model are relative to that frame.
     """
@@ -273,7 +273,7 @@ def add_packages(
     names: Iterable[str],
     folders: Mapping[str, Path] | None = None,
 ) -> None:
-    """Make packages known: given ones, those around a file, and those on ROS' paths.
+    """Register packages: given ones, those around a file, and those on ROS's paths.
 
     Only those that are asked for are looked up: a manifest that cannot be read does no harm to
     models that do not need it.
@@ -315,7 +315,7 @@ def _around(path: Path, names: Iterable[str]) -> Iterator[Path]:
 
 
 def packages_below(entry: str | Path) -> Iterator[Path]:
-    """Folders from a folder on down; what is within packages and marked folders is left out."""
+    """Search folders recursively, but not inside packages and marked folders."""
     seen: set[str] = set()
     for folder, below, files in os.walk(entry, followlinks=True):
         real = os.path.realpath(folder)
@@ -328,7 +328,7 @@ def packages_below(entry: str | Path) -> Iterator[Path]:
 
 
 def package_name(folder: Path) -> str | None:
-    """Return what a folder's manifest calls the package; None if no manifest can be read."""
+    """Return the package name in a folder's manifest; None if it cannot be read."""
     manifest = folder / "package.xml"
     with suppress(ModelError):
         data = read_regular(manifest, "manifest", ModelError, largest=_LARGEST_MANIFEST)

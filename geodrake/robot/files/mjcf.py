@@ -1,4 +1,4 @@
-"""MJCF, the format of MuJoCo: what MuJoCo compiles, as one plain tree that Drake reads alike."""
+"""MJCF as compiled by MuJoCo, written as a plain tree that Drake reads alike."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def _timestep(root: Element) -> float:
 
 
 def turns_in_degrees(root: Element) -> bool:
-    """Return whether angles in an MJCF file are in degrees, as they are if it does not say."""
+    """Return whether angles in an MJCF file are in degrees, as by default."""
     compilers = [compiler.get("angle") for compiler in root.findall("compiler")]
     return next((angle for angle in reversed(compilers) if angle), "degree") == "degree"
 
@@ -137,7 +137,7 @@ def plain_tree(source: CompiledMjcf, name: str) -> Element:
 
 
 def _body(parent: Element, name: str, X: RigidTransform, like: Element | None) -> Element:
-    """Put a body into another one, which was read where an element of the file was."""
+    """Add a body of the compiled file to its parent."""
     turn = words(X.rotation().ToQuaternion().wxyz())
     stated = {"name": name, "pos": words(X.translation()), "quat": turn}
     made = Element("body", stated)
@@ -167,7 +167,7 @@ def _write_joint(body: Element, m: Any, joint: int) -> None:
 
 
 def _back(m: Any, joint: int) -> RigidTransform:
-    """Return what turns a body back from where it is drawn to where its joint is at zero."""
+    """Return the rotation of a body from its drawn pose to its joint's zero."""
     kind, ref = _kind(m, joint), float(m.qpos0[m.jnt_qposadr[joint]])
     if kind not in ("hinge", "slide") or not ref:
         return RigidTransform()
@@ -179,7 +179,7 @@ def _back(m: Any, joint: int) -> RigidTransform:
 
 
 def _motors(m: Any, path: Path) -> tuple[Statement, ...]:
-    """Return what actuators state: gears at joints, q = γ θ, and fixed tendons, q = γ Σ cᵢ θᵢ."""
+    """Return the transmissions of actuators: gears, q = γ θ, and fixed tendons, q = γ Σ cᵢ θᵢ."""
     gears, pulled = list[Gear](), dict[str, dict[str, float]]()
     for at in range(len(m.actuator_trntype)):
         if not (shares := {m.joint(j).name: x for j, x in actuator_shares(m, at).items()}):

@@ -76,7 +76,7 @@ def quiet_mujoco() -> Iterator[list[str]]:
 
 @dataclass(eq=False)
 class CompiledMjcf:
-    """What MuJoCo makes of a file.
+    """A file as compiled by MuJoCo.
 
     Attributes:
         elements: Names of bodies -> their elements in the file; without those made by MuJoCo.
@@ -98,7 +98,7 @@ class CompiledMjcf:
 
 
 def compiled(root: Element, path: Path, *, geoms: bool = False) -> CompiledMjcf:
-    """Return what MuJoCo makes of a file whose includes are in their places.
+    """Return MuJoCo's model of a file with resolved includes.
 
     Args:
         geoms: Keep geoms that have no part in inertias, for pictures and collisions.
@@ -133,7 +133,7 @@ class _Compiler:
         return found
 
     def _prepare(self, root: Element, path: Path, prefix: str, chain: tuple[Path, ...]) -> float:
-        """Leave what bears on dynamics; return how many bodies MuJoCo makes of it."""
+        """Remove elements without effect on dynamics; return the number of bodies."""
         drop(root, *_NO_DYNAMICS)
         self._take_plugins(root)
         folders = _take_folders(root)
@@ -167,7 +167,7 @@ class _Compiler:
         drop(root, "extension", "plugin")
 
     def _attach(self, element: Element, path: Path, chain: tuple[Path, ...]) -> float:
-        """Make a model known under a key; return how many bodies it has."""
+        """Register an attached model under a key; return its number of bodies."""
         file = path.parent / element.get("file", "")
         data = parse_xml(file)
         if data.tag != "mujoco":
@@ -200,7 +200,7 @@ class _Compiler:
         element.set("file", key)
 
     def _take_meshes(self, spec: Any, found: CompiledMjcf) -> None:
-        """Give the meshes that are there, and say what follows where others are not."""
+        """Load the existing meshes, and note the consequences of missing ones."""
         used = {geom.meshname for geom in spec.geoms if geom.meshname}
         assets, absent = dict[str, bytes](), dict[str, Path]()
         for mesh in list(spec.meshes):
@@ -228,7 +228,7 @@ class _Compiler:
 
     @contextmanager
     def _refusals(self, places: Sequence[str]) -> Iterator[None]:
-        """Turn what MuJoCo raises into a `ModelError` with its words, the file and the line."""
+        """Convert MuJoCo's exceptions to a `ModelError` with its words, the file and the line."""
         try:
             yield
         except (ModelError, OSError, MemoryError):
@@ -247,7 +247,7 @@ class _Compiler:
 
 
 def _take_out(spec: Any, absent: dict[str, Path], found: CompiledMjcf) -> None:
-    """Take meshes that are not there out, with their geoms, and say what follows from that."""
+    """Remove missing meshes and their geoms, with notes."""
     always = load_mujoco().mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     by_geoms, heavy, seen = spec.compiler.inertiafromgeom == always, list[str](), list[str]()
     for body in spec.bodies:
@@ -316,7 +316,7 @@ def _drop_idle_geoms(root: Element) -> None:
 
 
 def _name_bodies(root: Element, prefix: str) -> None:
-    """Give bodies and joints names where they have none."""
+    """Name bodies and joints without names."""
     every = [body for body in root.iter("body") if body.get("name") or len(body)]
     taken = {body.get("name") for body in every}
     free = unused(taken)
@@ -357,7 +357,7 @@ def own_joints(body: Element) -> Iterator[Element]:
 
 
 def unused(taken: set[str | None]) -> Callable[[str], str]:
-    """Return what makes a name that is not taken out of one, and takes it."""
+    """Return a function that makes a name unique and reserves it."""
 
     def name(wanted: str) -> str:
         while wanted in taken:
@@ -369,7 +369,7 @@ def unused(taken: set[str | None]) -> Callable[[str], str]:
 
 
 def _bodies_of(root: Element, path: Path, sizes: Mapping[str, float]) -> float:
-    """Return how many bodies MuJoCo makes of a file, and refuse more than a robot has.
+    """Return the number of bodies that MuJoCo makes of a file; raise if it is too large.
 
     Args:
         sizes: Name of a model that may be attached -> how many bodies it has.
@@ -391,7 +391,7 @@ def _bodies_of(root: Element, path: Path, sizes: Mapping[str, float]) -> float:
 
 
 def _split_balls(spec: Any, found: CompiledMjcf) -> bool:
-    """Put three hinges in the place of ball joints of closed loops; whether there are such."""
+    """Replace ball joints of closed loops by three hinges; return whether there were any."""
     m, free = found.model, unused({joint.name for joint in spec.joints})
     balls, hinge = _balls(m), load_mujoco().mjtJoint.mjJNT_HINGE
     for joint, axis in balls.items():

@@ -1,4 +1,4 @@
-"""What a compiled MJCF has beside rigid bodies: at joints, and what no model of geodrake takes.
+"""Terms of a compiled MJCF other than rigid bodies, and elements that cannot be modelled.
 
 What is not taken is said with its value, and taken out of the copy of the compiled model that the
 robot is compared with (`geodrake.model.other_programs`), as are carried weights, media and struts.
@@ -42,7 +42,7 @@ _KINDS = {
     "frictionloss": "friction",
     "armature": "",
 }
-"""What joints, tendons and actuators have -> what can be switched off."""
+"""Properties of joints, tendons and actuators -> flag that disables them."""
 _OF_BALLS = "damping", "frictionloss", "armature"
 
 
@@ -53,7 +53,7 @@ def pose_of(position: Array, quaternion: Array) -> RigidTransform:
 
 
 def fixed_tendon(m: Any, at: int) -> dict[int, float]:
-    """Return joint -> coefficient of a fixed tendon; nothing of a spatial one."""
+    """Return joint -> coefficient of a fixed tendon; nothing for a spatial one."""
     found = dict[int, float]()
     for k in range(m.tendon_adr[at], m.tendon_adr[at] + m.tendon_num[at]):
         if int(m.wrap_type[k]) != load_mujoco().mjtWrap.mjWRAP_JOINT:
@@ -75,7 +75,7 @@ def actuator_shares(m: Any, at: int) -> dict[int, float]:
 
 
 class MjcfTerms:
-    """What a compiled MJCF states, by the names in a model.
+    """Terms of a compiled MJCF, by names in a model.
 
     Attributes:
         reference: The compiled model without what is left out.
@@ -127,7 +127,7 @@ class MjcfTerms:
         return f"{self.scope}::{self._name('BODY', at)}"
 
     def _add(self, shares: Mapping[int, float], **stated: Any) -> None:
-        """Add what is stated along a length of joints, each with its share."""
+        """Add terms along a length of joints, each with its share."""
         named = {self._joint(joint): share for joint, share in shares.items()}
         self.found.lengths.append(StatedLength(named, **stated))
 
@@ -137,7 +137,7 @@ class MjcfTerms:
         return sizes.get(int(self.m.jnt_type[joint]), 1)
 
     def _numbers(self, where: Callable[[str], tuple[str, slice]]) -> dict[str, Array]:
-        """Return what something has of each kind of `_KINDS`, by its tables and its rows there."""
+        """Return the values of each kind in `_KINDS`, by table and row."""
         on = {"springs": self.springs, "dampers": self.dampers, "friction": self.friction}
         return {key: on.get(kind, True) * _row(self.m, *where(key)) for key, kind in _KINDS.items()}
 
@@ -168,7 +168,7 @@ class MjcfTerms:
         limits[name] = min(most, limits.get(name, np.inf))
 
     def _take_tendons(self) -> None:
-        """Take fixed tendons, and struts; of others is said what no tendon here has."""
+        """Read fixed tendons and struts, with notes on other tendons."""
         m = self.m
         for at in range(m.ntendon):
             low, high = (float(x) for x in m.tendon_lengthspring[at])
@@ -182,7 +182,7 @@ class MjcfTerms:
     def _take_along(
         self, name: str, shares: dict[int, float], has: dict[str, Array], length: float | None
     ) -> None:
-        """Take from what a length Σ c q has (numbers of each kind) all that effects are; L₀ given.
+        """Read all effects along a length Σ c q from its values, given L₀.
 
         What is taken is zero in `has` afterwards.
         """
@@ -211,7 +211,7 @@ class MjcfTerms:
         )
 
     def _take_strut(self, at: int, has: dict[str, Array], length: float | None) -> None:
-        """Take spring and damper of a tendon over sites that changes between two of them alone."""
+        """Read spring and damper of a tendon over sites whose length changes between only two."""
         m, mujoco, first = self.m, self.mujoco, int(self.m.tendon_adr[at])
         wraps = range(first, first + int(m.tendon_num[at]))
         over_sites = all(int(m.wrap_type[k]) == mujoco.mjtWrap.mjWRAP_SITE for k in wraps)
@@ -240,7 +240,7 @@ class MjcfTerms:
     def _leave_rest(
         self, what: str, has: dict[str, Array], where: Callable[[str], tuple[str, slice]]
     ) -> None:
-        """Say what of something is left, and take it out of the reference."""
+        """Note what remains of an element, and remove it from the reference."""
         parts = [f"{key} {_list(value)}" for key, value in has.items() if value.any()]
         if parts:
             self._leave(f"{what} with {', '.join(parts)}")
@@ -304,7 +304,7 @@ class MjcfTerms:
         self.reference.body_gravcomp[:] = 0.0
 
     def _take_medium(self) -> None:
-        """Take what a medium does to bodies as boxes; bodies with ellipsoids are told of."""
+        """Read the forces of a medium on boxes, with notes on ellipsoids."""
         m, option, own = self.m, self.m.opt, self.reference.opt
         if not (option.density or option.viscosity):
             return
@@ -387,7 +387,7 @@ class MjcfTerms:
         return True
 
     def _free_root(self, body: int) -> int:
-        """Return the number of the free body that a body hangs from, or is; 0 for none."""
+        """Return the free body above a body, or itself; 0 if there is none."""
         m, free = self.m, self.mujoco.mjtJoint.mjJNT_FREE
         for each in chain_to_world(m, body):
             joints = range(m.body_jntadr[each], m.body_jntadr[each] + m.body_jntnum[each])
@@ -418,7 +418,7 @@ class MjcfTerms:
         return self._tie(own, leader, -shares[leader] / shares[own], length / shares[own])
 
     def _tie(self, own: int, leader: int, ratio: float, offset: float) -> bool:
-        """Return whether a joint follows another one, or leads it as it follows a third."""
+        """Return whether a joint already follows or leads another one."""
         ways = [(own, leader, ratio, offset)]
         ways += [(leader, own, 1.0 / ratio, -offset / ratio)] if ratio else []
         for first, second, *numbers in ways:
@@ -468,7 +468,7 @@ def _rows_of(thing: str, at: int) -> Callable[[str], tuple[str, slice]]:
 
 
 def _row(m: Any, name: str, rows: slice) -> Array:
-    """Return the first row of some of a table, (k,); zeros in versions of MuJoCo without it."""
+    """Return the first row of a table, (k,); zeros in versions of MuJoCo without it."""
     table = getattr(m, name, None)
     return np.zeros(2) if table is None else np.atleast_1d(np.array(table[rows][0], float))
 

@@ -1,4 +1,4 @@
-"""Numbers written into the text of a URDF, SDF or MJCF file, which otherwise stays as it is.
+"""Edits of numbers in a URDF, SDF or MJCF file, whose other text is unchanged.
 
 A parsed and rewritten file loses comments, attribute order and white space. So elements know where
 they stand in the bytes of their file (`LocatedElement`), and just the bytes of what is other than
@@ -72,14 +72,14 @@ _MJCF_FILES = ("file", "fileright", "fileleft", "fileup", "filedown", "fileback"
 
 
 class EditedFile:
-    """A URDF, SDF or MJCF with some elements changed; the rest of its text stays.
+    """A URDF, SDF or MJCF with changed elements and otherwise unchanged text.
 
     Attributes:
         path: The file, for messages and for the name of a model that has none.
     """
 
     def __init__(self, data: bytes, path: Path) -> None:
-        """Read what is, or will be, in a file."""
+        """Parse the text of a file."""
         self._data, self.path, self.root = data, path, parse_xml_bytes(data, path)
         if self.root.tag not in _FORMATS:
             raise ModelError(
@@ -96,7 +96,7 @@ class EditedFile:
 
     @property
     def links(self) -> Mapping[str, Element]:
-        """Return links that stand in the file itself, by their scoped names."""
+        """Return the links in the file itself, by scoped name."""
         return dict(self._format.links(self.root, self.path))
 
     def set_inertias(self, inertias: Mapping[str, Array]) -> None:
@@ -123,13 +123,13 @@ class EditedFile:
             self._format.put_numbers(self.root, there[name], change)
 
     def drop_mass_settings(self) -> bool:
-        """Take out settings by which MuJoCo changes masses; return whether there are any."""
+        """Remove settings with which MuJoCo changes masses; return whether there were any."""
         compilers = self.root.findall("compiler") if self.root.tag == "mujoco" else []
         found = [c.attrib.pop(key, None) for c in compilers for key in _OF_MASSES]
         return any(value is not None for value in found)
 
     def drop_passive_forces(self) -> bool:
-        """Take out what tendons, motors, media and compensated gravity do in an MJCF, if anything.
+        """Remove tendons, motors, media and gravity compensation from an MJCF, if any.
 
         Joints that state powers of springs keep none of them, and those of dampers the first.
         """
@@ -193,7 +193,7 @@ class EditedFile:
 def _inertials_in_frames(
     root: Element, path: Path
 ) -> dict[Element, tuple[Element, RigidTransform]]:
-    """Body of an MJCF whose inertia stands in a <frame> -> that, and its pose in the body."""
+    """Body of an MJCF with its inertia in a <frame> -> that frame, and its pose in the body."""
     holders = {
         frame: body
         for body in root.iter("body")
@@ -298,7 +298,7 @@ def sdf_pose(pose: Element) -> tuple[Array, Array]:
 
 
 def child_of(parent: Element, tag: str, *, new: bool = False) -> Element:
-    """Return the child of a tag; where there is none, a new one before those of the file."""
+    """Return the child of a tag, or a new one before those of the file."""
     found = None if new else parent.find(tag)
     if found is None:
         found = Element(tag)
@@ -448,7 +448,7 @@ def _put_mjcf_numbers(_: Element, joint: Element, change: Change) -> None:
 
 @dataclass(frozen=True)
 class _Format:
-    """Links and joints of a format with their scoped names, and what writes into one."""
+    """Links and joints of a format by scoped name, and functions that write to them."""
 
     links: Callable[[Element, Path], _Named]
     joints: Callable[[Element, Path], _Named]
@@ -473,7 +473,7 @@ _START = re.compile(rb"(<[^\s/>]+)((?:" + _ATTRIBUTE.pattern + rb")*)\s*(/?>)")
 
 
 def edited(data: bytes, path: Path, root: Element) -> bytes:
-    """Return the bytes of a file with what was changed in its elements.
+    """Return the bytes of a file with changed elements.
 
     Those are attributes, texts and new elements before or after all others; none may be missing.
     """
@@ -498,7 +498,7 @@ def edited(data: bytes, path: Path, root: Element) -> bytes:
 def _edits_of(
     element: Element, old: LocatedElement, data: bytes
 ) -> Iterator[tuple[int, int, bytes]]:
-    """Yield from and to where bytes are replaced, and what by, as an element is not what it was."""
+    """Yield the byte ranges of a changed element and their replacements."""
     own, was = (element.text or "").strip(), (old.text or "").strip()
     children = list(element)
     if element.attrib == old.attrib and own == was and len(children) == len(old):
@@ -572,7 +572,7 @@ def comment_words(sentence: str) -> str:
 
 
 def check_in_itself(names: Iterable[str], there: Container[str], path: Path) -> None:
-    """Refuse to write to what a file includes."""
+    """Raise for elements of included files."""
     missing = sorted(name for name in names if name not in there)
     if missing:
         raise ModelError(

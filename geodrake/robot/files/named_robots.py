@@ -28,7 +28,7 @@ _END = "_description"
 
 
 class RobotFile(NamedTuple):
-    """A model file, how it is to be read, and what is to be known of where it came from."""
+    """A model file, how it is read, and notes on its source."""
 
     path: Path
     given: Given
@@ -36,7 +36,7 @@ class RobotFile(NamedTuple):
 
 
 def robot_file(path: str | os.PathLike[str], given: Given) -> RobotFile:
-    """Return the file of a robot that is named, downloaded if need be; a path stays what it is.
+    """Return the file of a named robot, downloaded if necessary; paths are unchanged.
 
     Args:
         path: A model file; where there is none, a word without folder and suffix is a name.
@@ -69,7 +69,7 @@ def robot_file(path: str | os.PathLike[str], given: Given) -> RobotFile:
 
 
 def planned_download(path: Path) -> str:
-    """Return what `robot_file` is going to download, as a sentence; "" if nothing."""
+    """Return a sentence on what `robot_file` will download, or ""."""
     if not _is_name(path):
         return ""
     module = _descriptions(path)[0]
@@ -84,7 +84,7 @@ def planned_download(path: Path) -> str:
 
 
 def whole_if_folder(written: str | os.PathLike[str], path: Path) -> Path:
-    """Return a path, made absolute if it was written as ./ur5e, which `Path` makes a name of."""
+    """Return a path, made absolute if written as ./ur5e, which `Path` would make a name."""
     return path.absolute() if _is_name(path) and os.fspath(written) != str(path) else path
 
 
@@ -93,7 +93,7 @@ def _is_name(path: Path) -> bool:
 
 
 def _descriptions(path: Path) -> list[str]:
-    """Return the names of a robot's URDF and then of its MJCF, or of the one that there is."""
+    """Return the names of a robot's URDF and MJCF descriptions, if they exist."""
     gone = f"The model file {path} does not exist"
     try:
         package: Any = importlib.import_module("robot_descriptions")

@@ -1,4 +1,4 @@
-"""Robot descriptions as texts that Drake accepts: what all formats share, URDF and SDF.
+"""Robot descriptions as texts that Drake accepts: common parts of formats, URDF and SDF.
 
 What URDFs state of motors behind transmissions counts only where it is asked for, as most logs of
 robots with such files are of joints all the same. The transmissions are those of ros_control, whose
@@ -102,7 +102,7 @@ def _of(element: Element, tags: Collection[str], path: Path) -> Iterator[str]:
 
 
 def is_nothing(text: str) -> bool:
-    """Return whether a text says that there is none: no text, `false`, or numbers that are 0."""
+    """Return whether a text means none: empty, `false`, or zeros."""
     words = text.split()
     if not words or text.strip().lower() in _NOTHING:
         return True
@@ -153,7 +153,7 @@ class ModelText(abc.ABC):
         return tuple(self._links)
 
     def stated_inertia(self, link: str) -> Array | None:
-        """Inertial parameters (10,) that the file states for a link, possible or not; else None."""
+        """Inertial parameters (10,) of a link in the file, physical or not; else None."""
         if link in self.terms.set_aside or link not in self._links:
             return self.terms.set_aside.get(link)
         return self._stated(self._links[link])
@@ -165,11 +165,11 @@ class ModelText(abc.ABC):
         return self._inertia(inertial)
 
     def motors(self) -> tuple[Statement, ...]:
-        """Return what the file states of motors behind transmissions."""
+        """Return the transmissions of motors in the file."""
         return ()
 
     def set_inertia(self, link: str, phi: Array | None) -> bool:
-        """Give a link inertial parameters (10,), or none; False if the link is not in the text."""
+        """Set the inertial parameters (10,) of a link; False if the link is not in the text."""
         if link not in self._links:
             return False
         element = self._links[link]
@@ -215,7 +215,7 @@ class ModelText(abc.ABC):
         drop(self.root, *tags)
 
     def _take_weightless(self, off: Collection[str]) -> None:
-        """Take scoped names of links on which gravity does not act: if all, there is none."""
+        """Read scoped names of links without gravity; if all, there is no gravity."""
         heavy = {name for name, link in self._links.items() if link.find("inertial") is not None}
         if off and heavy.issubset(off):
             self.terms.gravity = np.zeros(3)
@@ -234,7 +234,7 @@ class ModelText(abc.ABC):
         self.terms.lengths.append(StatedLength({joint: 1.0}, Spring.linear(*values)))
 
     def _take_mimic(self, name: str, scope: str, joint: Element) -> None:
-        """Take what a joint follows, by its scoped name and the scope of what it names."""
+        """Read the leader of a following joint, by its scoped name."""
         for mimic in [e for e in joint.iter() if e.tag in ("mimic", "drake:mimic")]:
             ratio, offset = (
                 float(numbers(mimic.get(key) or mimic.findtext(key) or default, 1)[0])
@@ -247,7 +247,7 @@ class ModelText(abc.ABC):
 
     @abc.abstractmethod
     def _read(self) -> None:
-        """Fill the attributes and take out what Drake shall not see."""
+        """Read the attributes, and remove elements that Drake must not see."""
 
     @abc.abstractmethod
     def _inertia(self, inertial: Element) -> Array:
@@ -373,7 +373,7 @@ class UrdfText(ModelText):
                 limit.attrib.pop("effort", None)  # with 0, Drake ignores the rotor, too
 
     def _take_floating(self, scope: str, joints: list[Element]) -> None:
-        """Take where links float, whose joints Drake leaves out; what moves may not hold them."""
+        """Read floating joints, which Drake ignores; their parents must not move."""
         ends = {
             tag: {j: getattr(j.find(tag), "attrib", {}).get("link") for j in joints}
             for tag in ("parent", "child")
@@ -430,7 +430,7 @@ class UrdfText(ModelText):
 
 
 def _origin(element: Element) -> tuple[Array, Array]:
-    """Return the position (3,), and roll, pitch and yaw of what an <origin> places."""
+    """Return the position (3,), and roll, pitch and yaw of an <origin>."""
     origin = element.find("origin")
     stated = [] if origin is None else [origin.get(key, "") for key in ("xyz", "rpy")]
     place, turn = (numbers(words, 3) for words in stated or ("", ""))
@@ -438,7 +438,7 @@ def _origin(element: Element) -> tuple[Array, Array]:
 
 
 def _motors(element: Element, path: Path) -> Iterator[Statement]:
-    """Yield what a transmission of a URDF states."""
+    """Yield the transmissions of a URDF."""
     words = element.findtext("type") or element.findtext("plugin") or element.get("type") or ""
     kind = words.strip().rpartition("/")[2]
     if kind not in _KINDS:

@@ -1,4 +1,4 @@
-"""Xacro files expanded to what they describe, by the package xacro.
+"""Expansion of xacro files with the package xacro.
 
 Their expressions are Python's, without its builtins but those that xacro gives. Whoever reaches a
 class or a frame by the attributes of a value reaches all of Python, so the names of such are
@@ -54,7 +54,7 @@ _WITHHELD = ("type", "vars")  # which give classes, and what they are made of
 
 
 class RefusedError(BaseException):
-    """An expression asks for more than values; no Exception, as xacro catches and wraps those."""
+    """Raised for forbidden expressions; not an Exception, as xacro catches and wraps those."""
 
 
 def is_xacro(path: Path) -> bool:
@@ -83,7 +83,7 @@ def read_expanded(path: Path, given: Given) -> bytes:
 
 
 def _expanded(path: Path, given: Given, read: dict[Path, bytes | None]) -> bytes:
-    """Return what a file expands to, and note what it reads."""
+    """Return the expansion of a file, and record the files it reads."""
     if importlib.util.find_spec("xacro") is None:
         raise ModelError(
             f"{path} is a xacro file, but the package xacro is not installed.",
@@ -151,7 +151,7 @@ def _expanded(path: Path, given: Given, read: dict[Path, bytes | None]) -> bytes
 
 
 def _digest(file: Path) -> bytes | None:
-    """Return a checksum of a file; None where it cannot be read."""
+    """Return a checksum of a file; None if it cannot be read."""
     try:
         data = read_regular(file, "file", ModelError, largest=LARGEST_FILE, empty=True)
     except GeodrakeError:
@@ -161,7 +161,7 @@ def _digest(file: Path) -> bytes | None:
 
 @contextmanager
 def _own_xacro() -> Iterator[Any]:
-    """Import the package xacro anew, to be changed and forgotten, as what YAML evaluates for it."""
+    """Import a private copy of xacro, whose evaluation can be changed."""
 
     def taken_out() -> dict[str, types.ModuleType]:
         names = [name for name in sys.modules if name.partition(".")[0] == "xacro"]
@@ -195,7 +195,7 @@ def _limit_calls(xacro: Any) -> None:
 
 
 class _Limited(ast.NodeTransformer):
-    """Makes of expressions such that end: whose operations make nothing that is too large.
+    """Evaluates expressions with limited run time and memory.
 
     Those of files that nobody trusts must not ask for names of what Python is made of.
 
@@ -263,7 +263,7 @@ class _Limited(ast.NodeTransformer):
 
 
 def _limit_expressions(xacro: Any, limited: _Limited) -> None:
-    """Have xacro evaluate expressions that end, and unless they are trusted, of values alone."""
+    """Make xacro evaluate limited expressions, of values only unless trusted."""
     if not hasattr(xacro, "safe_eval"):
         raise ModelError(
             "The installed xacro is older than 2.1, and evaluates arbitrary expressions.",
@@ -300,7 +300,7 @@ def _limit_expressions(xacro: Any, limited: _Limited) -> None:
 
 
 def _words(error: Exception) -> str:
-    """Say what Python says nothing of."""
+    """Describe an exception without a message."""
     if isinstance(error, MemoryError):
         return "it needs too much memory"
     is_endless = isinstance(error, RecursionError)

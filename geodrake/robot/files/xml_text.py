@@ -39,7 +39,7 @@ def place_of(element: Element) -> str:
 
 
 def wrong_at(element: Element, path: Path, what: str) -> ModelError:
-    """Return an error with the place of an element, in a file, and what is wrong there."""
+    """Return an error with the file, the place of an element, and what is wrong."""
     return ModelError(
         f"{place_of(element) or path}: {what}", advice="Correct the file there.", path=path
     )
@@ -52,7 +52,7 @@ def parse_xml(path: Path) -> Element:
 
 
 def parse_xml_bytes(data: bytes, path: Path) -> Element:
-    """Return the root element of what is, or will be, in a file."""
+    """Return the root element of the text of a file."""
     # Without namespaces, unlike ElementTree.parse: Drake wants its prefix `drake:` kept as it is,
     # and many files use prefixes that they do not declare.
     try:
@@ -77,7 +77,7 @@ def parse_xml_bytes(data: bytes, path: Path) -> Element:
 
 
 def _read(data: bytes, path: Path) -> Element:
-    """Return the root of elements that know their places, as long as they stay within bounds."""
+    """Return the root of elements that know their line numbers, within size limits."""
     parser, depth, count = expat.ParserCreate(), 0, 0
 
     def element(tag: str, attributes: dict[str, str]) -> Element:

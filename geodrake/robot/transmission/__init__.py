@@ -78,7 +78,7 @@ class Transmission(abc.ABC):
 
     @property
     def constant_jacobian(self) -> Array | None:
-        """J (k, n) where it is the same everywhere; None where it depends on q."""
+        """J (k, n) if it is constant; None if it depends on q."""
         return None
 
     def joint_motion(self, motion: Motion) -> Motion:
@@ -182,7 +182,7 @@ class LinearTransmission(JointlyEvaluated, Short):
 
     @classmethod
     def of(cls, matrix: ArrayLike, offset: ArrayLike = 0.0) -> LinearTransmission:
-        """Make it of J (k, n) and θ₀ (k,) or one number for all, rad or m."""
+        """Return the transmission of J (k, n) and θ₀ (k,) or one number for all, rad or m."""
         J, shift = real_array(matrix, "matrix", ("k", "n")), real_array(offset, "offset")
         return cls(J, np.full(len(J), shift) if shift.ndim == 0 else shift)
 

@@ -238,7 +238,7 @@ def _follow(loop: Any, J: Array, B: Array, rooms: Any, out: Array) -> None:
 
 @inlined
 def _rooms(loop: Any) -> Any:
-    """Room for poses, for what `_follow` solves with, for c (m,), J (m, k) and a posture (1, k)."""
+    """Work arrays for poses and `_follow`, for c (m,), J (m, k) and a posture (1, k)."""
     (mobilizers, _), closures, m, k = (
         loop.tree,
         loop.closures,
@@ -479,7 +479,7 @@ class LoopTransmission(JointlyEvaluated, Short):
         return tuple(told)
 
     def posture(self, held: Mapping[str, float], path: object) -> dict[str, float]:
-        """Joint -> where it is if some joints are held."""
+        """Joint -> position with some joints fixed."""
         names = self.joints
         q = np.array([held.get(names[at], self.reference[at]) for at in self.free])
         theta, _, reached = solved(self.records, q[None])
@@ -511,7 +511,7 @@ class LoopTransmission(JointlyEvaluated, Short):
         return theta, G, rate
 
     def actuator_positions(self, theta: Array, *, start: object = 0.0) -> Array:
-        """Return Q (N, n): those of the free joints, whatever the others'."""
+        """Return Q (N, n) of the independent joints, whatever the others'."""
         del start
         return np.array(theta[:, np.searchsorted(self.shown, self.free)])
 

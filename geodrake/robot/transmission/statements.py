@@ -1,4 +1,4 @@
-"""Transmission files: what moves the joints of a robot, as YAML beside its model file.
+"""Transmission files, as YAML beside the model file.
 
     gears:
     - {actuator: motor_1, joint: joint_1, ratio: 100}
@@ -105,11 +105,11 @@ class Statement(Schema):
         raise NotImplementedError
 
     def slides(self) -> bool | None:
-        """Return whether the actuators slide; None where they move as the joints do."""
+        """Return whether the actuators are prismatic; None if they are of the joints' kind."""
         return _SLIDES[getattr(self, "kind", "")]
 
     def range(self) -> tuple[float, float] | None:
-        """Return positions of one actuator between which it holds, rad or m; None for all."""
+        """Return the range of an actuator's positions, rad or m; None for all."""
         return None
 
 
@@ -175,7 +175,7 @@ class Coupled(Statement):
 
 
 class RollingJoint(Statement):
-    """Two bodies that roll on each other: two parallel joints, turned by the whole angle.
+    """Two bodies that roll on each other: two parallel joints that share an angle.
 
     Attributes:
         joints: The two joints, the inboard one first.
@@ -223,7 +223,7 @@ def _of_polynomial(c: Array, q: Array, order: int) -> Array:
 
 
 def _along(spline: CubicSpline, q: Array, order: int) -> Array:
-    """Return a spline, or its derivative, that goes straight on beyond its ends."""
+    """Return a spline, or its derivative, with linear extrapolation."""
     inside = np.clip(q, spline.x[0], spline.x[-1])
     found = spline(inside, order)
     return np.asarray(found if order else found + spline(inside, 1) * (q - inside))
@@ -236,7 +236,7 @@ class OneJoint(Statement):
     joint: str
 
     def law(self) -> Law:
-        """Return f and its derivatives; an ArgumentError says what makes none."""
+        """Return f and its derivatives; raise an ArgumentError if undefined."""
         raise NotImplementedError
 
     def transmission(self) -> ScalarTransmission:
@@ -270,7 +270,7 @@ class PositionTable(OneJoint):
     kind: Kind = ""
 
     def law(self) -> Law:
-        """Return the spline with natural ends: without curvature, so that it goes straight on."""
+        """Return the natural spline, which extrapolates linearly."""
         q = real_array(np.array(self.actuator_positions, float), "actuator_points", ("m",))
         if len(q) < _LEAST_POINTS or not (np.diff(q) > 0.0).all():
             raise ArgumentError(
@@ -331,7 +331,7 @@ class FourBarLinkage(OneJoint):
         return self._rocker
 
     def _known(self) -> tuple[float, float]:
-        """Between which q the bars reach each other, rad; infinite where the crank goes around.
+        """Range of q in which the bars meet, rad; infinite if the crank rotates fully.
 
         The diagonal from the crank's end to the rocker's pivot is between |r − c| and r + c.
         """
@@ -507,7 +507,7 @@ class Drive(Short):
 
     @property
     def is_loop(self) -> bool:
-        """Whether it is a closed loop of the model file, and nothing that a user states."""
+        """Whether it is a closed loop of the model file."""
         return isinstance(self.map, LoopTransmission)
 
     @classmethod
@@ -518,7 +518,7 @@ class Drive(Short):
 
     @property
     def limits(self) -> tuple[Array, Array]:
-        """Least and greatest positions (n,) for which the map holds, rad or m."""
+        """Range of positions (n,) of the map, rad or m."""
         if self.range is not None:
             return self.range
         most = np.full(len(self.actuators), np.inf)
@@ -539,14 +539,14 @@ class Drive(Short):
 
 
 NONE, OF_FILE = "none", "file"
-"""Words in the place of a transmission file: nothing, or what the model file itself states."""
+"""Values other than a transmission file: none, or that in the model file."""
 
 _SUFFIX = ".transmission.yaml"
 _MODEL_SUFFIXES = (".xacro", ".urdf", ".sdf", ".xml", ".mjcf", ".yaml", ".yml", ".world")
 
 
 def file_beside(model: Path) -> Path:
-    """Return where a model's transmission file is: `arm.transmission.yaml` beside `arm.urdf`."""
+    """Return the path of a model's transmission file: `arm.transmission.yaml` beside `arm.urdf`."""
     name = model.name
     while (suffix := Path(name).suffix.lower()) in _MODEL_SUFFIXES:
         name = name[: -len(suffix)]
@@ -575,7 +575,7 @@ def read_transmission(path: str | Path) -> tuple[Drive, ...]:
 
 
 def drives_of(parts: Iterable[tuple[str, Statement]]) -> tuple[Drive, ...]:
-    """Return the drives that parts make; each comes with where it is, such as `gears[0]`."""
+    """Return the drives of parts, each with its place, such as `gears[0]`."""
     drives = []
     for place, part in parts:
         for what, names in (("actuator", part.actuator_names()), ("joint", part.joint_names())):
@@ -589,7 +589,7 @@ def drives_of(parts: Iterable[tuple[str, Statement]]) -> tuple[Drive, ...]:
 
 
 def stated_of(drives: Sequence[Drive]) -> Stated:
-    """Return what makes drives again, to be saved."""
+    """Return the data of drives for saving."""
     stated = Stated()
     for drive in drives:
         if drive.statement is None:
