@@ -535,7 +535,6 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     values = [value for row in rows for value in row["values"]]
     table: dict[str, Any] = {
         "logs": len(rows),
-        "joints whose play is named": sum(len(row["play named"]) for row in rows),
         "all effects in the set": float(np.mean([row["in_set"] for row in rows])),
         "other effects named, a log": float(np.mean([len(row["extra"]) for row in rows])),
         "departure over that of the true model, median": float(
@@ -549,6 +548,8 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             row["seconds"] + row["seconds of motions"] for row in rows
         ),
     }
+    if any(row["backlash"] for row in rows):
+        table["joints whose play is named"] = sum(len(row["play named"]) for row in rows)
     for what in dict.fromkeys(value["what"] for value in values):
         same = [value for value in values if value["what"] == what]
         ratios = np.array([value["ratio"] for value in same if value["ratio"]])
