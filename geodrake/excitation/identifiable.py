@@ -413,8 +413,9 @@ def _fitted(case: Case) -> tuple[RobotModel, Array]:
     found = reweight(first_hypothesis(dataset, unknowns), iterations=_ITERATIONS)
     mse = np.maximum(found.held_out.mse, dataset.noise_floor**2)
     mse = np.maximum(mse, 1e-12 * dataset.effort_std**2)
-    samples = dataset.samples.sum(0)
-    noise = np.sqrt(mse * samples / np.minimum(found.effective, samples))
+    samples, has = dataset.samples.sum(0), dataset.has_rows
+    noise = np.ones(len(mse))  # of joints without rows, where it weighs nothing
+    noise[has] = np.sqrt((mse * samples)[has] / np.minimum(found.effective, samples)[has])
     x = found.cv.fit_all
     effects = []
     for known in model.effects:

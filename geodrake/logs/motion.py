@@ -179,6 +179,11 @@ class JointLog(Short):
         """(n,) how well the gain of each joint's efforts is known."""
         return np.broadcast_to(np.asarray(self.effort_uncertainty, float), (len(self.joints),))
 
+    @property
+    def motor_effort(self) -> Array:
+        """(N, n) efforts without what measured wrenches add."""
+        return self.effort if self.ground is None else self.effort - self.ground
+
     def __len__(self) -> int:
         return len(self.time)
 

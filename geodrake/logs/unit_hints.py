@@ -36,7 +36,7 @@ def effort_unit_hint(log: JointLog, effort_limits: ArrayLike) -> str | None:
     known = np.isfinite(limits) & (limits > _LEAST_LIMIT) & ~np.isin(log.joints, log.passive)
     if not known.any():
         return None
-    peaks = np.minimum(_peaks(log.effort), _LARGEST)
+    peaks = np.minimum(_peaks(log.motor_effort), _LARGEST)
     ratio = np.where(known, peaks / np.where(known, limits, 1.0), np.nan)
     worst = int(np.nanargmax(ratio))
     if ratio[worst] > 3.0:
@@ -94,7 +94,7 @@ def effort_sign_hint(log: JointLog) -> str | None:
     Efforts that only gravity keeps from changing their sign do not come back from zero again and
     again.
     """
-    position, effort = log.position[:_ROWS], log.effort[:_ROWS]
+    position, effort = log.position[:_ROWS], log.motor_effort[:_ROWS]
     rows = np.isfinite(position).all(axis=1) & np.isfinite(effort).all(axis=1)
     position, effort = position[rows], effort[rows]
     if len(effort) < _ENOUGH_ROWS:

@@ -29,6 +29,7 @@ from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.motor_and_transmission import JointElasticity
 from geodrake.effects.sensors import WrenchOffset
 from geodrake.errors import LogError
+from geodrake.excitation.identifiable import log_identifiability
 from geodrake.identification.logs.candidate_effects import candidate_effects
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.compare import compare
@@ -41,6 +42,7 @@ from geodrake.logs.floating import ContactFlags
 from geodrake.logs.folds import validation_blocks
 from geodrake.logs.motion import JointLog
 from geodrake.logs.preparation import prepare_logs
+from geodrake.logs.unit_hints import effort_sign_hint
 from geodrake.model.floating_logs import contact_frames, on_soles, with_base
 from geodrake.model.logged_joints import log_of_model, reading_for
 from geodrake.model.robot_model import load_description
@@ -440,6 +442,10 @@ def test_base_rows_alone_tell_a_payload(tmp_path, monkeypatch, model, heavy):
     assert (step.effect, step.where) == ("payload", ("trunk",)) and step.probability > 0.9
     assert step.parameters["trunk"]["mass"] == pytest.approx(0.9, rel=0.05)
     assert not any("at rest" in note for note in found.notes)
+    known = log_identifiability(model, [log])
+    assert len(known.identifiable.variances) > 10 and np.isfinite(known.noise).all()
+    with pytest.raises(LogError, match="no efforts of fl_roll"):
+        roll_out(model, log)
     columns = {name: x for name, x in log.columns().items() if not name.endswith(".effort")}
     monkeypatch.chdir(tmp_path)
     (tmp_path / "quadruped.urdf").write_text(quadruped(), encoding="utf-8")
@@ -453,6 +459,16 @@ def test_base_rows_alone_tell_a_payload(tmp_path, monkeypatch, model, heavy):
         said = CliRunner().invoke(app, ["compare", "quadruped.urdf", log, "--floating"])
         assert words in said.output.replace("\n", " ")
         assert said.exit_code == (2 if bare else 0)
+
+
+def test_signs_are_doubted_by_the_efforts_of_motors_alone(model, maker):
+    log, added = with_base(maker.log(wrenches=True), model), np.zeros((len(maker.time), 18))
+    added[:, 0] = np.abs(10.0 * np.sin(3.0 * maker.time)) - log.effort[:, 0]
+    assert effort_sign_hint(log) is None
+    hint = effort_sign_hint(replace(log, effort=log.effort + added, ground=None))
+    assert hint is not None and "fl_roll" in hint
+    pushed = replace(log, effort=log.effort + added, ground=log.ground + added)
+    assert effort_sign_hint(pushed) is None
 
 
 def test_force_sensors_of_one_body_have_one_offset(model, maker):

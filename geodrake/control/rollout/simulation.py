@@ -49,7 +49,7 @@ def simulations(
     """Return what gives the simulation of the model of a case in a log, made when first asked for.
 
     Raises:
-        LogError: A robot on its feet has no measured forces there.
+        LogError: A robot on its feet has no measured forces there, or a joint no efforts.
 
     Args:
         passages: What is to be simulated, which may take so many steps all together. A robot that
@@ -61,6 +61,12 @@ def simulations(
     logs = {log.name: log for log in case.asked.logs}
     prepared = {trajectory.name: trajectory for trajectory in case.trajectories}
     for trajectory in case.trajectories:
+        if trajectory.unmeasured:
+            raise LogError(
+                f"Log {trajectory.name!r} has no efforts of {', '.join(trajectory.unmeasured)}, "
+                "without which nothing moves the robot.",
+                advice="Log efforts of all joints; or use geodrake compare.",
+            )
         if trajectory.contacts is not None:
             raise LogError(
                 f"Log {trajectory.name!r} has no ground forces at "
