@@ -35,6 +35,8 @@ from geodrake.robot.joints import joints_of
 _NORM = 0.02  # by which the length of a quaternion may differ from one
 _UPRIGHT = np.radians(80.0)  # of pitch, beyond which yaw and roll are nearly one
 _TILT = 0.5  # rad, by which the mean specific force may be off the vertical
+_TURNING = 0.1  # s, in which a base turns by more than the noise of its orientation
+_AGREES = 0.25  # of the squared rotation, which is half of the rotation itself
 _ADVICE = "Log base.position.x … and base.orientation.w …, or imu.angular_velocity.x … and so on."
 
 
@@ -134,6 +136,7 @@ def _orientation(log: JointLog, gravity: Array) -> tuple[Rotation, NDArray[np.bo
     force = vectors(columns, "imu.linear_acceleration")
     if quaternion is not None:
         quaternion = _checked(quaternion, force, gravity, log.name)
+        _check_rates(quaternion, gyro, log)
         known = np.asarray(np.isfinite(quaternion).all(axis=1))
         turn = Rotation.from_quat(
             np.where(known[:, None], quaternion, [1.0, 0, 0, 0])[:, [1, 2, 3, 0]]
@@ -196,6 +199,42 @@ def _checked(quaternion: Array, force: Array | None, gravity: Array, name: str) 
             "that body's axes.",
         )
     return np.asarray(quaternion / length[:, None])
+
+
+def _check_rates(quaternion: Array, gyro: Array | None, log: JointLog) -> None:
+    """Refuse an orientation that a gyroscope contradicts, and not if it is read another way.
+
+    Of a robot that stands upright, gravity does not tell the order of the columns.
+    """
+    spin = vectors(log.floating, "base.angular_velocity") if gyro is None else gyro
+    if spin is None:
+        return
+    known = np.isfinite(quaternion).all(axis=1) & np.isfinite(spin).all(axis=1)
+    time, spin = log.time[known], spin[known]
+    lag = max(1, round(_TURNING / float(np.median(np.diff(time))))) if len(time) > 1 else 1
+    if len(time) <= lag:
+        return
+    steps = np.diff(time)[:, None] * 0.5 * (spin[1:] + spin[:-1])
+    sums = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
+    turned = sums[lag:] - sums[:-lag]
+
+    def off(order: Sequence[int], power: int = 1) -> float:
+        turn = Rotation.from_quat(quaternion[known][:, order]) ** power
+        seen = (turn[:-lag].inv() * turn[lag:]).as_rotvec()
+        return float(np.square(seen - turned).sum() / max(np.square(turned).sum(), 1e-12))
+
+    others = {
+        "its columns are x, y, z, w": off([0, 1, 2, 3]),
+        "it rotates the world into the body": off([1, 2, 3, 0], -1),
+    }
+    best = min(others, key=others.__getitem__)
+    if off([1, 2, 3, 0]) > 1.0 and others[best] < _AGREES:
+        raise LogError(
+            f"The orientation of log {log.name!r} does not turn as its angular velocities say. It "
+            f"would if {best}.",
+            advice="The orientation is w, x, y, z of the root body in the world; angular "
+            "velocities are in that body's axes.",
+        )
 
 
 def _integrated(log: JointLog, gyro: Array, force: Array, gravity: Array) -> Rotation:

@@ -633,6 +633,14 @@ def test_bad_poses_are_refused(model, maker):
         names = [f"base.orientation.{axis}" for axis in "wxyz"]
         with pytest.raises(LogError, match=words):
             with_base(turned.log(wrenches=False, **dict(zip(names, wrong, strict=True))), model)
+    near = maker.R.as_quat()  # so near to upright that gravity does not tell their order
+    for wrong, words in (
+        (near.T, "are x, y, z, w"),
+        (np.roll(near, 1, axis=1).T * [[-1], [1], [1], [1]], "world into the body"),
+    ):
+        names = [f"base.orientation.{axis}" for axis in "wxyz"]
+        with pytest.raises(LogError, match=f"does not turn as.*({words})"):
+            with_base(maker.log(wrenches=False, **dict(zip(names, wrong, strict=True))), model)
     log = maker.log(wrenches=False)
     bare = {name: x for name, x in log.floating.items() if not name.startswith(("base", "imu"))}
     with pytest.raises(LogError, match="no orientation"):
