@@ -24,7 +24,7 @@ def final_fit(case: Case, found: Found) -> tuple[Case, ModelFit]:
     Returned with the fit is the case with its columns.
     """
     search, was = found.model, found.fit
-    width = search.likely_width(was)
+    width, loads = search.likely_priors(was)
     near = search.unbounded(replace(was.choice, width=width), search.shares(was), was.noise)
     end = search.validated(near)
     delays = found.case.model.delays + delays_of(found.model, found.fit)[0]
@@ -43,7 +43,7 @@ def final_fit(case: Case, found: Found) -> tuple[Case, ModelFit]:
         for effect in {*stated.effects} - {term.effect for term in others}:
             span = stated.span(effect)
             unknowns = unknowns.released(effect, stated.information[span, span], stated.mean[span])
-    for effect, mean, information in search.likely_loads(was, width):
+    for effect, (mean, information) in loads.items():
         unknowns = unknowns.released(effect, information, mean)
     # The search's noise has no errors of gains, so that a joint whose gain is off keeps its weight.
     settled = Hypothesis.of(dataset, unknowns, search.seen_noise(near))

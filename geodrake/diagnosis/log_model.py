@@ -15,9 +15,9 @@ Normal matrices of all columns are formed once.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -76,7 +76,7 @@ Delay = tuple[int, ...]
 
 _LEAST_SHARE = 1e-4
 _SIMPLER = 0.5
-_FREE, _WIDTHS = 0.01, 20  # to hold the inertias, as a search may do, does not make them known
+_FREE, _WIDTHS = 0.01, 15  # to hold the inertias, as a search may do, does not make them known
 _USUAL_SHARE = 0.3
 _ON_TIME = 1e-9  # s
 _UNSURE_DELAY = 0.01  # of the least difference of delays that are tried
@@ -480,39 +480,34 @@ class LogModel:
         )
         return Fit(choice, columns, x, noise, weights, hessian, score)
 
-    def likely_width(self, fit: Fit) -> float:
-        """Return the most probable width of the prior of all bodies, up to the widest.
+    def likely_priors(self, fit: Fit) -> tuple[float, dict[Effect, tuple[Array, Array]]]:
+        """Return the width of the prior of all bodies, and mean and information of payloads.
 
-        It is at least 0.01, or as far as an earlier fit of the model says.
+        Bodies may be as far from the file as each of many widths says, and a payload has one of
+        several masses: what is told is the mixture of all these, by how probable each is. Bodies
+        are thought to be off by 1 % at least, or as far as an earlier fit of the model says.
         """
         least = _FREE if self.model.information is None else self.widths[0]
         shares, widths = self.shares(fit), np.geomspace(least, self.widths[-1], _WIDTHS)
-        choices = [replace(fit.choice, width=float(width)) for width in widths]
+        loads = [term.effect for term in fit.terms if term.effect is not None and term.is_whole]
+        rest = [term for term in fit.terms if not term.is_whole]
+        masses = [[term for term in self.terms if term.effect == load] for load in loads]
+        mixed = list(product(widths.tolist(), *masses))
+        choices = [self.choice(fit.choice, [*rest, *held], width=w) for w, *held in mixed]
         fits = [self.unbounded(choice, shares, fit.noise) for choice in choices]
-        scores = [each.score + self.odds_against(each.choice) for each in fits]
-        return float(widths[int(np.argmax(scores))])
-
-    def likely_loads(self, fit: Fit, width: float) -> Iterator[tuple[Effect, Array, Array]]:
-        """Yield the payloads of a fit, with the mean (10,) and information (10, 10) of each.
-
-        A payload is believed to have one of several masses: what is told of it is their mixture, by
-        how probable each is with bodies that are as far from the file as a width says.
-        """
-        shares = self.shares(fit)
-        for term in fit.terms:
-            if not term.is_whole or term.effect is None:
-                continue
-            rest = [other for other in fit.terms if other is not term]
-            same = [other for other in self.terms if other.effect == term.effect]
-            choices = [self.choice(fit.choice, [*rest, other], width=width) for other in same]
-            scores = np.array([self.unbounded(c, shares, fit.noise).score for c in choices])
-            weights = np.exp(0.5 * (scores - scores.max()))
-            weights /= weights.sum()
-            means = np.array([other.mean for other in same])
+        coordinates = [replace(fit.choice, terms=(), width=w) for w, *_ in mixed]
+        scores = np.array([f.score for f in fits])
+        scores += [self.odds_against(each) for each in coordinates]  # all widths are alike
+        weights = np.exp(0.5 * (scores - scores.max()))
+        weights /= weights.sum()
+        found = dict[Effect, tuple[Array, Array]]()
+        for k, load in enumerate(loads):
+            means = np.array([held[k].mean for _, *held in mixed])
+            covariances = np.array([np.linalg.inv(held[k].information) for _, *held in mixed])
             spread = means - weights @ means
-            covariances = [np.linalg.inv(other.information) for other in same]
             covariance = np.tensordot(weights, covariances, 1) + (weights * spread.T) @ spread
-            yield term.effect, weights @ means, np.linalg.inv(covariance)
+            found[load] = weights @ means, np.linalg.inv(covariance)
+        return float(np.sqrt(weights @ [w**2 for w, *_ in mixed])), found
 
     def refitted(self, fit: Fit) -> Fit:
         """Fit another model's terms to the columns of this one, without regard to bounds."""

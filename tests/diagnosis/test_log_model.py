@@ -328,7 +328,7 @@ def test_bodies_are_as_far_from_the_file_as_they_are(distance):
     for seed in (1, 2):
         log = effort_log("arm6", seed, lighter(distance, seed), duration=16.0, rate=100.0).log
         end = searched(open_case(load_model(MODELS / "arm6.urdf"), [log], candidates=True))
-        found.append(end.model.likely_width(end.fit))
+        found.append(end.model.likely_priors(end.fit)[0])
     assert np.exp(np.mean(np.log(found))) == pytest.approx(distance, rel=0.5)
 
 
