@@ -1,4 +1,4 @@
-"""Checks of what callers pass to public functions: one door, and kernels behind it trust.
+"""Checks of the arguments of public functions, so that kernels need not check theirs.
 
 A shape is written as in docstrings: `("N", 10)`, or `("...", 3)` for any leading axes. A symbol has
 one length in all arrays that are checked with the same `sizes`, and leading axes must broadcast:
@@ -32,7 +32,7 @@ _LONGEST = 60  # characters of a value that a message shows
 
 
 def shown(value: Any) -> str:
-    """Return a value in a message, shortened, with its type where that says more."""
+    """Return a value for a message, shortened, with its type where that helps."""
     text = repr(value) if isinstance(value, str | bytes | int | float | list | tuple) else ""
     if not text or len(text) > _LONGEST:
         return f"of type {type(value).__name__}"
@@ -53,7 +53,7 @@ def instance(value: Kind, name: str, kind: Kinds) -> Kind:
 
 
 def instances(value: Iterable[Kind], name: str, kind: Kinds) -> tuple[Kind, ...]:
-    """Return objects of a class, in whatever holds them."""
+    """Return objects of a class from any iterable."""
     wanted = f"{name} must be a tuple of {_kinds_words(kind)}"
     if isinstance(value, str | bytes | dict) or not isinstance(value, Iterable):
         raise ArgumentError(f"{wanted}; it is {shown(value)}.", name=name)
@@ -86,7 +86,7 @@ def file_path(value: str | os.PathLike[str]) -> Path:
 
 
 def one_of(value: Any, name: str, choices: Collection[str]) -> str:
-    """Return an argument that is one of some words."""
+    """Return an argument that must be one of a few words."""
     if not isinstance(value, str) or value not in choices:
         words = ", ".join(f'"{choice}"' for choice in choices)
         raise ArgumentError(f"{name} must be one of {words}; it is {shown(value)}.", name=name)
@@ -104,7 +104,7 @@ Sizes = dict[str, tuple[int, ...]]
 """Symbol -> its length, and "..." -> the leading axes of all arrays together."""
 
 LARGEST = 1e60
-"""What is larger is no number of mechanics, and its powers, as in det P, are soon none at all."""
+"""Larger numbers do not occur in mechanics, and their powers, as in det P, soon overflow."""
 
 _FLOAT = np.dtype(float)
 _REAL_KINDS = "fiu"  # of NumPy's types: floating-point numbers and integers
@@ -173,7 +173,7 @@ def mask(value: Any, name: str) -> NDArray[np.bool_]:
 
 
 def positive_definite(value: Any, name: str, shape: Shape, sizes: Sizes | None = None) -> Array:
-    """Return a symmetric positive-definite matrix, in whatever units its rows are."""
+    """Return a symmetric positive-definite matrix, in any units."""
     matrix = real_array(value, name, shape, sizes)
     diagonal = np.diagonal(matrix)
     if not (diagonal > 0).all():
@@ -199,7 +199,7 @@ def positive_definite(value: Any, name: str, shape: Shape, sizes: Sizes | None =
 
 
 def _numbers(value: Any, name: str, shape: Shape | None) -> Array:
-    """Return an array of floats; refuse complex numbers, texts, objects, booleans and masks."""
+    """Return an array of floats; raise for complex numbers, texts, objects, booleans and masks."""
     if type(value) is np.ndarray and value.dtype == _FLOAT:
         return value
     if isinstance(value, np.ma.MaskedArray):
@@ -251,7 +251,7 @@ def _within(array: Array) -> bool:
 def _wrong(
     name: str, shape: Shape | None, sizes: Sizes | None, but: str, **evidence: Any
 ) -> ArgumentError:
-    """Return the error of an array that is not what it must be."""
+    """Return the error for an array that fails its check."""
     if shape == ():
         return ArgumentError(f"{name} must be a finite real number; {but}.", name=name, **evidence)
     comma = "," if shape is not None and len(shape) == 1 else ""
@@ -299,7 +299,7 @@ def positive(value: Any, name: str) -> float:
 def integer(
     value: Any, name: str, *, lower: float = -sys.maxsize, upper: float = sys.maxsize
 ) -> int:
-    """Return a whole number from `lower` to `upper`."""
+    """Return an integer from `lower` to `upper`."""
     try:
         found = operator.index(value)
     except TypeError:
@@ -330,7 +330,7 @@ def _range_words(what: str, lower: float, upper: float, *, strict: bool) -> str:
 def integers(
     value: Iterable[int], name: str, *, lower: float = -sys.maxsize, upper: float = sys.maxsize
 ) -> tuple[int, ...]:
-    """Return integers between bounds, in whatever holds them."""
+    """Return integers between bounds from any iterable."""
     found = instances(value, name, object)
     return tuple(integer(each, name, lower=lower, upper=upper) for each in found)
 
@@ -341,7 +341,7 @@ _OPEN = (float, int, complex, object, Any)
 
 
 def typed(function: F) -> F:
-    """Return the function with a check of all arguments that are to be of a class, or None.
+    """Return the function with a check of all arguments that must be of a class, or None.
 
     What is in collections, and numbers, which have bounds as well, are left to the function.
     """
@@ -363,7 +363,7 @@ def typed(function: F) -> F:
 
 
 def _kinds(hint: Any) -> tuple[type, ...]:
-    """Return the classes that an annotation admits; none if classes cannot express it."""
+    """Return the classes that an annotation admits; empty if classes cannot express it."""
     if get_origin(hint) in (Union, UnionType):
         each = [_kinds(part) for part in get_args(hint)]
         return tuple(kind for kinds in each for kind in kinds) if all(each) else ()

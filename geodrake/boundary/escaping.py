@@ -32,7 +32,7 @@ def one_line(error: BaseException) -> str:
 
 
 def kind_and_line(error: BaseException) -> str:
-    """Return the kind of an error, and what it says in a line, if it says anything."""
+    """Return the kind of an error and its message in one line, if it has one."""
     kind, line = type(error).__name__, one_line(error)
     return kind if line == kind else f"{kind}: {line}"
 

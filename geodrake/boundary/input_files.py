@@ -68,7 +68,7 @@ def read_regular(
     largest: int | None = None,
     empty: bool = False,
 ) -> bytes:
-    """Return the bytes of a file that `open_regular` opens; it has some, unless it may be empty."""
+    """Return the bytes of a file opened by `open_regular`; raise if it is empty and must not be."""
     with open_regular(path, what, error, largest=largest) as file:
         data = file.read()
     if not data and not empty:

@@ -1,4 +1,4 @@
-"""Interrupts that wait until what must not be left half done is done."""
+"""Interrupts that wait until a critical section is done."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 
 class StopSearch(BaseException):  # as KeyboardInterrupt, it is no error
-    """Ends a search early; what it found by then is its result."""
+    """Raised to end a search early; the best result so far is kept."""
 
 
 def is_stop(error: BaseException | None) -> bool:
@@ -26,7 +26,7 @@ _SIGNALS = (signal.SIGHUP, signal.SIGTERM, signal.SIGINT)
 
 @contextmanager
 def deferred_interrupts() -> Iterator[Callable[[], bool]]:
-    """Let interrupts wait; they are delivered at the end.
+    """Defer interrupts to the end of the block.
 
     Yields:
         Whether one has come.

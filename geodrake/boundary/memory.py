@@ -1,4 +1,4 @@
-"""How much memory there is, and an end of it that can be told."""
+"""The memory of the machine, and a limit whose excess can be reported."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _LARGEST_SHARE = 0.8  # of the memory that a command may take; the rest is for o
 
 
 def machine_memory() -> int:
-    """Return the bytes of memory of this machine; a huge number if the system does not say."""
+    """Return the bytes of memory of this machine; a huge number if the system reports none."""
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, OSError, ValueError):
@@ -18,7 +18,7 @@ def machine_memory() -> int:
 
 
 def limit_memory() -> None:
-    """Let this process raise a MemoryError where the system would end some process without a word.
+    """Limit the memory, so that a MemoryError is raised before the system kills a process.
 
     A file of kilobytes may unpack to more than any machine holds. Where the system knows no such
     limit, nothing changes.

@@ -1,4 +1,4 @@
-"""Packages that geodrake needs for some files only, imported where they are used."""
+"""Packages that only some files need, imported where they are used."""
 
 from __future__ import annotations
 

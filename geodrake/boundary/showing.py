@@ -76,7 +76,7 @@ def short_repr(value: Any) -> str:
 
 
 def _is_empty(value: object) -> bool:
-    """Return whether there is nothing in a collection; an array without dimensions is a number."""
+    """Return whether a collection is empty; an array without dimensions is a number."""
     if isinstance(value, np.ndarray):
         return not value.size
     return isinstance(value, Collection) and not len(value)
@@ -100,7 +100,7 @@ def _brief(value: object) -> str:
 
 
 def _listed(values: Collection[Any]) -> str:
-    """Return few plain values as they are, others by their number and kinds."""
+    """Return a few plain values as they are, others by their number and types."""
     plain = all(isinstance(one, str | int | float) for one in values)
     if plain and len(values) <= _FEW:
         return f"({', '.join(map(_brief, values))})"

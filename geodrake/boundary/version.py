@@ -17,7 +17,7 @@ def version() -> str:
 
 
 def versions() -> str:
-    """Versions of the package and of what it is used with, in a line for reports of errors."""
+    """Return the versions of the package and its dependencies in one line, for bug reports."""
     found = {}
     for name in _BESIDE:
         try:

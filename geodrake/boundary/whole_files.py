@@ -1,4 +1,4 @@
-"""The one writer of files: whole or not at all, and several together or none of them.
+"""Atomic writing of files: one completely or not at all, several together or none of them.
 
 A file is written under a temporary name beside its target and then renamed. Permissions and owner
 of a file that is replaced stay, and a symbolic link stays one: what it points to is replaced.
@@ -24,7 +24,7 @@ from geodrake.boundary.interrupts import deferred_interrupts
 from geodrake.errors import OutputError
 
 Content = str | bytes | Callable[[BinaryIO], object]
-"""What goes into a file: text, bytes, or a function that writes them."""
+"""The content of a file: text, bytes, or a function that writes them."""
 
 _MOST_BYTES = 230  # of a name that a temporary one may repeat; file systems take 255
 
@@ -69,7 +69,7 @@ def write_new(path: Path, content: Content, beside: Mapping[Path, Content]) -> b
 
 @contextmanager
 def made_folder(path: Path) -> Iterator[None]:
-    """Make a folder, and those above it, unless they are there; none stays empty after an error."""
+    """Make a folder and its missing parents; they are removed after an error if they are empty."""
     made = list[Path]()
     try:
         try:
@@ -91,14 +91,14 @@ def made_folder(path: Path) -> Iterator[None]:
 
 
 def check_writable(path: str | Path) -> None:
-    """Refuse a target that cannot be written, before the work that makes its content."""
+    """Raise if a target cannot be written, before its content is computed."""
     path = Path(path)
     with deferred_interrupts(), _refusing(path), _Part(path):
         pass
 
 
 class _Part:
-    """A file that is written beside its target, and locked so long that no one clears it away.
+    """A file that is written beside its target, and locked so that nobody else removes it.
 
     Args:
         path: What is to be written; through a symbolic link, its target.
@@ -131,7 +131,7 @@ class _Part:
         self._file.flush()
 
     def keep_before(self) -> None:
-        """Keep what is replaced, so that it can be brought back."""
+        """Keep the file that is replaced, so that it can be restored."""
         if _status(self.target) is None:
             return
         self._before = _free_name(self.target)
@@ -143,14 +143,14 @@ class _Part:
             shutil.copy2(self.target, self._before)
 
     def rename(self) -> None:
-        """Put the file in its place."""
+        """Move the file to its target."""
         self._temporary.replace(self.target)
         if self._replaced is not None:  # before, it could not be removed where others may not
             with suppress(OSError):  # only root may give files away
                 os.fchown(self._file.fileno(), self._replaced.st_uid, self._replaced.st_gid)
 
     def rename_if_new(self) -> bool:
-        """Put the file in its place unless there is one; whether it was put there."""
+        """Move the file to its target unless that exists; return whether it was moved."""
         try:
             self.target.hardlink_to(self._temporary)
         except FileExistsError:
@@ -183,7 +183,7 @@ class _Part:
 
 
 def _parts(contents: Mapping[Path, Content], stack: ExitStack) -> list[_Part]:
-    """Return files beside their targets, written but not in their places."""
+    """Return temporary files beside the targets, written but not moved yet."""
     parts = []
     for path, content in contents.items():
         with _refusing(path):
@@ -193,7 +193,7 @@ def _parts(contents: Mapping[Path, Content], stack: ExitStack) -> list[_Part]:
 
 
 def _rename(parts: list[_Part]) -> None:
-    """Put all files in their places, or none."""
+    """Move all files to their targets, or none."""
     done: list[_Part] = []
     try:
         for part in parts if len(parts) > 1 else ():
@@ -225,7 +225,7 @@ def _refusing(path: Path) -> Iterator[None]:
 
 
 def _status(target: Path) -> os.stat_result | None:
-    """Return what is at a target now, None for nothing."""
+    """Return the status of a target, None if it does not exist."""
     try:
         status = target.stat()
     except FileNotFoundError:
@@ -247,7 +247,7 @@ def _is_of_another_user(target: Path) -> bool:
 
 
 def _stem(target: Path) -> str:
-    """Return what temporary names of a target begin with."""
+    """Return the prefix of the temporary names of a target."""
     name = os.fsencode(target.name)
     short = len(name) <= _MOST_BYTES
     return f".{target.name if short else hashlib.sha256(name).hexdigest()[:16]}."
@@ -275,7 +275,7 @@ def _new_file(target: Path) -> tuple[BinaryIO, Path]:
 
 
 def _clear_left_overs(target: Path) -> None:
-    """Remove what killed runs left of this very target; what is being written is locked."""
+    """Remove the temporary files that killed runs left for this target; locked ones are in use."""
     pattern = re.compile(rf"{re.escape(_stem(target))}\d+\.part")
     with suppress(OSError), os.scandir(target.parent) as entries:
         left = [e.name for e in entries if pattern.fullmatch(e.name) and e.is_file()]

@@ -1,4 +1,4 @@
-"""What YAML files hold, as schemas have it: errors name the place and the value."""
+"""Schemas of YAML files: errors name the place and the value."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Schema(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def as_schema(content: object, schema: type[T]) -> T:
-    """Return what is there as a schema has it; text of a number counts as the number.
+    """Convert a value to a schema; text of a number counts as the number.
 
     Raises:
         ArgumentError: A field is unknown, missing, or of another type.
@@ -51,7 +51,7 @@ def _fault(content: object, schema: Any, place: str) -> tuple[str, object, Any]:
 
 
 def _misfit(content: object, schema: Any) -> str:
-    """Return what is wrong with a value alone, as msgspec says it; nothing if it fits."""
+    """Return msgspec's message about a value by itself; empty if it fits."""
     try:
         msgspec.convert(content, schema, strict=False)
     except (msgspec.MsgspecError, RecursionError, OverflowError) as error:
@@ -60,7 +60,7 @@ def _misfit(content: object, schema: Any) -> str:
 
 
 def _children(content: object, schema: Any) -> Iterable[tuple[Any, object, Any]]:
-    """Return key, value and schema of what is in a list or table."""
+    """Return key, value and schema of the items of a list or table."""
     if get_origin(schema) in (Union, types.UnionType):
         schema = next(x for x in get_args(schema) if x is not type(None))
     inside = get_args(schema)[-1:]

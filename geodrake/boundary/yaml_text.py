@@ -43,7 +43,7 @@ def yaml_text(path: Path, what: str = "model file", error: type[GeodrakeError] =
 
 
 def yaml_content(path: Path, what: str, error: type[GeodrakeError], *, advice: str) -> object:
-    """Return what a YAML file holds, each key of a table once."""
+    """Return the content of a YAML file; raise if a table has a key twice."""
     text = yaml_text(path, what, error)
     try:
         _refuse_repeated(yaml.compose(text, yaml.SafeLoader))
@@ -55,7 +55,7 @@ def yaml_content(path: Path, what: str, error: type[GeodrakeError], *, advice: s
 
 
 def _refuse_repeated(node: yaml.Node | None) -> None:
-    """Refuse a key that a table has twice."""
+    """Raise if a table has a key twice."""
     if isinstance(node, yaml.MappingNode):
         seen: set[str] = set()
         for key, value in node.value:
@@ -71,7 +71,7 @@ def _refuse_repeated(node: yaml.Node | None) -> None:
 
 
 def _unfolded(node: yaml.Node | None, known: dict[int, float]) -> float:
-    """Number of nodes below a node, each as often as it is referred to; inf if it holds itself."""
+    """Number of nodes below a node, counting each reference; inf if it contains itself."""
     if not isinstance(node, yaml.CollectionNode):
         return 1.0
     if id(node) not in known:

@@ -47,7 +47,7 @@ class _Command(TyperCommand):
 
 
 class _Commands(TyperGroup):
-    """The commands; errors of usage quote what was typed in printable characters."""
+    """The commands; usage errors quote the command line in printable characters."""
 
     def make_context(self, *args: Any, **more: Any) -> Any:
         with _printable_words():

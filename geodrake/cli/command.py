@@ -389,7 +389,7 @@ def make_console(*, stderr: bool = False) -> Console:
 def found_columns(
     model: RobotModel, logs: Sequence[JointLog], settings: Mapping[str, Any]
 ) -> tuple[ColumnFinding, ...]:
-    """Return mistakes in columns; none for logs that the command itself refuses."""
+    """Return mistakes in columns; none for logs that the command itself rejects."""
     if model.base_joints:
         return ()
     try:

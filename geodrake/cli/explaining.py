@@ -68,7 +68,7 @@ def run_add(options: AddOptions) -> None:
 
 
 def run_explain(options: ExplainOptions | Options, promise: str = "") -> None:
-    """Explain logs, with formulas for the rest if these are asked for."""
+    """Explain logs, with formulas for the rest if requested."""
     target: Path | None = getattr(options, "draft_effect", None)
     every_step = any((options.details, options.report, options.json))  # which show it
     command = Command(
@@ -106,7 +106,7 @@ def _explained(given: Input, *, every_step: bool) -> Explained:
 
 
 def _motions(given: Input, found: Explanation, *, every_step: bool) -> tuple[Rollout, ...] | None:
-    """Return motions under commands before, after the steps, and after the last; None without."""
+    """Return motions under commands before, between and after the steps; None without commands."""
     from geodrake.control.rollout import commanded_motions  # which no comparison needs
 
     steps = found.steps if every_step else ()

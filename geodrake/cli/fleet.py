@@ -65,7 +65,7 @@ def run_fleet_command(options: FleetOptions) -> None:
 
 
 def _tell_repairs(digests: FleetDigests, told: Activity) -> None:
-    """Report what was repaired in the model files."""
+    """Report the repairs of the model files."""
     for repair in repairs_in_short(digests.repairs):
         told.warning(f"Warning: a model file was repaired. {repair}")
 

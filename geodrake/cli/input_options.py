@@ -47,7 +47,7 @@ _URDF = """<?xml version="1.0"?>
 
 @dataclass(frozen=True, kw_only=True)
 class ReadingOptions:
-    """How logs are read where their column names do not tell.
+    """How logs are read where their column names are not enough.
 
     Attributes:
         mapping (FILE.yaml): Mapping of columns to joints and quantities. For unknown column names,
@@ -112,7 +112,7 @@ class ReadingOptions:
 
     @property
     def _gains(self) -> dict[str, tuple[float, float | None]]:
-        """Joint -> gain, and its deviation if there is one."""
+        """Joint -> gain, and its deviation if known."""
         from geodrake.logs.files.reading import parsed_gain
 
         said = pairs("--gain", self.gain or (), "elbow_joint=13.2")
@@ -289,7 +289,7 @@ def read_model(
 
 
 def tell_repairs(model: RobotModel, told: Activity) -> None:
-    """Report what was repaired in a model file."""
+    """Report the repairs of a model file."""
     for repair in repairs_in_short(model.repairs):
         told.warning(f"Warning: {model.path.name} was repaired. {repair}")
 

@@ -1,4 +1,4 @@
-"""Options of commands as dataclasses, and the typer commands made of them."""
+"""Options of commands as dataclasses, and typer commands from them."""
 
 from __future__ import annotations
 
@@ -554,7 +554,7 @@ _ENTRY = re.compile(r"(?P<name>\w+)(?: \((?P<metavar>[^)]*)\))?: (?P<help>.*)")
 
 
 def taking(options: type[T]) -> Callable[[Callable[[T], None]], Callable[..., None]]:
-    """Make a function of one options object a command whose parameters are its fields.
+    """Turn a function of one options object into a command whose parameters are its fields.
 
     The metavariable and help of an option are read from the class's docstring. Errors of the
     command become messages and exit codes. Advanced options are shown by --help-all only.

@@ -40,7 +40,7 @@ class Activity:
     last: tuple[str, float | None] = ("", None)  # description and share that were shown last
 
     def __call__(self, words: str, share: float | None = None) -> None:
-        """Show the current activity and the share of it that is done; None if unknown."""
+        """Show the current activity and its progress; None if unknown."""
         self.last = (words, share)
 
     def history(self, line: str) -> None:
@@ -122,7 +122,7 @@ class _Bar(Activity):
 
 @contextmanager
 def progress(words: str, *, quiet: bool = False) -> Iterator[Activity]:
-    """Show what is going on, until it is done."""
+    """Show the current activity until it is done."""
     console = Console(stderr=True, markup=False, emoji=False, highlight=False)
     if quiet:
         yield Activity()
@@ -151,7 +151,7 @@ def progress(words: str, *, quiet: bool = False) -> Iterator[Activity]:
 
 
 def step_teller(activity: Activity) -> Callable[[FoundStep], None]:
-    """Return what tells of the steps of a search, each as a line that stays."""
+    """Return a callback that prints each step of a search on a line of its own."""
     count = 0
 
     def tell(step: FoundStep) -> None:

@@ -102,7 +102,7 @@ class ChangePlace:
 
 @dataclass(frozen=True, eq=False)
 class ChangeEvidence(Short):
-    """What logs of a robot say for a change."""
+    """Evidence of the logs of a robot for each change."""
 
     profiles: tuple[Profiles, ...]
     # For each of them, (h, K) logarithms of ratios of each hypothesis and day, means over sizes; −∞
@@ -146,7 +146,7 @@ class ChangeEvidence(Short):
 def calc_change_evidence(
     fit: RobotFit, days: Array, hypotheses: Sequence[ChangeHypothesis], scale: Array
 ) -> ChangeEvidence:
-    """Return what logs of some days (T,) say for each change; scales (p,) are those of shares."""
+    """Return the evidence of logs of days (T,) for each change; scales (p,) are those of shares."""
     usable = np.unique(days).size > 1
     profiles = tuple(Profiles.of(form, days) for form in FORMS) if usable else ()
     ratios = [np.full((len(hypotheses), len(each.first)), -np.inf) for each in profiles]
@@ -205,10 +205,10 @@ MONTH = 30.0
 """Days."""
 
 RIVAL = 0.05
-"""Least probability of a rival that is told."""
+"""Least probability at which a rival is reported."""
 
 ODD_SHARE = 0.01
-"""Share of logs that say nothing of the robot: another tool, a wrong file, a sensor that failed."""
+"""Share of logs that say nothing about the robot: another tool, a wrong file, a failed sensor."""
 
 _MOST_CHANGES = 6
 _MOST_EXCHANGES = 4
@@ -222,7 +222,7 @@ _REFITS = 2  # of a robot, until its gains and odd logs are settled
 
 @dataclass(frozen=True, eq=False)
 class SearchState(Short):
-    """A robot's logs, as they look with some changes."""
+    """A robot's logs, given some changes."""
 
     logs: LogEquations
     odd: Array  # (T, K) how odd they are
@@ -232,7 +232,7 @@ class SearchState(Short):
 
 @dataclass(frozen=True, eq=False)
 class RobotSearch(Short):
-    """One robot's logs, and what may have changed in it.
+    """One robot's logs, and the changes to be considered.
 
     The last few states are kept while changes are sought or told, and no longer: they are large.
     """
@@ -249,7 +249,7 @@ class RobotSearch(Short):
         return self.source.read()
 
     def state(self, places: Sequence[ChangePlace]) -> SearchState:
-        """Return the logs with some changes, where gains refer to the parameters of the day."""
+        """Return the logs given some changes, with gains relative to the parameters of the day."""
         key = tuple(places)
         if key not in self._states:
             if len(self._states) >= _KEPT:
@@ -274,22 +274,22 @@ class RobotSearch(Short):
         return replace(self.history, reference=reference if gains else None).equations()
 
     def settled(self, places: Sequence[ChangePlace]) -> tuple[Array, Array]:
-        """Return (T, p) parameters of the day with some changes, and (T, K) how odd logs are."""
+        """Return (T, p) parameters of the day given some changes, and (T, K) how odd logs are."""
         state = self._fitted(places)
         return self.model.parameters(0, state.logs, state.fit), state.odd
 
     def evidence(self, state: SearchState) -> ChangeEvidence:
-        """Return what logs say for a further change beside those of a state."""
+        """Return the evidence for a further change, given those of a state."""
         scale = self.model.scale(0)
         return calc_change_evidence(state.fit, self.history.days, self.hypotheses, scale)
 
     def instead(self, state: SearchState, others: Sequence[ChangePlace]) -> ChangeEvidence:
-        """Return the logs' evidence for a change beside some of a state's, with its odd logs."""
+        """Return the evidence for a change in place of one of a state's, given its odd logs."""
         fit = self.model.with_changes(state.fit, self.design(others))
         return self.evidence(replace(state, fit=fit))
 
     def design(self, places: Sequence[ChangePlace]) -> Array:
-        """Return (T, p, m) parameters of some changes, of sizes that are hardly limited."""
+        """Return (T, p, m) the design matrix of some changes, with hardly limited sizes."""
         days, wide = self.history.days, _WIDE * self.model.scale(0)[:, None]
         parts = [np.zeros((len(days), len(wide), 0))]
         for place in places:
@@ -299,7 +299,7 @@ class RobotSearch(Short):
         return np.concatenate(parts, axis=2)
 
     def find(self) -> list[ChangePlace]:
-        """Find changes that hardly come by chance, in the order in which they are found."""
+        """Find changes that chance hardly explains, in the order in which they are found."""
         places: list[ChangePlace] = []
         while len(places) < _MOST_CHANGES:
             tried = sorted(self._candidates(places), key=lambda each: self.state(each).cost)
@@ -325,7 +325,7 @@ class RobotSearch(Short):
         return [[*places, place] for place in found if place not in places]
 
     def _exchanged(self, places: list[ChangePlace], least: float) -> list[ChangePlace]:
-        """Return the same number of changes, or fewer, each the best beside the others."""
+        """Return at most as many changes, each the best given the others."""
         for _ in range(_MOST_EXCHANGES):
             before = list(places)
             for at in range(len(places) - 1, -1, -1):
@@ -340,7 +340,7 @@ class RobotSearch(Short):
         return places
 
     def support(self, places: Sequence[ChangePlace], at: int) -> float:
-        """Return the logarithm of the E-value of one of some changes, beside the others.
+        """Return the logarithm of the E-value of one of some changes, given the others.
 
         Either that of all changes that there may be, with logs that are odd without one; or that of
         this very one, and what such logs lose without it. It is never more than if all logs on one
@@ -496,7 +496,7 @@ def find_changes(
 
 
 def _settled(search: RobotSearch) -> tuple[Array, Array, Array]:
-    """Find what learning needs of a robot: parameters of the day, changes, how odd logs are."""
+    """Return a robot's input to the learning: parameters of the day, changes, how odd logs are."""
     places = search.find()
     reference, odd = search.settled(places)
     return reference, search.design(places), odd

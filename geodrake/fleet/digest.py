@@ -1,4 +1,4 @@
-"""Digests: what logs say, in a few normal matrices, over columns that all logs of a folder share.
+"""Digests: logs as a few normal matrices, over columns that all logs of a folder share.
 
 Of each joint j and block t of a log a digest has the triangular factor R of [A | b] with
 RᵀR = [A | b]ᵀ[A | b] = G_tj, where A are the filtered columns of (1) and b the filtered measured
@@ -38,7 +38,7 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class JointDigest(JointData, Short):
-    """What B blocks say about one joint: sums as of the folds of a `Dataset`, without rows.
+    """A joint's digest in B blocks: sums over the folds of a `Dataset`, without rows.
 
     Columns are those of the settings; factors are triangular.
 
@@ -78,7 +78,7 @@ class JointDigest(JointData, Short):
 
 @dataclass(frozen=True, eq=False)
 class DigestedLog(Short):
-    """What is known of a log beside its normal matrices.
+    """What a digest keeps of a log besides its normal matrices.
 
     Attributes:
         content: SHA-256 of the bytes of its file.
@@ -117,7 +117,7 @@ class DigestedLog(Short):
 
 @dataclass(frozen=True, eq=False)
 class Digest(Short):
-    """What one log says, or several, over columns that are those of `settings`.
+    """The digest of one or several logs, over the columns of `settings`.
 
     The numbering of columns is that of `columns`: first base parameters of the bodies, then the
     parameters of effects, those of the model first. Bodies are those of the model and not
@@ -134,7 +134,7 @@ class Digest(Short):
 
     @property
     def columns(self) -> tuple[DigestColumn, ...]:
-        """What the p columns are of."""
+        """The p columns."""
         return self.settings.columns
 
     @property
@@ -144,7 +144,7 @@ class Digest(Short):
 
     @property
     def samples(self) -> NDArray[np.int_]:
-        """(nv,) rows of each joint; 0 for one that stands still."""
+        """(nv,) rows of each joint; 0 for one that rests."""
         return np.array([joint.samples.sum() for joint in self.joints])
 
     @cached_property
@@ -154,7 +154,7 @@ class Digest(Short):
 
     @property
     def effective_share(self) -> Array:
-        """(nv,) effective samples as a share of all, in (0, 1]; 1 for a joint that stands still."""
+        """(nv,) effective samples as a share of all, in (0, 1]; 1 for a joint that rests."""
         return np.where(self.samples > 0, self.effective / np.maximum(self.samples, 1), 1.0)
 
     @property
@@ -179,7 +179,7 @@ class Digest(Short):
 
     @property
     def still(self) -> Array:
-        """(nv,) share of the rows left out because the joint stands still."""
+        """(nv,) share of the rows that are not used because the joint rests."""
         seen = np.array([joint.seen.sum() for joint in self.joints])
         return np.asarray(1.0 - self.samples / np.maximum(seen, 1))
 
@@ -238,7 +238,7 @@ def merge(digests: Sequence[Digest]) -> Digest:
 
 
 def by_settings(digest: Digest, settings: DigestSettings, what: str) -> Digest:
-    """Return a digest that is by some settings; a DigestError says in what its own differ."""
+    """Return the digest if it has these settings; raise DigestError with the differences if not."""
     if digest.settings.hash != settings.hash:
         words = ", ".join(digest.settings.differences(settings))
         raise DigestError(
@@ -249,7 +249,7 @@ def by_settings(digest: Digest, settings: DigestSettings, what: str) -> Digest:
 
 
 def _joined(parts: Sequence[JointDigest]) -> JointDigest:
-    """Return what several digests say about one joint."""
+    """Return the joint's digest of several digests."""
     together: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts]) for name in _JOINED
     }
@@ -258,7 +258,7 @@ def _joined(parts: Sequence[JointDigest]) -> JointDigest:
 
 @dataclass(frozen=True)
 class _DigestFile:
-    """What the file of a digest holds."""
+    """The content of a digest file."""
 
     settings: str  # what the settings file holds
     logs: tuple[DigestedLog, ...]
@@ -267,14 +267,14 @@ class _DigestFile:
 
 
 def digest_content(digest: Digest) -> bytes:
-    """Return what the file of a digest holds: the same for the same digest, wherever it is made."""
+    """Return the content of a digest's file: the same for the same digest on every machine."""
     instance(digest, "digest", Digest)
     parts = digest.logs, digest.blocks, digest.joints
     return sealed(_DigestFile(digest.settings.text(), *parts), FORMAT)
 
 
 def read_digest_of(path: Path, settings: DigestSettings) -> Digest:
-    """Read a digest of one log in a folder, which must be the one that its name says."""
+    """Read the digest of one log in a folder, and check that it is of the log in its name."""
     digest = by_settings(read_digest(path), settings, str(path))
     if [log.key for log in digest.logs] != [path.stem]:
         names = ", ".join(log.name for log in digest.logs)

@@ -1,4 +1,4 @@
-"""A folder of digests: one file a log, under the hash of what it is made of, and their settings.
+"""A folder of digests: one file per log, named by the hash of its inputs, and their settings.
 
 A digest that is there is not made again, so that the same command may be run whenever logs have
 come. Files appear whole or not at all: a run that was stopped goes on where it was.
@@ -39,17 +39,17 @@ from geodrake.model.logged_joints import reading_for
 from geodrake.model.robot_model import RobotModel
 
 Told = Callable[[str, float | None], None]
-"""Called with what is going on, and the share of it that is done, if that is known."""
+"""Called with the current step and the share of the work that is done, if known."""
 
 MADE, THERE, FAILED = "made", "there", "failed"
-"""What became of a log: it was digested, its digest was there already, or there is none."""
+"""The outcome for a log: digested, digest already there, or no digest."""
 
 _SUFFIX = ".digest"
 
 
 @dataclass(frozen=True, eq=False)
 class DigestRow(Short):
-    """What became of one log.
+    """The outcome for one log.
 
     Attributes:
         samples: (nv,) filtered samples of each joint.
@@ -154,7 +154,7 @@ def digest_logs(
     payloads: Mapping[Path, Sequence[KnownPayload]] | None = None,
     told: Told = lambda words, share: None,
 ) -> DigestRun:
-    """Digest logs into a folder; those whose digests are there are not read.
+    """Digest logs into a folder; logs whose digests are there are not read.
 
     A log that cannot be read or used is a row with its reason, and the others go on.
 
@@ -213,7 +213,7 @@ def digest_files(folder: str | Path) -> tuple[Path, ...]:
 def _row(
     folder: _Folder, log: Path, date: float | None, payloads: tuple[KnownPayload, ...]
 ) -> DigestRow:
-    """Return what becomes of a log, whatever is wrong with it."""
+    """Return the outcome for a log, whatever error it has."""
     try:
         files = parts_of(log)
         for file in files:
@@ -238,7 +238,7 @@ def _row(
 
 
 def _check_folder(path: Path) -> None:
-    """Refuse a folder that cannot be written to, before the work."""
+    """Raise if a folder cannot be written to, before the work."""
     try:
         check_writable(path / f"digest{_SUFFIX}" if os.path.lexists(path) else path)
     except OutputError as error:
@@ -250,7 +250,7 @@ def _check_folder(path: Path) -> None:
 
 
 def check_settings(settings: DigestSettings, model: RobotModel, wanted: Wanted) -> None:
-    """Refuse settings that are of something else than what is wanted."""
+    """Raise if the settings are for something other than what is wanted."""
     if settings.version != (own := version()):
         raise _other(
             f"are from geodrake {settings.version}, but this is {own}: columns may differ.",

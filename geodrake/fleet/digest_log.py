@@ -1,4 +1,4 @@
-"""From a log to its digest, and from digests to the data that fits are made of."""
+"""Logs to digests, and digests to data for fits."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ _FIRST_SHARE = 0.05  # of samples that are worth something, before anything is k
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
-    """What settings are to be made like; None for what is chosen by the model and the first log.
+    """Settings that are wanted; None for those that the model and the first log decide.
 
     Attributes:
         bandwidth: Bandwidth of the filter, Hz.
@@ -116,13 +116,13 @@ class LogFacts:
             integer(self.episode, "episode", lower=0)
 
     def key(self, settings: DigestSettings) -> str:
-        """Return what the digest of the log by some settings is called."""
+        """Return the key of the log's digest under some settings."""
         said = (settings.hash, self.content, self.payloads, self.episode)
         return text_hash(said)[:_KEY]
 
 
 def said_of_reading(reading: Reading) -> dict[str, Any]:
-    """Return how logs are read, as plain data, without what each log has of its own."""
+    """Return how logs are read, as plain data, without what is specific to each log."""
     said = asdict(reading)
     for name in ("episode", "ignored", "motorless", "limits"):
         said.pop(name)
@@ -252,7 +252,7 @@ def make_digest(
 
 
 def _check_held(log: JointLog, settings: DigestSettings) -> None:
-    """Refuse a log in which a joint moves that the settings hold."""
+    """Raise if a joint moves in a log that the settings hold fixed."""
     for joint, place in settings.held.items():
         known = joint in log.joints
         if not known and joint not in log.standing:
@@ -444,7 +444,7 @@ def delays_of_joints(settings: DigestSettings) -> Array:
 
 
 def _joint_data(joint: JointDigest, columns: Indices, settings: DigestSettings) -> JointData:
-    """Return what blocks say about a joint over all inertial columns that it feels."""
+    """Return a joint's data from its blocks, over all inertial columns that act on it."""
     inertial, base = settings.base_matrix.shape[1], len(settings.independent)
     bodies = columns[columns < inertial]
     own = joint.columns[joint.columns < base]
@@ -477,7 +477,7 @@ def with_autocovariances(
     *,
     extra: Sequence[type[Effect]] = (),
 ) -> Digest:
-    """Return a digest with the autocovariances of what the refitted model leaves of each block.
+    """Return a digest with the autocovariances of the refitted model's residuals in each block.
 
     The model's bodies and effects are fitted to the other blocks, within what was known of them.
     """

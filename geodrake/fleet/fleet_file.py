@@ -1,4 +1,4 @@
-"""Files that say of what a fleet is: types with a model each, robots with their logs."""
+"""Files that describe a fleet: types with a model each, robots with their logs."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class _RobotSchema(Schema):
 
 
 class _FleetSchema(Schema):
-    """What a fleet file holds."""
+    """The content of a fleet file."""
 
     to: str
     types: dict[_Text, _TypeSchema]

@@ -1,4 +1,4 @@
-"""The logs of a fleet: which there are, their digests, and a record of each.
+"""The logs of a fleet: their paths, their digests, and a record of each.
 
 A record is a small file, so that nothing is read a second time. It holds where the log was, its
 stamp, and which digest is of it. It stays when the log is deleted, as its digest does: a fleet's
@@ -50,7 +50,7 @@ _NAME = 40  # letters of a robot's name in that of its folder
 
 @dataclass(frozen=True)
 class LogRecord:
-    """What became of a log of a robot."""
+    """The outcome for a log of a robot."""
 
     robot: str
     address: str
@@ -123,7 +123,7 @@ class LogTask(Short):
 
 @dataclass(frozen=True, eq=False)
 class FleetDigests(Short):
-    """What is known of the logs of a fleet."""
+    """The digests of a fleet's logs."""
 
     # Robot -> records of its logs that have digests, by date.
     records: dict[str, tuple[LogRecord, ...]]
@@ -158,7 +158,7 @@ def check_places(fleet: Fleet, *, local: bool) -> tuple[str, ...]:
 
 
 def _check_robot(kind: FleetType, robot: FleetRobot, of_type: RobotModel) -> list[RobotModel]:
-    """Refuse payloads of bodies that there are not, and a model of another kind of robot."""
+    """Raise for payloads of unknown bodies, and for a model of another kind of robot."""
     try:
         carried_phi(of_type, robot.payloads)
     except ArgumentError as error:
@@ -183,7 +183,7 @@ def _check_robot(kind: FleetType, robot: FleetRobot, of_type: RobotModel) -> lis
 def find_tasks(
     fleet: Fleet, failed: Sequence[LogRecord] = ()
 ) -> tuple[list[LogTask], dict[str, dict[str, LogRecord]]]:
-    """Return logs to be digested, as the fleet file orders them; and what is known of the others.
+    """Return the logs to digest, in the order of the fleet file, and the records of the others.
 
     Logs that failed before are not tried again until they have changed.
     """

@@ -1,4 +1,4 @@
-"""What was found in a fleet: which robot changed, where, by what, since when; what is new."""
+"""The result for a fleet: which robot changed, where, in what, since when, and what is new."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from geodrake.fleet.type_layout import FleetParameter
 from geodrake.inertia import Array
 
 CHANGED, STEADY, UNKNOWN = "changed", "steady", "no logs"
-"""What can be said of a robot."""
+"""The status of a robot."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class ChangedParameter:
 
 @dataclass(frozen=True)
 class ChangeRival:
-    """What may have changed in the place of a finding."""
+    """Another change that may explain a finding."""
 
     effect: str
     where: str
@@ -97,7 +97,7 @@ class ParameterHistory(Short):
 
 @dataclass(frozen=True)
 class OwnParameter:
-    """A parameter of a robot without its changes, beside those of others.
+    """A parameter of a robot without its changes, compared with other robots.
 
     Attributes:
         common: What robots of the type share.
@@ -114,7 +114,7 @@ class OwnParameter:
 
     @property
     def apart(self) -> float:
-        """Spreads by which the robot is off what others have."""
+        """Distance of the robot from the others, in spreads."""
         return (self.value - self.common) / self.spread if self.spread > 0.0 else 0.0
 
 
@@ -194,7 +194,7 @@ _NEAR = 2.0 * DAY  # by which the interval of a finding may move with further lo
 
 @dataclass(frozen=True)
 class ReportedFinding:
-    """What was reported of a finding."""
+    """What an earlier report contained about a finding."""
 
     robot: str
     effect: str
@@ -204,7 +204,7 @@ class ReportedFinding:
 
     @classmethod
     def of(cls, finding: FleetFinding) -> ReportedFinding:
-        """Return what was reported of a finding."""
+        """Return the report of a finding."""
         return cls(finding.robot, finding.effect, finding.where, *finding.interval)
 
     def is_of(self, finding: FleetFinding) -> bool:

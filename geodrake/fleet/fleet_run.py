@@ -100,7 +100,7 @@ def look_at_fleet(
     told: Told = lambda words, share: None,
     said: Callable[[str], None] = lambda line: None,
 ) -> tuple[FleetResult | None, FleetDigests]:
-    """Do what `run_fleet` does; without a result if nothing changed since the last look.
+    """Do the work of `run_fleet`; return no result if nothing changed since the last look.
 
     Logs that failed then are not tried again until they have changed.
     """
@@ -205,7 +205,7 @@ def _of_type(
 def _own_values(
     kind: FleetType, robot: FleetRobot, layout: TypeLayout, settings: DigestSettings
 ) -> Array:
-    """Return (p,) what a robot's own model says of the columns; NaN of effects that it has not."""
+    """Return (p,) values of the columns in a robot's own model; NaN for effects that it lacks."""
     own = holding(own_model(kind, robot.model or kind.model), settings.held)
     values = {
         (f.effect.name, ", ".join(f.effect.where), parameter.name): float(x)
@@ -235,7 +235,7 @@ _LOOSE = 100.0  # deviations of the type that a parameter may be off where a log
 def parameter_levels(
     model: TypeModel, robot: int, logs: LogEquations, fit: RobotFit, column: int
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return what each log says of a parameter, where all others are those of the robot.
+    """Return the values of a parameter that each log suggests, with all others those of the robot.
 
     No log is smoothed by others: levels before and after a change are independent but for what is
     not known of the robot.
@@ -272,7 +272,7 @@ def parameter_levels(
 def _robot_result(
     search: RobotSearch, *, kind: str, layout: TypeLayout, models: Mapping[str, Array]
 ) -> RobotResult:
-    """Return what is told of a robot, beside (p,) what its own model file says, or its type's.
+    """Return the result for a robot; (p,) are the values in its own model file, or its type's.
 
     Parameters of bodies are only known together.
     """
@@ -297,7 +297,7 @@ def _robot_result(
 def _own(
     model: TypeModel, layout: TypeLayout, state: SearchState, of_model: Array | None
 ) -> tuple[OwnParameter, ...]:
-    """Return a robot's parameters without changes, beside those of others."""
+    """Return a robot's parameters without changes, compared with those of others."""
     values, covariance = own_parameters(model, state.fit)
     deviations = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     squares = [np.square(factor).sum(axis=1) for factor in model.deviation_factors()]

@@ -27,7 +27,7 @@ _DIGITS = 9  # behind the point, of which machines that compute differ in none
 
 
 def model_hash(model: RobotModel) -> str:
-    """Return the SHA-256 of what a model says of its joints, bodies and effects.
+    """Return the SHA-256 of a model's joints, bodies and effects.
 
     Where its file lies and what notes say does not count.
     """
@@ -47,7 +47,7 @@ def model_hash(model: RobotModel) -> str:
 
 
 def source_hash(kind: type[Effect]) -> str:
-    """Return the SHA-256 of the source of a user's own effect; nothing for geodrake's."""
+    """Return the SHA-256 of the source of a user's own effect; empty for geodrake's."""
     if of_geodrake(kind):
         return ""
     try:
@@ -57,7 +57,7 @@ def source_hash(kind: type[Effect]) -> str:
 
 
 def text_hash(value: object) -> str:
-    """Return SHA-256 of numbers, words, arrays and dataclasses, and of whatever holds such."""
+    """Return the SHA-256 of numbers, words, arrays, dataclasses, and containers of them."""
     words = json.dumps(_plain(value), sort_keys=True, ensure_ascii=True, allow_nan=True)
     return hashlib.sha256(words.encode()).hexdigest()
 
@@ -78,7 +78,7 @@ def file_hash(paths: Iterable[Path]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return what JSON can hold, different for whatever differs."""
+    """Return plain JSON data that differs whenever the values differ."""
     plain: Any
     if isinstance(value, Enum):
         plain = [type(value).__name__, value.name]
@@ -108,7 +108,7 @@ def _plain(value: Any) -> Any:
 
 
 def _values_of(transmission: Transmission) -> list[str]:
-    """Return what a transmission does at some positions: functions that it has cannot be hashed."""
+    """Return a transmission's values at some positions, as its functions cannot be hashed."""
     size = (_POSITIONS, transmission.num_actuators)
     found = []
     for q in np.random.default_rng(0).uniform(-_REACH, _REACH, size):

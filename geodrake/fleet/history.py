@@ -1,4 +1,4 @@
-"""What the logs of one robot say: weighted normal matrices over the same columns in all logs.
+"""The logs of one robot as weighted normal matrices, over the same columns in all logs.
 
 Digests are read once. What they add is summed up, those of a time together, in a file that says
 which logs are in it. A history has the mean of each time: its logs may scatter together, so that
@@ -50,7 +50,7 @@ class JointGrams(Short):
     grams: Array  # (T, m + 1, m + 1) matrices [A | b]ᵀ W [A | b] of each log or time
 
     def longer(self, times: int) -> JointGrams:
-        """Return the same with so many times more, which say nothing."""
+        """Return a copy extended by so many times without information."""
         return JointGrams(self.columns, np.pad(self.grams, ((0, times), (0, 0), (0, 0))))
 
 
@@ -81,13 +81,13 @@ class HistoryTask(Short):
 
     @property
     def key(self) -> str:
-        """Return what these sums are of, beside logs."""
+        """Return the key of these sums: all that they depend on besides logs."""
         return text_hash((self.settings.hash, self.kept.tolist(), MOST_TIMES))
 
 
 @dataclass(frozen=True, eq=False)
 class RobotHistory(Short):
-    """What a robot's logs say, in the order of time: in memory or, if it is large, in its file."""
+    """A robot's logs as sums, in the order of time: in memory or, if large, in its file."""
 
     robot: str
     days: Array  # (T,) when each log was recorded, days, ascending
@@ -203,7 +203,7 @@ class _HistorySums:
         return np.sqrt(squares / np.maximum(samples, 1.0))
 
     def means(self) -> tuple[JointGrams, ...]:
-        """Return what each time says of each joint, in the order of time; there must be a log."""
+        """Return the means of each joint at each time, in order of time; there must be a log."""
         there = self._there
         counts = self.times[2, there, None, None]
         return tuple(JointGrams(each.columns, each.grams[there] / counts) for each in self.joints)
@@ -278,7 +278,7 @@ def _passive_gram(joint: JointDigest, gram: Array, kept: Indices, share: float) 
 
 
 def _residual_variance(gram: Array, samples: float) -> float:
-    """Return the variance of what a fit of all columns leaves of one joint, (N·m)² or N²."""
+    """Return the residual variance of one joint after a fit of all columns, (N·m)² or N²."""
     A, right, total = gram[:-1, :-1], gram[:-1, -1], float(gram[-1, -1])
     seen = np.diagonal(A) > 0.0
     unit = 1.0 / np.sqrt(np.diagonal(A)[seen])
@@ -290,7 +290,7 @@ def _residual_variance(gram: Array, samples: float) -> float:
 
 
 def _stamp(record: LogRecord, digest: Path, time: int) -> str:
-    """Return what says which log is in sums: its digest as it is now, its date, and its time."""
+    """Return the identity of a log in sums: its present digest, its date, and its time."""
     try:
         status = digest.stat()
         now = f"{status.st_size} {status.st_mtime_ns}"
@@ -319,7 +319,7 @@ def _write_sums(task: HistoryTask, sums: _HistorySums) -> None:
 
 
 def _read_sums(task: HistoryTask) -> _HistorySums | None:
-    """Return the sums of a file; None if there is none, or it is damaged or of something else."""
+    """Read the sums of a file; None if it is missing, damaged or of something else."""
     try:
         data = read_regular(task.file, "file of sums", FleetError)
         key, sums = unsealed(data, _FORMAT, tuple[str, _HistorySums], largest=_LARGEST)

@@ -69,7 +69,7 @@ def absolute_pattern(pattern: str, base: Path) -> str:
 
 
 def find_logs(pattern: str) -> tuple[LogPlace, ...]:
-    """Return by name what an absolute path or an address fits, with `*`, `?`, `[…]` and `**`."""
+    """Return by name the matches of a path or address with `*`, `?`, `[…]` and `**`."""
     try:
         if not protocol_of(pattern):
             # Unlike pathlib's, this finds no hidden files, such as those that are being copied.
@@ -96,7 +96,7 @@ def fits(address: str, pattern: str) -> bool:
 
 
 def _fit(parts: Sequence[str], patterns: Sequence[str]) -> bool:
-    """Return whether parts between slashes fit patterns; `**` stands for any number of them."""
+    """Return whether the parts of a path match patterns; `**` matches any number of parts."""
     if not patterns:
         return not parts
     if patterns[0] == "**":
@@ -139,7 +139,7 @@ def _place(path: str) -> LogPlace | None:
 
 
 def _file_system(address: str) -> tuple[Any, str]:
-    """Return what fsspec knows of an address: its file system, and the path there."""
+    """Return the fsspec file system of an address, and the path there."""
     core = optional_package("fsspec.core", "fleet", f"logs at {address}", FleetError)
     return core.url_to_fs(address)
 
@@ -166,7 +166,7 @@ def _remote_place(fs: Any, path: str, address: str) -> LogPlace:
 
 
 DATED_BY = ("file", "stamps")
-"""Words in the place of what a date in a path is like."""
+"""Words that may be given instead of a pattern of dates in paths."""
 
 _DIRECTIVES = {
     **{f"%{letter}": r"\d{2}" for letter in "mdHMSy"},
@@ -181,7 +181,7 @@ _EARLIEST, _LATEST = 9e8, 4.2e9  # s since 1970 at which a robot may have been l
 
 
 def date_seconds(text: str) -> float:
-    """Return the s since 1970 of a date in ISO 8601, in UTC unless it says another zone."""
+    """Return the s since 1970 of a date in ISO 8601, in UTC unless it has another zone."""
     try:
         instant = datetime.fromisoformat(text.strip())
     except ValueError:
@@ -234,7 +234,7 @@ def date_of_log(
 
 
 def check_date_pattern(pattern: str) -> None:
-    """Refuse what no date in a path can be like."""
+    """Raise for a pattern that no date in a path can match."""
     parts = [part for part in re.findall(r"%.?", pattern) if part != "%%"]
     if set(parts) - _TIMES not in _DATES or len(set(parts)) < len(parts):
         raise ArgumentError(

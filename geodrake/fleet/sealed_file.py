@@ -1,4 +1,4 @@
-"""Files of fleets: dataclasses with arrays, compressed, under a checksum of all that they hold.
+"""Files of fleets: dataclasses with arrays, compressed, with a checksum.
 
 A file is a line with its format, the SHA-256 of the rest, and that rest: the dataclass as
 MessagePack, compressed by zlib. An array is its type, its shape and its bytes. The same values give
@@ -21,7 +21,7 @@ from geodrake.errors import ArgumentError
 T = TypeVar("T")
 
 LARGEST = 500_000_000
-"""Most bytes of a file, also of what it unpacks to."""
+"""Most bytes of a file, also when unpacked."""
 
 _DIGEST = hashlib.sha256().digest_size
 _BEGINNING = "geodrake "  # of the names of all formats
@@ -29,7 +29,7 @@ _DAMAGED = ValueError, TypeError, OverflowError, MemoryError, zlib.error, msgspe
 
 
 class DamagedFileError(Exception):
-    """Raised where bytes are not those that `sealed` made; its text says why."""
+    """Raised for bytes that `sealed` did not make; its text gives the reason."""
 
 
 def sealed(value: object, form: str) -> bytes:
@@ -50,7 +50,7 @@ def sealed(value: object, form: str) -> bytes:
 
 
 def unsealed(data: bytes, form: str, kind: type[T], *, largest: int = LARGEST) -> T:
-    """Return the dataclass that a file of a format holds, or raise `DamagedFileError`."""
+    """Return the dataclass in a file of a format, or raise `DamagedFileError`."""
     head, _, rest = data.partition(b"\n")
     name = head.decode("ascii", "replace")
     if name != form:

@@ -1,4 +1,4 @@
-"""What all digests of a folder have in common: their columns, and how logs come to them.
+"""Settings that all digests of a folder share: their columns, and how logs are read.
 
 Everything that a diagnosis chooses from its logs (a bandwidth, speeds at which joints rest, effects
 to try) is chosen once, by the model and the first log, and kept in a file. Digests by the same
@@ -34,10 +34,10 @@ from geodrake.robot.base_parameters import BaseParameters
 Indices = NDArray[np.intp]
 
 SETTINGS_FILE = "digest_settings.json"
-"""Name of the file in a folder of digests that holds their settings."""
+"""Name of the settings file in a folder of digests."""
 
 DIGEST_NAME = r"[0-9a-f]{32}\.digest"
-"""What names of digests' files are like."""
+"""Pattern of the names of digest files."""
 
 FORMAT = "geodrake digest 3"
 """Name and version of the format of settings and digests."""
@@ -46,7 +46,7 @@ LAGS = 200
 """Autocovariances of residuals are kept up to so many samples' distance."""
 
 BLOCKS = 4
-"""Blocks of a log, each with a factor of its own."""
+"""Blocks of a log, each with its own factor."""
 
 _SETTINGS = 4  # that a process keeps
 _LARGEST_FILE = 50_000_000  # bytes
@@ -55,7 +55,7 @@ _MOST_LETTERS = 24  # of a value that a message shows
 
 @dataclass(frozen=True)
 class DigestColumn:
-    """What a column of a digest is of."""
+    """A column of a digest."""
 
     kind: str
     # Of a body, a combination of inertial parameters, such as `Izz of arm + 0.1 m of hand`; the
@@ -172,7 +172,7 @@ class DigestSettings(Short):
 
     @cached_property
     def columns(self) -> tuple[DigestColumn, ...]:
-        """Return what the p columns are of: n_B base parameters, then the effects' parameters."""
+        """The p columns: n_B base parameters, then the effects' parameters."""
         places = [divmod(int(at), PARAMETERS_PER_BODY) for at in self.independent]
         of_bodies = [
             DigestColumn(
@@ -189,7 +189,7 @@ class DigestSettings(Short):
         return (*of_bodies, *of_effects)
 
     def differences(self, other: DigestSettings) -> list[str]:
-        """Return in words how settings differ from others; nothing if digests of both add up."""
+        """Return in words how settings differ from others; empty if their digests can be added."""
         own, others = self.plain, other.plain
         return [
             f"{_WORDS.get(name, name)} ({_shown(own[name])} and {_shown(others[name])})"
@@ -198,7 +198,7 @@ class DigestSettings(Short):
         ]
 
     def text(self) -> str:
-        """Return what the settings file holds, and `settings_of` reads."""
+        """Return the text of the settings file, which `settings_of` reads."""
         said = self.plain | {"hash": self.hash}
         lines = [f"{json.dumps(name)}: {json.dumps(value)}" for name, value in said.items()]
         return "{\n" + ",\n".join(lines) + "\n}\n"
@@ -223,7 +223,7 @@ def _shown(value: Any) -> str:
 
 
 def settings_of(text: str, source: str | Path) -> DigestSettings:
-    """Return settings from the text that `DigestSettings.text` makes."""
+    """Return settings from the text of `DigestSettings.text`."""
     try:
         return _settings_of(text)
     except (ArithmeticError, ValueError, TypeError, AttributeError, RecursionError) as error:
@@ -252,7 +252,7 @@ def array_of(kind: Any, values: Any) -> NDArray[Any]:
 
 
 def read_settings(folder: str | Path) -> DigestSettings | None:
-    """Return the settings of a folder of digests; None if it has none yet.
+    """Read the settings of a folder of digests; None if it has none yet.
 
     Raises:
         DigestError: The file cannot be read, is damaged, of another version, or not there while

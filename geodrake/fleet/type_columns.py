@@ -1,4 +1,4 @@
-"""Columns of a type of robot: how robots differ in them, and what may change from some day on."""
+"""Columns of a type of robot: how robots differ in them, and what may change over time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Mask = NDArray[np.bool_]
 
 STEP, RAMP = "step", "ramp"
 KINDS = (STEP, RAMP)
-"""Kinds of changes: those that stay as they are, and those that go on."""
+"""Kinds of changes: steps, which stay, and ramps, which go on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ class TypeColumns(Short):
 
     @property
     def free(self) -> Mask:
-        """(p,) whether the type's common value is learnt; gains have none but 0."""
+        """(p,) whether the type's common value is learnt; that of gains is always 0."""
         return np.arange(len(self.prior)) < len(self.prior) - self.gains
 
     @property

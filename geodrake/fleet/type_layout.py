@@ -59,7 +59,7 @@ _LITTLE = 1e-6  # information on parameters of which nothing is known, 1/unit²
 
 
 def type_source(kind: FleetType) -> tuple[RobotModel, Wanted]:
-    """Return the model of a type, with what each joint has beside what its file says.
+    """Return the model of a type, with the effects of each joint added to those in its file.
 
     Also return how its logs are read, and what settings are to be like.
     """
@@ -70,7 +70,7 @@ def type_source(kind: FleetType) -> tuple[RobotModel, Wanted]:
 
 @lru_cache(_MODELS)
 def _read_source(kind: FleetType, files: str) -> tuple[RobotModel, Wanted]:
-    """Do the same, once as long as the files hold the same."""
+    """Do the same, cached while the files are unchanged."""
     del files
     extra: dict[str, type[Effect]] = {}
     for path in kind.own_effects:
@@ -127,7 +127,7 @@ def _of_joints(kind: FleetType, extra: Sequence[type[Effect]]) -> tuple[type[Eff
 
 
 def with_joint_effects(model: RobotModel, kinds: Sequence[type[Effect]]) -> RobotModel:
-    """Return a model with effects at all joints where it has none of the kind, of unknown sizes."""
+    """Return a model with effects of unknown sizes added to all joints that lack the kind."""
     there = {(fitted.effect.name, fitted.effect.where) for fitted in model.effects}
     joints = [joint for joint in model.joints if joint in model.single_joints]
     added = [
@@ -154,7 +154,7 @@ def with_joint_effects(model: RobotModel, kinds: Sequence[type[Effect]]) -> Robo
 Indices = NDArray[np.intp]
 
 BODIES = "bodies"
-"""What columns of bodies are called in the place of an effect."""
+"""Kind that columns of bodies have in place of an effect's."""
 
 _USUAL_PAYLOAD = 0.1  # over the mass of all that moves
 _PAYLOAD_RADIUS = 0.1  # m
@@ -166,7 +166,7 @@ _LOAD, _GAIN = (effect_of(role).name for role in (Role.BODY, Role.SCALE))
 
 @dataclass(frozen=True)
 class FleetParameter:
-    """What a column of a type is of."""
+    """A column of a type."""
 
     effect: str  # name of the effect; `BODIES` for combinations of inertial parameters
     where: str
@@ -187,7 +187,7 @@ class TypeLayout(Short):
 def type_layout(
     model: RobotModel, settings: DigestSettings, efforts: Array, *, payload: float | None = None
 ) -> TypeLayout:
-    """Return the columns of a type, and what may change in its robots.
+    """Return the columns of a type, and the changes to be considered in its robots.
 
     Args:
         efforts: (nv,) usual sizes of the joints' efforts, N·m or N.
@@ -273,7 +273,7 @@ def _parameters(
 def _joint_changes(
     parameters: Sequence[FleetParameter], relative: NDArray[np.bool_], sizes: Array
 ) -> list[ChangeHypothesis]:
-    """Return what may change: each effect at each place, and a joint's frictions together."""
+    """Return the possible changes: each effect at each place, and a joint's frictions together."""
     p, found = len(parameters), []
     effects: dict[tuple[str, str], list[int]] = {}
     for at, each in enumerate(parameters):

@@ -1,4 +1,4 @@
-"""What robots of a type share, and how they differ, learnt from the logs of all.
+"""Learn the common values of a type of robot, and how robots differ, from all logs.
 
 Scales are those of the largest restricted likelihood, all steps explicit: one pass over the robots
 tells what each says of everything.
@@ -34,7 +34,7 @@ def learn_type(
     rounds: int = 12,
     team: Workers = HERE,
 ) -> TypeModel:
-    """Learn what robots of a type share, and how they differ, by the logs of all.
+    """Learn the common values of a type, and how robots differ, from all logs.
 
     Changes (T, p, m) that were found in each robot are further parameters of it.
     """
@@ -98,7 +98,7 @@ class _RobotStatistics:
 
 
 def _told(piece: tuple[TypeModel, RobotHistory, Array | None]) -> _RobotStatistics:
-    """Return what one robot tells, where the model of its type has that of it alone."""
+    """Return one robot's contribution to the model of its type."""
     model, logs, changes = piece
     fit, scale = model.fit(0, logs.equations(), changes), model.scale(0)
     links, common, columns = fit.solve(fit.seen), fit.common.shape[1], model.columns

@@ -1,4 +1,4 @@
-"""What robots of a type share, how they differ, and how the logs of each scatter: learnt at once.
+"""A model of a type: common values, differences of robots, and the scatter of logs, learnt jointly.
 
     x_rt = μ + D_σ Σ_k s_k F_k w_rk + D_r (c_t ∘ (1 + a_r)) + D_r Σ_k τ_rtk F_k u_rtk + changes
 
@@ -114,13 +114,13 @@ class RobotFit(Short):
 
     @cached_property
     def deviation(self) -> Array:
-        """(T, p) what θ adds to the parameters of every log, L_t θ."""
+        """(T, p) the contribution of θ to the parameters of every log, L_t θ."""
         a = self.common.shape[1]
         return np.asarray(self.common @ self.theta[:a] + self.own @ self.theta[a:])
 
     @cached_property
     def score(self) -> Array:
-        """(T, p) what is left of every log's right side, rest_t − M_t L_t θ."""
+        """(T, p) the remainder of every log's right side, rest_t − M_t L_t θ."""
         return np.asarray(self.rest - (self.information @ self.deviation[..., None])[..., 0])
 
     def scores(self, factors: Sequence[Array]) -> LogScores:
@@ -183,7 +183,7 @@ class Course(Short):
     def improved(
         self, logs: Sequence[RobotHistory], information: Sequence[Array], right: Sequence[Array]
     ) -> Course:
-        """Return the course after a step towards what logs say.
+        """Return the course after a step of its fit to the logs.
 
         Args:
             information: (T, q, q) of each robot: what its logs say of shares.
@@ -227,7 +227,7 @@ class Course(Short):
 
 
 def _slope(warm: Sequence[Array], information: Sequence[Array], right: Sequence[Array]) -> Array:
-    """Return (q,) what a degree more adds, by all logs."""
+    """Return (q,) the effect of a degree more, from all logs."""
     q = right[0].shape[1]
     seen, side = np.zeros((q, q)), np.zeros(q)
     for w, info, rest in zip(warm, information, right, strict=True):
@@ -244,7 +244,7 @@ _USUAL = 4.0  # squared deviation, in its expectation, up to which a log is none
 
 @dataclass(frozen=True, eq=False)
 class TypeModel(Short):
-    """What is known of a type of robots."""
+    """The learnt model of a type of robots."""
 
     columns: TypeColumns
     mean: Array  # (p,) parameters μ that all share
@@ -259,14 +259,14 @@ class TypeModel(Short):
 
     @cached_property
     def typical(self) -> Array:
-        """(p,) size of each common value; of one of nothing a thousandth of the largest like it."""
+        """(p,) size of each common value; of one that is 0, a thousandth of its kind's largest."""
         size, columns = np.abs(self.mean), self.columns
         like = columns.alike() & columns.relative
         largest = np.where(like, size, 0.0).max(axis=1)
         return np.maximum(size, 1e-3 * np.where(largest > 0.0, largest, 1e3))
 
     def of(self, robot: int) -> TypeModel:
-        """Return the type as one of its robots alone needs it, whose number is 0."""
+        """Return the type as seen by one of its robots, which gets number 0."""
         one = slice(robot, robot + 1)
         return replace(self, own=self.own[one], odd=self.odd[one])
 
@@ -309,7 +309,7 @@ class TypeModel(Short):
         return fit.scores([scale * spread.factor for spread in self.columns.spreads])
 
     def oddness(self, scores: LogScores, odd: Array) -> tuple[Array, Array]:
-        """Return how odd logs are in a fit, and what that costs.
+        """Return how odd logs are in a fit, and the cost of that.
 
         Deviations have the density exp(−½ z²) up to z² = `_USUAL` and (z²)^(−½ `_USUAL`) beyond,
         as those of Student's distribution have. Such a log counts as one of a larger scatter.
@@ -346,7 +346,7 @@ class TypeModel(Short):
         ]
 
     def together(self, robot: int, logs: LogEquations) -> Array:
-        """Return (T, p) what the common course adds to a robot's parameters at its logs."""
+        """Return (T, p) the common course in a robot's parameters at its logs."""
         values = np.zeros((len(logs.days), len(self.mean)))
         values[:, self.columns.course] = self.course.of(logs)
         return np.asarray(values * self.scale(robot))
@@ -363,7 +363,7 @@ class TypeModel(Short):
         return np.asarray(factors[which.ravel()])
 
     def _spread_out(self, together: Array) -> Array:
-        """Return (T, p, q) the course of each column as a column of its own."""
+        """Return (T, p, q) the course of each column in a column of its own."""
         at = np.flatnonzero(self.columns.course)
         found = np.zeros((*together.shape, len(at)))
         found[:, at, np.arange(len(at))] = together[:, at]
@@ -371,7 +371,7 @@ class TypeModel(Short):
 
 
 def kept_share(directions: Array) -> Array:
-    """Return (...) share of squared scores left where odd logs count less, if none is odd.
+    """Return (...) the share of squared scores that is left by down-weighting if no log is odd.
 
     It depends on how many directions of a spread the log identifies.
     """

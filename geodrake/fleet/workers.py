@@ -1,4 +1,4 @@
-"""Who does many equal pieces of work: this process, processes of this machine, or a cluster.
+"""Workers for many equal tasks: this process, processes of this machine, or a cluster.
 
 Processes and clusters are those of Dask. What a worker that dies had begun is begun again by
 another one, and a piece of work that kills three of them is given up.
@@ -36,12 +36,12 @@ _FEW = 4  # pieces of work for which no process is started
 
 @dataclass(frozen=True)
 class Workers:
-    """What does pieces of work: the workers of a Dask client, or this process without one."""
+    """The workers of a Dask client, or this process without one."""
 
     client: Any = None
 
     def each(self, work: Callable[[T], R], pieces: Sequence[T]) -> Iterator[tuple[int, R | None]]:
-        """Yield numbers and results of pieces as they come; None of one that killed its workers.
+        """Yield numbers and results of tasks as they finish; None for one that killed its workers.
 
         What is not begun is given up if one raises.
         """
@@ -80,7 +80,7 @@ class Workers:
             self.client.cancel(list(done.futures))
 
     def in_order(self, work: Callable[[T], R], pieces: Sequence[T]) -> list[R]:
-        """Return results in the order of the pieces; this process does what kills its workers."""
+        """Return results in the order of the tasks; this process does those that kill workers."""
         found = dict(self.each(work, pieces))
         results = (found[at] for at in range(len(pieces)))
         return [work(p) if r is None else r for p, r in zip(pieces, results, strict=True)]
@@ -100,7 +100,7 @@ def _packets(pieces: Sequence[T], threads: int) -> Iterator[dict[int, T]]:
 
 
 def _done(packet: bytes) -> bytes:
-    """Do what a worker does; Dask takes far longer for many small arrays than for one packet."""
+    """Run tasks in a worker; many small arrays are slow in Dask unless sent as one packet."""
     work, pieces = pickle.loads(packet)
     return pickle.dumps([work(piece) for piece in pieces])
 
@@ -113,7 +113,7 @@ def workers(
     scheduler: str | None = None,
     told: Callable[[str], None] = lambda words: None,
 ) -> Iterator[Workers]:
-    """Yield what does some pieces of work.
+    """Yield workers for some tasks.
 
     Args:
         count: Processes of this machine, or 0 for this one; None for one on each core, and for

@@ -42,13 +42,13 @@ class LumpedBody:
 
 
 def check_plant(plant: MultibodyPlant) -> None:
-    """Refuse anything but a finalized plant."""
+    """Raise unless this is a finalized plant."""
     if not instance(plant, "plant", MultibodyPlant).is_finalized():
         raise ModelError("The plant is not finalized.", advice="Call plant.Finalize() first.")
 
 
 def check_context(system: System, context: Context) -> None:
-    """Refuse what is no Context of a system, such as a plant."""
+    """Raise unless this is a Context of a system, such as a plant."""
     try:
         system.ValidateContext(context)
     except TypeError as error:

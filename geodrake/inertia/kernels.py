@@ -1,4 +1,4 @@
-"""Maps of inertial parameters behind the doors: they trust their arrays, whatever the values."""
+"""Maps of inertial parameters for internal use, without checks of their arguments."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ _SERIES = 1e-3  # logarithm below which eˣ − 1 − x is precise as a series
 
 
 def geodesic(P1: ArrayLike, P2: ArrayLike, t: ArrayLike) -> Array:
-    """Return the minimal geodesic from P1 at t = 0 to P2 at t = 1, which goes on before and after.
+    """Return the minimal geodesic from P1 at t = 0 to P2 at t = 1, extended to all t.
 
     P1^½ (P1^-½ P2 P1^-½)ᵗ P1^½ at times t (...) ([Lee2019] Eq. (2.2.7)).
     """
@@ -97,7 +97,7 @@ def _not_positive(P: Array, good: NDArray[np.bool_]) -> ArgumentError:
 
 
 def _first(P: Array, good: NDArray[np.bool_]) -> list[list[float]]:
-    """Return the first bad matrix; any, where rounding lets no test find it."""
+    """Return the first bad matrix, or any if rounding hides which it is."""
     flat = P.reshape(-1, *P.shape[-2:])
     found: list[list[float]] = flat[int(np.argmin(good.ravel()))].tolist()
     return found

@@ -51,7 +51,7 @@ class Manifold(abc.ABC):
 
     @property
     def least_weight(self) -> float:
-        """Least weight of a logarithm in the barrier; 1 if there is none below."""
+        """Least weight of a logarithm in the barrier, at most 1."""
         return 1.0
 
     def contains(self, x: ArrayLike) -> NDArray[np.bool_]:
@@ -148,7 +148,7 @@ class Manifold(abc.ABC):
         """Kernel of `longest_step`."""
 
     def calc_frame(self, x: Array) -> Array:
-        """Tangent vectors (n, n), one a column, that the metric at x (n,) makes orthonormal."""
+        """Tangent vectors (n, n), as columns, that are orthonormal in the metric at x (n,)."""
         metric = self.calc_metric(x)
         # On a unit diagonal, so that units cost no precision.
         scale = 1.0 / np.sqrt(np.diagonal(metric))
@@ -213,7 +213,7 @@ def slowed_time(edge: Array) -> Array:
 
 
 def excess(step: Array) -> Array:
-    """Return what one logarithm adds to a divergence: r − 1 − log r of the ratio r = 1 + step."""
+    """Return the contribution of one logarithm to a divergence: r − 1 − log r of r = 1 + step."""
     # Of a small step the difference would be rounding.
     series = step**2 * (0.5 - step * (1 / 3 - step * (1 / 4 - step * (1 / 5 - step / 6))))
     return np.where(np.abs(step) < _SMALL, series, step - np.log1p(step))

@@ -21,7 +21,7 @@ _LEAST_SLACK = 1e-150  # whose inverse square is still a number
 
 @dataclass(frozen=True)
 class Interval(Manifold):
-    """Parameters with bounds of their own, lᵢ < xᵢ < uᵢ.
+    """Parameters with separate bounds, lᵢ < xᵢ < uᵢ.
 
     h = −Σ log(xᵢ − lᵢ) − Σ log(uᵢ − xᵢ), [Lee2019] Eq. (5.3.35). A bound may be infinite, and then
     has no term; a parameter without any bound is flat instead, with the term ½ xᵢ².
@@ -134,7 +134,7 @@ class Interval(Manifold):
         return np.diag(1.0 / np.sqrt(self._curvature(x)))
 
     def calc_mirror_span(self, x: Array, rows: Array) -> MirrorSpan:
-        """Of lower bounds alone, in the loop of robots."""
+        """Return the span; for lower bounds only, by the compiled loop of robots."""
         if self.only_lower:
             return robot_span(contiguous(x), contiguous(rows), self._factors(x))
         return super().calc_mirror_span(x, rows)

@@ -52,11 +52,11 @@ class _FactorGroup:
         return x[..., self._span].reshape(x.shape[:-1] + self._shapes[0])
 
     def light(self, covectors: Array) -> Array:
-        """Return what acts on the barrier, divided by its weight."""
+        """Return covectors divided by the weight of the barrier."""
         return covectors if self.weight == 1.0 else covectors / self.weight
 
     def heavy(self, covectors: Array) -> Array:
-        """Return what acts on the barrier, times its weight."""
+        """Return covectors times the weight of the barrier."""
         return covectors if self.weight == 1.0 else covectors * self.weight
 
     def put(self, values: Array, x: Array) -> None:
@@ -114,7 +114,7 @@ class Product(Manifold):
 
     @cached_property
     def least_weight(self) -> float:
-        """Return the least weight of a factor; 1 if there is none below."""
+        """Return the least weight of a factor, at most 1."""
         return min((1.0, *(weight * each.least_weight for each, weight, _ in self._factors)))
 
     @cached_property
@@ -244,7 +244,7 @@ class Product(Manifold):
 
     @cached_property
     def robot(self) -> Factors | None:
-        """For compiled loops; None if there is anything but bodies and lower bounds."""
+        """For compiled loops; None unless all factors are bodies and lower bounds."""
         bodies, bounded = [], []
         for factor, weight, part in self._factors:
             if isinstance(factor, PhysicalInertia):

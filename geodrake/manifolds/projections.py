@@ -349,7 +349,7 @@ def _certified(
 def _certificate(
     manifold: Manifold, points: tuple[Array, Array], push: tuple[Array, Array]
 ) -> float:
-    """Return how far y is from meeting the conditions of optimality, beyond what rounding explains.
+    """Return the violation of the optimality conditions at y, beyond rounding.
 
     What is left of ∇h(y) − ∇h(x) − Aᵀ λ is shared out to x and y: with both moved by no more than
     the length returned, it would be zero.
@@ -374,7 +374,7 @@ def _certificate(
 
 
 def _without_zeros(constraints: Polyhedron) -> Polyhedron:
-    """Return the polyhedron without rows that bound nothing."""
+    """Return the polyhedron without rows that are zero."""
     A, lower, upper = constraints.matrix, constraints.lower, constraints.upper
     used = A.any(1)
     if ((lower > 0) | (upper < 0))[~used].any():

@@ -148,7 +148,7 @@ def put_root(P: Array, L: Array) -> float:
 
 @inlined
 def put_units(P: Array, d: Array) -> bool:
-    """Divides P by the roots d (4,) of its diagonal; False where there are none."""
+    """Divide P by the roots d (4,) of its diagonal; return False if it is not positive."""
     for i in range(4):
         if not P[i, i] > 0.0:
             return False
@@ -296,7 +296,7 @@ def put_combination(rows: Array, multipliers: Array, share: float, M: Array) -> 
 def calc_spanned(
     x: Array, span: tuple[Array, Array], multipliers: Array, factors: Factors, out: Array
 ) -> None:
-    """Write the point with the gradient ∇h(x) + Aᵀ λ; NaN where there is no such point.
+    """Write the point with the gradient ∇h(x) + Aᵀ λ; NaN where no such point exists.
 
     Of a body, P⁺ = L (𝟙 − Σ λ W)⁻¹ Lᵀ from P⁻¹ − X(Aᵀ λ), with λ (r,) and L and W those of
     `calc_whitened`. Above a lower bound, the inverse slack is linear in λ.

@@ -99,7 +99,7 @@ def calc_slab_projection(
 
 @compiled
 def put_scaled(share: float, values: Array, out: Array) -> None:
-    """Write a multiple of a vector; zeros for none of it, whatever is in it."""
+    """Write a multiple of a vector; for the multiple 0 zeros, even of NaN."""
     for i in range(len(out)):
         out[i] = share * values[i] if share != 0.0 else 0.0
 
@@ -150,7 +150,7 @@ def put_gaps(
 
 @compiled
 def put_direction(products: Array, gaps: Array, held: Array, d: Array) -> None:
-    """Write Newton's step of the multipliers; none pulls a row on a side where it binds not."""
+    """Write Newton's step of the multipliers, none of them on the side of an inactive bound."""
     count, left = len(gaps), 0
     rows = np.empty(count, np.int64)
     for i in range(count):
