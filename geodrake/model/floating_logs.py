@@ -442,7 +442,7 @@ def _efforts_of_wrenches(log: JointLog, model: RobotModel, names: Sequence[str])
     known, bodies = _bodies(log, model)
     efforts = np.full((len(log), len(model.joints)), np.nan)
     efforts[known] = 0.0
-    sums = np.zeros((2, 3))  # mean forces by the axes of links, and as if by the world's
+    world, turned = np.zeros(3), np.zeros((3, 3, 3))  # means of forces f, and of R_WL ⊗ f
     for frame in contact_frames(model, names):
         if (force := vectors(log.floating, f"{frame.name}.force")) is None:
             raise LogError(
@@ -456,24 +456,47 @@ def _efforts_of_wrenches(log: JointLog, model: RobotModel, names: Sequence[str])
         wrench = np.stack([force[known], torque[known]], 1)  # (K, 2, 3)
         in_world = wrench @ np.swapaxes(R_WL, 1, 2)
         whole = np.isfinite(wrench).all(axis=(1, 2))
-        sums += [each[whole, 0].sum(axis=0) / max(len(each), 1) for each in (in_world, wrench)]
+        share = 1.0 / max(len(wrench), 1)
+        world += share * wrench[whole, 0].sum(axis=0)
+        turned += share * np.einsum("nij,nl->ijl", R_WL[whole], wrench[whole, 0])
         J = np.concatenate([motion.jacobian_at(frame.origin), motion.angular], axis=1)
         efforts[known] += np.einsum("nij,ni->nj", J, in_world.reshape(-1, 6))
-    _check_axes(sums, model, log.name)
+    _check_axes(world, turned, model, log.name)
     found = np.zeros(log.effort.shape)
     found[:, [log.joints.index(joint) for joint in model.joints]] = efforts
     return found
 
 
-def _check_axes(sums: Array, model: RobotModel, name: str) -> None:
-    """Raise for forces that balance gravity in world axes, but not in those of links."""
+def _check_axes(world: Array, turned: Array, model: RobotModel, name: str) -> None:
+    """Raise for forces that balance gravity in other axes, but not in those of links.
+
+    These are the world's axes, or those of links with one rotation by right angles before.
+
+    Args:
+        world: (3,) mean forces, added up as if they were in world axes.
+        turned: (3, 3, 3) means of R_WL ⊗ f, added up.
+    """
     weight = -model.total_phi[:, 0].sum() * model.tree.gravity
     size = max(float(np.linalg.norm(weight)), 1e-12)
-    own, world = np.linalg.norm(sums - weight, axis=1) / size
-    if own > _UNLIKE and world < 0.5 * own:
+
+    def off(force: Array) -> float:
+        return float(np.linalg.norm(force - weight)) / size
+
+    ways = Rotation.create_group("O").as_matrix()
+    forces = np.einsum("ijl,kjl->ki", turned, ways)
+    best = int(np.argmin([off(force) for force in forces]))
+    own, others = off(np.einsum("ijj->i", turned)), {"in world axes": off(world)}
+    columns = [
+        f"{'-' if row.sum() < 0 else ''}{'xyz'[int(np.abs(row).argmax())]}" for row in ways[best]
+    ]
+    others[f"if x, y, z of the links are, for example, {', '.join(columns)} of the log"] = off(
+        forces[best]
+    )
+    how = min(others, key=others.__getitem__)
+    if own > _UNLIKE and others[how] < 0.5 * own:
         raise LogError(
             f"Mean forces at the feet in log {name!r} differ from the robot's weight by "
-            f"{own:.0%} in link axes, and by {world:.0%} in world axes.",
+            f"{own:.0%} in link axes, and by {others[how]:.0%} {how}.",
             advice="Rotate them into the axes of the link after which they are named.",
         )
 

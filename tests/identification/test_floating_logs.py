@@ -695,6 +695,14 @@ def test_forces_in_the_axes_of_the_world_are_refused(model, maker):
     }
     with pytest.raises(LogError, match="in world axes"):
         with_base(replace(log, floating={**log.floating, **changes}), model)
+    wrong = {"x": ("z", 1.0), "y": ("y", 1.0), "z": ("x", -1.0)}  # what the log has for each
+    turned = {
+        f"{foot}.force.{axis}": sign * log.floating[f"{foot}.force.{of}"]
+        for foot in FEET
+        for axis, (of, sign) in wrong.items()
+    }
+    with pytest.raises(LogError, match=r"if x, y, z of the links are, for example, .*x of the log"):
+        with_base(replace(log, floating={**log.floating, **turned}), model)
     with_base(log, model)
 
 
