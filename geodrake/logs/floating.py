@@ -107,9 +107,23 @@ class ContactFlags:
         return np.asarray(self.flags[np.maximum(after - 1, 0)] | self.flags[after])
 
 
+def odd_flags(time: Array, flags: NDArray[np.bool_]) -> Array:
+    """Return the shares (c,) of flags (N, c) that most of those just before and after contradict.
+
+    No foot touches or lifts for so short a while.
+    """
+    counts, sums = _around(time, flags)
+    return np.asarray((flags != (2 * sums > counts[:, None])).mean(axis=0))
+
+
 def widened(time: Array, flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return flags (N, c) that start a little earlier and end a little later."""
+    return np.asarray(_around(time, flags)[1] > 0)
+
+
+def _around(time: Array, flags: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return how many flags (N,) there are around each instant, and how many of them hold."""
     first = np.searchsorted(time, time - _BESIDE)
     last = np.searchsorted(time, time + _BESIDE, side="right")
     sums = np.vstack([np.zeros((1, flags.shape[1])), np.cumsum(flags, axis=0)])
-    return np.asarray(sums[last] > sums[first])
+    return (last - first).astype(float), sums[last] - sums[first]

@@ -24,7 +24,7 @@ from geodrake.effects.body_motion import RobotBodies
 from geodrake.errors import LogError
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import lumped_bodies
-from geodrake.logs.floating import FLAG, FORCE, ContactFlags, frames_of, vectors, widened
+from geodrake.logs.floating import FLAG, FORCE, ContactFlags, frames_of, odd_flags, vectors, widened
 from geodrake.logs.motion import GROUND, UNMEASURED, JointLog
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.checks import numbers
@@ -288,6 +288,7 @@ def _integral(time: Array, values: Array) -> Array:
 _POINTS = 3  # feet that a robot can stand on if they are points
 _NEAR = 0.02  # m over the ground, within which a frame may touch it
 _LOWEST = 5.0  # per cent of the lowest heights, which are taken for the ground's
+_ODD = 0.01  # of contact flags, that most of those around them contradict
 _UNLIKE = 0.2  # of the weight, by which mean forces at feet may differ from it
 
 
@@ -400,9 +401,18 @@ def with_ground(log: JointLog, model: RobotModel) -> JointLog:
     names = flagged or _last_links(model)
     frames = contact_frames(model, names)
     flags = np.zeros((len(log), len(names)), bool)
+    doubts: tuple[str, ...] = ()
     if flagged:
         columns = [log.floating[f"{name}{FLAG}"] for name in names]
-        flags = widened(log.time, np.nan_to_num(np.stack(columns, -1), nan=1.0) > 0.5)
+        logged = np.nan_to_num(np.stack(columns, -1), nan=1.0) > 0.5
+        wrong = dict(zip(names, odd_flags(log.time, logged).tolist(), strict=True))
+        said = [f"{x:.0%} of those of {name}" for name, x in wrong.items() if x > _ODD]
+        if said:
+            doubts = (
+                f"contact flags are wrong for single samples: {', '.join(said)}; near each of "
+                "them the frame counts as touching",
+            )
+        flags = widened(log.time, logged)
     if whole and vectors(log.floating, "base.position") is not None:
         flags |= _low(log, model, frames)
     elif not flagged:
@@ -411,7 +421,7 @@ def with_ground(log: JointLog, model: RobotModel) -> JointLog:
     contacts = ContactFlags(names, log.time, flags)
     what = "forces and moments" if on_soles(contacts, frames) else "forces"
     words = f"unknown {what} at {', '.join(names)} ({told}) are eliminated"
-    return replace(log, contacts=contacts, notes=(*log.notes, words))
+    return replace(log, contacts=contacts, notes=(*log.notes, *doubts, words))
 
 
 def on_soles(contacts: ContactFlags, frames: Sequence[ContactFrame]) -> bool:

@@ -618,6 +618,17 @@ def test_transforms_of_two_robots_are_two_tables():
         assert np.allclose(table.columns["time"], 1e-9 * np.array([0.0, 1_000.0, 2_000.0]), atol=0)
 
 
+def test_wrong_contact_flags_are_said(model, maker):
+    rng, name = np.random.default_rng(0), "fr_foot.contact"
+    steps = (np.arange(len(maker.time)) // 30 % 2).astype(float)
+    for wrong in (0.0, 0.1):
+        flags = np.where(rng.random(len(steps)) < wrong, 1.0 - steps, steps)
+        log = with_base(maker.log(wrenches=False, **{name: flags}), model)
+        said = [note for note in log.notes if "contact flags are wrong" in note]
+        assert len(said) == (wrong > 0.0)
+    assert "% of those of fr_foot" in said[0] and "fl_foot" not in said[0]
+
+
 def test_bad_poses_are_refused(model, maker):
     count = len(maker.time)
     with pytest.raises(LogError, match="unit quaternion"):
