@@ -298,20 +298,19 @@ def unknown_probability(found: Found, finding: Finding, errors: Sequence[ErrorTa
     if left <= 0.0:
         return 0.0
     if any(term.is_whole for term in finding.terms):
-        before, after = (fit.variance[rows] for fit in _with_bodies_that_stay(found, finding))
+        fits = _beside(found, finding, found.model.widths[0])
+        before, after = (fit.variance[rows] for fit in fits)
     gone = max(0.0, float(weight @ (before - after)))
     beliefs = found.model.beliefs
     return 1.0 / (1.0 + (gone / (beliefs.part * left)) ** beliefs.sharpness)
 
 
-def _with_bodies_that_stay(found: Found, finding: Finding) -> tuple[Fit, Fit]:
-    """Return the explanation without a finding and with it, bodies nearest to the file."""
+def _beside(found: Found, finding: Finding, width: float) -> tuple[Fit, Fit]:
+    """Return the explanation without a finding and with it, bodies known to a width."""
     model, was = found.model, found.fit
     rest = [term for term in was.terms if term not in finding.terms]
     without, whole = (
-        model.unbounded(
-            model.choice(was.choice, terms, width=model.widths[0]), model.shares(was), was.noise
-        )
+        model.unbounded(model.choice(was.choice, terms, width=width), model.shares(was), was.noise)
         for terms in (rest, was.terms)
     )
     return without, whole
@@ -327,15 +326,24 @@ def felt(found: Found, finding: Finding) -> NDArray[np.bool_]:
 def holds(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> bool:
     """Return whether held-out data agree with a finding.
 
+    Bodies that are far from the file predict as a payload does that they take in, so that it is
+    judged with bodies that stay, too; not one that is there for a while.
+    """
+    pairs = [(before, after)]
+    if any(t.is_whole and not isinstance(t.effect, Episode) for t in finding.terms):
+        model = found.model
+        fits = [_beside(found, finding, w) for w in (model.widths[0], found.fit.choice.width)]
+        pairs = [(model.held_out(without), model.held_out(whole)) for without, whole in fits]
+    return any(_falls(found, finding, *pair) for pair in pairs)
+
+
+def _falls(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> bool:
+    """Return whether held-out errors are smaller with a finding.
+
     The logarithms of the squared errors of the joints that feel it must fall, in the mean over the
     folds, by more than the standard error of that mean: what shows in one fold alone just does. The
-    squared error of all joints, as nrms counts them, must not rise. Bodies that are far from the
-    file predict as a payload does that they take in, so that it is judged with bodies that stay;
-    not one that is there for a while.
+    squared error of all joints, as nrms counts them, must not rise.
     """
-    if any(t.is_whole and not isinstance(t.effect, Episode) for t in finding.terms):
-        fits = _with_bodies_that_stay(found, finding)
-        before, after = (found.model.held_out(fit) for fit in fits)
     scale = np.maximum(found.model.dataset.effort_std, np.finfo(float).tiny)
     least = np.finfo(float).tiny
     ratios = np.log(np.maximum(before.sse, least) / np.maximum(after.sse, least))
