@@ -344,8 +344,8 @@ def _falls(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> b
     folds, by more than the standard error of that mean: what shows in one fold alone just does. The
     squared error of all joints, as nrms counts them, must not rise.
     """
-    scale = np.maximum(found.model.dataset.effort_std, np.finfo(float).tiny)
     least = np.finfo(float).tiny
+    scale = np.maximum(found.model.dataset.effort_std, least)
     ratios = np.log(np.maximum(before.sse, least) / np.maximum(after.sse, least))
     falls, total = ratios @ felt(found, finding), (before.sse - after.sse) @ scale**-2.0
     error = 0.0

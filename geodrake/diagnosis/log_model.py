@@ -481,11 +481,11 @@ class LogModel:
         return Fit(choice, columns, x, noise, weights, hessian, score)
 
     def likely_priors(self, fit: Fit) -> tuple[float, dict[Effect, tuple[Array, Array]]]:
-        """Return the width of the prior of all bodies, and mean and information of payloads.
+        """Return the width of the prior of all bodies, and the prior of each payload.
 
-        Bodies may be as far from the file as each of many widths says, and a payload has one of
-        several masses: what is told is the mixture of all these, by how probable each is. Bodies
-        are thought to be off by 1 % at least, or as far as an earlier fit of the model says.
+        The prior of a payload is a mean (10,) and an information (10, 10). Each of many widths and
+        masses of payloads counts by its probability. The least width is 1 %, or that of an earlier
+        fit of the model.
         """
         least = _FREE if self.model.information is None else self.widths[0]
         shares, widths = self.shares(fit), np.geomspace(least, self.widths[-1], _WIDTHS)
@@ -692,18 +692,16 @@ class LogModel:
         return self._hypothesis(choice, unknowns, fit, held_out)
 
     def held_out(self, fit: Fit) -> HeldOut:
-        """Predict each fold by a fit to the others, of all that the fit has, gains among it."""
+        """Return the errors in each fold of a fit to the others, gains and reversals included."""
         data, weights = self.dataset, fit.weights[: len(self.rows), None, None]
         systems = [
             self.row_columns(fit, j, *np.split(own.factors, [len(own.columns)], axis=2))
             for j, own in enumerate(data.data)
         ]
-        left = [w * np.swapaxes(A, 1, 2) for w, (A, _) in zip(weights, systems, strict=True)]
-        gram = np.sum([own @ A for own, (A, _) in zip(left, systems, strict=True)], axis=0)
-        rhs = np.sum(
-            [(own @ b[..., None])[..., 0] for own, (_, b) in zip(left, systems, strict=True)],
-            axis=0,
-        )
+        weighted = [w * np.swapaxes(A, 1, 2) for w, (A, _) in zip(weights, systems, strict=True)]
+        pairs = [*zip(weighted, systems, strict=True)]
+        gram = np.sum([own @ A for own, (A, _) in pairs], axis=0)
+        rhs = np.sum([(own @ b[..., None])[..., 0] for own, (_, b) in pairs], axis=0)
         known = fit.hessian @ fit.x - fit.weights @ self.moments(fit.columns, fit.choice.delay)[0]
         factor, scale = scaled_cholesky(self.even_hessian(fit) - gram)
         rhs = known + rhs.sum(axis=0) - rhs

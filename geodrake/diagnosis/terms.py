@@ -131,16 +131,9 @@ def terms_of(
             held_by = places[type(effect)]
             tips = sum(where[0] in model.load_bodies for where in held_by)
             last = effect.where[0] in model.load_bodies
-            wide = load.copy()
-            reach = _SPREAD * load[0] * sides.get(effect.where[0], 0.0)
-            wide[4:7] = np.maximum(load[4:7], reach)
-            loads = [mass * wide for mass in beliefs.payloads]
+            priors = _load_priors(load, sides.get(effect.where[0], 0.0), beliefs, is_own=is_own)
             if not (last or is_own):
-                loads = [loads[max(len(loads) + _USUAL, 0)]]
-            width = 1.0 if is_own else beliefs.load
-            means = [0.0 * each if is_own else each for each in loads]
-            informations = [pullback_information(each[None], width) for each in loads]
-            priors = [*zip(means, informations, strict=True)]
+                priors = [priors[max(len(priors) + _USUAL, 0)]]
             odds = len(priors) * (tips + (len(held_by) - tips) / beliefs.inner)
             odds *= 1.0 if last else beliefs.inner
         else:
@@ -160,8 +153,26 @@ def terms_of(
     return (*terms, *_wrong_bodies(model, dataset, beliefs))
 
 
+def _load_priors(
+    load: Array, square: float, beliefs: Beliefs, *, is_own: bool
+) -> list[tuple[Array, Array]]:
+    """Return prior means (10,) and informations (10, 10) of a body's payloads, light to heavy.
+
+    They are as wide as the usual `load` (10,), or as limbs branch off at a mean `square` distance,
+    m². What the model has already (`is_own`) may have changed either way.
+    """
+    wide = load.copy()
+    wide[4:7] = np.maximum(load[4:7], _SPREAD * load[0] * square)
+    width, mean = (1.0, 0.0) if is_own else (beliefs.load, 1.0)
+    loads = [mass * wide for mass in beliefs.payloads]
+    return [(mean * each, pullback_information(each[None], width)) for each in loads]
+
+
 def _square_reaches(model: RobotModel) -> dict[str, float]:
-    """Trunk or palm, from which limbs branch -> mean square of how far away from Bo, m²."""
+    """Return for each body from which limbs branch, such as a trunk, their mean square distance.
+
+    Distances, m², are those of the limbs' joints from Bo.
+    """
     found = dict[str, float]()
     for lump in lumped_bodies(model.plant):
         frames = {member.index: member.X_RB for member in lump.members}
