@@ -1,6 +1,7 @@
 """Odd names of logs, joints and links in every file that commands write."""
 
 import shlex
+from contextlib import chdir
 from itertools import product
 from xml.sax.saxutils import quoteattr
 
@@ -31,8 +32,13 @@ LOG_USES = {
 }
 
 
+LOG_CASES = [
+    (c, w) for c, w in product(LOG_USES, IN_FILES) if (c[:6], w) != ("digest", "not UTF-8")
+]
+
+
 @pytest.mark.sampled(6)
-@pytest.mark.parametrize(("command", "what"), list(product(LOG_USES, IN_FILES)))
+@pytest.mark.parametrize(("command", "what"), LOG_CASES)
 def test_logs(command, what, tmp_path):
     name = IN_FILES[what]
     command, writes = command.format(shlex.quote(f"./{name}.csv")), LOG_USES[command]
@@ -41,6 +47,20 @@ def test_logs(command, what, tmp_path):
     for path in digest_files(tmp_path / "new") if writes is None else ():
         assert read_digest(path).logs[0].name == name
     assert not (tmp_path / "PWNED").exists()
+
+
+def test_a_log_whose_name_no_digest_can_hold_is_refused_and_others_are_digested(tmp_path):
+    for name in ("a\udcffb", "good"):
+        write_log(tmp_path / f"{name}.csv", table())
+    (tmp_path / "robot.urdf").write_text(PENDULUM.read_text(encoding="utf-8"), encoding="utf-8")
+    command = "digest robot.urdf './a\udcffb.csv' ./good.csv --to new"
+    with chdir(tmp_path):
+        code, out, err = Row("not UTF-8", command).run()
+    assert code == 1
+    assert "1 digested, 0 existed, 1 failed" in out + err
+    assert r"'a\udcffb' is not UTF-8, which files of fleets require. Rename" in out + err
+    (path,) = digest_files(tmp_path / "new")
+    assert read_digest(path).logs[0].name == "good"
 
 
 def check_saved(folder, names):
