@@ -893,6 +893,40 @@ def test_demonstrations_are_one_log_with_gaps_or_one_of_them(tmp_path, time):
         read_log(path, reading=Reading(episode=3))
 
 
+def test_thousands_of_demonstrations_are_read_as_those_that_are_asked_for(tmp_path):
+    """Ten thousand objects; those of an episode that is not read may be damaged."""
+    path = tmp_path / "demos.hdf5"
+    with h5py.File(path, "w") as file:
+        file["data/dt"] = 0.05
+        for number in range(3400):
+            group = file.create_group(f"data/demo_{number}")
+            group["joint_pos"] = number + POSITION
+            group["joint_torque"] = np.full(1, "x", "S1") if number == 5 else EFFORT
+    log = read_log(path, joints=JOINTS, reading=Reading(episode=3211))
+    np.testing.assert_array_equal(log.position, 3211 + POSITION)
+    assert log.time[1] == pytest.approx(0.05)
+    with pytest.raises(LogError, match="no episode 3400; it has 0, 1, 2"):
+        read_log(path, reading=Reading(episode=3400))
+
+
+def test_of_thousands_of_arrays_a_mapping_says_which_are_read(tmp_path):
+    path = tmp_path / "many.hdf5"
+    with h5py.File(path, "w") as file:
+        file["robot/t"], file["robot/a"], file["robot/b"] = TIME, POSITION, EFFORT
+        for number in range(10_000):
+            file[f"camera/{number}"] = TIME
+    with pytest.raises(LogError, match="at most 10000 are read"):
+        read_log(path, joints=JOINTS)
+    columns = [
+        {"position": MappedColumn(f"robot.a[{k}]"), "effort": MappedColumn(f"robot.b[{k}]")}
+        for k in range(2)
+    ]
+    mapping = ColumnMapping(dict(zip(JOINTS, columns, strict=True)), MappedColumn("robot.t"))
+    log = read_log(path, joints=JOINTS, reading=Reading(mapping=mapping))
+    np.testing.assert_array_equal(log.position, POSITION)
+    np.testing.assert_array_equal(log.effort, EFFORT)
+
+
 def test_demonstrations_without_time_need_a_rate(tmp_path):
     path = demonstrations(tmp_path / "demos.hdf5", rate=False)
     with pytest.raises(LogError, match="no column 'time'") as caught:

@@ -23,15 +23,16 @@ from geodrake.boundary.input_files import open_regular, regular_file
 from geodrake.boundary.memory import machine_memory
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
-from geodrake.logs.files.column_mapping import check_once, is_used
+from geodrake.logs.files.column_mapping import MOST_COLUMNS, check_once, is_used
 from geodrake.logs.files.grouped_arrays import (
     are_records,
     arrays_of,
     fields_of,
     grouped_table,
+    is_of_episode,
     records_table,
 )
-from geodrake.logs.files.name_rules import numbers_joints
+from geodrake.logs.files.name_rules import is_time, numbers_joints
 from geodrake.logs.files.packed_files import open_log, unpacked
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import (
@@ -125,7 +126,7 @@ def _of_pandas(content: Any) -> Any:
     return content
 
 
-_MOST_VARIABLES, _DEEPEST = 10_000, 30
+_DEEPEST = 30
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _HDF5_STARTS = (0, 512)  # MATLAB puts a header of its own before
 _MAT_ADVICE = "Save arrays or structs of them: save('log.mat', 'time', 'q', 'tau', '-v7')."
@@ -134,7 +135,9 @@ _MAT_ADVICE = "Save arrays or structs of them: save('log.mat', 'time', 'q', 'tau
 def read_mat(path: Path, reading: Reading) -> LogTable:
     """Return the columns of a MATLAB file; see `read_bag` for arguments."""
     with readable(path, "MATLAB file", _MAT_ADVICE):
-        variables = _of_hdf5(path) if _is_hdf5(path) else loadmat(path, simplify_cells=True)
+        variables = (
+            _of_hdf5(path, reading) if _is_hdf5(path) else loadmat(path, simplify_cells=True)
+        )
         own = {name: value for name, value in variables.items() if not name.startswith(("__", "#"))}
         if (grouped := grouped_table(path, own, reading)) is not None:
             return grouped
@@ -153,7 +156,7 @@ def read_mat(path: Path, reading: Reading) -> LogTable:
 def read_hdf5(path: Path, reading: Reading) -> LogTable:
     """Return the arrays of an HDF5 file by their paths; images and the like are left out."""
     with readable(path, "HDF5 file"):
-        variables = _of_hdf5(path, matlab=False)
+        variables = _of_hdf5(path, reading, matlab=False)
         if (grouped := grouped_table(path, variables, reading)) is not None:
             return grouped
         arrays = _arrays(variables)
@@ -169,23 +172,26 @@ def _is_hdf5(path: Path) -> bool:
     return False
 
 
-def _of_hdf5(path: Path, *, matlab: bool = True) -> dict[str, Any]:
-    """Return the arrays of a file, each object once, however many links lead to it."""
+def _of_hdf5(path: Path, reading: Reading, *, matlab: bool = True) -> dict[str, Any]:
+    """Return the arrays of a file, each object once, however many links lead to it.
+
+    Of other episodes than the chosen one only the group is there. Of very many arrays only those
+    that a mapping names are read, and those of time.
+    """
     what = "MATLAB files of version 7.3 (or save them with -v7)" if matlab else "HDF5 files"
     h5py = optional_package("h5py", "logs", what, LogError)
     names: list[str] = []
 
     def take(name: str) -> bool | None:
-        if not name.startswith("#"):
+        if not name.startswith("#") and is_of_episode(name.split("/")[:-1], reading):
             names.append(name)
-        return len(names) > _MOST_VARIABLES or name.count("/") > _DEEPEST or None
+        return name.count("/") > _DEEPEST or None
 
     variables: dict[str, Any] = {}
     with h5py.File(path, "r") as file:
         if file.visit(take):
             raise LogError(
-                f"Log {str(path)!r} has more than {_MOST_VARIABLES} variables, or structs "
-                f"nested more than {_DEEPEST} deep.",
+                f"Log {str(path)!r} has structs nested more than {_DEEPEST} deep.",
                 advice=_MAT_ADVICE,
             )
         found = {name: file[name] for name in names}
@@ -194,17 +200,36 @@ def _of_hdf5(path: Path, *, matlab: bool = True) -> dict[str, Any]:
         told += _attributes(file)
         told += [(n, np.ravel(v[()])[0]) for n, v in datasets.items() if v.size == 1]
         arrays = {n: v for n, v in datasets.items() if v.shape and (matlab or len(v.shape) <= 2)}
-        size = sum(value.size for value in arrays.values())
+        is_large = len(arrays) > MOST_COLUMNS
+        wanted = {n: v for n, v in arrays.items() if not is_large or _is_wanted(n, reading)}
+        size = sum(value.size for value in wanted.values())
         check_room(path, size, f"{size} numbers")
-        for name, value in arrays.items():
+        groups = {n for n in found if not is_of_episode(n.split("/"), reading)} - datasets.keys()
+        for name in [n for n in found if n in arrays or n in groups]:
             *structs, last = name.split("/")
             inside = variables
             for struct in structs:
                 inside = inside.setdefault(struct, {})
-            is_text = value.attrs.get("MATLAB_class", b"double") in (b"char", b"cell")
-            array = None if is_text else np.asarray(value)
-            inside[last] = array.T if matlab and array is not None else array  # columns come first
+            array = _array(wanted[name], matlab=matlab) if name in wanted else None
+            inside[last] = {} if name in groups else array
     return variables | {name: float(x) for name, x in told if rate_in(name, x) is not None}
+
+
+def _array(dataset: Any, *, matlab: bool) -> Any:
+    """Return the numbers of a dataset, columns first if MATLAB wrote it; None for its texts."""
+    if dataset.attrs.get("MATLAB_class", b"double") in (b"char", b"cell"):
+        return None
+    return np.asarray(dataset).T if matlab else np.asarray(dataset)
+
+
+def _is_wanted(name: str, reading: Reading) -> bool:
+    """Return whether a mapping by names has an array, or the array is of time."""
+    column = name.replace("/", ".")
+    mapped = [each.column for _, each in reading.mapping or ()] or [0]
+    if not all(isinstance(each, str) for each in mapped):  # they count all columns
+        return True
+    own = [str(each).partition("[")[0] for each in mapped]
+    return is_time(column) or any(f".{column}".endswith(f".{each}") for each in own)
 
 
 def _attributes(group: Any) -> list[tuple[str, Any]]:

@@ -47,7 +47,7 @@ from geodrake.logs.time_stamps import time_unit
 Array = NDArray[np.float64]
 
 HEADER = "time,<joint>.position,<joint>.velocity,<joint>.effort"
-_MOST_COLUMNS = 10_000  # ten times more than a robot of a hundred joints has
+MOST_COLUMNS = 10_000  # ten times more than a robot of a hundred joints has
 HEADER_ADVICE = f"The first line names the columns: {HEADER}; velocity is optional."
 SIGNAL_ADVICE = "<joint>.current, .voltage, .pwm or .command may replace effort."
 """Signals that may replace the measured effort of a joint."""
@@ -75,9 +75,9 @@ def in_seconds(meaning: Meaning, time: Array) -> tuple[Array, tuple[str, ...]]:
 
 def check_text(path: Path, names: Sequence[str]) -> None:
     """Raise for column names that are not text, and for duplicates of geodrake's own names."""
-    if len(names) > _MOST_COLUMNS:
+    if len(names) > MOST_COLUMNS:
         raise LogError(
-            f"Log {str(path)!r} has {len(names)} columns; at most {_MOST_COLUMNS} are read.",
+            f"Log {str(path)!r} has {len(names)} columns; at most {MOST_COLUMNS} are read.",
             advice="Is it transposed? Write a row for each sample, or remove columns.",
         )
     if any("\0" in name for name in names):

@@ -106,6 +106,12 @@ def _episodes_in(content: Any, *, least: int) -> dict[int, Mapping[str, Any]]:
     return next(filter(None, inside), {})
 
 
+def is_of_episode(path: Sequence[str], reading: Reading) -> bool:
+    """Return whether an object is in the chosen episode, if in one, by the groups it is in."""
+    numbers = (int(found[1]) for name in path if (found := _EPISODE.fullmatch(name)))
+    return reading.episode in (None, next(numbers, reading.episode))
+
+
 def _in_turn(
     path: Path,
     episodes: Mapping[int, Mapping[str, Any]],
