@@ -89,12 +89,3 @@ def test_a_minimum_around_which_the_cost_is_not_convex_is_not_certified():
     assert found.phi[:, 0].sum() == pytest.approx(30.0)
     told = found.certificate
     assert told.scope == "local" and not told.holds and "not convex" in told.failure
-
-
-@pytest.mark.parametrize("regularizer", REGULARIZERS)
-def test_a_prior_that_fits_already_is_certified(regularizer):
-    """The cost is rounding, which is nothing beside γ."""
-    A = np.random.default_rng(6).normal(size=(40, 30))
-    found = identify(A, A @ PRIOR.ravel(), PRIOR, regularizer=regularizer, gamma=1.0)
-    np.testing.assert_allclose(found.phi, PRIOR, atol=1e-9)
-    assert found.certificate.holds

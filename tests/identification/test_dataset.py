@@ -29,7 +29,7 @@ from geodrake.identification.logs.noise import (
     known_noise,
     prepare_for_model,
 )
-from geodrake.identification.logs.reduce import peak_speeds, reduce_logs
+from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.logs.folds import validation_blocks
 from geodrake.logs.motion import JointLog
 from geodrake.logs.preparation import prepare_logs
@@ -166,16 +166,6 @@ def test_joint_at_rest_has_no_rows_of_that_time(model):
     )
     assert not ((elbow > 15.5) & (elbow < 24.5)).any()
     assert ((shoulder > 15.5) & (shoulder < 24.5)).sum() > 80
-
-
-def test_joint_that_does_not_move_has_no_peak_speed():
-    log = pendulum_log(6, seconds=20.0)
-    position = log.position.copy()
-    position[:, 1] = 0.3 + 1e-5 * np.random.default_rng(0).normal(size=len(log))
-    trajectories = prepare_logs([replace(log, position=position)], bandwidth=8.0)
-    shoulder, elbow = peak_speeds(trajectories)
-    assert shoulder > 0.5
-    assert elbow == 0.0
 
 
 def test_effort_that_never_changes_is_refused(model):

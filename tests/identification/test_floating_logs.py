@@ -3,7 +3,6 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
-import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -302,45 +301,15 @@ class PinocchioDog:
         return pin.getFrameJacobian(self.model, self.data, frame, world)[:, self.order]
 
 
-class MujocoDog:
-    """Dynamics of the quadruped by MuJoCo, its base by the same six joints as geodrake's."""
-
-    def __init__(self, path) -> None:
-        spec = mujoco.MjSpec.from_file(str(path))
-        spec.compiler.fusestatic = False
-        trunk = spec.worldbody.first_body()
-        for k, axis in enumerate((0, 1, 2, 2, 1, 0)):
-            kind = mujoco.mjtJoint.mjJNT_SLIDE if k < 3 else mujoco.mjtJoint.mjJNT_HINGE
-            trunk.add_joint(name=f"base{k}", type=kind, axis=np.eye(3)[axis])
-        self.model = spec.compile()
-        self.data = mujoco.MjData(self.model)
-        names = [*(f"base{k}" for k in range(6)), *JOINTS]
-        self.order = [int(self.model.joint(name).dofadr[0]) for name in names]
-
-    def efforts(self, q, v, a):
-        """Return what `mj_inverse` says that the motion needs, without contacts."""
-        data = self.data
-        data.qpos[self.order], data.qvel[self.order], data.qacc[self.order] = q, v, a
-        mujoco.mj_inverse(self.model, data)
-        return data.qfrc_inverse[self.order]
-
-    def jacobian(self, foot):
-        """Return the Jacobian (6, 18) of a foot's place and turning, in the last state."""
-        along, about = np.zeros((2, 3, self.model.nv))
-        mujoco.mj_jacBody(self.model, self.data, along, about, self.model.body(foot).id)
-        return np.vstack([along, about])[:, self.order]
-
-
-@pytest.mark.parametrize("theirs", [PinocchioDog, MujocoDog])
 @pytest.mark.parametrize("unmeasured", [(), ("fl_pitch", "hr_knee")], ids=["all", "some"])
 @pytest.mark.parametrize(("feet", "axes"), [(FEET, 3), (FEET[:2], 6)], ids=["points", "soles"])
-def test_rows_without_contact_forces_are_those_of_others(model, feet, axes, unmeasured, theirs):
+def test_rows_without_contact_forces_are_pinocchios(model, feet, axes, unmeasured):
     """N (Y φ) = N (τ + Jᵀ w) for any forces, and moments at soles, of the feet that touch.
 
     What motors do of which nobody measured it is not in them.
     """
     assert model.joints == (*model.base_joints, *JOINTS)
-    dog, rng = theirs(model.path), np.random.default_rng(3)
+    dog, rng = PinocchioDog(model.path), np.random.default_rng(3)
     q, v, a = rng.uniform(-0.7, 0.7, (3, 20, 18))
     bodies = RobotBodies(model.tree, model.positions(q), model.total_phi)
     frames = contact_frames(model, feet)
