@@ -270,7 +270,10 @@ def check_outputs(outputs: Mapping[str, Output], inputs: Iterable[Path]) -> None
 
 def _place(path: Path) -> str:
     """Return the path with symbolic links resolved, also broken ones."""
-    return os.path.realpath(path)
+    try:
+        return os.path.realpath(path)
+    except ValueError:  # a null character, which is refused where the file is read
+        return os.fspath(path)
 
 
 def _obstacle(path: Path) -> str:

@@ -49,6 +49,15 @@ def test_what_is_not_known_is_infinite_and_the_rest_is_not():
     assert np.isinf(hand.mass_deviation) and np.isinf(hand.com_deviation).all()
 
 
+def test_what_rounding_leaves_of_a_deviation_is_unknown():
+    """A mass and a moment that are known together alone, by information beyond all digits."""
+    information = 1e-290 * known([1.0, 1.0])
+    along = np.array([1.0, 0.3, -0.2, 0.1])
+    information[:4, :4] += np.outer(along, along)
+    for body in body_changes(("arm", "hand"), TWO, TWO, fit_of(information)):
+        assert not np.isnan(body.com_deviation).any() and not np.isnan(body.mass_deviation)
+
+
 def change(name, before, after):
     return BodyChange(name, (before, after), np.zeros((2, 3)), 0.1, np.zeros(3), False, 0.5)
 

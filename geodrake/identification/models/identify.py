@@ -61,8 +61,9 @@ def body_changes(
         jacobian = np.hstack([-com[k, 1][:, None], np.eye(3)]) / m1  # of h/m by [m, h]
         unknown = np.isinf(np.diagonal(block))
         known = np.where(np.isinf(block), 0.0, block)
-        spread = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, known, jacobian))
-        spread[unknown[1:] | unknown[0]] = np.inf
+        spread = np.einsum("ij,jk,ik->i", jacobian, known, jacobian)
+        spread[unknown[1:] | unknown[0] | (spread < 0.0)] = np.inf  # below 0: rounding errors alone
+        spread = np.sqrt(spread)
         deviation, far = float(np.sqrt(block[0, 0])), float(distances[k])
         changes.append(
             BodyChange(name, (m0, m1), com[k], deviation, spread, start in fit.active_blocks, far)
