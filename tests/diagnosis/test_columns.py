@@ -79,13 +79,7 @@ def test_nothing_is_found_in_right_columns(pendulum, right):
     assert check_columns(pendulum, [right]) == ()
 
 
-OFTEN = ("effort_sign", "swapped_joints")
-KINDS = [
-    pytest.param(kind, marks=() if kind in OFTEN else pytest.mark.thorough) for kind in MISTAKES
-]
-
-
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", MISTAKES)
 def test_mistakes_are_named_and_corrected(pendulum, right, kind):
     wrong = MISTAKES[kind](right)
     (found,) = check_columns(pendulum, [wrong])
@@ -127,9 +121,7 @@ def test_dry_friction_alone_is_no_limit_of_a_motor(pendulum, right):
     assert "effort_limit" not in kinds
 
 
-@pytest.mark.parametrize(
-    "velocity", ["in degrees", "in radians", pytest.param("none", marks=pytest.mark.thorough)]
-)
+@pytest.mark.parametrize("velocity", ["in degrees", "in radians", "none"])
 def test_degrees_at_all_joints_are_one_mistake(pendulum, right, velocity):
     factor = 180.0 / np.pi
     rates = {"in degrees": factor * right.velocity, "in radians": right.velocity, "none": None}
@@ -169,8 +161,7 @@ def test_what_is_not_of_the_columns_is_no_mistake_in_them(drawn):
     assert check_columns(model, [log]) == ()
 
 
-@pytest.mark.parametrize("gain", [0.29, pytest.param(3.18, marks=pytest.mark.thorough)])
-def test_a_gain_is_told_where_its_fit_has_converged(gain):
+def test_a_gain_is_told_where_its_fit_has_converged(gain=0.29):
     """Its value is that of the answer, and no other gains are told beside it."""
     drawn = WrongLog("gain of a joint", "panda", "pinocchio", "point to point", 14, 9, DURATION)
     model, log, (secret,) = make_log(drawn)

@@ -52,7 +52,7 @@ class TestRule:
         assert laws.speeds("wam", "source")[laws.EUCLIDEAN] == 5e-5
 
 
-@pytest.mark.parametrize("sigma", [0.1, pytest.param(0.4, marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("sigma", [0.1, 0.4])
 def test_geometric_laws_track_best_and_stay_physical(sigma):
     speed, rows = laws.speeds("wam", "rule"), {}
     for law in laws.LAWS:

@@ -78,29 +78,31 @@ ENDS |= {"--video": ".gif", ("play", "--to"): ".mcap"}
 """Options of files that are written -> how their names end; none of the paths above is one."""
 BEFORE = {("play", "--to"): "mcap "}
 """Options of two values, and the first of these."""
-OF_LOGS = {field.name for field in fields(ReadingOptions)}
+OF_LOGS = {"bandwidth", *(field.name for field in fields(ReadingOptions))}
 FILES = {"model": "robot.urdf", "logs": "log.csv", "fleet": "fleet.yaml"}
 """Arguments that are files, and what they are in the commands above."""
 
 
 def parameters():
-    """(command, name, kind) of each option and argument that has a value."""
+    """(command, name, kind) of each option and argument that has a value, at one command each."""
+    found = {}
     for command, made in typer.main.get_command(app).commands.items():
         for each in made.params if command in COMMANDS else ():
             is_file = FILES.get(each.name, "none") in COMMANDS[command]
             if command == "digest" and each.name in OF_LOGS:
                 continue  # which it says of each log, and goes on
             if each.param_type_name == "argument" and is_file and command != "digest":
-                yield command, each.name, "Path"  # digest goes on with the other logs
+                found.setdefault((each.name, "Path"), command)  # digest goes on with other logs
             elif each.param_type_name == "option" and not each.is_flag and each.name != "live":
-                kind = each.bare_type()
-                yield command, each.opts[0], "Path" if "Path" in kind else kind
+                kind = "Path" if "Path" in each.bare_type() else each.bare_type()
+                found.setdefault((each.opts[0], kind), command)
+    return [(command, name, kind) for (name, kind), command in found.items()]
 
 
-PARAMETERS = list(parameters())
+PARAMETERS = parameters()
 
 
-@pytest.mark.sampled(20)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(("command", "option", "kind"), PARAMETERS)
 def test_values(command, option, kind, tmp_path):
     given = COMMANDS[command]
@@ -117,5 +119,5 @@ def test_values(command, option, kind, tmp_path):
 
 
 def test_all_options_are_known():
-    assert len(PARAMETERS) > 250
+    assert len(PARAMETERS) > 75
     assert {kind for _, _, kind in PARAMETERS} >= {"float", "int", "Path", "str"}
