@@ -2,11 +2,13 @@
 
 import numpy as np
 from hypothesis import reject
+from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, InitializeAutoDiff
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
     BallRpyJoint,
     FixedOffsetFrame,
+    MultibodyForces_,
     PlanarJoint,
     PrismaticJoint,
     QuaternionFloatingJoint,
@@ -84,3 +86,18 @@ def random_tree(rng, kinds):
 def random_motion(plant, rng, count):
     sizes = plant.num_positions(), plant.num_velocities(), plant.num_velocities()
     return tuple(rng.uniform(-2.0, 2.0, (count, size)) for size in sizes)
+
+
+def drake_slopes(plant, q, v, vd):
+    """Derivatives (N, nv, nq + 2 nv) of the effort, by Drake."""
+    smooth = plant.ToAutoDiffXd()
+    context, forces = smooth.CreateDefaultContext(), MultibodyForces_[AutoDiffXd](smooth)
+    nq, nv = q.shape[1], v.shape[1]
+    slopes = np.empty((len(q), nv, nq + 2 * nv))
+    for i in range(len(q)):
+        x = InitializeAutoDiff(np.concatenate([q[i], v[i], vd[i]])).ravel()
+        smooth.SetPositions(context, x[:nq])
+        smooth.SetVelocities(context, x[nq : nq + nv])
+        effort = smooth.CalcInverseDynamics(context, x[nq + nv :], forces)
+        slopes[i] = ExtractGradient(effort - smooth.CalcGravityGeneralizedForces(context))
+    return slopes

@@ -13,6 +13,7 @@ from geodrake.boundary.arguments import (
     file_path,
     instances,
     integer,
+    integers,
     number,
     one_or_each,
     real_array,
@@ -36,6 +37,7 @@ from geodrake.model import EffortSignal
         (lambda: number(0.0, "tolerance", lower=0.0, strict=True), "above 0; it is 0"),
         (lambda: integer(1.0, "count"), "an integer; it is 1.0"),
         (lambda: integer(True, "count", lower=0), "of at least 0; it is True"),
+        *((lambda x=x: integers(x, "seeds"), "seeds must be") for x in ([1.0], [True], "12", 3)),
         (lambda: instances("elbow", "joints", str), "a tuple of str; it is 'elbow'"),
         (lambda: instances(("elbow", 2), "joints", str), "number 1 is 2"),
         (lambda: one_or_each([1.0, 2.0], "width", 3), r"one number or 3; .* \(2,\)"),
@@ -46,6 +48,10 @@ from geodrake.model import EffortSignal
 def test_messages_name_what_is_expected_and_what_came(check, message):
     with pytest.raises(ArgumentError, match=message):
         check()
+
+
+def test_integers_of_numpy_are_integers():
+    assert integers(np.arange(3), "seeds") == (0, 1, 2)
 
 
 @typed

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import signal
 import stat
 
 import numpy as np
@@ -142,3 +143,20 @@ def test_the_owner_stays(tmp_path):
     os.chown(kept, 12345, 23456)
     write_whole(kept, "{}")
     assert (kept.stat().st_uid, kept.stat().st_gid) == (12345, 23456)
+
+
+def test_files_are_written_where_the_callers_handler_returns(tmp_path):
+    came = []
+    before = signal.signal(signal.SIGINT, lambda number, _: came.append(number))
+
+    def content(file):
+        file.write(b"new")
+        if not came:
+            signal.raise_signal(signal.SIGINT)
+
+    try:
+        write_together({tmp_path / "one": content, tmp_path / "two": "new"})
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert came == [signal.SIGINT]
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["new", "new"]

@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+from dataclasses import replace
 
 import numpy as np
 import processes
@@ -10,6 +11,7 @@ import pytest
 from commands import run, told
 from pendulum_logs import PENDULUM as MODEL
 from pendulum_logs import sines
+from pinocchio_logs import effort_log
 
 import geodrake
 from geodrake.diagnosis import Step
@@ -86,28 +88,6 @@ def test_add_takes_a_place_and_a_saved_model(log, tmp_path):
     assert re.search(r"Added: Coulomb friction \(elbow, [\d.]+ ± [\d.]+ ± [\d.]+ N·m\)", output)
 
 
-OWN_EFFECT = """
-from dataclasses import dataclass
-import numpy as np
-from geodrake.effects import JointEffect, Parameter
-
-@dataclass(frozen=True)
-class CosineFriction(JointEffect):
-    name = "cosine_friction"
-    parameters = (Parameter("strength", "N·m"),)
-
-    def columns(self, motion):
-        return [np.cos(motion.q) * motion.sign_v]
-"""
-
-
-def test_own_effects_are_tried(log, tmp_path):
-    own = tmp_path / "own.py"
-    own.write_text(OWN_EFFECT)
-    output = told("add", "cosine_friction", MODEL, log, "--where", "elbow", "--effects", own)
-    assert "Added: cosine friction (elbow" in output
-
-
 def test_module_runs_piped_in_ascii_with_no_more_than_a_word_now_and_then(log):
     """Words and numbers come from where pages do, and pages alone need matplotlib."""
     command = [sys.executable, "-X", "importtime", "-m", "geodrake", "compare", str(MODEL), log]
@@ -177,3 +157,24 @@ def test_a_joint_at_rest_is_held_unless_it_is_to_be_kept(tmp_path):
     (note,) = (note for note in held["notes"] if "--no-auto-lock" in note)
     assert "shoulder at 0.4" in note
     assert held["error"]["nrms"] < 0.1 < kept["error"]["nrms"]
+
+
+def test_a_wrong_sign_is_said_first_and_corrected_where_that_is_asked_for(tmp_path):
+    words = "The effort of elbow has the wrong sign"
+    log = effort_log("double_pendulum", 3, off=0.1, duration=8.0, share=0.01).log
+    wrong, numbers, page = (tmp_path / name for name in ("wrong.csv", "n.json", "page.html"))
+    write_log(replace(log, effort=log.effort * [1.0, -1.0]), wrong)
+    said = told("compare", MODEL, wrong, "--json", numbers, "--report", page, "-q")
+    assert said.index(words) < said.index("Joint by joint")
+    assert "--gain elbow=-1" in said and "--correct-columns" in said
+    found = json.loads(numbers.read_text())
+    (column,) = found["columns"]
+    assert (column["kind"], column["joints"]) == ("effort_sign", ["elbow"])
+    assert found["error"]["nrms"] > 1.0
+    assert words in page.read_text(encoding="utf-8")
+
+    said = told("compare", MODEL, wrong, "--correct-columns", "--json", numbers, "-q")
+    assert "results use the corrected columns" in said
+    assert json.loads(numbers.read_text())["error"]["nrms"] < 0.3
+    assert words in told("log", wrong, "--model", MODEL, "-q")
+    assert words not in told("log", wrong, "-q")

@@ -13,8 +13,7 @@ from pendulum_logs import sines
 from geodrake.cli.identify import named_effects
 from geodrake.effects import CoulombFriction, FittedEffect, Payload, RotorInertia
 from geodrake.errors import ArgumentError, IdentificationError, ModelError
-from geodrake.identification.logs.case import open_case
-from geodrake.identification.logs.log_fits import LogFits, log_unknowns
+from geodrake.identification.logs.log_fits import LogFits
 from geodrake.identification.models import IdentificationSettings, identify_model
 from geodrake.identification.models.identify import with_effects
 from geodrake.inertia import from_mass_com_inertia, is_physical
@@ -114,24 +113,6 @@ def test_the_fit_is_the_truth_within_its_deviations(found):
     chosen = next(tried.nrms for tried in found.sweep if tried.gamma == found.gamma)
     assert best <= chosen <= 1.1 * best
     assert [t.gamma for t in found.sweep] == sorted((t.gamma for t in found.sweep), reverse=True)
-
-
-def test_held_out_errors_are_those_of_fits_without_the_fold(log):
-    """Against residuals of the rows themselves, not through the triangular factors."""
-    model = with_effects(load_model(MODEL), named_effects(["viscous_friction"], truth()))
-    case = open_case(model, [log], candidates=False)
-    fits = LogFits(case.dataset, log_unknowns(case.dataset, model), np.array([1.0, 2.0]))
-    held_out = fits.held_out([fits.solve("pullback", gamma=3.0, without=f) for f in fits.folds])
-    for j, data in enumerate(case.dataset.data):
-        for f in fits.folds:
-            result = fits.solve("pullback", gamma=3.0, without=f)
-            x = result.x
-            local = data.local(fits.unknowns.columns)
-            squares = [
-                np.square(r.b[:, 0] - r.A[:, local[local >= 0]] @ x[local >= 0]).sum()
-                for r in data.rows[f]
-            ]
-            assert held_out.sse[f, j] == pytest.approx(sum(squares), rel=1e-6)
 
 
 def test_a_weight_that_is_given_is_taken(log):

@@ -244,16 +244,3 @@ def test_an_effect_to_add_names_its_place():
     assert addition("payload@flange") == ("payload", ["flange"])
     assert addition("coupled_friction@j2+j3") == ("coupled_friction", ["j2", "j3"])
     assert addition("payload") == ("payload", None)
-
-
-def test_positions_beyond_the_models_limits_are_said(tmp_path):
-    (model := tmp_path / "arm.xml").write_text(
-        '<mujoco><worldbody><body><joint name="elbow" axis="0 1 0" range="-20 20"/>'
-        '<inertial pos="0 0 -0.2" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody>'
-        '<actuator><motor joint="elbow"/></actuator></mujoco>'
-    )
-    time = np.arange(500) * 0.01
-    table = np.column_stack([time, np.sin(time), np.cos(time)])
-    header = "time,elbow.position,elbow.effort"
-    np.savetxt(path := tmp_path / "log.csv", table, delimiter=",", header=header, comments="")
-    assert "Positions exceed the model's limits: elbow in" in told("log", path, "--model", model)

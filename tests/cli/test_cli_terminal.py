@@ -47,12 +47,6 @@ def added(model):
     return add("viscous_friction", model, [LOG])
 
 
-def test_the_worst_joint_of_a_comparison_is_named(model, compared):
-    worst = max(compared.errors.joints, key=lambda joint: joint.nrms)
-    text = " ".join(printed(compared, model).split())
-    assert f"The worst joint is {worst.joint}" in text
-
-
 def test_every_joint_has_its_value(added):
     (step,) = added.steps
     assert len(step.where) > 2

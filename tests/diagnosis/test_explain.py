@@ -1,6 +1,6 @@
 """Compare, diagnose, add and explain from Python, on logs of a pendulum with known efforts.
 
-Some of the logs are odd, but ordinary: of other clocks, or joints that move in turn or not at all.
+Some of the logs are odd, but ordinary: of other clocks, or too short.
 """
 
 from collections import Counter
@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 import pendulum_logs
 import pytest
-from pendulum_logs import JOINTS, NOISE, PENDULUM, body_effort, friction
+from pendulum_logs import JOINTS, NOISE, PENDULUM, friction
 
 from geodrake import load_model
 from geodrake.diagnosis import Beliefs, add, compare, diagnose, explain
@@ -223,27 +223,6 @@ def test_a_log_too_short_for_a_lower_bandwidth(model):
 
     log = pendulum_log(3, oscillation, rate=10.0, seconds=12.0)
     assert explain(model, [log]).verdict == "unexplained"
-
-
-def bump(time, start, stop):
-    """Smooth swings between two instants, still outside: position, velocity and acceleration."""
-    phase = np.clip((time - start) / (stop - start), 0.0, 1.0)
-    angle = 12 * np.pi * phase
-    q = np.sin(angle) ** 3 * np.sin(np.pi * phase) ** 2
-    v = np.gradient(q, time)
-    return q, v, np.gradient(v, time)
-
-
-def test_joints_that_move_in_turn(model):
-    """Folds in which a joint does not move say nothing about its friction."""
-    time = np.arange(0.0, 60.0, 0.01)
-    parts = [bump(time, 1.0, 29.0), bump(time, 31.0, 59.0)]
-    q, v, vd = (np.stack(signals, 1) for signals in zip(*parts, strict=True))
-    rng = np.random.default_rng(0)
-    effort = body_effort(q, v, vd) + np.array([0.5, 0.2]) * np.tanh(v / 0.003)
-    effort += NOISE * rng.normal(size=effort.shape)
-    log = JointLog("turn", JOINTS, time, q + 1e-6 * rng.normal(size=q.shape), effort)
-    assert places(explain(model, [log])) == {"coulomb_friction": JOINTS}
 
 
 def test_time_order_of_joints_and_files_change_nothing(model, logs, fitted, tmp_path):

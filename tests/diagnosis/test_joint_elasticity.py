@@ -18,7 +18,6 @@ from scipy.interpolate import make_interp_spline
 from geodrake import load_model
 from geodrake.diagnosis import add
 from geodrake.effects import CoulombFriction, FittedEffect, JointElasticity, ViscousFriction
-from geodrake.effects.deflection import Deflection
 from geodrake.logs.motion import JointLog, Motion
 from geodrake.model.saved_model import save_model
 
@@ -64,20 +63,6 @@ def test_effort_of_a_stiff_joint(joint):
         errors.append(np.abs(left).max() / np.abs(rigid).max())
     assert errors[0] < 0.05
     assert errors[1] == pytest.approx(0.5 * errors[0], rel=0.2)
-
-
-def test_at_rest_the_posture_changes():
-    rng = np.random.default_rng(1)
-    q, none = rng.normal(size=(5, 6)), np.zeros((5, 6))
-    seen = ARM.motion(Motion(q, none, none))
-    lag = rng.normal(size=5)
-    change = Deflection.along(lag, seen.time).effort(seen.effort_slopes, 2)
-    ends = []
-    for step in (1e-5, -1e-5):
-        moved = q.copy()
-        moved[:, 2] -= step * lag
-        ends.append(ARM.effort(Motion(moved, none, none)))
-    np.testing.assert_allclose(change, (ends[0] - ends[1]) / 2e-5, atol=1e-5)
 
 
 def test_added_beside_friction_that_is_known_and_saved(tmp_path):

@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, InitializeAutoDiff
 from pydrake.math import RigidTransform, RollPitchYaw
-from pydrake.multibody.tree import MultibodyForces_
-from random_plants import JOINTS, random_motion, random_plant, random_tree
+from random_plants import JOINTS, drake_slopes, random_motion, random_plant, random_tree
 
 from geodrake.excitation.regressor_gradient import (
     base_wrench_regressor_gradient,
@@ -77,16 +75,8 @@ def test_drake_autodiff_of_efforts():
     gradient = inverse_dynamics_regressor_gradient(
         plant, q, v, vd, weights[:, :, None] * phi[None, None]
     )
-    smooth = plant.ToAutoDiffXd()
-    context, forces = smooth.CreateDefaultContext(), MultibodyForces_[AutoDiffXd](smooth)
-    nq, nv = q.shape[1], v.shape[1]
-    for i in range(len(q)):
-        x = InitializeAutoDiff(np.concatenate([q[i], v[i], vd[i]])).ravel()
-        smooth.SetPositions(context, x[:nq])
-        smooth.SetVelocities(context, x[nq : nq + nv])
-        effort = smooth.CalcInverseDynamics(context, x[nq + nv :], forces)
-        effort = effort - smooth.CalcGravityGeneralizedForces(context)
-        expected = weights[i] @ ExtractGradient(effort)
+    for i, slopes in enumerate(drake_slopes(plant, q, v, vd)):
+        expected = weights[i] @ slopes
         found = np.concatenate([gradient.q[i], gradient.v[i], gradient.vd[i]])
         np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
 

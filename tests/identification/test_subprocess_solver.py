@@ -64,3 +64,14 @@ def test_a_solver_that_dies_is_asked_for_less_once():
     assert solved_apart(die_first, "clarabel") == 1
     with pytest.raises(IdentificationError, match="its process ended with signal SIGABRT"):
         solved_apart(lambda _: os.abort(), "clarabel")
+
+
+def test_an_answer_comes_whatever_handlers_the_caller_has():
+    """Children may be reaped elsewhere; signals that the caller blocks stay as they were."""
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    try:
+        assert in_subprocess(lambda: 42, seconds=30.0) == 42
+    finally:
+        signal.signal(signal.SIGCHLD, before)
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == blocked
