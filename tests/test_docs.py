@@ -121,6 +121,9 @@ def test_pages_of_the_site_have_all_that_help_and_packages_say():
         page = pages[f"api/{package}.md"]
         for name in made["package_names"](package):
             assert f".{name}\n" in page or f"## {name}\n" in page
+    results = pages["api/geodrake.diagnosis.md"].partition("## Results")[2]
+    for parts in (".JointError\n", ".Certificate\n", ".FittedRival\n"):  # of what is returned
+        assert parts in results and ".Explanation\n" not in results
 
 
 def test_names_to_look_up_are_those_that_packages_export():

@@ -6,7 +6,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from functools import cache
 from importlib import import_module
+from inspect import isclass, isfunction
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +124,41 @@ def package_names(package: str) -> list[str]:
     return sorted(kinds, key=str.lower)
 
 
+@cache
+def result_types() -> dict[str, list[type]]:
+    """Return package -> what its functions return, and parts of that, where nothing exports it.
+
+    A type that functions of several packages return is told by the first of them.
+    """
+    exported = {package: set(import_module(package).__all__) for package in PACKAGES}
+    told = set().union(*exported.values())
+    pages = {}
+    for package, names in exported.items():
+        module, found = import_module(package), dict[str, type]()
+        todo = [value for name in names if isfunction(value := getattr(module, name))]
+        while todo:
+            for each in _told_types(todo.pop()):
+                name = each.__name__
+                if name not in found and (name not in told or name in names):
+                    found[name] = each
+                    todo.append(each)  # type: ignore[arg-type]
+        pages[package] = [found[name] for name in sorted(found) if name not in told]
+        told |= set(found)
+    return pages
+
+
+def _told_types(value: Any) -> Iterator[type]:
+    """Yield classes of geodrake that a function returns, or that fields of a class are."""
+    if isclass(value):
+        texts = [*vars(value).get("__annotations__", {}).values()]
+    else:
+        texts = [value.__annotations__.get("return", "")]
+    for word in re.findall(r"\b[A-Z]\w+", " ".join(map(str, texts))):
+        found = getattr(import_module(value.__module__), word, None)
+        if isclass(found) and found.__module__.startswith("geodrake."):
+            yield found
+
+
 def _package_page(package: str) -> str:
     module, names = import_module(package), package_names(package)
     text = f"# {package}\n\n{(module.__doc__ or '').partition(chr(10) * 2)[0]}\n\n"
@@ -131,6 +169,14 @@ def _package_page(package: str) -> str:
         if home is None or not home.startswith("geodrake") or not hasattr(value, "__qualname__"):
             text += f"## {name}\n\nA constant: `{type(value).__name__}`.\n\n"
             continue
-        text += f"::: {home}.{value.__qualname__}\n    options:\n      heading_level: 2\n"
-        text += "      show_root_full_path: false\n\n"
+        text += _entry(value, 2)
+    if results := result_types()[package]:
+        text += "## Results\n\nFunctions above return these; nothing needs to import them.\n\n"
+        text += "".join(_entry(each, 3) for each in results)
     return text
+
+
+def _entry(value: Any, level: int) -> str:
+    place = f"{value.__module__}.{value.__qualname__}"
+    options = f"heading_level: {level}\n      show_root_full_path: false"
+    return f"::: {place}\n    options:\n      {options}\n\n"

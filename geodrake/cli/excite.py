@@ -19,7 +19,6 @@ from geodrake.excitation import (
     CollisionWorld,
     Criterion,
     DesignOptions,
-    ExcitationResult,
     FourierMotion,
     FreeSamples,
     MotionLimits,
@@ -27,7 +26,7 @@ from geodrake.excitation import (
     SplineMotion,
 )
 from geodrake.excitation.collision_geometry import FLOOR, floor_of, read_obstacles
-from geodrake.excitation.design import DesignProgress, design_excitation
+from geodrake.excitation.design import DesignProgress, ExcitationResult, design_excitation
 from geodrake.excitation.families import MotionFamily
 from geodrake.excitation.identifiable import LogIdentifiability, log_identifiability
 from geodrake.excitation.limits import FULL_EFFORT, FULL_SPEED

@@ -10,7 +10,7 @@ from geodrake.control.adaptation import (
 from geodrake.control.loops import AdaptiveLoop, add_adaptive_loop
 from geodrake.control.online_estimation import SampleUpdate
 from geodrake.control.regressor import ControlModel
-from geodrake.control.rollout import Rollout, RolloutFit, fit_rollouts, roll_out
+from geodrake.control.rollout import fit_rollouts, roll_out
 from geodrake.control.systems import (
     AdaptiveComputedTorqueController,
     BregmanProjectionEstimator,
@@ -39,8 +39,6 @@ __all__ = [
     "PassivityBasedAdaptiveController",
     "PositionServo",
     "PredictionError",
-    "Rollout",
-    "RolloutFit",
     "SampleUpdate",
     "VaryingGains",
     "add_adaptive_loop",

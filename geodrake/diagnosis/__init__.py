@@ -2,29 +2,18 @@
 
 from geodrake.diagnosis.add import add
 from geodrake.diagnosis.beliefs import Beliefs
-from geodrake.diagnosis.columns import ColumnFinding, check_columns, corrected, with_motor_limits
+from geodrake.diagnosis.columns import check_columns, corrected, with_motor_limits
 from geodrake.diagnosis.diagnose import diagnose
 from geodrake.diagnosis.drafting import draft_effects, rest_correlates, source_of
 from geodrake.diagnosis.explain import explain
 from geodrake.diagnosis.results import Candidate, Diagnosis, Explanation, Step
 from geodrake.identification.logs.compare import compare
-from geodrake.identification.logs.model_errors import (
-    Comparison,
-    ErrorTable,
-    JointError,
-)
-from geodrake.identification.models.results import BodyChange
 
 __all__ = [
     "Beliefs",
-    "BodyChange",
     "Candidate",
-    "ColumnFinding",
-    "Comparison",
     "Diagnosis",
-    "ErrorTable",
     "Explanation",
-    "JointError",
     "Step",
     "add",
     "check_columns",

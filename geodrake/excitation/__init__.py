@@ -12,11 +12,10 @@ two effects are on it (`geodrake.excitation.tell_apart`).
 
 from geodrake.excitation.collision_geometry import Solid
 from geodrake.excitation.collisions import CollisionWorld
-from geodrake.excitation.design import ExcitationResult, design_excitation
+from geodrake.excitation.design import design_excitation
 from geodrake.excitation.families import FourierMotion, FreeSamples, SplineMotion
 from geodrake.excitation.identifiable import (
     IdentifiableParameters,
-    LogIdentifiability,
     ReducedIdentification,
     identifiable_parameters,
     log_identifiability,
@@ -38,12 +37,10 @@ __all__ = [
     "CollisionWorld",
     "Criterion",
     "DesignOptions",
-    "ExcitationResult",
     "ExcitationTrajectory",
     "FourierMotion",
     "FreeSamples",
     "IdentifiableParameters",
-    "LogIdentifiability",
     "MotionLimits",
     "Objective",
     "ReducedIdentification",

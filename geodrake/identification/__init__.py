@@ -2,13 +2,11 @@
 
 from geodrake.identification.comparison import RegularizerComparison, compare_regularizers
 from geodrake.identification.conic_fit import solve_fit
-from geodrake.identification.fit import Certificate, FitResult
 from geodrake.identification.geodesic_least_squares import geodesic_least_squares
 from geodrake.identification.identify import REGULARIZERS, IdentificationResult, identify
 from geodrake.identification.least_squares import least_squares
 from geodrake.identification.models import (
     IdentificationSettings,
-    ModelIdentification,
     identify_model,
 )
 from geodrake.identification.point_mass import PointMasses, PointMassEuclidean, PointMassKL
@@ -19,12 +17,9 @@ from geodrake.identification.riemannian import Riemannian
 __all__ = [
     "REGULARIZERS",
     "BodyConstraints",
-    "Certificate",
     "FitProblem",
-    "FitResult",
     "IdentificationResult",
     "IdentificationSettings",
-    "ModelIdentification",
     "PointMassEuclidean",
     "PointMassKL",
     "PointMasses",

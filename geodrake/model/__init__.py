@@ -1,7 +1,7 @@
 """`RobotModel`: a robot with its effects and parameters."""
 
 from geodrake.effects import FittedEffect
-from geodrake.model.dynamics_check import DynamicsCheck, check_dynamics
+from geodrake.model.dynamics_check import check_dynamics
 from geodrake.model.effort_signal import EffortSignal
 from geodrake.model.export import save_export
 from geodrake.model.holding import holding
@@ -12,7 +12,6 @@ from geodrake.model.source import cpp_source, python_source
 from geodrake.robot.files import Given
 
 __all__ = [
-    "DynamicsCheck",
     "EffortSignal",
     "FittedEffect",
     "Given",

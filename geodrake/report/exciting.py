@@ -8,8 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from geodrake.excitation import ExcitationResult, FourierMotion, Separation, SplineMotion
-from geodrake.excitation.design import THRESHOLD, identifiable_directions, improvement
+from geodrake.excitation import FourierMotion, Separation, SplineMotion
+from geodrake.excitation.design import (
+    THRESHOLD,
+    ExcitationResult,
+    identifiable_directions,
+    improvement,
+)
 from geodrake.excitation.identifiable import LogIdentifiability
 from geodrake.excitation.tell_apart import CLEAR, distinguished_pairs
 from geodrake.inertia import Array

@@ -7,20 +7,13 @@ from excitation_robots import MODELS
 from rich.console import Console
 
 from geodrake.cli.excite import rivals_in
-from geodrake.diagnosis import (
-    Candidate,
-    Comparison,
-    Diagnosis,
-    ErrorTable,
-    Explanation,
-    JointError,
-    Step,
-)
+from geodrake.diagnosis import Candidate, Diagnosis, Explanation, Step
 from geodrake.diagnosis.ambiguity import distinguishing_commands
 from geodrake.diagnosis.results import FittedRival
 from geodrake.effects import catalogue
 from geodrake.excitation import motion_limits
 from geodrake.excitation.tell_apart import placed_rivals, separation_of
+from geodrake.identification.logs.model_errors import Comparison, ErrorTable, JointError
 from geodrake.model.saved_model import load_model
 from geodrake.report import page_of, show_page
 

@@ -10,13 +10,8 @@ from diagrams.benchmarks.column_errors import WrongLog, make_log
 from diagrams.benchmarks.hidden.robots import robot_file
 from geodrake import load_model
 from geodrake.control.export_proof.joints import exported_joints
-from geodrake.diagnosis import (
-    ColumnFinding,
-    check_columns,
-    compare,
-    corrected,
-    with_motor_limits,
-)
+from geodrake.diagnosis import check_columns, compare, corrected, with_motor_limits
+from geodrake.diagnosis.columns import ColumnFinding
 from geodrake.diagnosis.columns.kinds import words_of
 from geodrake.diagnosis.columns.limits import likely_limits
 from geodrake.errors import ArgumentError

@@ -19,8 +19,9 @@ from diagrams.benchmarks.column_errors import DURATION, WrongLog, make_log
 from diagrams.benchmarks.hidden.robots import make_engine, robot_file
 from geodrake import load_model
 from geodrake.cli.command import unchecked_words
-from geodrake.diagnosis import ColumnFinding, check_columns, corrected
+from geodrake.diagnosis import check_columns, corrected
 from geodrake.diagnosis.beliefs import Beliefs
+from geodrake.diagnosis.columns import ColumnFinding
 from geodrake.diagnosis.columns.assignment import Assignment
 from geodrake.diagnosis.columns.evidence import ColumnModel
 from geodrake.diagnosis.columns.samples import column_samples

@@ -1,5 +1,5 @@
 """Exports verified in simulators: their content, what they lack, and the loss of accuracy."""
 
-from geodrake.control.export_proof.export import ProvenExport, export_to
+from geodrake.control.export_proof.export import export_to
 
-__all__ = ["ProvenExport", "export_to"]
+__all__ = ["export_to"]
