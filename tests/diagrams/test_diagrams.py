@@ -20,31 +20,22 @@ from geodrake.logs.files import read_log
 RUNS = json.loads(benchmarks_page.FIGURES.read_text(encoding="utf-8"))
 
 APART = "excitation_contours"
-LONG = {  # whose parts are tested elsewhere, too
+LONG = {  # more than 5 s of the processor
     "adaptive_soak",
     "ambidex_arm",
     "ambidex_sandbags",
     "excite_arms",
     "fleet_kills",
-    "fleet_speed",
     "fleet_study",
     "floating_robots",
     "hidden_effects",
     "hobby_arm",
     "human_identification",
-    "identification_speed",
-    "iiwa_excitation",
     "long_log",
     "online_payload",
     "ordinary_robots",
     "pages_and_exports",
-    "readme_figures",
     "real_robots",
-    "scara_excitation",
-    "servo_gains",
-    "tell_apart",
-    "wam_adaptation",
-    "wam_payload",
 }
 NAMES = sorted({*SCRIPTS} - {"iiwa_messages", "run_scenario"})  # which have tests of their own
 

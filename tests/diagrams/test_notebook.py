@@ -100,7 +100,6 @@ def test_distances_between_bodies_help_where_samples_are_few(names_after):
     assert (names["least"] < 0).any()
 
 
-@pytest.mark.thorough
 def test_an_adaptive_loop_stays_physical(names_after):
     names = names_after("adaptive_loop")
     late = names["late"]

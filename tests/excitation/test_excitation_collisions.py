@@ -9,7 +9,7 @@ from known_robots import robots
 from pydrake.geometry import Box, Sphere
 from pydrake.math import RigidTransform
 
-from geodrake.errors import ArgumentError, GeodrakeError, ModelError
+from geodrake.errors import ArgumentError, ModelError
 from geodrake.excitation import (
     CollisionWorld,
     DesignOptions,
@@ -236,23 +236,6 @@ def test_obstacles_as_people_write_them(tmp_path):
         [(party, (least, names))] = world.nearest(np.zeros((1, 1))).items()
         assert party == name and name in names
         assert least == pytest.approx(distance - 0.01, abs=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("wall", "'wall' is not an obstacle"),
-        ("box:1,1@0,0,0", "A box needs 3 sizes"),
-        ("sphere:-1@0,0,0", "positive"),
-        ("box:1,1,1@0,0", "3 numbers, or 6 with rotation; got 2"),
-        ("box:1,1,x@0,0,0", "is not numeric"),
-        ("none.stl", "does not exist"),
-        ("none.obj", "does not exist"),
-    ],
-)
-def test_what_is_no_obstacle(text, words):
-    with pytest.raises(GeodrakeError, match=words):
-        read_obstacles([text])
 
 
 def test_ramps_lead_around_what_is_in_the_way(tmp_path):

@@ -10,7 +10,7 @@ import pytest
 from geodrake import load_model, save_model
 from geodrake.control.export_proof.model_text import model_file
 from geodrake.effects import FittedEffect, ViscousFriction
-from geodrake.errors import ArgumentError, ModelError
+from geodrake.errors import ModelError
 from geodrake.logs import Motion
 from geodrake.model import Given, save_export
 
@@ -151,15 +151,3 @@ class TestXacro:
         monkeypatch.setitem(sys.modules, "xacro", None)
         with pytest.raises(ModelError, match=r"pip install \"geodrake\[robots\]\""):
             load_model(robot, given=given)
-
-
-def test_what_cannot_be_given_is_refused(tmp_path):
-    with pytest.raises(ModelError, match="is not a xacro file, so argument 'mass'"):
-        load_model(PENDULUM, given=Given(xacro={"mass": "3"}))
-    with pytest.raises(ModelError, match="of package 'a' does not exist"):
-        Given(packages={"a": tmp_path / "nowhere"})
-    for words in (["a"], ["=b"], ["a b=c"]):
-        with pytest.raises(ArgumentError, match="--package has"):
-            Given.of_words(None, words, [])
-    with pytest.raises(ArgumentError, match="'a' occurs twice"):
-        Given.of_words(None, [], ["a:=1", "a:=2"])

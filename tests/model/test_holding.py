@@ -127,22 +127,6 @@ def test_a_saved_model_remembers_what_it_holds(tmp_path):
     assert set(further.held) == {model.joints[4], *model.held}
 
 
-@pytest.mark.parametrize(
-    ("held", "words"),
-    [
-        ({"wrist": 0.0}, "no joint 'wrist'.*shoulder, elbow"),
-        ({"shoulder": 99.0}, "limits are"),
-        ({"shoulder": 0.0, "elbow": 0.0}, "All joints .* are fixed"),
-    ],
-)
-def test_joints_that_cannot_be_held_are_refused(held, words):
-    path = MODELS / "double_pendulum.urdf"
-    with pytest.raises(ModelError, match=words):
-        load_model(path, lock=held)
-    with pytest.raises(ModelError, match=words):
-        holding(load_model(path), held)
-
-
 def test_coordinates_of_a_free_base_are_not_held():
     path = MODELS / "double_pendulum.urdf"
     (first, *_) = load_model(path, floating=True).base_joints
