@@ -135,6 +135,7 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
         "Design the most informative motion within the limits of the robot.",
         "robot.urdf --save motion.csv",
         "robot.yaml --tell-apart payload,wrong_inertia --save motion.csv",
+        "humanoid.urdf --feet l_foot,r_foot --stand l_knee=0.8,… --save motion.csv",
     ),
     "identifiable": (
         "excite.run_identifiable",

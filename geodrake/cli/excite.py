@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from geodrake.boundary.arguments import number, one_of, positive
 from geodrake.cli.command import Command, Input, Output, run
 from geodrake.cli.identify import named_effects
-from geodrake.cli.option_values import joint_values, limits_of, split_effects
+from geodrake.cli.option_values import feet_in, joint_values, limits_of, split_effects
 from geodrake.cli.options import ExciteOptions, IdentifiableOptions
 from geodrake.cli.progress import STOPPING, Activity
 from geodrake.errors import ArgumentError, ModelError
@@ -24,16 +24,18 @@ from geodrake.excitation import (
     MotionLimits,
     Objective,
     SplineMotion,
+    Stance,
+    make_stance,
 )
 from geodrake.excitation.collision_geometry import FLOOR, floor_of, read_obstacles
 from geodrake.excitation.design import DesignProgress, ExcitationResult, design_excitation
 from geodrake.excitation.families import MotionFamily
 from geodrake.excitation.identifiable import LogIdentifiability, log_identifiability
-from geodrake.excitation.limits import FULL_EFFORT, FULL_SPEED
+from geodrake.excitation.limits import FULL_EFFORT, FULL_SPEED, motors_of
 from geodrake.excitation.objective import CRITERIA, NORMALIZATIONS
 from geodrake.excitation.solve import Budget
 from geodrake.excitation.starts import below_floor
-from geodrake.excitation.target import SIZE_WORDS, usual_noise, usual_target
+from geodrake.excitation.target import SIZE_WORDS, WRENCH, usual_noise, usual_target
 from geodrake.excitation.tell_apart import Placed, separation_of
 from geodrake.excitation.trajectory import trajectory_content
 from geodrake.model.robot_model import RobotModel
@@ -53,10 +55,13 @@ _RANGES = {
     "rate": (1e-3, 1e4),
     "samples": (1, 10_000),
     "clearance": (0.0, 100.0),
+    "friction": (1e-3, 100.0),
     "seed": (0, 2**32 - 1),
 }
 """Option -> its smallest and largest value."""
 _FORM = "Write EFFECT,EFFECT; either may have a place: EFFECT@elbow."
+_PLATE_SHARE, _PLATE_ARM = 0.01, 0.15  # of the weight; m
+_UNDER = 0.001  # m, by which a floor is beneath the clearance of feet that stand on it
 _REPEATS = 3  # periods of a motion that distinguishes effects, as a diagnosis holds out blocks
 
 
@@ -66,6 +71,7 @@ def run_excite(options: ExciteOptions) -> None:
     _check(options)
     files, names = split_effects(options.effects)
     check_alone(options, names)
+    check_feet(options, names)
     command = Command(
         "excite",
         "Designing",
@@ -85,7 +91,8 @@ def run_excite(options: ExciteOptions) -> None:
             "meshcat": Output(options.meshcat, "replay of the motion", make=_replay),
         },
     )
-    run(command, replace(options, effects=files))
+    floating = options.floating or options.feet is not None
+    run(command, replace(options, effects=files, floating=floating))
 
 
 def run_identifiable(options: IdentifiableOptions) -> None:
@@ -100,7 +107,7 @@ def run_identifiable(options: IdentifiableOptions) -> None:
             given.logs,
             effects=named_effects(names, model, given.extra),
             threshold=options.threshold,
-            noise=None if text is None else joint_values(text, model, "--noise"),
+            noise=None if text is None else joint_values(text, model.joints, "--noise"),
             progress=given.progress,
             **given.settings,
         )
@@ -148,17 +155,33 @@ def _designed(
     options: ExciteOptions, given: Input, names: Sequence[str], family: MotionFamily
 ) -> ExcitationResult:
     """Return the designed motion."""
-    model, update = given.model, given.progress
+    model, update, motors = given.model, given.progress, motors_of(given.model)
+    if model.base_joints and options.feet is None:
+        raise ArgumentError(
+            f"The base of {model.path.name} floats, and nothing says what holds it.",
+            advice="Name the links that it stands on: --feet LINK,LINK. If its base is held, as of "
+            "a robot that hangs, omit --floating.",
+        )
     budget = Budget.of(options.seconds)
     limits, margins = _limits(options, model)
-    start = None if options.start is None else joint_values(options.start, model, "--start")
-    stand = None if options.stand is None else joint_values(options.stand, model, "--stand")
-    collisions, notes = _collisions(options, model, limits, start if stand is None else stand)
+    start = None if options.start is None else joint_values(options.start, motors, "--start")
+    stand = None if options.stand is None else joint_values(options.stand, motors, "--stand")
+    stance = None
+    if options.feet is not None:
+        placed = start if stand is None else stand
+        feet = feet_in(options.feet)
+        how = {"posture": placed, "friction": options.friction}
+        stance = make_stance(model, feet, limits=limits, **how)  # type: ignore[arg-type]
+        if stand is None and len(feet) > 1:
+            stand = stance.placed
+    robot = model if stance is None else stance.model
+    collisions, notes = _collisions(options, robot, limits, start if stand is None else stand)
     if options.meshcat is not None:
         notes = (*notes, *robot_shapes(model.path, model.given).notes)
-    objective, more = _objective(options, given, limits, names)
+    objective, more = _objective(options, given, stance, limits, names)
     design = DesignOptions(
         samples=_SAMPLES if options.samples is None else options.samples,
+        stance=stance,
         start=start,
         stand=stand,
         collisions=collisions,
@@ -187,8 +210,9 @@ def _limits(options: ExciteOptions, model: RobotModel) -> tuple[MotionLimits, tu
         limits = replace(limits, velocity=_MARGIN * limits.velocity)
         share = f"{100 * _MARGIN:.0f} %"
         notes.append(f"speeds are limited to {share} of their limits (--limits velocity=100%)")
+    motors = [k for k, joint in enumerate(model.joints) if joint in limits.joints]
     if not any("acceleration" in part for part in said) and np.any(
-        ~np.isfinite(model.acceleration_limits)
+        ~np.isfinite(model.acceleration_limits[motors])
     ):
         notes.append(
             "the file has no acceleration limits: accelerations are limited to effort limit over "
@@ -205,10 +229,21 @@ def _limits(options: ExciteOptions, model: RobotModel) -> tuple[MotionLimits, tu
 
 
 def _objective(
-    options: ExciteOptions, given: Input, limits: MotionLimits, names: Sequence[str]
+    options: ExciteOptions,
+    given: Input,
+    stance: Stance | None,
+    limits: MotionLimits,
+    names: Sequence[str],
 ) -> tuple[Objective, tuple[str, ...]]:
     """Return the objective of the motion, and notes."""
-    model, (noise, notes) = given.model, noise_of(options.noise, given.model)
+    criterion, model = Criterion(options.criterion), given.model
+    if stance is not None and options.force_plate:
+        noise, notes = _plate_noise(options.noise, stance)
+        target = stance.target(noise=noise, on_plate=True)
+        return Objective(target, criterion, options.normalization), notes
+    noise, notes = noise_of(options.noise, model)
+    if stance is not None:
+        model, limits, noise = stance.model, stance.limits(), stance.noise(noise)
     if options.tell_apart is not None:
         rivals = rivals_in(options.tell_apart)
         separation, more = separation_of(model, *rivals, limits, noise=noise, extra=given.extra)
@@ -217,13 +252,27 @@ def _objective(
     if effects:
         notes = (*notes, f"effects of unknown size are assumed to take {SIZE_WORDS}")
     target = usual_target(model, noise=noise, effects=effects)
-    return Objective(target, Criterion(options.criterion), options.normalization), notes
+    if stance is not None:
+        target = replace(target, trial=stance.random_motion())
+    return Objective(target, criterion, options.normalization), notes
+
+
+def _plate_noise(text: str | None, stance: Stance) -> tuple[Array, tuple[str, ...]]:
+    """Return (6,) noise of the ground's wrench, and a note on its source if it was not given."""
+    if text is not None:
+        return joint_values(text, WRENCH, "--noise"), ()
+    force = _PLATE_SHARE * stance.weight
+    noise = force * np.array([*3 * [_PLATE_ARM], *3 * [1.0]])
+    return noise, (
+        f"noise: {100 * _PLATE_SHARE:.0f} % of the weight, moments at {_PLATE_ARM:g} m, as nothing "
+        "else is known",
+    )
 
 
 def noise_of(text: str | None, model: RobotModel) -> tuple[np.ndarray, tuple[str, ...]]:
     """Return (nv,) noise of the measured efforts, and a note on its source if it was not given."""
     if text is not None:
-        return joint_values(text, model, "--noise"), ()
+        return joint_values(text, motors_of(model), "--noise"), ()
     noise, source = usual_noise(model)
     return noise, (f"noise: {source}",)
 
@@ -256,7 +305,11 @@ def _collisions(
             error.problem, advice="Correct the file, or use --no-collisions."
         ) from error
     notes: tuple[str, ...] = ()
-    if options.floor and not any(solid.name.startswith(FLOOR) for solid in obstacles):
+    has_floor = any(solid.name.startswith(FLOOR) for solid in obstacles)
+    if options.floor and not has_floor and options.feet is not None:
+        # Beneath the feet, which touch the ground.
+        obstacles = (floor_of(model, below=options.clearance + _UNDER), *obstacles)
+    elif options.floor and not has_floor:
         floor = floor_of(model)
         below = below_floor(alone.among((floor,)), model, limits, start)
         if below:
@@ -287,6 +340,17 @@ def _replay(result: ExcitationResult) -> str:
     times = result.executed.instants(FRAMES)
     motion = result.executed.motion(times)
     return replay_page(result.objective.target.model, times, motion.q)
+
+
+def check_feet(options: ExciteOptions, names: Sequence[str]) -> None:
+    """Raise for options that need feet, or contradict a force plate."""
+    if options.feet is None and options.force_plate:
+        raise ArgumentError("--force-plate measures under feet.", advice="Add --feet LINK,LINK.")
+    if options.force_plate and (names or options.tell_apart is not None):
+        raise ArgumentError(
+            "A force plate does not measure effects of joints, such as friction.",
+            advice="Omit --force-plate, or --effects and --tell-apart.",
+        )
 
 
 def check_alone(options: ExciteOptions, names: Sequence[str]) -> None:

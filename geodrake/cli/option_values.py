@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from geodrake.cli.input_options import pairs
 from geodrake.errors import ArgumentError
 from geodrake.excitation import MotionLimits, motion_limits
-from geodrake.excitation.limits import signal_limits
+from geodrake.excitation.feet import Foot
+from geodrake.excitation.limits import motors_of, signal_limits
 from geodrake.logs.motion import SIGNAL_KINDS
 from geodrake.model.robot_model import RobotModel
 
@@ -31,21 +32,50 @@ def split_effects(given: Sequence[Path] | None) -> tuple[list[Path], list[str]]:
     return files, [name for path in names for name in str(path).split(",") if name]
 
 
-def joint_values(text: str, model: RobotModel, option: str) -> Array:
-    """Return (nv,) values from `0.1`, which is for all joints, or `a=0.1,b=0.2`."""
+def joint_values(text: str, joints: Sequence[str], option: str) -> Array:
+    """Return (n,) values of joints from `0.1`, which is for all of them, or `a=0.1,b=0.2`."""
     if "=" not in text and "," not in text:
-        return np.full(len(model.joints), _number(text, option))
+        return np.full(len(joints), _number(text, option))
     values: dict[str, float] = {}
     for joint, value in pairs(option, [text], _JOINTS):
-        _check_joint(joint, model, option)
+        _check_joint(joint, joints, option)
         values[joint] = _number(value, option)
-    missing = [joint for joint in model.joints if joint not in values]
+    missing = [joint for joint in joints if joint not in values]
     if missing:
         raise ArgumentError(
             f"{option} has no value for {', '.join(missing)}.",
             advice="Give one number for all joints, or one for each.",
         )
-    return np.array([values[joint] for joint in model.joints])
+    return np.array([values[joint] for joint in joints])
+
+
+_FEET = (
+    "Write --feet LINK,LINK; a link without collision geometry has its size, LINK=LENGTHxWIDTH in "
+    "m, or LINK=point."
+)
+
+
+def feet_in(text: str) -> list[str | Foot]:
+    """Return feet from `l_foot,r_foot`, of which each may have a size: `l_foot=0.26x0.12`."""
+    found: list[str | Foot] = []
+    for part in text.split(","):
+        link, sized, size = (each.strip() for each in part.partition("="))
+        if not link or (sized and not size):
+            raise ArgumentError(f"--feet takes links; got {text!r}.", advice=_FEET)
+        if not sized:
+            found.append(link)
+        elif size == "point":
+            found.append(Foot(link, np.zeros((1, 3))))
+        else:
+            length, _, width = size.partition("x")
+            try:
+                sides = float(length), float(width)
+            except ValueError:
+                raise ArgumentError(
+                    f"{size!r} of --feet {text!r} is no size.", advice=_FEET
+                ) from None
+            found.append(Foot.sole(link, *sides))
+    return found
 
 
 def limits_of(
@@ -60,6 +90,7 @@ def limits_of(
             joint. Each may hold several, separated by commas; later ones win.
         bounded: As for `motion_limits`.
     """
+    motors = motors_of(model)
     scale, said = 1.0, {quantity: dict[str, Any]() for quantity in _QUANTITIES}
     for text in filter(None, ",".join(given or ()).split(",")):
         key, equals, value = (part.strip() for part in text.partition("="))
@@ -73,8 +104,8 @@ def limits_of(
                 advice=f"Quantities are {', '.join(_QUANTITIES)}. {_EXAMPLE}",
             )
         if joint:
-            _check_joint(joint, model, "--limits")
-        joints = model.joints
+            _check_joint(joint, motors, "--limits")
+        joints = motors
         if quantity in SIGNAL_KINDS:
             joints = tuple(each.joint for each in model.effort_signals if each.kind == quantity)
             if value.endswith("%"):
@@ -100,7 +131,7 @@ def limits_of(
     for quantity, own in said.items():
         shares = [
             most if is_share else 1.0
-            for most, is_share in (own.get(j, (1.0, True)) for j in model.joints)
+            for most, is_share in (own.get(j, (1.0, True)) for j in motors)
         ]
         limits = replace(limits, **{quantity: np.array(shares) * getattr(limits, quantity)})
     # After the shares, which are of the model's limits: the lesser counts.
@@ -131,9 +162,9 @@ def _number(text: str, option: str) -> float:
         raise ArgumentError(message, advice=advice) from None
 
 
-def _check_joint(joint: str, model: RobotModel, option: str) -> None:
-    if joint not in model.joints:
+def _check_joint(joint: str, joints: Sequence[str], option: str) -> None:
+    if joint not in joints:
         raise ArgumentError(
             f"{option} names {joint!r}, which is not a joint of the model.",
-            advice=f"Joints are: {', '.join(model.joints)}.",
+            advice=f"Joints are: {', '.join(joints)}.",
         )

@@ -359,11 +359,14 @@ class _Robot:
     """Constraints of the motions.
 
     Attributes:
+        friction (NUMBER): Coefficient of friction between ground and feet, with --feet.
+        force_plate: The wrench of the ground is measured, with --feet, not the efforts of joints.
         limits (LIMIT,…): Limits that override the model file's: 0.5 for half of all,
             velocity=1.5 or velocity=50% for all joints, JOINT.position=-1:0.5 for one. Also
             acceleration, jerk, effort, and current, voltage and pwm of models fitted to such logs.
             Repeatable.
         start (POSITION): Position at the start of the motion: one number, or JOINT=NUMBER,…
+            With --feet, start and stand are where its feet are placed; by default as in the file.
         stand (POSITION): Rest position of the robot, with ramps from there to the motion and back:
             one number, or JOINT=NUMBER,…
         obstacle (SHAPE|FILE): box:X,Y,Z@x,y,z, sphere:R@…, cylinder:R,L@…, floor:Z, a mesh, or a
@@ -375,6 +378,8 @@ class _Robot:
 
     PANEL: ClassVar = "robot and environment"
 
+    friction: float = 0.5
+    force_plate: bool = False
     limits: list[str] | None = None
     start: str | None = None
     stand: str | None = None
@@ -393,7 +398,7 @@ class _Choosing:
         normalization (NAME): geometric, diagonal or none.
         noise (NOISE): Standard deviation of the measured efforts in N·m or N: one number, or
             JOINT=NUMBER,…. By default the residuals of the model's last fit, or 1 % of the effort
-            limits.
+            limits. With --force-plate nx=…,ny=…,nz=…,fx=…,fy=…,fz=…; 1 % of the weight by default.
         seeds (N): Number of random initial motions.
         seed (N): Seed of the first one.
         seconds (SECONDS): Time limit of the search.
@@ -420,6 +425,9 @@ class ExciteOptions(_NamedEffects, ModelOptions, _Motion, _Robot, _Choosing, Com
     Attributes:
         tell_apart (EFFECT,EFFECT[@PLACE]): Find the motion that best distinguishes two effects,
             with everything else refitted.
+        feet (LINK,…): Links on which a legged robot stands and which do not move: the motion keeps
+            it in balance. Its base is free. A link without collision geometry has its size:
+            LINK=LENGTHxWIDTH in m, or LINK=point.
         save (FILE): Save the motion as a log with predicted efforts (.csv, .npz), a ROS
             JointTrajectory (.yaml), or a Drake BsplineTrajectory (.drake.yaml).
         rate (HZ): Sampling rate of the saved motion.
@@ -428,6 +436,7 @@ class ExciteOptions(_NamedEffects, ModelOptions, _Motion, _Robot, _Choosing, Com
 
     model: Path
     tell_apart: str | None = None
+    feet: str | None = None
     save: Path | None = None
     rate: float = 100.0
     report: Path | None = None

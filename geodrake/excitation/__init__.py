@@ -12,8 +12,9 @@ two effects are on it (`geodrake.excitation.tell_apart`).
 
 from geodrake.excitation.collision_geometry import Solid
 from geodrake.excitation.collisions import CollisionWorld
-from geodrake.excitation.design import design_excitation
+from geodrake.excitation.design import design_excitation, random_excitation
 from geodrake.excitation.families import FourierMotion, FreeSamples, SplineMotion
+from geodrake.excitation.feet import Foot
 from geodrake.excitation.identifiable import (
     IdentifiableParameters,
     ReducedIdentification,
@@ -24,7 +25,9 @@ from geodrake.excitation.identifiable import (
 )
 from geodrake.excitation.limits import MotionLimits, motion_limits
 from geodrake.excitation.objective import Criterion, Objective
+from geodrake.excitation.placing import make_stance
 from geodrake.excitation.problem import DesignOptions
+from geodrake.excitation.stance import Stance
 from geodrake.excitation.target import Target, make_target
 from geodrake.excitation.tell_apart import Separation, make_rival, make_separation
 from geodrake.excitation.trajectory import (
@@ -38,6 +41,7 @@ __all__ = [
     "Criterion",
     "DesignOptions",
     "ExcitationTrajectory",
+    "Foot",
     "FourierMotion",
     "FreeSamples",
     "IdentifiableParameters",
@@ -47,15 +51,18 @@ __all__ = [
     "Separation",
     "Solid",
     "SplineMotion",
+    "Stance",
     "Target",
     "design_excitation",
     "identifiable_parameters",
     "log_identifiability",
     "make_rival",
     "make_separation",
+    "make_stance",
     "make_target",
     "measurement_factor",
     "motion_limits",
+    "random_excitation",
     "read_drake_trajectory",
     "reduced_identification",
     "write_trajectory",

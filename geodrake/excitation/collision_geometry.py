@@ -74,14 +74,17 @@ class Solid:
 
 
 @typed
-def floor_of(model: RobotModel) -> Solid:
-    """Return a floor at the height of the origin of the robot's base, level in the world."""
+def floor_of(model: RobotModel, *, below: float = 0.0) -> Solid:
+    """Return a floor at the height of the origin of the robot's base, level in the world.
+
+    Of a robot on its feet it is on the ground; `below`, m, moves it down.
+    """
     plant = model.plant
     context = plant.CreateDefaultContext()
     welded = plant.GetBodiesWeldedTo(plant.world_body())
     bases = [body for body in welded if body.index() != plant.world_body().index()]
     heights = [plant.EvalBodyPoseInWorld(context, body).translation()[2] for body in bases]
-    return _floor(FLOOR, min(heights, default=0.0))
+    return _floor(FLOOR, min(heights, default=0.0) - below)
 
 
 def _floor(name: str, height: float) -> Solid:
@@ -153,10 +156,11 @@ def _points(path: Path) -> Array:
         return stl_vertices(path)
     regular_mesh(path)
     with drake_messages(), drake_errors(path, how=" as a mesh", advice="Use an .obj or an .stl."):
-        return _corners(Mesh(str(path)))
+        return corners_of(Mesh(str(path)))
 
 
-def _corners(shape: Mesh | Convex) -> Array:
+def corners_of(shape: Mesh | Convex) -> Array:
+    """Return the corners (n, 3) of a convex hull, m."""
     hull = shape.GetConvexHull()
     return np.array([hull.vertex(i) for i in range(hull.num_vertices())])
 
@@ -261,7 +265,7 @@ def _in_memory(shape: Shape, label: str) -> Shape:
     """Return a shape that needs no file: of a mesh, its convex hull."""
     if not isinstance(shape, Mesh | Convex):
         return shape.Clone()
-    corners = _corners(shape)
+    corners = corners_of(shape)
     if len(corners) > _FEW:
         corners = np.unique(_GRID * np.round(corners / _GRID), axis=0)
     return Convex(points=corners.T, label=label)

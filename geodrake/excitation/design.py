@@ -59,6 +59,7 @@ _LOOKED_AT = 200  # most of the motions that a solver saw
 _STOPPED = "the search was interrupted: a longer one may find a better motion"
 _RAMP_LOOKS = 200  # at collisions of a ramp
 _NEAREST_POSTURES = 50  # to the middle, out of which seeds take theirs
+_BALANCED_POSTURES = 400  # of a robot on its feet, through which seeds lead
 
 
 @dataclass(frozen=True)
@@ -158,7 +159,8 @@ def design_excitation(
         what: A robot, of which all inertias and the model's effects are to be identified from
             efforts; or a `Target`: what is unknown, what is measured and with which noise; or an
             `Objective`, such as a `Separation`, which has a criterion of its own.
-        limits: What the robot may do; those of `motion_limits(model, bounded=True)` if None.
+        limits: What the robot may do; those of `motion_limits(model, bounded=True)` if None. Of a
+            robot on its feet (`DesignOptions.stance`), those of its motors.
         criterion: One of `CRITERIA`, or a `Criterion`.
         normalization: One of `NORMALIZATIONS`.
         trajectory: The family of motions; a Fourier series of 10 s if None.
@@ -166,48 +168,31 @@ def design_excitation(
         progress: Called after every evaluation of the criterion. It may raise `StopSearch`, as a
             handler of signals may: then the best motion so far is the result.
     """
-    if isinstance(what, Objective):
-        objective = what
-    else:
-        target = what if isinstance(what, Target) else make_target(what)
-        criterion = criterion if isinstance(criterion, Criterion) else Criterion(criterion)
-        objective = Objective(target, criterion, normalization)
-    if limits is not None:
-        instance(limits, "limits", MotionLimits)
     if progress is not None:
         function(progress, "progress")
-    given = DesignOptions() if options is None else options
-    options = instance(given, "options", DesignOptions)
-    budget = Budget.of(options.seconds)
-    family = FourierMotion() if trajectory is None else trajectory
-    instance(family, "trajectory", MotionFamily)
+    given = DesignOptions() if options is None else instance(options, "options", DesignOptions)
+    budget = Budget.of(given.seconds)
     asked = _asked(seeds)
-    check_solver(options.solver)
-    if not 1 <= len(asked) <= _MOST_SEEDS or options.sharpness == ():
+    check_solver(given.solver)
+    if not 1 <= len(asked) <= _MOST_SEEDS or given.sharpness == ():
         raise ArgumentError(
             f"A design needs 1 to {_MOST_SEEDS} seeds and at least one stage; got "
-            f"{len(asked)} seeds and the stages {options.sharpness}."
+            f"{len(asked)} seeds and the stages {given.sharpness}."
         )
     chosen = [*asked]
-    problem = make_problem(objective, limits, family, options)
-    model = objective.target.model
-    if problem.start is None:
-        postures = possible_postures(
-            model, problem.limits, options.collisions, most=_NEAREST_POSTURES
-        )
-    else:
-        check_start(model, problem.limits, problem.start, options.collisions)
-        postures = problem.start[None]
-    stand = None if options.stand is None else np.asarray(options.stand, float)
+    objective = _objective_of(what, criterion, normalization)
+    problem, postures = _prepared(objective, limits, trajectory, given)
+    model, options = problem.model, problem.options
+    stand = problem.stand
     if stand is not None:
-        check_start(model, problem.limits, stand, options.collisions, name="robot's stand")
+        check_start(problem, stand, name="robot's stand")
     run = _Run(problem, postures, progress)
     ends = run.from_seeds(chosen, budget.part(_FOR_STARTS))
     best, _ = min(ends, key=lambda end: end[1].value)
     use = limit_use(problem, best)
     final, ramps = problem.trajectory(best), None
-    if stand is not None and family.timed:
-        ramps = RampPlanner(model, problem.limits, options.collisions).ramped(final, stand)
+    if stand is not None:
+        ramps = RampPlanner(problem).ramped(final, stand)
         use = _with_ramps(use, ramps, options.collisions)
     eigenvalues = objective.eigenvalues(final.motion(problem.times))
     return ExcitationResult(
@@ -217,7 +202,7 @@ def design_excitation(
         eigenvalues=eigenvalues,
         samples=len(problem.times),
         use=use,
-        limits=problem.limits,
+        limits=problem.motor_limits,
         outcomes=tuple(outcome for _, outcome in ends),
         notes=(
             *model.repairs,
@@ -228,6 +213,56 @@ def design_excitation(
         ramps=ramps,
         seconds=options.seconds - budget.left,
     )
+
+
+def random_excitation(
+    what: RobotModel | Target | Objective,
+    limits: MotionLimits | None = None,
+    *,
+    trajectory: MotionFamily | None = None,
+    options: DesignOptions | None = None,
+    seed: int = 0,
+) -> ExcitationTrajectory:
+    """Return a random motion within a robot's limits, such as one that validates what is found.
+
+    Arguments and errors are those of `design_excitation`, which begins with such motions.
+    """
+    given = DesignOptions() if options is None else instance(options, "options", DesignOptions)
+    objective = _objective_of(what, "e_optimality", "geometric")
+    problem, postures = _prepared(objective, limits, trajectory, given)
+    rng = np.random.default_rng(integer(seed, "seed"))
+    return problem.trajectory(random_guess(problem, postures, rng, Budget.of(given.seconds)))
+
+
+def _objective_of(
+    what: RobotModel | Target | Objective, criterion: str | Criterion, normalization: str
+) -> Objective:
+    if isinstance(what, Objective):
+        return what
+    target = what if isinstance(what, Target) else make_target(what)
+    criterion = criterion if isinstance(criterion, Criterion) else Criterion(criterion)
+    return Objective(target, criterion, normalization)
+
+
+def _prepared(
+    objective: Objective,
+    limits: MotionLimits | None,
+    trajectory: MotionFamily | None,
+    options: DesignOptions,
+) -> tuple[DesignProblem, Array]:
+    """Return the problem, and postures (n, nv) in which motions may begin."""
+    if limits is not None:
+        instance(limits, "limits", MotionLimits)
+    family = FourierMotion() if trajectory is None else trajectory
+    instance(family, "trajectory", MotionFamily)
+    problem = make_problem(objective, limits, family, options)
+    if problem.start is not None:
+        check_start(problem, problem.start)
+        if problem.stance is None:
+            return problem, problem.start[None]
+    own = problem.model, problem.limits, options.collisions
+    most = _NEAREST_POSTURES if problem.stance is None else _BALANCED_POSTURES
+    return problem, possible_postures(*own, stance=problem.stance, most=most)
 
 
 def _with_ramps(

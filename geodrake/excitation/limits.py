@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -116,11 +116,12 @@ def motion_limits(
     """Return the limits of a robot's model file, with overrides.
 
     Efforts are no more than the model knows its motors to give (`EffortSignal.limit`). A turning
-    joint whose position is not limited may go half a turn to either side.
+    joint whose position is not limited may go half a turn to either side. Joints of a floating base
+    have no limits, and are left out.
 
     Args:
         position: Least and greatest position of joints by name, rad or m.
-        velocity: Largest speed: one, (nv,), or by name for some joints, rad/s or m/s.
+        velocity: Largest speed: one, one for each, or by name for some joints, rad/s or m/s.
         acceleration: Largest acceleration, likewise, rad/s² or m/s².
         effort: Largest effort, likewise, N·m or N.
         jerk: Largest jerk, likewise, rad/s³ or m/s³.
@@ -129,60 +130,71 @@ def motion_limits(
     """
     instance(model, "model", RobotModel)
     model.positions(np.zeros((1, len(model.joints))))  # refuses joints of several degrees
-    lower, upper = model.position_limits
-    turning = np.array([name not in model.sliding_joints for name in model.joints])
+    joints, at = motors_of(model), _places(model)
+    lower, upper = (ends[at] for ends in model.position_limits)
+    turning = np.array([name not in model.sliding_joints for name in joints])
     lower = np.where(turning & np.isneginf(lower), np.minimum(-np.pi, upper - 2 * np.pi), lower)
     upper = np.where(turning & np.isposinf(upper), np.maximum(np.pi, lower + 2 * np.pi), upper)
     ranges = {} if position is None else instance(position, "position", Mapping)
     for joint, pair in ranges.items():
-        at = _index(model, joint)
-        lower[at], upper[at] = real_array(pair, f"position of {joint}", (2,), finite=False)
+        own = _index(joints, joint)
+        lower[own], upper[own] = real_array(pair, f"position of {joint}", (2,), finite=False)
     found = MotionLimits(
-        model.joints,
+        joints,
         lower,
         upper,
-        _overridden(model, model.velocity_limits, velocity, "velocity"),
+        _overridden(joints, model.velocity_limits[at], velocity, "velocity"),
         np.full(len(lower), np.inf),
-        _overridden(model, model.known_effort_limits, effort, "effort"),
+        _overridden(joints, model.known_effort_limits[at], effort, "effort"),
     )
-    accelerations = model.acceleration_limits
+    accelerations = model.acceleration_limits[at]
     if bounded:
-        own = np.isfinite(accelerations)
-        accelerations = np.where(own, accelerations, motor_accelerations(model, found))
-    accelerations = _overridden(model, accelerations, acceleration, "acceleration")
+        stated = np.isfinite(accelerations)
+        accelerations = np.where(stated, accelerations, motor_accelerations(model, found))
+    accelerations = _overridden(joints, accelerations, acceleration, "acceleration")
     jerks = accelerations / FULL_EFFORT if bounded else np.full(len(lower), np.inf)
-    return replace(found, acceleration=accelerations, jerk=_overridden(model, jerks, jerk, "jerk"))
+    return replace(found, acceleration=accelerations, jerk=_overridden(joints, jerks, jerk, "jerk"))
+
+
+def motors_of(model: RobotModel) -> tuple[str, ...]:
+    """Return the names of a robot's joints but those of a floating base."""
+    return tuple(name for name in model.joints if name not in model.base_joints)
+
+
+def _places(model: RobotModel) -> list[int]:
+    return [model.joints.index(name) for name in motors_of(model)]
 
 
 def motor_accelerations(model: RobotModel, limits: MotionLimits) -> Array:
-    """Return accelerations (nv,) of joints without stated limits, rad/s² or m/s².
+    """Return accelerations of joints without stated limits, rad/s² or m/s².
 
     The lesser of two: what the motor's whole effort gives to the joint's inertia Mⱼⱼ(q) where that
-    is greatest within the limits of position, the other joints at rest; and the largest speed in
-    0.2 s, since inertias of wrists are so small that model files without their rotors let them do
-    anything. Gravity and couplings count in the efforts of a design itself.
+    is greatest within the limits of position, the other joints and a base at rest; and the largest
+    speed in 0.2 s, since inertias of wrists are so small that model files without their rotors let
+    them do anything. Gravity and couplings count in the efforts of a design itself.
     """
-    random, nv = np.random.default_rng(0), len(limits.joints)
-    shares = random.uniform(-1.0, 1.0, (_POSTURES, nv))
-    q = limits.middle + limits.reach * shares
-    still = np.zeros((_POSTURES, nv))
-    held, inertia = model.effort(Motion(q, still, still)), np.empty(nv)
-    for j in range(nv):
+    random, at = np.random.default_rng(0), _places(model)
+    shares = random.uniform(-1.0, 1.0, (_POSTURES, len(at)))
+    q, still = np.zeros((2, _POSTURES, len(model.joints)))
+    q[:, at] = limits.middle + limits.reach * shares
+    held, inertia = model.effort(Motion(q, still, still)), np.empty(len(at))
+    for k, j in enumerate(at):
         pushed = still.copy()
         pushed[:, j] = 1.0
-        inertia[j] = np.abs(model.effort(Motion(q, still, pushed)) - held)[:, j].max()
+        inertia[k] = np.abs(model.effort(Motion(q, still, pushed)) - held)[:, j].max()
     with np.errstate(divide="ignore"):
         return np.asarray(np.minimum(limits.effort / inertia, limits.velocity / FULL_SPEED))
 
 
 def signal_limits(model: RobotModel, signal: Mapping[str, float]) -> Array:
-    """Return the efforts (nv,) of limited currents, voltages or duty cycles, N·m or N.
+    """Return the efforts of limited currents, voltages or duty cycles, N·m or N.
 
     Their largest values are by joint, A, V or 1; efforts of other joints are infinite.
     """
-    efforts = np.full(len(model.joints), np.inf)
+    joints = motors_of(model)
+    efforts = np.full(len(joints), np.inf)
     for joint, limit in instance(signal, "signal", Mapping).items():
-        at, known = _index(model, joint), signal_of(model.effort_signals, joint)
+        at, known = _index(joints, joint), signal_of(model.effort_signals, joint)
         if known is None or known.kind not in SIGNAL_KINDS:
             raise ArgumentError(
                 f"The model knows no current, voltage or duty cycle of {joint!r}.",
@@ -193,14 +205,14 @@ def signal_limits(model: RobotModel, signal: Mapping[str, float]) -> Array:
     return efforts
 
 
-def _overridden(model: RobotModel, values: Array, given: ByJoint, what: str) -> Array:
-    """Return values (nv,) with overrides."""
+def _overridden(joints: Sequence[str], values: Array, given: ByJoint, what: str) -> Array:
+    """Return values (n,) of joints with overrides."""
     values = np.array(values, float)
     if given is None:
         return values
     if isinstance(given, Mapping):
         for joint, value in given.items():
-            values[_index(model, joint)] = number(value, f"{what} of {joint}", finite=False)
+            values[_index(joints, joint)] = number(value, f"{what} of {joint}", finite=False)
         return values
     limits = real_array(given, what, finite=False)
     if limits.shape not in ((), (1,), values.shape):
@@ -210,5 +222,5 @@ def _overridden(model: RobotModel, values: Array, given: ByJoint, what: str) -> 
     return np.broadcast_to(limits, values.shape).copy()
 
 
-def _index(model: RobotModel, joint: str) -> int:
-    return model.joints.index(one_of(joint, "joint", model.joints))
+def _index(joints: Sequence[str], joint: str) -> int:
+    return joints.index(one_of(joint, "joint", joints))

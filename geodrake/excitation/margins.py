@@ -40,6 +40,13 @@ class LimitUse:
     clearance: float = 0.0
     # "velocity", "acceleration", "jerk" or "effort" -> (nv,) largest sizes, SI units.
     peaks: Mapping[str, Array] = field(default_factory=dict)
+    # Of a robot on its feet: shares of their polygon that the zero-moment point goes to, of the
+    # friction there is, and of the range in which its base was looked at. Zero otherwise.
+    polygon: float = 0.0
+    friction: float = 0.0
+    reach: float = 0.0
+    # Share of the polygon that is allowed.
+    margin: float = 1.0
 
     @property
     def distance(self) -> float:
@@ -55,6 +62,8 @@ class LimitUse:
     def is_within(self) -> bool:
         """Whether all limits are kept."""
         within = all((getattr(self, share) <= 1.0 + _TOLERANCE).all() for share in SHARES)
+        within = within and self.polygon <= self.margin + _TOLERANCE
+        within = within and max(self.friction, self.reach) <= 1.0 + _TOLERANCE
         return within and self.distance >= self.clearance - _TOLERANCE
 
 
@@ -102,26 +111,42 @@ def stays_clear(world: CollisionWorld, q: Array, budget: Budget = UNLIMITED) -> 
 
 def _use_of_joints(problem: DesignProblem, variables: Array) -> tuple[Motion, LimitUse]:
     """Return the motion, and its use of limits without collisions."""
-    trajectory, limits = problem.trajectory(variables), problem.limits
-    timed = problem.family.timed
-    basis = problem.family.basis(problem.family.limit_times(FINE), orders=3 + timed)
-    q, v, vd = (states := basis @ trajectory.coefficients)[:3]
-    motion = trajectory.motion_of(states[:3])
-    effort = problem.model.effort(motion, sign_width=problem.sign_width)
+    trajectory, limits, stance = (
+        problem.trajectory(variables),
+        problem.motor_limits,
+        problem.stance,
+    )
+    timed, times = problem.family.timed, problem.family.limit_times(FINE)
+    free = problem.family.basis(times, orders=3 + timed) @ trajectory.coefficients
+    motion = trajectory.motion_of(free[:3])
+    if stance is None:
+        (q, v, vd), jerk = free[:3], free[3] if timed else np.zeros_like(free[0])
+        effort = problem.model.effort(motion, sign_width=problem.sign_width)
+    else:
+        q, v, vd = stance.motor_states(free[:3])
+        jerk = np.gradient(vd, times, axis=0) if timed else np.zeros_like(vd)
+        effort = stance.efforts(motion, problem.sign_width)
     peaks = {
         "velocity": _peak(v, timed),
         "acceleration": _peak(vd, timed),
         "effort": _peak(effort, timed),
-        "jerk": _peak(states[3], timed) if timed else np.zeros_like(v[0]),
+        "jerk": _peak(jerk, timed),
     }
     shares = {name: peak / getattr(limits, name) for name, peak in peaks.items()}
     position = _peak((q - limits.middle) / limits.reach, timed)
-    return motion, LimitUse(position=position, peaks=peaks, **shares)
+    use = LimitUse(position=position, peaks=peaks, **shares)
+    if stance is None:
+        return motion, use
+    polygon, friction = (_peak(share[:, None], timed).item() for share in stance.support(motion))
+    reach = float(_peak((free[0] - problem.limits.middle) / problem.limits.reach, timed).max())
+    return motion, replace(
+        use, polygon=polygon, friction=friction, reach=reach, margin=stance.margin
+    )
 
 
 def _peak(signals: Array, timed: bool) -> Array:
     """Return (nv,) largest size of signals (n, nv), between instants too, by their curvature."""
     sizes = np.abs(signals)
-    if timed and len(signals) > 2:
+    if timed and len(signals) > 2 and np.isfinite(sizes).all():
         sizes[1:-1] += np.abs(np.diff(signals, 2, axis=0)) / 8.0
     return np.asarray(sizes.max(axis=0))

@@ -46,6 +46,7 @@ from geodrake.logs.motion import Motion
 CRITERIA = ("a_optimality", "d_optimality", "e_optimality", "condition_number")
 NORMALIZATIONS = ("none", "diagonal", "geometric")
 _EQUAL = 1e-9  # relative difference below which eigenvalues are one that is multiple
+_STATES = 300  # random ones, by which it counts as identifiable at all
 _LEAST_SHARE = 1e-3  # of a parameter's geometric unit that its nominal value counts for
 
 
@@ -193,9 +194,26 @@ class Objective(Short):
 
     @cached_property
     def normalizing_map(self) -> Array:
-        """(p, n_B) K: parameter changes of length one."""
-        base = self.target.base.matrix if self.base is None else self.base
-        return normalizing_map(self.normalization, base, self.target.prior, self.target.metric_root)
+        """(p, n_B) K: parameter changes of length one.
+
+        Of a target with trial states, only those that hundreds of such states tell to within their
+        size, if that is geometric.
+        """
+        target, base = self.target, self.base
+        own = target.base.matrix if base is None else base
+        K = normalizing_map(self.normalization, own, target.prior, target.metric_root)
+        if target.trial is None or base is not None or self.normalization != "geometric":
+            return K
+        X = target.measure(target.trial).regressor / target.noise[:, None]
+        singular, V = _spectrum(X.reshape(-1, len(K)) @ K)
+        told = singular**2 * (_STATES / len(target.trial)) >= 1.0
+        if not told.any():
+            raise ArgumentError(
+                "No motion within the limits tells any parameter to within its size, as the noise "
+                f"is {target.noise.tolist()}.",
+                advice="Check the noise, or widen the limits.",
+            )
+        return np.asarray(K @ V[:, told])
 
     def factor(self, measurement: Measurement) -> Array:
         """Return the whitened and normalized regressor A K (N m, n_B) of a motion.

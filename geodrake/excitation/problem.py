@@ -8,7 +8,7 @@ joint. So variables are of one size, and the ends need no constraints.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -26,6 +26,7 @@ from geodrake.excitation.families import MotionFamily
 from geodrake.excitation.limits import MotionLimits, motion_limits
 from geodrake.excitation.objective import Objective
 from geodrake.excitation.regressor_gradient import effort_gradient
+from geodrake.excitation.stance import Stance
 from geodrake.excitation.trajectory import ExcitationTrajectory
 from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
@@ -50,6 +51,8 @@ class DesignOptions(Short):
 
     Attributes:
         samples: Number of samples by which information is counted.
+        stance: The feet on which the robot stands; None where its base is held. Limits, start and
+            stand are those of its motors then.
         rest: Whether the motion starts and ends at rest, without a jump of acceleration.
         start: (nv,) positions at the start by joint, rad or m; free if None. Free samples have no
             start, and none is looked at.
@@ -68,6 +71,7 @@ class DesignOptions(Short):
     """
 
     samples: int = 300
+    stance: Stance | None = None
     rest: bool = True
     start: ArrayLike | None = None
     stand: ArrayLike | None = None
@@ -85,6 +89,8 @@ class DesignOptions(Short):
         positive(self.seconds, "seconds")
         instance(self.quick, "quick", bool)
         instance(self.solver, "solver", str)
+        if self.stance is not None:
+            instance(self.stance, "stance", Stance)
         for sharpness in instances(self.sharpness or (), "sharpness", object):
             number(sharpness, "sharpness", lower=0.0, finite=False)
         for name in ("start", "stand"):
@@ -100,7 +106,7 @@ class DesignOptions(Short):
 class DesignProblem(Short):
     """The most informative motion of a family within limits, as a function of variables.
 
-    The objective is what the motion is to identify.
+    The objective is what the motion is to identify. Limits are those of the model's joints.
     """
 
     objective: Objective
@@ -109,10 +115,31 @@ class DesignProblem(Short):
     options: DesignOptions
 
     @property
+    def stance(self) -> Stance | None:
+        """The feet on which the robot stands; None where its base is held."""
+        return self.options.stance
+
+    @property
+    def motor_limits(self) -> MotionLimits:
+        """Limits of the motors, which are the model's joints unless the robot stands on feet."""
+        return self.limits if self.stance is None else self.stance.motor_limits
+
+    @cached_property
     def start(self) -> Array | None:
         """(nv,) position at the start by joint; None if it is free, as for free samples."""
-        start = self.options.start
-        return None if start is None or not self.family.timed else np.asarray(start, float)
+        return self._placed("start") if self.family.timed else None
+
+    @cached_property
+    def stand(self) -> Array | None:
+        """(nv,) position where ramps begin and end, by joint; None without ramps."""
+        return self._placed("stand") if self.family.timed else None
+
+    def _placed(self, name: str) -> Array | None:
+        """Return positions (nv,) of the model's joints, of an option."""
+        if (given := getattr(self.options, name)) is None:
+            return None
+        given = np.asarray(given, float)
+        return given if self.stance is None else self.stance.free(given, name)
 
     @property
     def collisions(self) -> CollisionWorld | None:
@@ -236,15 +263,26 @@ class DesignProblem(Short):
     def trajectory(self, variables: Array) -> ExcitationTrajectory:
         """Return the motion of variables."""
         coefficients = self.coefficients(variables)
-        return ExcitationTrajectory(self.family, coefficients, self.limits.joints)
+        joints = self.motor_limits.joints
+        return ExcitationTrajectory(self.family, coefficients, joints, self.stance)
 
     def cost(self, variables: Array) -> tuple[float, Array]:
         """Return what is minimized, and its gradient (f nv,)."""
         trajectory = self.trajectory(variables)
-        motion = trajectory.motion_of(self.basis @ trajectory.coefficients)
+        motion = self._motion(self.basis, trajectory)
         value, gradient = self.objective.value_and_gradient(motion)
         by_coefficients = trajectory.coefficient_gradient(self.basis, gradient)
         return value, (self.scale * (self.free.T @ by_coefficients)).ravel()
+
+    def _motion(self, basis: Array, trajectory: ExcitationTrajectory) -> Motion:
+        """Return the motion of a basis, with feet where they can stay.
+
+        Solvers may look at bases that are too far from the feet.
+        """
+        states = basis @ trajectory.coefficients
+        if self.stance is not None and len(self.stance.following):
+            states[0] = np.clip(states[0], self.limits.lower, self.limits.upper)
+        return trajectory.motion_of(states)
 
     @cached_property
     def loaded(self) -> NDArray[np.intp]:
@@ -283,12 +321,26 @@ class DesignProblem(Short):
         jacobian = np.asarray(jacobian) * self.scale
         return (effort / limits).ravel(), jacobian.reshape(n * k, -1)
 
+    def excess(self, variables: Array) -> tuple[Array, Array]:
+        """Return (n,) values of `Stance.excess`, and their Jacobian (n, f nv)."""
+        if self.stance is None:
+            return np.zeros(0), np.zeros((0, self.scale.size))
+        trajectory, basis = self.trajectory(variables), self.effort_basis
+        motion = self._motion(basis, trajectory)
+        values, gradient = self.stance.excess(motion, self.sign_width)
+        free = basis @ self.free
+        jacobian = sum(
+            part[:, None, :] * free[order][:, :, None]
+            for order, part in enumerate((gradient.q, gradient.v, gradient.vd))
+        )
+        return values, (np.asarray(jacobian) * self.scale).reshape(len(values), -1)
+
     def nearness(self, variables: Array) -> tuple[Array, Array]:
         """Return (n,) values of `CollisionWorld.constraint`, and their Jacobian (n, f nv)."""
         if self.collisions is None:
             return np.zeros(0), np.zeros((0, self.scale.size))
         trajectory, basis = self.trajectory(variables), self.collision_basis
-        values, gradients = self.collisions.constraint(basis[0] @ trajectory.coefficients)
+        values, gradients = self.collisions.constraint(self._motion(basis, trajectory).q)
         jacobian = np.einsum("nj,nk->nkj", gradients, basis[0] @ self.free) * self.scale
         return values, jacobian.reshape(len(values), -1)
 
@@ -300,8 +352,22 @@ def make_problem(
     options: DesignOptions,
 ) -> DesignProblem:
     """Return the design problem of options."""
-    model = objective.target.model
+    model, stance = objective.target.model, options.stance
     model.positions(np.zeros((1, len(model.joints))))  # refuses joints of several degrees
+    if stance is None and model.base_joints:
+        raise ArgumentError(
+            f"The base of {model.path.name} floats, and nothing says what holds it.",
+            advice="Name the feet that it stands on: --feet LINK,LINK (options.stance). For a "
+            "robot whose base is held, omit --floating.",
+        )
+    if stance is not None:
+        if model is not stance.model:
+            raise ArgumentError(
+                "The target is of another robot than stands on its feet.",
+                advice="Make it of stance.model.",
+            )
+        stance = stance if limits is None else stance.within(limits)
+        limits, options = stance.limits(), replace(options, stance=stance)
     limits = motion_limits(model, bounded=True) if limits is None else limits
     if limits.joints != model.joints:
         raise ArgumentError(
@@ -348,7 +414,11 @@ def build_program(
     flat = variables.ravel()
     program.AddCost(_with_autodiff(cost, raised, check), vars=flat)
     limit_motion(program, problem, variables)
-    if len(problem.loaded):
+    if problem.stance is not None:
+        least = np.full(problem.effort_basis.shape[1], -np.inf)
+        excess = _with_autodiff(problem.excess, raised, check)
+        program.AddConstraint(excess, lb=least, ub=np.zeros_like(least), vars=flat)
+    elif len(problem.loaded):
         most = np.ones(problem.effort_basis.shape[1] * len(problem.loaded))
         efforts = _with_autodiff(problem.efforts, raised, check)
         program.AddConstraint(efforts, lb=-most, ub=most, vars=flat)

@@ -63,7 +63,7 @@ def inverse_dynamics_regressor_gradient(
         return reverse_recursion(tree, samples, weights)
     inner = J @ weights  # Σ W ∘ (Jᵀ Y) = Σ (J W) ∘ Y
     motion = Motion(*(np.asarray(x, float) for x in (q, v, vd)))
-    found = _at_actuators(robot.actuation, J, motion, reverse_recursion(tree, samples, inner))
+    found = at_actuators(robot.actuation, J, motion, reverse_recursion(tree, samples, inner))
     if robot.actuation.constant is None:  # and J itself depends on q
         Y = np.zeros_like(inner)
         put_regressor(tree, samples, Y)
@@ -101,10 +101,10 @@ def base_wrench_regressor_gradient(
     if J is None or robot.actuation is None:
         return own
     motion = Motion(*(np.asarray(x, float) for x in (q, v, vd)))
-    return _at_actuators(robot.actuation, J, motion, own)
+    return at_actuators(robot.actuation, J, motion, own)
 
 
-def _at_actuators(
+def at_actuators(
     actuation: RobotCoordinates, J: Array, motion: Motion, gradient: MotionGradient
 ) -> MotionGradient:
     """Return the gradient with the motion of actuators, of that with the motion of joints.

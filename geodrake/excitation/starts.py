@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from pydrake.solvers import ClpSolver, MathematicalProgram
+from scipy.interpolate import PchipInterpolator
 
 from geodrake.boundary.arguments import real_array
 from geodrake.errors import ArgumentError
@@ -17,6 +18,7 @@ from geodrake.excitation.limits import MotionLimits
 from geodrake.excitation.margins import COARSE, keeps_limits, stays_clear
 from geodrake.excitation.problem import DesignProblem, limit_motion
 from geodrake.excitation.solve import UNLIMITED, Budget, OutOfTimeError
+from geodrake.excitation.stance import Stance
 from geodrake.excitation.trajectory import ExcitationTrajectory, Ramp, RampedTrajectory
 from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
@@ -26,41 +28,53 @@ _POSTURES, _TRIED = 400, 5
 _ROUNDING, _NOTHING = 1e-9, 1e-9
 _FILL = (0.6, 0.95)  # share of the limits that a random motion uses
 _CORNERS = 2
+_ROUNDS, _INNER = 3, 0.9  # of moving a random motion into balance, and how far inside
 _SHRINK, _STEPS = 0.8, 20
 _FIRST_STEP_BACK, _NEAR = 1e-3, 1.1e-3  # of the way from one motion to the other
 
 
-def holding_efforts(model: RobotModel, postures: Array) -> Array:
-    """Return efforts (N, nv) that hold a robot still in postures (N, nv) by joint, N·m or N.
+def at_rest(postures: Array) -> Motion:
+    """Return the motion of a robot that is still in postures (N, nv) by joint."""
+    still = np.zeros_like(postures)
+    return Motion(postures, still, still)
+
+
+def holding_efforts(model: RobotModel, postures: Array, stance: Stance | None) -> Array:
+    """Return efforts (N, ·) that hold a robot still in postures (N, nv) by joint, N·m or N.
 
     Dry friction is no help: what it would hold depends on how the robot came there.
     """
-    still = np.zeros_like(postures)
-    return np.asarray(model.effort(Motion(postures, still, still)))
+    still = at_rest(postures)
+    return np.asarray(model.effort(still) if stance is None else stance.efforts(still))
 
 
-def check_start(
-    model: RobotModel,
-    limits: MotionLimits,
-    start: Array,
-    collisions: CollisionWorld | None,
-    *,
-    name: str = "start",
-) -> None:
+def check_start(problem: DesignProblem, start: Array, *, name: str = "start") -> None:
     """Refuse a start (nv,) by joint, rad or m, that the robot cannot hold."""
-    real_array(start, name, (len(limits.joints),))
-    slack = _ROUNDING * (1.0 + limits.reach)
-    outside = (start < limits.lower - slack) | (start > limits.upper + slack)
-    if outside.any():
-        i = int(np.argmax(outside))
-        raise ArgumentError(
-            f"The {name} is outside the limits: joint {limits.joints[i]!r} is at "
-            f"{start[i]:.4g}, but its range is {limits.lower[i]:.4g} to "
-            f"{limits.upper[i]:.4g}.",
-            advice="Move the robot inside first, or omit the start.",
-            joint=limits.joints[i],
-        )
-    effort = np.abs(holding_efforts(model, start[None])[0])
+    model, stance, collisions = problem.model, problem.stance, problem.collisions
+    real_array(start, name, (len(problem.limits.joints),))
+    for limits, at in _by_limits(problem, start[None]):
+        slack = _ROUNDING * (1.0 + limits.reach)
+        outside = (at[0] < limits.lower - slack) | (at[0] > limits.upper + slack)
+        if outside.any():
+            i = int(np.argmax(outside))
+            raise ArgumentError(
+                f"The {name} is outside the limits: joint {limits.joints[i]!r} is at "
+                f"{at[0, i]:.4g}, but its range is {limits.lower[i]:.4g} to "
+                f"{limits.upper[i]:.4g}.",
+                advice="Move the robot inside first, or omit the start.",
+                joint=limits.joints[i],
+            )
+    if stance is not None:
+        polygon, _ = stance.support(at_rest(start[None]))
+        if not polygon[0] <= stance.margin:
+            raise ArgumentError(
+                f"The robot falls over at the {name}: its centre of mass is over "
+                f"{100 * polygon[0]:.0f} % of the way from the middle of its feet to their edge, "
+                f"of which {100 * stance.margin:.0f} % are allowed.",
+                advice="Let it stand so that its centre of mass is over its feet.",
+            )
+    limits = problem.motor_limits
+    effort = np.abs(holding_efforts(model, start[None], stance)[0])
     if (effort > limits.effort).any():
         i = int(np.argmax(effort / limits.effort))
         raise ArgumentError(
@@ -79,25 +93,41 @@ def check_start(
             )
 
 
+def _by_limits(problem: DesignProblem, postures: Array) -> list[tuple[MotionLimits, Array]]:
+    """Return limits with the positions (N, ·) that they are of, in postures (N, nv)."""
+    found = [(problem.limits, postures)]
+    if problem.stance is not None:
+        still = np.stack([postures, 0.0 * postures, 0.0 * postures])
+        found.append((problem.motor_limits, problem.stance.motor_states(still)[0]))
+    return found
+
+
 def possible_postures(
     model: RobotModel,
     limits: MotionLimits,
     collisions: CollisionWorld | None,
     *,
+    stance: Stance | None = None,
     most: int = _POSTURES,
 ) -> Array:
-    """Return postures (n, nv) by joint that a robot can hold, the middle of its ranges first."""
+    """Return postures (n, nv) by joint that a robot can hold, the middle of its ranges first.
+
+    Those of a robot on its feet are about its posture, with the centre of mass over them.
+    """
     random = np.random.default_rng(0)
     shares = random.uniform(-1.0, 1.0, (_POSTURES, len(limits.joints)))
     shares *= np.linspace(0.0, 0.95, _POSTURES)[:, None]  # the middle, and then further out
     postures = limits.middle + limits.reach * shares
-    efforts = np.abs(holding_efforts(model, postures))
+    if stance is not None:
+        postures = _on_feet(stance, limits, postures)
+        limits = stance.motor_limits
+    efforts = np.abs(holding_efforts(model, postures, stance))
     holds = (efforts <= limits.effort).all(axis=1)
     if not holds.any():
         least = int(np.argmin((efforts / limits.effort).max(axis=1)))
         i = int(np.argmax(efforts[least] / limits.effort))
         at = ", ".join(
-            f"{n} {x:.3g}" for n, x in zip(limits.joints, postures[least].tolist(), strict=True)
+            f"{n} {x:.3g}" for n, x in zip(model.joints, postures[least].tolist(), strict=True)
         )
         raise ArgumentError(
             f"The robot cannot hold itself against gravity: in the best of {_POSTURES} "
@@ -110,6 +140,27 @@ def possible_postures(
     if collisions is None:
         return postures[:most]
     return _apart(postures, collisions, most)
+
+
+def _on_feet(stance: Stance, limits: MotionLimits, postures: Array) -> Array:
+    """Return postures (n, nv) in balance, of random ones (N, nv)."""
+    there = np.clip(stance.posture, limits.lower, limits.upper)
+    shares = np.linspace(0.0, 1.0, len(postures))[:, None]
+    postures = stance.balanced(there + shares * (postures - there), limits)
+    still = at_rest(postures)
+    polygon, _ = stance.support(still)
+    own = stance.motor_limits
+    q = stance.motor_states(np.stack([still.q, still.v, still.vd]))[0]
+    inside = (polygon <= stance.margin) & ((q >= own.lower) & (q <= own.upper)).all(axis=1)
+    if not inside.any():
+        least = float(polygon.min())
+        raise ArgumentError(
+            f"The robot is in balance in none of {len(postures)} postures within its limits: in "
+            f"the best, its centre of mass is {100 * least:.0f} % of the way from the middle of "
+            f"its feet to their edge, of which {100 * stance.margin:.0f} % are allowed.",
+            advice="Let it stand in another posture (--stand), or on more feet.",
+        )
+    return np.asarray(postures[inside])
 
 
 def below_floor(
@@ -159,8 +210,11 @@ def random_guess(
 ) -> Array:
     """Return variables (f, nv) of a random motion within limits about one of postures (n, nv)."""
     for _ in range(_TRIED):
-        resting = problem.resting(postures[int(rng.integers(len(postures)))])
-        if problem.start is None:
+        posture = postures[int(rng.integers(len(postures)))]
+        resting = problem.resting(posture)
+        if problem.stance is not None and problem.family.timed:
+            moving = _through(problem, problem.stance, posture, postures, rng)
+        elif problem.start is None:
             direction = rng.uniform(-1.0, 1.0, resting.shape)
             moving = resting + rng.uniform(*_FILL) * _room(problem, resting, direction) * direction
         else:
@@ -177,6 +231,41 @@ def random_guess(
         f"{_TRIED} postures satisfies them.",
         advice="Widen the limits that are nearly reached at rest, or start elsewhere.",
     )
+
+
+def _through(
+    problem: DesignProblem,
+    stance: Stance,
+    begin: Array,
+    postures: Array,
+    rng: np.random.Generator,
+) -> Array:
+    """Return a motion (f, nv) from a posture (nv,) through others in balance, and nearly in it.
+
+    Most random directions lead out of balance at once. At each instant the joints move as they
+    would at rest, which changes accelerations as well: a few times will do.
+    """
+    count = max(2, int(problem.family.length / problem.family.fastest))
+    at, basis = np.linspace(0.0, 1.0, count + 1), problem.effort_basis
+    q = postures[rng.integers(len(postures), size=count + 1)]
+    q[0] = begin
+    path = PchipInterpolator(at, q)(np.linspace(0.0, 1.0, basis.shape[1]))
+    found = _nearest(problem, path)
+    for _ in range(_ROUNDS):
+        trajectory = problem.trajectory(found)
+        motion = trajectory.motion_of(basis @ trajectory.coefficients)
+        q = stance.balanced(motion.q, problem.limits, motion, share=_INNER * stance.margin)
+        found = _nearest(problem, q)
+    return found
+
+
+def _nearest(problem: DesignProblem, q: Array) -> Array:
+    """Return the motion (f, nv) nearest to positions (n, nv) at the instants of efforts."""
+    position, found = problem.effort_basis[0], np.empty(problem.scale.shape)
+    left = q - position @ problem.offset
+    for j, scale in enumerate(problem.scale.T):
+        found[:, j] = np.linalg.lstsq(position @ problem.free * scale, left[:, j], rcond=1e-6)[0]
+    return found
 
 
 def _from_corners(problem: DesignProblem, rng: np.random.Generator) -> Array:
@@ -271,45 +360,61 @@ class RampPlanner:
     posture.
     """
 
-    model: RobotModel
-    limits: MotionLimits
-    collisions: CollisionWorld | None
+    problem: DesignProblem
 
     def ramped(self, trajectory: ExcitationTrajectory, stand: Array) -> RampedTrajectory:
         """Return a motion with ramps from and to where the robot stands, (nv,) by joint."""
-        q = trajectory.states([0.0, trajectory.length])[0]
+        q = trajectory.free_states([0.0, trajectory.length])[0]
         first = self._ramp(stand, q[0], trajectory)
         if np.allclose(q[0], q[1]):
             last = replace(first, postures=first.postures[::-1], durations=first.durations[::-1])
         else:
             last = self._ramp(q[1], stand, trajectory)
         parts = [part for part in (first, trajectory, last) if part.length]
-        return RampedTrajectory(tuple(parts), trajectory.joints)
+        return RampedTrajectory(tuple(parts), trajectory.joints, trajectory.stance)
 
     def _ramp(self, begin: Array, end: Array, like: ExcitationTrajectory) -> Ramp:
         if np.array_equal(begin, end):
-            return Ramp(np.array([begin, end]), np.zeros(1), like.joints)
+            return Ramp(np.array([begin, end]), np.zeros(1), like.joints, like.stance)
+        collisions = self.problem.collisions
         for postures in self._ways(begin, end):
-            way = Ramp(postures, self._durations(postures), like.joints)
-            if self.collisions is not None and not _is_clear(way, self.collisions):
+            way = Ramp(postures, self._durations(postures), like.joints, like.stance)
+            if collisions is not None and not _is_clear(way, collisions):
                 continue
             for _ in range(_TIMES):
-                steps = _EFFORT_STEPS * len(way.durations)
-                motion = way.motion(np.linspace(0.0, way.length, steps))
-                if (np.abs(self.model.effort(motion)) <= self.limits.effort).all():
+                if self._is_kept(way):
                     return way
                 way = replace(way, durations=_SLOWER * way.durations)
         raise ArgumentError(
             "No ramp leads from the rest position to the start of the motion: neither a "
-            f"straight one nor one through {_VIA} postures satisfies clearance and efforts.",
+            f"straight one nor one through {_VIA} postures satisfies clearance, "
+            f"{'balance ' * (like.stance is not None)}and efforts.",
             advice="Start the motion at the rest position instead: --start.",
         )
+
+    def _is_kept(self, way: Ramp) -> bool:
+        """Return whether a ramp keeps the limits of efforts and, on feet, of balance."""
+        limits, stance = self.problem.motor_limits, self.problem.stance
+        times = np.linspace(0.0, way.length, _EFFORT_STEPS * len(way.durations))
+        if (np.abs(way.efforts(self.problem.model, times)) > limits.effort).any():
+            return False
+        if stance is None:
+            return True
+        (q, v, vd), motion = way.states(times), way.motion(times)
+        polygon, friction = stance.support(motion)
+        kept = polygon.max() <= stance.margin and friction.max() <= 1.0
+        inside = (q >= limits.lower - _NEAR) & (q <= limits.upper + _NEAR)
+        within = (np.abs(v) <= limits.velocity) & (np.abs(vd) <= limits.acceleration)
+        return bool(kept and (inside & within).all())
 
     def _ways(self, begin: Array, end: Array) -> Iterator[Array]:
         """Yield the straight way, and then those by way of another posture, the shortest first."""
         yield np.array([begin, end])
-        via = possible_postures(self.model, self.limits, self.collisions, most=_VIA)
-        sizes = [np.abs((via - p) / self.limits.reach).max(axis=1) for p in (begin, end)]
+        limits, own = self.problem.limits, (self.problem.model, self.problem.limits)
+        via = possible_postures(
+            *own, self.problem.collisions, stance=self.problem.stance, most=_VIA
+        )
+        sizes = [np.abs((via - p) / limits.reach).max(axis=1) for p in (begin, end)]
         for k in np.argsort(sizes[0] + sizes[1]):
             if sizes[0][k] > 0 and sizes[1][k] > 0:
                 yield np.array([begin, via[k], end])
@@ -317,7 +422,8 @@ class RampPlanner:
     def _durations(self, postures: Array) -> Array:
         """Return the durations (k,) of ways between postures at half of the limits, s."""
         ways = np.abs(np.diff(postures, axis=0))
-        bounds = self.limits.velocity, self.limits.acceleration, self.limits.jerk
+        limits = self.problem.limits
+        bounds = limits.velocity, limits.acceleration, limits.jerk
         needed = [
             (peak * ways / (_SHARE * bound)) ** (1.0 / order)
             for order, (peak, bound) in enumerate(zip(_PEAKS, bounds, strict=True), 1)

@@ -30,10 +30,14 @@ from geodrake.robot.regressor import (
 
 Indices = NDArray[np.intp]
 
+WRENCH = ("nx", "ny", "nz", "fx", "fy", "fz")
+"""Names of the components of a base wrench."""
+
 _SIGN_SHARE = 0.02  # of a joint's fastest speed, over which its friction changes sign
 _EFFECT_SHARE = 0.1  # of a joint's effort that an effect of unknown size is thought to have
 _RANDOM_SAMPLES = 200
 _NOISE = 1e-12, 1e12  # N·m or N; beyond them squares of weighted columns leave what floats can do
+_NOT_AT_ALL, _HARDLY = 1e-9, 1e-6  # shares of the best excited direction
 _WEIGHTLESS = 1e-12  # share of gravity in efforts that is rounding alone
 
 SIZE_WORDS = "a tenth of the load, or 2 % of the effort limit if that is more"
@@ -61,6 +65,8 @@ class Target(Short):
             components of a base wrench, N·m and N.
         sign_width: (nv,) speed over which friction changes sign, rad/s or m/s.
         X_WP: Frame of the base wrench, if that is what is measured; None for efforts.
+        trial: States that excite all that is identifiable; random ones through all positions if
+            None. What they hardly excite counts as not identifiable.
     """
 
     model: RobotModel
@@ -69,6 +75,12 @@ class Target(Short):
     noise: Array
     sign_width: Array
     X_WP: RigidTransform | None = None
+    trial: Motion | None = None
+
+    @property
+    def rows(self) -> tuple[str, ...]:
+        """Names of the m measurements of a sample: joints, or components of a wrench."""
+        return self.model.joints if self.X_WP is None else WRENCH
 
     @property
     def payloads(self) -> tuple[FittedEffect, ...]:
@@ -142,7 +154,8 @@ class Target(Short):
     def base(self) -> BaseParameters:
         """The combinations that are identifiable at all, those of the robot's inertias first."""
         X = self.measure(self.random_motion).regressor / self.noise[:, None]
-        return base_parameters(X, extra=self.size - len(self.columns))
+        tolerance = _HARDLY if self.trial is not None else _NOT_AT_ALL
+        return base_parameters(X, extra=self.size - len(self.columns), tolerance=tolerance)
 
     @cached_property
     def labels(self) -> tuple[str, ...]:
@@ -158,6 +171,8 @@ class Target(Short):
     @cached_property
     def random_motion(self) -> Motion:
         """A motion through all positions whose accelerations matter as much as gravity."""
+        if self.trial is not None:
+            return self.trial
         random, nv = np.random.default_rng(0), len(self.model.joints)
         count = max(_RANDOM_SAMPLES, 3 * self.size)
         q = random.uniform(*_ranges(self.model), (count, self.model.tree.num_positions))
@@ -235,7 +250,7 @@ def make_target(
         )
     if noise is None:
         noise = 1.0 if model.effort_noise is None or X_WP is not None else model.effort_noise
-    rows = model.joints if X_WP is None else ("nx", "ny", "nz", "fx", "fy", "fz")
+    rows = model.joints if X_WP is None else WRENCH
     fastest = model.velocity_limits
     widths = np.where(np.isfinite(fastest), _SIGN_SHARE * fastest, _SIGN_SHARE)
     return Target(
@@ -313,10 +328,11 @@ def usual_target(model: RobotModel, *, noise: ArrayLike, effects: Sequence[Effec
 
 
 def usual_noise(model: RobotModel) -> tuple[Array, str]:
-    """Return (nv,) noise of efforts where nobody says it, N·m or N, and where it comes from."""
+    """Return noise of motors' efforts where nobody says it, N·m or N, and where it comes from."""
+    at = [k for k, joint in enumerate(model.joints) if joint not in model.base_joints]
     if model.effort_noise is not None:
-        return model.effort_noise, "the held-out residuals of the model's last fit"
-    limits = model.effort_limits
+        return model.effort_noise[at], "the held-out residuals of the model's last fit"
+    limits = model.effort_limits[at]
     if np.isfinite(limits).all() and (limits > 0).all():
         share = f"{100 * _NOISE_SHARE:.0f} % of the effort limits"
         return _NOISE_SHARE * limits, f"{share}, as nothing else is known"

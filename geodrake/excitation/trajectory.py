@@ -23,6 +23,7 @@ from geodrake.boundary.whole_files import Content, write_whole
 from geodrake.errors import ArgumentError, OutputError
 from geodrake.excitation.families import MotionFamily, SplineMotion
 from geodrake.excitation.reverse_recursion import MotionGradient
+from geodrake.excitation.stance import Stance
 from geodrake.inertia import Array
 from geodrake.logs.files import log_content
 from geodrake.logs.motion import JointLog, Motion
@@ -39,9 +40,12 @@ class ExecutableMotion(Short, abc.ABC):
     """Positions of all joints over time.
 
     Each joint has one degree of freedom, so that Drake's order of positions is that of velocities.
+    The joints of a robot on its feet are its motors, which follow from the free joints of the
+    stance's model.
     """
 
-    joints: tuple[str, ...]  # names of the nv joints, in the order of velocities
+    joints: tuple[str, ...]  # names of the joints, in the order of velocities
+    stance: Stance | None  # how the robot stands, if on feet
 
     @property
     @abc.abstractmethod
@@ -49,17 +53,29 @@ class ExecutableMotion(Short, abc.ABC):
         """Duration, s; zero if samples do not follow each other."""
 
     @abc.abstractmethod
+    def free_states(self, times: ArrayLike) -> Array:
+        """Return positions, velocities and accelerations (3, N, nv) of the model's joints."""
+
     def states(self, times: ArrayLike) -> Array:
-        """Return positions, velocities and accelerations (3, N, nv) by joint at times (N,), s."""
+        """Return positions, velocities and accelerations (3, N, ·) by joint at times (N,), s."""
+        free = self.free_states(times)
+        return free if self.stance is None else self.stance.motor_states(free)
 
     def motion(self, times: ArrayLike) -> Motion:
-        """Return the motion at instants (N,)."""
-        return self.motion_of(self.states(times), np.atleast_1d(real_array(times, "times")))
+        """Return the model's motion at instants (N,)."""
+        return self.motion_of(self.free_states(times), np.atleast_1d(real_array(times, "times")))
 
     def motion_of(self, states: Array, times: Array | None = None) -> Motion:
-        """Return the motion of states (3, N, nv), at times (N,), s."""
+        """Return the model's motion of states (3, N, nv) of its joints, at times (N,), s."""
         q, v, vd = states
         return Motion(q, v, vd, times if self.length else None)
+
+    def efforts(self, model: RobotModel, times: ArrayLike, *, sign_width: ArrayLike = 0.0) -> Array:
+        """Return the efforts (N, ·) that a model predicts by joint at times (N,), N·m or N."""
+        motion = self.motion(times)
+        if self.stance is None:
+            return model.effort(motion, sign_width=sign_width)
+        return self.stance.efforts(motion, sign_width)
 
     def to_drake(self) -> BsplineTrajectory:
         """Return the positions as a Drake trajectory, with derivatives.
@@ -85,12 +101,16 @@ class ExecutableMotion(Short, abc.ABC):
         return spline.t, spline.c, _DEGREE
 
     def log(self, model: RobotModel, *, rate: float = 100.0, name: str = "excitation") -> JointLog:
-        """Return the motion as a log at a rate (1/s), with the efforts that the model predicts."""
+        """Return the motion as a log at a rate (1/s), with the efforts that the model predicts.
+
+        That of a robot on its feet has the pose of its base.
+        """
         instance(model, "model", RobotModel)
         times = self.instants(rate)
         q, v, vd = self.states(times)
-        effort = model.effort(self.motion(times))
-        return JointLog(name, self.joints, times, q, effort, v, vd)
+        effort = self.efforts(model, times)
+        floating = {} if self.stance is None else self.stance.base_columns(self.motion(times))
+        return JointLog(name, self.joints, times, q, effort, v, vd, floating=floating)
 
     def instants(self, rate: float) -> Array:
         """Return instants at a rate (1/s) from start to end; the last step may be shorter."""
@@ -117,20 +137,26 @@ class ExcitationTrajectory(ExecutableMotion):
     """A motion out of a family.
 
     Attributes:
-        coefficients: (count, nv) coefficients, a column a joint.
+        coefficients: (count, nv) coefficients, a column for each joint of the model.
     """
 
     family: MotionFamily
     coefficients: Array
     joints: tuple[str, ...]
+    stance: Stance | None = None
+
+    @property
+    def free_joints(self) -> tuple[str, ...]:
+        """Names of the joints that the coefficients are of."""
+        return self.joints if self.stance is None else self.stance.model.joints
 
     @property
     def length(self) -> float:
         """Duration, s; zero if samples do not follow each other."""
         return self.family.length
 
-    def states(self, times: ArrayLike) -> Array:
-        """Return positions, velocities and accelerations (3, N, nv) by joint at times (N,), s."""
+    def free_states(self, times: ArrayLike) -> Array:
+        """Return positions, velocities and accelerations (3, N, nv) at times (N,), s."""
         return np.asarray(self.family.basis(times) @ self.coefficients)
 
     def coefficient_gradient(self, basis: Array, gradient: MotionGradient) -> Array:
@@ -143,7 +169,7 @@ class ExcitationTrajectory(ExecutableMotion):
 
     def _spline(self) -> tuple[Array, Array, int]:
         family = self.family
-        if isinstance(family, SplineMotion):
+        if isinstance(family, SplineMotion) and self.joints == self.free_joints:
             return family.knots, self.coefficients, family.degree
         return super()._spline()
 
@@ -152,17 +178,18 @@ class ExcitationTrajectory(ExecutableMotion):
 class Ramp(ExecutableMotion):
     """A way through postures with a rest at each, of polynomials 10 x³ − 15 x⁴ + 6 x⁵ of time."""
 
-    postures: Array  # (k + 1, nv) by joint, rad or m
+    postures: Array  # (k + 1, nv) by joint of the model, rad or m
     durations: Array  # (k,) of the ways between them, s
     joints: tuple[str, ...]
+    stance: Stance | None = None
 
     @property
     def length(self) -> float:
         """Duration, s."""
         return float(self.durations.sum())
 
-    def states(self, times: ArrayLike) -> Array:
-        """Return positions, velocities and accelerations (3, N, nv) by joint at times (N,), s."""
+    def free_states(self, times: ArrayLike) -> Array:
+        """Return positions, velocities and accelerations (3, N, nv) at times (N,), s."""
         t = np.clip(np.atleast_1d(real_array(times, "times")), 0.0, self.length)
         return np.stack([self._polynomial(t, nu=order) for order in range(3)])
 
@@ -182,21 +209,23 @@ class RampedTrajectory(ExecutableMotion):
 
     parts: tuple[ExecutableMotion, ...]
     joints: tuple[str, ...]
+    stance: Stance | None = None
 
     @property
     def length(self) -> float:
         """Duration, s."""
         return float(sum(part.length for part in self.parts))
 
-    def states(self, times: ArrayLike) -> Array:
-        """Return positions, velocities and accelerations (3, N, nv) by joint at times (N,), s."""
+    def free_states(self, times: ArrayLike) -> Array:
+        """Return positions, velocities and accelerations (3, N, nv) at times (N,), s."""
         t = np.atleast_1d(real_array(times, "times"))
         ends = np.cumsum([part.length for part in self.parts])
         which = np.minimum(np.searchsorted(ends, t, side="left"), len(ends) - 1)
-        found = np.empty((3, len(t), len(self.joints)))
+        count = len(self.joints) if self.stance is None else len(self.stance.model.joints)
+        found = np.empty((3, len(t), count))
         for k, part in enumerate(self.parts):
             own = t[which == k] - (ends[k] - part.length)
-            found[:, which == k] = part.states(np.clip(own, 0.0, part.length))
+            found[:, which == k] = part.free_states(np.clip(own, 0.0, part.length))
         return found
 
     def _instants(self) -> Array:

@@ -80,7 +80,12 @@ def excitation_page(result: ExcitationResult, about: About) -> Page:
             Section("Notes", items=result.notes),
         ),
         of=f"{about.model}: {motion_words(result)}",
-        lead=tuple(filter(None, (f"Smallest distance: {nearest}" * bool(nearest), _time(result)))),
+        lead=tuple(
+            filter(
+                None,
+                (f"Smallest distance: {nearest}" * bool(nearest), _balance(result), _time(result)),
+            )
+        ),
         tiles=_tiles(result),
         footer="Made by geodrake. Limits also hold between samples; the information is that of "
         "the samples with the requested noise.",
@@ -146,6 +151,19 @@ def _nearest(result: ExcitationResult) -> str:
         for least, names in sorted(use.clearances.values(), key=lambda each: each[0])
     ]
     return f"{'; '.join(parts)}; the clearance is {1e3 * use.clearance:.0f} mm."
+
+
+def _balance(result: ExcitationResult) -> str:
+    """Return how far a robot on its feet is from falling over and slipping; "" for others."""
+    stance, use = result.trajectory.stance, result.use
+    if stance is None:
+        return ""
+    return (
+        f"On {listed([foot.frame for foot in stance.feet])}, the zero-moment point goes up to "
+        f"{percent(use.polygon)} of the way from the middle of the feet to their edge "
+        f"({percent(use.margin)} are allowed), with {percent(use.friction)} of a friction of "
+        f"{stance.friction:g}."
+    )
 
 
 def _time(result: ExcitationResult) -> str:
@@ -299,7 +317,7 @@ def motion_chart(result: ExcitationResult, units: Units) -> Chart:
     timed, times = trajectory.family.timed, trajectory.family.times(_FINE)
     states = trajectory.states(times)
     width = result.objective.target.sign_width
-    effort = model.effort(trajectory.motion_of(states), sign_width=width)
+    effort = trajectory.efforts(model, times, sign_width=width)
     at = times if timed else np.arange(float(len(times)))
     stage = _DESIGNED if timed else _DOTS
     panels = []
@@ -484,7 +502,11 @@ def _excitation_values(result: ExcitationResult) -> dict[str, Any]:
     objective, trajectory, pairs = result.objective, result.trajectory, distinguished_pairs(result)
     identifiable = None if pairs else identifiable_directions(result)
     family, joints = trajectory.family, result.limits.joints
-    coefficients = zip(trajectory.joints, trajectory.coefficients.T, strict=True)
+    coefficients = zip(trajectory.free_joints, trajectory.coefficients.T, strict=True)
+    use, balance = result.use, dict[str, Any]()
+    if trajectory.stance is not None:
+        shares = {"polygon": use.polygon, "margin": use.margin, "friction": use.friction}
+        balance = {"balance": shares}
 
     def by_joint(names: Iterable[str], of: Mapping[str, Any]) -> dict[str, dict[str, float]]:
         return {joint: {n: of[n][j] for n in names} for j, joint in enumerate(joints)}
@@ -505,6 +527,7 @@ def _excitation_values(result: ExcitationResult) -> dict[str, Any]:
         "use": by_joint(keys_of("Used"), vars(result.use)),
         "peaks": by_joint(result.use.peaks, result.use.peaks),
         "start": dict(zip(joints, trajectory.states([0.0])[0, 0], strict=True)),
+        **balance,
     }
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio
 import pytest
 from commands import refused, run, told
+from excitation_robots import MODELS
 from pendulum_logs import PENDULUM
 from yaml import safe_load
 
@@ -246,3 +247,54 @@ def test_a_motion_stays_above_the_floor_that_the_robot_stands_on(tmp_path):
     assert height < -0.05
     height, words = lowest_of(tmp_path, lower=1.2, upper=2.0)  # hangs
     assert "no floor is assumed, as the robot is below its base in every posture" in words
+
+
+BIPED = MODELS / "biped.urdf"
+BENT = {"leg_hpy": -0.4, "leg_kny": 0.8, "leg_aky": -0.4}
+
+
+class TestFeet:
+    FAST = ("--duration", 4, "--harmonics", 2, "--seeds", 1, "--iterations", 2, "--seconds", 300)
+
+    def stand(self):
+        return ",".join(f"{n}={BENT.get(n[2:], 0.0)}" for n in load_model(BIPED).joints)
+
+    def test_a_motion_on_two_feet_is_a_log_that_compare_understands(self, tmp_path):
+        """Whose efforts agree with the model's once the unknown forces at both feet are gone."""
+        motion, numbers = tmp_path / "m.csv", tmp_path / "n.json"
+        stand = ("--feet", "l_foot,r_foot", "--stand", self.stand())
+        output = excite(BIPED, *stand, *self.FAST, "--save", motion, "--json", numbers)
+        assert "On l_foot and r_foot, the zero-moment point goes up to" in output
+        found = json.loads(numbers.read_text())
+        assert 0.0 < found["balance"]["polygon"] <= found["balance"]["margin"] == 0.9
+        assert 0.0 < found["balance"]["friction"] <= 1.0
+        assert set(found["limits"]) == set(load_model(BIPED).joints)
+        assert "pelvis_yaw" in found["motion"]["coefficients"]
+        told("compare", BIPED, motion, "--floating", "--json", numbers, "--quiet")
+        error = json.loads(numbers.read_text())["error"]
+        assert error["nrms"] < 0.03
+
+    def test_a_force_plate_under_one_foot(self, tmp_path):
+        numbers = tmp_path / "n.json"
+        plate = ("--feet", "l_foot", "--force-plate", "--friction", 0.7)
+        output = excite(BIPED, *plate, *self.FAST, "--json", numbers)
+        assert "of a friction of 0.7" in output and "1 % of the weight" in output
+        noise = json.loads(numbers.read_text())["noise"]
+        assert noise["fz"] == pytest.approx(0.01 * 9.81 * 57.5, rel=1e-3)
+
+    @pytest.mark.parametrize(
+        ("given", "words"),
+        [
+            (("--floating",), "Name the links that it stands on: --feet LINK,LINK"),
+            (("--force-plate",), "Add --feet LINK,LINK"),
+            (("--feet", "l_foot="), "LINK=LENGTHxWIDTH"),
+            (("--feet", "l_foot=big"), "'big' of --feet 'l_foot=big' is no size"),
+            (("--feet", "paw"), "The model has no link 'paw' to stand on"),
+            (("--feet", "l_foot", "--force-plate", "--effects", "effort_offset"), "force plate"),
+            (("--feet", "l_foot", "--friction", 0), "--friction"),
+            (("--feet", "l_foot", "--stand", "0.3"), "its range is"),
+            (("--feet", "l_foot", "--limits", "pelvis_x.position=-1:1"), "'pelvis_x'"),
+        ],
+    )
+    def test_bad_feet(self, given, words):
+        assert words in refused("excite", BIPED, *given, *self.FAST)

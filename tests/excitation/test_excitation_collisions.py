@@ -15,12 +15,14 @@ from geodrake.excitation import (
     DesignOptions,
     ExcitationTrajectory,
     FourierMotion,
+    Objective,
     Solid,
     design_excitation,
     make_target,
     motion_limits,
 )
 from geodrake.excitation.collision_geometry import read_obstacles
+from geodrake.excitation.problem import make_problem
 from geodrake.excitation.starts import RampPlanner
 from geodrake.model.robot_model import load_description
 from geodrake.robot import joint_names
@@ -245,7 +247,14 @@ def test_ramps_lead_around_what_is_in_the_way(tmp_path):
     limits = motion_limits(model, bounded=True)
     still = FourierMotion(4.0, 1)
     motion = ExcitationTrajectory(still, np.array([[0.6], [0.0], [0.0]]), model.joints)
-    free = RampPlanner(model, limits, CollisionWorld(model)).ramped(motion, np.array([-0.6]))
+
+    def ramped(world, stand):
+        options = DesignOptions(collisions=world)
+        objective = Objective(make_target(model, noise=1.0))
+        problem = make_problem(objective, limits, still, options)
+        return RampPlanner(problem).ramped(motion, np.array([stand]))
+
+    free = ramped(CollisionWorld(model), -0.6)
     times = np.linspace(0.0, free.length, 2001)
     q, v, vd = free.states(times)
     np.testing.assert_allclose([q[0], q[-1]], -0.6)
@@ -254,8 +263,7 @@ def test_ramps_lead_around_what_is_in_the_way(tmp_path):
         assert 0.4 * most < np.abs(values).max() <= 0.5 * most + 1e-9 or np.abs(values).max() < most
         np.testing.assert_allclose(values[[0, -1]], 0.0, atol=1e-9)
     np.testing.assert_allclose(np.gradient(q[:, 0], times), v[:, 0], atol=2e-2)
-    there = RampPlanner(model, limits, CollisionWorld(model)).ramped(motion, np.array([0.6]))
+    there = ramped(CollisionWorld(model), 0.6)
     assert there.parts == (motion,) and there.length == motion.length
     with pytest.raises(ArgumentError, match=r"No ramp leads .* --start"):
-        world = CollisionWorld(model, obstacles=[post])
-        RampPlanner(model, limits, world).ramped(motion, np.array([-0.6]))
+        ramped(CollisionWorld(model, obstacles=[post]), -0.6)

@@ -1,0 +1,203 @@
+"""Put a robot on the ground: feet, the polygon between them, and the loops that they close."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from pydrake.systems.framework import Context
+from scipy.spatial import ConvexHull, QhullError
+
+from geodrake.boundary.arguments import instance, instances, number, real_array
+from geodrake.errors import ArgumentError, ModelError
+from geodrake.excitation.feet import Foot, feet_of, frame_of
+from geodrake.excitation.limits import MotionLimits, motion_limits, motors_of
+from geodrake.excitation.stance import Stance, root_of
+from geodrake.inertia import Array
+from geodrake.model.robot_model import RobotModel
+from geodrake.robot.loops import LoopJoints, closed_loops
+from geodrake.robot.stated import WORLD, Closure
+from geodrake.robot.transmission.statements import Drive
+
+_LEVEL = 0.005  # m, by which points of feet may be off the plane through them
+_NARROW = 0.005  # m, of a polygon on which nothing stands
+_SIDES = 12  # of a polygon at most
+_SLACK = 1e-6  # rad or m, by which a posture may be beyond the limits
+
+
+def make_stance(
+    robot: RobotModel,
+    feet: Sequence[str | Foot],
+    *,
+    posture: ArrayLike | None = None,
+    friction: float = 0.5,
+    margin: float = 0.9,
+    limits: MotionLimits | None = None,
+) -> Stance:
+    """Return a robot on feet that do not move, on level ground.
+
+    Args:
+        robot: The robot with a floating base (`load_model(..., floating=True)`).
+        feet: Names of links, of which the collision geometry that is lowest touches the ground, or
+            `Foot`s. Frames of the model file are links here, too.
+        posture: (m,) positions of the motors in which the feet are placed, rad or m; those of the
+            model file if None. The robot is turned so that all feet are level then.
+        friction: Coefficient of friction between feet and ground.
+        margin: Share of the polygon of the feet, from its middle, in which the zero-moment point
+            stays.
+        limits: Limits of the motors; `motion_limits(robot, bounded=True)` if None.
+
+    Raises:
+        ArgumentError: The robot has no free base, or cannot stand so.
+    """
+    instance(robot, "robot", RobotModel)
+    instances(feet, "feet", (str, Foot))
+    number(friction, "friction", lower=0.0, strict=True)
+    number(margin, "margin", lower=0.0, upper=1.0, strict=True)
+    if len(robot.base_joints) != 6:
+        raise ArgumentError(
+            f"A robot stands on its feet with one floating base; {robot.path.name} has "
+            f"{len(robot.base_joints) // 6}.",
+            advice="Load it with --floating (floating=True).",
+        )
+    gravity = robot.tree.gravity
+    if not -gravity[2] > 0.999 * np.linalg.norm(gravity) > 0.0:
+        raise ArgumentError(f"Gravity is {gravity.tolist()}, but a robot stands with it along −z.")
+    if not feet:
+        raise ArgumentError("A robot stands on at least one foot; none was given.")
+    motors = motors_of(robot)
+    own = motion_limits(robot, bounded=True) if limits is None else limits
+    at = {name: robot.default_position(name) for name in robot.joints}
+    if posture is not None:
+        values = real_array(posture, "posture", (len(motors),))
+        at |= dict(zip(motors, values.tolist(), strict=True))
+    q = robot.positions(np.array([[at[name] for name in robot.joints]]))
+    for k, name in enumerate(motors):
+        if not own.lower[k] - _SLACK <= at[name] <= own.upper[k] + _SLACK:
+            raise ArgumentError(
+                f"Where the robot stands, joint {name!r} is at {at[name]:.4g}, but its range is "
+                f"{own.lower[k]:.4g} to {own.upper[k]:.4g}.",
+                advice="Say where it stands: --stand JOINT=NUMBER,… (posture).",
+                joint=name,
+            )
+    plant_q = robot.plant_positions(q)[0]
+    feet = feet_of(robot, feet, plant_q)
+    context = robot.create_context()
+    robot.plant.SetPositions(context, plant_q)
+    X_WG = _ground(robot, feet, context)
+    polygon = _polygon(robot, feet, context, X_WG)
+    closures = []
+    for foot in feet:
+        frame = frame_of(robot.plant, foot.frame)
+        X_FP = RigidTransform() if foot.is_sole else RigidTransform(np.asarray(foot.points)[0])
+        X_GP = X_WG.inverse() @ frame.CalcPoseInWorld(context) @ X_FP
+        bodies = WORLD, frame.body().scoped_name().get_full()
+        poses = X_GP, frame.GetFixedPoseInBodyFrame() @ X_FP
+        closures.append(Closure(foot.frame, bodies, poses, foot.is_sole))
+    root = robot.plant.GetBodyByName(root_of(robot))
+    X_GB = X_WG.inverse() @ robot.plant.EvalBodyPoseInWorld(context, root)
+    turned = RollPitchYaw(X_GB.rotation()).vector()[::-1]
+    start = at | dict(zip(robot.base_joints, [*X_GB.translation(), *turned], strict=True))
+    how = LoopJoints(
+        robot.followers,
+        driven=motors,
+        first=() if len(feet) == 1 else robot.base_joints,
+        start=start,
+    )
+    model = _on_loops(robot, closures, how)
+    free, placed = (np.array([start[n] for n in names]) for names in (model.joints, motors))
+    return Stance(robot, model, feet, free, placed, polygon, friction, margin, own)
+
+
+def _on_loops(robot: RobotModel, closures: Sequence[Closure], how: LoopJoints) -> RobotModel:
+    """Return the robot whose feet are closed loops with the ground."""
+    try:
+        loops = closed_loops(robot.plant, closures, path=robot.path, how=how)
+    except ModelError as error:
+        raise ArgumentError(
+            f"The robot cannot move on its feet in this posture: {error.problem}",
+            advice="Let it stand with bent knees: --stand.",
+        ) from error
+    (loop,) = loops.loops
+    driven = {joint for drive in robot.transmission for joint in drive.joints}
+    if both := driven.intersection(loop.joints):
+        raise ArgumentError(
+            f"Legs with transmissions or closed loops cannot stand yet: {', '.join(sorted(both))}."
+        )
+    model = replace(
+        robot,
+        transmission=(*robot.transmission, Drive.of_loop(loop)),
+        information=None,
+        effort_noise=None,
+        fading_speed=None,
+    )
+    if robot.fading_speed is not None or robot.effort_noise is not None:
+        at = [robot.joints.index(name) for name in model.joints]
+        noise, fading = robot.effort_noise, robot.fading_speed
+        model = replace(
+            model,
+            effort_noise=None if noise is None else noise[at],
+            fading_speed=None if fading is None else fading[at],
+        )
+    return model
+
+
+def _ground(robot: RobotModel, feet: Sequence[Foot], context: Context) -> RigidTransform:
+    """Return the pose of the ground through all feet, with z upwards and its origin amid them."""
+    plant = robot.plant
+    points = np.vstack([_touching(robot, foot, context) for foot in feet])
+    center = points.mean(axis=0)
+    normal = np.array([0.0, 0.0, 1.0])
+    if len(points) > 2:
+        normal = np.linalg.svd(points - center)[2][2]
+        above = plant.CalcCenterOfMassPositionInWorld(context) - center
+        normal = normal if normal @ above > 0.0 else -normal
+    heights = (points - center) @ normal
+    if np.abs(heights).max() > _LEVEL:
+        at = np.cumsum([0, *(len(np.asarray(foot.points)) for foot in feet)])
+        words = ", ".join(
+            f"{foot.frame} {1e3 * heights[a:b].min():.0f} to {1e3 * heights[a:b].max():.0f} mm"
+            for foot, a, b in zip(feet, at[:-1], at[1:], strict=True)
+        )
+        raise ArgumentError(
+            f"The feet are not on one plane in this posture: over one through all are {words}.",
+            advice="Choose a posture in which they stand on level ground: --stand.",
+        )
+    x = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
+    x /= np.linalg.norm(x)
+    R = RotationMatrix(np.stack([x, np.cross(normal, x), normal], -1))
+    return RigidTransform(R, center)
+
+
+def _touching(robot: RobotModel, foot: Foot, context: Context) -> Array:
+    """Return where a foot touches (k, 3), in the world, m."""
+    X_WF = frame_of(robot.plant, foot.frame).CalcPoseInWorld(context)
+    return np.asarray(X_WF.multiply(np.asarray(foot.points).T).T)
+
+
+def _polygon(
+    robot: RobotModel, feet: Sequence[Foot], context: Context, X_WG: RigidTransform
+) -> Array:
+    """Return the corners (k, 2) of the polygon of feet, on the ground, counterclockwise."""
+    points = np.vstack([_touching(robot, foot, context) for foot in feet])
+    flat = X_WG.inverse().multiply(points.T).T[:, :2]
+    spread = np.linalg.svd(flat - flat.mean(axis=0), compute_uv=False)
+    try:
+        hull = None if len(flat) < 3 or spread[1] < _NARROW else ConvexHull(flat)
+    except QhullError:
+        hull = None
+    if hull is None:
+        raise ArgumentError(
+            f"{', '.join(foot.frame for foot in feet)} touch the ground at a point or along a "
+            "line, on which nothing stands.",
+            advice="Name more feet, or give a Foot with the corners of its sole.",
+        )
+    corners = flat[hull.vertices]
+    if len(corners) > _SIDES:  # a polygon inside
+        angles = np.linspace(0.0, 2.0 * np.pi, _SIDES, endpoint=False)
+        ways = np.stack([np.cos(angles), np.sin(angles)], -1)
+        corners = corners[np.unique(np.argmax(corners @ ways.T, axis=0))]
+    return np.asarray(corners)

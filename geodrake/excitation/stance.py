@@ -1,0 +1,499 @@
+"""A robot that stands on feet which do not move.
+
+Feet at rest close loops between the robot and the ground. So a standing robot is one with closed
+loops (`geodrake.robot.loops`): on one foot its motors are free, and the base follows them; on
+several the base is free, and the legs follow. With θ̇ = G q̇ no ground force is in the efforts
+Gᵀ τ of the free joints, [Lee2019] Eq. (3.6.57), and all that other robots' designs do holds for
+them. Where more motors stand than are needed, τ is the one that has the least sum of squared shares
+of its limits.
+
+Balance is a matter of the wrench (n, f) of the ground about its origin, z upwards:
+
+    (−n_y, n_x)/f_z within a share of the polygon of the feet,       [Lee2019] §4.6.3
+    |f_x| + |f_y| ≤ μ f_z,      |n_z about the polygon's middle| ≤ μ r f_z,
+
+where r is the least distance of a side from the middle. Each is linear in the wrench.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise, product
+from typing import cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydrake.math import RigidTransform
+from scipy.special import logsumexp
+
+from geodrake.boundary.arguments import instance, real_array
+from geodrake.boundary.showing import Short
+from geodrake.effects import Effect, FittedEffect
+from geodrake.errors import ArgumentError
+from geodrake.excitation.feet import Foot
+from geodrake.excitation.limits import MotionLimits
+from geodrake.excitation.regressor_gradient import (
+    at_actuators,
+    base_wrench_regressor_gradient,
+    effort_gradient,
+)
+from geodrake.excitation.reverse_recursion import MotionGradient
+from geodrake.excitation.target import Target, make_target
+from geodrake.inertia import Array
+from geodrake.logs.floating import QUATERNION
+from geodrake.logs.motion import Motion
+from geodrake.model.robot_model import RobotModel
+from geodrake.robot.joints import joint_names, single_joints
+from geodrake.robot.regressor import base_wrench_regressor, zero_moment_point
+from geodrake.robot.transmission import times
+from geodrake.robot.transmission.loop import LoopTransmission, solved
+
+_LEVEL = 0.005  # m, by which points of feet may be off the plane through them
+_NARROW = 0.005  # m, of a polygon on which nothing stands
+_SIDES = 12  # of a polygon at most
+_SHARP = 50.0  # of the smooth maximum of shares, which exceeds them by log(n)/50 at most
+_SWAY = np.array([0.3, 0.3, 0.3, 0.5, 0.5, 0.5])  # of a base: shares of its height, and rad
+_SMALLER, _TRIALS, _RANDOM = 0.8, 20, 200
+_NEWTON, _CENTRAL, _ARRIVED = 12, 0.5, 1e-3  # steps to balance, share of the polygon, m
+_NOTHING = 1e-12  # m², of what postures move the centre of mass by
+_BATCH = 2000  # samples whose regressors are in memory
+
+
+@dataclass(frozen=True, eq=False)
+class Stance(Short):
+    """A robot on feet that do not move.
+
+    Attributes:
+        robot: The robot with a floating base.
+        model: The robot on its feet, whose joints are the free ones.
+        posture: (nv,) positions of these when the feet were placed, rad or m.
+        placed: (m,) positions of the motors then.
+        corners: (k, 2) corners of the feet's polygon on the ground, counterclockwise, m.
+        friction: Coefficient μ of friction between feet and ground.
+        margin: Share of the polygon, from its middle, in which the zero-moment point stays.
+        motor_limits: Limits of the motors.
+    """
+
+    robot: RobotModel
+    model: RobotModel
+    feet: tuple[Foot, ...]
+    posture: Array
+    placed: Array
+    corners: Array
+    friction: float
+    margin: float
+    motor_limits: MotionLimits
+
+    @property
+    def motors(self) -> tuple[str, ...]:
+        """Names of all joints but those of the base."""
+        return self.motor_limits.joints
+
+    def within(self, limits: MotionLimits) -> Stance:
+        """Return the same with other limits of its motors."""
+        if instance(limits, "limits", MotionLimits).joints != self.motors:
+            raise ArgumentError(
+                f"The limits have joints {limits.joints}, but the motors are {self.motors}."
+            )
+        return replace(self, motor_limits=limits)
+
+    # Where motors are.
+
+    @cached_property
+    def _own(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Numbers of the motors that are free, and of the free joints that they are."""
+        joints = self.model.joints
+        pairs = [(k, joints.index(j)) for k, j in enumerate(self.motors) if j in joints]
+        first, second = np.array(pairs, np.intp).reshape(-1, 2).T
+        return first, second
+
+    @cached_property
+    def following(self) -> NDArray[np.intp]:
+        """Numbers of the motors that follow the free joints."""
+        return np.setdiff1d(np.arange(len(self.motors)), self._own[0])
+
+    @cached_property
+    def _places(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Where positions and velocities of motors that follow are in the plant's."""
+        names = joint_names(self.robot.plant)
+        known = {names[j.velocity_start()]: j for j in single_joints(self.robot.plant)}
+        joints = [known[self.motors[k]] for k in self.following]
+        at = [(int(j.position_start()), int(j.velocity_start())) for j in joints]
+        first, second = np.array(at, np.intp).reshape(-1, 2).T
+        return first, second
+
+    def _ratios(self, J: Array) -> Array:
+        """Return G (N, motors, nv), of J (N, nv of the plant, nv)."""
+        found = np.zeros((len(J), len(self.motors), J.shape[2]))
+        found[:, self._own[0], self._own[1]] = 1.0
+        found[:, self.following] = J[:, self._places[1]]
+        return found
+
+    def motor_states(self, states: Array) -> Array:
+        """Return positions and their derivatives (3, N, m) of motors, of those (3, N, nv)."""
+        found = np.empty((3, states.shape[1], len(self.motors)))
+        found[:, :, self._own[0]] = states[:, :, self._own[1]]
+        if len(self.following):
+            theta, rates, accelerations, _ = self.model.coordinates.tree_samples(*states)
+            at_q, at_v = self._places
+            found[0][:, self.following] = theta[:, at_q]
+            found[1][:, self.following] = rates[:, at_v]
+            found[2][:, self.following] = accelerations[:, at_v]
+        return found
+
+    def free(self, motors: Array, name: str) -> Array:
+        """Return positions (nv,) of the free joints where motors are at (m,), rad or m."""
+        motors = real_array(motors, name, (len(self.motors),))
+        q = self.posture.copy()
+        q[self._own[1]] = motors[self._own[0]]
+        placed = self.motor_states(np.stack([q, 0 * q, 0 * q])[:, None])[0, 0]
+        off = np.abs(placed - motors)
+        if off.max() > _LEVEL:
+            k = int(np.argmax(off))
+            raise ArgumentError(
+                f"With joint {self.motors[k]!r} at {motors[k]:.4g} of the {name}, the feet are "
+                f"elsewhere than the robot stands, which has it at {placed[k]:.4g}.",
+                advice="A robot on several feet starts where it stands: give one posture.",
+            )
+        return q
+
+    def base_columns(self, motion: Motion) -> dict[str, Array]:
+        """Return the pose of the base as columns of a log, (N,) each."""
+        body = self.robot.plant.GetBodyByName(root_of(self.robot))
+        context, rows = self.robot.plant.CreateDefaultContext(), []
+        for q in self.model.plant_positions(motion.q):
+            self.robot.plant.SetPositions(context, q)
+            X = self.robot.plant.EvalBodyPoseInWorld(context, body)
+            rows.append([*X.translation(), *X.rotation().ToQuaternion().wxyz()])
+        names = [f"base.position.{axis}" for axis in "xyz"]
+        names += [f"base.orientation.{axis}" for axis in QUATERNION]
+        return dict(zip(names, np.array(rows).T, strict=True))
+
+    # Efforts.
+
+    def efforts(self, motion: Motion, sign_width: ArrayLike = 0.0) -> Array:
+        """Return efforts (N, motors) of a motion of the free joints, N·m or N."""
+        needed = self.model.effort(motion, sign_width=sign_width)
+        if not len(self.following):
+            return np.asarray(needed[:, self._order])
+        return self._shared(self._ratios(self.model.coordinates.jacobian(motion.q)), needed)[0]
+
+    @property
+    def _order(self) -> NDArray[np.intp]:
+        return self._own[1][np.argsort(self._own[0])]
+
+    @cached_property
+    def _weights(self) -> Array:
+        """(m,) squared limits of efforts, in units of the largest; 1 without limits."""
+        limits = self.motor_limits.effort
+        most = limits[np.isfinite(limits)].max(initial=0.0) or 1.0
+        return np.square(np.where(np.isfinite(limits), limits, most) / most)
+
+    def _shared(self, G: Array, needed: Array) -> tuple[Array, Array, Array]:
+        """Return motors' efforts D G b (N, m) for those needed (N, nv), e = C b, with b and C."""
+        D = self._weights
+        C = np.asarray(np.swapaxes(G, 1, 2) @ (D[:, None] * G))
+        b = _solved(C, needed)
+        return D * times(G, b), b, C
+
+    def _effort_gradient(self, motion: Motion, sign_width: Array, weights: Array) -> MotionGradient:
+        """Return the gradient of Σ w ∘ τ for w (N, motors)."""
+        seen = self.model.motion(motion, sign_width=sign_width)
+        if not len(self.following):
+            own = np.empty_like(motion.v)
+            own[:, self._order] = weights
+            return effort_gradient(self.model, motion, seen, own)
+        G, D = self._ratios(self.model.coordinates.jacobian(motion.q)), self._weights
+        tau, b, C = self._shared(G, self.model.effort(motion, sign_width=sign_width))
+        a = _solved(C, times(np.swapaxes(G, 1, 2), D * weights))
+        found = effort_gradient(self.model, motion, seen, a)
+        # dτ also has dG: D dG b − D G C⁻¹ (dGᵀ D G + Gᵀ D dG) b.
+        rest = D * (weights - times(G, a))
+        P = rest[:, :, None] * b[:, None] - tau[:, :, None] * a[:, None]
+        products = np.zeros((len(P), self.model.coordinates.sizes[1], P.shape[2]))
+        products[:, self._places[1]] = P[:, self.following]
+        found.q[:] += self.model.coordinates.bend(motion.q, products)
+        return found
+
+    def target(
+        self,
+        *,
+        noise: ArrayLike | None = None,
+        bodies: Sequence[str] | None = None,
+        effects: Sequence[FittedEffect | Effect] | None = None,
+        on_plate: bool = False,
+    ) -> Target:
+        """Return the parameters that a motion of the robot on its feet should identify.
+
+        What is identifiable at all is what random motions within the limits excite.
+
+        Args:
+            noise: Deviations of the efforts of motors, one or one for each, N·m or N; on a plate
+                those of its wrench, as for `make_target`.
+            bodies: As for `make_target`.
+            effects: As for `make_target`.
+            on_plate: Whether a force plate under all feet is what measures, in place of the motors.
+                Its frame is that of the ground, amid the feet.
+        """
+        if noise is not None and not on_plate:
+            noise = self.noise(noise)
+        X_WP = RigidTransform() if on_plate else None
+        target = make_target(self.model, noise=noise, bodies=bodies, effects=effects, X_WP=X_WP)
+        return replace(target, trial=self.random_motion())
+
+    def random_motion(self) -> Motion:
+        """Return states within the limits, in balance at rest.
+
+        They are so fast that accelerations matter as much as friction lets them.
+        """
+        limits, random = self.limits(), np.random.default_rng(0)
+        count, nv = max(_RANDOM, 10 * len(self.model.bodies)), len(limits.joints)
+        q = self.balanced(random.uniform(limits.lower, limits.upper, (count, nv)), limits)
+        v, vd = random.uniform(-1.0, 1.0, (2, count, nv)) * limits.reach
+        held = self.wrenches(Motion(q, 0 * v, 0 * v))[:, 3:]
+        moved = self.wrenches(Motion(q, v, vd))[:, 3:] - held
+        rate = np.sqrt(self.friction * np.linalg.norm(held) / np.linalg.norm(moved))
+        v = np.clip(rate * v, -limits.velocity, limits.velocity)
+        return Motion(q, v, np.clip(rate**2 * vd, -limits.acceleration, limits.acceleration))
+
+    def noise(self, noise: ArrayLike) -> Array:
+        """Return deviations (nv,) of free joints' efforts in the posture, of those of motors."""
+        given = np.broadcast_to(real_array(noise, "noise"), (len(self.motors),))
+        G = self._ratios(self.model.coordinates.jacobian(self.posture[None]))[0]
+        return np.sqrt(np.square(given[:, None] * G).sum(axis=0))
+
+    # Balance.
+
+    @cached_property
+    def middle(self) -> Array:
+        """(2,) centroid of the polygon, m."""
+        p, q = self.corners, np.roll(self.corners, -1, axis=0)
+        areas = p[:, 0] * q[:, 1] - q[:, 0] * p[:, 1]
+        return np.asarray(((p + q) * areas[:, None]).sum(axis=0) / (3.0 * areas.sum()))
+
+    @cached_property
+    def sides(self) -> tuple[Array, Array]:
+        """(k, 2) outward normals of the polygon's sides, and distances (k,) from its middle, m."""
+        along = np.roll(self.corners, -1, axis=0) - self.corners
+        normals = np.stack([along[:, 1], -along[:, 0]], -1)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        return normals, ((self.corners - self.middle) * normals).sum(axis=1)
+
+    @cached_property
+    def weight(self) -> float:
+        """The robot's weight, N."""
+        mass = self.model.total_phi[:, 0].sum()
+        return float(mass * np.linalg.norm(self.model.tree.gravity))
+
+    @cached_property
+    def _rows(self) -> Array:
+        """(r, 6) rows R such that all of R w ≤ 0 for wrenches w in balance."""
+        (normals, distances), (x, y), mu = self.sides, self.middle, self.friction
+        least, rows = float(distances.min()), []
+        for a, h in zip(normals, distances, strict=True):
+            rows.append(np.array([a[1], -a[0], 0, 0, 0, -(a @ self.middle + self.margin * h)]) / h)
+        rows += [np.array([0, 0, 0, i, j, -mu]) / mu for i, j in product((1, -1), repeat=2)]
+        for sign in (1, -1):
+            turning = sign * np.array([0, 0, 1, y, -x, 0]) - [0, 0, 0, 0, 0, mu * least]
+            rows.append(turning / (mu * least))
+        return np.array(rows) / self.weight
+
+    def wrenches(self, motion: Motion) -> Array:
+        """Return the ground's wrenches (N, 6) on the robot about the origin, N·m and N."""
+        phi, parts = self.model.total_phi.ravel(), []
+        for start in range(0, len(motion), _BATCH):
+            part = motion[start : start + _BATCH]
+            parts.append(base_wrench_regressor(self.model.tree, part.q, part.v, part.vd) @ phi)
+        return np.concatenate(parts)
+
+    def zero_moment_points(self, motion: Motion) -> Array:
+        """Return (N, 2) zero-moment points on the ground, m; NaN where nothing presses on it."""
+        return zero_moment_point(self.wrenches(motion))
+
+    def support(self, motion: Motion) -> tuple[Array, Array]:
+        """Return the shares (N,) of the polygon and of the friction that a motion uses.
+
+        Infinite where the feet would lift off.
+        """
+        wrenches, (normals, distances) = self.wrenches(motion), self.sides
+        off = zero_moment_point(wrenches) - self.middle
+        shares = (off @ normals.T / distances).max(axis=1)
+        *_, nz, fx, fy, fz = wrenches.T
+        x, y = self.middle
+        turning = np.abs(nz + y * fx - x * fy) / distances.min()
+        pulled = np.maximum(np.abs(fx) + np.abs(fy), turning)
+        lifted = np.isnan(shares)
+        used = pulled / np.where(lifted, 1.0, self.friction * fz)
+        return np.where(lifted, np.inf, shares), np.where(lifted, np.inf, used)
+
+    def excess(self, motion: Motion, sign_width: Array) -> tuple[Array, MotionGradient]:
+        """Return a smooth maximum (N,) of what is beyond the limits, and its gradient.
+
+        At most 0 where the robot is in balance, and limits of motors that follow and of all efforts
+        are kept. These are in shares of themselves.
+        """
+        wrenches = self.wrenches(motion)
+        limits, follow = self.motor_limits, self.following
+        states = np.stack([motion.q, motion.v, motion.vd])
+        values = [wrenches @ self._rows.T]
+        middle = np.zeros(len(self.motors)), np.zeros(len(self.motors))
+        scales = [(limits.middle, limits.reach), (middle[0], limits.velocity)]
+        scales.append((middle[1], limits.acceleration))
+        if len(follow):
+            for x, (center, reach) in zip(self.motor_states(states), scales, strict=True):
+                share = ((x - center) / reach)[:, follow]
+                values += [share - 1.0, -share - 1.0]
+        efforts = self.efforts(motion, sign_width) / limits.effort
+        values += [efforts - 1.0, -efforts - 1.0]
+        stacked = _SHARP * np.hstack(values)
+        total = logsumexp(stacked, axis=1)
+        shares = np.exp(stacked - total[:, None])
+        at = np.cumsum([0, *(x.shape[1] for x in values)])
+        parts = [shares[:, a:b] for a, b in pairwise(at.tolist())]
+        W = (parts[0] @ self._rows)[:, :, None] * self.model.total_phi.ravel()
+        samples = motion.q, motion.v, motion.vd
+        found = [base_wrench_regressor_gradient(self.model.tree, *samples, W)]
+        found.append(
+            self._effort_gradient(motion, sign_width, (parts[-2] - parts[-1]) / limits.effort)
+        )
+        if len(follow):
+            by = [parts[1 + 2 * k] - parts[2 + 2 * k] for k in range(3)]
+            by = [x / reach[follow] for x, (_, reach) in zip(by, scales, strict=True)]
+            found.append(self._by_following(motion, by))
+        sums = (np.sum([getattr(x, name) for x in found], axis=0) for name in ("q", "v", "vd"))
+        return total / _SHARP, MotionGradient(*sums)
+
+    def _by_following(self, motion: Motion, weights: Sequence[Array]) -> MotionGradient:
+        """Return the gradient with the free joints' motion, of that with motors that follow."""
+        coordinates, (at_q, at_v) = self.model.coordinates, self._places
+        sizes = coordinates.sizes[0], coordinates.sizes[1], coordinates.sizes[1]
+        places = at_q, at_v, at_v
+        rows = [np.zeros((len(motion), size)) for size in sizes]
+        for row, at, own in zip(rows, places, weights, strict=True):
+            row[:, at] = own
+        J = coordinates.jacobian(motion.q)
+        return at_actuators(coordinates, J, motion, MotionGradient(*rows))
+
+    def balanced(
+        self,
+        q: Array,
+        limits: MotionLimits,
+        motion: Motion | None = None,
+        *,
+        share: float = _CENTRAL,
+    ) -> Array:
+        """Return postures (N, nv) with zero-moment points in an inner share of the polygon.
+
+        Those of a motion, if one is given, otherwise of rest. Joints move as little as possible in
+        shares of their ranges; where balance is out of reach, they go as near as they can.
+        """
+        q, left = q.copy(), np.arange(len(q))
+        still = np.zeros_like(q)
+        v, vd = (still, still) if motion is None else (motion.v, motion.vd)
+        for _ in range(_NEWTON):
+            wrenches = self.wrenches(Motion(q[left], v[left], vd[left]))
+            off = _outside(zero_moment_point(wrenches) - self.middle, *self.sides, share)
+            far = np.linalg.norm(off, axis=1) > _ARRIVED
+            left, off = left[far], off[far]
+            if not len(left):
+                break
+            q[left] -= self._moving_weight(q[left], off, limits.reach)
+            q[left] = np.clip(q[left], limits.lower, limits.upper)
+        return q
+
+    def _moving_weight(self, q: Array, off: Array, reach: Array) -> Array:
+        """Return least changes (N, nv) of postures that move zero-moment points by (N, 2) at rest.
+
+        Changes are in shares of `reach`.
+        """
+        rows = np.array([[0, -1.0, 0, 0, 0, 0], [1.0, 0, 0, 0, 0, 0]]) / self.weight
+        each, W = np.repeat(q, 2, axis=0), np.tile(rows, (len(q), 1))[:, :, None]
+        none = np.zeros_like(each)
+        W = W * self.model.total_phi.ravel()
+        J = base_wrench_regressor_gradient(self.model.tree, each, none, none, W).q
+        J = J.reshape(len(q), 2, -1) * reach
+        transposed = np.swapaxes(J, 1, 2)
+        return reach * times(transposed, _solved(J @ transposed + _NOTHING * np.eye(2), off))
+
+    # Limits.
+
+    def limits(self) -> MotionLimits:
+        """Return the limits of the free joints.
+
+        Those of a base are a range in which its feet can stay, and speeds and accelerations at
+        which each of the motors that follow keeps its own, if the base moves along one axis.
+        """
+        joints, own, nv = self.model.joints, self.motor_limits, len(self.model.joints)
+        motors, at = self._own
+        lower, upper = np.full((2, nv), np.nan)
+        velocity, acceleration, effort, jerk = np.full((4, nv), np.inf)
+        for values, given in (
+            (lower, own.lower),
+            (upper, own.upper),
+            (velocity, own.velocity),
+            (acceleration, own.acceleration),
+            (effort, own.effort),
+            (jerk, np.broadcast_to(own.jerk, own.lower.shape)),
+        ):
+            values[at] = given[motors]
+        base = [k for k, name in enumerate(joints) if name in self.robot.base_joints]
+        if base:
+            lower, upper = self._reachable(lower, upper, base)
+            q = np.random.default_rng(0).uniform(lower, upper, (_RANDOM, nv))
+            G = np.abs(self._ratios(self.model.coordinates.jacobian(q)).max(axis=0))
+            with np.errstate(divide="ignore"):
+                for values, given in ((velocity, own.velocity), (acceleration, own.acceleration)):
+                    values[base] = (given[:, None] / G[:, base]).min(axis=0)
+        return MotionLimits(joints, lower, upper, velocity, acceleration, effort, jerk)
+
+    def _reachable(self, lower: Array, upper: Array, base: Sequence[int]) -> tuple[Array, Array]:
+        """Return a range about the posture in which the feet can stay where they are."""
+        loop, there = cast(LoopTransmission, self.model.transmission[-1].map), self.posture
+        at = [self.model.joints.index(name) for name in loop.actuators]
+        height = self.base_height
+        coordinates = [self.robot.base_joints.index(self.model.joints[k]) for k in base]
+        half = _SWAY[coordinates] * np.where(np.array(coordinates) < 3, height, 1.0)
+        low, high = lower.copy(), upper.copy()
+        low[base], high[base] = there[base] - half, there[base] + half
+        random = np.random.default_rng(0).uniform(size=(_RANDOM, len(at)))
+        corners = np.array(list(product((0.0, 1.0), repeat=len(at)))) if len(at) <= 6 else random
+        for _ in range(_TRIALS):
+            shares = np.vstack([corners, random])
+            if (solved(loop.records, low[at] + shares * (high - low)[at])[2] == 1.0).all():
+                return low, high
+            for k in at:
+                low[k] = there[k] + _SMALLER * (low[k] - there[k])
+                high[k] = there[k] + _SMALLER * (high[k] - there[k])
+        raise ArgumentError(
+            "The robot can hardly move on its feet: its legs are nearly stretched, or folded.",
+            advice="Let it stand with bent knees: --stand.",
+        )
+
+    @cached_property
+    def base_height(self) -> float:
+        """Height of the base over the ground in the posture, m."""
+        columns = self.base_columns(
+            Motion(*np.stack([self.posture, *2 * [0 * self.posture]])[:, None])
+        )
+        return float(abs(columns["base.position.z"][0]))
+
+
+def _solved(C: Array, e: Array) -> Array:
+    return np.asarray(np.linalg.solve(C, e[:, :, None])[:, :, 0])
+
+
+def _outside(off: Array, normals: Array, distances: Array, most: float) -> Array:
+    """Return what of points (N, 2) from the middle of a polygon is beyond an inner share."""
+    share = (off @ normals.T / distances).max(axis=1, keepdims=True)
+    return np.asarray(off * (1.0 - np.minimum(1.0, most / np.maximum(share, 1e-9))))
+
+
+def root_of(robot: RobotModel) -> str:
+    """Return the name of the link that floats."""
+    names = joint_names(robot.plant)
+    last = next(
+        j for j in single_joints(robot.plant) if names[j.velocity_start()] == robot.base_joints[-1]
+    )
+    return last.child_body().name()

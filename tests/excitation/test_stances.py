@@ -1,0 +1,317 @@
+"""Motions of robots on their feet: against MuJoCo's inverse dynamics, which knows no stance."""
+
+from dataclasses import replace
+from functools import cache
+
+import mujoco
+import numpy as np
+import pytest
+from excitation_robots import MODELS
+
+from geodrake.errors import ArgumentError
+from geodrake.excitation import (
+    DesignOptions,
+    Foot,
+    FourierMotion,
+    FreeSamples,
+    Objective,
+    SplineMotion,
+    design_excitation,
+    make_stance,
+    make_target,
+    motion_limits,
+    random_excitation,
+)
+from geodrake.excitation.problem import make_problem
+from geodrake.excitation.starts import at_rest
+from geodrake.model import load_model
+
+BIPED = MODELS / "biped.urdf"
+FEET = ("l_foot", "r_foot")
+BENT = {"leg_hpy": -0.4, "leg_kny": 0.8, "leg_aky": -0.4}
+FAMILY = FourierMotion(5.0, 2)
+
+
+@cache
+def biped():
+    return load_model(BIPED, floating=True)
+
+
+@cache
+def standing(*feet, **given):
+    model = biped()
+    posture = [BENT.get(name[2:], 0.0) for name in motion_limits(model).joints]
+    return make_stance(model, feet, **{"posture": posture} | given)
+
+
+def balanced(stance):
+    """Where its motors are in balance, near the posture in which its feet were placed."""
+    q = stance.balanced(stance.posture[None], stance.limits())
+    return stance.motor_states(np.stack([q, 0 * q, 0 * q]))[0, 0]
+
+
+@cache
+def designed(*feet):
+    stance = standing(*feet)
+    options = DesignOptions(
+        samples=60,
+        stance=stance,
+        iterations=3,
+        seconds=600.0,
+        stand=balanced(stance),
+    )
+    target = stance.target(noise=1.0)
+    return design_excitation(
+        target, options=options, trajectory=FAMILY, criterion="d_optimality", seeds=1
+    )
+
+
+class MuJoCo:
+    """The biped with six more joints at its pelvis, without contacts."""
+
+    def __init__(self):
+        text = BIPED.read_text().replace(
+            '<robot name="biped">',
+            '<robot name="biped"><mujoco><compiler fusestatic="false"/></mujoco>',
+        )
+        spec = mujoco.MjSpec.from_string(text)
+        pelvis = spec.body("pelvis")
+        kinds = [mujoco.mjtJoint.mjJNT_SLIDE] * 3 + [mujoco.mjtJoint.mjJNT_HINGE] * 3
+        self.base = [f"pelvis_{word}" for word in ("x", "y", "z", "yaw", "pitch", "roll")]
+        for name, kind, axis in zip(self.base, kinds, (*np.eye(3), *np.eye(3)[::-1]), strict=True):
+            pelvis.add_joint(name=name, type=kind, axis=axis)
+        self.model = spec.compile()
+        self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
+        self.data = mujoco.MjData(self.model)
+
+    def at(self, joints, q, v, vd):
+        """Return the wrench about the origin, efforts by joint, and rows Jᵀ of each foot."""
+        model, data = self.model, self.data
+        dofs = [model.joint(name).dofadr[0] for name in joints]
+        data.qpos[[model.joint(name).qposadr[0] for name in joints]] = q
+        data.qvel[dofs], data.qacc[dofs] = v, vd
+        mujoco.mj_inverse(model, data)
+        effort = data.qfrc_inverse[dofs]
+        own = [model.joint(name) for name in self.base]
+        axes = np.array([data.xaxis[joint.id] for joint in own])
+        by_base = data.qfrc_inverse[[joint.dofadr[0] for joint in own]]
+        force = np.linalg.solve(axes[:3], by_base[:3])
+        moment = np.linalg.solve(axes[3:], by_base[3:])
+        place = data.body("pelvis").xpos
+        rows = {}
+        for foot in FEET:
+            moved, turned = np.zeros((2, 3, model.nv))
+            mujoco.mj_jac(model, data, moved, turned, np.zeros(3), model.body(foot).id)
+            rows[foot] = np.vstack([turned, moved])[:, dofs].T
+        return np.append(moment + np.cross(place, force), force), effort, rows
+
+    def pose(self, foot):
+        body = self.data.body(foot)
+        return np.append(body.xpos, body.xmat)
+
+
+def whole_motion(stance, motion):
+    """Positions, velocities and accelerations of all joints, base included, and their names."""
+    robot = stance.robot
+    theta, rates, accelerations, _ = stance.model.coordinates.tree_samples(
+        motion.q, motion.v, motion.vd
+    )
+    return robot.joints, theta, rates, accelerations
+
+
+@pytest.mark.parametrize("feet", [("l_foot",), FEET], ids=["one foot", "two feet"])
+class TestAgainstMuJoCo:
+    def test_feet_stay_and_carry_the_robot(self, feet):
+        """And what the motors give with the ground's forces is what MuJoCo's motion needs."""
+        result, stance, engine = designed(*feet), standing(*feet), MuJoCo()
+        times = np.linspace(0.0, result.executed.length, 60)
+        motion = result.executed.motion(times)
+        efforts = result.executed.efforts(stance.model, times)
+        joints, *samples = whole_motion(stance, motion)
+        motors = [joints.index(name) for name in stance.motors]
+        weight = 9.81 * stance.model.phi[:, 0].sum()
+        corners, middle = stance.corners, stance.corners.mean(axis=0)
+        poses, wrenches = [], []
+        for tau, q, v, vd in zip(efforts, *samples, strict=True):
+            wrench, needed, rows = engine.at(joints, q, v, vd)
+            poses.append(np.concatenate([engine.pose(foot) for foot in feet]))
+            wrenches.append(wrench)
+            needed[motors] -= tau
+            J = np.hstack([rows[foot] for foot in feet])
+            left = needed - J @ np.linalg.lstsq(J, needed, rcond=None)[0]
+            assert np.abs(left).max() < 1e-8 * weight
+        assert np.ptp(poses, axis=0).max() < 1e-9
+        nx, ny, nz, fx, fy, fz = np.array(wrenches).T
+        assert (fz > 0.5 * weight).all()
+        assert (np.hypot(fx, fy) <= 0.5 * fz).all()
+        turning = nz + middle[1] * fx - middle[0] * fy
+        assert (np.abs(turning) < 0.5 * fz * np.abs(corners - middle).max()).all()
+        zmp = np.stack([-ny / fz, nx / fz], -1)
+        own = stance.zero_moment_points(motion)
+        np.testing.assert_allclose(own, zmp, atol=1e-9)
+        inner = middle + stance.margin * (corners - middle)
+        ahead = np.roll(inner, -1, axis=0) - inner
+        for corner, way in zip(inner, ahead, strict=True):  # inside is on the left of each side
+            off = zmp - corner
+            assert (way[0] * off[:, 1] - way[1] * off[:, 0] > -1e-9).all()
+
+    def test_designs_keep_limits_and_beat_their_start(self, feet):
+        result, stance = designed(*feet), standing(*feet)
+        limits, (q, v, vd) = result.limits, result.trajectory.states(np.linspace(0.0, 5.0, 1001))
+        assert limits.joints == stance.motors == result.trajectory.joints
+        assert ((q >= limits.lower - 1e-6) & (q <= limits.upper + 1e-6)).all()
+        assert (np.abs(v) <= limits.velocity + 1e-6).all()
+        assert (np.abs(vd) <= limits.acceleration + 1e-6).all()
+        efforts = result.trajectory.efforts(stance.model, np.linspace(0.0, 5.0, 201))
+        assert (np.abs(efforts) <= limits.effort + 1e-6).all()
+        assert result.use.is_within and 0.0 < result.use.polygon <= stance.margin + 1e-6
+        (outcome,) = result.outcomes
+        assert outcome.value < outcome.random_value - 0.5 * len(result.eigenvalues)
+        np.testing.assert_allclose(-np.log(result.eigenvalues).sum(), outcome.value, rtol=1e-9)
+        ends = result.executed.states([0.0, result.executed.length])
+        np.testing.assert_allclose(ends[0], [balanced(stance)] * 2, atol=1e-9)
+        np.testing.assert_allclose(ends[1:], 0.0, atol=1e-9)
+
+    @pytest.mark.parametrize("family", [FAMILY, SplineMotion(3.0, 9), FreeSamples(40)], ids=repr)
+    def test_gradients(self, feet, family):
+        stance = standing(*feet)
+        options, target = DesignOptions(samples=60, stance=stance), stance.target(noise=1.0)
+        problem = make_problem(Objective(target), None, family, options)
+        rng = np.random.default_rng(3)
+        begin = random_excitation(target, trajectory=family, options=options)
+        y = problem.variables(begin.coefficients).ravel()
+        direction = rng.normal(size=y.size)
+        for function in (problem.cost, problem.excess):
+            value, jacobian = function(y)
+            h = 1e-6
+            ahead, behind = (np.asarray(function(y + s * h * direction)[0]) for s in (1, -1))
+            numeric = (ahead - behind) / (2.0 * h)
+            assert np.isfinite(value).all()
+            error = np.abs(numeric - jacobian @ direction).max()
+            assert error < 1e-4 * max(np.abs(numeric).max(), 1e-3)
+
+
+def test_random_motions_differ_and_keep_the_limits():
+    stance, spline = standing("l_foot"), SplineMotion(3.0, 10)
+    target = stance.target(noise=[1.0] * 6, on_plate=True)
+    found = [
+        random_excitation(target, trajectory=spline, options=DesignOptions(stance=stance), seed=s)
+        for s in (0, 1, 0)
+    ]
+    np.testing.assert_array_equal(found[0].coefficients, found[2].coefficients)
+    assert np.abs(found[0].coefficients - found[1].coefficients).max() > 0.1
+    for trajectory in found:
+        motion = trajectory.motion(np.linspace(0.0, 3.0, 301))
+        polygon, friction = stance.support(motion)
+        assert polygon.max() <= stance.margin and friction.max() <= 1.0
+        assert np.ptp(motion.q, axis=0).max() > 0.2
+
+
+def test_a_force_plate_measures_what_the_ground_gives():
+    """Of one foot, the plate is a fixed robot's base sensor under the same robot, welded there."""
+    stance = standing("l_foot")
+    target = stance.target(noise=[0.5] * 3 + [1.5] * 3, on_plate=True)
+    motion = stance.random_motion()[:20]
+    wrench = target.measure(motion).regressor @ target.prior
+    np.testing.assert_allclose(wrench, stance.wrenches(motion), atol=1e-9)
+    assert target.rows == ("nx", "ny", "nz", "fx", "fy", "fz")
+    held = stance.wrenches(at_rest(stance.posture[None]))
+    np.testing.assert_allclose(held[0, 5], 9.81 * 57.5, rtol=1e-3)
+    np.testing.assert_allclose(held[0, 3:5], 0.0, atol=1e-9)
+
+
+class TestFeet:
+    def test_soles_of_collision_geometry(self):
+        """Boxes of 0.24 × 0.12 m whose middle is 0.04 m before the ankle, as the file has them."""
+        stance = standing("l_foot")
+        ends = np.sort(stance.corners, axis=0)
+        np.testing.assert_allclose(ends[[0, -1]], [[-0.12, -0.06], [0.12, 0.06]], atol=1e-9)
+        both = standing(*FEET)
+        np.testing.assert_allclose(np.ptp(both.corners, axis=0), [0.24, 0.30], atol=1e-9)
+        np.testing.assert_allclose(both.middle, 0.0, atol=1e-9)
+        given = standing(*(Foot.sole(foot, 0.1, 0.08) for foot in FEET))
+        np.testing.assert_allclose(np.ptp(given.corners, axis=0), [0.1, 0.26], atol=1e-9)
+
+    def test_a_tilted_base_is_turned_until_the_feet_are_level(self):
+        names = motion_limits(biped()).joints
+        lean = {"leg_aky": -0.2, "leg_hpy": 0.1, "leg_kny": 0.2}
+        posture = [lean.get(name[2:], 0.0) for name in names]
+        stance = make_stance(biped(), FEET, posture=posture)
+        up = stance.base_columns(at_rest(stance.posture[None]))
+        pitch = 2.0 * np.arctan2(up["base.orientation.y"][0], up["base.orientation.w"][0])
+        assert pitch == pytest.approx(-0.1, abs=1e-9)  # hip, knee and ankle add up to 0.1
+
+    def test_balls_are_points(self, tmp_path):
+        text = BIPED.read_text()
+        for name in FEET:
+            at = text.index(f'<link name="{name}">')
+            end = text.index("</collision>", at)
+            ball = '<collision><geometry><sphere radius="0.03"/></geometry>'
+            text = text[: text.index("<collision>", at)] + ball + text[end:]
+        path = tmp_path / "balls.urdf"
+        path.write_text(text)
+        model = load_model(path, floating=True)
+        with pytest.raises(ArgumentError, match="l_foot, r_foot touch the ground at a point or"):
+            make_stance(model, FEET)
+
+    @pytest.mark.parametrize(
+        ("feet", "given", "message"),
+        [
+            ([], {}, "at least one foot"),
+            (["l_hand"], {}, "no link 'l_hand' to stand on.*Links: pelvis"),
+            (["l_forearm"], {}, "'l_forearm' has no collision geometry"),
+            (["l_foot", "trunk"], {}, "feet are not on one plane"),
+            (["l_foot"], {"friction": 0.0}, "friction"),
+            (["l_foot"], {"margin": 1.5}, "margin"),
+        ],
+    )
+    def test_what_cannot_stand(self, feet, given, message):
+        with pytest.raises(ArgumentError, match=message):
+            stance = standing.__wrapped__(*feet, **given)
+            stance.limits()
+
+    def test_postures_beyond_the_limits_and_held_bases(self):
+        model = biped()
+        names = motion_limits(model).joints
+        with pytest.raises(ArgumentError, match=r"'l_leg_kny' is at -0.2, but its range is 0 to 2"):
+            make_stance(model, FEET, posture=[-0.2 * (n == "l_leg_kny") for n in names])
+        with pytest.raises(ArgumentError, match=r"biped\.urdf has 0"):
+            make_stance(load_model(BIPED), FEET)
+        with pytest.raises(ArgumentError, match="'x' has 2 points"):
+            Foot("x", np.zeros((2, 3)))
+
+    def test_robots_that_fall_over(self):
+        """A trunk that leans back over the heel: no design begins there."""
+        stance = standing("l_foot")
+        names = stance.motors
+        back = stance.placed + 0.6 * np.array([n == "l_leg_aky" for n in names])
+        options = DesignOptions(stance=stance, stand=back)
+        with pytest.raises(ArgumentError, match="falls over at the robot's stand"):
+            design_excitation(stance.target(noise=1.0), options=options, trajectory=FAMILY)
+
+    def test_designs_ask_for_what_holds_the_base(self):
+        with pytest.raises(ArgumentError, match="nothing says what holds it"):
+            design_excitation(make_target(biped(), noise=1.0), trajectory=FAMILY)
+        stance = standing("l_foot")
+        other = make_target(replace(stance.model), noise=1.0)
+        with pytest.raises(ArgumentError, match="another robot than stands"):
+            design_excitation(other, options=DesignOptions(stance=stance), trajectory=FAMILY)
+        limits = motion_limits(load_model(MODELS / "arm6.urdf"), bounded=True)
+        with pytest.raises(ArgumentError, match="but the motors are"):
+            stance.within(limits)
+
+
+def test_load_is_shared_by_all_motors():
+    """With equal limits, efforts are the least that move the robot: nothing can be taken off."""
+    stance = standing(*FEET)
+    equal = replace(stance.motor_limits, effort=np.full(len(stance.motors), 100.0))
+    stance = stance.within(equal)
+    q = stance.posture[None]
+    still = at_rest(q)
+    tau = stance.efforts(still)[0]
+    G = stance.model.coordinates.jacobian(q)[0]
+    joints = stance.robot.joints
+    rows = np.array([G[joints.index(name)] for name in stance.motors])
+    np.testing.assert_allclose(rows.T @ tau, stance.model.effort(still)[0], atol=1e-9)
+    np.testing.assert_allclose(rows @ np.linalg.lstsq(rows, tau, rcond=None)[0], tau, atol=1e-9)
