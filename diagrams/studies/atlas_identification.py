@@ -21,45 +21,36 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from pydrake.math import RigidTransform
-from pydrake.multibody.parsing import Parser
-from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, SpatialInertia
 
-from diagrams.harness import chart, run_draws, script_parser, show, write
+from diagrams.harness import MODELS, chart, run_draws, script_parser, show, write
 from diagrams.public_data import add_folder_option
 from geodrake.excitation import (
+    DesignOptions,
     ExcitationTrajectory,
+    Foot,
     ReducedIdentification,
     SplineMotion,
+    Stance,
     Target,
+    make_stance,
     make_target,
     measurement_factor,
+    random_excitation,
     reduced_identification,
 )
-from geodrake.inertia import inertial_parameters, perturb
+from geodrake.inertia import perturb
 from geodrake.logs import Motion
-from geodrake.model import RobotModel
-from geodrake.robot import (
-    base_wrench_regressor,
-    inverse_dynamics_regressor,
-    zero_moment_point,
-)
+from geodrake.model import RobotModel, load_model
+from geodrake.robot import inverse_dynamics_regressor
 from geodrake.robot.base_parameters import pushforward_metric
-from geodrake.robot.files.description import drake_messages
-from geodrake.robot.plant import position_limits, velocity_limits
 
 # Robots on one foot, [Lee2019] §4.6.3: Atlas from a folder of its own, or a small one of ours.
-#
-# The left sole is the ground's frame: both are welded together there, so that a robot in balance
-# is a tree with a fixed base, and what the force plate under it measures is the base wrench.
+# What the force plate under the left sole measures is the wrench of the ground.
 
 ATLAS = Path("reference") / "atlas_v5.urdf"
-SOLE = "l_foot_sole"
-HALF_SOLE = np.array([0.13, 0.06])
-"""Half length and half width of the sole, m; the length is Atlas's, the width is ours."""
-STANCE = ("l_leg_akx", "l_leg_aky")
+ATLAS_FOOT = Foot.sole("l_foot_sole", 0.26, 0.12)
+"""The sole of Atlas: its length is Atlas's, its width is ours."""
 GROUPS = {
     "hip": r"leg_hp",
     "knee": r"leg_kn",
@@ -71,56 +62,17 @@ GROUPS = {
 }
 """Joints of table 4.4 by name."""
 
-_X, _Y, _Z = np.eye(3)
-_LEG, _TRUNK = (0.08, 0.08, 0.4), (0.2, 0.3, 0.4)
-_SMALL = (
-    # joint, parent, place of the joint in the parent, axis, mass, box about its centre, its centre
-    ("l_leg_akx", None, (0, 0, 0.08), _X, 0.5, (0.05, 0.05, 0.05), (0, 0, 0)),
-    ("l_leg_aky", "l_leg_akx", (0, 0, 0), _Y, 3.0, _LEG, (0, 0, 0.2)),
-    ("l_leg_kny", "l_leg_aky", (0, 0, 0.4), _Y, 5.0, _LEG, (0, 0, 0.2)),
-    ("l_leg_hpy", "l_leg_kny", (0, 0, 0.4), _Y, 1.0, (0.1, 0.1, 0.1), (0, -0.02, 0)),
-    ("l_leg_hpx", "l_leg_hpy", (0, 0, 0), _X, 8.0, (0.2, 0.25, 0.15), (0, -0.1, 0.05)),
-    ("back_bky", "l_leg_hpx", (0, -0.1, 0.12), _Y, 20.0, _TRUNK, (0, 0, 0.25)),
-    ("l_arm_shx", "back_bky", (0, 0.2, 0.4), _X, 2.0, (0.07, 0.3, 0.07), (0, 0.15, 0)),
-    ("l_arm_elx", "l_arm_shx", (0, 0.3, 0), _X, 1.5, (0.06, 0.25, 0.06), (0, 0.12, 0)),
-    ("r_arm_shx", "back_bky", (0, -0.2, 0.4), _X, 2.0, (0.07, 0.3, 0.07), (0, -0.15, 0)),
-    ("r_arm_elx", "r_arm_shx", (0, -0.3, 0), _X, 1.5, (0.06, 0.25, 0.06), (0, -0.12, 0)),
-    ("r_leg_hpy", "l_leg_hpx", (0, -0.2, 0), _Y, 5.0, _LEG, (0, 0, -0.2)),
-    ("r_leg_kny", "r_leg_hpy", (0, 0, -0.4), _Y, 3.0, _LEG, (0, 0, -0.2)),
-)
 
-
-def standing_robot(shared: Path | None) -> RobotModel:
+def standing_robot(shared: Path | None) -> Stance:
     """Return Atlas on its left foot, of the folder `shared`; our small robot if None.
 
     Its neck, which is not among the source's 29 joints, is held.
     """
-    return _small() if shared is None else _atlas(shared / ATLAS)
-
-
-def _atlas(path: Path) -> RobotModel:
-    text = re.sub(r"<safety_controller[^>]*/>", "", path.read_text(encoding="utf-8"))
-    text = re.sub(r'(name="neck_ay"\s+type=)"revolute"', r'\1"fixed"', text)
-    plant = MultibodyPlant(0.0)
-    with drake_messages():
-        Parser(plant).AddModelsFromString(text, "urdf")
-    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(SOLE), RigidTransform())
-    plant.Finalize()
-    return RobotModel(plant, path, False, inertial_parameters(plant))
-
-
-def _small() -> RobotModel:
-    plant, reach = MultibodyPlant(0.0), 1.0
-    for name, parent, place, axis, mass, box, center in _SMALL:
-        P = plant.world_body() if parent is None else plant.GetBodyByName(parent)
-        inertia = SpatialInertia.SolidBoxWithMass(mass, *box)
-        B = plant.AddRigidBody(name, inertia.Shift(-np.array(center, float)))
-        frame = FixedOffsetFrame(f"{name}_F", P.body_frame(), RigidTransform(np.array(place)))
-        F = plant.AddFrame(frame)
-        joint = plant.AddJoint(RevoluteJoint(name, F, B.body_frame(), axis, -reach, reach))
-        joint.set_velocity_limits([-12.0], [12.0])
-    plant.Finalize()
-    return RobotModel(plant, Path("standing"), False, inertial_parameters(plant))
+    if shared is None:
+        small = load_model(MODELS / "biped.urdf", floating=True)
+        return make_stance(small, ["l_foot"], margin=MARGIN)
+    atlas = load_model(shared / ATLAS, floating=True, lock={"neck_ay": 0.0})
+    return make_stance(replace(atlas, effects=()), [ATLAS_FOOT], margin=MARGIN)
 
 
 def groups(model: RobotModel) -> dict[str, np.ndarray]:
@@ -132,97 +84,8 @@ def groups(model: RobotModel) -> dict[str, np.ndarray]:
     return {group: indices for group, indices in found.items() if len(indices)}
 
 
-Array = NDArray[np.float64]
-
-# Random motions of a robot that balances on one foot, [Lee2019] §4.6.3.
-#
-# Random postures get their centre of mass over the sole by the ankle. A spline leads from one to
-# another by way of others, as much out of the straight line as the zero-moment point allows.
-
 FAMILY = SplineMotion(3.0, 10, 5)
-CHECK_RATE = 15.0  # 1/s, at which the source checks balance
-_MARGIN = 0.95  # of the sole, within which the zero-moment point is to be
-_AIM = 0.5  # of the sole, over which centres of mass of postures are
-_REACH = 0.6  # of the joints' ranges
-_SHARES = np.linspace(1.0, 0.2, 17)
-_CLOSE, _STEP, _NEWTON, _BATCH, _TRIES = 1e-3, 1e-5, 8, 40, 60
-
-
-@dataclass(frozen=True, eq=False)
-class Balance:
-    """A robot whose left sole is the world's frame."""
-
-    model: RobotModel
-
-    def zmp(self, q: Array, v: Array, vd: Array) -> Array:
-        """Return (N, 2) zero-moment points on the ground, m; NaN where the foot would lift off."""
-        Y = base_wrench_regressor(self.model.tree, q, v, vd)
-        return zero_moment_point(Y @ self.model.phi.ravel())
-
-    def postures(self, rng: np.random.Generator, count: int) -> Array:
-        """Return (count, nv) random postures by joint with the centre of mass over the sole."""
-        model, (lower, upper) = self.model, position_limits(self.model.plant)
-        middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
-        ankle = [model.joints.index(name) for name in STANCE]
-        found: list[Array] = []
-        for _ in range(_TRIES):
-            tried = middle + rng.uniform(-_REACH, _REACH, (_BATCH, len(lower))) * half
-            aim = rng.uniform(-_AIM, _AIM, (_BATCH, 2)) * HALF_SOLE
-            error = self._correct(tried, aim, ankle)
-            within = ((tried >= lower) & (tried <= upper)).all(axis=1)
-            found += list(tried[within & (error < _CLOSE)])
-            if len(found) >= count:
-                return np.array(found[:count])
-        raise RuntimeError(f"Only {len(found)} of {count} postures are in balance.")
-
-    def _correct(self, postures: Array, aim: Array, ankle: list[int]) -> Array:
-        """Turn the ankle until centres of mass are over `aim`; the distances (N,) left, m."""
-        still = np.zeros_like(postures)
-
-        def off(x: Array) -> Array:
-            return self.zmp(x, still, still) - aim
-
-        error = off(postures)
-        for _ in range(_NEWTON):
-            jacobian = np.empty((len(postures), 2, 2))
-            for k, joint in enumerate(ankle):
-                moved = postures.copy()
-                moved[:, joint] += _STEP
-                jacobian[:, :, k] = (off(moved) - error) / _STEP
-            jacobian += 1e-9 * np.eye(2)
-            step = np.linalg.solve(jacobian, error[..., None])[..., 0]
-            postures[:, ankle] -= np.clip(step, -0.3, 0.3)
-            error = off(postures)
-        return np.asarray(np.linalg.norm(error, axis=1))
-
-    def motion(self, rng: np.random.Generator) -> tuple[ExcitationTrajectory, float]:
-        """A random motion in balance, from rest to rest, and its share out of the straight line."""
-        inner = FAMILY.points - 4  # two free ends of three equal points each, less the ends
-        along = np.clip((np.arange(FAMILY.points) - 2) / (FAMILY.points - 5), 0.0, 1.0)[:, None]
-        for _ in range(_TRIES):
-            postures = self.postures(rng, inner)
-            straight = (1 - along) * postures[0] + along * postures[-1]
-            detour = np.zeros_like(straight)
-            detour[3:-3] = postures[1:-1] - straight[3:-3]
-            for share in _SHARES:
-                moving = straight + share * detour
-                trajectory = ExcitationTrajectory(FAMILY, moving, self.model.joints)
-                if self.keeps(trajectory):
-                    return trajectory, float(share)
-        raise RuntimeError("No random motion is in balance.")
-
-    def keeps(self, trajectory: ExcitationTrajectory) -> bool:
-        """Whether a motion keeps its zero-moment point in the sole, and speeds in their limits.
-
-        Positions of a spline are between its points, which keep their limits.
-        """
-        motion = trajectory.motion(FAMILY.times(round(CHECK_RATE * FAMILY.length) + 1))
-        if (np.abs(motion.v) > velocity_limits(self.model.plant)).any():
-            return False
-        zmp = self.zmp(motion.q, motion.v, motion.vd)
-        return bool((np.abs(zmp) <= _MARGIN * HALF_SOLE).all())  # NaN is not
-
-
+MARGIN = 0.95  # of the sole, within which the zero-moment point is to be
 NOISE = np.array([1.5, 1.5, 1.5, 0.5, 0.5, 0.5])  # N·m and N
 RATE = 300  # samples a second
 
@@ -239,33 +102,44 @@ class Plan:
     seed: int = 0
 
 
-def robot(plan: Plan) -> RobotModel:
-    """Return the true robot."""
+def robot(plan: Plan) -> Stance:
+    """Return the true robot on its foot."""
     return standing_robot(None if plan.shared is None else Path(plan.shared))
+
+
+def target_of(stance: Stance, phi: np.ndarray) -> Target:
+    """Return what a force plate is to identify, with nominal parameters."""
+    guess = replace(stance.model, phi=phi)
+    return make_target(guess, noise=NOISE, effects=[], X_WP=RigidTransform())
 
 
 def one_motion(number: int, *, plan: Plan) -> dict[str, Any]:
     """Return a random motion in balance."""
-    balance = Balance(robot(plan))
-    trajectory, share = balance.motion(np.random.default_rng([plan.seed, number]))
+    stance = robot(plan)
+    trajectory = random_excitation(
+        stance.target(noise=NOISE, effects=[], on_plate=True),
+        trajectory=FAMILY,
+        options=DesignOptions(stance=stance),
+        seed=1000 * plan.seed + number,
+    )
     motion = trajectory.motion(FAMILY.times(round(RATE * FAMILY.length)))
-    zmp = np.abs(balance.zmp(motion.q, motion.v, motion.vd)) / HALF_SOLE
     return {
         "coefficients": trajectory.coefficients.tolist(),
-        "detour": share,
-        "zmp": float(zmp.max()),
+        "zmp": float(stance.support(motion)[0].max()),
         "fastest": float(np.abs(motion.v).max()),
+        "widest": float(np.ptp(motion.q, axis=0).max()),
     }
 
 
-def sampled(model: RobotModel, found: dict[str, Any], rate: float) -> Motion:
+def sampled(stance: Stance, found: dict[str, Any], rate: float) -> Motion:
     """Return a motion at a rate (1/s)."""
-    trajectory = ExcitationTrajectory(FAMILY, np.array(found["coefficients"]), model.joints)
+    coefficients = np.array(found["coefficients"])
+    trajectory = ExcitationTrajectory(FAMILY, coefficients, stance.motors, stance)
     return trajectory.motion(FAMILY.times(round(rate * FAMILY.length)))
 
 
 def identify(
-    truth: RobotModel, motions: list[Motion], plan: Plan
+    stance: Stance, motions: list[Motion], plan: Plan
 ) -> tuple[Target, ReducedIdentification, ReducedIdentification]:
     """The target with its prior, and what full and reduced identification make of noisy wrenches.
 
@@ -273,12 +147,11 @@ def identify(
         ArgumentError: The threshold keeps nothing.
     """
     rng = np.random.default_rng([plan.seed, plan.motions, 1])
-    prior = perturb(truth.phi, 1, rng=rng, mass_uncertainty=plan.uncertainty).phi[0]
-    guess = replace(truth, phi=prior)
-    target = make_target(guess, noise=NOISE, effects=[], X_WP=RigidTransform())
+    truth = stance.model.phi
+    prior = perturb(truth, 1, rng=rng, mass_uncertainty=plan.uncertainty).phi[0]
+    target = target_of(stance, prior)
     wrenches = [
-        target.measure(motion).regressor @ truth.phi.ravel()
-        + NOISE * rng.normal(size=(len(motion), 6))
+        target.measure(motion).regressor @ truth.ravel() + NOISE * rng.normal(size=(len(motion), 6))
         for motion in motions
     ]
     factor = measurement_factor(target, motions, wrenches)
@@ -286,17 +159,20 @@ def identify(
     return target, reduced_identification(target, factor, threshold=np.inf), reduced
 
 
-def validate(truth: RobotModel, motions: list[Motion], delta: np.ndarray) -> dict[str, Any]:
+def validate(stance: Stance, motions: list[Motion], delta: np.ndarray) -> dict[str, Any]:
     """RMS errors of wrenches, of efforts and of accelerations, for errors δ (p,) of parameters."""
+    truth = stance.model
     context, wrench, effort, acceleration = truth.plant.CreateDefaultContext(), [], [], []
-    target = make_target(truth, noise=NOISE, effects=[], X_WP=RigidTransform())
+    target = target_of(stance, truth.phi)
     for motion in motions:
         wrench.append(target.measure(motion).regressor @ delta)
         Y = inverse_dynamics_regressor(truth.tree, motion.q, motion.v, motion.vd)
         effort.append(Y @ delta)
-        for q, tau in zip(motion.q, effort[-1], strict=True):
+        whole, ratios = truth.plant_positions(motion.q), truth.coordinates.jacobian(motion.q)
+        for q, G, tau in zip(whole, ratios, effort[-1], strict=True):
             truth.plant.SetPositions(context, q)
-            acceleration.append(np.linalg.solve(truth.plant.CalcMassMatrix(context), tau))
+            M = G.T @ truth.plant.CalcMassMatrix(context) @ G
+            acceleration.append(np.linalg.solve(M, tau))
     moment, force = np.split(np.vstack(wrench), 2, axis=1)
     joints = groups(truth)
     return {
@@ -314,19 +190,19 @@ def rms(x: np.ndarray) -> float:
 
 def run(found: Sequence[dict[str, Any]], plan: Plan) -> dict[str, Any]:
     """Return figure 4.7 and tables 4.3 and 4.4, of motions in balance."""
-    truth, kept = robot(plan), asdict(plan)
-    half = plan.motions // 2
+    stance, kept = robot(plan), asdict(plan)
+    half, truth = plan.motions // 2, stance.model
     target, full, reduced = identify(
-        truth, [sampled(truth, one, plan.rate) for one in found[:half]], plan
+        stance, [sampled(stance, one, plan.rate) for one in found[:half]], plan
     )
-    held_out = [sampled(truth, one, RATE / 10) for one in found[half:]]
+    held_out = [sampled(stance, one, RATE / 10) for one in found[half:]]
     H, B = pushforward_metric(target.base.matrix, truth.phi), target.base.matrix
     rows = []
     ways = {"prior": target.prior, "full": full.parameters, "reduced": reduced.parameters}
     for name, parameters in ways.items():
         delta = parameters - truth.phi.ravel()
         error = float(np.sqrt((B @ delta) @ H @ (B @ delta) / len(B)))
-        rows.append({"way": name, "error": error, **validate(truth, held_out, delta)})
+        rows.append({"way": name, "error": error, **validate(stance, held_out, delta)})
     variances = reduced.identifiable.variances
     return {
         "plan": {**kept, "shared": plan.shared is not None},

@@ -80,18 +80,19 @@ class TestScara:
 
 class TestOneFoot:
     def test_motions_are_in_balance(self):
-        model = atlas.standing_robot(None)
-        balance = atlas.Balance(model)
-        postures = balance.postures(np.random.default_rng(0), 5)
-        context = model.plant.CreateDefaultContext()
-        for q in postures:  # joints are in Drake's order
-            model.plant.SetPositions(context, q)
-            center = model.plant.CalcCenterOfMassPositionInWorld(context)
-            assert (np.abs(center[:2]) < atlas.HALF_SOLE).all()
-        trajectory, _ = balance.motion(np.random.default_rng(1))
-        assert balance.keeps(trajectory)
-        ends = trajectory.states([0.0, 3.0])
-        np.testing.assert_allclose(ends[1:], 0.0, atol=1e-9)
+        """By Drake's centre of mass at rest, and by the foot that stays where it is."""
+        stance, plan = atlas.standing_robot(None), atlas.Plan(None)
+        motion = atlas.sampled(stance, atlas.one_motion(0, plan=plan), 30.0)
+        plant, sole = stance.robot.plant, []
+        context = plant.CreateDefaultContext()
+        for q in stance.model.plant_positions(motion.q):
+            plant.SetPositions(context, q)
+            center = plant.CalcCenterOfMassPositionInWorld(context)
+            assert (np.abs(center[:2]) < 1.2 * np.array([0.12, 0.06])).all()
+            X = plant.EvalBodyPoseInWorld(context, plant.GetBodyByName("l_foot"))
+            sole.append(X.GetAsMatrix4())
+        assert np.ptp(sole, axis=0).max() < 1e-9
+        assert np.abs(motion.v[[0, -1]]).max() < 1e-9
 
 
 class TestManipulator:
