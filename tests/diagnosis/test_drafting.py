@@ -17,7 +17,6 @@ from geodrake.control.systems import EffectForce
 from geodrake.diagnosis.drafting import Draft, draft_effects, source_of
 from geodrake.diagnosis.drafting.formula import Factor, Formula, FormulaTerm
 from geodrake.diagnosis.drafting.results import DraftedEffect
-from geodrake.diagnosis.drafting.vocabulary import vocabulary
 from geodrake.diagnosis.explain import explain
 from geodrake.effects import load_effect_file
 from geodrake.identification.logs.model_errors import ErrorTable, JointError
@@ -138,14 +137,6 @@ def test_nothing_is_drafted_of_noise_or_of_what_follows_the_clock():
     for joint, words in zip(model.joints, ("oscillation at 1.37 Hz", "slow drift"), strict=True):
         first = next(c for c in told if c.joint == joint)
         assert words in first.words and first.share > 0.9
-
-
-def test_vocabulary_has_nothing_twice():
-    joints = ("a", "b", "c")
-    short, every = vocabulary("a", joints), vocabulary("a", joints, dict.fromkeys(joints, (-1, 2)))
-    some, all_of_them = ({frozenset(term.factors) for term in terms} for terms in (short, every))
-    assert len(some) == len(short) < len(every) / 2 and len(all_of_them) == len(every)
-    assert some <= all_of_them and FormulaTerm(()) in every
 
 
 def test_words_and_units():

@@ -12,10 +12,7 @@ from pinocchio_logs import MODELS, effort_log
 
 from geodrake import load_model
 from geodrake.diagnosis import explain
-from geodrake.identification.logs.case import open_case
-from geodrake.identification.logs.reduce import moving_together
 from geodrake.logs.motion import JointLog
-from geodrake.logs.preparation import prepare_logs
 
 DRY, WET = np.array([0.3, 0.15]), np.array([0.2, 0.1])
 
@@ -45,31 +42,11 @@ def in_turn(seconds=30.0, rate=100.0, noise=0.003):
     return JointLog("in turn", JOINTS, time, measured, effort + noise * rng.normal(size=q.shape))
 
 
-@pytest.fixture(scope="module")
-def log():
-    return in_turn()
-
-
-class TestJointsInTurn:
-    def test_no_fold_has_most_of_the_motion_of_a_joint(self, model, log):
-        case = open_case(model, [log], candidates=False, blocks=2)
-        for data in case.dataset.data:
-            assert data.samples.max() < 0.75 * data.samples.sum()
-
-    def test_their_friction_is_found_and_predicted(self, model, log):
-        """That the elbow rubs against the shoulder, no log of joints in turn can tell."""
-        found = explain(model, [log], blocks=2)
-        assert places(found) == {"coulomb_friction": {*JOINTS}, "viscous_friction": {*JOINTS}}
-        assert found.end.nrms < 0.03
-
-
-def test_joints_share_what_they_show_when_both_move(log):
-    (trajectory,) = prepare_logs([log])
-    assert moving_together([trajectory]).tolist() == [[True, False], [False, True]]
-    both = pendulum_log(3)
-    assert moving_together([*prepare_logs([both])]).all()
-    alike = replace(both, position=both.position[:, :1] * [1.0, -0.7])
-    assert moving_together([*prepare_logs([alike])]).tolist() == [[True, False], [False, True]]
+def test_friction_of_joints_that_move_in_turn_is_found_and_predicted(model):
+    """That the elbow rubs against the shoulder, no log of joints in turn can tell."""
+    found = explain(model, [in_turn()], blocks=2)
+    assert places(found) == {"coulomb_friction": {*JOINTS}, "viscous_friction": {*JOINTS}}
+    assert found.end.nrms < 0.03
 
 
 def test_an_offset_may_be_many_times_the_deviation_of_an_effort(model):

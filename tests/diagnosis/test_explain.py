@@ -20,7 +20,6 @@ from geodrake.errors import ArgumentError, LogError
 from geodrake.inertia import is_physical
 from geodrake.logs.files import write_log
 from geodrake.logs.filtering import design_filter
-from geodrake.logs.motion import JointLog
 from geodrake.report import page_of
 from geodrake.report.words import failing_words
 
@@ -422,10 +421,3 @@ def test_log_of_other_joints_is_refused(model, logs):
         explain(model, [replace(logs[0], joints=("shoulder", "knee"))])
     with pytest.raises(LogError, match="elbow"):
         explain(model, [logs[0].select(["shoulder"])])
-
-
-def test_log_that_is_too_short_is_refused(model, logs):
-    log = logs[0]
-    short = JointLog("short", JOINTS, log.time[:150], log.position[:150], log.effort[:150])
-    with pytest.raises(LogError, match="short"):
-        explain(model, [short], bandwidth=BANDWIDTH)

@@ -4,17 +4,16 @@ import json
 
 import numpy as np
 import pytest
+from commands import run
 from excitation_robots import MODELS
 from pinocchio_logs import effort_log
 from scipy.signal import lfilter
-from typer.testing import CliRunner
 
-from geodrake.cli.app import app
 from geodrake.diagnosis import explain
 from geodrake.logs.files import write_log
 from geodrake.model.saved_model import load_model
 
-ARM, PENDULUM = MODELS / "arm6.urdf", MODELS / "double_pendulum.urdf"
+PENDULUM = MODELS / "double_pendulum.urdf"
 WORDS = "its direction of motion times the position of "
 OPTION = "--draft-effect my_effect.py"
 
@@ -31,25 +30,6 @@ def test_what_goes_with_time_alone_or_with_nothing_does_not_go_with_the_motion()
     found = explain(load_model(PENDULUM), [log])
     assert found.verdict == "unexplained"
     assert max(found.of_motion.values()) < 0.05
-
-
-def brake(seen):
-    """Friction of a joint that another one's position tightens."""
-    return {2: 2.0 * (1.2 + np.sin(2.0 * seen.q[:, 4])) * np.tanh(seen.v[:, 2] / 0.01)}
-
-
-def test_signal_is_told_and_no_name():
-    found = explain(load_model(ARM), [effort_log("arm6", 1, brake, share=0.01).log])
-    assert not [step.effect for step in found.steps if step.probability > 0.9]
-    assert found.verdict == "unexplained"
-    told = f"at elbow_pitch varies with {WORDS}wrist_pitch, which no effect"
-    assert [note for note in found.notes if told in note]
-
-
-def run(*arguments):
-    result = CliRunner().invoke(app, [str(a) for a in arguments])
-    assert result.exit_code == 0, result.output
-    return result.output
 
 
 def tightened(seen):
@@ -94,11 +74,12 @@ def file_of(hidden, path):
 def test_command_report_and_numbers_tell_it_and_what_to_do(tmp_path):
     page, numbers = tmp_path / "log.html", tmp_path / "log.json"
     path = file_of(tightened, tmp_path / "log.csv")
-    output = run("explain", PENDULUM, path, "--report", page, "--json", numbers, "--details")
-    (verdict,) = [line for line in output.splitlines() if line.startswith("Verdict: ")]
+    done = run("explain", PENDULUM, path, "--report", page, "--json", numbers, "--details")
+    assert done.exit_code == 0, done.output
+    (verdict,) = [line for line in done.output.splitlines() if line.startswith("Verdict: ")]
     assert verdict.endswith("searches for a formula of the remaining error.")
     assert OPTION in verdict
-    lines = output.splitlines()
+    lines = done.output.splitlines()
     told = lines[lines.index("What the remaining error varies with") + 1]
     assert told.startswith("- elbow: 9")
     assert told.endswith(f" % of the remaining error varies with {WORDS}shoulder.")
