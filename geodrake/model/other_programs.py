@@ -344,8 +344,8 @@ def _read_by_pinocchio(pinocchio: ModuleType, model: Model, text: ModelText) -> 
 
 def _root_of(xml: Element, text: ModelText) -> str:
     """Return the scoped name of the link of a file that no joint moves."""
-    links = [link.get("name", "") for link in xml.iter("link")]
-    ends = {kind: [e.get("link", "") for e in xml.iter(kind)] for kind in _ENDS}
+    links = [link.get("name", "") for link in xml.findall("link")]
+    ends = {kind: [e.get("link", "") for e in xml.findall(f"joint/{kind}")] for kind in _ENDS}
     if not set(links).issuperset(e for own in ends.values() for e in own):
         raise ValueError("it has joints without their links")
     name = next((link for link in links if link not in ends["child"]), links[0])

@@ -167,21 +167,20 @@ def load_plant(
     terms, plant = description.terms, built.plant
     terms = replace(terms, lengths=[*built.lengths, *terms.lengths])
     apart = _ignored(description, arrangement)
-    of_xml = any(text.kind == "xml" for text in description.texts)
     notes = [*origin, *terms.notes, *built.notes, *_follower_notes(arrangement), *loops.notes]
     lines = [message.partition("\n")[0].rpartition("warning: ")[2] for message in messages]
     of_drake = [f"Drake: {line}" for line in lines if "inertia" in line or "mass" in line]
     moving = {loop.joints[k] for loop in loops.loops for k in loop.cut}
-    cuts = (each.cut for each in built.opened)
+    cuts = (each.cut for each in [*terms.closures, *built.opened])
     closing = tuple(cut for cut in cuts if cut is not None and cut.name in moving)
     return LoadedPlant(
         plant,
         path,
         repairs,
         _once([*map(str, repairs), *weightless, *terms.lost, *of_drake]),
-        _once([*notes, *(() if of_xml else apart)]),
+        _once(notes),
         terms,
-        _once([*terms.left_out, *(apart if of_xml else ()), *loops.left_out]),
+        _once([*terms.left_out, *apart, *loops.left_out]),
         loops.loops,
         closing,
         held={**loops.held, **held},
@@ -278,7 +277,7 @@ def _loops(description: ModelDescription, built: BuiltPlant, how: LoopJoints) ->
     names = joint_names(plant)
     limited = (a.joint() for a in _actuators(plant) if np.isfinite(a.effort_limit()))
     driven = {names[joint.velocity_start()] for joint in limited} | terms.driven
-    driven |= {each.cut.name for each in built.opened if each.cut and each.cut.driven}
+    driven |= {each.cut.name for each in closures if each.cut and each.cut.driven}
     stiffness, single = dict[str, float](), {scoped(j): n for n, j in _single_joints(plant).items()}
     for length in terms.lengths:
         (joint, share), *others = length.shares.items()
@@ -322,7 +321,7 @@ def _ignored(description: ModelDescription, arrangement: Arrangement) -> list[st
 
 def cannot_follow(what: str, joints: Iterable[str]) -> str:
     """Return a sentence on joints of a statement of the file whose leaders are not there."""
-    return f"{what} is ignored, as it has no joint to follow: {', '.join(joints)} are independent."
+    return f"{what} is ignored, as it has no joint to follow: {', '.join(joints)}."
 
 
 def _last(name: str) -> str:

@@ -360,12 +360,40 @@ def four_bar_urdf(ball=BALL):
     )
 
 
-def test_drakes_ball_constraint_closes_a_loop_of_a_urdf(tmp_path):
-    (tmp_path / "robot.urdf").write_text(four_bar_urdf())
+PIN = (
+    '<gazebo><joint name="pin" type="{}"><pose>.05 0 .2 0 .3 0</pose>'
+    "<parent>coupler_link</parent><child>rocker_link</child><axis><xyz>0 -2 0</xyz></axis>"
+    "</joint></gazebo>"
+)
+
+
+@pytest.mark.parametrize("closes", [BALL, PIN.format("ball"), PIN.format("revolute")])
+def test_what_closes_a_loop_of_a_urdf_for_drake_or_gazebo_is_read(tmp_path, closes):
+    (tmp_path / "robot.urdf").write_text(four_bar_urdf(closes))
     model = load_model(tmp_path / "robot.urdf")
     assert model.joints == ("crank",) and not model.left_out
     bare = re.sub(r'(damping|stiffness|springref|armature)="[^"]*"', "", four_bar())
     assert_as_mujoco(model, Constrained.of(bare, ["crank"]), states(model))
+    assert check_dynamics(model, samples=3).second is not None
+
+
+def test_a_joint_of_gazebo_in_a_urdf_has_its_damping_and_friction(tmp_path):
+    own = "<axis><dynamics><damping>2</damping><friction>3</friction></dynamics>"
+    (tmp_path / "robot.urdf").write_text(
+        four_bar_urdf(PIN.format("revolute").replace("<axis>", own))
+    )
+    found = {f.effect.name: f for f in load_model(tmp_path / "robot.urdf").effects}
+    assert {f.effect.where for f in found.values()} == {("pin",)}
+    assert [found[f"{kind}_friction"].parameters.tolist() for kind in ("viscous", "coulomb")] == [
+        [2.0],
+        [3.0],
+    ]
+    base = '<gazebo><joint type="fixed"><parent>world</parent><child>base</child></joint></gazebo>'
+    (tmp_path / "robot.urdf").write_text(four_bar_urdf(base))
+    assert len(load_model(tmp_path / "robot.urdf").joints) == 3
+
+
+def test_a_ball_of_drake_names_bodies_that_are_there(tmp_path):
     (tmp_path / "robot.urdf").write_text(four_bar_urdf(BALL.replace("rocker_link", "nobody")))
     with pytest.raises(ModelError, match="has an unknown body 'nobody'"):
         load_model(tmp_path / "robot.urdf")

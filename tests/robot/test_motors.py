@@ -74,6 +74,7 @@ def test_without_being_asked_logs_are_of_joints_and_a_note_says_so(tmp_path):
     ("extra", "problem"),
     [
         (SIMPLE.replace("8", "0"), "has a reduction of 0"),
+        (f"{SIMPLE[:-15]}<mechanicalReduction>0</mechanicalReduction>{SIMPLE[-15:]}", "of 0"),
         (SIMPLE.replace("8", "eight"), "has 'eight', which is not a number"),
         (SIMPLE.replace('"shoulder"', '"knee"'), "'knee', which is not an independent joint"),
         (SIMPLE.replace('<joint name="shoulder"/>', ""), "0 joints and 1 actuators instead of 1"),
@@ -268,7 +269,6 @@ def test_a_held_leader_holds_its_followers(tmp_path):
     "mimics",
     [
         {"spin": follow("jx", 1.0)},
-        {"spin": follow("jb", 0.0)},
         {"spin": follow("jb", "nan")},
         {"jc": follow("jd", 1.0), "jd": follow("jc", 1.0)},
     ],
@@ -280,7 +280,19 @@ def test_what_cannot_follow_moves_by_itself_and_a_note_says_so(mimics, tmp_path)
         text = text.replace(opened, opened + mimic)
     model = loaded(tmp_path, text)
     assert len(model.joints) == 6
-    assert any("<mimic> is ignored" in note and name in note for note in model.notes)
+    assert any("<mimic> is ignored" in said and name in said for said in model.left_out)
+
+
+@pytest.mark.parametrize(
+    ("leader", "ratio", "offset", "opened"),
+    [("jb", 0.0, 0.3, ""), ("ja", 2.0, -0.2, '<joint name="ja" type="revolute">')],
+)
+def test_what_follows_a_joint_that_never_moves_is_fixed(tmp_path, leader, ratio, offset, opened):
+    own = '<joint name="spin" type="revolute">'
+    text = gripper(follows=False).replace(own, own + follow(leader, ratio, offset))
+    text = text.replace(opened or own, (opened or own).replace("revolute", "fixed", bool(opened)))
+    model = loaded(tmp_path, text)
+    assert model.held == {"spin": offset} and not model.left_out
 
 
 SDF = """<sdf version="1.9"><model name="m"><link name="base"/>{}

@@ -15,6 +15,7 @@ from geodrake.inertia import (
     to_mass_com_inertia,
 )
 from geodrake.inertia.bodies import lumped_bodies
+from geodrake.logs.motion import Motion
 from geodrake.model import check_dynamics
 from geodrake.model.robot_model import from_loaded_plant
 from geodrake.robot.plant import (
@@ -88,7 +89,7 @@ def test_urdf_ignores_geometry_mimic_and_transmissions(load):
     </transmission>"""
     loaded = load(urdf(mesh + inertial(), joint="<mimic joint='absent'/>", extra=extra))
     assert loaded.plant.num_velocities() == 1
-    assert any("mimic" in note and "j1" in note for note in loaded.notes)
+    assert any("mimic" in said and "j1" in said for said in loaded.left_out)
 
 
 def test_urdf_reads_limits_damping_and_friction(load):
@@ -176,15 +177,22 @@ def test_sdf_inertia_is_repaired_in_the_frame_of_the_link(load):
     np.testing.assert_allclose(inertial_parameters(loaded.plant)[0], repair.after, rtol=1e-9)
 
 
-def test_an_sdf_states_springs_and_friction_of_a_universal_joint_at_its_first_axis(load):
+def test_an_sdf_states_damping_and_friction_of_a_universal_joint_at_each_axis(load):
     text = SDF.format(mass=1.0, ixx=0.1).replace('type="revolute"', 'type="universal"')
+    own = "<dynamics><damping>3</damping><friction>4</friction></dynamics>"
     text = text.replace("0 1 0", "1 0 0").replace(
-        "</axis>", "</axis><axis2><xyz>0 1 0</xyz></axis2>"
+        "</axis>", f"</axis><axis2><xyz>0 1 0</xyz>{own}</axis2>"
     )
     model = from_loaded_plant(load(text, "m.sdf"), floating=False)
-    places = {f.effect.name: f.effect.where for f in model.effects}
-    assert places["joint_spring"] == places["coulomb_friction"] == ("j1_wx",)
-    assert len([f for f in model.effects if f.effect.name == "coulomb_friction"]) == 1
+    places = [f.effect.where for f in model.effects if f.effect.name == "coulomb_friction"]
+    assert places == [("j1_wx",), ("j1_wy",)]
+    second = [f for f in model.effects if f.effect.where == ("j1_wy",)]
+    assert [f.parameters.tolist() for f in second] == [[3.0], [4.0]]
+    (said,) = model.left_out
+    assert (
+        "<spring_stiffness>" in said
+        and np.isfinite(model.effort(Motion(*np.ones((3, 1, 2))))).all()
+    )
 
 
 def test_links_of_an_sdf_weigh_nothing_where_a_welded_one_has_their_inertia(load):

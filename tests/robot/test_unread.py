@@ -83,6 +83,35 @@ def test_gravity_that_is_off(tmp_path):
             {"model": '<plugin name="b" filename="gz-sim-buoyancy-system"/>'},
             "plugin gz-sim-buoyancy",
         ),
+        (SDF, {"one": "<kinematic>true</kinematic>"}, "<kinematic> true"),
+        (SDF, {"model": "<enable_wind>1</enable_wind>"}, "<enable_wind> 1"),
+        (
+            SDF,
+            {"model": '<plugin name="gz::sim::systems::Hydrodynamics" filename="x"/>'},
+            "systems::Hydro",
+        ),
+        (
+            SDF,
+            {"world": '<plugin name="w" filename="gz-sim-apply-link-wrench-system"/>'},
+            "link-wrench",
+        ),
+        (URDF, {"robot": "<gazebo><static>1</static></gazebo>"}, "<static> 1"),
+        (URDF, {"robot": '<mujoco><option gravity="0 0 -3"/></mujoco>'}, "=0 0 -3 of <option>"),
+        (
+            URDF,
+            {"robot": '<mujoco><compiler settotalmass="9"/></mujoco>'},
+            "mass=9 of <compiler>",
+        ),
+        (
+            URDF,
+            {"robot": '<gazebo><plugin name="m" filename="libgazebo_motor_model.so"/></gazebo>'},
+            "motor_model.so",
+        ),
+        (
+            URDF,
+            {"robot": '<gazebo><joint name="j" type="gearbox"/></gazebo>'},
+            "<joint> j of <gazebo>",
+        ),
         (URDF, {"joint": '<dynamics damping="1" spring_stiffness="3"/>'}, "ness=3 of <dynamics>"),
         (
             URDF,
@@ -150,6 +179,53 @@ def test_a_part_that_is_not_there_is_left_out_of_the_robot(tmp_path, name, scene
     (said,) = model.notes
     assert name in said and (said in model.left_out) != scenery
     assert bool(model.repairs) != scenery
+
+
+def test_a_world_of_an_older_version_or_with_foreign_parts_refuses_no_robot(tmp_path):
+    physics = "<physics><gravity>0 0 -1.62</gravity><solver>fast</solver></physics>"
+    world = f'{physics}<gui><theme/></gui><light type="own"/><road/><state world_name="w"/>'
+    moon = load(tmp_path, SDF, world="<gravity>0 0 -1.62</gravity>")
+    start = "<initial_position>1</initial_position>"
+    odd = load(tmp_path, SDF, world=world, axis=start, model="<gripper><what/></gripper>")
+    np.testing.assert_allclose(held(odd), held(moon))
+    assert not odd.left_out
+
+
+MIMIC = """<plugin name="m" filename="libroboticsgroup_gazebo_mimic_joint_plugin.so">
+<joint>a</joint><mimicJoint>b</mimicJoint><multiplier>-2</multiplier><offset>0.1</offset></plugin>"""
+
+
+def test_a_plugin_that_has_a_joint_follow_is_read(tmp_path):
+    inner = """<link name="l2"><inertial><mass value="1"/>
+    <inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+    <joint name="b" type="continuous"><parent link="l1"/><child link="l2"/></joint>"""
+    for text, parts in (
+        (SDF, {"model": MIMIC}),
+        (URDF, {"robot": f"{inner}<gazebo>{MIMIC}</gazebo>"}),
+    ):
+        model = load(tmp_path, text, **parts)
+        (follower,) = model.followers
+        assert (model.joints, follower.ratio, follower.offset) == (("a",), -2.0, 0.1)
+
+
+def test_what_an_include_changes_in_its_model_is_changed(tmp_path):
+    one = '<link name="l3"><inertial><mass>1</mass></inertial></link>'
+    (tmp_path / "p.sdf").write_text(f'<sdf version="1.9"><model name="p">{one}</model></sdf>')
+    change = """<experimental:params><link element_id="l3" action="modify"><inertial><mass>4</mass>
+    </inertial></link></experimental:params>"""
+    model = """<include><uri>p.sdf</uri><pose>.5 0 0 0 0 0</pose>{}</include>
+    <joint name="c" type="fixed"><parent>l1</parent><child>p::l3</child></joint>"""
+    held_by = [held(load(tmp_path, SDF, model=model.format(x))) for x in ("", change)]
+    np.testing.assert_allclose(held_by[1] - held_by[0], [-9.81 * 3.0 * 0.5, 0.0], atol=1e-12)
+
+
+def test_damping_of_a_planar_joint_of_a_urdf_is_that_of_each_direction(tmp_path):
+    text = URDF.replace("continuous", "planar")
+    model = load(tmp_path, text, joint='<dynamics damping="0.3"/>')
+    assert [f.parameters.tolist() for f in model.effects] == [[0.3]] * 3
+    spring = '<gazebo reference="a"><springStiffness>4</springStiffness></gazebo>'
+    (said,) = load(tmp_path, text, robot=spring).left_out
+    assert "<springStiffness> 4 is ignored" in said
 
 
 def test_what_a_world_includes_and_is_not_there_refuses_no_robot(tmp_path):

@@ -45,10 +45,12 @@ def numbers(text: str, count: int) -> Array:
     return values if len(values) == count else np.full(count, np.nan)
 
 
-def number(parent: Element, tag: str, attribute: str) -> float:
-    """Return the number in a child's attribute; 0 where it is left out, NaN if invalid."""
+def number(parent: Element, tag: str, attribute: str = "") -> float:
+    """Return the number in a child's attribute, or text; 0 where it is left out, NaN if invalid."""
     child = parent.find(tag)
-    return float(numbers("" if child is None else child.get(attribute, ""), 1)[0])
+    if child is None:
+        return 0.0
+    return float(numbers(child.get(attribute, "") if attribute else child.text or "", 1)[0])
 
 
 def symmetric(texts: Iterable[str]) -> Array:

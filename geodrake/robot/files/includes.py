@@ -29,6 +29,7 @@ _SCENERY = re.compile(r"(?<![a-z])(sun|ground|light|plane)+s?(?![a-z])", re.I)
 _LIKE_LATER = (1, 7)  # version of SDF from which on poses and axes mean the same
 _MODEL = "__model__"  # the frame of a model in SDF
 _OF_MODELS = ("pose", "static", "self_collide", "allow_auto_disable", "enable_wind", "plugin")
+_CHANGES = "experimental:params"  # of an include to its model, which Drake makes
 _DEEPEST = 30  # files that include each other in a row
 
 
@@ -105,7 +106,8 @@ class Includes:
                     included = parse_xml(file)
                     self.insert(included, file.parent, below)
                     model, version = included.find("model"), _version(included)
-                    if model is not None and _means_the_same(version, _version(root)):
+                    alike = _means_the_same(version, _version(root))
+                    if model is not None and alike and include.find(_CHANGES) is None:
                         found[version] = model
                     else:
                         others.append(included)

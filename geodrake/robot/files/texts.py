@@ -45,29 +45,49 @@ from geodrake.robot.files.includes import PACKAGE_ADVICE, Includes
 from geodrake.robot.files.model_edits import put_inertia, sdf_joints, sdf_models, sdf_pose
 from geodrake.robot.files.xml_text import numbered_text, place_of, wrong_at
 from geodrake.robot.joints import Follower
-from geodrake.robot.stated import Closure, FileTerms, Spring, StatedLength
+from geodrake.robot.stated import Closure, CutJoint, FileTerms, Spring, StatedLength
 from geodrake.robot.transmission.statements import Coupled, Gear, Statement
 
 URDF_UNREAD: Mapping[str, Collection[str]] = {
-    "gazebo": ("dampingFactor", "velocity_decay", "enable_wind"),
+    "gazebo": (
+        *("dampingFactor", "velocity_decay", "enable_wind", "kinematic", "static"),
+        *("link", "model"),
+    ),
     "actuator": ("motorInertia", "rotorInertia"),
     "contact": ("inertia_scaling",),
     "joint": ("joint_properties",),
     "robot": ("drake:linear_spring_damper", "drake:prismatic_spring", "drake:revolute_spring"),
 }
 SDF_UNREAD: Mapping[str, Collection[str]] = {
-    "link": ("velocity_decay", "enable_wind"),
+    "link": ("velocity_decay", "enable_wind", "kinematic"),
     "inertial": ("fluid_added_mass",),
-    "axis2": ("friction", "spring_stiffness"),
-    "model": ("drake:linear_spring_damper", "drake:prismatic_spring", "drake:revolute_spring"),
+    "model": (
+        *("drake:linear_spring_damper", "drake:prismatic_spring", "drake:revolute_spring"),
+        "enable_wind",
+    ),
 }
 """Tag -> tags of its children, or of theirs, that bear on efforts unless they are zero."""
+
+OF_MUJOCO: Mapping[str, Collection[str]] = {
+    "option": ("gravity", "density", "viscosity"),
+    "compiler": ("settotalmass", "boundmass", "boundinertia"),
+}
+"""Tag in the <mujoco> of a URDF -> attributes that bear on efforts there."""
+
+_FOREIGN = (
+    *("physics", "scene", "light", "atmosphere", "magnetic_field", "wind", "audio", "gui"),
+    *("spherical_coordinates", "state", "actor", "population", "road", "projector"),
+    *("gripper", "battery", "particle_emitter", "initial_position"),
+)
+"""Tags of SDF without effect on dynamics, of which Drake refuses what it does not know."""
 
 DYNAMICS_READ = frozenset({"damping", "friction"})
 """Attributes of <dynamics> in a URDF that are read; others are a simulator's own."""
 
 _FORCES = re.compile(
-    r"buoyan|lift.?drag|hydrodyn|wind(?!ow)|spring|apply.?(force|wrench)|thruster", re.I
+    r"buoyan|lift.?drag|hydrodyn|wind(?!ow)|spring|apply.?(link.?)?(force|wrench)|thruster|"
+    r"motor.?model|propell",
+    re.I,
 )
 _NOTHING = frozenset({"", "false"})
 
@@ -77,16 +97,19 @@ def unread(root: Element, table: Mapping[str, Collection[str]], path: Path) -> I
     for element in root.iter():
         for child in element if element.tag in table else ():
             yield from _of(child, table[element.tag], path)
+        where = place_of(element) or path
         if element.tag == "plugin":
-            name = element.get("filename") or element.get("name") or ""
-            if _FORCES.search(name):
-                yield f"{place_of(element) or path}: the plugin {name.strip()} is ignored."
-        if element.tag == "dynamics" and root.tag == "robot":
-            for key in sorted(set(element.attrib) - DYNAMICS_READ):
-                value = element.get(key, "").strip()
-                if not is_nothing(value):
-                    where = place_of(element) or path
-                    yield f"{where}: {key}={value[:50]} of <dynamics> is ignored."
+            file, name = element.get("filename", "").strip(), element.get("name", "").strip()
+            name = name if "::" in name or not file else file  # others name it as they like
+            if _FORCES.search(f"{file} {name}"):
+                yield f"{where}: the plugin {name} is ignored."
+        ignored = set(OF_MUJOCO.get(element.tag, ()))
+        if element.tag == "dynamics":
+            ignored = set(element.attrib) - DYNAMICS_READ
+        for key in sorted(ignored) if root.tag == "robot" else ():
+            value = element.get(key, "").strip()
+            if not is_nothing(value):
+                yield f"{where}: {key}={value[:50]} of <{element.tag}> is ignored."
 
 
 def _of(element: Element, tags: Collection[str], path: Path) -> Iterator[str]:
@@ -135,6 +158,8 @@ class ModelText(abc.ABC):
         self.root, self.path, self.scope, self.folders = root, path, scope, folders
         self.terms, self.packages = FileTerms(), set[str]()
         self._links: dict[str, Element] = {}
+        # Scoped names of joints that are fixed, and of those of several degrees of freedom.
+        self._still, self._several = set[str](), set[str]()
         self._read()
         check_numbers(self.root, self.numeric, path)
         check_limits(self.root, path)
@@ -222,8 +247,22 @@ class ModelText(abc.ABC):
         else:
             self.terms.carried = dict.fromkeys(off, 1.0)
 
+    def _take_axes(self, names: Sequence[str], joint: Element, *, damping: bool) -> None:
+        """Take friction and springs of each axis of a joint of SDF, and perhaps damping."""
+        axes = [axis for tag in ("axis", "axis2") for axis in joint.findall(tag)]
+        for name, axis in zip(names, axes, strict=False):
+            damps = (number(axis, "dynamics/damping") if damping else 0.0, 0.0, 0.0)
+            friction = number(axis, "dynamics/friction")
+            self.terms.lengths.append(StatedLength({name: 1.0}, damping=damps, friction=friction))
+            for dynamics in axis.findall("dynamics"):
+                self._take_spring(name, dynamics, *_SPRING)
+                drop(dynamics, *_SPRING, *(["damping"] if damping else []))
+
     def _take_spring(self, joint: str, parent: Element, *tags: str) -> None:
         """Take the spring of a joint, by its scoped name, of the tags of stiffness and rest."""
+        if joint in self._several:
+            self.terms.left_out += unread(parent, {parent.tag: tags[:1]}, self.path)
+            return
         stated = [parent.find(tag) for tag in tags]
         texts = ["0" if each is None else each.text or "0" for each in stated]
         values = [float(numbers(text, 1)[0]) for text in texts]
@@ -236,14 +275,31 @@ class ModelText(abc.ABC):
     def _take_mimic(self, name: str, scope: str, joint: Element) -> None:
         """Read the leader of a following joint, by its scoped name."""
         for mimic in [e for e in joint.iter() if e.tag in ("mimic", "drake:mimic")]:
-            ratio, offset = (
-                float(numbers(mimic.get(key) or mimic.findtext(key) or default, 1)[0])
-                for key, default in (("multiplier", "1"), ("offset", "0"))
-            )
             start = float(numbers(mimic.findtext("reference", "0"), 1)[0])  # of SDF
-            leader = f"{scope}::{mimic.get('joint')}"
-            self.terms.followers.append(Follower(name, leader, ratio, offset - ratio * start))
+            self._follow(name, f"{scope}::{mimic.get('joint')}", mimic, start)
         drop(joint, "mimic", "drake:mimic")
+
+    def _take_mimic_plugins(self, scope: str, plugins: Sequence[Element]) -> None:
+        """Read leaders in Gazebo's plugins of joints whose own element has none."""
+        already = {follower.joint for follower in self.terms.followers}
+        for plugin in plugins:
+            leader, own = (plugin.findtext(tag, "").strip() for tag in ("joint", "mimicJoint"))
+            if own and f"{scope}::{own}" not in already | self.terms.fixed.keys():
+                self._follow(f"{scope}::{own}", f"{scope}::{leader}", plugin)
+
+    def _follow(self, name: str, leader: str, stated: Element, start: float = 0.0) -> None:
+        """Have a joint follow another one, from where that starts; fixed where it never moves."""
+        if name in self._still:
+            return
+        ratio, offset = (
+            float(numbers(stated.get(key) or stated.findtext(key) or default, 1)[0])
+            for key, default in (("multiplier", "1"), ("offset", "0"))
+        )
+        ratio = 0.0 if leader in self._still else ratio
+        if ratio:
+            self.terms.followers.append(Follower(name, leader, ratio, offset - ratio * start))
+        else:
+            self.terms.fixed[name] = offset
 
     @abc.abstractmethod
     def _read(self) -> None:
@@ -270,24 +326,35 @@ class SdfText(ModelText):
         terms.notes += includes.absent
         terms.left_out += [*includes.missing, *includes.unread]
         terms.left_out += unread(self.root, SDF_UNREAD, self.path)
+        self._take_gravity()
+        with_plugins = deepcopy(self.root)
         for link in self.root.iter("link"):
             inertial = link.find("inertial")
             if inertial is None or inertial.get("auto") != "true":
                 drop(link, "collision")
-        drop(self.root, "visual", "sensor", "plugin", "drake:collision_filter_group")
+        drop(self.root, "visual", "sensor", "plugin", "drake:collision_filter_group", *_FOREIGN)
         models = list(sdf_models(self.root, first=self.scope or ""))
         for name, model in models:
             self._take_balls(name, model)
         self._drop_loops()
         for name, model in models:
             self._links |= {f"{name}::{e.get('name')}": e for e in model.findall("link")}
-        names = dict[str, str]()
-        for stated, name, joint in sdf_joints(self.root, first=self.scope or ""):
-            names[stated] = name
-            self._take_mimic(name, stated.rpartition("::")[0], joint)
-            self._read_joint(name, joint)
-        followers = (replace(f, leader=names.get(f.leader, f.leader)) for f in terms.followers)
-        terms.followers = list(followers)
+        joints = list(sdf_joints(self.root, first=self.scope or ""))
+        names = {stated: name for stated, name, _ in joints}
+        self._still = {stated for stated, _, joint in joints if joint.get("type") == "fixed"}
+        for stated, name, joint in joints:
+            self._take_mimic(stated, stated.rpartition("::")[0], joint)
+            twice = joint.get("type") == "universal"
+            own = [f"{name}[{k}]" for k in range(2)] if twice else [name]
+            self._several |= set(own) if twice or joint.get("type") == "ball" else set()
+            self._take_axes(own, joint, damping=twice)
+        for name, model in sdf_models(with_plugins, first=self.scope or ""):
+            self._take_mimic_plugins(name, model.findall("plugin"))
+        terms.fixed = {names.get(joint, joint): at for joint, at in terms.fixed.items()}
+        terms.followers = [
+            replace(f, joint=names.get(f.joint, f.joint), leader=names.get(f.leader, f.leader))
+            for f in terms.followers
+        ]
         nowhere = [*includes.missing, *includes.absent]
         if nowhere and not self._links:
             raise ModelError(
@@ -295,10 +362,14 @@ class SdfText(ModelText):
                 advice=PACKAGE_ADVICE,
                 path=self.path,
             )
-        self._take_gravity()
+        of_links = {name: link.findtext("gravity") for name, link in self._links.items()}
+        self._take_weightless(
+            [name for name, text in of_links.items() if text is not None and is_nothing(text)]
+        )
 
     def _take_gravity(self) -> None:
-        for stated in self.root.findall("world/gravity"):
+        places = ("world/physics/gravity", "world/gravity")  # that of older versions first
+        for stated in [each for place in places for each in self.root.findall(place)]:
             words = stated.text or ""
             vector = numbers(words, 3)
             if not np.isfinite(vector).all():
@@ -306,19 +377,6 @@ class SdfText(ModelText):
                 raise wrong_at(stated, self.path, what)
             if words.strip():
                 self.terms.gravity = vector
-        of_links = {name: link.findtext("gravity") for name, link in self._links.items()}
-        self._take_weightless(
-            [name for name, text in of_links.items() if text is not None and is_nothing(text)]
-        )
-
-    def _read_joint(self, name: str, joint: Element) -> None:
-        name = f"{name}[0]" if joint.get("type") == "universal" else name
-        friction = numbers(joint.findtext("axis/dynamics/friction", "0"), 1)[0]
-        self.terms.lengths.append(StatedLength({name: 1.0}, friction=friction))
-        for dynamics in joint.iter("dynamics"):
-            if dynamics is joint.find("axis/dynamics"):
-                self._take_spring(name, dynamics, *_SPRING)
-            drop(dynamics, *_SPRING)
 
     def _inertia(self, inertial: Element) -> Array:
         pose = inertial.find("pose")
@@ -331,6 +389,8 @@ class SdfText(ModelText):
         return inertial_parameters_of(mass, com, rotation(turn), inertia)
 
 
+_SEVERAL = ("planar", "floating", "ball", "universal")
+_CLOSING = ("revolute", "continuous", "prismatic", "ball", "fixed")
 _KINDS = ("SimpleTransmission", "DifferentialTransmission", "FourBarLinkageTransmission")
 _REDUCTIONS = ("mechanicalReduction", "mechanical_reduction")
 
@@ -344,7 +404,7 @@ class UrdfText(ModelText):
     def _read(self) -> None:
         root, terms = self.root, self.terms
         terms.left_out += unread(root, URDF_UNREAD, self.path)
-        gazebo = [e for e in root.findall("gazebo") if e.get("reference")]
+        gazebo = root.findall("gazebo")
         drop(root, "visual", "collision", "gazebo", "material", "drake:collision_filter_group")
         self._transmissions = [deepcopy(e) for e in root.iter("transmission")]
         for transmission in root.findall("transmission"):
@@ -360,9 +420,13 @@ class UrdfText(ModelText):
         root.set("name", root.get("name") or scope)
         self._links = {f"{scope}::{e.get('name')}": e for e in root.findall("link")}
         joints = [*root.findall("joint"), *root.findall("drake:joint")]
+        self._holding = {_end(joint, "child"): joint for joint in reversed(joints)}
+        self._still = {f"{scope}::{e.get('name')}" for e in joints if e.get("type") == "fixed"}
+        self._several = {f"{scope}::{e.get('name')}" for e in joints if e.get("type") in _SEVERAL}
         self._take_floating(scope, joints)
         every = {e.get("name") for tag in ("joint", "drake:joint") for e in root.iter(tag)}
-        self._take_gazebo(scope, gazebo, every)
+        self._take_gazebo(scope, [e for e in gazebo if e.get("reference")], every)
+        self._take_gazebo_joints(scope, gazebo)
         for joint in joints:
             name = f"{scope}::{joint.get('name')}"
             self._take_mimic(name, scope, joint)
@@ -371,29 +435,72 @@ class UrdfText(ModelText):
             terms.effort[name] = number(joint, "limit", "effort")
             if (limit := joint.find("limit")) is not None and terms.effort[name] == 0.0:
                 limit.attrib.pop("effort", None)  # with 0, Drake ignores the rotor, too
+            dynamics = joint.find("dynamics")
+            if dynamics is not None and joint.get("type") == "planar":
+                words = dynamics.get("damping", "").split()
+                dynamics.set("damping", " ".join(words * (3 if len(words) == 1 else 1)))
+        self._take_mimic_plugins(scope, [p for e in gazebo for p in e.findall("plugin")])
+
+    def _chain(self, link: str) -> list[Element]:
+        """Return the joints from the root to a link."""
+        found, joint = list[Element](), self._holding.get(link)
+        while joint is not None and joint not in found:
+            found.insert(0, joint)
+            joint = self._holding.get(_end(joint, "parent"))
+        return found
+
+    def _pose(self, link: str) -> Array:
+        """Return the pose (4, 4) of a link in its root, with all joints at zero."""
+        X = np.eye(4)
+        for joint in self._chain(link):
+            X = X @ _matrix(*_origin(joint))
+        return X
 
     def _take_floating(self, scope: str, joints: list[Element]) -> None:
         """Read floating joints, which Drake ignores; their parents must not move."""
-        ends = {
-            tag: {j: getattr(j.find(tag), "attrib", {}).get("link") for j in joints}
-            for tag in ("parent", "child")
-        }
-        holding = {child: joint for joint, child in ends["child"].items()}
         for joint in (each for each in joints if each.get("type") == "floating"):
-            chain, inner = [joint], holding.get(ends["parent"][joint])
-            while inner is not None and inner not in chain:
-                if inner.get("type") not in ("fixed", "floating"):
-                    name = joint.get("name")
-                    what = f"joint {name!r} is floating, but its parent moves."
-                    raise wrong_at(joint, self.path, what)
-                chain.append(inner)
-                inner = holding.get(ends["parent"][inner])
-            X = np.eye(4)
-            for each in reversed(chain):
-                place, turn = _origin(each)
-                X = X @ np.block([[rotation(turn), place[:, None]], [np.zeros((1, 3)), np.eye(1)]])
-            if np.isfinite(X).all():
-                self.terms.floating[f"{scope}::{ends['child'][joint]}"] = RigidTransform(X)
+            inner = self._chain(_end(joint, "parent"))
+            if any(each.get("type") not in ("fixed", "floating") for each in inner):
+                what = f"joint {joint.get('name')!r} is floating, but its parent moves."
+                raise wrong_at(joint, self.path, what)
+            link = _end(joint, "child")
+            if np.isfinite(X := self._pose(link)).all():
+                self.terms.floating[f"{scope}::{link}"] = RigidTransform(X)
+
+    def _take_gazebo_joints(self, scope: str, elements: list[Element]) -> None:
+        """Read SDF's joints in <gazebo>, which close loops, or hold the base."""
+        for joint in [joint for element in elements for joint in element.findall("joint")]:
+            name, kind = joint.get("name", ""), joint.get("type", "")
+            ends = [joint.findtext(tag, "").strip() for tag in ("parent", "child")]
+            one, two = (f"{scope}::{end}" for end in ends)
+            if (kind, ends[0]) == ("fixed", "world") and one not in self._links:
+                continue
+            stated, axis = joint.find("pose"), joint.find("axis")
+            place = (np.zeros(3), np.zeros(3)) if stated is None else sdf_pose(stated)
+            X_CJ, X_RC = _matrix(*place), self._pose(ends[1])
+            turn = numbers(joint.findtext("axis/xyz", "0 0 1"), 3)
+            if axis is not None and not is_nothing(axis.findtext("use_parent_model_frame", "")):
+                turn = (X_RC @ X_CJ)[:3, :3].T @ turn
+            readable = kind in _CLOSING and {one, two} <= self._links.keys() and bool(turn.any())
+            readable = readable and (stated is None or stated.get("relative_to") is None)
+            if not (readable and np.isfinite([*X_CJ.ravel(), *turn]).all()):
+                where = place_of(joint) or self.path
+                self.terms.left_out.append(f"{where}: <joint> {name} of <gazebo> is ignored.")
+                continue
+            X_RJ, driven = X_RC @ X_CJ, number(joint, "axis/limit/effort") > 0.0
+            cut = CutJoint(name, f"{scope}::{name}", turn, kind == "prismatic", driven)
+            poses = RigidTransform(np.linalg.solve(self._pose(ends[0]), X_RJ)), RigidTransform(X_CJ)
+            has_axis = kind not in ("ball", "fixed")
+            self.terms.closures.append(
+                Closure(
+                    f"the joint {name}",
+                    (one, two),
+                    poses,
+                    kind != "ball",
+                    cut if has_axis else None,
+                )
+            )
+            self._take_axes([cut.scoped_name], joint, damping=True)
 
     def _take_gazebo(self, scope: str, elements: list[Element], joints: set[str | None]) -> None:
         """Take springs of joints, and links without gravity."""
@@ -429,6 +536,17 @@ class UrdfText(ModelText):
         return inertial_parameters_of(mass, com, rotation(rpy), inertia)
 
 
+def _end(joint: Element, tag: str) -> str:
+    """Return the parent or child of a joint."""
+    end = joint.find(tag)
+    return "" if end is None else end.get("link", "")
+
+
+def _matrix(place: Array, turn: Array) -> Array:
+    """Return the pose (4, 4) of a position, and roll, pitch and yaw or a quaternion."""
+    return np.block([[rotation(turn), place[:, None]], [np.zeros((1, 3)), np.eye(1)]])
+
+
 def _origin(element: Element) -> tuple[Array, Array]:
     """Return the position (3,), and roll, pitch and yaw of an <origin>."""
     origin = element.find("origin")
@@ -456,7 +574,8 @@ def _motors(element: Element, path: Path) -> Iterator[Statement]:
     shifts = [_value(e, ("offset",), 0.0, what) for e in joints]
     (j1, *j2), (a1, *a2) = names
     if kind == "SimpleTransmission":
-        yield Gear(a1, j1, na[0] * nj[0], shifts[0])
+        own = _reduction(element, what)  # of older files
+        yield Gear(a1, j1, na[0] * nj[0] * own, shifts[0])
         return
     if kind == "DifferentialTransmission":
         first = {a1: 0.5 / (nj[0] * na[0]), a2[0]: 0.5 / (nj[0] * na[1])}
