@@ -98,6 +98,7 @@ def test_help_of_80_columns_cuts_nothing_and_shows_few_options_first(name):
     found = run(name, "--help-all", env={"COLUMNS": "80"})
     assert "--quiet" in found.output
     texts = "".join(f"{each.metavar}{each.help}" for each in command.params)
+    texts += command.epilog or ""
     assert found.output.count("…") == texts.count("…")
     assert max(map(len, found.output.splitlines())) <= 80
     assert not re.search(r"<(bool|[Pp]ath|str|list)", found.output)  # metavariables, not types
