@@ -180,7 +180,7 @@ def load_plant(
         _once([*map(str, repairs), *weightless, *terms.lost, *of_drake]),
         _once(notes),
         terms,
-        _once([*terms.left_out, *apart, *loops.left_out]),
+        _once([*terms.left_out, *(terms.of_bases if floating else ()), *apart, *loops.left_out]),
         loops.loops,
         closing,
         held={**loops.held, **held},

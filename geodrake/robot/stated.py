@@ -202,6 +202,7 @@ class FileTerms:
     Attributes:
         notes: Sentences on what was taken otherwise than it is stated.
         left_out: Sentences on what bears on efforts, and is nowhere here.
+        of_bases: Sentences on what bears on efforts of a free base alone, and is nowhere here.
         lost: Sentences on inertias that nothing tells.
         gravity: (3,) acceleration of gravity, m/s²; None for Drake's.
         set_aside: Link -> (10,) inertial parameters that no body can have; not in the plant.
@@ -219,6 +220,7 @@ class FileTerms:
 
     notes: list[str] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
+    of_bases: list[str] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)
     gravity: Array | None = None
     set_aside: dict[str, Array] = field(default_factory=dict)

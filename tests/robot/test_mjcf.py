@@ -119,6 +119,23 @@ TAKEN = {
         .replace('<body name="a"', '<body name="a" gravcomp=".8"')
         .replace('<body name="t"', '<body name="t" gravcomp=".8"')
     ),
+    "limits without an end": mjcf(tip('range="-inf inf"'), arm=GEOM + tip('range="0 inf"')).replace(
+        'name="t"', 'name="u"', 2
+    ),
+    "a plugin that no element uses": mjcf(
+        tip(),
+        head='<extension><plugin plugin="mujoco.sensor.touch_grid"/></extension>',
+    ),
+    "a plugin of an actuator": mjcf(
+        tip(),
+        head='<extension><plugin plugin="mujoco.pid"><instance name="i"><config key="kp" '
+        'value="4"/></instance></plugin></extension>',
+        tail='<actuator><plugin joint="t" plugin="mujoco.pid" instance="i" actdim="0"/></actuator>',
+    ),
+    "a deformable body that is a part of a rigid one": mjcf(
+        tip() + '<flexcomp name="f" type="grid" count="2 2 1" spacing=".1 .1 .1" mass="1" dim="2" '
+        'radius=".01"><pin id="0 1 2 3"/></flexcomp>'
+    ),
     "tendons that are switched off": (
         mjcf(
             tip(),
@@ -169,7 +186,28 @@ def no_ellipsoids(theirs):
     theirs.geom_fluid[:, 1:] = 0.0
 
 
+ACTUATED = mjcf(tip('actuatorgravcomp="true"')).replace('<body name="t"', '<body name="t" {}')
+MOCAP = '<body name="m" mocap="true" pos="1 0 0"><geom size=".1"/></body>'
+
 LEFT_OUT = {
+    "robot.xml, line 1: gravcomp=1 of t is": (
+        ACTUATED.format('gravcomp="1"'),
+        zero(body_gravcomp=slice(None)),
+    ),
+    "robot.xml, line 1: <equality>: the constraint <weld> of m and t": (
+        mjcf(tip(), tail='<equality><weld body1="m" body2="t"/></equality>').replace(
+            "<worldbody>", f"<worldbody>{MOCAP}"
+        ),
+        zero(),
+    ),
+    "robot.xml, line 1: Actuator 0 with dampingpoly 0.1 0 is": (
+        mjcf(
+            tip(),
+            tail=f'<tendon><fixed name="p">{PAIR}</fixed></tendon><actuator><motor tendon="p" '
+            'damping="0 .1"/></actuator>',
+        ),
+        zero(actuator_dampingpoly=0),
+    ),
     "drag acts on the ellipsoids of a, t": (
         mjcf(
             tip(geom='<inertial pos="0 0 .1" mass="1" diaginertia=".1 .1 .1"/>' + GEOM),
@@ -307,6 +345,31 @@ def test_what_stands_in_the_world_is_there_for_collisions_alone(tmp_path):
     assert set(robot_shapes(path, Given()).links) == {"r::a"}
 
 
+def test_a_plugin_of_a_body_is_told(tmp_path):
+    text = mjcf(tip(geom=GEOM + '<plugin plugin="own.drag"/>'))
+    (said,) = load_model(write(tmp_path, text)).left_out
+    assert "robot.xml, line 1: the plugin own.drag is ignored." in said
+
+
+def test_damping_of_a_free_base_is_told_where_it_is_free(tmp_path):
+    free = '<body name="b"><joint name="root" type="free" damping="2"/>' + GEOM
+    text = mjcf(tip()).replace("<worldbody>", f"<worldbody>{free}")
+    path = write(tmp_path, text.replace("</worldbody>", "</body></worldbody>"))
+    assert not load_model(path).left_out
+    (said,) = load_model(path, floating=True).left_out
+    assert "line 1: Joint root with damping 2 is ignored." in said
+
+
+def test_a_warning_of_mujoco_is_said_once(tmp_path):
+    part = '<mujoco model="s"><option gravity="0 0 -3"/><worldbody><body name="g"/></worldbody>'
+    text = mjcf(
+        tip() + '<attach model="s" body="g" prefix="x"/>',
+        head='<asset><model name="s" file="part.xml"/></asset>',
+    )
+    (said,) = load_model(write(tmp_path, text, part=f"{part}</mujoco>")).notes
+    assert said.startswith("MuJoCo: ") and said.endswith("keeping parent value")
+
+
 FOLLOW = '<joint joint1="t" joint2="a" polycoef="0 {} {} 0 0"/>'
 BACK = '<joint joint1="a" joint2="t" polycoef="0 1 .2 0 0"/>'
 
@@ -318,7 +381,7 @@ def test_a_second_constraint_of_a_joint_is_left_out(tmp_path, both):
     path = write(tmp_path, mjcf(tip(), tail=f"<equality>{both}</equality>"))
     model = load_model(path)
     (said,) = model.left_out
-    assert said.startswith("<equality>: the constraint <joint> of ") and said in model.repairs
+    assert "line 1: <equality>: the constraint <joint> of " in said and said in model.repairs
     assert len(model.joints) == 1
 
 

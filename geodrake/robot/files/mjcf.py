@@ -14,6 +14,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.robot.files.checks import (
+    LARGEST,
     MJCF_NUMBERS,
     UPPER,
     check_limits,
@@ -161,8 +162,9 @@ def _write_joint(body: Element, m: Any, joint: int) -> None:
     stated = {"name": name, "type": kind, "pos": words(m.jnt_pos[joint])}
     if kind != "ball":
         stated |= {"axis": words(m.jnt_axis[joint])}
-        if m.jnt_limited[joint]:
-            stated |= {"range": words(m.jnt_range[joint]), "limited": "true"}
+        if m.jnt_limited[joint] and np.isfinite(m.jnt_range[joint]).any():
+            ends = np.clip(m.jnt_range[joint], -LARGEST, LARGEST)  # Drake reads no infinity
+            stated |= {"range": words(ends), "limited": "true"}
     SubElement(body, "joint", stated)
 
 

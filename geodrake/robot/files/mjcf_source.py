@@ -41,6 +41,13 @@ _NO_DYNAMICS = (
     *("skin", "texture", "layer"),
     "size",  # which would ask for memory
 )
+_OF_ACTUATORS = {
+    *("name", "class", "group", "ctrlrange", "forcerange", "ctrllimited", "forcelimited", "gear"),
+    *("joint", "jointinparent", "tendon", "site", "refsite", "cranksite", "slidersite"),
+    *("cranklength", "body", "armature", "damping", "lengthrange"),
+}
+"""Attributes of an actuator with a plugin that others have, too."""
+
 _FOLDERS = ("meshdir", "assetdir", "texturedir", "strippath")
 _MESHES = (".obj", ".stl", ".msh")
 _MOST_MADE = 20_000  # things that one element makes, with those around it
@@ -80,6 +87,7 @@ class CompiledMjcf:
 
     Attributes:
         elements: Names of bodies -> their elements in the file; without those made by MuJoCo.
+        groups: Tendons, actuators, equalities and joints of the file itself, in order.
         notes: Sentences on ball joints that are three hinges.
         left_out: Sentences on what such joints are without, and on plugins.
         unknown: Names of bodies whose inertia follows from meshes that are not there alone.
@@ -89,6 +97,7 @@ class CompiledMjcf:
 
     model: Any
     elements: dict[str, Element]
+    groups: Mapping[str, Sequence[Element]] = field(default_factory=dict)
     said: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
@@ -118,7 +127,12 @@ class _Compiler:
         self._prepare(root, self.path, "", (self.path.resolve(),))
         bodies = {e.get("name", ""): e for w in root.findall("worldbody") for e in w.iter("body")}
         text, places = numbered_text(root)
-        found = CompiledMjcf(None, bodies)
+        groups = {
+            group: [element for each in root.findall(group) for element in each]
+            for group in ("tendon", "actuator", "equality")
+        }
+        groups["joint"] = [e for body in bodies.values() for e in own_joints(body)]
+        found = CompiledMjcf(None, bodies, groups)
         with self._refusals(places), quiet_mujoco() as said:
             spec = load_mujoco().MjSpec.from_string(text, include=self.models or None)
             spec.compiler.usethread = False
@@ -128,7 +142,9 @@ class _Compiler:
             if _split_balls(spec, found):
                 found.model = spec.compile()
         self._check_finite(found.model)
-        found.said += (f"MuJoCo: {' '.join(each.split())}" for each in said)
+        words = list(dict.fromkeys(" ".join(each.split()) for each in said))
+        whole = [w for w in words if not any(o != w and o.startswith(w) for o in words)]
+        found.said += (f"MuJoCo: {each}" for each in whole)
         found.left_out += self.plugins
         return found
 
@@ -159,12 +175,18 @@ class _Compiler:
         return _bodies_of(root, path, sizes)
 
     def _take_plugins(self, root: Element) -> None:
+        """Remove plugins, with a note on those that are used; those of actuators are motors."""
+        drop(root, "extension")
+        for plugin in [plugin for group in root.findall("actuator") for plugin in group]:
+            if plugin.tag == "plugin":
+                plugin.tag = "general"
+                plugin[:] = []
+                for key in set(plugin.attrib) - _OF_ACTUATORS:
+                    del plugin.attrib[key]
         for plugin in root.iter("plugin"):
-            if plugin.get("plugin") or plugin.get("instance"):
-                name = plugin.get("plugin") or plugin.get("instance")
-                where = place_of(plugin) or self.path
-                self.plugins.append(f"the plugin {name} ({where}) is ignored.")
-        drop(root, "extension", "plugin")
+            name, where = plugin.get("plugin") or plugin.get("instance"), place_of(plugin)
+            self.plugins.append(f"{where or self.path}: the plugin {name} is ignored.")
+        drop(root, "plugin")
 
     def _attach(self, element: Element, path: Path, chain: tuple[Path, ...]) -> float:
         """Register an attached model under a key; return its number of bodies."""

@@ -23,6 +23,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from geodrake.inertia import Array
 from geodrake.robot.files.mjcf_source import CompiledMjcf, chain_to_world, load_mujoco
+from geodrake.robot.files.xml_text import place_of
 from geodrake.robot.joints import Follower
 from geodrake.robot.stated import (
     WORLD,
@@ -43,6 +44,7 @@ _KINDS = {
     "armature": "",
 }
 """Properties of joints, tendons and actuators -> flag that disables them."""
+_FREE = 6  # velocities of a free joint
 _OF_BALLS = "damping", "frictionloss", "armature"
 
 
@@ -85,6 +87,7 @@ class MjcfTerms:
     def __init__(self, source: CompiledMjcf, scope: str) -> None:
         """Take all that is stated out of a compiled file."""
         self.mujoco, self.m, self.scope = load_mujoco(), source.model, scope
+        self.source = source
         self.reference, self.closing = copy.copy(source.model), list[int]()
         self.found = FileTerms(
             notes=list(source.notes),
@@ -106,16 +109,32 @@ class MjcfTerms:
             self._take_medium()
         if not self._disabled(off.mjDSBL_EQUALITY, off.mjDSBL_CONSTRAINT):
             self._take_equalities()
-        if self.m.nflex:
-            self._leave(f"<flex> of {self.m.nflex} deformable bodies: their elasticity")
+        if count := int((~np.asarray(self.m.flex_rigid, bool)).sum()):
+            self._leave(f"<flex> of {count} deformable bodies: their elasticity")
         self.found.notes += source.said
         self.reference.opt.disableflags |= int(off.mjDSBL_CONSTRAINT)
 
     def _disabled(self, *flags: Any) -> bool:
         return any(self.m.opt.disableflags & int(flag) for flag in flags)
 
-    def _leave(self, what: str) -> None:
-        self.found.left_out.append(f"{what} is ignored.")
+    def _leave(self, what: str, kind: str = "", at: int = 0, *, of_base: bool = False) -> None:
+        """Note that something is left out, and where it is in the file."""
+        said = self.found.of_bases if of_base else self.found.left_out
+        where = self._where(kind, at)
+        said.append(f"{where}: {what} is ignored." if where else f"{what} is ignored.")
+
+    def _where(self, kind: str, at: int) -> str:
+        """Return the file and line of an element, of one without a name by its number."""
+        elements, name = self.source.groups.get(kind, ()), ""
+        if kind == "body":
+            elements, name = list(self.source.elements.values()), self._name("BODY", at)
+        elif elements:
+            name = getattr(self.m, kind)(at).name
+        named = [element for element in elements if name and element.get("name") == name]
+        counts = {"tendon": self.m.ntendon, "actuator": self.m.nu, "equality": self.m.neq}
+        if not named and len(elements) == counts.get(kind):
+            named = [elements[at]]
+        return place_of(named[0]) if named else ""
 
     def _name(self, kind: str, at: int) -> str:
         return getattr(self.m, kind.lower())(at).name or f"{kind.lower()} {at}"
@@ -133,7 +152,7 @@ class MjcfTerms:
 
     def _velocities(self, joint: int) -> int:
         kinds = self.mujoco.mjtJoint
-        sizes = {int(kinds.mjJNT_FREE): 6, int(kinds.mjJNT_BALL): 3}
+        sizes = {int(kinds.mjJNT_FREE): _FREE, int(kinds.mjJNT_BALL): 3}
         return sizes.get(int(self.m.jnt_type[joint]), 1)
 
     def _numbers(self, where: Callable[[str], tuple[str, slice]]) -> dict[str, Array]:
@@ -161,7 +180,7 @@ class MjcfTerms:
                 damping, friction, armature = (_pop(has, key)[0] for key in _OF_BALLS)
                 own = {"friction": friction, "armature": armature}
                 self._add({joint: 1.0}, damping=_three([damping]), **own)
-            self._leave_rest(f"Joint {self._name('JOINT', joint)}", has, where)
+            self._leave_rest("joint", joint, has, where, of_base=count == _FREE)
 
     def _limit(self, joint: int, most: float) -> None:
         name, limits = self._joint(joint), self.found.effort
@@ -177,7 +196,7 @@ class MjcfTerms:
             has = self._numbers(where)
             self._take_along(name, fixed_tendon(m, at), has, length)
             self._take_strut(at, has, length)
-            self._leave_rest(f"Tendon {name}", has, where)
+            self._leave_rest("tendon", at, has, where)
 
     def _take_along(
         self, name: str, shares: dict[int, float], has: dict[str, Array], length: float | None
@@ -238,12 +257,20 @@ class MjcfTerms:
         self.found.struts.append(strut)
 
     def _leave_rest(
-        self, what: str, has: dict[str, Array], where: Callable[[str], tuple[str, slice]]
+        self,
+        kind: str,
+        at: int,
+        has: dict[str, Array],
+        where: Callable[[str], tuple[str, slice]],
+        *,
+        of_base: bool = False,
     ) -> None:
         """Note what remains of an element, and remove it from the reference."""
         parts = [f"{key} {_list(value)}" for key, value in has.items() if value.any()]
         if parts:
-            self._leave(f"{what} with {', '.join(parts)}")
+            what = self._name(kind.upper(), at).removeprefix(f"{kind} ")
+            with_what = f"{kind.capitalize()} {what} with {', '.join(parts)}"
+            self._leave(with_what, kind, at, of_base=of_base)
         for key, value in has.items():
             if value.any() and key != "frictionloss":
                 table, rows = where(key)
@@ -263,7 +290,7 @@ class MjcfTerms:
                 more = [gear**2 * c for c in _pop(has, "dampingpoly")]  # not gear³, as of tendons
                 self._add({on: 1.0}, damping=_three([0.0, *more]))
             self._take_along(name, shares, has, None)
-            self._leave_rest(f"Actuator {name}", has, where)
+            self._leave_rest("actuator", at, has, where)
 
     def _limit_of_motor(self, at: int, joint: int, gear: float) -> None:
         m, mujoco = self.m, self.mujoco
@@ -298,7 +325,8 @@ class MjcfTerms:
             return
         for body in moving:
             if m.body_gravcomp[body] and by_motors.any():
-                self._leave(f"gravcomp={m.body_gravcomp[body]:g} of {self._name('BODY', body)}")
+                what = f"gravcomp={m.body_gravcomp[body]:g} of {self._name('BODY', body)}"
+                self._leave(what, "body", body)
             elif m.body_gravcomp[body]:
                 self.found.carried[self._body(body)] = float(m.body_gravcomp[body])
         self.reference.body_gravcomp[:] = 0.0
@@ -350,7 +378,7 @@ class MjcfTerms:
                     f"<equality>: the constraint <{kind}> of {what} is inactive, and ignored."
                 )
             elif kind == "joint" and second >= 0:
-                self._follow(first, second, data[:5])
+                self._follow(at, first, second, data[:5])
             elif kind == "joint":
                 place = float(m.qpos0[m.jnt_qposadr[first]] + data[0])
                 self.found.fixed[self._joint(first)] = place
@@ -360,7 +388,9 @@ class MjcfTerms:
             ):
                 self._leave(
                     f"<equality>: the constraint <{kind}> of {what}, which closes a loop or "
-                    "holds something (the robot is read as an open tree),"
+                    "holds something (the robot is read as an open tree),",
+                    "equality",
+                    at,
                 )
 
     def _close(self, at: int, name: str, sites: bool) -> bool:
@@ -387,11 +417,12 @@ class MjcfTerms:
         return True
 
     def _free_root(self, body: int) -> int:
-        """Return the free body above a body, or itself; 0 if there is none."""
+        """Return the free body, or one that is moved from outside, at or above one; else 0."""
         m, free = self.m, self.mujoco.mjtJoint.mjJNT_FREE
         for each in chain_to_world(m, body):
             joints = range(m.body_jntadr[each], m.body_jntadr[each] + m.body_jntnum[each])
-            if any(int(m.jnt_type[joint]) == free for joint in joints):
+            moved = int(m.body_mocapid[each]) >= 0
+            if moved or any(int(m.jnt_type[joint]) == free for joint in joints):
                 return each
         return 0
 
@@ -428,7 +459,7 @@ class MjcfTerms:
                 return True
         return False
 
-    def _follow(self, first: int, second: int, data: Array) -> None:
+    def _follow(self, at: int, first: int, second: int, data: Array) -> None:
         """Take that Y − y₀ = p(x − x₀), y₀ and x₀ at the file's own pose."""
         own, leader = self._name("JOINT", first), self._name("JOINT", second)
         starts = [float(self.m.qpos0[self.m.jnt_qposadr[j]]) for j in (first, second)]
@@ -447,7 +478,9 @@ class MjcfTerms:
         if not tied:
             self._leave(
                 f"<equality>: the constraint <joint> of {own} and {leader}, as {own} already "
-                "follows or leads a joint,"
+                "follows or leads a joint,",
+                "equality",
+                at,
             )
 
     def _follows_already(self, own: str, leader: str) -> bool:
