@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,11 +21,15 @@ from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.loops import LoopJoints, closed_loops
 from geodrake.robot.stated import WORLD, Closure
+from geodrake.robot.transmission.loop import LoopTransmission, solved
 from geodrake.robot.transmission.statements import Drive
 
 _LEVEL = 0.005  # m, by which points of feet may be off the plane through them
 _NARROW = 0.005  # m, of a polygon on which nothing stands
 _SIDES = 12  # of a polygon at most
+_SWAY = np.array([0.3, 0.3, 0.3, 0.5, 0.5, 0.5])  # of a base: shares of its height, and rad
+_Z = 2  # of its joints
+_SMALLER, _TRIALS, _RANDOM, _CORNERS = 0.8, 20, 200, 6
 _SLACK = 1e-6  # rad or m, by which a posture may be beyond the limits
 
 
@@ -127,9 +132,12 @@ def _on_loops(robot: RobotModel, closures: Sequence[Closure], how: LoopJoints) -
         raise ArgumentError(
             f"Legs with transmissions or closed loops cannot stand yet: {', '.join(sorted(both))}."
         )
+    drive = Drive.of_loop(loop)
+    if set(loop.actuators) & set(robot.base_joints):
+        drive = replace(drive, range=_reachable(loop, robot))
     model = replace(
         robot,
-        transmission=(*robot.transmission, Drive.of_loop(loop)),
+        transmission=(*robot.transmission, drive),
         information=None,
         effort_noise=None,
         fading_speed=None,
@@ -143,6 +151,32 @@ def _on_loops(robot: RobotModel, closures: Sequence[Closure], how: LoopJoints) -
             fading_speed=None if fading is None else fading[at],
         )
     return model
+
+
+def _reachable(loop: LoopTransmission, robot: RobotModel) -> tuple[Array, Array]:
+    """Return a range of the free joints (n,) about the posture in which the feet can stay."""
+    names, there = loop.actuators, loop.reference[loop.free]
+    low, high = loop.limits[:, loop.free]
+    base = [k for k, name in enumerate(names) if name in robot.base_joints]
+    sway = _SWAY[[robot.base_joints.index(names[k]) for k in base]].copy()
+    slides = np.array([names[k] in robot.sliding_joints for k in base])
+    height = loop.reference[loop.joints.index(robot.base_joints[_Z])]
+    sway[slides] *= abs(height)
+    low[base], high[base] = there[base] - sway, there[base] + sway
+    low = np.where(np.isfinite(low), low, there - _SWAY[-1])
+    high = np.where(np.isfinite(high), high, there + _SWAY[-1])
+    random = np.random.default_rng(0).uniform(size=(_RANDOM, len(names)))
+    few = len(names) <= _CORNERS
+    corners = np.array(list(product((0.0, 1.0), repeat=len(names)))) if few else random
+    shares = np.vstack([corners, random])
+    for _ in range(_TRIALS):
+        if (solved(loop.records, low + shares * (high - low))[2] == 1.0).all():
+            return low, high
+        low, high = there + _SMALLER * (low - there), there + _SMALLER * (high - there)
+    raise ArgumentError(
+        "The robot can hardly move on its feet: its legs are nearly stretched, or folded.",
+        advice="Let it stand with bent knees: --stand.",
+    )
 
 
 def _ground(robot: RobotModel, feet: Sequence[Foot], context: Context) -> RigidTransform:

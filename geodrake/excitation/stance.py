@@ -21,7 +21,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise, product
-from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -48,14 +47,12 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.robot.joints import joint_names, single_joints
 from geodrake.robot.regressor import base_wrench_regressor, zero_moment_point
 from geodrake.robot.transmission import times
-from geodrake.robot.transmission.loop import LoopTransmission, solved
 
 _LEVEL = 0.005  # m, by which points of feet may be off the plane through them
 _NARROW = 0.005  # m, of a polygon on which nothing stands
 _SIDES = 12  # of a polygon at most
 _SHARP = 50.0  # of the smooth maximum of shares, which exceeds them by log(n)/50 at most
-_SWAY = np.array([0.3, 0.3, 0.3, 0.5, 0.5, 0.5])  # of a base: shares of its height, and rad
-_SMALLER, _TRIALS, _RANDOM = 0.8, 20, 200
+_RANDOM = 200
 _NEWTON, _CENTRAL, _ARRIVED = 12, 0.5, 1e-3  # steps to balance, share of the polygon, m
 _NOTHING = 1e-12  # m², of what postures move the centre of mass by
 _BATCH = 2000  # samples whose regressors are in memory
@@ -440,44 +437,14 @@ class Stance(Short):
             values[at] = given[motors]
         base = [k for k, name in enumerate(joints) if name in self.robot.base_joints]
         if base:
-            lower, upper = self._reachable(lower, upper, base)
+            own_low, own_high = self.model.position_limits  # ranges in which the feet can stay
+            lower, upper = np.fmax(lower, own_low), np.fmin(upper, own_high)
             q = np.random.default_rng(0).uniform(lower, upper, (_RANDOM, nv))
             G = np.abs(self._ratios(self.model.coordinates.jacobian(q)).max(axis=0))
             with np.errstate(divide="ignore"):
                 for values, given in ((velocity, own.velocity), (acceleration, own.acceleration)):
                     values[base] = (given[:, None] / G[:, base]).min(axis=0)
         return MotionLimits(joints, lower, upper, velocity, acceleration, effort, jerk)
-
-    def _reachable(self, lower: Array, upper: Array, base: Sequence[int]) -> tuple[Array, Array]:
-        """Return a range about the posture in which the feet can stay where they are."""
-        loop, there = cast(LoopTransmission, self.model.transmission[-1].map), self.posture
-        at = [self.model.joints.index(name) for name in loop.actuators]
-        height = self.base_height
-        coordinates = [self.robot.base_joints.index(self.model.joints[k]) for k in base]
-        half = _SWAY[coordinates] * np.where(np.array(coordinates) < 3, height, 1.0)
-        low, high = lower.copy(), upper.copy()
-        low[base], high[base] = there[base] - half, there[base] + half
-        random = np.random.default_rng(0).uniform(size=(_RANDOM, len(at)))
-        corners = np.array(list(product((0.0, 1.0), repeat=len(at)))) if len(at) <= 6 else random
-        for _ in range(_TRIALS):
-            shares = np.vstack([corners, random])
-            if (solved(loop.records, low[at] + shares * (high - low)[at])[2] == 1.0).all():
-                return low, high
-            for k in at:
-                low[k] = there[k] + _SMALLER * (low[k] - there[k])
-                high[k] = there[k] + _SMALLER * (high[k] - there[k])
-        raise ArgumentError(
-            "The robot can hardly move on its feet: its legs are nearly stretched, or folded.",
-            advice="Let it stand with bent knees: --stand.",
-        )
-
-    @cached_property
-    def base_height(self) -> float:
-        """Height of the base over the ground in the posture, m."""
-        columns = self.base_columns(
-            Motion(*np.stack([self.posture, *2 * [0 * self.posture]])[:, None])
-        )
-        return float(abs(columns["base.position.z"][0]))
 
 
 def _solved(C: Array, e: Array) -> Array:

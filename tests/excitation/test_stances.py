@@ -235,7 +235,7 @@ class TestFeet:
 
     def test_a_tilted_base_is_turned_until_the_feet_are_level(self):
         names = motion_limits(biped()).joints
-        lean = {"leg_aky": -0.2, "leg_hpy": 0.1, "leg_kny": 0.2}
+        lean = {"leg_aky": -0.4, "leg_hpy": -0.3, "leg_kny": 0.8}
         posture = [lean.get(name[2:], 0.0) for name in names]
         stance = make_stance(biped(), FEET, posture=posture)
         up = stance.base_columns(at_rest(stance.posture[None]))
