@@ -26,6 +26,7 @@ from geodrake.inertia import Array
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.logs.floating import FLAG, FORCE, ContactFlags, frames_of, odd_flags, vectors, widened
 from geodrake.logs.motion import GROUND, UNMEASURED, JointLog
+from geodrake.model.contact_probability import signs_of, touching_probability
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.checks import numbers
 from geodrake.robot.files.xacro_file import read_expanded
@@ -288,6 +289,7 @@ def _integral(time: Array, values: Array) -> Array:
 _POINTS = 3  # feet that a robot can stand on if they are points
 _NEAR = 0.02  # m over the ground, within which a frame may touch it
 _LOWEST = 5.0  # per cent of the lowest heights, which are taken for the ground's
+_DOUBT = 0.01  # probability of a contact, or of none, from which it counts
 _ODD = 0.01  # of contact flags, that most of those around them contradict
 _UNLIKE = 0.2  # of the weight, by which mean forces at feet may differ from it
 
@@ -414,7 +416,11 @@ def with_ground(log: JointLog, model: RobotModel) -> JointLog:
             )
         flags = widened(log.time, logged)
     if whole and vectors(log.floating, "base.position") is not None:
-        flags |= _low(log, model, frames)
+        lows, heights = _heights(log, model, frames)
+        flags |= lows
+        if not flagged:
+            found, more = _found(log, model, frames, heights)
+            flags, doubts = flags | found, (*doubts, *more)
     elif not flagged:
         flags[:] = True
     told = "from the log" if flagged else "at the ends of the limbs"
@@ -437,14 +443,43 @@ def _bodies(log: JointLog, model: RobotModel) -> tuple[NDArray[np.bool_], RobotB
     return known, RobotBodies(model.tree, model.positions(q[known]), model.total_phi)
 
 
-def _low(log: JointLog, model: RobotModel, frames: Sequence[ContactFrame]) -> NDArray[np.bool_]:
-    """Return (N, c) whether frames are at the height of the ground; true if unknown."""
+def _heights(
+    log: JointLog, model: RobotModel, frames: Sequence[ContactFrame]
+) -> tuple[NDArray[np.bool_], Array]:
+    """Return whether frames are low enough to touch level ground (N, c), and how high they are, m.
+
+    True and NaN if unknown.
+    """
     known, bodies = _bodies(log, model)
-    found = np.ones((len(log), len(frames)), bool)
+    heights = np.full((len(log), len(frames)), np.nan)
     if known.any():
-        heights = np.stack([frame.height(bodies) for frame in frames], -1)
-        found[known] = heights < np.percentile(heights.min(axis=1), _LOWEST) + _NEAR
-    return found
+        own = np.stack([frame.height(bodies) for frame in frames], -1)
+        heights[known] = own - np.percentile(own.min(axis=1), _LOWEST)
+    return ~(heights >= _NEAR), heights
+
+
+def _found(
+    log: JointLog, model: RobotModel, frames: Sequence[ContactFrame], heights: Array
+) -> tuple[NDArray[np.bool_], tuple[str, ...]]:
+    """Return where frames that may be high (N, c) touch or may touch, and a note on it.
+
+    What is in doubt counts as touching, which holds for frames in the air as well: limbs without
+    rows are all that it costs.
+    """
+    known, bodies = _bodies(log, model)
+    if not known.any():
+        return np.ones(heights.shape, bool), ()
+    may_be_soles = sum(frame.radius == 0.0 for frame in frames) < _POINTS
+    jacobians = [frame.jacobian(bodies, sole=may_be_soles) for frame in frames]
+    probability = touching_probability(signs_of(log, model, jacobians, heights[known], known))
+    found = widened(log.time, probability > _DOUBT)
+    doubtful = (found | ~(heights >= _NEAR)) & (probability < 1.0 - _DOUBT)
+    shares = (probability > 0.5).mean(axis=0).tolist()
+    told = [f"{f.name} in {x:.0%}" for f, x in zip(frames, shares, strict=True) if x > _DOUBT]
+    return found, (
+        f"contacts by heights, speeds and efforts: {', '.join(told) or 'none'} of the samples; in "
+        f"{doubtful.any(axis=1).mean():.0%} of them one is in doubt, and its limb left out",
+    )
 
 
 def _efforts_of_wrenches(log: JointLog, model: RobotModel, names: Sequence[str]) -> Array:

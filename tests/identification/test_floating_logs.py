@@ -17,6 +17,7 @@ from foreign_logs import (
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import JacobianWrtVariable
+from quadruped import FEET, JOINTS, LEGS, joint_text, link_text, quadruped
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
@@ -47,45 +48,7 @@ from geodrake.model.logged_joints import log_of_model, reading_for
 from geodrake.model.robot_model import load_description
 from geodrake.robot.regressor import inverse_dynamics_regressor
 
-LEGS = ("fl", "fr", "hl", "hr")
-FEET = tuple(f"{leg}_foot" for leg in LEGS)
-JOINTS = tuple(f"{leg}_{joint}" for leg in LEGS for joint in ("roll", "pitch", "knee"))
 RATE = 100.0
-
-
-def _link(name: str, mass: float, size: tuple[float, float, float], z: float = 0.0) -> str:
-    x, y, h = size
-    inertia = mass / 12.0 * np.array([y * y + h * h, x * x + h * h, x * x + y * y])
-    tensor = " ".join(f'i{a}="{v}"' for a, v in zip(("xx", "yy", "zz"), inertia, strict=True))
-    return (
-        f'<link name="{name}"><inertial><origin xyz="0 0 {z}"/><mass value="{mass}"/>'
-        f'<inertia {tensor} ixy="0" ixz="0" iyz="0"/></inertial></link>'
-    )
-
-
-def _joint(name: str, parent: str, child: str, xyz: str, axis: str) -> str:
-    return (
-        f'<joint name="{name}" type="continuous"><parent link="{parent}"/><child link="{child}"/>'
-        f'<origin xyz="{xyz}"/><axis xyz="{axis}"/></joint>'
-    )
-
-
-def quadruped() -> str:
-    parts = [_link("trunk", 8.0, (0.4, 0.2, 0.1))]
-    for leg in LEGS:
-        x, y = 0.2 * (1 if leg[0] == "f" else -1), 0.1 * (1 if leg[1] == "l" else -1)
-        parts += [
-            _link(f"{leg}_hip", 0.6, (0.08, 0.08, 0.08)),
-            _joint(f"{leg}_roll", "trunk", f"{leg}_hip", f"{x} {y} 0", "1 0 0"),
-            _link(f"{leg}_thigh", 1.0, (0.05, 0.05, 0.2), -0.1),
-            _joint(f"{leg}_pitch", f"{leg}_hip", f"{leg}_thigh", f"0 {y / 2} 0", "0 1 0"),
-            _link(f"{leg}_calf", 0.3, (0.03, 0.03, 0.2), -0.1),
-            _joint(f"{leg}_knee", f"{leg}_thigh", f"{leg}_calf", "0 0 -0.2", "0 1 0"),
-            f'<link name="{leg}_foot"/><joint name="{leg}_ankle" type="fixed">'
-            f'<parent link="{leg}_calf"/><child link="{leg}_foot"/>'
-            '<origin xyz="0 0 -0.2"/></joint>',
-        ]
-    return f'<robot name="quadruped">{"".join(parts)}</robot>'
 
 
 def waves(time: np.ndarray, sizes: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -106,7 +69,7 @@ class Maker:
         self.plant = MultibodyPlant(0.0)
         text = quadruped()
         if payload:
-            load = _link("load", payload, (0.1, 0.1, 0.1))
+            load = link_text("load", payload, (0.1, 0.1, 0.1))
             weld = (
                 '<joint name="on" type="fixed"><parent link="trunk"/><child link="load"/>'
                 f'<origin xyz="{place}"/></joint></robot>'
@@ -341,9 +304,9 @@ def test_rows_without_contact_forces_are_pinocchios(model, feet, axes, unmeasure
 def test_loads_are_put_on_trunks_and_where_limbs_branch(model, tmp_path):
     assert model.load_bodies == ("trunk", *(f"{leg}_calf" for leg in LEGS))
     links = ["base", "arm", "palm", "thumb", "finger"]
-    parts = [_link(name, 1.0, (0.1, 0.1, 0.1)) for name in links]
+    parts = [link_text(name, 1.0, (0.1, 0.1, 0.1)) for name in links]
     for parent, child in (("base", "arm"), ("arm", "palm"), ("palm", "thumb"), ("palm", "finger")):
-        parts.append(_joint(f"to_{child}", parent, child, "0 0 0.1", "0 1 0"))
+        parts.append(joint_text(f"to_{child}", parent, child, "0 0 0.1", "0 1 0"))
     (tmp_path / "hand.urdf").write_text(f'<robot name="r">{"".join(parts)}</robot>')
     hand = load_description(tmp_path / "hand.urdf")
     assert set(hand.load_bodies) == {"palm", "thumb", "finger"}

@@ -1,0 +1,165 @@
+"""How probable it is that frames touch the ground, of logs that do not say it.
+
+A frame that touches is at the height of the ground (or, more rarely, of a step), rests, and bears a
+share of the robot's weight: with the joints of its limb, Jᵀ f is what they need beyond what was
+measured. A frame in the air is anywhere above, moves, and bears nothing. Each is a density of the
+three, and touches and lifts follow each other as seldom as steps do (a hidden Markov chain of two
+states, forwards and backwards). What nobody measured has no say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import savgol_filter
+
+from geodrake.compiling import compiled
+from geodrake.logs.motion import JointLog, Motion
+from geodrake.model.robot_model import RobotModel
+from geodrake.robot.transmission import times
+
+Array = NDArray[np.float64]
+
+_SMOOTH = 0.05  # s, over which velocities and efforts are smoothed
+_HEIGHT, _SPEED = 0.01, 0.1  # m and m/s, of frames that touch: noise of base and joints, soft feet
+_HIGH, _FAST = 0.1, 1.0  # m and m/s, of frames in the air
+_STEP = 0.1  # probability of touching something else than the level ground, up to 2 _HIGH above it
+_LIGHT = 0.1  # of the share of weight of each frame, by which forces in the air are wrong
+_LARGEST = 1.3  # deviation of the largest of three normal errors of one
+_EFFORT = 0.03  # noise of joints' efforts over the efforts, as `contact_rows` has it
+_ANYTHING = 1e-4  # of the largest density, what anything has
+_MEMORY = 0.03  # s, in which errors are the same
+_NEARLY = 0.05  # of the largest, a singular value in which a limb is nearly stretched
+_STEPS_LAST = 0.3  # s, of a touch or a swing on average
+
+
+@dataclass(frozen=True, eq=False)
+class FrameSigns:
+    """What is known of c frames at N instants, NaN where nothing is.
+
+    Attributes:
+        heights: (N, c) over the ground, m.
+        speeds: (N, c) of the points that may touch, m/s.
+        loads: (N, c) largest component of the force on them that the joints of their limbs tell,
+            over its deviation in the air.
+    """
+
+    time: Array
+    heights: Array
+    speeds: Array
+    loads: Array
+
+
+def touching_probability(seen: FrameSigns) -> Array:
+    """Return probabilities (N, c) that frames touch the ground."""
+    count = seen.heights.shape[1]
+    log_odds = np.zeros(seen.heights.shape)
+    level = _normal(seen.heights, _HEIGHT)
+    is_low = (seen.heights > 0.0) & (seen.heights < 2.0 * _HIGH)
+    step = np.where(is_low, 0.5 / _HIGH, 0.0)
+    touching = np.where(np.isnan(seen.heights), np.nan, (1.0 - _STEP) * level + _STEP * step)
+    _add(log_odds, touching, _upwards(seen.heights))
+    _add(log_odds, 2.0 * _normal(seen.speeds, _SPEED), 2.0 * _normal(seen.speeds, _FAST))
+    # Whatever a frame in the air does not bear, some ground does, be it sticky.
+    most = 2.0 * max(count, 1) / _LIGHT
+    load = np.where(seen.loads < most, 1.0 / most, 0.0)
+    load[np.isnan(seen.loads)] = np.nan
+    _add(log_odds, load, 2.0 * _normal(seen.loads, _LARGEST))
+    period = float(np.median(np.diff(seen.time))) if len(seen.time) > 1 else _MEMORY
+    log_odds *= min(1.0, period / _MEMORY)
+    found = np.empty(log_odds.shape)
+    for k in range(count):
+        _forwards_and_backwards(log_odds[:, k], min(0.5, period / _STEPS_LAST), found[:, k])
+    return found
+
+
+def _normal(x: Array, deviation: float | Array) -> Array:
+    return np.asarray(np.exp(-0.5 * (x / deviation) ** 2) / (np.sqrt(2.0 * np.pi) * deviation))
+
+
+def _upwards(heights: Array) -> Array:
+    """Return the density of heights in the air, which noise takes below the ground a little."""
+    above = 1.0 / (_HIGH * (1.0 + np.maximum(heights, 0.0) / _HIGH) ** 2)
+    return np.asarray(above * np.exp(-0.5 * (np.minimum(heights, 0.0) / _HEIGHT) ** 2))
+
+
+def _add(log_odds: Array, touching: Array, aloft: Array) -> None:
+    """Add the log odds of two densities, each with a little of anything; none of what is NaN."""
+    largest = np.fmax(touching, 0.0).max(initial=0.0), np.fmax(aloft, 0.0).max(initial=0.0)
+    least = _ANYTHING * max(*largest, 1e-300)
+    odds = np.log(touching + least) - np.log(aloft + least)
+    log_odds += np.where(np.isfinite(odds), odds, 0.0)
+
+
+@compiled
+def _forwards_and_backwards(log_odds: Array, change: float, out: Array) -> None:
+    """Write the probabilities (N,) of the first of two states that change so often."""
+    ahead = 0.5
+    for n in range(len(log_odds)):
+        ahead = ahead * (1.0 - change) + (1.0 - ahead) * change
+        odds = ahead / (1.0 - ahead) * np.exp(log_odds[n])
+        ahead = min(max(odds / (1.0 + odds), 1e-12), 1.0 - 1e-12)
+        out[n] = ahead
+    behind = 0.5  # probability of what comes after, of the first state over both
+    for n in range(len(log_odds) - 1, -1, -1):
+        odds = out[n] / (1.0 - out[n]) * behind / (1.0 - behind)
+        after = behind / (1.0 - behind) * np.exp(log_odds[n])
+        share = min(max(after / (1.0 + after), 1e-12), 1.0 - 1e-12)
+        behind = share * (1.0 - change) + (1.0 - share) * change
+        out[n] = odds / (1.0 + odds)
+
+
+def signs_of(
+    log: JointLog,
+    model: RobotModel,
+    jacobians: Sequence[Array],
+    heights: Array,
+    known: NDArray[np.bool_],
+) -> FrameSigns:
+    """Return what a log tells of frames.
+
+    Args:
+        jacobians: Of each frame, (K, 3 or 6, nv) in W, of its point, and of its turning below.
+        heights: (K, c) over the ground, m.
+        known: (N,) the K instants at which positions are known.
+    """
+    at = [log.joints.index(joint) for joint in model.joints]
+    q, tau = log.position[:, at], log.effort[:, at]
+    period = float(np.median(np.diff(log.time))) if len(log) > 1 else _SMOOTH
+    window = 2 * max(1, round(0.5 * _SMOOTH / period)) + 1
+    told = np.array([log.effort_kinds.get(j, "effort") == "effort" for j in model.joints])
+    shape = len(log), len(jacobians)
+    high, speeds, loads = np.full((3, *shape), np.nan)
+    high[known] = heights
+    if len(log) < 2 * window:
+        return FrameSigns(log.time, high, speeds, loads)
+    v = np.gradient(q, log.time, axis=0) if log.velocity is None else log.velocity[:, at]
+    vd = savgol_filter(v, window, 2, deriv=1, delta=period, axis=0)
+    if log.acceleration is not None:
+        measured = log.acceleration[:, at]
+        vd = np.where(np.isfinite(measured), measured, vd)
+    tau = savgol_filter(tau, window, 2, axis=0)
+    for k, J in enumerate(jacobians):
+        speeds[known, k] = np.linalg.norm(times(J[:, :3], v[known]), axis=1)
+    weight = float(model.total_phi[:, 0].sum() * np.linalg.norm(model.tree.gravity))
+    whole = np.isfinite(np.hstack([q, v, vd])).all(axis=1)
+    rows = whole[known]
+    if told.any() and rows.any():
+        at_base = np.isin(model.joints, model.base_joints)
+        motion = Motion(model.positions(q[whole]), v[whole], vd[whole])
+        missing = model.effort(motion) - tau[whole]
+        noise = _EFFORT * np.sqrt(np.nanmean(np.square(tau[whole]), axis=0))
+        for k, J in enumerate(jacobians):
+            limb = np.asarray(J.any(axis=(0, 1))) & ~at_base
+            if not limb.any() or not told[limb].all():
+                continue
+            inverse = np.linalg.pinv(np.swapaxes(J[rows][:, :, limb], 1, 2), rcond=_NEARLY)
+            solution = inverse[:, :3]
+            by_noise = np.square(solution * noise[limb]).sum(axis=2)
+            deviations = np.sqrt((_LIGHT * weight / len(jacobians)) ** 2 + by_noise)
+            force = times(solution, missing[:, limb])
+            loads[whole, k] = (np.abs(force) / deviations).max(axis=1)
+    return FrameSigns(log.time, high, speeds, loads)
