@@ -109,7 +109,7 @@ def test_included_sdf_models_are_what_drake_makes_of_them(tmp_path, kind, merge)
         return
     check = check_dynamics(model := load_model(robot))
     assert check.by.startswith("Drake") and check.second is not None and check.second.holds
-    told = [each for each in model.left_out if "dry friction and springs of package://p" in each]
+    told = [each for each in model.left_out if "links without gravity of package://p" in each]
     assert len(told) == (kind == "old") and all("robot.sdf, line" in each for each in told)
     springs = [f.effect.where for f in model.effects if f.effect.name == "joint_spring"]
     assert len(springs) == {"placed": 1, "nested": 2, "old": 0}[kind]

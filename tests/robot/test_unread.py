@@ -112,6 +112,24 @@ def test_gravity_that_is_off(tmp_path):
             {"robot": '<gazebo><joint name="j" type="gearbox"/></gazebo>'},
             "<joint> j of <gazebo>",
         ),
+        (
+            URDF,
+            {"joint": '<origin xyz="0 0 0" quat_xyzw="0.6 0 0 0.8"/>'},
+            "quat_xyzw=0.6 0 0 0.8 of <origin>",
+        ),
+        (
+            URDF,
+            {"robot": '<gazebo reference="l1"><inertial><mass>9</mass></inertial></gazebo>'},
+            "<inertial> 9",
+        ),
+        (
+            URDF,
+            {
+                "robot": '<gazebo reference="a"><axis><dynamics><damping>2</damping></dynamics>'
+                "</axis></gazebo>"
+            },
+            "<axis> 2",
+        ),
         (URDF, {"joint": '<dynamics damping="1" spring_stiffness="3"/>'}, "ness=3 of <dynamics>"),
         (
             URDF,
@@ -195,17 +213,41 @@ MIMIC = """<plugin name="m" filename="libroboticsgroup_gazebo_mimic_joint_plugin
 <joint>a</joint><mimicJoint>b</mimicJoint><multiplier>-2</multiplier><offset>0.1</offset></plugin>"""
 
 
+CONTROL = """<ros2_control name="x" type="system"><joint name="b"><param name="mimic">a</param>
+<param name="multiplier">-2</param><param name="offset">0.1</param></joint></ros2_control>"""
+
+
+INNER = """<link name="l2"><inertial><mass value="1"/>
+<inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="b" type="continuous"><parent link="l1"/><child link="l2"/></joint>"""
+
+
 def test_a_plugin_that_has_a_joint_follow_is_read(tmp_path):
-    inner = """<link name="l2"><inertial><mass value="1"/>
-    <inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-    <joint name="b" type="continuous"><parent link="l1"/><child link="l2"/></joint>"""
     for text, parts in (
         (SDF, {"model": MIMIC}),
-        (URDF, {"robot": f"{inner}<gazebo>{MIMIC}</gazebo>"}),
+        (URDF, {"robot": f"{INNER}<gazebo>{MIMIC}</gazebo>"}),
+        (URDF, {"robot": INNER + CONTROL}),
     ):
         model = load(tmp_path, text, **parts)
         (follower,) = model.followers
         assert (model.joints, follower.ratio, follower.offset) == (("a",), -2.0, 0.1)
+
+
+@pytest.mark.parametrize(
+    "part",
+    [
+        INNER.replace("</joint>", '<mimic joint="a"/></joint>'),
+        '<gazebo reference="l1"><turnGravityOff>true</turnGravityOff></gazebo>',
+        '<gazebo reference="l1"><gravity>0</gravity></gazebo>',
+        "",
+    ],
+)
+def test_what_only_drake_reads_of_an_included_urdf_is_told(tmp_path, part):
+    load(tmp_path, URDF, robot=part)
+    include = "<include><uri>r.urdf</uri><name>in</name></include>"
+    weld = '<joint name="c" type="fixed"><parent>l1</parent><child>in::base</child></joint>'
+    said = load(tmp_path, SDF, model=include + weld).left_out
+    assert len(said) == bool(part) and all("line 2: dry friction, springs, foll" in x for x in said)
 
 
 def test_what_an_include_changes_in_its_model_is_changed(tmp_path):

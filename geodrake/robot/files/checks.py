@@ -45,6 +45,17 @@ def numbers(text: str, count: int) -> Array:
     return values if len(values) == count else np.full(count, np.nan)
 
 
+def is_nothing(text: str) -> bool:
+    """Return whether a text means none: empty, `false`, or zeros."""
+    words = text.split()
+    if not words or text.strip().lower() == "false":
+        return True
+    try:
+        return not any(float(word) for word in words)
+    except ValueError:
+        return False
+
+
 def number(parent: Element, tag: str, attribute: str = "") -> float:
     """Return the number in a child's attribute, or text; 0 where it is left out, NaN if invalid."""
     child = parent.find(tag)

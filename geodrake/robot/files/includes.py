@@ -17,6 +17,7 @@ from pydrake.multibody.parsing import PackageMap
 
 from geodrake.boundary.input_files import read_regular, regular_file
 from geodrake.errors import ModelError
+from geodrake.robot.files.checks import is_nothing
 from geodrake.robot.files.xml_text import (
     LARGEST_FILE,
     parse_xml,
@@ -117,8 +118,8 @@ class Includes:
                 elif any(map(_has_forces, others)):
                     where, what = place_of(include) or self.path, "URDF, or SDF of an older version"
                     self.unread.append(
-                        f"{where}: dry friction and springs of {url}, an included {what}, "
-                        "are ignored."
+                        f"{where}: dry friction, springs, followers and links without gravity of "
+                        f"{url}, an included {what}, are ignored."
                     )
 
     def name_by_urls(self, root: Element) -> None:
@@ -220,11 +221,15 @@ def _means_the_same(one: tuple[int, ...], other: tuple[int, ...]) -> bool:
 
 
 def _has_forces(root: Element) -> bool:
-    """Return whether a URDF or SDF states dry friction or springs of joints."""
-    tags = ("friction", "spring_stiffness", "springStiffness")
-    words = [each.text for tag in tags for each in root.iter(tag)]
-    words += [each.get("friction") for each in root.iter("dynamics")]
-    return any((word or "").strip(" \n\t0.+-") for word in words)
+    """Return whether a URDF or SDF states what Drake does not read.
+
+    That is dry friction and springs, joints that follow others, and links without gravity.
+    """
+    tags = ("friction", "spring_stiffness", "springStiffness", "turnGravityOff")
+    words = [each.text or "" for tag in tags for each in root.iter(tag)]
+    words += [each.get("friction", "") for each in root.iter("dynamics")]
+    off = any(is_nothing(each.text or "") for each in root.iter("gravity"))
+    return off or root.find(".//mimic") is not None or not all(map(is_nothing, words))
 
 
 def _merged(model: Element) -> list[Element]:

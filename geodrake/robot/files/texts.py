@@ -36,6 +36,7 @@ from geodrake.robot.files.checks import (
     check_numbers,
     drop,
     inertial_parameters_of,
+    is_nothing,
     number,
     numbers,
     rotation,
@@ -51,7 +52,7 @@ from geodrake.robot.transmission.statements import Coupled, Gear, Statement
 URDF_UNREAD: Mapping[str, Collection[str]] = {
     "gazebo": (
         *("dampingFactor", "velocity_decay", "enable_wind", "kinematic", "static"),
-        *("link", "model"),
+        *("link", "model", "axis", "axis2", "inertial", "fluid_added_mass"),
     ),
     "actuator": ("motorInertia", "rotorInertia"),
     "contact": ("inertia_scaling",),
@@ -68,11 +69,12 @@ SDF_UNREAD: Mapping[str, Collection[str]] = {
 }
 """Tag -> tags of its children, or of theirs, that bear on efforts unless they are zero."""
 
-OF_MUJOCO: Mapping[str, Collection[str]] = {
+URDF_ATTRIBUTES: Mapping[str, Collection[str]] = {
+    "origin": ("quat_xyzw",),
     "option": ("gravity", "density", "viscosity"),
     "compiler": ("settotalmass", "boundmass", "boundinertia"),
 }
-"""Tag in the <mujoco> of a URDF -> attributes that bear on efforts there."""
+"""Tag of a URDF, or of MuJoCo's elements in one -> attributes that bear on efforts."""
 
 _FOREIGN = (
     *("physics", "scene", "light", "atmosphere", "magnetic_field", "wind", "audio", "gui"),
@@ -89,7 +91,6 @@ _FORCES = re.compile(
     r"motor.?model|propell",
     re.I,
 )
-_NOTHING = frozenset({"", "false"})
 
 
 def unread(root: Element, table: Mapping[str, Collection[str]], path: Path) -> Iterator[str]:
@@ -103,7 +104,7 @@ def unread(root: Element, table: Mapping[str, Collection[str]], path: Path) -> I
             name = name if "::" in name or not file else file  # others name it as they like
             if _FORCES.search(f"{file} {name}"):
                 yield f"{where}: the plugin {name} is ignored."
-        ignored = set(OF_MUJOCO.get(element.tag, ()))
+        ignored = set(URDF_ATTRIBUTES.get(element.tag, ()))
         if element.tag == "dynamics":
             ignored = set(element.attrib) - DYNAMICS_READ
         for key in sorted(ignored) if root.tag == "robot" else ():
@@ -122,17 +123,6 @@ def _of(element: Element, tags: Collection[str], path: Path) -> Iterator[str]:
     if stated:
         value = " ".join(" ".join(stated).split())[:80]
         yield f"{place_of(element) or path}: <{element.tag}> {value} is ignored."
-
-
-def is_nothing(text: str) -> bool:
-    """Return whether a text means none: empty, `false`, or zeros."""
-    words = text.split()
-    if not words or text.strip().lower() in _NOTHING:
-        return True
-    try:
-        return not any(float(word) for word in words)
-    except ValueError:
-        return False
 
 
 _BALL = "drake:ball_constraint"
@@ -275,25 +265,40 @@ class ModelText(abc.ABC):
     def _take_mimic(self, name: str, scope: str, joint: Element) -> None:
         """Read the leader of a following joint, by its scoped name."""
         for mimic in [e for e in joint.iter() if e.tag in ("mimic", "drake:mimic")]:
-            start = float(numbers(mimic.findtext("reference", "0"), 1)[0])  # of SDF
-            self._follow(name, f"{scope}::{mimic.get('joint')}", mimic, start)
+            stated = {each.tag: each.text or "" for each in mimic} | mimic.attrib
+            self._follow(name, f"{scope}::{mimic.get('joint')}", stated)
         drop(joint, "mimic", "drake:mimic")
 
-    def _take_mimic_plugins(self, scope: str, plugins: Sequence[Element]) -> None:
-        """Read leaders in Gazebo's plugins of joints whose own element has none."""
-        already = {follower.joint for follower in self.terms.followers}
-        for plugin in plugins:
-            leader, own = (plugin.findtext(tag, "").strip() for tag in ("joint", "mimicJoint"))
-            if own and f"{scope}::{own}" not in already | self.terms.fixed.keys():
-                self._follow(f"{scope}::{own}", f"{scope}::{leader}", plugin)
+    def _take_more_mimics(
+        self, scope: str, plugins: Sequence[Element], joints: Sequence[Element] = ()
+    ) -> None:
+        """Read leaders of joints whose own element has none, of Gazebo's plugins and ros2_control.
 
-    def _follow(self, name: str, leader: str, stated: Element, start: float = 0.0) -> None:
-        """Have a joint follow another one, from where that starts; fixed where it never moves."""
+        Args:
+            joints: Those in <ros2_control>.
+        """
+        already = {follower.joint for follower in self.terms.followers}
+        found = [{each.tag: each.text or "" for each in plugin} for plugin in plugins]
+        for joint in joints:
+            given = {e.get("name", ""): e.text or "" for e in joint.findall("param")}
+            own = joint.get("name", "") if given.get("mimic") else ""
+            found.append({**given, "joint": given.get("mimic", ""), "mimicJoint": own})
+        for stated in found:
+            leader, own = (stated.get(key, "").strip() for key in ("joint", "mimicJoint"))
+            if own and f"{scope}::{own}" not in already | self.terms.fixed.keys():
+                self._follow(f"{scope}::{own}", f"{scope}::{leader}", stated)
+
+    def _follow(self, name: str, leader: str, stated: Mapping[str, str]) -> None:
+        """Have a joint follow another one; fixed where that never moves.
+
+        Args:
+            stated: `multiplier`, `offset` and, in SDF, `reference`.
+        """
         if name in self._still:
             return
-        ratio, offset = (
-            float(numbers(stated.get(key) or stated.findtext(key) or default, 1)[0])
-            for key, default in (("multiplier", "1"), ("offset", "0"))
+        ratio, offset, start = (
+            float(numbers(stated.get(key) or default, 1)[0])
+            for key, default in (("multiplier", "1"), ("offset", "0"), ("reference", "0"))
         )
         ratio = 0.0 if leader in self._still else ratio
         if ratio:
@@ -349,7 +354,7 @@ class SdfText(ModelText):
             self._several |= set(own) if twice or joint.get("type") == "ball" else set()
             self._take_axes(own, joint, damping=twice)
         for name, model in sdf_models(with_plugins, first=self.scope or ""):
-            self._take_mimic_plugins(name, model.findall("plugin"))
+            self._take_more_mimics(name, model.findall("plugin"))
         terms.fixed = {names.get(joint, joint): at for joint, at in terms.fixed.items()}
         terms.followers = [
             replace(f, joint=names.get(f.joint, f.joint), leader=names.get(f.leader, f.leader))
@@ -439,7 +444,8 @@ class UrdfText(ModelText):
             if dynamics is not None and joint.get("type") == "planar":
                 words = dynamics.get("damping", "").split()
                 dynamics.set("damping", " ".join(words * (3 if len(words) == 1 else 1)))
-        self._take_mimic_plugins(scope, [p for e in gazebo for p in e.findall("plugin")])
+        plugins = [plugin for element in gazebo for plugin in element.findall("plugin")]
+        self._take_more_mimics(scope, plugins, root.findall("ros2_control/joint"))
 
     def _chain(self, link: str) -> list[Element]:
         """Return the joints from the root to a link."""
