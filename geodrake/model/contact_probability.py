@@ -26,11 +26,13 @@ Array = NDArray[np.float64]
 _SMOOTH = 0.05  # s, over which velocities and efforts are smoothed
 _HEIGHT, _SPEED = 0.01, 0.1  # m and m/s, of frames that touch: noise of base and joints, soft feet
 _HIGH, _FAST = 0.1, 1.0  # m and m/s, of frames in the air
-_STEP = 0.1  # probability of touching something else than the level ground, up to 2 _HIGH above it
+_STEP = 0.1  # probability of touching something else than the level ground
+HIGHEST = 0.2
+"""Height over level ground of what else a frame may touch, m."""
 _LIGHT = 0.1  # of the share of weight of each frame, by which forces in the air are wrong
 _LARGEST = 1.3  # deviation of the largest of three normal errors of one
 _EFFORT = 0.03  # noise of joints' efforts over the efforts, as `contact_rows` has it
-_ANYTHING = 1e-4  # of the largest density, what anything has
+_ANYTHING, _NEVER = 1e-4, 1e-12  # of the largest density, what anything has; of heights
 _MEMORY = 0.03  # s, in which errors are the same
 _NEARLY = 0.05  # of the largest, a singular value in which a limb is nearly stretched
 _STEPS_LAST = 0.3  # s, of a touch or a swing on average
@@ -58,10 +60,10 @@ def touching_probability(seen: FrameSigns) -> Array:
     count = seen.heights.shape[1]
     log_odds = np.zeros(seen.heights.shape)
     level = _normal(seen.heights, _HEIGHT)
-    is_low = (seen.heights > 0.0) & (seen.heights < 2.0 * _HIGH)
-    step = np.where(is_low, 0.5 / _HIGH, 0.0)
+    is_low = (seen.heights > 0.0) & (seen.heights < HIGHEST)
+    step = np.where(is_low, 1.0 / HIGHEST, 0.0)
     touching = np.where(np.isnan(seen.heights), np.nan, (1.0 - _STEP) * level + _STEP * step)
-    _add(log_odds, touching, _upwards(seen.heights))
+    _add(log_odds, touching, _upwards(seen.heights), _NEVER)
     _add(log_odds, 2.0 * _normal(seen.speeds, _SPEED), 2.0 * _normal(seen.speeds, _FAST))
     # Whatever a frame in the air does not bear, some ground does, be it sticky.
     most = 2.0 * max(count, 1) / _LIGHT
@@ -86,10 +88,13 @@ def _upwards(heights: Array) -> Array:
     return np.asarray(above * np.exp(-0.5 * (np.minimum(heights, 0.0) / _HEIGHT) ** 2))
 
 
-def _add(log_odds: Array, touching: Array, aloft: Array) -> None:
-    """Add the log odds of two densities, each with a little of anything; none of what is NaN."""
+def _add(log_odds: Array, touching: Array, aloft: Array, share: float = _ANYTHING) -> None:
+    """Add the log odds of two densities, each with a little of anything; none of what is NaN.
+
+    That is a share of the largest density.
+    """
     largest = np.fmax(touching, 0.0).max(initial=0.0), np.fmax(aloft, 0.0).max(initial=0.0)
-    least = _ANYTHING * max(*largest, 1e-300)
+    least = share * max(*largest, 1e-300)
     odds = np.log(touching + least) - np.log(aloft + least)
     log_odds += np.where(np.isfinite(odds), odds, 0.0)
 

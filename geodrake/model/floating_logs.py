@@ -26,7 +26,7 @@ from geodrake.inertia import Array
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.logs.floating import FLAG, FORCE, ContactFlags, frames_of, odd_flags, vectors, widened
 from geodrake.logs.motion import GROUND, UNMEASURED, JointLog
-from geodrake.model.contact_probability import signs_of, touching_probability
+from geodrake.model.contact_probability import HIGHEST, signs_of, touching_probability
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.checks import numbers
 from geodrake.robot.files.xacro_file import read_expanded
@@ -469,9 +469,12 @@ def _found(
     known, bodies = _bodies(log, model)
     if not known.any():
         return np.ones(heights.shape, bool), ()
-    may_be_soles = sum(frame.radius == 0.0 for frame in frames) < _POINTS
-    jacobians = [frame.jacobian(bodies, sole=may_be_soles) for frame in frames]
-    probability = touching_probability(signs_of(log, model, jacobians, heights[known], known))
+    near = np.flatnonzero((heights[known] < HIGHEST).any(axis=0)).tolist()
+    may_be_soles = sum(frames[k].radius == 0.0 for k in near) < _POINTS
+    jacobians = [frames[k].jacobian(bodies, sole=may_be_soles) for k in near]
+    probability = np.zeros(heights.shape)
+    signs = signs_of(log, model, jacobians, heights[known][:, near], known)
+    probability[:, near] = touching_probability(signs)
     found = widened(log.time, probability > _DOUBT)
     doubtful = (found | ~(heights >= _NEAR)) & (probability < 1.0 - _DOUBT)
     shares = (probability > 0.5).mean(axis=0).tolist()
