@@ -17,7 +17,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from pydrake.multibody.plant import MultibodyPlant
 from rich.progress import track
 
 from diagrams.harness import chart, script_parser, show, sines, write
@@ -29,21 +28,15 @@ from diagrams.studies.cheetah.leg import (
     Leg,
     fit,
     fit_points,
+    geared,
     load_leg,
 )
 from geodrake.identification import PointMasses
 from geodrake.inertia import PARAMETERS_PER_BODY, is_realizable, perturb
 from geodrake.inertia.ellipsoids import ellipsoid_of_quadric
 from geodrake.logs import Motion
-from geodrake.robot import (
-    KinematicTree,
-    LinearTransmission,
-    base_parameters,
-    base_wrench_regressor,
-    inverse_dynamics_regressor,
-    joint_names,
-)
-from geodrake.robot.plant import load_plant
+from geodrake.model import RobotModel, load_model
+from geodrake.robot import base_parameters, base_wrench_regressor, inverse_dynamics_regressor
 from geodrake.robot.regressor import body_poses
 
 # A gallop-like motion of the whole robot: trunk and four legs ([Lee2019] §3.6.2.2).
@@ -52,6 +45,7 @@ from geodrake.robot.regressor import body_poses
 # frequency and its double, each leg with its own phase in the stride as in a transverse gallop.
 
 LEGS = ("front_left", "front_right", "rear_left", "rear_right")
+ACTUATORS = tuple(f"{leg}_{joint}" for leg in LEGS for joint in JOINTS)
 PHASES = {"front_left": 0.0, "front_right": 0.15, "rear_left": 0.55, "rear_right": 0.7}
 GEARS = (7.667, 7.667, 8.846)
 STRIDE = 2.5  # Hz
@@ -91,18 +85,16 @@ def trunk_motion(time: Array) -> Motion:
     return Motion(q + [0.0, 0.55, 0.0] + time[:, None] * forward, v + forward, vd)
 
 
-def whole_robot() -> MultibodyPlant:
-    """Return the trunk, floating, with four legs."""
-    return load_plant(MODELS / "cheetah.dmd.yaml", floating=True).plant
+def whole_robot() -> RobotModel:
+    """Return the trunk, floating, with four legs of geared joints."""
+    gears = geared(ACTUATORS, GEARS * len(LEGS))
+    return load_model(MODELS / "cheetah.dmd.yaml", floating=True, transmission=[gears])
 
 
-def gallop(plant: MultibodyPlant, time: Array) -> Motion:
-    """Return motion of the whole robot in Drake's order, rotors included."""
-    names = joint_names(plant)
-    actuators = tuple(f"{leg}_{joint}" for leg in LEGS for joint in JOINTS)
+def gallop(time: Array) -> Motion:
+    """Return motion of the whole robot: of its base, and then of the joints of its legs."""
     legs = [leg_motion(time, PHASES[leg]) for leg in LEGS]
-    driven = Motion(*(np.hstack([getattr(leg, part) for leg in legs]) for part in ("q", "v", "vd")))
-    joints = gearing(names[6:], actuators).joint_motion(driven)
+    joints = Motion(*(np.hstack([getattr(leg, part) for leg in legs]) for part in ("q", "v", "vd")))
     trunk, zero = trunk_motion(time), np.zeros(len(time))
     (x, z, pitch), (xd, zd, w), (xdd, zdd, wd) = (part.T for part in (trunk.q, trunk.v, trunk.vd))
     base_q = np.stack([x, zero, z, zero, pitch, zero], -1)
@@ -116,25 +108,12 @@ def gallop(plant: MultibodyPlant, time: Array) -> Motion:
     )
 
 
-def gearing(joints: tuple[str, ...], actuators: tuple[str, ...]) -> LinearTransmission:
-    """Return the gears: joints turn with their actuators, rotors by the gear ratio."""
-    ratios = {name: {name: 1.0} for name in actuators}
-    gears = GEARS * (len(actuators) // len(GEARS))
-    ratios |= {f"{n}_rotor": {n: gear} for n, gear in zip(actuators, gears, strict=True)}
-    return LinearTransmission.from_ratios(joints, actuators, ratios)
-
-
-def quantities(plant: MultibodyPlant, motion: Motion) -> dict[str, Quantity]:
+def quantities(model: RobotModel, motion: Motion) -> dict[str, Quantity]:
     """Joint torques, and force and moment on the trunk, in its frame."""
-    tree = KinematicTree.from_plant(plant)
-    state = motion.q, motion.v, motion.vd
+    tree, state = model.tree, (motion.q, motion.v, motion.vd)
     trunk = body_poses(tree, motion.q)[:, tree.bodies.index("trunk")]
     wrench = base_wrench_regressor(tree, *state, X_WP=trunk)
-    actuators = tuple(f"{leg}_{joint}" for leg in LEGS for joint in JOINTS)
-    transmission = gearing(joint_names(plant)[6:], actuators)
-    torque = transmission.regressor(
-        np.zeros((len(motion), 12)), inverse_dynamics_regressor(tree, *state)[:, 6:]
-    )
+    torque = inverse_dynamics_regressor(tree, *state)[:, len(model.base_joints) :]
 
     def of_a_leg(regressor: Array) -> Quantity:
         blocks = regressor.reshape(*regressor.shape[:2], len(tree.bodies), PARAMETERS_PER_BODY)
@@ -205,8 +184,7 @@ def run(*, seed: int, truths: int) -> tuple[list[dict[str, Any]], int]:
     """
     rng, leg = np.random.default_rng(seed), load_leg(GEARS)
     time = np.linspace(0.0, 1.0 / STRIDE, 200, endpoint=False)
-    plant = whole_robot()
-    predicted = quantities(plant, gallop(plant, time))
+    predicted = quantities(whole_robot(), gallop(time))
     A = leg.regressor(leg_motion(time, PHASES["front_left"])).reshape(-1, 60)
     kinds = (*KINDS, "prior")
     errors = np.empty((truths, len(kinds), len(predicted)))

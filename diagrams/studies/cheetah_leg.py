@@ -120,7 +120,7 @@ def error_figure(study: Study) -> Figure:
 def body_figure(study: Study) -> Figure:
     """Return the bodies identified from the first stretch of 30 samples, figure 3.11."""
     plant, sets = (
-        study.leg.plant,
+        study.leg.model.plant,
         [EllipsoidSet.of("prior", study.leg.prior, color=style.MEASURED)],
     )
     for shade, (kind, found) in zip(SHADES, study.example.items(), strict=False):
@@ -128,7 +128,7 @@ def body_figure(study: Study) -> Figure:
         name = kind.replace("_", " ")
         sets.append(EllipsoidSet.of(name, found.phi, color=shade, at_boundary=at))
     context = plant.CreateDefaultContext()
-    plant.SetPositions(context, study.leg.transmission.joint_positions(np.array([[0, 0.5, -1]]))[0])
+    plant.SetPositions(context, study.leg.model.plant_positions(np.array([[0, 0.5, -1]]))[0])
     return ellipsoid_figure(plant, sets, context=context)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from diagrams.studies import cheetah_gallop as gallop
 from diagrams.studies.cheetah import leg as cheetah
+from geodrake.robot import joint_names
 from geodrake.robot.base_parameters import base_parameters
 from geodrake.robot.regressor import base_wrench_regressor, body_poses, inverse_dynamics
 
@@ -19,37 +20,36 @@ def test_motion_of_a_leg_tells_32_combinations_and_its_base_wrench_more():
     motion = gallop.leg_motion(time, gallop.PHASES["front_left"])
     rows = leg.regressor(motion).reshape(-1, 60)
     assert base_parameters(rows).rank == 32
-    moved = leg.transmission.joint_motion(motion)
-    base = base_wrench_regressor(leg.plant, moved.q, moved.v, moved.vd).reshape(-1, 60)
+    base = base_wrench_regressor(leg.model.tree, motion.q, motion.v, motion.vd).reshape(-1, 60)
     assert base_parameters(np.vstack([rows, base])).rank > 32
 
 
 def test_gallop_is_one_motion():
     """Velocities and accelerations are the derivatives of the positions."""
-    step = 1e-5
-    plant = gallop.whole_robot()
-    time = np.array([0.1, 0.23])
-    before, here, after = (gallop.gallop(plant, time + h) for h in (-step, 0.0, step))
-    context = plant.CreateDefaultContext()
-    for i in range(2):
-        plant.SetPositions(context, here.q[i])
-        change = (after.q[i] - before.q[i]) / (2 * step)
-        np.testing.assert_allclose(plant.MapQDotToVelocity(context, change), here.v[i], atol=1e-6)
-        acceleration = (after.v[i] - before.v[i]) / (2 * step)
-        np.testing.assert_allclose(acceleration, here.vd[i], atol=1e-4)
+    step, time = 1e-5, np.array([0.1, 0.23])
+    before, here, after = (gallop.gallop(time + h) for h in (-step, 0.0, step))
+    np.testing.assert_allclose((after.q - before.q) / (2 * step), here.v, atol=1e-6)
+    np.testing.assert_allclose((after.v - before.v) / (2 * step), here.vd, atol=1e-4)
 
 
 def test_quantities_are_the_inverse_dynamics():
-    plant = gallop.whole_robot()
-    motion = gallop.gallop(plant, np.array([0.05, 0.31]))
-    quantities = gallop.quantities(plant, motion)
+    """Of Drake's joints, rotors among them, which turn by the gear ratio."""
+    robot, motion = gallop.whole_robot(), gallop.gallop(np.array([0.05, 0.31]))
+    assert robot.joints[6:] == gallop.ACTUATORS
+    quantities, plant = gallop.quantities(robot, motion), robot.plant
     change = np.random.default_rng(0).normal(size=(6, 10))
-    names = list(gallop.KinematicTree.from_plant(plant).bodies)
+    names, order = list(robot.bodies), list(joint_names(plant))
     phi = np.zeros((25, 10))
     for name in gallop.LEGS:
         phi[[k for k, body in enumerate(names) if body.startswith(name)]] = change
-    efforts = inverse_dynamics(plant, motion.q, motion.v, motion.vd, phi)
-    R_WB = body_poses(plant, motion.q)[:, names.index("trunk"), :3, :3]
+    whole = np.zeros((3, 2, len(order)))
+    for part, values in zip(whole, (motion.q, motion.v, motion.vd), strict=True):
+        for k, name in enumerate(robot.joints):
+            part[:, order.index(name)] = values[:, k]
+        for name, gear in zip(gallop.ACTUATORS, 4 * gallop.GEARS, strict=True):
+            part[:, order.index(f"{name}_rotor")] = gear * part[:, order.index(name)]
+    efforts = inverse_dynamics(plant, *whole, phi)
+    R_WB = body_poses(plant, whole[0])[:, names.index("trunk"), :3, :3]
     axes = np.broadcast_to(np.eye(3)[::-1], R_WB.shape).copy()  # of yaw, pitch and roll, here
     axes[:, 2] = R_WB[:, :, 0]
     moment = np.linalg.solve(axes, efforts[:, 3:6, None])[:, :, 0]
@@ -59,7 +59,6 @@ def test_quantities_are_the_inverse_dynamics():
         np.testing.assert_allclose(rows.reshape(2, 3), local, atol=1e-8 * np.abs(efforts).max())
     # At a joint: the link's effort, and that of its rotor, geared.
     torque = (quantities["joint torque"].rows @ change.ravel()).reshape(2, 12)
-    order = list(gallop.joint_names(plant))
     knee, rotor = order.index("rear_left_knee"), order.index("rear_left_knee_rotor")
     expected = efforts[:, knee] + gallop.GEARS[2] * efforts[:, rotor]
     np.testing.assert_allclose(torque[:, 8], expected, atol=1e-8 * np.abs(efforts).max())

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.multibody.plant import MultibodyPlant
 from scipy.signal import savgol_filter
 
 from diagrams.harness import MODELS, sines
@@ -21,17 +20,13 @@ from geodrake.identification import (
     Riemannian,
     identify,
 )
-from geodrake.inertia import Ellipsoid, inertial_parameters
+from geodrake.inertia import Ellipsoid
 from geodrake.inertia.ellipsoids import ellipsoid_of_quadric
 from geodrake.logs import Motion
-from geodrake.robot import (
-    KinematicTree,
-    LinearTransmission,
-    inverse_dynamics_regressor,
-    joint_names,
-)
-from geodrake.robot.plant import load_plant
+from geodrake.model import RobotModel, load_model
+from geodrake.robot import LinearTransmission, inverse_dynamics_regressor
 from geodrake.robot.reduction import triangular_factor
+from geodrake.robot.transmission.statements import Drive
 
 Array = NDArray[np.float64]
 
@@ -59,17 +54,17 @@ SEMI_AXES = ((0.081,) * 3, (0.0594, 0.0594, 0.369), (0.042, 0.042, 0.290), *((0.
 class Leg:
     """The leg's bodies: three links and three rotors."""
 
-    plant: MultibodyPlant
-    tree: KinematicTree
-    transmission: LinearTransmission
-    prior: Array  # (6, 10) inertial parameters of the model file
+    model: RobotModel
     ellipsoids: Array  # (6, 4, 4) quadrics of the regions that the bodies fit into
+
+    @property
+    def prior(self) -> Array:
+        """(6, 10) inertial parameters of the model file."""
+        return self.model.phi
 
     def regressor(self, motion: Motion) -> Array:
         """Return (N, 3, 60) regressor of the torques at the joints."""
-        moved = self.transmission.joint_motion(motion)
-        rows = inverse_dynamics_regressor(self.tree, moved.q, moved.v, moved.vd)
-        return self.transmission.regressor(motion.q, rows)
+        return inverse_dynamics_regressor(self.model.tree, motion.q, motion.v, motion.vd)
 
     def point_masses(self, number: int) -> PointMasses:
         """Points all over the bodies' ellipsoids, so many in all, that amount to the prior."""
@@ -79,14 +74,18 @@ class Leg:
 
 def load_leg(gears: Sequence[float] = (10.604,) * 3) -> Leg:
     """Return the leg with the gear ratios of its three rotors."""
-    plant = load_plant(MODELS / "cheetah_leg.urdf").plant
-    ratios = {joint: {joint: 1.0} for joint in JOINTS}
-    ratios |= {f"{j}_rotor": {j: gear} for j, gear in zip(JOINTS, gears, strict=True)}
-    transmission = LinearTransmission.from_ratios(joint_names(plant), JOINTS, ratios)
+    model = load_model(MODELS / "cheetah_leg.urdf", transmission=[geared(JOINTS, gears)])
     axes = np.broadcast_to(np.eye(3), (6, 3, 3))
     regions = Ellipsoid(np.array(CENTERS), np.array(SEMI_AXES), axes)
-    tree = KinematicTree.from_plant(plant)
-    return Leg(plant, tree, transmission, inertial_parameters(plant), regions.quadric)
+    return Leg(model, regions.quadric)
+
+
+def geared(joints: Sequence[str], gears: Sequence[float]) -> Drive:
+    """Return gears: joints turn with their actuators, and their rotors by the ratios."""
+    every = tuple(name for joint in joints for name in (joint, f"{joint}_rotor"))
+    ratios = {joint: {joint: 1.0} for joint in joints}
+    ratios |= {f"{joint}_rotor": {joint: gear} for joint, gear in zip(joints, gears, strict=True)}
+    return Drive(tuple(joints), every, LinearTransmission.from_ratios(every, joints, ratios))
 
 
 VISCOUS, COULOMB = 0.1, 1.0  # N·m·s/rad and N·m, every joint
