@@ -33,7 +33,7 @@ from geodrake.excitation.identifiable import log_identifiability
 from geodrake.identification.logs.candidate_effects import candidate_effects
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.compare import compare
-from geodrake.identification.logs.contact_rows import rows_without
+from geodrake.identification.logs.contact_rows import contact_rows, rows_without
 from geodrake.identification.logs.noise import known_noise
 from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.logs import read_log
@@ -178,6 +178,16 @@ def test_pose_and_imu_are_the_joints_of_the_base(model, maker):
     inner = slice(5, -5)
     np.testing.assert_allclose(log.acceleration[inner, at], expected[1][inner], atol=2e-3)
     assert log.measured == model.base_joints
+
+
+def test_rows_of_a_fitted_model_are_those_of_its_file(model, maker):
+    """They are kept beside columns of other fits, to which they must fit."""
+    (trajectory,) = prepare_logs([log_of_model(maker.log(wrenches=False), model)])
+    heavier, segment = replace(model, phi=1.5 * model.phi), trajectory.segments[0][:50]
+    ours, theirs = (contact_rows(each, trajectory, segment) for each in (model, heavier))
+    assert ours.mixed.keys() == theirs.mixed.keys() and ours.mixed
+    for i, row in ours.mixed.items():
+        np.testing.assert_array_equal(row, theirs.mixed[i])
 
 
 def test_noise_of_the_base_is_that_of_its_imu(model, maker):

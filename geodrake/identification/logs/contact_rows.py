@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from geodrake.compiling import compiled, contiguous, inlined
 from geodrake.effects.body_motion import RobotBodies
+from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Trajectory
 from geodrake.logs.smoothing import Segment
 from geodrake.model.floating_logs import contact_frames, on_soles
@@ -112,14 +113,18 @@ def add_weighted(
 
 
 def row_scales(model: RobotModel, trajectory: Trajectory) -> Array:
-    """Return rough noise (nv,) of the rows of velocities, N·m or N, by which they are weighed."""
+    """Return rough noise (nv,) of the rows of velocities, N·m or N, by which they are weighed.
+
+    The weight is that of the file, so that rows are the same for all fits of a model.
+    """
     power, count = np.zeros(len(model.joints)), 0
     for segment in trajectory.segments:
         effort = segment[:10_000].effort
         power, count = power + np.square(effort).sum(axis=0), count + len(effort)
     scales = _EFFORT * np.sqrt(power / max(count, 1))
     scales = np.maximum(scales, 1e-3 * scales.max(initial=0.0))
-    weight = float(model.total_phi[:, 0].sum() * np.linalg.norm(model.tree.gravity))
+    mass = inertial_parameters(model.plant)[:, 0].sum()
+    weight = float(mass * np.linalg.norm(model.tree.gravity))
     for at, joint in enumerate(model.joints):
         if joint in model.base_joints:
             slides = joint in model.sliding_joints
