@@ -327,6 +327,11 @@ def test_meshes_that_are_not_there_are_told_of(tmp_path):
     with pytest.raises(ModelError, match="meshes that are missing") as refused:
         mjcf_geoms(path, Given(), hulls=True)
     assert "use_file=False" in str(refused.value)
+    mesh = '<geom type="mesh" mesh="gone" {}/>'
+    groups = '<compiler inertiagrouprange="0 2"/>'
+    for light, head in (('mass="0"', ""), ('density="0"', ""), ('group="3"', groups)):
+        text = mjcf(arm=GEOM + mesh.format(light), head=gone + head)
+        assert not load_model(write(tmp_path, text)).repairs
     heavy = mjcf(arm='<geom type="mesh" mesh="gone"/>', head=gone)
     assert "inertia of a is computed without meshes" in " ".join(
         load_model(write(tmp_path, heavy)).repairs
@@ -358,6 +363,17 @@ def test_damping_of_a_free_base_is_told_where_it_is_free(tmp_path):
     assert not load_model(path).left_out
     (said,) = load_model(path, floating=True).left_out
     assert "line 1: Joint root with damping 2 is ignored." in said
+
+
+@pytest.mark.parametrize("other", ["", 'body2="m"'])
+def test_a_weld_of_a_free_base_is_told_where_it_is_free(tmp_path, other):
+    text = mjcf(tip(), tail=f'<equality><weld body1="b" {other}/></equality>')
+    free = f'{MOCAP}<body name="b"><freejoint/>{GEOM}'
+    text = text.replace("<worldbody>", f"<worldbody>{free}")
+    path = write(tmp_path, text.replace("</worldbody>", "</body></worldbody>"))
+    assert not load_model(path).left_out
+    (said,) = load_model(path, floating=True).left_out
+    assert "line 1: <equality>: the constraint <weld> of b and " in said
 
 
 def test_a_warning_of_mujoco_is_said_once(tmp_path):

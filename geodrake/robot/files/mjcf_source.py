@@ -236,7 +236,7 @@ class _Compiler:
                     assets[mesh.file] = read_regular(file, "mesh", ModelError, largest=LARGEST_FILE)
         spec.assets = assets
         if absent:
-            _take_out(spec, absent, found)
+            _take_out(spec, absent, found, shown=self.geoms)
 
     def _check_finite(self, model: Any) -> None:
         for at in range(model.nbody):
@@ -268,22 +268,27 @@ class _Compiler:
             ) from error
 
 
-def _take_out(spec: Any, absent: dict[str, Path], found: CompiledMjcf) -> None:
-    """Remove missing meshes and their geoms, with notes."""
+def _take_out(spec: Any, absent: dict[str, Path], found: CompiledMjcf, *, shown: bool) -> None:
+    """Remove missing meshes and their geoms, with notes on inertias, and on shapes if shown."""
     always = load_mujoco().mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     by_geoms, heavy, seen = spec.compiler.inertiafromgeom == always, list[str](), list[str]()
+    low, high = spec.compiler.inertiagrouprange
+
+    def weighs(geom: Any) -> bool:
+        return bool(geom.mass != 0.0 and geom.density != 0.0 and low <= geom.group <= high)
+
     for body in spec.bodies:
         gone = [geom for geom in body.geoms if geom.meshname in absent]
         if any(geom.contype or geom.conaffinity for geom in gone):
             found.touching.append(body.name)
+        weighing = any(map(weighs, gone))
         for geom in gone:
             spec.delete(geom)
         stated = body.explicitinertial or body.name == "world"
         if gone:
-            follows = body.name != "world" and (by_geoms or not stated)
+            follows = weighing and body.name != "world" and (by_geoms or not stated)
             (heavy if follows else seen).append(body.name)
-        weighs = any(geom.mass != 0.0 and geom.density != 0.0 for geom in body.geoms)
-        if gone and not stated and not weighs:
+        if gone and not stated and not any(map(weighs, body.geoms)):
             found.unknown.add(body.name)
             body.explicitinertial = True
             body.mass, body.inertia, body.ipos = 1.0, [1.0, 1.0, 1.0], [0.0, 0.0, 0.0]
@@ -294,7 +299,7 @@ def _take_out(spec: Any, absent: dict[str, Path], found: CompiledMjcf) -> None:
     gone_ones = f"meshes that are missing or not .obj, .stl or .msh (in {where})"
     if heavy:
         found.lost.append(f"The inertia of {', '.join(heavy)} is computed without {gone_ones}.")
-    if seen:
+    if seen and shown:
         found.lost.append(f"Some shapes of {', '.join(seen)} are {gone_ones}.")
 
 

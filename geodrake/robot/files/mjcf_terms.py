@@ -391,7 +391,19 @@ class MjcfTerms:
                     "holds something (the robot is read as an open tree),",
                     "equality",
                     at,
+                    of_base=kind == "weld" and self._holds_base(at),
                 )
+
+    def _ends(self, at: int) -> list[int]:
+        """Return the two bodies of a constraint of points or frames."""
+        ends = [int(self.m.eq_obj1id[at]), int(self.m.eq_obj2id[at])]
+        sites = int(self.m.eq_objtype[at]) == self.mujoco.mjtObj.mjOBJ_SITE
+        return [int(self.m.site_bodyid[each]) for each in ends] if sites else ends
+
+    def _holds_base(self, at: int) -> bool:
+        """Return whether a weld holds a free base, which matters where that is left free."""
+        moved = [each for each in self._ends(at) if each and self.m.body_mocapid[each] < 0]
+        return len(moved) == 1 and self._free_root(moved[0]) == moved[0]
 
     def _close(self, at: int, name: str, sites: bool) -> bool:
         """Return whether a constraint of points or frames closes a loop of the robot.
@@ -399,11 +411,10 @@ class MjcfTerms:
         It does not where it holds what is free: a body on a table, say.
         """
         m, data = self.m, np.array(self.m.eq_data[at])
-        bodies = [int(m.eq_obj1id[at]), int(m.eq_obj2id[at])]
-        welds = int(m.eq_type[at]) == self.mujoco.mjtEq.mjEQ_WELD
+        bodies, welds = self._ends(at), int(m.eq_type[at]) == self.mujoco.mjtEq.mjEQ_WELD
         if sites:
-            first, second = (pose_of(m.site_pos[each], m.site_quat[each]) for each in bodies)
-            bodies = [int(m.site_bodyid[each]) for each in bodies]
+            ends = int(m.eq_obj1id[at]), int(m.eq_obj2id[at])
+            first, second = (pose_of(m.site_pos[each], m.site_quat[each]) for each in ends)
         elif welds:  # the second point stands first
             first, second = pose_of(data[3:6], data[6:10]), RigidTransform(data[:3])
         else:
