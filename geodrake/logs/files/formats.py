@@ -174,7 +174,7 @@ def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
 
 def _named_table(path: Path, reading: Reading) -> LogTable:
     """Return the columns of one file; bare names of joints get the quantity of the file's name."""
-    table = reshaped(table_of(path, reading).loaded(), reading)
+    table = reshaped(table_of(path, reading).loaded(skip=reading.skip_bad_rows), reading)
     stem = unpacked(path).stem
     quantity = quantity_of(stem)
     if quantity is None and _TOLD.search(stem.lower()):

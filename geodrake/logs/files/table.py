@@ -170,6 +170,7 @@ MOST = 0.01
 """Share of the rows that may be left out."""
 
 _NAMED = 8  # rows, or runs of them, that are named
+_MOST_TORN = 100_000  # bad rows: a file with more is no log
 _AT_END = 3  # bad rows behind all others, which are left out unasked
 ADVICE = f"--skip-bad-rows skips such rows, up to {100 * MOST:g} % of a log."
 
@@ -179,7 +180,6 @@ class TornRows:
     """Bad rows of a file while it is read."""
 
     path: Path
-    lines: int
     skip: bool = False
     rows: list[int] = field(default_factory=list)
     first: LogError | None = None
@@ -188,7 +188,7 @@ class TornRows:
         """Take a bad row in."""
         self.first = self.first or error
         self.rows.append(row)
-        if len(self.rows) > _NAMED + MOST * self.lines:
+        if len(self.rows) > _MOST_TORN:
             raise self._refusal(self.rows, row + 1, f"in the first {row + 1} rows")
 
     def settle(self, time: Array) -> tuple[Mask | None, tuple[str, ...]]:
@@ -338,9 +338,9 @@ class LogTable:
     ) -> tuple[dict[str, Array], TornRows]:
         """Return some columns (N,), with unreadable rows as NaN or skipped."""
         found = {name: self.columns[name] for name in dict.fromkeys(names)}
-        return found, TornRows(self.path, max(map(len, found.values()), default=0), skip)
+        return found, TornRows(self.path, skip)
 
-    def loaded(self) -> LogTable:
+    def loaded(self, *, skip: bool = False) -> LogTable:
         """Return the table with all its columns read."""
         return replace(self, columns=dict(self.columns))
 

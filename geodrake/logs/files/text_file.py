@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+from array import array
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -12,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from importlib import import_module
 from importlib.util import find_spec
-from io import BytesIO, StringIO, TextIOWrapper
+from io import BytesIO, StringIO
 from itertools import chain, dropwhile, islice, product, takewhile
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -398,7 +399,7 @@ def _names_in_comment(cells: Sequence[str], comment: str) -> Sequence[str]:
 
 Array = NDArray[np.float64]
 
-_MANY = 100_000  # lines, from which on Arrow is imported
+_MANY = 500_000  # bytes, from which on Arrow is imported
 _BLOCK = 2_000_000  # bytes that are read at once
 _HEAD, _LARGEST_OTHER = 65_536, 500_000_000  # bytes by which others than UTF-8 are known; read
 _LONGEST = 8_000_000  # bytes of a line, which hold 400,000 numbers
@@ -411,14 +412,12 @@ Opener = Callable[[], AbstractContextManager[BinaryIO]]
 class TextTable(LogTable):
     """A table of text, read block by block."""
 
-    def __init__(
-        self, path: Path, layout: TextLayout, lines: Sequence[int], skip: bool, opened: Opener
-    ) -> None:
-        """Take how many lines each block of the file has."""
+    def __init__(self, path: Path, layout: TextLayout, opened: Opener) -> None:
+        """Take how the table is laid out, and what opens it."""
         kinds = layout.kinds.items()
         origins = {name: kind.origin for name, kind in kinds if kind and kind.origin is not None}
         super().__init__(path, {}, layout.units, (), origins, unnamed=layout.unnamed)
-        self._layout, self._lines, self._skip, self._opened = layout, lines, skip, opened
+        self._layout, self._opened = layout, opened
 
     @property
     def names(self) -> Sequence[str]:
@@ -433,44 +432,34 @@ class TextTable(LogTable):
     def read(
         self, names: Sequence[str], *, skip: bool = False
     ) -> tuple[dict[str, Array], TornRows]:
-        """Return some columns (N,), filled block by block; see `LogTable`."""
-        return self._read(names, float, skip=skip)
-
-    def _read(
-        self, names: Sequence[str], form: type, *, skip: bool
-    ) -> tuple[dict[str, Any], TornRows]:
-        """Return some columns (N,) as numbers, or as texts if their form is `object`."""
-        layout, lines = self._layout, self._lines
-        most, names = 1 + sum(lines), list(dict.fromkeys(names))
-        if not names:
-            return {}, TornRows(self.path, most, skip)
-        check_room(self.path, most * len(names), f"{most} rows of {len(names)} numbers")
-        found: dict[str, NDArray[Any]] = {name: np.empty(most, form) for name in names}
-        torn, row = TornRows(self.path, most, skip), 0
+        """Return some columns (N,), which grow block by block; see `LogTable`."""
+        layout, torn, row = self._layout, TornRows(self.path, skip), 0
         known = {name: (cell, item) for name, cell, item in reversed(layout.columns)}
-        places = [known[name] for name in names]
-        told = {k: layout.kinds.get(layout.names[k]) or Cells() for k, _ in places}
-        kinds = told if form is float else {}
-        before = np.maximum(np.cumsum([0, *lines]), layout.lines).tolist()
-        blocks = _blocks(self.path, self._opened, layout.lines)
-        for block, line in zip(blocks, before, strict=False):
-            table: Any = None
-            if kinds and all(kind == Cells() for kind in kinds.values()):
-                table = _numbers(layout, block, places, quick=sum(lines) > _MANY)
-            if table is None and kinds:
-                rows = self._cells(_lines(block), places, kinds, (row, line), torn)
-                table = np.array(rows).reshape(-1, len(places)).T
-            elif table is None:
-                cells = [each for _, each in layout.cells(_lines(block))]
-                table = [[c[k].strip() if k < len(c) else "" for c in cells] for k, _ in places]
-            for values, column in zip(found.values(), table, strict=False):
-                values[row : row + len(column)] = column
-            row += len(table[0])
-        return {name: values[:row] for name, values in found.items()}, torn
+        places = {name: known[name] for name in names}
+        kinds = {k: layout.kinds.get(layout.names[k]) or Cells() for k, _ in places.values()}
+        is_plain = all(kind == Cells() for kind in kinds.values())
+        found = {name: array("d") for name in places}
+        for line, block in _blocks(self.path, self._opened, layout.lines) if places else ():
+            columns = [cell for cell, _ in places.values()]
+            table = _by_arrow(block, layout, columns) if is_plain and len(block) > _MANY else None
+            if table is None:
+                rows = self._cells(_lines(block), [*places.values()], kinds, (row, line), torn)
+                table = np.array(rows, float).reshape(-1, len(places)).T
+            for values, column in zip(found.values(), table, strict=True):
+                values.frombytes(column.tobytes())
+            row += table.shape[1]
+            check_room(self.path, row * len(places), f"{row} rows of {len(places)} numbers")
+        return {name: np.frombuffer(values) for name, values in found.items()}, torn
 
     def texts(self, names: Sequence[str]) -> dict[str, NDArray[np.object_]]:
         """Return the texts (N,) of some columns."""
-        return self._read(names, object, skip=True)[0] if names else {}
+        places = [self._layout.names.index(name) for name in names]
+        blocks = _blocks(self.path, self._opened, self._layout.lines) if names else ()
+        rows = (cells for _, block in blocks for _, cells in self._layout.cells(_lines(block)))
+        found = [[c[k].strip() if k < len(c) else "" for k in places] for c in rows]
+        return dict(
+            zip(names, np.array(found, object).reshape(len(found), len(names)).T, strict=True)
+        )
 
     def _cells(
         self,
@@ -520,11 +509,10 @@ class TextTable(LogTable):
             ) from error
         return values
 
-    def loaded(self) -> LogTable:
+    def loaded(self, *, skip: bool = False) -> LogTable:
         """Return the table with all its columns read, those of words as texts."""
         texts = self._layout.words
-        numbers = [name for name in self.names if name not in texts]
-        columns, torn = self.read(numbers, skip=self._skip)
+        columns, torn = self.read([name for name in self.names if name not in texts], skip=skip)
         words = self.texts(texts)
         rows = len(next(iter(columns.values()), ()))
         kept, notes = torn.settle(np.arange(float(rows)))
@@ -602,28 +590,26 @@ def _size(sheet: Any) -> int:
 
 
 def _text_table(path: Path, reading: Reading, opened: Opener) -> LogTable:
-    is_packed = unpacked(path) != path
-    with readable(path, f"{path.suffix} file") if is_packed else nullcontext():
-        lines = list(map(_count, _blocks(path, opened)))
-    with opened() as file, TextIOWrapper(file, "utf-8-sig", newline="") as text:
-        layout = text_layout(path, text, reading)
+    texts = (StringIO(block.decode("utf-8-sig"), newline="") for _, block in _blocks(path, opened))
+    layout = text_layout(path, chain.from_iterable(texts), reading)
     strokes = [name for name, cell in layout.first.items() if "/" in cell and is_date(cell)]
     orders = dict[str, tuple[bool, str]]()
     with suppress(csv.Error):  # which is told when the cells are read
-        texts = TextTable(path, layout, lines, True, opened).texts(strokes)
-        orders = {name: order_of_days(each) for name, each in texts.items()}
+        dates = TextTable(path, layout, opened).texts(strokes)
+        orders = {name: order_of_days(each) for name, each in dates.items()}
     layout = replace(layout, day_first=frozenset(k for k, (first, _) in orders.items() if first))
     notes = dict.fromkeys(note for note in (layout.note, *(n for _, n in orders.values())) if note)
-    table = TextTable(path, layout, lines, reading.skip_bad_rows, opened).noting(*notes)
+    table = TextTable(path, layout, opened).noting(*notes)
     names_rows = any(map(names_joints, layout.words)) or any(map(numbers_joints, layout.names))
-    has_values = any(map(names_signals, layout.words))
-    return table.loaded() if has_values or (names_rows and reading.mapping is None) else table
+    is_long = any(map(names_signals, layout.words)) or (names_rows and reading.mapping is None)
+    return table.loaded(skip=reading.skip_bad_rows) if is_long else table
 
 
-def _blocks(path: Path, opened: Opener, skip: int = 0) -> Iterator[bytes]:
-    """Yield blocks of complete lines of a file, without the first `skip` lines."""
-    rest = b""
-    with opened() as file:
+def _blocks(path: Path, opened: Opener, skip: int = 0) -> Iterator[tuple[int, bytes]]:
+    """Yield blocks of complete lines of a file, but for the first `skip`, and the lines before."""
+    rest, count = b"", 0
+    packed = readable(path, f"{path.suffix} file") if unpacked(path) != path else nullcontext()
+    with packed, opened() as file:
         for data in chain(iter(lambda: file.read(_BLOCK), b""), [b""]):
             block = rest + data
             # A carriage return at the end may be the first half of a line end.
@@ -634,52 +620,23 @@ def _blocks(path: Path, opened: Opener, skip: int = 0) -> Iterator[bytes]:
                     f"Log {str(path)!r} has a line of more than {_LONGEST // 10**6} MB.",
                     advice=f"Is it a text table with a row in each line? {HEADER_ADVICE}",
                 )
-            if skip and block:
-                lines = block.splitlines(keepends=True)
-                block, skip = b"".join(lines[skip:]), max(skip - len(lines), 0)
-            yield block
-
-
-def _count(block: bytes) -> int:
-    """Return the number of line ends of any system."""
-    return len(_LINE_ENDS.findall(block)) if b"\r" in block else block.count(b"\n")
+            lines = len(_LINE_ENDS.findall(block)) if b"\r" in block else block.count(b"\n")
+            before, count = count, count + lines
+            if before < skip and block:
+                block = b"".join(block.splitlines(keepends=True)[skip - before :])
+            yield max(before, skip), block
 
 
 def _lines(block: bytes) -> list[str]:
     return StringIO(block.decode().replace("\ufeff", ""), newline="").readlines()
 
 
-def _numbers(
-    layout: TextLayout, block: bytes, places: Sequence[tuple[int, int]], *, quick: bool
-) -> Array | None:
-    """Return (columns, K) of lines with only numbers in these cells; None otherwise.
-
-    With `quick` Arrow reads them, which is quicker for many, and takes time to import.
-    """
-    if not block or block.isspace():
-        return np.empty((len(places), 0))
-    if layout.grouped or layout.decimal == layout.separator:
+def _by_arrow(block: bytes, layout: TextLayout, columns: Sequence[int]) -> Array | None:
+    """Return (columns, K) of lines with only numbers in these cells, by Arrow; None otherwise."""
+    if layout.grouped or layout.decimal == layout.separator or find_spec("pyarrow") is None:
         return None
-    mark, columns, last = layout.separator, [cell for cell, _ in places], len(layout.names) - 1
     if not block.isascii():
         block.decode()  # or it is no text in UTF-8
-    if quick and (table := _by_arrow(block, layout, columns)) is not None:
-        return table
-    try:  # empty cells, text and ragged rows are told cell by cell
-        lines = _lines(block)
-        lines = [line.replace(",", ".") for line in lines] if layout.decimal == "," else lines
-        if mark and any('"' in x or (x.count(mark) != last and x.strip()) for x in lines):
-            return None
-        used = columns if mark else None
-        table = np.loadtxt(lines, delimiter=mark, comments=None, ndmin=2, usecols=used)
-    except ValueError:
-        return None
-    return table.T if mark else table.T[columns] if table.shape[1] == last + 1 else None
-
-
-def _by_arrow(block: bytes, layout: TextLayout, columns: Sequence[int]) -> Array | None:
-    if find_spec("pyarrow") is None:
-        return None
     pyarrow, arrow = map(import_module, ("pyarrow", "pyarrow.csv"))
     if layout.separator is None:  # between cells is one blank
         block = block.replace(b"\t", b" ")
