@@ -1,7 +1,8 @@
-"""How much memory a long log takes, from its file to the comparison and the diagnosis.
+"""How much time and memory a long log takes, from its file to the comparison and the diagnosis.
 
 A log of the seven-joint arm is written to an NPZ file, and `geodrake` reads it in a process of its
-own, whose largest memory is what counts. The raw numbers alone are 120 bytes a sample.
+own, whose largest memory is what counts. The raw numbers alone are 120 bytes a sample. It is read
+from CSV and from Parquet, too, and nothing else is done with it then.
 
     python -m diagrams.benchmarks.long_log --samples 10000000 --json long_log.json
 """
@@ -14,6 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow
+from pyarrow import csv, parquet
 from rich.progress import track
 
 from diagrams.harness import MODELS, peak_memory, script_parser, sines, tell
@@ -34,6 +37,14 @@ begin = time.process_time()
 getattr(diagnosis, work)(load_model(model), [log])
 print(time.process_time() - begin)
 """
+_READING = """
+import sys, time
+from geodrake.logs import read_log
+begin = time.process_time()
+read_log(sys.argv[1])
+print(time.process_time() - begin)
+"""
+FORMATS = ("csv", "parquet")
 
 
 def write_long_log(path: Path, robot: Path, *, samples: int, seed: int) -> None:
@@ -83,18 +94,36 @@ def measure(work: str, robot: Path, path: Path, samples: int) -> dict[str, Any]:
     return {"work": work, **sizes, "seconds": float(seconds)}
 
 
+def measure_reading(form: str, path: Path, samples: int) -> dict[str, Any]:
+    """Write the log in another format and read it in a process of its own; sizes are in GB."""
+    table = pyarrow.table(dict(np.load(path)))
+    other = path.with_suffix(f".{form}")
+    (csv.write_csv if form == "csv" else parquet.write_table)(table, other)
+    size = other.stat().st_size / 1e9
+    peak, (seconds,) = peak_memory(_READING, other)
+    other.unlink()
+    sizes = {"samples": samples, "raw": table.nbytes / 1e9, "peak_memory": peak / 1e9}
+    return {"work": f"read {form}", **sizes, "file": size, "seconds": float(seconds)}
+
+
 def main() -> None:
     """Measure, print, and write what was asked for."""
     parser = script_parser(__doc__, "a short log of two joints")
     parser.add_argument("--samples", type=int, help="length of the log")
-    parser.add_argument("--work", nargs="+", default=["compare", "diagnose"], help="what to run")
+    works = ["compare", "diagnose", *FORMATS]
+    parser.add_argument("--work", nargs="+", default=works, choices=works, help="what to run")
     options = parser.parse_args()
     robot = MODELS / ("double_pendulum.urdf" if options.quick else "arm7.urdf")
     samples = options.samples or (20_000 if options.quick else 1_000_000)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "long.npz"
         write_long_log(path, robot, samples=samples, seed=options.seed)
-        costs = [measure(work, robot, path, samples) for work in options.work]
+        costs = [
+            measure_reading(work, path, samples)
+            if work in FORMATS
+            else measure(work, robot, path, samples)
+            for work in options.work
+        ]
     tell(options, costs)
 
 
