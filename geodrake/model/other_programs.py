@@ -35,7 +35,7 @@ from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.mjcf_source import load_mujoco, quiet_mujoco
 from geodrake.robot.files.texts import ModelText
 from geodrake.robot.files.xacro_file import read_expanded
-from geodrake.robot.files.xml_text import parse_xml_bytes
+from geodrake.robot.files.xml_text import numbered_text, parse_xml_bytes
 from geodrake.robot.joints import scoped, single_joints
 from geodrake.robot.plant import free_roots
 from geodrake.robot.transmission import times
@@ -329,7 +329,10 @@ def _read_by_pinocchio(pinocchio: ModuleType, model: Model, text: ModelText) -> 
     That is all that matters of where it stands, and links may have names of joints.
     """
     plant, data = model.plant, read_expanded(text.path, model.given)
-    scope, own = _root_of(parse_xml_bytes(data, text.path), text).rsplit("::", 1)
+    xml = parse_xml_bytes(data, text.path)
+    if b"<!ENTITY" in data:  # which Pinocchio's parser does not replace
+        data = numbered_text(xml)[0].encode()
+    scope, own = _root_of(xml, text).rsplit("::", 1)
     root, R = plant.world_body(), RotationMatrix()
     if own != "world":
         root = plant.GetBodyByName(own, plant.GetModelInstanceByName(scope))

@@ -312,7 +312,8 @@ def _follower_notes(arrangement: Arrangement) -> list[str]:
 def _ignored(description: ModelDescription, arrangement: Arrangement) -> list[str]:
     """Return notes on joints that cannot follow as the file requires."""
     there = {f.joint for f in arrangement.followers}.union(arrangement.held, arrangement.aside)
-    apart = [_last(f.joint) for f in description.terms.followers if f.joint not in there]
+    stated = (f for f in description.terms.followers if f.joint not in there)
+    apart = [f"{_last(f.joint)} (of {_last(f.leader)})" for f in stated]
     if not apart:
         return []
     what = "<equality>" if description.texts[0].kind == "xml" else "<mimic>"

@@ -135,6 +135,12 @@ SDF = """<sdf version="1.9"><model name="r"><link name="base"/><joint name="w" t
 </joint></model></sdf>"""
 
 
+def test_entities_of_a_urdf_are_read_by_both(tmp_path):
+    text = '<!DOCTYPE robot [<!ENTITY m "3">]>' + URDF.replace('value="2"', 'value="&m;"')
+    found = check_dynamics(written(tmp_path / "r.urdf", text), samples=3)
+    assert found.holds and found.second.relative < 1e-12
+
+
 @pytest.mark.parametrize("mass", [2, 2.1])
 def test_an_sdf_is_read_once_more_as_it_stands(tmp_path, mass):
     model = written(tmp_path / "r.sdf", SDF)

@@ -156,6 +156,12 @@ def test_what_ties_bodies_and_is_not_read_is_said_with_its_lines(tmp_path, text,
     assert held(model) == pytest.approx(held(load(tmp_path, text)))
 
 
+def test_moments_of_inertia_that_are_not_stated_are_told(tmp_path):
+    model = load(tmp_path, URDF.replace('ixy="0" ixz="0" iyz="0"', 'iyz="0"'))
+    np.testing.assert_array_equal(model.total_phi, load(tmp_path, URDF).total_phi)
+    assert "line 3: <inertia> lacks ixy, ixz, which count as 0." in model.notes[0]
+
+
 def test_what_says_nothing_is_not_said(tmp_path):
     one = "<enable_wind>0</enable_wind><velocity_decay><linear>0</linear></velocity_decay>"
     plugin = '<plugin name="torso_lift_spring" filename="libgazebo_ros_joint_state.so"/>'

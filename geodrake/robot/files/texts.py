@@ -409,6 +409,10 @@ class UrdfText(ModelText):
     def _read(self) -> None:
         root, terms = self.root, self.terms
         terms.left_out += unread(root, URDF_UNREAD, self.path)
+        for inertia in root.iterfind("link/inertial/inertia"):
+            if lacks := [key for key in TENSOR if key not in inertia.attrib]:
+                what = f"<inertia> lacks {', '.join(lacks)}, which count as 0."
+                terms.notes.append(f"{place_of(inertia) or self.path}: {what}")
         gazebo = root.findall("gazebo")
         drop(root, "visual", "collision", "gazebo", "material", "drake:collision_filter_group")
         self._transmissions = [deepcopy(e) for e in root.iter("transmission")]
