@@ -245,10 +245,16 @@ def _objective(
     if stance is not None:
         model, limits, noise = stance.model, stance.limits(), stance.noise(noise)
     if options.tell_apart is not None:
+        if stance is not None and len(stance.following):
+            raise ArgumentError(
+                "--tell-apart needs a robot on one foot: on several, motors share the load, and "
+                "effects of one are in the efforts of many.",
+                advice="Name one foot, or omit --feet and hold the base.",
+            )
         rivals = rivals_in(options.tell_apart)
         separation, more = separation_of(model, *rivals, limits, noise=noise, extra=given.extra)
         return separation, (*notes, *more)
-    effects = named_effects(names, model, given.extra)
+    effects = named_effects(names, given.model, given.extra)
     if effects:
         notes = (*notes, f"effects of unknown size are assumed to take {SIZE_WORDS}")
     target = usual_target(model, noise=noise, effects=effects)

@@ -141,10 +141,10 @@ def every_place(cls: type[Effect], model: RobotModel) -> list[tuple[str, ...]]:
     if cls.places == "robot":
         return [()]
     if cls.places == "joint":
-        left_out = model.sliding_joints if cls.turning_only else ()
+        left_out = (*model.base_joints, *(model.sliding_joints if cls.turning_only else ()))
         return [(joint,) for joint in model.single_joints if joint not in left_out]
     if cls.places == "joint_pair":
-        return list(model.joint_pairs)
+        return [pair for pair in model.joint_pairs if not {*pair}.intersection(model.base_joints)]
     advice = f"Let geodrake find it: geodrake add {cls.name} MODEL LOG --save model.yaml."
     if cls.places == "body":
         advice = f"Give its body: {cls.name}@{model.bodies[-1]}."

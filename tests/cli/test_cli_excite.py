@@ -274,6 +274,20 @@ class TestFeet:
         error = json.loads(numbers.read_text())["error"]
         assert error["nrms"] < 0.03
 
+    def test_effects_of_legs_that_share_the_load(self, tmp_path):
+        numbers = tmp_path / "n.json"
+        stand = ("--feet", "l_foot,r_foot", "--stand", self.stand())
+        excite(BIPED, *stand, *self.FAST, "--effects", "viscous_friction", "--json", numbers)
+        alone = json.loads(numbers.read_text())
+        excite(BIPED, *stand, *self.FAST, "--json", numbers)
+        without = json.loads(numbers.read_text())
+        more = len(alone["eigenvalues"]) - len(without["eigenvalues"])
+        assert 0 < more <= len(load_model(BIPED).joints)  # of motors, and none of the base
+        pair = ("--tell-apart", "coulomb_friction,viscous_friction@l_leg_kny")
+        assert "--tell-apart needs a robot on one foot" in refused(
+            "excite", BIPED, *stand, *self.FAST, *pair
+        )
+
     def test_a_force_plate_under_one_foot(self, tmp_path):
         numbers = tmp_path / "n.json"
         plate = ("--feet", "l_foot", "--force-plate", "--friction", 0.7)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from excitation_robots import MODELS
 
+from geodrake.effects import CoulombFriction, FittedEffect, ViscousFriction
 from geodrake.errors import ArgumentError
 from geodrake.excitation import (
     DesignOptions,
@@ -175,7 +176,13 @@ class TestAgainstMuJoCo:
 
     @pytest.mark.parametrize("family", [FAMILY, SplineMotion(3.0, 9), FreeSamples(40)], ids=repr)
     def test_gradients(self, feet, family):
+        """Of legs with friction, which follow the base on two feet."""
         stance = standing(*feet)
+        effects = (
+            FittedEffect(ViscousFriction("l_leg_kny"), np.array([1.0])),
+            FittedEffect(CoulombFriction("r_leg_hpy"), np.array([2.0])),
+        )
+        stance = replace(stance, model=replace(stance.model, effects=effects))
         options, target = DesignOptions(samples=60, stance=stance), stance.target(noise=1.0)
         problem = make_problem(Objective(target), None, family, options)
         rng = np.random.default_rng(3)
