@@ -184,6 +184,18 @@ def test_directives_that_add_directives_of_a_package(tmp_path):
     assert load_model(write(tmp_path / "top.dmd.yaml", top)).joints == ("shoulder", "elbow")
 
 
+def test_paths_of_directives_are_from_the_folder_of_their_own_file(tmp_path):
+    write(tmp_path / "arms" / "arm.urdf", PENDULUM.read_text(encoding="utf-8"))
+    inner = "directives:\n- add_model: {name: arm, file: arm.urdf}\n"
+    write(tmp_path / "arms" / "arm.dmd.yaml", inner)
+    top = "directives:\n- add_directives: {{file: {}}}\n"
+    path = write(tmp_path / "top.dmd.yaml", top.format("arms/arm.dmd.yaml"))
+    assert load_model(path).joints == ("shoulder", "elbow")
+    assert robot_shapes(path, Given()).links
+    with pytest.raises(ModelError, match=r"legs/arm\.dmd\.yaml does not exist"):
+        load_model(write(path, top.format("legs/arm.dmd.yaml")))
+
+
 def test_messages_of_drake_have_the_line_of_the_file_it_is_in(tmp_path):
     broken = PENDULUM.read_text(encoding="utf-8").replace('type="revolute"', 'type="rubber"', 1)
     urdf = write(tmp_path / "arm.urdf", broken)

@@ -206,10 +206,13 @@ def model_files(directives: Iterable[ModelDirective], includes: Includes) -> Ite
 def _load_directives(path: Path, includes: Includes, chain: tuple[Path, ...]) -> ModelDirectives:
     """Return directives of a file, once it is clear that they do not add themselves.
 
-    The packages that they name are known to `includes` afterwards.
+    Their paths are absolute, and the packages that they name are known to `includes` afterwards.
     """
     with drake_errors(path):
         loaded = LoadModelDirectivesFromString(yaml_text(path))
+    for part in filter(None, (d.add_model or d.add_directives for d in loaded.directives)):
+        if part.file and "://" not in part.file:
+            part.file = f"file://{(path.parent / part.file).resolve()}"
     for added in (d.add_directives for d in loaded.directives if d.add_directives):
         file = includes.resolve(added.file, path.parent)
         _load_directives(file, includes, includes.enter(chain, file))
