@@ -32,7 +32,7 @@ from pydrake.geometry import (
     Sphere,
 )
 from pydrake.math import RigidTransform
-from pydrake.multibody.parsing import Parser
+from pydrake.multibody.parsing import Parser, ProcessModelDirectives
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
@@ -249,12 +249,14 @@ def scene_of(
         prepare: Makes geometry of a URDF or SDF such that Drake reads it (`move_meshes`).
     """
     plant, scene = AddMultibodyPlantSceneGraph(DiagramBuilder(), 1e-3)
-    parser, description, root = Parser(plant), read_description(path, given), None
+    parser, description = Parser(plant), read_description(path, given)
     packages = parser.package_map()
     description.add_every_package(packages)
-    if path.suffix.lower() not in (".yaml", ".yml"):
-        root = parse_xml_bytes(read_expanded(path, given), path)
-    if root is None or root.tag not in ("robot", "sdf"):
+    if description.directives is not None:
+        ProcessModelDirectives(description.directives, parser)
+        return plant, scene
+    root = parse_xml_bytes(read_expanded(path, given), path)
+    if root.tag not in ("robot", "sdf"):
         parser.AddModels(str(path))
         return plant, scene
 

@@ -189,7 +189,8 @@ def test_paths_of_directives_are_from_the_folder_of_their_own_file(tmp_path):
     inner = "directives:\n- add_model: {name: arm, file: arm.urdf}\n"
     write(tmp_path / "arms" / "arm.dmd.yaml", inner)
     top = "directives:\n- add_directives: {{file: {}}}\n"
-    path = write(tmp_path / "top.dmd.yaml", top.format("arms/arm.dmd.yaml"))
+    write(tmp_path / "arms" / "all.dmd.yaml", top.format("arm.dmd.yaml"))
+    path = write(tmp_path / "top.dmd.yaml", top.format("arms/all.dmd.yaml"))
     assert load_model(path).joints == ("shoulder", "elbow")
     assert robot_shapes(path, Given()).links
     with pytest.raises(ModelError, match=r"legs/arm\.dmd\.yaml does not exist"):

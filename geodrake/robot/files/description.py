@@ -179,7 +179,7 @@ def model_text_of(
 
 def _read_directives(path: Path, given: Given) -> ModelDescription:
     includes = Includes(path, given.packages)
-    loaded = _load_directives(path, includes, (path.resolve(),))
+    loaded, files = _load_directives(path, includes, (path.resolve(),))
     with drake_errors(path):
         directives = FlattenModelDirectives(loaded, includes.packages)
     models = [d.add_model for d in directives.directives if d.add_model]
@@ -187,36 +187,37 @@ def _read_directives(path: Path, given: Given) -> ModelDescription:
         raise ModelError(
             f"The directives {path} do not add a model.", advice=SUPPORTED_FORMATS, path=path
         )
-    files = [(includes.resolve(model.file, path.parent), model.name) for model in models]
-    texts = tuple(read_model_text(includes.checked(file), given, name) for file, name in files)
-    return ModelDescription(path, texts, directives, given)
+    texts = list[ModelText]()
+    for model, file in zip(models, files, strict=True):
+        texts.append(read_model_text(includes.checked(file), given, model.name))
+        model.file = f"file://{file.resolve()}"
+    return ModelDescription(path, tuple(texts), directives, given)
 
 
-def model_files(directives: Iterable[ModelDirective], includes: Includes) -> Iterator[Path]:
-    """Yield the model files that directives add, and those that they lead to."""
-    for each in directives:
-        if each.add_model:
-            yield includes.checked(includes.resolve(each.add_model.file, Path()))
-        if each.add_directives:
-            file = includes.resolve(each.add_directives.file, Path())
-            loaded = _load_directives(file, includes, includes.enter((), file))
-            yield from model_files(loaded.directives, includes)
+def _load_directives(
+    path: Path, includes: Includes, chain: tuple[Path, ...]
+) -> tuple[ModelDirectives, list[Path]]:
+    """Return directives of a file that do not add themselves, and the files of all their models.
 
-
-def _load_directives(path: Path, includes: Includes, chain: tuple[Path, ...]) -> ModelDirectives:
-    """Return directives of a file, once it is clear that they do not add themselves.
-
-    Their paths are absolute, and the packages that they name are known to `includes` afterwards.
+    Paths are from the folder of the file that they are in. The packages that they name are known to
+    `includes` afterwards.
     """
+    files, parts = list[Path](), list[ModelDirective]()
     with drake_errors(path):
         loaded = LoadModelDirectivesFromString(yaml_text(path))
-    for part in filter(None, (d.add_model or d.add_directives for d in loaded.directives)):
-        if part.file and "://" not in part.file:
-            part.file = f"file://{(path.parent / part.file).resolve()}"
-    for added in (d.add_directives for d in loaded.directives if d.add_directives):
-        file = includes.resolve(added.file, path.parent)
-        _load_directives(file, includes, includes.enter(chain, file))
-    return loaded
+    for each in loaded.directives:
+        own = [each]
+        if each.add_model:
+            files.append(includes.resolve(each.add_model.file, path.parent))
+        if each.add_directives:
+            file = includes.resolve(each.add_directives.file, path.parent).resolve()
+            inner, more = _load_directives(file, includes, includes.enter(chain, file))
+            files += more
+            each.add_directives.file = f"file://{file}"
+            own = own if each.add_directives.model_namespace else inner.directives
+        parts += own
+    loaded.directives = parts
+    return loaded, files
 
 
 @contextmanager
