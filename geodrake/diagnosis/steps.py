@@ -31,7 +31,6 @@ from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.identification.logs.model_errors import ErrorTable
 from geodrake.identification.logs.model_fit import ModelFit
 from geodrake.model.effort_signal import signal_of
-from geodrake.model.file_terms import Damping
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
@@ -143,10 +142,10 @@ def _systematic(found: Found, finding: Finding, fit: ModelFit) -> Values:
         if effect.role is not Role.SCALE:
             gains = _factor(found.model.gain_moments(found.fit))
             shifts.append(gains @ fit.gain_shifts[:, span])
-        # Friction takes what is not known of the damping of a joint's servo.
-        if isinstance(effect, Damping):
-            signal = signal_of(found.case.model.effort_signals, effect.where[0])
-            shifts.append(np.array([[0.0 if signal is None else signal.damping_deviation]]))
+        # What is not known of the delay and damping of a joint's servo is not known of these.
+        signal = signal_of(found.case.model.effort_signals, effect.where[0])
+        if signal is not None and effect.name in signal.effect_deviations:
+            shifts.append(np.array([[signal.effect_deviations[effect.name]]]))
         if any(each.any() for each in shifts):
             own = _deviations_by(fitted, np.concatenate(shifts))
             values.setdefault(effect.place, {}).update(own)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -93,6 +93,9 @@ class EffortSignal:
         no_load_speed: At which the motor gives no effort, rad/s or m/s; of no servo.
         dead_band: Error of position up to which a servo does nothing about it, rad or m.
         dead_band_deviation: Its standard deviation.
+        effect_deviations: Effect of the joint, such as `viscous_friction` -> standard deviation of
+            its parameter where logs of commands alone tell it, beside that of the gain, N·m and s:
+            delay, damping, friction and inertia make up for one another.
 
     Raises:
         ArgumentError: There is no such kind, or a number is out of its range.
@@ -112,6 +115,7 @@ class EffortSignal:
     rate_share: float = 1.0
     dead_band: float = 0.0
     dead_band_deviation: float = 0.0
+    effect_deviations: Mapping[str, float] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         instance(self.joint, "joint", str)
@@ -134,6 +138,8 @@ class EffortSignal:
             )
         for name in _NOT_NEGATIVE:
             number(getattr(self, name), f"{name} of {self.joint}", lower=0.0)
+        for name, value in self.effect_deviations.items():
+            number(value, f"deviation of {name} of {self.joint}", lower=0.0)
         number(self.rate_share, f"rate_share of {self.joint}", lower=0.0, upper=1.0)
         for name in ("limit", "no_load_speed"):
             value = number(getattr(self, name), f"{name} of {self.joint}", finite=False)

@@ -95,6 +95,7 @@ class SavedEffortSignal(Schema):
     rate_share: float = 1.0
     dead_band: float = 0.0
     dead_band_deviation: float = 0.0
+    effect_deviations: dict[str, float] = {}
 
 
 class SavedModel(Schema):

@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from servo_logs import LATE, PENDULUM, TRUTH, command, servo_log
 
+from diagrams.benchmarks.servo_gains import HIDDEN, ServoDraw, score_servo
 from geodrake import load_model
 from geodrake.control import PositionServo, roll_out
 from geodrake.control.export_proof import export_to
@@ -20,9 +21,11 @@ from geodrake.effects.of_files import SquaredLoadFriction
 from geodrake.errors import LogError
 from geodrake.identification.logs import signal_calibration
 from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.effort_gains import ALIKE
 from geodrake.identification.logs.servo_fit import JointMotions, fit_servo, motions_of
 from geodrake.identification.logs.signal_calibration import (
     calibrate_efforts,
+    expected_servo,
     gain_words,
     signals_as_efforts,
 )
@@ -85,6 +88,36 @@ def test_it_finds_what_mujoco_has(model, log):
     assert fit.error < 2e-3 * fit.moved
     assert fit.error < 0.1 * fit.start
     assert np.isinf(fit.limit)
+
+
+@pytest.fixture(scope="module")
+def slow():
+    """Return rows of a double pendulum's log at 50 Hz, of encoders with 4096 steps."""
+    draws = (ServoDraw("double_pendulum", "mujoco", False, 0, seed, hobby=True) for seed in (1, 2))
+    return [score_servo(draw) for draw in draws]
+
+
+def test_intervals_of_slow_logs_hold_friction_and_rotors(slow):
+    """Delay, damping and inertia make up for one another; with a delay held, few are inside."""
+    values = [v for row in slow for v in row["values"] if v["what"] in HIDDEN]
+    assert sum(v["what"] == "rotor_inertia" for v in values) >= 3
+    assert np.mean([v["inside"] for v in values]) >= 0.85
+    assert max(v["deviation"] / v["truth"] for v in values) < 1.0
+
+
+def test_what_varies_with_the_motion_is_worth_few_samples(model, log):
+    motions = alone(model, log)
+    white = 1e-4 * np.random.default_rng(0).normal(size=len(motions.measured))
+    q = np.concatenate(motions.rows)[:, 4]
+    assert motions.noise(white) < 5.0 * np.mean(white**2)
+    repeats = 1e-4 * (q - q.mean()) / q.std()
+    assert motions.noise(repeats) > 0.2 * len(q) / 4.0 * np.mean(repeats**2)
+
+
+def test_a_stiffness_may_be_far_from_those_of_other_joints():
+    value, spread = expected_servo([], "wrist", 100.0, 0.2)["stiffness"]
+    assert value * np.exp(-3.0 * spread) < 0.2 / 20.0
+    assert expected_servo([], "wrist", 100.0, 50.0)["stiffness"][1] == ALIKE
 
 
 def test_it_finds_friction_by_the_square_of_the_load(model, log):

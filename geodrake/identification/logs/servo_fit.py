@@ -86,7 +86,13 @@ efforts w that an integral begins with, one for each stretch.
 LONGEST_DELAY, USUAL_DELAY = 0.06, 0.01
 """Commands are late by no more, and in the mean, s."""
 
-_RATE, _DAMPING, _COULOMB, _DELAY, _OFFSET, _LOAD, _INTEGRAL = 1, 2, 3, 5, 6, 7, 8
+USUAL_PERIOD = 1e-3
+"""Servos compute their effort about so often, s: the motion that they feel is late by as much.
+
+As a servo's damping and the joint's inertia make up for that exactly, no motion tells it.
+"""
+
+_RATE, _DAMPING, _COULOMB, _ARMATURE, _DELAY, _OFFSET, _LOAD, _INTEGRAL = 1, 2, 3, 4, 5, 6, 7, 8
 _BAND, _LIMIT, _SHARE, _BEGUN = 9, 10, 11, 12
 _PLACES = {name: at for at, name in enumerate((*PARAMETERS, "limit"))}
 _STEPS, _LONGEST_STEP = 4, 5e-3  # of simulations between two rows at least, and at most so long, s
@@ -103,6 +109,7 @@ _USUAL_LOAD, _MOST_LOAD = 0.2, 2.0  # of the largest load, that friction by its 
 _USUAL_BAND = 0.01  # rad or m
 _IDLE_LEAVES = 0.5  # share of what is left of positions, that a dead band leaves at most
 _NOTHING = float(np.finfo(float).tiny)  # rad² or m², of a joint that stands exactly still
+_SMOOTHER = 1.0 / 12.0 / np.sqrt(3.0)  # of second differences of commands: deviation
 _FAR = 1e3  # rad or m, from the measured motion, and no farther: squares stay numbers
 _TRIED_DELAYS = (0.0, 0.01, 0.03)  # s, that searches begin from
 _LINEAR_DELAYS = tuple(np.linspace(0.0, LONGEST_DELAY, 7).tolist())  # and linear fits try, s
@@ -115,13 +122,23 @@ class ServoFit:
     # (10,) values of `PARAMETERS`: the rate's with all damping that the servo makes, damping that
     # of the joint alone; the last two are 0 for a servo without an integral, and a dead band
     parameters: Array
-    # (10,) their standard deviations; of all but kp for bodies that are known exactly
+    # (10,) their standard deviations; of all but kp for bodies that are known exactly. Counted are
+    # feedback that acts late, and commands between the rows of a log, of which no log tells
     deviations: Array
     error: float  # RMS of simulated − measured positions, rad or m
     start: float  # the same where the search began
     moved: float  # deviation of the measured positions, rad or m
     limit: float  # effort at which the servo saturates; infinite where the motion shows none
     rate_share: float  # of the command's rate, that the servo's damping knows
+
+    def with_gain_known_to(self, share: float) -> ServoFit:
+        """Return the fit with deviations by a share to which the bodies or the gain are known.
+
+        The motion tells ratios of forces: all but times and positions scale with the stiffness.
+        """
+        forces = ~np.isin(PARAMETERS, ("delay", "dead_band"))
+        more = share * forces * self.parameters
+        return replace(self, deviations=np.hypot(self.deviations, more))
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,6 +274,26 @@ class JointMotions:
         blocks = centered(before), centered(after)
         squares = [max(sum(float(b @ b) for b in each), _NOTHING) for each in blocks]
         return effective_samples(blocks[1]) * float(np.log(squares[0] / squares[1]))
+
+    def noise(self, residual: Array) -> float:
+        """Return the variance of a residual (N,) as it counts in deviations of parameters.
+
+        Noise counts by the samples that it is worth. What varies smoothly with the motion does so
+        whenever the motion repeats, and is worth `WORTH` samples however many there are; it is
+        taken to be at least as much as cannot be told from chance.
+        """
+        rows = np.concatenate(self.rows)
+        q, v, vd = ((column - column.mean()) / (np.std(column) or 1.0) for column in rows[:, 4:7].T)
+        ahead = rows[:, 7] - rows[:, 4]
+        error = (ahead - ahead.mean()) / (np.std(ahead) or 1.0)
+        terms = q, v, vd, error, q * q, v * v, v * abs(v), v**3, np.sign(v), np.sign(v) * q, q * v
+        columns = np.stack([np.ones_like(q), *terms, abs(v), vd * v, vd * q], 1)
+        left = residual - columns @ np.linalg.lstsq(columns, residual)[0]
+        count, k = effective_samples(self._split(left)), columns.shape[1]
+        square = max(float(residual @ residual), _NOTHING)
+        share = 1.0 - float(left @ left) / square - k / count
+        share = min(max(share, float(np.sqrt(2.0 * k)) / count), 1.0)
+        return square * ((1.0 - share) / count + share / WORTH)
 
     def pieces(self) -> JointMotions:
         """Return what a search sees of long logs: pieces, spread evenly over the stretches."""
@@ -658,7 +695,7 @@ class _Search:
     def _deviations(self, best: _Servo) -> Array:
         """Return (10,) standard deviations of parameters that are free.
 
-        What is left varies with the motion: it is worth few samples, however long logs are.
+        Each is that with all others unknown, and with what no log tells; see `_untold`.
         """
         numbers, free, gain = best.numbers, best.free, best.numbers[0]
         least = np.full(len(numbers), float(np.std(self.motions.needed)) or 1.0)
@@ -666,22 +703,40 @@ class _Search:
         least[_LOAD], least[_INTEGRAL], least[_SHARE] = _USUAL_LOAD / self._most, gain, 0.5
         least[_BAND] = _USUAL_BAND
         size = np.maximum(np.abs(numbers), least)[free]
-        residual, J = self.motions.residual(numbers), self.motions.slopes(numbers, free) * size
-        noise = residual @ residual / WORTH
+        J = self.motions.slopes(numbers, free)
+        columns = np.column_stack([J * size, *self._untold(numbers, J, free)])
         # What the motion does not show is known to its own size.
-        known = np.ones(J.shape[1])
+        known = np.ones(columns.shape[1])
         for name, (_, spread) in self.expected.items():
-            known[np.flatnonzero(free) == _PLACES[name]] = spread**-2.0
-        values, vectors = np.linalg.eigh(J.T @ J / noise + np.diag(known))
+            known[: len(size)][np.flatnonzero(free) == _PLACES[name]] = spread**-2.0
+        H = columns.T @ columns / self.motions.noise(self.motions.residual(numbers))
+        values, vectors = np.linalg.eigh(H + np.diag(known))
         # (Rounding may leave less than what is known.)
         covariance = vectors / np.maximum(values, known.min()) @ vectors.T
-        moves = np.zeros((len(free), len(size)))
-        moves[free] = np.diag(size)
+        moves = np.zeros((len(free), len(known)))
+        moves[free, : len(size)] = np.diag(size)
         d, share = numbers[[_DAMPING, _SHARE]]
         own = share * moves[_DAMPING] + d * moves[_SHARE]
         moves[_RATE] += own
         moves[_DAMPING] -= own
         return np.sqrt(np.einsum("ij,jk,ik->i", moves, covariance, moves))[:_LIMIT]
+
+    def _untold(self, numbers: Array, J: Array, free: Mask) -> tuple[Array, Array]:
+        """Return (N,) changes of positions by one deviation of what no log of a servo tells.
+
+        Feedback that acts late by τ takes kp τ off the damping and d τ off the inertia. How
+        commands go on between rows matters too: straight lines between rows of period T are
+        c + T² c̈ / 12 in the mean for a smooth command c, and but for a delay c + T² c̈ / 24 for one
+        that a servo holds; any share between none and the first is as likely. `J` (N, f) are slopes
+        with the numbers that are `free`.
+        """
+        motions, at = self.motions, np.flatnonzero(free).searchsorted([_DAMPING, _ARMATURE])
+        late = J[:, at] @ [numbers[0], numbers[_RATE] + numbers[_DAMPING]]
+        rows = tuple(each.copy() for each in motions.rows)
+        for each in rows:
+            each[1:-1, 7] -= _SMOOTHER * np.diff(each[:, 7], 2)
+        rounded = replace(motions, rows=rows).simulated(numbers)
+        return -USUAL_PERIOD * late, rounded - motions.simulated(numbers)
 
 
 def _with_share(numbers: Array, share: float) -> Array:

@@ -306,9 +306,13 @@ def published_gain(
     return None
 
 
-def expected_servo(logs: Sequence[JointLog], joint: str, stiffness: float) -> Expected:
-    """Return the servo in data sheets, or a usual stiffness."""
-    found = {"stiffness": (stiffness, ALIKE)}
+def expected_servo(logs: Sequence[JointLog], joint: str, usual: float, linear: float) -> Expected:
+    """Return the servo in data sheets, or a usual stiffness.
+
+    Servos are alike only as far as the stiffness by a linear fit allows: that of a wrist may be a
+    thousandth of that of a shoulder.
+    """
+    found = {"stiffness": (usual, max(ALIKE, abs(float(np.log(linear / usual)))))}
     motors = [log.motors[joint] for log in logs if joint in log.motors]
     for motor in motors[:1]:
         for name, told in (("stiffness", motor.gain(COMMAND)), ("armature", motor.armature)):
@@ -373,7 +377,7 @@ def servo_by_motion(
         motions,
         signal,
         limit if limit > 0.0 else np.inf,
-        expected=expected_servo(logs, signal.joint, signal.gain if usual is None else usual),
+        expected=expected_servo(logs, signal.joint, usual or signal.gain, signal.gain),
         bodies=bodies,
     )
 
@@ -395,6 +399,11 @@ def signal_by_motion(signal: EffortSignal, fit: ServoFit) -> EffortSignal:
         dead_band_deviation=float(spread[-1]),
         limit=fit.limit,
         rate_share=fit.rate_share,
+        effect_deviations={
+            kind.name: float(spread[PARAMETERS.index(name)])
+            for name, kind in BESIDE.items()
+            if kind is not LoadFriction
+        },
     )
 
 
@@ -431,9 +440,9 @@ def with_servo_motions(
         signal = signals[joint := model.joints[j]]
         fit = servo_by_motion(model, logs, motions, signal)
         if fit is not None:
-            fits[joint] = fit
             deviation = signal.uncertainty * fit.parameters[0]
             signals[joint] = replace(signal_by_motion(signal, fit), deviation=deviation)
+            fits[joint] = fit.with_gain_known_to(signal.uncertainty)
     kinds = tuple(BESIDE.values())
     effects = [
         fitted
