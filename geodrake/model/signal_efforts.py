@@ -6,14 +6,14 @@ measured, and they begin anew after it. Arrays are (N,), of the rows of a log; N
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.compiling import compiled, contiguous
+from geodrake.compiling import compiled, contiguous, inlined
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.logs.motion import GROUND, PASSIVE, UNMEASURED, JointLog
@@ -245,7 +245,11 @@ NO_SERVO = ServoGains(*np.array([0.0, 0.0, 0.0, np.inf, 0.0, 1.0]))
 
 def beyond(error: Array, band: Array | float) -> Array:
     """Return errors less a dead band: e − b above b, e + b below −b, 0 between."""
-    return np.asarray(np.maximum(error - band, 0.0) + np.minimum(error + band, 0.0))
+    return np.maximum(error - band, 0.0) + np.minimum(error + band, 0.0)
+
+
+calc_beyond = cast(Callable[[float, float], float], inlined(beyond))
+"""`beyond` of numbers, for compiled functions."""
 
 
 def servo_gains(model: RobotModel) -> ServoGains:

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.compiling import compiled, contiguous, inlined
+from geodrake.compiling import compiled, contiguous
 from geodrake.control.rollout.acting import EffortAlong
 from geodrake.control.rollout.passages import Passage
 from geodrake.control.rollout.simulation import (
@@ -36,6 +36,7 @@ from geodrake.effects.robot_motion import log_number
 from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
+from geodrake.model.signal_efforts import calc_beyond
 from geodrake.model.simulation.force_law import Coupling, ForceLaw, SoftJoints
 
 _Held = tuple[NDArray[np.intp], NDArray[np.intp], Array]  # links, motors, what couples them
@@ -380,9 +381,3 @@ def calc_error(
     if band > 0.0 and error[0] == 0.0:
         error[:] = 0.0
     return error, along
-
-
-@inlined
-def calc_beyond(error: float, band: float) -> float:
-    """Return an error less a dead band."""
-    return max(error - band, 0.0) + min(error + band, 0.0)

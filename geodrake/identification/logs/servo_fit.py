@@ -56,6 +56,7 @@ from geodrake.logs.smoothing import Segment
 from geodrake.model.carried_payloads import carrying
 from geodrake.model.effort_signal import EffortSignal
 from geodrake.model.robot_model import RobotModel
+from geodrake.model.signal_efforts import calc_beyond
 from geodrake.robot.effort_slopes import effort_slopes
 from geodrake.robot.regressor import inverse_dynamics
 
@@ -862,8 +863,7 @@ def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array
     x, v, z = rows[0, 4], rows[0, 5], 0.0
     c, rise = calc_command_before(rows, -late, period)
     count = min(slopes.shape[1], _BEGUN + 1) if len(slopes) > 0 else 0
-    at_numbers = np.zeros((3, count))
-    ahead = _THETA * dt
+    at_numbers, ahead = np.zeros((3, count)), _THETA * dt
     reach, least = kp + ki * ahead, -BRAKING_SHARE / load  # (minus infinity without any)
     positions[0], slopes[:1, :count] = x, 0.0
     for k in range(len(rows) - 1):
@@ -874,7 +874,8 @@ def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array
             told = (1.0 - _THETA) * before + _THETA * c
             inertia, free, old = (M + armature) * per, D + (1.0 - own) * d, (1.0 - _THETA) * v
             at = x + ahead * old
-            acts, side = calc_acting(told - x - ahead * v, band)
+            side = np.sign(calc_beyond(told - x - ahead * v, band))
+            acts = 1.0 if band == 0.0 else abs(side)
             soft = (acts * reach * ahead + kr + own * d) * _THETA
             drive = acts * reach * (told - at - side * band) + ki * z + w
             drive += kr * ((c - before) * per - old) - own * d * old
@@ -945,13 +946,6 @@ def move_slopes(
         mean = old + _THETA * slopes[1, i]
         slopes[2, i] -= grows * (x + _THETA * dt * mean)
         slopes[0, i] += dt * mean
-
-
-@inlined
-def calc_acting(error: float, band: float) -> tuple[float, float]:
-    """Return whether a servo acts upon an error, and to which side of its dead band that is."""
-    side = 1.0 if error > band else -1.0 if error < -band else 0.0
-    return (1.0 if band == 0.0 else abs(side)), side
 
 
 @inlined
