@@ -282,8 +282,12 @@ class ParquetColumns(Mapping[str, Array]):
         self._path, self._file, self._names = path, file, names
 
     def __getitem__(self, name: str) -> Array:
+        column, row = np.empty(self._file.metadata.num_rows), 0
         with readable(self._path, "Parquet file"):
-            return np.asarray(self._file.read([name])[name].to_numpy(), float)
+            for batch in self._file.iter_batches(columns=[name]):
+                column[row : row + len(batch)] = batch.column(0).to_numpy(zero_copy_only=False)
+                row += len(batch)
+        return column
 
     def __contains__(self, name: object) -> bool:
         return name in self._names
