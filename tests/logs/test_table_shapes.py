@@ -1,6 +1,7 @@
 """Tables as robots write them: lists and names in cells, a row a joint, JSON, HDF5, clocks."""
 
 import json
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -10,7 +11,9 @@ from scipy.io import savemat
 
 from geodrake.errors import LogError
 from geodrake.logs.files import Reading, read_log, read_mapping, text_file
+from geodrake.logs.files.grouped_arrays import one_after_another
 from geodrake.logs.files.reading import ColumnMapping, MappedColumn
+from geodrake.logs.files.table import LogTable
 
 JOINTS = ("base", "elbow")
 ROWS = 60
@@ -907,6 +910,14 @@ def test_thousands_of_demonstrations_are_read_as_those_that_are_asked_for(tmp_pa
     assert log.time[1] == pytest.approx(0.05)
     with pytest.raises(LogError, match="no episode 3400; it has 0, 1, 2"):
         read_log(path, reading=Reading(episode=3400))
+
+
+@pytest.mark.parametrize("rows", [(2, 1, 2), (1, 1, 3)])
+def test_time_goes_on_behind_episodes_of_one_row(rows):
+    tables = [LogTable(Path("log"), {"time": 0.1 * np.arange(n)}) for n in rows]
+    time = one_after_another(tables, Reading()).columns["time"]
+    ends = np.cumsum(rows)[:-1] - 1
+    assert (np.delete(np.diff(time), ends) < 0.2).all() and (np.diff(time)[ends] >= 1.0).all()
 
 
 def test_of_thousands_of_arrays_a_mapping_says_which_are_read(tmp_path):

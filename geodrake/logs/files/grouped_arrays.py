@@ -23,7 +23,7 @@ from geodrake.logs.time_stamps import longest_step
 Array = NDArray[np.float64]
 
 _MOST_PARTS = 200  # more records are samples, and no joints
-_STEPS_BETWEEN = 30.0  # steps of time between episodes, which are a gap
+_STEPS_BETWEEN, _BETWEEN = 30.0, 1.0  # steps and s between episodes at least, which are a gap
 _EPISODE = re.compile(
     r"(?:demo|demonstration|episode|ep|traj|trajectory|rollout|trial|run)s?[_ -]?(\d+)", re.I
 )
@@ -118,10 +118,7 @@ def _in_turn(
     content: Mapping[str, Any],
     reading: Reading,
 ) -> LogTable:
-    """Return the columns that all demonstrations have, one after the other, with gaps between.
-
-    Without time stamps, empty rows separate two of them; time that begins anew is continued.
-    """
+    """Return the columns of all demonstrations, or of the chosen one."""
     if reading.episode is not None and reading.episode not in episodes:
         raise LogError(
             f"Log {str(path)!r} has no episode {reading.episode}; it has "
@@ -134,6 +131,14 @@ def _in_turn(
     for number in chosen:
         arrays = arrays_of(episodes[number])
         tables.append(numeric_table(path, {**said, **arrays}, rows_of(arrays)))
+    return one_after_another(tables, reading)
+
+
+def one_after_another(tables: Sequence[LogTable], reading: Reading) -> LogTable:
+    """Return the columns that all episodes have, with gaps between episodes.
+
+    Without time stamps, empty rows separate two of them; time that begins anew is continued.
+    """
     first = tables[0]
     names = [n for n in first.columns if all(n in table.columns for table in tables)]
     has_time = any(map(is_time, names))
@@ -156,10 +161,11 @@ def _in_turn(
 def _going_on(before: Array, time: Array) -> Array:
     """Return time (N,) of an episode after that of others, behind which it is to be."""
     known, own = (each[np.isfinite(each)] for each in (before, time))
-    if len(own) < 2 or not len(known) or own[0] > known[-1]:
+    if not len(own) or not len(known) or own[0] > known[-1]:
         return time
-    period = (own[-1] - own[0]) / (len(own) - 1)
-    return time + (known[-1] - own[0] + _STEPS_BETWEEN * period)
+    longer = own if len(own) > 1 else known
+    period = (longer[-1] - longer[0]) / max(len(longer) - 1, 1)
+    return time + (known[-1] - own[0] + max(_STEPS_BETWEEN * period, _BETWEEN))
 
 
 def _parts_in(content: Any, name: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:

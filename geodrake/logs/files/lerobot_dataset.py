@@ -8,24 +8,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.boundary.input_files import read_regular, regular_files
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.array_files import arrow_table
+from geodrake.logs.files.grouped_arrays import one_after_another
 from geodrake.logs.files.name_rules import OTHER, meaning_of, quantity_of
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable, readable
-
-Array = NDArray[np.float64]
 
 INFO = "meta/info.json"
 """Files that identify a folder as a dataset."""
 
 _LARGEST_INFO = 100_000_000  # bytes
 _ACTION = "action"  # what a policy or a person told the joints
-_BETWEEN = 1.0  # s between episodes, which is a gap
 
 
 def read_lerobot(path: Path, reading: Reading) -> LogTable:
@@ -53,12 +50,12 @@ def read_lerobot(path: Path, reading: Reading) -> LogTable:
                 advice="Episodes are counted from 0." if episode is not None else "",
             )
         columns = {name: np.concatenate([t[name] for t in tables]) for name in tables[0]}
-    episodes = columns.pop("episode_index")
-    time = _time(columns.pop("timestamp"), episodes)
-    count = 1 + np.count_nonzero(np.diff(episodes))
-    notes = (f"{count} episodes, concatenated",) if count > 1 else ()
+    edges = np.flatnonzero(np.diff(columns.pop("episode_index"))) + 1
     named = {name: columns[column] for (_, column), name in meaning.items() if column in columns}
-    return LogTable(path, {"time": time, **named}, notes=notes)
+    named = {"time": columns["timestamp"], **named}
+    parts = zip(*(np.split(values, edges) for values in named.values()), strict=True)
+    episodes = [LogTable(path, dict(zip(named, part, strict=True))) for part in parts]
+    return one_after_another(episodes, reading)
 
 
 def _meaning(features: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str], str]]:
@@ -95,10 +92,3 @@ def _names(names: Any, size: int) -> list[str] | None:
     if isinstance(names, list) and len(names) == size:
         return [str(name) for name in names]
     return None
-
-
-def _time(stamps: Array, episodes: Array) -> Array:
-    """Return time that continues from one episode to the next."""
-    steps = np.diff(stamps, prepend=stamps[:1])
-    steps[1:][np.diff(episodes) != 0] = _BETWEEN
-    return np.asarray(np.cumsum(steps))
