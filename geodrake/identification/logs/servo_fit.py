@@ -133,13 +133,13 @@ class ServoFit:
     rate_share: float  # of the command's rate, that the servo's damping knows
 
     def with_gain_known_to(self, share: float) -> ServoFit:
-        """Return the fit with deviations by a share to which the bodies or the gain are known.
+        """Return the fit with deviations no smaller than by the share to which its gain is known.
 
         The motion tells ratios of forces: all but times and positions scale with the stiffness.
         """
         forces = ~np.isin(PARAMETERS, ("delay", "dead_band"))
-        more = share * forces * self.parameters
-        return replace(self, deviations=np.hypot(self.deviations, more))
+        least = share * forces * np.abs(self.parameters)
+        return replace(self, deviations=np.maximum(self.deviations, least))
 
 
 @dataclass(frozen=True, eq=False)
