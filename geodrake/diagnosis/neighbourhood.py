@@ -7,7 +7,7 @@ of all columns, and all of them are tried at once.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,6 +76,10 @@ class Neighbourhood:
         late = [model.moments(columns, (k,) * len(was)) for k in range(count)]
         samples, now = self._samples(), fit.noise * model.block_rows
         found = list[tuple[Delay, float]]()
+
+        def odds(delay: Delay) -> float:
+            return model.odds_against(replace(fit.choice, delay=delay))
+
         base, servos = model.model.base_joints, servos_of(model.model)
         free = [
             [j]
@@ -92,7 +96,7 @@ class Neighbourhood:
                 delay = tuple(k if j in moved else was[j] for j in joints)
                 tried.append((delay, float(-samples[at] @ np.log(ratio))))
             tried = [each for each in tried if model.are_apart(each[0], was)]
-            found.append(max(tried, key=lambda each: each[1]))
+            found.append(max(tried, key=lambda each: each[1] - odds(each[0])))
             on_time = tuple(model.on_time[j] if j in moved else was[j] for j in joints)
             found += [each for each in tried if each[0] == on_time and each != found[-1]]
         return found

@@ -67,6 +67,9 @@ def delays_of(model: LogModel, fit: Fit) -> tuple[Array, Array]:
     for moved in [joints.tolist()] if alike else alone:
         grid, own = dataset.delays[:, moved[0]], delay[moved[0]]
         order = np.argsort(grid)
+        if alike:  # each joint may have been advanced by another delay
+            apart = np.ptp(dataset.delays - dataset.delays[own], axis=1)
+            order = order[apart[order] < 1e-9]
         order = order[(grid[order] != grid[own]) | (order == own)]
         at = int(np.flatnonzero(order == own)[0])
         if not 0 < at < len(order) - 1:
@@ -78,6 +81,19 @@ def delays_of(model: LogModel, fit: Fit) -> tuple[Array, Array]:
         step, deviations[moved] = least_between(grid[near] - grid[own], -np.array(scores, float))
         seconds[moved] += step
     return seconds, deviations
+
+
+def common_delay(delays: Array, deviations: Array) -> float | None:
+    """Return the mean, s, of the delays (nv,) that were found at some joints; None if all agree.
+
+    Those that are known well count for more.
+    """
+    late = np.abs(delays) > 1e-9
+    if np.ptp(delays) < 1e-9:
+        return None
+    known = np.where(np.isfinite(deviations), deviations, np.inf)[late]
+    weights = known**-2.0 if np.isfinite(known).any() else np.ones(late.sum())
+    return float(np.average(delays[late], weights=weights))
 
 
 def _score_at(model: LogModel, fit: Fit, joints: list[int], delay: int) -> float | None:

@@ -19,6 +19,7 @@ from geodrake.diagnosis.moves import alone
 from geodrake.diagnosis.proposals import proposed
 from geodrake.diagnosis.refinements import (
     ZOOMS,
+    common_delay,
     delays_of,
     expansions,
     fading_speeds,
@@ -31,6 +32,7 @@ from geodrake.diagnosis.search_progress import FoundStep, Progress, progress_of
 from geodrake.diagnosis.terms import Term
 from geodrake.diagnosis.unknown_efforts import is_resolved, reversals, unknown_functions
 from geodrake.effects import Effect
+from geodrake.effects.base import FittedEffect
 from geodrake.effects.declarations import Proposer, Role
 from geodrake.effects.robot_motion import log_number
 from geodrake.errors import ArgumentError
@@ -49,6 +51,7 @@ _FIRST_SHARE = 0.05
 _FORCED_SHARE = 0.3
 _MOST_FADINGS = 3
 _FURTHER = 5  # effects that would gain if they left white noise, at each step of one more climb
+_OTHER_CARRIED = 0.2  # share by which an effect of accelerations differs, to carry other noise
 _OTHER_DELAY, _ALIKE = 3.0, 0.125  # deviations, and steps, within which delays are alike
 
 
@@ -81,7 +84,8 @@ class Search:
         self, case: Case, beliefs: Beliefs | None = None, progress: Progress | None = None
     ) -> None:
         self.case, self._beliefs, self._progress = case, beliefs or Beliefs(), progress
-        self._measured = case  # the case whose noise is known
+        self._accelerated = dict[Effect, Array]()  # effects by accelerations, with their values
+        self._heard = case.model, case.loads, self._accelerated  # what the noise is known with
         self._effects = list(dict.fromkeys(case.dataset.effects))
         self._grid = tuple(self._effects)
         self._origin = case.model.delays
@@ -290,9 +294,12 @@ class Search:
         own = effects_of(model)
         self._effects = [e for e in self._effects if e in own or is_resolved(e, unsure)]
         columns = [*self._effects, *unsure]
-        known = model is self._measured.model and self.case.loads is self._measured.loads
-        dataset = reduced(self.case, columns, delays=self._delays, same_noise=known)
-        self._measured = self.case
+        heard, robot = (model, self.case.loads, self._accelerated), None
+        if any(one is not other for one, other in zip(heard, self._heard, strict=True)):
+            carried = (FittedEffect(*each) for each in self._accelerated.items())
+            robot = replace(self.case.load_model, effects=(*model.effects, *carried))
+        self._heard = heard
+        dataset = reduced(self.case, columns, delays=self._delays, noise_of=robot)
         self.case = replace(self.case, dataset=dataset)
         return LogModel(
             model,
@@ -406,10 +413,28 @@ class Search:
         if loads is not None:
             self.case = replace(self.case, loads=loads)
             changed = True
+        if self._is_louder():
+            changed = True
         if changed or near or moved:
             self._anew(moved, retimed=retimed)
             return True
         return False
+
+    def _is_louder(self) -> bool:
+        """Return whether noise of accelerations goes into efforts by other effects than before."""
+        model, own = self.model, set(effects_of(self.case.model))
+        found = {
+            term.effect: model.parameters(self.fit, term)
+            for term in self.fit.terms
+            if term.effect and term.effect.depends_on == {"vd"} and term.effect not in own
+        }
+        was = self._accelerated
+        if was.keys() == found.keys() and all(
+            np.allclose(was[e], x, rtol=_OTHER_CARRIED, atol=0.0) for e, x in found.items()
+        ):
+            return False
+        self._accelerated = found
+        return True
 
     def _other_loads(self, fit: Fit) -> Array | None:
         """Return the loads (nb, 10) of a fit if what scales with them is to be made anew."""
@@ -465,15 +490,19 @@ class Search:
             return False
         if not self._has_other_delays(self.fit):
             return False
-        seconds, _ = delays_of(self.model, self.fit)
+        seconds, deviations = delays_of(self.model, self.fit)
         lags = fitted_delays(model.delays + seconds, model.joints)
         kept = [each for each in model.effects if each.effect.parameters]
         self.case = replace(self.case, model=replace(model, effects=(*kept, *lags)))
         half = 0.25 * self._step if self._is_timed else 0.5 * self._step
         grid = np.unique(np.concatenate([self._step * np.arange(-3, 4), [half, -half]]))
-        others = [x for x in grid.tolist() if abs(x) > 1e-12]
+        others: list[ArrayLike] = [x for x in grid.tolist() if abs(x) > 1e-12]
         found = self.case.model.delays
         known = [delays - found for delays in self._tried]
+        alike = common_delay(found - self._origin, deviations)
+        if alike is not None:  # joints that show none by themselves may have it, too
+            near = np.unique(np.concatenate([grid[np.abs(grid) <= self._step], [0.0]]))
+            others += [self._origin + alike + x - found for x in near.tolist()]
         self._delays = [0.0, *known, *others]
         self._tried.append(found)
         self._on_time = (1,) * len(delay)

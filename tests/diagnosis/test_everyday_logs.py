@@ -12,6 +12,9 @@ from pinocchio_logs import MODELS, effort_log
 
 from geodrake import load_model
 from geodrake.diagnosis import explain
+from geodrake.diagnosis.refinements import common_delay
+from geodrake.diagnosis.search import searched
+from geodrake.identification.logs.case import open_case
 from geodrake.logs.motion import JointLog
 
 DRY, WET = np.array([0.3, 0.15]), np.array([0.2, 0.1])
@@ -82,3 +85,25 @@ def test_efforts_that_are_late_by_a_part_of_a_sample_are_late():
     assert {step.effect for step in found.steps} >= {"rotor_inertia", "effort_delay"}
     (delay,) = (step for step in found.steps if step.effect == "effort_delay")
     assert delay.parameters["all joints"]["delay"] == pytest.approx(2e-3, abs=5e-4)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3, 4])
+def test_noise_of_accelerations_that_a_found_rotor_carries_is_noise(model, seed):
+    """The file's light bodies carry a part of it; the rest would count as a model error."""
+    rng = np.random.default_rng(seed)
+    log = pendulum_log(seed, lambda q, v, vd, load: np.array([0.6, 0.2]) * vd, noise=(3e-3, 2e-3))
+    noisy = replace(log, position=log.position + 3e-4 * rng.normal(size=log.position.shape))
+    case = open_case(model, [noisy], candidates=True, bandwidth=8.0)
+    found = searched(case)
+    left = np.sqrt(found.fit.variance)
+    assert {term.name for term in found.fit.terms} == {"rotor_inertia"}
+    assert np.all(left > 2.0 * case.dataset.noise_floor)
+    np.testing.assert_allclose(found.model.dataset.noise_floor, left, rtol=0.15)
+
+
+def test_a_common_delay_is_that_of_the_joints_that_know_it_best():
+    delays, deviations = np.array([0.0, 4e-3, 5e-3]), np.array([np.inf, 1e-5, 1e-3])
+    assert common_delay(delays, deviations) == pytest.approx(4e-3, rel=1e-3)
+    assert common_delay(delays, np.full(3, np.inf)) == pytest.approx(4.5e-3)
+    assert common_delay(np.full(3, 4e-3), deviations) is None
+    assert common_delay(np.zeros(3), deviations) is None

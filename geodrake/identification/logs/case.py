@@ -23,8 +23,8 @@ from geodrake.identification.logs.hypothesis import HeldOut
 from geodrake.identification.logs.log_slices import MIXED_ROOM, ROOM, RowCache
 from geodrake.identification.logs.model_errors import ErrorTable, JointError, Series
 from geodrake.identification.logs.model_fit import effects_of
-from geodrake.identification.logs.noise import filtered_below, prepare_for_model
-from geodrake.identification.logs.reduce import reduce_logs
+from geodrake.identification.logs.noise import filtered_below, known_noise, prepare_for_model
+from geodrake.identification.logs.reduce import reduce_logs, sign_widths
 from geodrake.identification.logs.signal_calibration import calibrate_efforts
 from geodrake.identification.logs.unknowns import Unknowns
 from geodrake.logs.files import read_log
@@ -308,22 +308,25 @@ def reduced(
     effects: Sequence[Effect],
     *,
     delays: Sequence[ArrayLike] | None = None,
-    same_noise: bool = True,
+    noise_of: RobotModel | None = None,
 ) -> Dataset:
     """Return the logs of a case with columns for other effects.
 
     Delays to try on top of the model's, s, of all joints or (nv,) of each, are by default those of
-    the case. The noise is that of the case unless its model is another one since.
+    the case. The noise is that of the case, or what it is with another model.
     """
     known = case.dataset
     noise = known.noise_floor, known.noise_known, known.motion_noise
+    if noise_of is not None:
+        widths = sign_widths(noise_of, case.trajectories)
+        noise = known_noise(case.trajectories, noise_of, sign_width=widths)
     return reduce_logs(
         case.load_model,
         case.trajectories,
         case.folds,
         effects=effects,
         delays=[*case.dataset.delays] if delays is None else delays,
-        noise=noise if same_noise else None,
+        noise=noise,
         shared=case.shared,
     )
 
