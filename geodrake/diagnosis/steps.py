@@ -143,9 +143,10 @@ def _systematic(found: Found, finding: Finding, fit: ModelFit) -> Values:
             gains = _factor(found.model.gain_moments(found.fit))
             shifts.append(gains @ fit.gain_shifts[:, span])
         # What is not known of the delay and damping of a joint's servo is not known of these.
-        signal = signal_of(found.case.model.effort_signals, effect.where[0])
-        if signal is not None and effect.name in signal.effect_deviations:
-            shifts.append(np.array([[signal.effect_deviations[effect.name]]]))
+        for place in effect.where:
+            signal = signal_of(found.case.model.effort_signals, place)
+            if signal is not None and effect.name in signal.effect_deviations:
+                shifts.append(np.array([[signal.effect_deviations[effect.name]]]))
         if any(each.any() for each in shifts):
             own = _deviations_by(fitted, np.concatenate(shifts))
             values.setdefault(effect.place, {}).update(own)

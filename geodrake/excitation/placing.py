@@ -59,7 +59,7 @@ def make_stance(
         ArgumentError: The robot has no free base, or cannot stand so.
     """
     instance(robot, "robot", RobotModel)
-    instances(feet, "feet", (str, Foot))
+    feet = instances(feet, "feet", (str, Foot))
     number(friction, "friction", lower=0.0, strict=True)
     number(margin, "margin", lower=0.0, upper=1.0, strict=True)
     if len(robot.base_joints) != 6:

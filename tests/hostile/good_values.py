@@ -159,6 +159,11 @@ def polyhedron():
     return mass_limits(len(control_model().prior), 0, 0.1, 50.0)
 
 
+@cache
+def biped():
+    return geodrake.load_model(PENDULUM.with_name("biped.urdf"), floating=True)
+
+
 def soft():
     """The model with an elastic joint, which is fitted in rollouts."""
     spring = FittedEffect(effects.JointElasticity("elbow"), np.array([1e-3]))
@@ -323,7 +328,9 @@ BY_CALL = {
     "add": {"effect": "coulomb_friction"},
     "Criterion": {"name": "e_optimality"},
     "motion_limits": {"position": {"shoulder": (-1.0, 1.0)}, "velocity": {"shoulder": 2.0}},
-    "DesignOptions": {"start": np.zeros(2)},
+    "DesignOptions": {"start": np.zeros(2), "stance": None},
+    "make_stance": {"robot": Fresh(biped), "feet": ("l_foot", "r_foot"), "posture": None,
+        "limits": None},
     "make_separation": {"second": Fresh(lambda: rival("effort_offset"))},
     "measurement_factor": {"measured": (V,)},
     "identifiable_parameters": {"factor": Fresh(factor), "kept": None},
