@@ -128,26 +128,26 @@ def package_names(package: str) -> list[str]:
 def result_types() -> dict[str, list[type]]:
     """Return package -> what its functions return, and parts of that, where nothing exports it.
 
-    A type that functions of several packages return is told by the first of them.
+    A type that functions of several packages return is on the page of the first.
     """
     exported = {package: set(import_module(package).__all__) for package in PACKAGES}
-    told = set().union(*exported.values())
+    listed = set().union(*exported.values())
     pages = {}
     for package, names in exported.items():
         module, found = import_module(package), dict[str, type]()
         todo = [value for name in names if isfunction(value := getattr(module, name))]
         while todo:
-            for each in _told_types(todo.pop()):
+            for each in _named_types(todo.pop()):
                 name = each.__name__
-                if name not in found and (name not in told or name in names):
+                if name not in found and (name not in listed or name in names):
                     found[name] = each
                     todo.append(each)  # type: ignore[arg-type]
-        pages[package] = [found[name] for name in sorted(found) if name not in told]
-        told |= set(found)
+        pages[package] = [found[name] for name in sorted(found) if name not in listed]
+        listed |= set(found)
     return pages
 
 
-def _told_types(value: Any) -> Iterator[type]:
+def _named_types(value: Any) -> Iterator[type]:
     """Yield classes of geodrake that a function returns, or that fields of a class are."""
     if isclass(value):
         texts = [*vars(value).get("__annotations__", {}).values()]

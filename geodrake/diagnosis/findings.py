@@ -326,8 +326,8 @@ def felt(found: Found, finding: Finding) -> NDArray[np.bool_]:
 def holds(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> bool:
     """Return whether held-out data agree with a finding.
 
-    Bodies that are far from the file predict as a payload does that they take in, so that it is
-    judged with bodies that stay, too; not one that is there for a while.
+    Bodies that may be far from the file can replace a payload. So a payload is also judged with
+    bodies that stay near the file, unless it is there for a part of a log only.
     """
     pairs = [(before, after)]
     if any(t.is_whole and not isinstance(t.effect, Episode) for t in finding.terms):

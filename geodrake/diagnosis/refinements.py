@@ -84,15 +84,15 @@ def delays_of(model: LogModel, fit: Fit) -> tuple[Array, Array]:
 
 
 def common_delay(delays: Array, deviations: Array) -> float | None:
-    """Return the mean, s, of the delays (nv,) that were found at some joints; None if all agree.
+    """Return the mean, s, of the delays (nv,) found at some joints; None if all joints have one.
 
-    Those that are known well count for more.
+    Each counts by its deviation (nv,), s.
     """
     late = np.abs(delays) > 1e-9
     if np.ptp(delays) < 1e-9:
         return None
-    known = np.where(np.isfinite(deviations), deviations, np.inf)[late]
-    weights = known**-2.0 if np.isfinite(known).any() else np.ones(late.sum())
+    known = deviations[late]  # infinite where nobody knows
+    weights = known**-2.0 if np.isfinite(known).any() else None
     return float(np.average(delays[late], weights=weights))
 
 

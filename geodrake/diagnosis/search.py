@@ -51,7 +51,7 @@ _FIRST_SHARE = 0.05
 _FORCED_SHARE = 0.3
 _MOST_FADINGS = 3
 _FURTHER = 5  # effects that would gain if they left white noise, at each step of one more climb
-_OTHER_CARRIED = 0.2  # share by which an effect of accelerations differs, to carry other noise
+_OTHER_CARRIED = 0.2  # change of an effect of accelerations, as a share, that changes the noise
 _OTHER_DELAY, _ALIKE = 3.0, 0.125  # deviations, and steps, within which delays are alike
 
 
@@ -85,7 +85,7 @@ class Search:
     ) -> None:
         self.case, self._beliefs, self._progress = case, beliefs or Beliefs(), progress
         self._accelerated = dict[Effect, Array]()  # effects by accelerations, with their values
-        self._heard = case.model, case.loads, self._accelerated  # what the noise is known with
+        self._noise_of = case.model, case.loads, self._accelerated  # what gave the noise floor
         self._effects = list(dict.fromkeys(case.dataset.effects))
         self._grid = tuple(self._effects)
         self._origin = case.model.delays
@@ -294,11 +294,11 @@ class Search:
         own = effects_of(model)
         self._effects = [e for e in self._effects if e in own or is_resolved(e, unsure)]
         columns = [*self._effects, *unsure]
-        heard, robot = (model, self.case.loads, self._accelerated), None
-        if any(one is not other for one, other in zip(heard, self._heard, strict=True)):
+        noise_of, robot = (model, self.case.loads, self._accelerated), None
+        if any(one is not other for one, other in zip(noise_of, self._noise_of, strict=True)):
             carried = (FittedEffect(*each) for each in self._accelerated.items())
             robot = replace(self.case.load_model, effects=(*model.effects, *carried))
-        self._heard = heard
+        self._noise_of = noise_of
         dataset = reduced(self.case, columns, delays=self._delays, noise_of=robot)
         self.case = replace(self.case, dataset=dataset)
         return LogModel(
@@ -413,15 +413,14 @@ class Search:
         if loads is not None:
             self.case = replace(self.case, loads=loads)
             changed = True
-        if self._is_louder():
-            changed = True
+        changed |= self._has_other_noise()
         if changed or near or moved:
             self._anew(moved, retimed=retimed)
             return True
         return False
 
-    def _is_louder(self) -> bool:
-        """Return whether noise of accelerations goes into efforts by other effects than before."""
+    def _has_other_noise(self) -> bool:
+        """Return whether other effects than before carry noise of accelerations into efforts."""
         model, own = self.model, set(effects_of(self.case.model))
         found = {
             term.effect: model.parameters(self.fit, term)
@@ -499,10 +498,10 @@ class Search:
         others: list[ArrayLike] = [x for x in grid.tolist() if abs(x) > 1e-12]
         found = self.case.model.delays
         known = [delays - found for delays in self._tried]
-        alike = common_delay(found - self._origin, deviations)
-        if alike is not None:  # joints that show none by themselves may have it, too
-            near = np.unique(np.concatenate([grid[np.abs(grid) <= self._step], [0.0]]))
-            others += [self._origin + alike + x - found for x in near.tolist()]
+        common = common_delay(found - self._origin, deviations)
+        if common is not None:  # joints that show none by themselves may have it, too
+            near = grid[np.abs(grid) <= self._step]
+            others += [self._origin + common + x - found for x in near.tolist()]
         self._delays = [0.0, *known, *others]
         self._tried.append(found)
         self._on_time = (1,) * len(delay)

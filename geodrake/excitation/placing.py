@@ -102,8 +102,7 @@ def make_stance(
         bodies = WORLD, frame.body().scoped_name().get_full()
         poses = X_GP, frame.GetFixedPoseInBodyFrame() @ X_FP
         closures.append(Closure(foot.frame, bodies, poses, foot.is_sole))
-    root = robot.plant.GetBodyByName(root_of(robot))
-    X_GB = X_WG.inverse() @ robot.plant.EvalBodyPoseInWorld(context, root)
+    X_GB = X_WG.inverse() @ robot.plant.EvalBodyPoseInWorld(context, root_of(robot))
     turned = RollPitchYaw(X_GB.rotation()).vector()[::-1]
     start = at | dict(zip(robot.base_joints, [*X_GB.translation(), *turned], strict=True))
     how = LoopJoints(

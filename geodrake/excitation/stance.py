@@ -25,6 +25,7 @@ from itertools import pairwise, product
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
+from pydrake.multibody.tree import RigidBody
 from scipy.special import logsumexp
 
 from geodrake.boundary.arguments import instance, real_array
@@ -48,9 +49,7 @@ from geodrake.robot.joints import joint_names, single_joints
 from geodrake.robot.regressor import base_wrench_regressor, zero_moment_point
 from geodrake.robot.transmission import times
 
-_LEVEL = 0.005  # m, by which points of feet may be off the plane through them
-_NARROW = 0.005  # m, of a polygon on which nothing stands
-_SIDES = 12  # of a polygon at most
+_SLACK = 0.005  # rad or m, by which motors may be off the posture in which feet stand
 _SHARP = 50.0  # of the smooth maximum of shares, which exceeds them by log(n)/50 at most
 _RANDOM = 200
 _NEWTON, _CENTRAL, _ARRIVED = 12, 0.5, 1e-3  # steps to balance, share of the polygon, m
@@ -147,7 +146,7 @@ class Stance(Short):
         q[self._own[1]] = motors[self._own[0]]
         placed = self.motor_states(np.stack([q, 0 * q, 0 * q])[:, None])[0, 0]
         off = np.abs(placed - motors)
-        if off.max() > _LEVEL:
+        if off.max() > _SLACK:
             k = int(np.argmax(off))
             raise ArgumentError(
                 f"With joint {self.motors[k]!r} at {motors[k]:.4g} of the {name}, the feet are "
@@ -158,7 +157,7 @@ class Stance(Short):
 
     def base_columns(self, motion: Motion) -> dict[str, Array]:
         """Return the pose of the base as columns of a log, (N,) each."""
-        body = self.robot.plant.GetBodyByName(root_of(self.robot))
+        body = root_of(self.robot)
         context, rows = self.robot.plant.CreateDefaultContext(), []
         for q in self.model.plant_positions(motion.q):
             self.robot.plant.SetPositions(context, q)
@@ -457,10 +456,10 @@ def _outside(off: Array, normals: Array, distances: Array, most: float) -> Array
     return np.asarray(off * (1.0 - np.minimum(1.0, most / np.maximum(share, 1e-9))))
 
 
-def root_of(robot: RobotModel) -> str:
-    """Return the name of the link that floats."""
+def root_of(robot: RobotModel) -> RigidBody:
+    """Return the link that floats."""
     names = joint_names(robot.plant)
     last = next(
         j for j in single_joints(robot.plant) if names[j.velocity_start()] == robot.base_joints[-1]
     )
-    return last.child_body().name()
+    return last.child_body()

@@ -4,7 +4,7 @@ A frame that touches is at the height of the ground (or, more rarely, of a step)
 share of the robot's weight: with the joints of its limb, Jᵀ f is what they need beyond what was
 measured. A frame in the air is anywhere above, moves, and bears nothing. Each is a density of the
 three, and touches and lifts follow each other as seldom as steps do (a hidden Markov chain of two
-states, forwards and backwards). What nobody measured has no say.
+states, forwards and backwards). What was not measured does not count.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _STEPS_LAST = 0.3  # s, of a touch or a swing on average
 
 @dataclass(frozen=True, eq=False)
 class FrameSigns:
-    """What is known of c frames at N instants, NaN where nothing is.
+    """Signs of contact of c frames at N instants; NaN where unknown.
 
     Attributes:
         heights: (N, c) over the ground, m.
@@ -124,7 +124,7 @@ def signs_of(
     heights: Array,
     known: NDArray[np.bool_],
 ) -> FrameSigns:
-    """Return what a log tells of frames.
+    """Return heights, speeds and loads of frames in a log.
 
     Args:
         jacobians: Of each frame, (K, 3 or 6, nv) in W, of its point, and of its turning below.

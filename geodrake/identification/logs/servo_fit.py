@@ -124,7 +124,7 @@ class ServoFit:
     # of the joint alone; the last two are 0 for a servo without an integral, and a dead band
     parameters: Array
     # (10,) their standard deviations; of all but kp for bodies that are known exactly. Counted are
-    # feedback that acts late, and commands between the rows of a log, of which no log tells
+    # feedback that acts late, and commands between the rows of a log, which no log shows
     deviations: Array
     error: float  # RMS of simulated − measured positions, rad or m
     start: float  # the same where the search began
@@ -132,8 +132,8 @@ class ServoFit:
     limit: float  # effort at which the servo saturates; infinite where the motion shows none
     rate_share: float  # of the command's rate, that the servo's damping knows
 
-    def with_gain_known_to(self, share: float) -> ServoFit:
-        """Return the fit with deviations no smaller than by the share to which its gain is known.
+    def with_gain_uncertainty(self, share: float) -> ServoFit:
+        """Return the fit with deviations no smaller than its gain's, as a share.
 
         The motion tells ratios of forces: all but times and positions scale with the stiffness.
         """
@@ -696,7 +696,7 @@ class _Search:
     def _deviations(self, best: _Servo) -> Array:
         """Return (10,) standard deviations of parameters that are free.
 
-        Each is that with all others unknown, and with what no log tells; see `_untold`.
+        Each is that with all others unknown, and with what no log shows; see `_unobservable`.
         """
         numbers, free, gain = best.numbers, best.free, best.numbers[0]
         least = np.full(len(numbers), float(np.std(self.motions.needed)) or 1.0)
@@ -705,7 +705,7 @@ class _Search:
         least[_BAND] = _USUAL_BAND
         size = np.maximum(np.abs(numbers), least)[free]
         J = self.motions.slopes(numbers, free)
-        columns = np.column_stack([J * size, *self._untold(numbers, J, free)])
+        columns = np.column_stack([J * size, *self._unobservable(numbers, J, free)])
         # What the motion does not show is known to its own size.
         known = np.ones(columns.shape[1])
         for name, (_, spread) in self.expected.items():
@@ -722,8 +722,8 @@ class _Search:
         moves[_DAMPING] -= own
         return np.sqrt(np.einsum("ij,jk,ik->i", moves, covariance, moves))[:_LIMIT]
 
-    def _untold(self, numbers: Array, J: Array, free: Mask) -> tuple[Array, Array]:
-        """Return (N,) changes of positions by one deviation of what no log of a servo tells.
+    def _unobservable(self, numbers: Array, J: Array, free: Mask) -> tuple[Array, Array]:
+        """Return changes (N,) of positions by one deviation of each quantity that no log shows.
 
         Feedback that acts late by τ takes kp τ off the damping and d τ off the inertia. How
         commands go on between rows matters too: straight lines between rows of period T are

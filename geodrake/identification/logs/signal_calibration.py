@@ -442,7 +442,7 @@ def with_servo_motions(
         if fit is not None:
             deviation = signal.uncertainty * fit.parameters[0]
             signals[joint] = replace(signal_by_motion(signal, fit), deviation=deviation)
-            fits[joint] = fit.with_gain_known_to(signal.uncertainty)
+            fits[joint] = fit.with_gain_uncertainty(signal.uncertainty)
     kinds = tuple(BESIDE.values())
     effects = [
         fitted

@@ -45,8 +45,8 @@ def numbers(text: str, count: int) -> Array:
     return values if len(values) == count else np.full(count, np.nan)
 
 
-def is_nothing(text: str) -> bool:
-    """Return whether a text means none: empty, `false`, or zeros."""
+def is_off(text: str) -> bool:
+    """Return whether a text is empty, `false`, or all zeros."""
     words = text.split()
     if not words or text.strip().lower() == "false":
         return True

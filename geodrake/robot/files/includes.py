@@ -17,7 +17,7 @@ from pydrake.multibody.parsing import PackageMap
 
 from geodrake.boundary.input_files import read_regular, regular_file
 from geodrake.errors import ModelError
-from geodrake.robot.files.checks import is_nothing
+from geodrake.robot.files.checks import is_off
 from geodrake.robot.files.xml_text import (
     LARGEST_FILE,
     parse_xml,
@@ -228,8 +228,8 @@ def _has_forces(root: Element) -> bool:
     tags = ("friction", "spring_stiffness", "springStiffness", "turnGravityOff")
     words = [each.text or "" for tag in tags for each in root.iter(tag)]
     words += [each.get("friction", "") for each in root.iter("dynamics")]
-    off = any(is_nothing(each.text or "") for each in root.iter("gravity"))
-    return off or root.find(".//mimic") is not None or not all(map(is_nothing, words))
+    off = any(is_off(each.text or "") for each in root.iter("gravity"))
+    return off or root.find(".//mimic") is not None or not all(map(is_off, words))
 
 
 def _merged(model: Element) -> list[Element]:

@@ -36,7 +36,7 @@ from geodrake.robot.files.checks import (
     check_numbers,
     drop,
     inertial_parameters_of,
-    is_nothing,
+    is_off,
     number,
     numbers,
     rotation,
@@ -109,7 +109,7 @@ def unread(root: Element, table: Mapping[str, Collection[str]], path: Path) -> I
             ignored = set(element.attrib) - DYNAMICS_READ
         for key in sorted(ignored) if root.tag == "robot" else ():
             value = element.get(key, "").strip()
-            if not is_nothing(value):
+            if not is_off(value):
                 yield f"{where}: {key}={value[:50]} of <{element.tag}> is ignored."
 
 
@@ -119,7 +119,7 @@ def _of(element: Element, tags: Collection[str], path: Path) -> Iterator[str]:
             yield from _of(child, tags, path)
         return
     words = [*element.attrib.values(), *(part.text or "" for part in element.iter())]
-    stated = [word.strip() for word in words if not is_nothing(word)]
+    stated = [word.strip() for word in words if not is_off(word)]
     if stated:
         value = " ".join(" ".join(stated).split())[:80]
         yield f"{place_of(element) or path}: <{element.tag}> {value} is ignored."
@@ -369,7 +369,7 @@ class SdfText(ModelText):
             )
         of_links = {name: link.findtext("gravity") for name, link in self._links.items()}
         self._take_weightless(
-            [name for name, text in of_links.items() if text is not None and is_nothing(text)]
+            [name for name, text in of_links.items() if text is not None and is_off(text)]
         )
 
     def _take_gravity(self) -> None:
@@ -489,7 +489,7 @@ class UrdfText(ModelText):
             place = (np.zeros(3), np.zeros(3)) if stated is None else sdf_pose(stated)
             X_CJ, X_RC = _matrix(*place), self._pose(ends[1])
             turn = numbers(joint.findtext("axis/xyz", "0 0 1"), 3)
-            if axis is not None and not is_nothing(axis.findtext("use_parent_model_frame", "")):
+            if axis is not None and not is_off(axis.findtext("use_parent_model_frame", "")):
                 turn = (X_RC @ X_CJ)[:3, :3].T @ turn
             readable = kind in _CLOSING and {one, two} <= self._links.keys() and bool(turn.any())
             readable = readable and (stated is None or stated.get("relative_to") is None)
@@ -520,7 +520,7 @@ class UrdfText(ModelText):
             stated = element.findtext("springStiffness", "")
             if element.get("reference") in joints and stated.strip():
                 self._take_spring(name, element, "springStiffness", "springReference")
-            elif not is_nothing(stated):
+            elif not is_off(stated):
                 said = wrong_at(
                     element,
                     self.path,
@@ -528,8 +528,8 @@ class UrdfText(ModelText):
                     "which is not a joint, is ignored.",
                 )
                 self.terms.left_out.append(said.problem)
-            falls = [is_nothing(each.text or "") for each in element.findall("gravity")]
-            falls += [not is_nothing(each.text or "") for each in element.findall("turnGravityOff")]
+            falls = [is_off(each.text or "") for each in element.findall("gravity")]
+            falls += [not is_off(each.text or "") for each in element.findall("turnGravityOff")]
             if any(falls) and name in self._links:
                 off.append(name)
         self._take_weightless(off)
