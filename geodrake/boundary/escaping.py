@@ -48,7 +48,11 @@ def quoted(text: str) -> str:
 
 
 def json_text(text: str) -> str:
-    """Return JSON in which letters that would act on a terminal are escaped, as JSON does it."""
+    r"""Return JSON in which letters that would act on a terminal are escaped, as JSON does it.
+
+    What is no letter, as in a file's name that is not UTF-8, has no form in JSON: it is the word
+    that `printable` makes of it, such as `\udcff`.
+    """
     return re.sub(r"[^\n -~]", lambda c: c[0] if c[0].isprintable() else _json_escape(c[0]), text)
 
 
@@ -97,7 +101,9 @@ def _escape(letter: str) -> str:
 
 
 def _json_escape(letter: str) -> str:
-    units = letter.encode("utf-16-be", "surrogatepass").hex()
+    if "\ud800" <= letter <= "\udfff":
+        return f"\\{_escape(letter)}"
+    units = letter.encode("utf-16-be").hex()
     return "".join(f"\\u{units[k : k + 4]}" for k in range(0, len(units), 4))
 
 

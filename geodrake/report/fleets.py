@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.boundary.escaping import json_text
+from geodrake.boundary.escaping import json_text, printable
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.boundary.whole_files import Content
 from geodrake.errors import FleetError
@@ -447,7 +447,7 @@ def parquet_contents(result: FleetResult, folder: Path) -> Mapping[Path, Content
     tables = {
         "findings": (_FINDINGS, _finding_rows(result)),
         "parameters": (_PARAMETERS, _parameter_rows(result)),
-        "unused_logs": (_UNUSED, [vars(log) for log in result.unused]),
+        "unused_logs": (_UNUSED, [vars(u) | {"log": printable(u.log)} for u in result.unused]),
     }
     return {
         folder / f"{name}.parquet": partial(

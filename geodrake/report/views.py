@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.escaping import printable
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.boundary.whole_files import Content
 from geodrake.errors import ArgumentError
@@ -115,7 +116,7 @@ def comparison_series(now: Comparison, before: Comparison | None = None) -> Colu
     index = _index((s.log, s.time) for c in stages.values() for s in c.series)
     columns: dict[str, Sequence[str] | Array] = {
         "time": np.array([time for _, time in index]),
-        "log": [log for log, _ in index],
+        "log": [printable(log) for log, _ in index],
     }
     for joint in dict.fromkeys(s.joint for s in now.series):
         values = {f"{joint}.measured": np.full(len(index), np.nan)}
@@ -140,7 +141,7 @@ def rollout_series(now: Rollout, before: Rollout | None = None) -> Columns:
     windows = now.windows
     columns: dict[str, Sequence[str] | Array] = {
         "time": np.concatenate([w.time for w in windows]),
-        "log": [w.log for w in windows for _ in w.time],
+        "log": [printable(w.log) for w in windows for _ in w.time],
         "window": np.concatenate([np.full(len(w.time), float(k)) for k, w in enumerate(windows)]),
     }
     measured = _stacked(windows, "measured")

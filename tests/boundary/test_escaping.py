@@ -38,7 +38,7 @@ def test_each_kind_of_text_gives_the_name_back(what):
         assert yaml.safe_load(quoted(name)) == name
     assert ast.literal_eval(f'"""{docstring_text(name)}"""') == printable(name)
     text = json.dumps(name, ensure_ascii=False)
-    assert json.loads(json_text(text)) == name
+    assert json.loads(json_text(text)) == name.replace("\udcff", printable("\udcff"))
     assert json_text(text).isprintable()
     assert all(i.isidentifier() for i in identifiers([name]).values())
     part = path_part(name)

@@ -5,6 +5,7 @@ import re
 import shutil
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from commands import contents, refused, run
@@ -41,9 +42,11 @@ def fleet(words="", file="fleet.yaml"):
 
 
 def test_findings_are_said_and_written(folder):
+    first = folder / STICKY / f"{date_of(0)}.csv"
+    shutil.copy(first, first.with_name(f"{date_of(1)}\udcff.csv"))
     code, out, err = fleet("--json new.json --report page.html")
     assert (code, err) == (0, "")
-    assert "2 of 3 robots changed." in out and "payload" in out
+    assert "2 of 3 robots changed; 1 log not used." in out and "payload" in out
     assert "Saved the report: page.html" in out
     text = Path("new.json").read_text(encoding="utf-8")
     assert text == Path("results/fleet.json").read_text(encoding="utf-8")
@@ -59,10 +62,12 @@ def test_findings_are_said_and_written(folder):
         }
     times = parquet.read_table("results/parameters.parquet").to_pylist()
     assert len(times) == 3 * LOGS * len(numbers["robots"][0]["parameters"])
-    assert parquet.read_table("results/unused_logs.parquet").num_rows == 0
+    (unused,) = parquet.read_table("results/unused_logs.parquet").to_pylist()
+    assert unused["log"].endswith(rf"{date_of(1)}\udcff.csv") and "same content" in unused["reason"]
+    assert msgspec.json.decode(text)["unused"][0]["log"] == unused["log"]
 
     page = Path("page.html").read_text(encoding="utf-8")
-    assert "2 of 3 robots changed." in page
+    assert "2 of 3 robots changed; 1 log not used." in page
     for section in ("Overview", "What changed", *(HEAVY, STICKY)):
         assert f"<h2>{section}</h2>" in page
     assert f"<h2>{STEADY}</h2>" not in page

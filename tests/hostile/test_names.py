@@ -27,7 +27,7 @@ def rename(folder, *, shoulder, link):
 
 
 LOG_USES = {
-    "compare robot.urdf {} --json new.json": ("new.json",),
+    "compare robot.urdf {} --json new.json --series new.parquet": ("new.json", "new.parquet"),
     "digest robot.urdf {} --to new": None,
 }
 
