@@ -37,7 +37,7 @@ from geodrake.identification.logs.contact_rows import contact_rows, rows_without
 from geodrake.identification.logs.noise import known_noise
 from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.logs import read_log
-from geodrake.logs.files.messages import BaseRows, base_sources
+from geodrake.logs.files.messages import BaseMessages, base_sources
 from geodrake.logs.floating import ContactFlags
 from geodrake.logs.folds import validation_blocks
 from geodrake.logs.motion import JointLog
@@ -546,7 +546,7 @@ def test_transforms_of_two_robots_are_two_tables():
     ]
 
     def rows_of(messages):
-        rows = BaseRows("/tf")
+        rows = BaseMessages("/tf")
         for message, received in messages:
             rows.add(message, received)
         return rows

@@ -13,7 +13,7 @@ from typing import Any, BinaryIO
 from geodrake.boundary.input_files import open_regular
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
-from geodrake.logs.files.messages import JointFields, MessageRows
+from geodrake.logs.files.messages import JointMessages
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable, readable
 from geodrake.logs.files.topics import Topic, chosen_topics, topics_table
@@ -89,20 +89,14 @@ def _types() -> Mapping[bytes, type]:
 def _topics(events: Any, types: Mapping[bytes, type]) -> list[Topic]:
     """Return all channels with the content of their messages."""
     topics: dict[str, Topic] = {}
-    rows: dict[str, MessageRows] = {}
     for event in events:
-        kind: Any = types.get(event.data[:_FINGERPRINT])
+        name, kind = event.channel, types.get(event.data[:_FINGERPRINT])
         if kind is None:
-            topics.setdefault(event.channel, Topic(event.channel, "another type"))
+            topics.setdefault(name, Topic(name, "another type", JointMessages(name)))
             continue
-        message = _decoded(kind, event)
-        if event.channel not in rows:
-            fields = JointFields.of(message)
-            if fields is None:
-                continue
-            rows[event.channel] = MessageRows(event.channel, fields)
-            topics[event.channel] = Topic(event.channel, kind.__name__, rows[event.channel], True)
-        rows[event.channel].add(message, 1000 * message.utime, 1000 * event.timestamp)
+        if name not in topics or not topics[name].made_for_joints:
+            topics[name] = Topic(name, kind.__name__, JointMessages(name), True)
+        topics[name].messages.add(_decoded(kind, event), 1000 * event.timestamp)
     return list(topics.values())
 
 

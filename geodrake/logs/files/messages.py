@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from array import array
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -117,8 +116,18 @@ class JointFields:
         return names or tuple(range(len(next(iter(found.values()), ())))), found, output
 
 
+Owners = tuple[Any, ...]
+"""Joints, or a frame, of which a message says something."""
+
+Said = tuple[Owners, Mapping[str, Any], Any]
+"""Joints or a frame, numbers by what they are, and the part of the message with its stamp."""
+
+Key = tuple[Owners, tuple[str, ...]]
+"""What messages of a group have in common: joints or a frame, and what is said of these."""
+
+
 @dataclass
-class MessageNumbers:
+class Messages:
     """Numbers of messages of one topic, in groups of those with the same columns.
 
     They grow; no message is kept.
@@ -126,47 +135,52 @@ class MessageNumbers:
 
     topic: str
     count: int = field(default=0, init=False)
-    groups: dict[Any, _Group] = field(default_factory=dict, init=False)
+    groups: dict[Key, bytearray] = field(default_factory=dict, init=False)
 
-    def take(self, key: Hashable, numbers: Array, stamp: int, received: int) -> None:
-        """Take the numbers of a message: a row of the group of a key."""
-        if not max(abs(stamp), abs(received)) < _LATEST:
-            raise LogError(
-                f"Message {self.count} of {self.topic} has the stamp {1e-9 * stamp:.4g} s "
-                f"and was received at {1e-9 * received:.4g} s since 1970, which is "
-                "impossible.",
-                advice="Check the clock of the recorder, or remove that message.",
-            )
-        group = self.groups.setdefault(key, _Group())
-        group.stamps.append(stamp)
-        group.received.append(received)
-        group.numbers.frombytes(numbers.tobytes())
-
-    def rows(self, key: Hashable) -> tuple[Stamps, Array]:
-        """Return the times (N,) of the messages of a group, ns, and their numbers (N, n).
-
-        Times are those of receipt unless every message says when it was measured.
-        """
-        group = self.groups[key]
-        times = group.stamps if self.clock else group.received
-        stamps = np.frombuffer(times, np.int64)
-        return stamps, np.frombuffer(group.numbers).reshape(len(stamps), -1)
-
-    def columns(self, key: Any) -> Iterable[tuple[Hashable, Mapping[str, int]]]:
-        """Return the groups with numbers, such as joints -> columns, and their positions."""
+    def said(self, message: Any) -> Iterable[Said]:
+        """Return what a message says of joints or of frames."""
         raise NotImplementedError
 
-    def tables_of(self, keys: Iterable[Any], *, shared: bool = True) -> list[LogTable]:
+    def column(self, owner: Hashable, name: str) -> str:
+        """Return the name of the column of what a joint or a frame has."""
+        return name
+
+    def add(self, message: Any, received: int) -> None:
+        """Take the numbers of a message that was received at a time, ns."""
+        self.count += 1
+        for owners, found, part in self.said(message):
+            times = stamp_of(part), received
+            if not max(map(abs, times)) < _LATEST:
+                raise LogError(
+                    f"Message {self.count} of {self.topic} has the stamp {1e-9 * times[0]:.4g} s "
+                    f"and was received at {1e-9 * received:.4g} s since 1970, which is "
+                    "impossible.",
+                    advice="Check the clock of the recorder, or remove that message.",
+                )
+            group = self.groups.setdefault((owners, tuple(found)), bytearray())
+            group += np.array(times, np.int64).tobytes()
+            group += np.array([*found.values()], float).tobytes()
+
+    def rows(self, key: Key) -> NDArray[np.void]:
+        """Return the messages of a group: when they were measured and received, and `numbers`."""
+        owners, names = key
+        numbers = ("numbers", float, (len(owners) * len(names),))
+        kind = np.dtype([("stamp", np.int64), ("received", np.int64), numbers])
+        return np.frombuffer(self.groups[key], kind)
+
+    def tables_of(self, keys: Iterable[Key], *, shared: bool = True) -> list[LogTable]:
         """Return the columns of some groups, with `time`: one table for each set of instants.
 
         Args:
             shared: Whether what has the same instants shares a table; else each has its own.
         """
         found = defaultdict[Hashable, list[tuple[Stamps, dict[str, Array]]]](list)
-        for key in keys:
-            stamps, rows = self.rows(key)
-            for owner, places in self.columns(key):
-                found[owner].append((stamps, {name: rows[:, k] for name, k in places.items()}))
+        for owners, names in keys:
+            rows = self.rows((owners, names))
+            for k, owner in enumerate(owners):
+                numbers = zip(names, rows["numbers"].T[k :: len(owners)], strict=True)
+                own = {self.column(owner, name): values for name, values in numbers}
+                found[owner].append((rows[self.when], own))
         tables: dict[Hashable, LogTable] = {}
         for owner, parts in found.items():
             stamped, first = np.unique(np.concatenate([s for s, _ in parts]), return_index=True)
@@ -179,48 +193,46 @@ class MessageNumbers:
         return list(tables.values())
 
     @property
+    def when(self) -> str:
+        """The time that counts: of measurement, if all messages have it, or of receipt."""
+        return "stamp" if (self._times("stamp") > 0).all() else "received"
+
+    @property
     def clock(self) -> Clock | None:
         """Times of measurement and receipt; None unless all messages have both."""
-        return self._stamps if (self._stamps[0] > 0).all() else None
+        has_both = self.when == "stamp"
+        return (self._times("stamp"), self._times("received")) if has_both else None
 
     @property
     def clock_notes(self) -> tuple[str, ...]:
         """Return that messages have no stamps, in words, if they have not."""
-        if self.clock:
+        if self.when == "stamp":
             return ()
-        some = "some messages" if (self._stamps[0] > 0).any() else "messages"
+        some = "some messages" if (self._times("stamp") > 0).any() else "messages"
         return (f"{some} of {self.topic} have no stamps, so the time of receipt is used",)
 
-    @property
-    def _stamps(self) -> Clock:
-        times = [(g.stamps, g.received) for g in self.groups.values()]
-        stamps, received = (
-            np.concatenate([np.frombuffer(each, np.int64) for each in (array("q"), *both)])
-            for both in zip(*times, strict=True)
-        )
-        return stamps, received
+    def _times(self, which: str) -> Stamps:
+        return np.concatenate([np.zeros(0, np.int64), *(self.rows(k)[which] for k in self.groups)])
 
 
 @dataclass
-class _Group:
-    """Messages with the same columns in the same order."""
+class JointMessages(Messages):
+    """The joint data in messages of one topic.
 
-    stamps: array[int] = field(default_factory=lambda: array("q"))
-    received: array[int] = field(default_factory=lambda: array("q"))
-    numbers: array[float] = field(default_factory=lambda: array("d"))
+    Attributes:
+        fields: Where these are, by its first messages; None if nothing is known of joints.
+        from_controller: Whether efforts are those of a controller.
+    """
 
-
-@dataclass
-class MessageRows(MessageNumbers):
-    """The joint data in messages of one topic."""
-
-    fields: JointFields
+    fields: JointFields | None = field(default=None, init=False)
     from_controller: bool = field(default=False, init=False)
 
-    def add(self, message: Any, stamp: int, received: int) -> None:
-        """Take the numbers of a message."""
+    def said(self, message: Any) -> Iterator[Said]:
+        """Yield what a message says of joints."""
+        self.fields = self.fields or JointFields.of(message)
+        if self.fields is None:
+            return
         joints, found, output = self.fields.sample(message)
-        self.count += 1
         self.from_controller |= output
         for quantity, values in found.items():
             if len(values) != len(joints):
@@ -229,8 +241,11 @@ class MessageRows(MessageNumbers):
                     f"{len(values)} values of {quantity}.",
                     advice="Was another message type recorded under that name?",
                 )
-        numbers = np.concatenate([np.zeros(0), *found.values()], dtype=float)
-        self.take((joints, tuple(found)), numbers, stamp, received)
+        yield joints, found, message
+
+    def column(self, owner: Hashable, name: str) -> str:
+        """Return `<joint>.<quantity>`, or `position[0]` of a joint without a name."""
+        return f"{name}[{owner}]" if isinstance(owner, int) else f"{owner}.{name}"
 
     @property
     def quantities(self) -> frozenset[str]:
@@ -239,17 +254,9 @@ class MessageRows(MessageNumbers):
         return frozenset(best)
 
     @property
-    def joints(self) -> tuple[JointKey, ...]:
+    def joints(self) -> Owners:
         """All joints, in the order in which they appear."""
         return tuple(dict.fromkeys(joint for joints, _ in self.groups for joint in joints))
-
-    def columns(self, key: Any) -> Iterator[tuple[Hashable, dict[str, int]]]:
-        """Yield the columns of joints, `<joint>.<quantity>`, or `position[0]` without names."""
-        joints, quantities = key
-        for k, joint in enumerate(joints):
-            name = "{1}[{0}]" if isinstance(joint, int) else "{0}.{1}"
-            named = (name.format(joint, quantity) for quantity in quantities)
-            yield joint, {each: k + at * len(joints) for at, each in enumerate(named)}
 
     def tables(self, *, part: bool = False) -> list[LogTable]:
         """Return the data as tables; joints without effort are kept in a part of a log."""
@@ -262,7 +269,7 @@ class MessageRows(MessageNumbers):
             named = ", ".join(str(joint) for joint in self.joints if joint in silent)
             notes.append(f"joints without effort are not used: {named}")
         for key in groups:
-            steps = np.diff(self.rows(key)[0])
+            steps = np.diff(self.rows(key)[self.when])
             if np.any(steps < 0):
                 at = int(np.argmax(steps < 0))
                 raise LogError(
@@ -280,7 +287,7 @@ class MessageRows(MessageNumbers):
 
     def _without_spare(self, table: LogTable) -> LogTable:
         """Return a table without entries of unused motors after the robot's last."""
-        if not self.fields.by_motor:
+        if self.fields is None or not self.fields.by_motor:
             return table
         places = {n: int(n.rpartition("[")[2][:-1]) for n in table.columns if n.endswith("]")}
         last = max((k for name, k in places.items() if table.columns[name].any()), default=0)
@@ -291,9 +298,11 @@ class MessageRows(MessageNumbers):
 
 
 def stamp_of(message: Any) -> int:
-    """Return the time stamp of a ROS message, ns; 0 if it has none."""
+    """Return the time stamp of a message of ROS or LCM, ns; 0 if it has none."""
     stamp = getattr(getattr(message, "header", None), "stamp", None)
-    return 0 if stamp is None else int(stamp.sec * 1_000_000_000 + stamp.nanosec)
+    if stamp is None:
+        return 1000 * int(getattr(message, "utime", 0))
+    return int(stamp.sec * 1_000_000_000 + stamp.nanosec)
 
 
 def _leaves(message: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
@@ -398,30 +407,27 @@ def base_sources(
     return poses, imus, wrenches
 
 
-_Places = tuple[list[str], Callable[[Any], Sequence[float]]]
-"""Columns of a frame, and functions that extract their numbers from a message."""
-
-
 @dataclass
-class BaseRows(MessageNumbers):
-    """The data of a floating base, its IMU, or forces at feet in messages of one topic."""
+class BaseMessages(Messages):
+    """The data of a floating base, its IMU, or forces at feet in messages of one topic.
 
-    frames: dict[str, _Places] = field(default_factory=dict, init=False)
+    Attributes:
+        frames: Frame -> columns of it, and what extracts their numbers from a message.
+    """
 
-    def add(self, message: Any, received: int) -> None:
-        """Take the numbers of a message, which may be of several frames."""
-        self.count += 1
+    frames: dict[str, tuple[list[str], Callable[[Any], Sequence[float]]]] = field(
+        default_factory=dict, init=False
+    )
+
+    def said(self, message: Any) -> Iterator[Said]:
+        """Yield what a message says of frames, which may be several."""
         for part, frame in _frames(message):
             if frame not in self.frames:
                 told = dict(_floating(part, frame or self.topic.strip("/").rpartition("/")[0]))
                 self.frames[frame] = [*told], attrgetter(*(told.values() or ["header"]))
             names, numbers = self.frames[frame]
             if names:
-                self.take((frame, *names), np.array(numbers(part)), stamp_of(part), received)
-
-    def columns(self, key: Any) -> Iterator[tuple[Hashable, dict[str, int]]]:
-        """Yield the columns of a frame."""
-        yield key, {name: k for k, name in enumerate(key[1:])}
+                yield (frame,), dict(zip(names, numbers(part), strict=True)), part
 
     def tables(self) -> list[LogTable]:
         """Return a table for each frame, whose orientations turn the shorter way."""

@@ -15,11 +15,9 @@ from geodrake.boundary.input_files import regular_files
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.messages import (
-    BaseRows,
-    JointFields,
-    MessageRows,
+    BaseMessages,
+    JointMessages,
     base_sources,
-    stamp_of,
 )
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable, readable
@@ -83,7 +81,7 @@ def read_bag(path: Path, reading: Reading) -> LogTable:
         topics = [_probed(reader, [*each], method) for _, each in named]
         sources, joints_reading = _base_sources(spoken, reading)
         chosen = chosen_topics(path, topics, joints_reading)
-        whole = [replace(each, rows=each.read()) for each in chosen]
+        whole = [replace(each, messages=each.read()) for each in chosen]
         base, notes = _base(reader, spoken, method, sources)
     return topics_table(path, whole, topics, reading, base).noting(*notes)
 
@@ -106,12 +104,12 @@ def _base_sources(connections: Sequence[Any], reading: Reading) -> tuple[list[li
 
 def _base(
     reader: Any, connections: Sequence[Any], method: str, sources: Sequence[Sequence[str]]
-) -> tuple[list[BaseRows], list[str]]:
+) -> tuple[list[BaseMessages], list[str]]:
     """Return data of a floating base and its feet, from the first topic of each source."""
-    found, others = list[BaseRows](), list[str]()
+    found, others = list[BaseMessages](), list[str]()
     for names in sources:
         for k, name in enumerate(names):
-            rows, own = BaseRows(name), [each for each in connections if each.topic == name]
+            rows, own = BaseMessages(name), [each for each in connections if each.topic == name]
             kind, definition = own[0].msgtype, own[0].msgdef
             decode = getattr(_store(kind, definition.data, definition.format.name), method)
             for _, received, data in reader.messages(connections=own):
@@ -148,32 +146,26 @@ def _probed(reader: Any, connections: Sequence[Any], method: str) -> Topic:
     name, kind, definition = (getattr(connections[0], x) for x in ("topic", "msgtype", "msgdef"))
     is_state = kind == _JOINT_STATE
     is_wanted = bool(_WANTED.search(name))
-    topic = Topic(name, kind, None, is_state and not is_wanted, is_wanted)
+    topic = Topic(name, kind, JointMessages(name), is_state and not is_wanted, is_wanted)
     for text in _definitions(kind, definition):
         try:
             decode = getattr(_store(kind, text, definition.format.name), method)
-            read = partial(_rows, reader, connections, decode)
-            return replace(topic, rows=read(_FIRST), read=read)
+            read = partial(_messages, reader, connections, decode)
+            return replace(topic, messages=read(_FIRST), read=read)
         except _problems():
             if is_state:  # of others, nothing may be known
                 raise
     return topic
 
 
-def _rows(
+def _messages(
     reader: Any, connections: Sequence[Any], decode: Decoder, most: int | None = None
-) -> MessageRows | None:
+) -> JointMessages:
     """Return the joint data in messages of a topic, or in the first of them."""
-    rows = None
+    found = JointMessages(connections[0].topic)
     for connection, received, data in islice(reader.messages(connections=connections), most):
-        message = decode(data, connection.msgtype)
-        if rows is None:
-            fields = JointFields.of(message)
-            if fields is None:
-                break
-            rows = MessageRows(connection.topic, fields)
-        rows.add(message, stamp_of(message), received)
-    return rows
+        found.add(decode(data, connection.msgtype), received)
+    return found
 
 
 def _definitions(kind: str, definition: Any) -> tuple[str, ...]:

@@ -14,9 +14,9 @@ from geodrake.errors import LogError
 from geodrake.logs.files.joined_tables import joined_tables
 from geodrake.logs.files.messages import (
     NUMBERS,
-    BaseRows,
-    MessageNumbers,
-    MessageRows,
+    BaseMessages,
+    JointMessages,
+    Messages,
     is_complete,
     on_clock,
 )
@@ -33,7 +33,7 @@ class Topic:
     """A topic of a bag, or a channel of an LCM log.
 
     Attributes:
-        rows: What its messages, or the first of them, say of joints; None if none of it is known.
+        messages: What these, or the first of them, say of joints.
         made_for_joints: Whether the type is for the state of joints, and nothing else.
         is_wanted: Whether positions in it are what joints are told, by its name.
         read: What reads all of its messages.
@@ -41,20 +41,20 @@ class Topic:
 
     name: str
     kind: str
-    rows: MessageRows | None = None
+    messages: JointMessages
     made_for_joints: bool = False
     is_wanted: bool = False
-    read: Callable[..., MessageRows | None] = lambda: None
+    read: Callable[[], JointMessages] = lambda: JointMessages("")
 
     @property
     def fits(self) -> bool:
         """Whether it has positions and efforts, or commands in the place of these."""
-        return self.rows is not None and is_complete(self.rows.quantities)
+        return is_complete(self.messages.quantities)
 
     @property
     def part(self) -> frozenset[str]:
         """Quantities that it can add to a joined log; a requested topic also has commands."""
-        found = frozenset[str]() if self.rows is None else self.rows.quantities
+        found = self.messages.quantities
         if NUMBERS in found:
             meaning = meaning_of(f"{self.name}/{NUMBERS}[0]")
             return frozenset(() if meaning is None else (meaning.quantity,))
@@ -66,14 +66,16 @@ class Topic:
         return not self.part.isdisjoint(EFFORT_KINDS)
 
     def __str__(self) -> str:
-        if self.rows is None or not self.part:
+        if not self.part:
             return f"{self.name} ({self.kind})"
         if not self.fits and "command" in self.part:
             return f"{self.name} ({self.kind}, commands only)"
         missing = [] if "position" in self.part else ["position"]
         missing += [] if self.has_efforts else ["effort"]
         missing = [] if self.fits else missing
-        words = f"without {' and '.join(missing)}" if missing else f"{len(self.rows.joints)} joints"
+        words = (
+            f"without {' and '.join(missing)}" if missing else f"{len(self.messages.joints)} joints"
+        )
         return f"{self.name} ({self.kind}, {words})"
 
 
@@ -107,7 +109,7 @@ def _best(topics: Sequence[Topic]) -> Sequence[Topic]:
 
 def _parts(path: Path, topics: Sequence[Topic]) -> tuple[Topic, Topic]:
     """Return the topics of positions and of efforts or commands, where no topic has both."""
-    named = [t for t in topics if t.rows and any(isinstance(j, str) for j in t.rows.joints)]
+    named = [t for t in topics if any(isinstance(joint, str) for joint in t.messages.joints)]
     moved = _best([topic for topic in named if "position" in topic.part])
     heard = _best([t for t in topics if is_complete(("position", *t.part)) and t not in moved])
     if len(moved) == len(heard) == 1:
@@ -169,7 +171,7 @@ def topics_table(
     chosen: Sequence[Topic],
     topics: Sequence[Topic],
     reading: Reading,
-    base: Sequence[BaseRows] = (),
+    base: Sequence[BaseMessages] = (),
 ) -> LogTable:
     """Join topics at the time stamps of the one with the lowest rate.
 
@@ -180,10 +182,8 @@ def topics_table(
         chosen: What `chosen_topics` found of all topics, with all of their messages.
         base: What is said of a free base and its feet.
     """
-    spoken = [(topic, topic.rows) for topic in chosen if topic.rows is not None]
     is_alone, read = len(chosen) == 1, ", ".join(f"{t.name} ({t.kind})" for t in chosen)
-    fits = bool(spoken) and chosen[0].fits
-    if is_alone and not fits:  # its first messages have efforts, but none has positions, too
+    if is_alone and not chosen[0].fits:  # its first messages have efforts, but none has positions
         raise LogError(f"Topic {chosen[0]} of log {str(path)!r} has no positions with efforts.")
     also = [
         other.name
@@ -194,26 +194,26 @@ def topics_table(
     said = [
         f"read from {read}" + (f"; {', '.join(also)} would also match (--topic)" if also else "")
     ]
-    if any(rows.from_controller for _, rows in spoken):
+    if any(topic.messages.from_controller for topic in chosen):
         said.append("there are no measured efforts: the controller's output is used")
-    made: list[tuple[MessageNumbers, list[LogTable]]] = [
-        (rows, _part_tables(topic, rows, part=not is_alone)) for topic, rows in spoken
+    made: list[tuple[Messages, list[LogTable]]] = [
+        (topic.messages, _part_tables(topic, part=not is_alone)) for topic in chosen
     ]
-    made += [(rows, rows.tables()) for rows in base]
-    clock = next(filter(None, (rows.clock for rows, _ in made)), None)
+    made += [(each, each.tables()) for each in base]
+    clock = next(filter(None, (messages.clock for messages, _ in made)), None)
     tables = list[LogTable]()
-    for rows, own in made:
-        said += rows.clock_notes
-        is_bare = len(made) > 1 and not rows.clock
+    for messages, own in made:
+        said += messages.clock_notes
+        is_bare = len(made) > 1 and not messages.clock
         tables += [on_clock(table, clock) for table in own] if is_bare else own
     table = joined_tables(path, tables, reading)
     columns, notes = _named_by_motion(table.columns) if not is_alone else (table.columns, [])
     return replace(table, columns=columns, notes=(*said, *table.notes, *notes))
 
 
-def _part_tables(topic: Topic, rows: MessageRows, *, part: bool) -> list[LogTable]:
+def _part_tables(topic: Topic, *, part: bool) -> list[LogTable]:
     """Return the columns of one topic, which may be a part of a log."""
-    tables = rows.tables(part=part)
+    tables = topic.messages.tables(part=part)
     if not part:
         return tables
     found = []
