@@ -25,10 +25,8 @@ from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.column_mapping import MOST_COLUMNS, check_once, is_used
 from geodrake.logs.files.grouped_arrays import (
-    are_records,
-    arrays_of,
+    content_table,
     fields_of,
-    grouped_table,
     is_of_episode,
     records_table,
 )
@@ -63,24 +61,7 @@ def read_json(path: Path, reading: Reading) -> LogTable:
             content: Any = [json.loads(line) for line in text.splitlines() if line.strip()]
         else:
             content = json.loads(text)
-        return _json_table(path, content, reading)
-
-
-def _json_table(path: Path, content: Any, reading: Reading) -> LogTable:
-    content = _of_pandas(content)
-    if (grouped := grouped_table(path, content, reading)) is not None:
-        return grouped
-    if isinstance(content, Mapping):
-        content = next((x for x in content.values() if are_records(x)), content)
-    if isinstance(content, Mapping):
-        lists = arrays_of(content)
-        return numeric_table(path, lists, rows_of(lists))
-    if not are_records(content):
-        raise LogError(
-            f"Log {str(path)!r} is neither a JSON object nor a list of records.",
-            advice=_JSON_ADVICE,
-        )
-    return records_table(path, content)
+        return content_table(path, _of_pandas(content), reading, _JSON_ADVICE)
 
 
 def read_echo(path: Path, reading: Reading) -> LogTable:
@@ -139,11 +120,7 @@ def read_mat(path: Path, reading: Reading) -> LogTable:
             _of_hdf5(path, reading) if _is_hdf5(path) else loadmat(path, simplify_cells=True)
         )
         own = {name: value for name, value in variables.items() if not name.startswith(("__", "#"))}
-        if (grouped := grouped_table(path, own, reading)) is not None:
-            return grouped
-        arrays = _arrays(own)
-        rows = max((max(np.shape(array), default=0) for array in arrays.values()), default=0)
-        table = numeric_table(path, {name: np.squeeze(x) for name, x in arrays.items()}, rows)
+        table = content_table(path, own, reading)
     if not table.columns:
         raise LogError(
             f"Log {str(path)!r} has no numeric arrays; its variables are "
@@ -156,11 +133,7 @@ def read_mat(path: Path, reading: Reading) -> LogTable:
 def read_hdf5(path: Path, reading: Reading) -> LogTable:
     """Return the arrays of an HDF5 file by their paths; images and the like are left out."""
     with readable(path, "HDF5 file"):
-        variables = _of_hdf5(path, reading, matlab=False)
-        if (grouped := grouped_table(path, variables, reading)) is not None:
-            return grouped
-        arrays = _arrays(variables)
-    return numeric_table(path, arrays, rows_of(arrays))
+        return content_table(path, _of_hdf5(path, reading, matlab=False), reading)
 
 
 def _is_hdf5(path: Path) -> bool:
@@ -240,21 +213,6 @@ def _attributes(group: Any) -> list[tuple[str, Any]]:
             with suppress(ValueError):
                 found += fields_of(json.loads(text))
     return found
-
-
-def _arrays(variables: dict[str, Any]) -> dict[str, Any]:
-    """Return arrays and scalars; a single struct around everything else is omitted.
-
-    Signals of Simulink, structs of values with a label each, are arrays by these.
-    """
-    while len(variables) == 1 and isinstance(inner := next(iter(variables.values())), Mapping):
-        variables = dict(inner)
-    signals = np.atleast_1d(variables.get("signals", []))
-    if all(isinstance(each, Mapping) and {"label", "values"} <= each.keys() for each in signals):
-        variables |= {
-            str(each["label"] or f"signal{k}"): each["values"] for k, each in enumerate(signals)
-        }
-    return arrays_of(variables)
 
 
 def read_parquet(path: Path, reading: Reading) -> LogTable:

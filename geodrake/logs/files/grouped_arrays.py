@@ -43,8 +43,36 @@ def fields_of(
             yield f"{prefix}{name}", value
 
 
+def content_table(
+    path: Path, content: Any, reading: Reading, advice: str = "Save arrays by their names."
+) -> LogTable:
+    """Return the columns of nested arrays, or of records for each sample."""
+    if (grouped := grouped_table(path, content, reading)) is not None:
+        return grouped
+    if isinstance(content, Mapping):
+        content = next((x for x in content.values() if are_records(x)), content)
+    if are_records(content):
+        return records_table(path, content)
+    if not isinstance(content, Mapping):
+        raise LogError(
+            f"Log {str(path)!r} is neither a JSON object nor a list of records.", advice=advice
+        )
+    arrays = arrays_of(content)
+    return numeric_table(path, arrays, rows_of(arrays))
+
+
 def arrays_of(variables: Mapping[str, Any]) -> dict[str, Any]:
-    """Return arrays, lists and scalars by path, without arrays of one number."""
+    """Return arrays, lists and scalars by path, without arrays of one number.
+
+    A single struct around everything else is omitted. Signals of Simulink, structs of values with a
+    label each, are arrays by these.
+    """
+    while len(variables) == 1 and isinstance(inner := next(iter(variables.values())), Mapping):
+        variables = inner
+    signals = np.atleast_1d(variables.get("signals", []))
+    if all(isinstance(each, Mapping) and {"label", "values"} <= each.keys() for each in signals):
+        named = {str(x["label"] or f"signal{k}"): x["values"] for k, x in enumerate(signals)}
+        variables = {**variables, **named}
     found = {}
     for name, value in fields_of(variables):
         size = value.size if isinstance(value, np.ndarray) else 2

@@ -537,9 +537,9 @@ def _is_alone(value: Any) -> bool:
 
 def rows_of(arrays: Mapping[str, Any]) -> int:
     """Return the number of rows of a log of arrays: that of its time, or of most arrays."""
-    several = {name: len(values) for name, values in arrays.items() if not _is_alone(values)}
-    times = [length for name, length in several.items() if is_time(name)]
-    lengths = times or [*several.values()]
+    several = {name: values for name, values in arrays.items() if not _is_alone(values)}
+    timed = {name: values for name, values in several.items() if is_time(name)}
+    lengths = [max(getattr(x, "shape", (len(x),))) for x in (timed or several).values()]
     return max(set(lengths), key=lambda length: (lengths.count(length), length), default=0)
 
 
