@@ -29,7 +29,7 @@ from geodrake.logs.files.name_rules import (
     words_of,
 )
 from geodrake.logs.files.packed_files import log_name
-from geodrake.logs.files.reading import ColumnMapping, Reading
+from geodrake.logs.files.reading import ColumnMapping, MappedColumn, Reading
 from geodrake.logs.files.table import LogTable, date_words
 from geodrake.logs.files.units import find_unit, unit_of
 from geodrake.logs.floating import floating_name
@@ -380,8 +380,7 @@ def _by_names(table: LogTable, joints: Sequence[str] | None, reading: Reading) -
     """Return the meaning of columns by their names."""
     path, names, units = table.path, table.names, table.units
     beside = [name for name in names if floating_name(name) is None]
-    meanings = meanings_of(beside)
-    of_joints = [meaning for meaning in meanings if meaning.quantity in OF_JOINTS]
+    of_joints = [meaning for meaning in meanings_of(beside) if meaning.quantity in OF_JOINTS]
     if joints and len(joints) > 1 and all(meaning.is_bare for meaning in of_joints):
         called = log_name(path)  # the joint may be said by the name of the file
         named = [replace(m, joint=called, words=words_of(called)) for m in of_joints]
@@ -392,7 +391,7 @@ def _by_names(table: LogTable, joints: Sequence[str] | None, reading: Reading) -
         (joint, quantity): settled(path, same[0], joint, reading, units)
         for (joint, quantity), same in best.items()
     }
-    if (time := time_source(meanings, reading, table)) is not None:
+    if (time := time_source(table, reading)) is not None:
         places = {("", "time"): time, **places}
     own = frozenset(m.joint for m in of_joints if m.style[0] == "own")
     said, rate = [*notes, *choice_words(best)], reading.rate
@@ -416,20 +415,17 @@ def _by_mapping(table: LogTable, reading: Reading) -> Columns:
         if name.endswith(".effort") and mapped.column == PASSIVE and PASSIVE not in names:
             places[name.removesuffix(".effort"), PASSIVE] = Meaning(PASSIVE, PASSIVE)
             continue
-        column, (joint, _, quantity) = mapped.among(table.counted), name.rpartition(".")
-        if column not in names:
+        meaning = _mapped(name, mapped, table, reading)
+        if meaning.column not in names:
             raise LogError(
-                f"Log {str(path)!r} has no column {column!r}, which {mapping.source} maps to "
-                f"{name!r}; it has {listed(names)}.",
+                f"Log {str(path)!r} has no column {meaning.column!r}, which {mapping.source} maps "
+                f"to {name!r}; it has {listed(names)}.",
                 advice="Correct the mapping.",
             )
-        text = mapped.unit or reading.units.get(quantity)
-        unit = unit_of(text, quantity) if text else None
-        meaning = Meaning(column, quantity, joint, unit=unit, style=MAPPED, gain=mapped.gain)
-        source = settled(path, meaning, joint, reading, {})
-        if quantity == "time" and unit is None:
-            source = replace(source, nanoseconds=_nanoseconds(column, names))
-        places[joint, meaning.log_quantity] = source
+        joint = meaning.joint
+        places[joint, meaning.log_quantity] = settled(path, meaning, joint, reading, {})
+    if mapping.time is not None and (time := time_source(table, reading)) is not None:
+        places["", "time"] = time
     for joint in [joint for joint, quantity in places if quantity == "command"]:
         if reading.kind_of(joint) == "command":  # in the place of its efforts
             places.pop((joint, "effort"), None)
@@ -669,14 +665,29 @@ class Columns:
                 )
 
 
-def time_source(meanings: Sequence[Meaning], reading: Reading, table: LogTable) -> Meaning | None:
+def _mapped(name: str, column: MappedColumn, table: LogTable, reading: Reading) -> Meaning:
+    """Return the meaning of a column that a mapping gives to `time` or `<joint>.<quantity>`."""
+    joint, _, quantity = name.rpartition(".")
+    text = column.unit or reading.units.get(quantity)
+    unit = unit_of(text, quantity) if text else None
+    called = column.among(table.counted)
+    return Meaning(called, quantity, joint, unit=unit, style=MAPPED, gain=column.gain)
+
+
+def time_source(table: LogTable, reading: Reading) -> Meaning | None:
     """Return the column of time, and one of nanoseconds if there is one."""
-    times = sorted((m for m in meanings if m.quantity == "time"), key=lambda m: m.role)
-    times = times or [Meaning(n, "time") for n in table.origins if table.is_time(n)]
-    if not times:
-        return None
-    source = settled(Path(), times[0], "", reading, table.units)
-    return replace(source, nanoseconds=_nanoseconds(source.column, table.names))
+    mapped = reading.mapping.time if reading.mapping else None
+    if mapped is not None and mapped.among(table.counted) in table.names:
+        source = _mapped("time", mapped, table, reading)
+    else:
+        times = [m for m in meanings_of(table.names) if m.quantity == "time"]
+        times = times or [Meaning(n, "time") for n in table.origins if table.is_time(n)]
+        if not times:
+            return None
+        best = min(times, key=lambda meaning: meaning.role)
+        source = settled(table.path, best, "", reading, table.units)
+    beside = _nanoseconds(source.column, table.names) if source.factor == 1.0 else None
+    return replace(source, nanoseconds=beside)
 
 
 def _nanoseconds(time: str, names: Sequence[str]) -> str | None:

@@ -26,7 +26,6 @@ from geodrake.logs.files.name_rules import (
 )
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable
-from geodrake.logs.files.units import unit_of
 from geodrake.logs.floating import FLAG, floating_name, vectors
 from geodrake.logs.motion import EFFORT_KINDS
 from geodrake.logs.time_stamps import longest_step
@@ -202,13 +201,7 @@ def _turns_slowly(columns: Mapping[str, Array]) -> bool:
 
 def _time(table: LogTable, reading: Reading) -> tuple[Array | None, tuple[str, ...]]:
     """Return time stamps of a table, s, and a note if their unit was inferred."""
-    mapped = reading.mapping.time if reading.mapping else None
-    if mapped is not None and (stamps := table.columns.get(str(mapped.column))) is not None:
-        if mapped.column in table.origins:
-            return stamps, ()
-        unit = unit_of(mapped.unit or reading.units.get("time", "s"), "time")
-        return mapped.gain * unit.factor * stamps, ()
-    source = time_source(meanings_of(table.columns), reading, table)
+    source = time_source(table, reading)
     if source is None:
         return None, ()
     if source.column in table.origins:
