@@ -15,7 +15,6 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
@@ -26,33 +25,19 @@ from geodrake.errors import ArgumentError, LogError
 
 Array = NDArray[np.float64]
 
-# Windows, each a sum of cosines Σ_k (−1)ᵏ a_k cos(2π k t) over one period: the a_k.
-HANN = (0.5, 0.5)
-BLACKMAN_HARRIS = (0.35875, 0.48829, 0.14128, 0.01168)
+SHARP = "blackmanharris"
+"""The window whose side lobes, below −92 dB, hide nothing of a spectrum's dynamic range."""
 
 
 def spectral_density(
-    signal: ArrayLike,
-    rate: float,
-    length: int,
-    *,
-    window: tuple[float, ...] = HANN,
-    centered: bool = True,
+    signal: ArrayLike, rate: float, length: int, *, window: str = "hann", centered: bool = True
 ) -> tuple[Array, Array]:
-    """Return frequencies (K,), Hz, and spectral densities (K, n) of signals."""
-    signal, turn = np.asarray(signal, float), 2.0 * np.pi * np.arange(length) / length
-    weight = np.sum([(-1) ** k * a * np.cos(k * turn) for k, a in enumerate(window)], axis=0)
-    step = length - length // 2
-    pieces = sliding_window_view(signal, length, axis=0)[::step]
-    power = np.zeros((signal.shape[1], length // 2 + 1))
-    for piece in pieces:  # (n, length) each
-        level = piece.mean(axis=1, keepdims=True) if centered else 0.0
-        transform = rfft((piece - level) * weight)
-        power += np.square(transform.real) + np.square(transform.imag)
-    density = power.T / (len(pieces) * rate * (weight @ weight))
-    density[1 : len(density) - (length % 2 == 0)] *= 2.0
-    frequency = rate / length * np.arange(length // 2 + 1.0)
-    return frequency, np.asarray(density)
+    """Return frequencies (K,), Hz, and spectral densities (K, n) of signals, by Welch's method."""
+    from scipy.signal import welch  # which takes a while to import
+
+    detrend = "constant" if centered else False
+    frequency, density = welch(signal, rate, window, length, axis=0, detrend=detrend)
+    return frequency, density
 
 
 _LEAST_BINS = 12  # of a spectrum in a band
@@ -110,7 +95,7 @@ def steepest_fall(signal: ArrayLike, rate: float, bandwidth: float) -> Array:
     """
     signal = np.asarray(signal, float)
     length = min(len(signal), max(64, round(32 * rate / bandwidth)))
-    frequency, density = spectral_density(signal, rate, length, window=BLACKMAN_HARRIS)
+    frequency, density = spectral_density(signal, rate, length, window=SHARP)
     lowest, highest = 6.0 * rate / length, 0.45 * rate  # each band has a bin of the spectrum
     edges = lowest * _STEP ** np.arange(int(np.log(highest / lowest) / np.log(_STEP)))
     level = np.array(
@@ -384,10 +369,9 @@ def _acceleration_power(pieces: Sequence[tuple[Array, float]], edges: Array) -> 
     for position, period in pieces:
         acceleration = np.diff(position, 2, axis=0) / period**2
         length = min(len(acceleration), round(_WELCH_SECONDS / period))
-        # Differences take away the trend and most of the dynamic range; the window's side lobes,
-        # below −92 dB, take care of the rest.
+        # Differences take away the trend and most of the dynamic range; the window does the rest.
         frequency, density = spectral_density(
-            acceleration, 1 / period, length, window=BLACKMAN_HARRIS, centered=False
+            acceleration, 1 / period, length, window=SHARP, centered=False
         )
         cumulative = np.cumsum(density, axis=0) * frequency[1]
         at_edges = [np.interp(edges, frequency, column) for column in cumulative.T]

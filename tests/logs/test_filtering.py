@@ -4,17 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.signal import welch
 
 from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.filtering import (
-    BLACKMAN_HARRIS,
-    HANN,
     choose_bandwidth,
     design_filter,
     differentiate,
     resample,
-    spectral_density,
 )
 
 PERIOD = 0.002
@@ -132,15 +128,3 @@ def test_bandwidth_holds_a_trot_that_positions_hardly_show_beside_a_sway():
     phases = rng.uniform(0.0, 2.0 * np.pi, (len(rates), 18))
     position = np.fft.irfft(size[:, None] * np.exp(1j * phases), count, axis=0)
     assert choose_bandwidth([(position, 0.005)]) > 8.0
-
-
-@pytest.mark.parametrize("length", [2, 3, 255, 256, 1000])
-@pytest.mark.parametrize(("window", "name"), [(HANN, "hann"), (BLACKMAN_HARRIS, "blackmanharris")])
-@pytest.mark.parametrize("centered", [True, False])
-def test_densities_are_those_of_scipy(length, window, name, centered):
-    signal = 3.0 + np.cumsum(np.random.default_rng(0).normal(size=(1000, 3)), axis=0)
-    found = spectral_density(signal, 500.0, length, window=window, centered=centered)
-    detrend = "constant" if centered else False
-    expected = welch(signal, 500.0, name, length, axis=0, detrend=detrend)
-    np.testing.assert_allclose(found[0], expected[0], rtol=1e-14)
-    np.testing.assert_allclose(found[1], expected[1], rtol=1e-9, atol=1e-14 * expected[1].max())
