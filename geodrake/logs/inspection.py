@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from geodrake.errors import GeodrakeError, LogError
 from geodrake.logs.files import Reading, read_log, understand
 from geodrake.logs.files.column_mapping import Columns
-from geodrake.logs.files.mapping_file import mapping_lines, mapping_of
-from geodrake.logs.files.reading import ColumnMapping, MappedColumn
+from geodrake.logs.files.mapping_file import mapping_of, mapping_yaml
+from geodrake.logs.files.reading import MappedColumn
 from geodrake.logs.files.units import unit_of
 from geodrake.logs.motion import PASSIVE, JointLog
 from geodrake.logs.preparation import prepare_logs
@@ -159,7 +159,7 @@ def mapping_text(
     time = MappedColumn(found.time_column, found.time_unit or None) if found.time_column else None
     rate = None if time else round(1.0 / found.period, 6)
     known, deviations = (*found.log.joints, *found.log.standing), gain_deviations or {}
-    joints: dict[str, dict[str, MappedColumn]] = {joint: {} for joint in known}
+    joints: dict[str, dict[str, MappedColumn | None]] = {joint: {} for joint in known}
     for each in columns:
         gain = each.factor / (unit_of(each.unit, each.quantity).factor if each.unit else 1.0)
         deviation = deviations.get(each.joint) if each.quantity == "effort" else None
@@ -167,7 +167,7 @@ def mapping_text(
         joints[each.joint][each.quantity] = mapped
     for joint in found.log.passive:
         joints[joint]["effort"] = MappedColumn(PASSIVE)
-    text = "\n".join(mapping_lines(ColumnMapping(joints, time, rate))) + "\n"
+    text = mapping_yaml(joints, time, rate)
     _check_said(path, found, text)
     return text
 

@@ -336,12 +336,14 @@ def columns_of(
     check_text(path, names)
     is_mapped, first = reading.mapping is not None, table.unnamed
     if first and not is_mapped:
-        raise propose(no_header(path, first), path, first, joints, reading, headed=False)
+        error = no_header(path, first)
+        raise propose(error, path, first, places={}, joints=joints, reading=reading, headed=False)
     columns = _by_mapping(table, reading) if is_mapped else _by_names(table, joints, reading)
-    clock = ""
+    places = columns.places
     try:
-        if columns.rate is None and ("", "time") not in columns.places:
+        if columns.rate is None and ("", "time") not in places:
             clock, words = likely_clock(table)
+            places = {("", "time"): Meaning(clock, "time"), **places} if clock else places
             told = [] if names else [f"; {n!r} {why}" for n, why in table.silent.items()]
             silent = "".join(told[:_FEW_WORDS])
             raise LogError(
@@ -351,7 +353,9 @@ def columns_of(
         columns.date(table)
         columns.choose(table, joints, partial=partial)
     except LogError as error:
-        propose(error, path, table.counted, joints, reading, clock=clock)
+        if not is_mapped and not {joint for joint, _ in places}.intersection(joints or ()):
+            places = _by_names(table, None, reading).places | places
+        propose(error, path, table.counted, places=places, joints=joints, reading=reading)
         raise
     check_once(path, names, {c for source in columns.places.values() for c in source.columns})
     columns.check_said()

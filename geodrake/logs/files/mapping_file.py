@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from geodrake.boundary.arguments import positive, typed
 from geodrake.boundary.yaml_schema import Schema, as_schema
 from geodrake.boundary.yaml_text import yaml_content
 from geodrake.errors import ArgumentError, LogError
-from geodrake.logs.files.name_rules import DESIRED, OF_JOINTS, Meaning, matched, meanings_of
+from geodrake.logs.files.name_rules import DESIRED, OF_JOINTS, Meaning
 from geodrake.logs.files.reading import (
     ColumnMapping,
     MappedColumn,
@@ -132,59 +133,48 @@ def propose(
     error: LogError,
     path: Path,
     names: Sequence[str],
+    *,
+    places: Mapping[tuple[str, str], Meaning],
     joints: Sequence[str] | None,
     reading: Reading,
-    *,
     headed: bool = True,
-    clock: str = "",
 ) -> LogError:
     """Return the error of a failed reading, with a mapping as evidence.
 
-    It is text to edit, filled in as far as column names are understood. There is none where the
-    user gave one, and for files with too many columns.
+    It is text to edit, filled in as far as columns are understood. There is none where the user
+    gave one, and for files with too many columns.
 
     Args:
+        places: (joint, quantity) -> column that is understood, time among them.
         headed: Whether the file has these names; columns of others are given by their numbers.
-        clock: The column that may be time by its values, where no name says it.
     """
     if reading.mapping is not None or len(names) > MOST_COLUMNS:
         return error
-    meanings = meanings_of(names if headed else ())
-    times = sorted((m for m in meanings if m.quantity == "time"), key=lambda m: m.role)
-    of_joints = sorted((m for m in meanings if m.quantity in OF_JOINTS), key=lambda m: m.role)
-    found, _ = matched(of_joints, joints)
-    named, _ = matched(of_joints, None)
-    positions = (m.column for m in meanings if m.quantity == "position" and m.column in named)
-    called = list(dict.fromkeys(named[column] for column in positions))
-    known = set(found.values()).intersection(joints or ())
-    by_order = joints is not None and not known and len(called) == len(joints)
-    if by_order:
-        model = dict(zip(called, joints or (), strict=True))
-        found = {column: model[joint] for column, joint in named.items() if joint in model}
-    places = {(found[m.column], m.quantity): m for m in reversed(of_joints) if m.column in found}
-    own = joints or list(dict.fromkeys(found.values())) or ["JOINT"]
-    guessed = {} if meanings else _guess(names, own, headed=headed)
-    listed = "\n".join(f"#   {k}: {_word(name)}" for k, name in enumerate(names, 1))
-    lines = [_HEAD.format(name=path.name, columns=listed, units=unit_names())]
-    if by_order:
-        pairs = (f"{joint} is {name!r}" for name, joint in model.items())
-        lines += [f"# Guessed from the order of the joints, please check: {', '.join(pairs)}."]
-    if guessed:
-        lines += ["# Guessed from the number of columns, please check:"]
-    columns: dict[str, dict[str, MappedColumn]] = {}
+    called = list(dict.fromkeys(joint for joint, _ in places if joint))
+    own = joints or called or ["JOINT"]
+    is_by_order = not set(called).intersection(own) and len(called) == len(own)
+    model = dict(zip(called, own, strict=True)) if is_by_order else {}
+    known = {(model.get(joint, joint), m.quantity): m for (joint, _), m in places.items()}
+    found = {place: _column_of(meaning) for place, meaning in known.items()}
+    guessed = {} if called else _guess(names, own, headed=headed)
+    if any(guessed.get(place) != column for place, column in found.items()):
+        guessed = {}
+    found |= guessed
+    columns = dict[str, dict[str, MappedColumn | None]]()
     for joint in own:
-        effort = places.get((joint, "effort"))
-        if joint in reading.motorless and (effort is None or effort.role >= DESIRED):
-            guessed[joint, "effort"] = MappedColumn(PASSIVE)
-        kinds = [kind for kind in (*EFFORT_KINDS, "command") if (joint, kind) in places]
-        columns[joint] = {
-            quantity: guessed.get((joint, quantity), _column_of(places.get((joint, quantity))))
-            for quantity in ("position", "velocity", kinds[0] if kinds else "effort")
-        }
-    time = guessed.get(("", "time"), MappedColumn(times[0].column if times else clock))
-    first, *others = mapping_lines(ColumnMapping(columns, time))
-    lines += [first, "# rate: 500  # Hz, instead of time", *others, ""]
-    error.evidence |= {"path": path, "proposal": "\n".join(lines)}
+        kind = next((k for k in (*EFFORT_KINDS, "command") if (joint, k) in found), "effort")
+        columns[joint] = {q: found.get((joint, q)) for q in ("position", "velocity", kind)}
+        if joint in reading.motorless and (kind == "effort" or known[joint, kind].role >= DESIRED):
+            columns[joint] |= {kind: MappedColumn(PASSIVE)}
+    listed = "\n".join(f"#   {k}: {_word(name)}" for k, name in enumerate(names, 1))
+    text = _HEAD.format(name=path.name, columns=listed, units=unit_names())
+    if model:
+        pairs = ", ".join(f"{joint} is {name!r}" for name, joint in model.items())
+        text += f"# Guessed from the order of the joints, please check: {pairs}.\n"
+    if guessed:
+        text += "# Guessed from the number of columns, please check:\n"
+    text += mapping_yaml(columns, found.get(("", "time")), reading.rate)
+    error.evidence |= {"path": path, "proposal": text}
     return error
 
 
@@ -194,31 +184,33 @@ _HEAD = """\
 {columns}
 # Units: {units}.
 # Without efforts, write current:, voltage:, pwm: or command: in their place;
-# of a joint without a motor, effort: passive.
+# of a joint without a motor, effort: passive. Without time, write rate: 500 (Hz).
 # gain: such as torque constant times gear ratio, for motor currents.
 """
-_UNKNOWN = MappedColumn("")
-"""Placeholder for a column that the user has to fill in."""
 
 
-def mapping_lines(mapping: ColumnMapping) -> list[str]:
-    """Return a mapping as lines of YAML."""
-    time = mapping.time
-    lines = [f"rate: {mapping.rate}" if time is None else f"time: {_written(time)}", "joints:"]
-    for joint, columns in mapping.joints.items():
-        lines.append(f"  {_word(joint)}:")
-        lines += [f"    {quantity}: {_written(column)}" for quantity, column in columns.items()]
-    return lines
+def mapping_yaml(
+    joints: Mapping[str, Mapping[str, MappedColumn | None]],
+    time: MappedColumn | None,
+    rate: float | None,
+) -> str:
+    """Return a mapping as the text of a file; what is None is for the user to fill in."""
+    clock = {"time": _said(time)} if rate is None else {"rate": rate}
+    told = {j: {q: _said(column) for q, column in own.items()} for j, own in joints.items()}
+    text = yaml.safe_dump(
+        {**clock, "joints": told}, sort_keys=False, allow_unicode=True, width=math.inf
+    )
+    return str(text).replace(": null\n", ":  # which column?\n")
 
 
-def _written(mapped: MappedColumn) -> str:
-    if mapped == _UNKNOWN:
-        return "  # which column?"
-    column = mapped.column if isinstance(mapped.column, int) else _word(mapped.column)
-    fields = [f"unit: {_word(mapped.unit)}"] if mapped.unit else []
-    gain = f"{mapped.gain}" if mapped.deviation is None else f"{mapped.gain}±{mapped.deviation}"
-    fields += [f"gain: {gain}"] if gain != "1.0" else []
-    return f"{{column: {column}, {', '.join(fields)}}}" if fields else str(column)
+def _said(mapped: MappedColumn | None) -> object:
+    """Return a column as it stands in a file."""
+    if mapped is None:
+        return None
+    gain = mapped.gain if mapped.deviation is None else f"{mapped.gain}±{mapped.deviation}"
+    more: dict[str, object] = {"unit": mapped.unit} if mapped.unit else {}
+    more |= {"gain": gain} if gain != 1.0 else {}
+    return {"column": mapped.column, **more} if more else mapped.column
 
 
 def _guess(
@@ -234,12 +226,10 @@ def _guess(
     return {}
 
 
-def _column_of(meaning: Meaning | None) -> MappedColumn:
-    unit = meaning.unit.name if meaning and meaning.unit else None
-    return MappedColumn(meaning.column, unit) if meaning else _UNKNOWN
+def _column_of(meaning: Meaning) -> MappedColumn:
+    return MappedColumn(meaning.column, meaning.unit.name if meaning.unit else None)
 
 
 def _word(text: str) -> str:
-    """Return a text as one scalar of YAML, also within braces."""
-    words = yaml.safe_dump([text], default_flow_style=True, allow_unicode=True, width=1e9)
-    return str(words.strip()[1:-1])
+    """Return a text as one scalar of YAML."""
+    return str(yaml.safe_dump([text], allow_unicode=True, width=math.inf)).strip()[2:]
