@@ -20,10 +20,12 @@ from geodrake.identification.normal_equations import calc_solution, not_held
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-_ROUNDS = 12  # of a fit, in which weights change
+_ROUNDS = 24  # of a fit, in which weights change, at most
 _HOPED = 0.03  # error over the deviation of efforts, that a fit begins with where none is near
 _SETTLED = 1e-3  # change of the logarithm of the noise
 _FURTHEST = 0.7  # logarithm of a gain's error: farther, sizes of efforts are other ones
+_HALVES = 8  # of a step, until it is worth taking
+_HOLDS = 8  # of parameters at their bounds, in one step
 _RIDGE = 1e-12
 
 
@@ -106,13 +108,18 @@ def calc_most_probable(
 
     Joints have normal matrices (J, M, M) of all columns, weights (J, 2, M) of these for efforts and
     for known payloads, and (J, 2, M + 1) parameters and columns of all but ε, −1 where none is.
-    To first order near x, the sum of squared errors of a joint is zᵀ A z − 2 bᵀ z + c.
+    To first order near x, the squared errors of a joint have a normal matrix A and a right side b.
+    Parameters times gains are not linear: of a step that is too long a half is taken, or a quarter.
     """
     (grams, sides, places), (start, mse) = joints, first
-    (worth, rows, least), (information, pull, lower) = samples, prior
+    worth, (information, pull, lower) = samples[0], prior
     n, size = len(grams), places.shape[2]
-    x, held, H = start.copy(), np.zeros(len(start), np.bool_), information.copy()
-    A, b, c = np.zeros((n, size, size)), np.zeros((n, size)), np.zeros(n)
+    x, there, H = start.copy(), start.copy(), information.copy()
+    held = np.zeros(len(start), np.bool_)
+    lowest, highest = lower.copy(), np.full(len(x), np.inf)
+    lowest[gains], highest[gains] = -_FURTHEST, _FURTHEST
+    A, b, errors = np.zeros((size, size)), np.zeros(size), np.empty(n)
+    cost = calc_cost(joints, samples, prior, x, errors)
     for _ in range(_ROUNDS):
         H, right = information.copy(), pull.copy()
         for j in range(n):
@@ -122,39 +129,52 @@ def calc_most_probable(
             error = x[at[m]] if p > m else 0.0
             target = sides[j, 0] * np.exp(-error) - sides[j, 1] + error * weights
             of_target, of_weights = grams[j] @ target, grams[j] @ weights
-            scale = np.exp(2.0 * error)
             for i in range(m):
                 for k in range(m):
-                    A[j, i, k] = scale * grams[j, columns[i], columns[k]]
-                b[j, i] = scale * of_target[columns[i]]
+                    A[i, k] = grams[j, columns[i], columns[k]]
+                b[i] = of_target[columns[i]]
                 if p > m:
-                    A[j, i, m] = A[j, m, i] = scale * of_weights[columns[i]]
+                    A[i, m] = A[m, i] = of_weights[columns[i]]
             if p > m:
-                A[j, m, m], b[j, m] = scale * (weights @ of_weights), scale * (weights @ of_target)
-            c[j] = scale * (target @ of_target)
-            share = worth[j] / mse[j]
+                A[m, m], b[m] = weights @ of_weights, weights @ of_target
+            share = worth[j] / mse[j] * np.exp(2.0 * error)
             for i in range(p):
-                right[at[i]] += share * b[j, i]
+                right[at[i]] += share * b[i]
                 for k in range(p):
-                    H[at[i], at[k]] += share * A[j, i, k]
-        x = calc_bounded(H, right, lower, held)
-        slope = H @ x
-        for i in range(len(x)):
-            held[i] = slope[i] >= right[i] if held[i] else x[i] < lower[i]
-            x[i] = max(x[i], lower[i])
-        for i in gains:
-            x[i] = min(max(x[i], -_FURTHEST), _FURTHEST)
-        change = 0.0
-        for j in range(n):
-            p = np.sum(places[j, 0] >= 0)
-            own = x[places[j, 0, :p]]
-            left = own @ (np.ascontiguousarray(A[j, :p, :p]) @ own) - 2.0 * (b[j, :p] @ own) + c[j]
-            found = max(left / rows[j], least[j])
-            change = max(change, abs(np.log(found / mse[j])))
-            mse[j] = found
+                    H[at[i], at[k]] += share * A[i, k]
+        calc_bounded(H, right, (lowest, highest), there, held)
+        share, begin, before = 1.0, x, cost
+        while True:
+            x = begin + share * (there - begin)
+            cost = calc_cost(joints, samples, prior, x, errors)
+            if cost < before or share == 0.0:
+                break
+            share = 0.5 * share if share > 0.5**_HALVES else 0.0
+        change = np.abs(np.log(errors / mse)).max()
+        mse = errors.copy()
         if change < _SETTLED:
             break
     return x, mse, H
+
+
+@compiled
+def calc_cost(
+    joints: tuple[Array, Array, Indices],
+    samples: tuple[Array, Array, Array],
+    prior: tuple[Array, Array, Array],
+    x: Array,
+    mse: Array,
+) -> float:
+    """Return −2 log of the posterior of parameters (p,), and write mean squared errors (J,)."""
+    (grams, sides, places), (worth, rows, least) = joints, samples
+    cost = x @ (prior[0] @ x) - 2.0 * (prior[1] @ x)
+    for j in range(len(grams)):
+        m, p = np.sum(places[j, 1] >= 0), np.sum(places[j, 0] >= 0)
+        weights = calc_weights(sides[j, 1], places[j, 1, :m], x, places[j, 0, :p])
+        left = sides[j, 0] - (np.exp(x[places[j, 0, m]]) if p > m else 1.0) * weights
+        mse[j] = max(left @ (grams[j] @ left) / rows[j], least[j])
+        cost += worth[j] * rows[j] * np.log(mse[j])
+    return float(cost)
 
 
 @compiled
@@ -167,23 +187,41 @@ def calc_weights(known: Array, columns: Indices, x: Array, at: Indices) -> Array
 
 
 @compiled
-def calc_bounded(A: Array, b: Array, lower: Array, held: NDArray[np.bool_]) -> Array:
-    """Solve a positive definite system, some of the unknowns at their lower bounds."""
-    x, free, size = lower.copy(), np.empty(len(b), np.intp), 0
-    for i in range(len(b)):
-        if not held[i]:
-            free[size] = i
-            size += 1
-    inner, right = np.empty((size, size)), np.empty(size)
-    for row in range(size):
-        i = free[row]
-        right[row] = b[i]
-        for k in range(len(b)):
-            if held[k]:
-                right[row] -= A[i, k] * lower[k]
-        for column in range(size):
-            inner[row, column] = A[i, free[column]]
-    found = calc_solution(inner, right, _RIDGE)[0]
-    for row in range(size):
-        x[free[row]] = found[row]
-    return x
+def calc_bounded(
+    A: Array, b: Array, bounds: tuple[Array, Array], x: Array, held: NDArray[np.bool_]
+) -> None:
+    """Write the minimum x (p,) of xᵀ A x / 2 − bᵀ x within bounds, and who is held there.
+
+    It begins with those that are held.
+    """
+    lower, upper = bounds
+    count, free = len(b), np.empty(len(b), np.intp)
+    for _ in range(_HOLDS):
+        size = 0
+        for i in range(count):
+            if not held[i]:
+                free[size] = i
+                size += 1
+        inner, right = np.empty((size, size)), np.empty(size)
+        for row in range(size):
+            i = free[row]
+            right[row] = b[i]
+            for k in range(count):
+                if held[k]:
+                    right[row] -= A[i, k] * x[k]
+            for column in range(size):
+                inner[row, column] = A[i, free[column]]
+        found, settled = calc_solution(inner, right, _RIDGE)[0], True
+        for row in range(size):
+            i = free[row]
+            x[i] = min(max(found[row], lower[i]), upper[i])
+            held[i] = x[i] != found[row]
+            settled &= not held[i]
+        if settled:
+            slope = A @ x - b
+            for i in range(count):
+                if held[i]:
+                    held[i] = slope[i] >= 0.0 if x[i] == lower[i] else slope[i] <= 0.0
+                    settled &= held[i]
+        if settled:
+            break

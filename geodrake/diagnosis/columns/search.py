@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from geodrake.diagnosis.columns.assignment import Assignment
 from geodrake.diagnosis.columns.evidence import ColumnFit, ColumnModel
 from geodrake.diagnosis.columns.first_look import FirstLook
+from geodrake.diagnosis.columns.kinds import KINDS
 from geodrake.diagnosis.columns.mistakes import DIGITS, Mistake, Mistakes
 
 Array = NDArray[np.float64]
@@ -71,10 +72,12 @@ class ColumnSearch:
                 break
             steps.append(step)
             base, found = step.best.fit, step.best.fit.assignment
-            if step.best.mistake.kind:
-                self._hopeless.clear()
-                self._zeros.clear()
-            if step.best.mistake.kind and found.apart | found.unknown:
+            kind = step.best.mistake.kind
+            if not kind or KINDS[kind].changes == ("rate",):
+                continue  # of measured velocities, on which no effort depends
+            self._hopeless.clear()
+            self._zeros.clear()
+            if found.apart | found.unknown:
                 # What seemed unknown before may be another mistake beside this one.
                 known = replace(found, apart=frozenset(), unknown=frozenset())
                 base = model.fit(known, model.hopeful(), base)
@@ -115,7 +118,9 @@ class ColumnSearch:
         for _ in range(2):
             told = best.mistake.place
             worth = np.where(best.fit.mse < plain.mse, model.worth(best.fit), of_base)
-            last = [self._refined(self._again(each, worth), worth) for each in last]
+            again = [self._again(each, worth) for each in last]
+            least = max(again, key=_score).score + _HOPELESS
+            last = [self._refined(each, worth) if each.score > least else each for each in again]
             best = max(last, key=_score)
             plain = self._plain(base, worth, None, best.fit)
             if best.mistake.place == told:
