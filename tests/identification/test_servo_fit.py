@@ -183,7 +183,7 @@ def test_a_joint_that_falls_over_is_far_off_and_no_servo():
     motions = JointMotions((rows,), (rows[:, 4],), (period,))
     at = motions.servo([5.0, 0.0, 0.1])
     found = motions.simulated(at)
-    slopes = motions.slopes(at, np.arange(len(at)) < 6)
+    slopes = motions.with_slopes(at, np.arange(len(at)) < 6)[1]
     assert np.isfinite(found @ found) and np.isfinite(slopes.T @ slopes).all()
     assert np.abs(found - rows[:, 4]).max() == pytest.approx(1e3)
     few = rows[:200] * np.where(np.arange(8) == 2, 125.0, 1.0)
@@ -443,7 +443,7 @@ def test_slopes_are_finite_differences(limit, own, band, tmp_path):
     free = np.array(
         [*range(9), 12, 13, *np.flatnonzero([*[False] * 9, band, limit < 9, limit < 9])]
     )
-    every = motions.slopes(at, np.ones(len(at), bool))
+    every = motions.with_slopes(at, np.ones(len(at), bool))[1]
     slopes = every[:, free]
     expected = np.empty_like(slopes)
     for k, number in enumerate(free):

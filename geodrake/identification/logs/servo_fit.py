@@ -39,7 +39,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import NamedTuple, TypeVar
 
@@ -101,7 +101,7 @@ _THETA = 0.55  # how far within a step forces are as they are there
 _WINDOWS = 8  # of all logs, two of a stretch at least; every other one is left out for a test
 _SOUGHT, _PIECE = 40.0, 10.0  # s of all stretches that searches see, in pieces of so many
 _MOST_EVALUATIONS, _FIRST_EVALUATIONS = 60, 8
-_SETTLED = 1e-5  # share of its sum of squares that the last step of a search takes off
+_SETTLED = 1e-4  # share of its sum of squares that the last step of a search takes off
 _FIRST_DAMPING, _LEAST_DAMPING = 1e-3, 1e-9  # of steps, over squares of slopes
 _FARTHEST = 3.0  # deviations of a number from what is expected
 _LEAST_LIMIT = 0.01  # of its size
@@ -172,12 +172,12 @@ class JointMotions:
         calc_servo_motions(*self._whole, servo, (x, np.empty((0, 0))))
         return x
 
-    def slopes(self, servo: Array, free: Mask) -> Array:
-        """Return slopes (N, f) of positions with those numbers (12 + S,) that are free."""
+    def with_slopes(self, servo: Array, free: Mask) -> tuple[Array, Array]:
+        """Return the residual (N,), and its slopes (N, f) with numbers (12 + S,) that are free."""
         count = len(free) if free[_INTEGRAL:].any() else _INTEGRAL
-        J = np.zeros((len(self.measured), count))
-        calc_servo_motions(*self._whole, servo, (np.empty(len(J)), J))
-        return J[:, free[:count]]
+        x, J = np.empty(len(self.measured)), np.zeros((len(self.measured), count))
+        calc_servo_motions(*self._whole, servo, (x, J))
+        return x - self.measured, J[:, free[:count]]
 
     def with_integral(self, servo: Array, integral: float) -> Array:
         """Return a servo with an integral that begins as bodies need it in the mean."""
@@ -226,7 +226,17 @@ class JointMotions:
 
     def residual(self, servo: Array) -> Array:
         """Return (N,) simulated − measured positions of all stretches."""
-        return self.simulated(servo) - self.measured
+        return self._residual(servo.tobytes())
+
+    @cached_property
+    def _residual(self) -> Callable[[bytes], Array]:
+        """The same of the bytes of a servo, those of a few last ones at once."""
+
+        @lru_cache(maxsize=4)
+        def residual(servo: bytes) -> Array:
+            return self.simulated(np.frombuffer(servo).copy()) - self.measured
+
+        return residual
 
     def rms(self, servo: Array, rows: Mask | None = None) -> float:
         """Return the RMS of simulated − measured positions at some rows (N,), or all."""
@@ -606,7 +616,7 @@ class _Search:
         """
         motions, tried = self.motions, servo.freed(_BAND)
         seen, rows = motions.seen
-        left, J = seen.residual(servo.numbers)[rows], seen.slopes(servo.numbers, tried.free)[rows]
+        left, J = (each[rows] for each in seen.with_slopes(servo.numbers, tried.free))
         unexplained = left - J @ np.linalg.lstsq(J, left)[0]
         if np.std(unexplained) > np.sqrt(_IDLE_LEAVES) * np.std(left):
             return servo
@@ -675,19 +685,21 @@ class _Search:
                 return found
 
             def residual(x: Array) -> Array:
-                at = numbers(x)
-                left = motions.residual(at)[rows]
-                return np.hstack([left, weights * np.log(at[places] / usual), late * at[_DELAY]])
+                return beside(numbers(x), motions.simulated(numbers(x)) - motions.measured)
 
-            def slopes(x: Array) -> Array:
-                at = numbers(x)
-                own = np.zeros((len(places) + 1, size))
+            def beside(at: Array, left: Array) -> Array:
+                known = weights * np.log(at[places] / usual)
+                return np.hstack([left[rows], known, late * at[_DELAY]])
+
+            def with_slopes(x: Array) -> tuple[Array, Array]:
+                at, own = numbers(x), np.zeros((len(places) + 1, size))
                 own[range(len(places)), places] = weights / at[places]
                 own[-1, _DELAY] = late
-                return np.vstack([motions.slopes(at, free)[rows], own[:, free]])
+                left, J = motions.with_slopes(at, free)
+                return beside(at, left), np.vstack([J[rows], own[:, free]])
 
             begin = np.clip(start.numbers, lower, upper)[free]
-            x, cost = _descend((residual, slopes), begin, (lower[free], upper[free]), most)
+            x, cost = _descend((residual, with_slopes), begin, (lower[free], upper[free]), most)
             return cost, replace(start, numbers=numbers(x))
 
         best = min(map(search, starts), key=lambda each: each[0])[1]
@@ -704,7 +716,7 @@ class _Search:
         least[_LOAD], least[_INTEGRAL], least[_SHARE] = _USUAL_LOAD / self._most, gain, 0.5
         least[_BAND] = _USUAL_BAND
         size = np.maximum(np.abs(numbers), least)[free]
-        J = self.motions.slopes(numbers, free)
+        J = self.motions.with_slopes(numbers, free)[1]
         columns = np.column_stack([J * size, *self._unobservable(numbers, J, free)])
         # What the motion does not show is known to its own size.
         known = np.ones(columns.shape[1])
@@ -737,7 +749,7 @@ class _Search:
         for each in rows:
             each[1:-1, 7] -= _SMOOTHER * np.diff(each[:, 7], 2)
         rounded = replace(motions, rows=rows).simulated(numbers)
-        return -USUAL_PERIOD * late, rounded - motions.simulated(numbers)
+        return -USUAL_PERIOD * late, rounded - motions.measured - motions.residual(numbers)
 
 
 def _with_share(numbers: Array, share: float) -> Array:
@@ -759,7 +771,7 @@ def _with_own_damping(numbers: Array) -> tuple[Array, float, float]:
 
 
 def _descend(
-    functions: tuple[Callable[[Array], Array], Callable[[Array], Array]],
+    functions: tuple[Callable[[Array], Array], Callable[[Array], tuple[Array, Array]]],
     x: Array,
     bounds: tuple[Array, Array],
     most: int,
@@ -767,29 +779,34 @@ def _descend(
     """Return the least squares of residuals by their slopes, from x on within bounds, and the sum.
 
     Steps are those of Levenberg and Marquardt. Numbers may lie on bounds, such as dry friction that
-    is not there, where SciPy's `least_squares` goes on and on.
+    is not there, where SciPy's `least_squares` goes on and on. Functions return residuals, and
+    these with their slopes; after a step that failed the next may fail, too, and needs none.
     """
-    residual, slopes = functions
-    left, damping = residual(x), _FIRST_DAMPING
+    residual, with_slopes = functions
+    (left, J), damping = with_slopes(x), _FIRST_DAMPING
     cost = float(left @ left)
     for _ in range(most):
-        J = slopes(x)
         with np.errstate(over="ignore", invalid="ignore"):
             H, pull = J.T @ J, J.T @ left
         if not np.isfinite(H).all():  # of a servo that makes its joint swing up
             break
-        gain = 0.0
+        gain, failed = 0.0, False
         while not gain > 0.0:  # nor if it is no number
             damped = H + np.diag(damping * np.diag(H) + _NOTHING)
             step = _bounded(damped, pull, bounds[0] - x, bounds[1] - x)
             promised = -float(step @ (2.0 * pull + H @ step))
             if promised <= _SETTLED * cost:
                 return x, cost
-            left_there = residual(x + step)
-            gain = cost - float(left_there @ left_there)
+            left, J = (residual(x + step), J) if failed else with_slopes(x + step)
+            gain = cost - float(left @ left)
+            failed = failed or not gain > 0.0
             damping *= 0.1 if gain > 0.5 * promised else 1.0 if gain > 0.0 else 10.0
             damping = max(damping, _LEAST_DAMPING)
-        x, left, cost = x + step, left_there, cost - gain
+        x, cost = x + step, cost - gain
+        if gain <= _SETTLED * cost:  # dry friction lets slopes promise more, again and again
+            break
+        if failed:
+            left, J = with_slopes(x)
     return x, cost
 
 
@@ -863,7 +880,7 @@ def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array
     x, v, z = rows[0, 4], rows[0, 5], 0.0
     c, rise = calc_command_before(rows, -late, period)
     count = min(slopes.shape[1], _BEGUN + 1) if len(slopes) > 0 else 0
-    at_numbers, ahead = np.zeros((3, count)), _THETA * dt
+    at_numbers, direct, ahead = np.zeros((3, count)), np.zeros(13), _THETA * dt
     reach, least = kp + ki * ahead, -BRAKING_SHARE / load  # (minus infinity without any)
     positions[0], slopes[:1, :count] = x, 0.0
     for k in range(len(rows) - 1):
@@ -891,7 +908,7 @@ def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array
             if count > 0:
                 later = (1.0 - _THETA) * rise_before + _THETA * rise
                 through, rubs = calc_rubbing(gear, now, way)
-                direct = (
+                direct[:] = (
                     gives * error,
                     gives * ((c - before) * per - mean),
                     -(1.0 - own + own * gives) * mean,
@@ -926,7 +943,7 @@ def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array
 @compiled
 def move_slopes(
     slopes: Array,
-    direct: tuple[float, ...],
+    direct: Array,
     step: tuple[float, float, float, float, float, float, float],
 ) -> None:
     """Take a step of slopes (3, p) of position, velocity and integral with numbers of a servo.
@@ -938,14 +955,15 @@ def move_slopes(
             and the time, s.
     """
     inertia, damps, holds, gives, moves, grows, dt = step
-    for i in range(slopes.shape[1]):
-        x, v, z = slopes[0, i], slopes[1, i], slopes[2, i]
-        old = (1.0 - _THETA) * v
-        force = direct[i] + inertia * v - damps * old - holds * (x + _THETA * dt * old)
-        slopes[1, i] = moves * (force + gives * z)
-        mean = old + _THETA * slopes[1, i]
-        slopes[2, i] -= grows * (x + _THETA * dt * mean)
-        slopes[0, i] += dt * mean
+    by_x, by_z = -moves * holds, moves * gives
+    by_v = moves * (inertia - (1.0 - _THETA) * (damps + holds * _THETA * dt))
+    xs, vs, zs = slopes[0], slopes[1], slopes[2]
+    for i in range(len(xs)):
+        x, v = xs[i], vs[i]
+        now = moves * direct[i] + by_v * v + by_x * x + by_z * zs[i]
+        mean = (1.0 - _THETA) * v + _THETA * now
+        zs[i] -= grows * (x + _THETA * dt * mean)
+        xs[i], vs[i] = x + dt * mean, now
 
 
 @inlined
