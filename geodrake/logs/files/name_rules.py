@@ -15,9 +15,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 
-import numpy as np
-from numpy.typing import NDArray
-
 from geodrake.logs.files.units import WORDS, Unit, find_unit, scaled_unit
 from geodrake.logs.motion import EFFORT_KINDS, PARTIAL, PASSIVE, QUANTITIES, SIGNAL_KINDS
 
@@ -109,10 +106,6 @@ class Meaning:
     def offset(self) -> float:
         """Offset that is added to its numbers after the factor."""
         return self.gain * self.unit.offset if self.unit else 0.0
-
-    def written(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return numbers (N,) in SI units as written in the file."""
-        return (numbers - self.offset) / self.factor
 
     @property
     def log_quantity(self) -> str:

@@ -49,12 +49,24 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
             advice="Record several seconds of motion.",
         )
 
+    signed = list[str]()
+
     def column(joint: str, quantity: str) -> Array:
         source = columns.places.get((joint, quantity))
-        return np.full(rows, np.nan) if source is None else read_column(source, numbers)
+        if source is None:
+            return np.full(rows, np.nan)
+        found = _signed_register(numbers[source.column], magnitudes=quantity != "position")
+        if found is not None:
+            numbers[source.column], words = found
+            signed.append(f"{source.column!r} is read as {words}")
+        return read_column(source, numbers)
 
-    rate, joints, stamps = columns.rate, columns.joints, columns.places.get(("", "time"))
-    time = np.arange(rows) / rate if rate is not None else column("", "time")
+    joints, notes = columns.joints, tuple[str, ...]()
+    if columns.rate is not None:
+        time = np.arange(rows) / columns.rate
+    else:
+        stamps = columns.places["", "time"]
+        time, notes = in_seconds(stamps, read_column(stamps, numbers))
     alone = {joint: column(joint, "position") for joint in columns.standing}
     data = {name: read_column(source, numbers) for name, source in columns.floating.items()}
     data |= {f"{joint}.position": place for joint, place in alone.items()}
@@ -63,7 +75,6 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
         for place, joint in enumerate(joints):
             data[quantity][:, place] = column(joint, quantity)
 
-    time, notes = (time, ()) if stamps is None else in_seconds(stamps, time)
     time, more = with_clock_set_back(time)
     order = None if torn.rows else order_of_time(time, data["position"])
     if order is not None:  # rows that are torn are known by their place in the file
@@ -77,7 +88,6 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
     kept, left_out = torn.settle(time)
     if again.any():
         kept = ~again if kept is None else kept & ~again
-    signed = _with_signs(data, columns)
     _take_ticks(data, columns)
     kinds, motors = _without_motors(data, columns)
     if kept is not None:
@@ -114,23 +124,6 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
     )
 
 
-def _with_signs(data: dict[str, Array], columns: Columns) -> list[str]:
-    """Give numbers (N, n) the signs of registers that were read without; return notes."""
-    notes = []
-    for quantity in columns.quantities:
-        for at, joint in enumerate(columns.joints):
-            source = columns.places.get((joint, quantity))
-            numbers = data[quantity][:, at]
-            if source is None or not are_whole(source.written(numbers[:_FIRST])):
-                continue
-            written = source.written(numbers)
-            signed = _signed_register(written, magnitudes=quantity != "position")
-            if signed is not None:
-                numbers[:] = source.factor * signed[0] + source.offset
-                notes.append(f"{source.column!r} is read as {signed[1]}")
-    return notes
-
-
 def _signed_register(numbers: Array, *, magnitudes: bool) -> tuple[Array, str] | None:
     """Return numbers (N,) with their signs, and their encoding; None if they have signs.
 
@@ -141,7 +134,7 @@ def _signed_register(numbers: Array, *, magnitudes: bool) -> tuple[Array, str] |
     largest = np.fmax.reduce(numbers, initial=0.0)
     if largest < 2 ** _SIGN_BITS[0] or np.fmin.reduce(numbers) < -_ROUNDING:
         return None
-    if not are_whole(numbers):
+    if not (are_whole(numbers[:_FIRST]) and are_whole(numbers)):
         return None
     known = np.rint(numbers[np.isfinite(numbers)])
     for bits in _COMPLEMENTS:
