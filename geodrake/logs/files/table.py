@@ -59,14 +59,16 @@ def check_room(path: Path, count: int, words: str) -> None:
 Array = NDArray[np.float64]
 
 DATE = re.compile(
-    r"(\d{4}[-/]\d\d[-/]\d\d[Tt ]\d\d:\d\d(?::\d\d)?)"
-    r"(?:[.,](\d{1,9})\d*)?\s*([Zz]|UTC|[+-]\d\d(?::?\d\d)?)?"
+    r"""(?: (?P<year>\d{4}) [-/] (?P<month>\d\d) [-/] (?P<day>\d\d) [Tt ]
+          | (?P<first>\d\d?) (?P<mark>[./]) (?P<second>\d\d?) (?P=mark) (?P<last>\d{4}) [Tt ]
+          | (?: (?P<days>\d{1,9}) [ ] days? [ ] )? (?= \d\d?:\d\d:\d\d ) )
+        (?P<time> \d\d? : \d\d (?: : \d\d )? )
+        (?: (?: [.,] | (?<=:\d\d:\d\d) : (?=\d{3}\b) ) (?P<part>\d{1,9}) \d* )?
+        (?: \s* (?P<half> [AaPp][Mm] ) \b )?
+        (?: \s* (?: [Zz] | UTC | (?P<sign>[+-]) (?P<hours>\d\d) :? (?P<minutes>\d\d)? ) )?""",
+    re.VERBOSE,
 )
-_BY_DAY = re.compile(r"(?<![\d/.])(\d\d?)([./])(\d\d?)\2(\d{4})(?=[Tt ])")  # as in 01.05.2026
-_COLON = re.compile(r"(?<=:\d\d):(?=\d{3}\b)")  # before milliseconds
-_HOUR = re.compile(r"(?<![\d:])(\d)(?=:)")  # of one digit
 _LAST_MONTH = _NOON = 12
-_TIME = re.compile(r"(?:(\d+) days? )?(\d\d?):(\d\d):(\d\d)(?:[.,](\d{1,9})\d*)?")
 _SECONDS = re.compile(r"(\d+)(?:[.,](\d{1,9})\d*)? ?s(?:ec)?")  # as MATLAB writes durations
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _SECOND, _DAY = 1_000_000_000, 86_400  # ns, s
@@ -82,36 +84,29 @@ def date_of(text: str, *, day_first: bool = False) -> int | None:
             are those since 1970.
         day_first: Whether the day comes before the month with strokes, too.
     """
-    text = text.strip()
-    if (half := text[-2:].upper()) in ("AM", "PM"):
-        hour = int((re.search(r"\d+(?=:)", text) or "0")[0])
-        date = date_of(_HOUR.sub(r"0\1", text[:-2].rstrip()), day_first=day_first)
-        noon = _NOON * 3600 * _SECOND * ((half == "PM") - (hour == _NOON))
-        return date + noon if date is not None and 0 < hour <= _NOON else None
-    text = _COLON.sub(".", text) if text.count(":") > 2 else text
-    if (found := _TIME.fullmatch(text)) is not None:
-        days, hours, minutes, seconds = (int(number or 0) for number in found.groups()[:4])
-        seconds += _DAY * days + 3600 * hours + 60 * minutes
-        return seconds * _SECOND + int((found[5] or "").ljust(9, "0"))
-    if (found := _SECONDS.fullmatch(text)) is not None:
+    if (found := _SECONDS.fullmatch(text.strip())) is not None:
         return int(found[1]) * _SECOND + int((found[2] or "").ljust(9, "0"))
-
-    def year_first(date: re.Match[str]) -> str:
-        first, mark, second, year = date.groups()
-        month, day = (second, first) if mark == "." or day_first else (first, second)
-        return f"{year}-{month:0>2}-{day:0>2}"
-
-    found = DATE.fullmatch(_BY_DAY.sub(year_first, text, count=1))
-    if found is None:
+    if (found := DATE.fullmatch(text.strip())) is None:
         return None
-    head, fraction, zone = found.groups()
+    date = found.group("year", "month", "day")
+    if found["last"]:
+        in_order = found["mark"] == "/" and not day_first
+        date = found.group("last", *(("first", "second") if in_order else ("second", "first")))
+    hour, minute, second = map(int, f"{found['time']}:00".split(":")[:3])
+    if found["half"]:
+        if not 0 < hour <= _NOON:
+            return None
+        hour = hour % _NOON + _NOON * (found["half"].upper() == "PM")
     try:
-        zone = (zone or "Z").upper().replace("UTC", "Z")
-        instant = datetime.fromisoformat(head.upper().replace("/", "-") + zone)
+        since = timedelta(int(found["days"] or 0), second, minutes=minute, hours=hour)
+        if date[0]:
+            year, month, day = map(int, date)
+            since = datetime(year, month, day, hour, minute, second, tzinfo=UTC) - _EPOCH
     except ValueError:  # the 30th of February
         return None
-    since = instant - _EPOCH
-    return (since.days * _DAY + since.seconds) * _SECOND + int((fraction or "").ljust(9, "0"))
+    zone = timedelta(hours=int(found["hours"] or 0), minutes=int(found["minutes"] or 0))
+    since -= -zone if found["sign"] == "-" else zone
+    return (since.days * _DAY + since.seconds) * _SECOND + int((found["part"] or "").ljust(9, "0"))
 
 
 def is_date(text: str) -> bool:
@@ -125,26 +120,27 @@ def order_of_days(texts: Iterable[str]) -> tuple[bool, str]:
     All dates in some texts together tell it: by a number that is no month, or as they follow each
     other more closely in one of the orders.
     """
-    found = {date.group(): date for text in texts for date in _BY_DAY.finditer(text)}
-    found = {text: date for text, date in found.items() if date[2] == "/"}
+    found = [date for text in texts if (date := DATE.fullmatch(text.strip()))]
+    found = [date for date in found if date["mark"] == "/"]
     if not found:
         return False, ""
-    one, other, years = np.array([d.group(1, 3, 4) for d in found.values()], int).T
+    days = list(dict.fromkeys(date.group("first", "second", "last") for date in found))
+    one, other, years = np.array(days, int).T
     spans = [
         np.ptp(372 * years + 31 * months + days) for months, days in ((one, other), (other, one))
     ]
     no_months = [numbers > _LAST_MONTH for numbers in (one, other)]
-    texts = list(found)
+    named = ["/".join(day) for day in days]
     if no_months[0].any() or no_months[1].any():
         day_first = bool(no_months[0].any())
-        why = f", by {texts[int(no_months[0 if day_first else 1].argmax())]}"
+        why = f", by {named[int(no_months[0 if day_first else 1].argmax())]}"
     else:
         day_first = bool(spans[1] < spans[0])
         why = ", in which rows are closer in time"
         if spans[0] == spans[1]:
             why = ", though both are possible: if this is wrong, write them as 2026-05-01"
     order = "day/month" if day_first else "month/day"
-    return day_first, f"dates such as {texts[0]} are read as {order}/year{why}"
+    return day_first, f"dates such as {named[0]} are read as {order}/year{why}"
 
 
 def date_words(nanoseconds: int) -> str:
