@@ -56,7 +56,6 @@ CHECKED = {
         "open",
         "open_memmap",
     },
-    "logs/files/lcm_log.py": {"EventLog"},
     "logs/files/lerobot_dataset.py": {"read_table"},
     "logs/files/ros_bag.py": {"Reader"},
     "robot/files/description.py": {"ProcessModelDirectives"},

@@ -138,7 +138,7 @@ def test_one_line_and_no_file(tmp_path, make, part):
 
 
 @pytest.mark.parametrize(
-    ("module", "suffix"), [("rosbags", "mcap"), ("pyarrow", "parquet"), ("lcm", "lcm")]
+    ("module", "suffix"), [("rosbags", "mcap"), ("pyarrow", "parquet"), ("h5py", "h5")]
 )
 def test_packages_that_are_not_installed(tmp_path, monkeypatch, module, suffix):
     for loaded in [m for m in sys.modules if m.partition(".")[0] == module]:
