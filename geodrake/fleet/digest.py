@@ -1,10 +1,9 @@
 """Digests: logs as a few normal matrices, over columns that all logs of a folder share.
 
-Of each joint j and block t of a log a digest has the triangular factor R of [A | b] with
-RᵀR = [A | b]ᵀ[A | b] = G_tj, where A are the filtered columns of (1) and b the filtered measured
-efforts, one for each delay; n_tj rows; and the autocovariance of what a fit leaves. Fits, changes
-from day to day and hierarchies of robots are small problems on these, and nobody goes back to
-samples. Digests of several logs are one digest: their blocks side by side.
+Of each joint and block of a log a digest has the `JointData` that a fit is made from, without rows,
+and the autocovariance of what a fit leaves. Fits, changes from day to day and hierarchies of robots
+are small problems on these, and nobody goes back to samples. Digests of several logs are one
+digest: their blocks side by side.
 
 A file holds all of a digest, and the text of its settings. In a folder, its name is the key that it
 holds, which is the hash of its log, of known payloads and of the settings.
@@ -38,22 +37,14 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class JointDigest(JointData, Short):
-    """A joint's digest in B blocks: sums over the folds of a `Dataset`, without rows.
-
-    Columns are those of the settings; factors are triangular.
+    """A joint's data in B blocks, without rows; factors are triangular.
 
     Attributes:
         autocovariances: (B, lags) sums over rows of r_t r_{t+k} for k = 0, 1, …, where r is what
             the model, refitted to the other blocks of the same log, leaves of this one.
-        inertia: (L, p_j) of L logs, what each column adds to the inertia that a joint without a
-            motor feels, over that of the model's bodies; zeros at others.
-        scale: (L,) of a joint without a motor, how large its effort could be, N·m or N.
     """
 
-    joint: str
     autocovariances: Array
-    inertia: Array
-    scale: Array
 
     @property
     def effective(self) -> float:
@@ -62,18 +53,6 @@ class JointDigest(JointData, Short):
         if not count:
             return 0.0
         return float(effective_by_covariance(self.autocovariances.sum(axis=0), count))
-
-    def normal_matrix(self, *, delay: int = 0, block: int | None = None) -> Array:
-        """Return (p_j + 1, p_j + 1) G = [A | b]ᵀ[A | b] over the columns of this joint.
-
-        Args:
-            delay: Index of the settings' delay by which b is advanced.
-            block: Index of a block; the sum over all of them if None.
-        """
-        kept = [*range(len(self.columns)), len(self.columns) + delay]
-        own = self.factors if block is None else self.factors[[block]]
-        rows = own[:, :, kept].reshape(-1, len(kept))
-        return np.asarray(rows.T @ rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +73,9 @@ class DigestedLog(Short):
         position: (2, nv) least and largest position of each joint, rad or m.
         speed: (2, nv) least and largest velocity, rad/s or m/s.
         temperature: (nv,) mean temperature of each joint, °C; NaN where it was not measured.
+        effort_scale: (nv,) how large the effort of a joint without a motor could be, N·m or N;
+            zeros at others.
+        passive_inertia: As in `Dataset`.
     """
 
     name: str
@@ -112,6 +94,8 @@ class DigestedLog(Short):
     position: Array
     speed: Array
     temperature: Array
+    effort_scale: Array
+    passive_inertia: Array | None
     notes: tuple[str, ...] = ()
 
 
@@ -166,9 +150,19 @@ class Digest(Short):
         total, squares = np.array([joint.effort_sums.sum(axis=0) for joint in self.joints]).T
         count = np.maximum(self.samples, 1)
         deviation = np.sqrt(np.maximum(squares / count - (total / count) ** 2, 0.0))
-        scale = np.array([np.sqrt(np.square(joint.scale).mean()) for joint in self.joints])
         passive = np.isin(self.settings.joints, self.settings.passive)
-        return np.where(passive & (self.samples > 0), scale, deviation)
+        return np.where(passive & (self.samples > 0), self.effort_scale, deviation)
+
+    @property
+    def effort_scale(self) -> Array:
+        """(nv,) how large efforts of joints without a motor could be, N·m or N; zeros at others."""
+        return np.sqrt(np.mean([log.effort_scale**2 for log in self.logs], axis=0))
+
+    @property
+    def passive_inertia(self) -> Array | None:
+        """Return `Dataset.passive_inertia`, the mean over logs; None if all joints have motors."""
+        known = [log.passive_inertia for log in self.logs if log.passive_inertia is not None]
+        return np.mean(known, axis=0) if known else None
 
     @property
     def noise_floor(self) -> Array:
@@ -195,15 +189,15 @@ class Digest(Short):
         size = len(self.columns) + 1
         found = np.zeros((len(self.joints), size, size))
         for own, joint in zip(found, self.joints, strict=True):
-            at = np.append(joint.columns, size - 1)
-            own[at[:, None], at] = joint.normal_matrix(delay=delay, block=block)
+            local = joint.local(self.settings.numbers)
+            at = np.append(np.flatnonzero(local >= 0), size - 1)
+            kept = np.append(local[local >= 0], len(joint.columns) + delay)
+            gram = joint.gram if block is None else joint.grams[block]
+            own[np.ix_(at, at)] = gram[np.ix_(kept, kept)]
         return found
 
 
-_JOINED = (  # arrays of blocks, and of logs
-    *("factors", "samples", "seen", "effort_sums", "carried", "autocovariances"),
-    *("inertia", "scale"),
-)
+_JOINED = "factors", "samples", "seen", "effort_sums", "carried", "autocovariances"  # of blocks
 
 
 def merge(digests: Sequence[Digest]) -> Digest:
@@ -253,6 +247,7 @@ def _joined(parts: Sequence[JointDigest]) -> JointDigest:
     together: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts]) for name in _JOINED
     }
+    together["rows"] = tuple(row for part in parts for row in part.rows)
     return replace(parts[0], peaks=np.max([part.peaks for part in parts], axis=0), **together)
 
 

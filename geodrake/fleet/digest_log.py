@@ -35,7 +35,7 @@ from geodrake.identification.logs.reduce import (
     peak_speeds,
     reduced_joints,
 )
-from geodrake.identification.logs.unknowns import Unknowns, payload_reference
+from geodrake.identification.logs.unknowns import payload_reference
 from geodrake.inertia import Array
 from geodrake.logs.files import Reading
 from geodrake.logs.folds import validation_blocks
@@ -229,7 +229,6 @@ def make_digest(
     folds = validation_blocks([trajectory], blocks=settings.blocks)
     effects = tuple(effect.made(extra) for effect in settings.effects)
     layout = Layout.of(own, effects, settings.sign_width, settings.still_speed)
-    layout = layout.over_base(settings.base)
     advance = [*(delays_of_joints(settings) + own.delays)]
     data = reduced_joints(layout, [trajectory], folds, advance)
     deviation = effort_deviation(
@@ -238,16 +237,17 @@ def make_digest(
     for joint, each in zip(own.joints, data, strict=True):
         if not np.isfinite(each.factors).all():
             raise LogError(f"Columns of {joint} are not finite in log {log.name!r}.")
-    digest = Digest(
-        settings,
-        (_about(log, trajectory, own, settings, facts),),
-        tuple(fold.name for fold in folds),
-        tuple(_joint(*each, settings) for each in zip(own.joints, data, strict=True)),
-    )
+    scale = np.zeros(len(own.joints))
     if settings.passive:
         scale = effort_scale(own, layout.tree, [trajectory], data, deviation)
-        inertia = passive_inertia(own, layout.tree, [trajectory])
-        digest = _with_passive(digest, scale, np.asarray(inertia))
+        scale[~np.isin(own.joints, settings.passive)] = 0.0
+    about = replace(
+        _about(log, trajectory, own, settings, facts),
+        effort_scale=scale,
+        passive_inertia=passive_inertia(own, layout.tree, [trajectory]),
+    )
+    joints = tuple(_joint(each, settings) for each in data)
+    digest = Digest(settings, (about,), tuple(fold.name for fold in folds), joints)
     return with_autocovariances(digest, model, data, extra=extra)
 
 
@@ -337,40 +337,22 @@ def _about(
         position,
         speed,
         temperature,
+        np.zeros(len(log.joints)),
+        None,
         (*log.notes, *trajectory.notes),
     )
 
 
-def _joint(name: str, data: JointData, settings: DigestSettings) -> JointDigest:
-    """Return a joint's sums over blocks, in the digests' order of columns; no autocovariances."""
-    inertial, base = settings.base_matrix.shape[1], len(settings.independent)
-    bodies = data.columns[data.columns < inertial]
-    effects = data.columns[len(bodies) :] - inertial + base
+def _joint(data: JointData, settings: DigestSettings) -> JointDigest:
+    """Return a joint's data without rows, and without autocovariances yet."""
     factors = [triangular_factor([factor]) for factor in data.factors]
     factors = [np.where(np.diagonal(R) < 0.0, -1.0, 1.0)[:, None] * R for R in factors]
     own = {
-        "columns": np.concatenate([np.searchsorted(settings.independent, bodies), effects]),
         "factors": np.array(factors),
-        "rows": (),
-        "joint": name,
+        "rows": tuple(() for _ in data.samples),
         "autocovariances": np.zeros((len(data.samples), settings.lags)),
-        "inertia": np.zeros((1, len(bodies) + len(effects))),
-        "scale": np.zeros(1),
     }
     return JointDigest(**{f.name: getattr(data, f.name) for f in fields(data)} | own)
-
-
-def _with_passive(digest: Digest, scale: Array, inertia: Array) -> Digest:
-    """Return a digest with what efforts (nv,) could be, and `Dataset.passive_inertia`."""
-    settings, joints = digest.settings, list(digest.joints)
-    for name in settings.passive:
-        j = settings.joints.index(name)
-        every = np.zeros(len(settings.columns))
-        # Those of base parameters are those of the inertial ones that stand for them.
-        every[: len(settings.independent)] = inertia[j, settings.independent]
-        own = every[joints[j].columns]
-        joints[j] = replace(joints[j], inertia=own[None], scale=scale[j : j + 1])
-    return replace(digest, joints=tuple(joints))
 
 
 def model_of_digests(model: RobotModel, settings: DigestSettings) -> RobotModel:
@@ -405,8 +387,6 @@ def digest_dataset(
     settings, extra = instance(digest, "digest", Digest).settings, instances(extra, "extra", type)
     model = model_of_digests(model, settings)
     effects = tuple(effect.made(extra) for effect in settings.effects)
-    layout = Layout.of(model, effects, settings.sign_width, settings.still_speed)
-    pairs = zip(digest.joints, layout.columns, strict=True)
     return Dataset(
         model.joints,
         model.bodies,
@@ -414,7 +394,7 @@ def digest_dataset(
         delays_of_joints(settings),
         digest.blocks,
         tuple(log.name for log in digest.logs),
-        tuple(_joint_data(joint, columns, settings) for joint, columns in pairs),
+        digest.joints,
         digest.effort_std,
         digest.noise_floor,
         digest.logs[0].bandwidth,
@@ -423,51 +403,13 @@ def digest_dataset(
         gain_uncertainty(
             model, [t.payloads for t in digest.logs], [t.gain_deviations for t in digest.logs]
         ),
-        passive_inertia=_passive_inertia(digest),
+        passive_inertia=digest.passive_inertia,
     )
-
-
-def _passive_inertia(digest: Digest) -> Array | None:
-    """Return `Dataset.passive_inertia`, the mean over logs."""
-    settings = digest.settings
-    if not settings.passive:
-        return None
-    base = np.zeros((len(digest.joints), len(settings.columns)))
-    for own, joint in zip(base, digest.joints, strict=True):
-        own[joint.columns] = joint.inertia.mean(axis=0)
-    return np.asarray(base[:, : len(settings.independent)] @ settings.base_matrix)
 
 
 def delays_of_joints(settings: DigestSettings) -> Array:
     """Return (d, nv) the delays of settings, of every joint, s."""
     return np.array([np.full(len(settings.joints), delay) for delay in settings.delays])
-
-
-def _joint_data(joint: JointDigest, columns: Indices, settings: DigestSettings) -> JointData:
-    """Return a joint's data from its blocks, over all inertial columns that act on it."""
-    inertial, base = settings.base_matrix.shape[1], len(settings.independent)
-    bodies = columns[columns < inertial]
-    own = joint.columns[joint.columns < base]
-    kept, efforts = len(own), len(settings.delays)
-    effects = len(joint.columns) - kept
-    beside = np.eye(effects + efforts)
-    spread = np.zeros((kept + len(beside), len(bodies) + len(beside)))
-    spread[:kept, : len(bodies)] = settings.base_matrix[np.ix_(own, bodies)]
-    spread[kept:, len(bodies) :] = beside
-    peaks = np.zeros(len(columns))
-    peaks[np.isin(columns, settings.independent)] = joint.peaks[:kept]
-    peaks[len(bodies) :] = joint.peaks[kept:]
-    width = len(columns)
-    return JointData(
-        columns,
-        joint.factors @ spread,
-        joint.samples,
-        tuple(() for _ in joint.samples),
-        joint.carried @ spread[: kept + effects, :width],
-        joint.seen,
-        joint.effort_sums,
-        peaks,
-    )
 
 
 def with_autocovariances(
@@ -495,31 +437,20 @@ def with_autocovariances(
             noisy *= dataset.inertias(unknowns.columns, x) ** 2
             unknowns = unknowns.pulled(dataset, x, noisy)
             held_out = CrossValidation(dataset, unknowns, weights, physical=False).held_out
-        x = held_out.x
-        digest = _with_residuals(digest, data, _parameters(dataset, unknowns, x, digest.settings))
+        digest = _with_residuals(digest, data, unknowns.columns, held_out.x)
         share = digest.effective_share
     return digest
 
 
-def _parameters(dataset: Dataset, unknowns: Unknowns, x: Array, settings: DigestSettings) -> Array:
-    """Return (B, p) parameters of the columns of digests, of those of unknowns (B, ·)."""
-    inertial, base = settings.base_matrix.shape[1], len(settings.independent)
-    width = inertial + len(settings.columns) - base
-    every = np.zeros((width, len(x)))
-    np.add.at(every, unknowns.columns, x.T)
-    return np.hstack([every[:inertial].T @ settings.base_matrix.T, every[inertial:].T])
-
-
-def _with_residuals(digest: Digest, data: Sequence[JointData], x: Array) -> Digest:
-    joints = []
+def _with_residuals(
+    digest: Digest, data: Sequence[JointData], columns: Indices, x: Array
+) -> Digest:
+    joints, lags = [], digest.settings.lags
     for joint, each in zip(digest.joints, data, strict=True):
+        parts = zip(each.rows, each.parameters(columns, x), each.samples, strict=True)
         of_blocks = [
-            _of_block(
-                [row.b[:, 0] - row.A @ own[joint.columns] for row in rows],
-                int(count),
-                digest.settings.lags,
-            )
-            for rows, own, count in zip(each.rows, x, each.samples, strict=True)
+            _of_block([row.b[:, 0] - row.A @ own for row in rows], int(count), lags)
+            for rows, own, count in parts
         ]
         joints.append(replace(joint, autocovariances=np.array(of_blocks)))
     return replace(digest, joints=tuple(joints))

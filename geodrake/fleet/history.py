@@ -242,16 +242,21 @@ def weighted_grams(digest: Digest, kept: Indices) -> tuple[list[JointGrams], Arr
     that are independent, over the variance of what the columns leave of the log itself: that of the
     sensors' noise at least, as a log of few rows leaves nothing.
     """
-    found, squares = [], []
+    settings, found, squares = digest.settings, [], []
+    numbers, bodies = settings.numbers[kept], settings.base_matrix.shape[1]
+    shares = np.zeros((len(digest.joints), bodies + len(settings.columns)))
+    if (inertia := digest.passive_inertia) is not None:
+        shares[:, :bodies] = inertia
     parts = zip(digest.joints, digest.effective_share, digest.noise_floor, strict=True)
-    for joint, share, noise in parts:
-        own = np.flatnonzero(np.isin(joint.columns, kept))
-        at, columns = np.append(own, len(joint.columns)), np.searchsorted(kept, joint.columns[own])
-        gram = joint.normal_matrix()[at[:, None], at]
+    for j, (joint, share, noise) in enumerate(parts):
+        local = joint.local(numbers)
+        columns, at = np.flatnonzero(local >= 0), np.append(local[local >= 0], len(joint.columns))
+        gram = joint.gram[np.ix_(at, at)]
         count = float(joint.samples.sum())
-        if joint.joint in digest.settings.passive:
-            found.append(JointGrams(columns, _passive_gram(joint, gram, kept, share)[None]))
-            squares.append(count * float(np.square(joint.scale).mean()))
+        if settings.joints[j] in settings.passive:
+            gram = _passive_gram(joint, gram, shares[j, numbers[columns]], share)
+            found.append(JointGrams(columns, gram[None]))
+            squares.append(count * float(digest.effort_scale[j]) ** 2)
             continue
         weight = share / max(_residual_variance(gram, count), noise**2) if count else 0.0
         found.append(JointGrams(columns, weight * gram[None]))
@@ -259,17 +264,17 @@ def weighted_grams(digest: Digest, kept: Indices) -> tuple[list[JointGrams], Arr
     return found, np.array(squares)
 
 
-def _passive_gram(joint: JointDigest, gram: Array, kept: Indices, share: float) -> Array:
+def _passive_gram(joint: JointDigest, gram: Array, inertia: Array, share: float) -> Array:
     """Return the weighted normal matrix of a joint without a motor, near the model's bodies.
 
-    What a row is worth is what the refitted model leaves. The likelihood of the inertia m that the
-    joint feels, over that of the model, is in it to second order: n (m − 2)², as in `LogFits`.
+    Its columns have the `inertia` (m,) of `Dataset.passive_inertia`. A row is worth what the
+    refitted model leaves. The likelihood of the inertia m that the joint feels, over that of the
+    model, is in it to second order: n (m − 2)², as in `LogFits`.
     """
     count = float(joint.samples.sum())
     if not count:
         return gram
     power = max(float(joint.autocovariances[:, 0].sum()), 1e-300)
-    inertia = joint.inertia.mean(axis=0)[np.isin(joint.columns, kept)]
     found = share * count / power * gram
     found[:-1, :-1] += share * count * inertia[:, None] * inertia
     found[:-1, -1] += 2.0 * share * count * inertia

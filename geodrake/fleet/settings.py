@@ -39,7 +39,7 @@ SETTINGS_FILE = "digest_settings.json"
 DIGEST_NAME = r"[0-9a-f]{32}\.digest"
 """Pattern of the names of digest files."""
 
-FORMAT = "geodrake digest 3"
+FORMAT = "geodrake digest 4"
 """Name and version of the format of settings and digests."""
 
 LAGS = 200
@@ -164,6 +164,13 @@ class DigestSettings(Short):
     def plain(self) -> dict[str, Any]:
         """Return the settings as JSON has them."""
         return dict(msgspec.to_builtins(self, enc_hook=np.ndarray.tolist))
+
+    @cached_property
+    def numbers(self) -> Indices:
+        """(p,) which columns of a `Dataset` with these effects the p columns are."""
+        bodies = self.base_matrix.shape[1]
+        of_effects = np.arange(len(self.columns) - len(self.independent))
+        return np.concatenate([self.independent, bodies + of_effects])
 
     @property
     def base(self) -> BaseParameters:

@@ -27,7 +27,6 @@ from geodrake.logs.motion import MEMORY, Motion, Trajectory
 from geodrake.logs.smoothing import SPLINE_REACH, Segment, Stretch
 from geodrake.model.carried_payloads import carried_phi, carrying
 from geodrake.model.robot_model import RobotModel
-from geodrake.robot.base_parameters import BaseParameters
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor, regressor_pieces
 
@@ -127,9 +126,6 @@ class Layout:
     sign_width: Array  # (nv,) speed below which the direction of motion is not known
     still_speed: Array  # (nv,) speed below which a joint counts as at rest
     columns: tuple[Indices, ...]  # per joint, the global indices of its columns
-    # Combinations of inertial parameters that take the place of all of them, if columns are to be
-    # no more than a robot can show; see `over_base`.
-    base: BaseParameters | None = None
     # (nv, nv) which joints rows have in them, where unknown contact forces are taken out.
     coupling: NDArray[np.bool_] | None = None
 
@@ -167,24 +163,6 @@ class Layout:
                 columns[joint].append(indices)
         joined = tuple(np.concatenate(c) for c in columns)
         return cls(model, effects, sign_width, still_speed, joined, coupling=coupling)
-
-    def over_base(self, base: BaseParameters) -> Layout:
-        """Return the layout with columns of the tree's base parameters, with the same span.
-
-        Y φ = Y_B (B φ), and Y_B are some of the columns of Y.
-        """
-        bodies = np.arange(self.model.phi.size)
-        gone = np.setdiff1d(bodies, base.independent)
-        kept = tuple(np.setdiff1d(columns, gone) for columns in self.columns)
-        return replace(self, columns=kept, base=base)
-
-    def visible_parameters(self, phi: Array) -> Array:
-        """Return (10·nb,) inertial parameters whose columns have the span of φ."""
-        if self.base is None:
-            return phi
-        parameters = np.zeros_like(phi)
-        parameters[self.base.independent] = self.base.matrix @ phi
-        return parameters
 
     @cached_property
     def parts(self) -> tuple[Part, ...]:
@@ -399,7 +377,7 @@ class LogSlice:
         It is less by what the columns of bodies have in them of effects that have their own.
         """
         layout = self.layout
-        phi = layout.visible_parameters(carried_phi(layout.model, self.trajectory.payloads).ravel())
+        phi = carried_phi(layout.model, self.trajectory.payloads).ravel()
         found = dict(zip(layout.parts, blocks, strict=True))
         effects = {part: own for part, own in found.items() if isinstance(part, Effect)}
         bodies = [
