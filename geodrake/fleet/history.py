@@ -98,9 +98,7 @@ class RobotHistory(Short):
     # (p,) or (T, p) parameters of the robot, as far as they are known, that gains of its joints
     # refer to; None without gains.
     reference: Array | None = None
-    # Of a history in a file: what it is of, and the hash of its logs' stamps.
-    task: HistoryTask | None = None
-    stamps: str = ""
+    task: HistoryTask | None = None  # what a history in a file is of
     # (n,) root of the mean square of the robot's efforts, N·m or N
     effort: Array = field(default_factory=lambda: np.zeros(0))
     logs: int = 0  # number of logs, of which several may be of one time; 0 for one at each
@@ -109,14 +107,12 @@ class RobotHistory(Short):
         """Return it in memory; logs are summed up again if another run has replaced the file."""
         if self.task is None or self.joints is not None:
             return self
-        sums = _read_sums(self.task)
-        if sums is None or text_hash(sums.stamps) != self.stamps:
-            sums, _ = _summed(self.task)
-            if not np.array_equal(sums.days, self.days):
-                raise FleetError(
-                    f"The digests of robot {self.robot} changed while they were read.",
-                    advice="Run the command again when no other one changes them.",
-                )
+        sums, _ = _summed(self.task)
+        if not np.array_equal(sums.history(self.task).days, self.days):
+            raise FleetError(
+                f"The digests of robot {self.robot} changed while they were read.",
+                advice="Run the command again when no other one changes them.",
+            )
         return replace(self, joints=sums.means())
 
     def equations(self) -> LogEquations:
@@ -146,11 +142,11 @@ class RobotHistory(Short):
 def read_history(task: HistoryTask) -> tuple[RobotHistory | None, list[tuple[LogRecord, str]]]:
     """Return a robot's history, and records whose digest cannot be read, each with its reason."""
     sums, refused = _summed(task)
-    if not sums.stamps:
-        return None, refused
-    known = task.robot, sums.days, sums.temperature, len(task.kept), None, None
-    stamps, logs = text_hash(sums.stamps), len(sums.stamps)
-    return RobotHistory(*known, task, stamps, sums.effort, logs), refused
+    if refused:
+        damaged = [record for record, _ in refused]
+        task = replace(task, records=[each for each in task.records if each not in damaged])
+        sums, _ = _summed(task)
+    return (sums.history(task) if sums.stamps else None), refused
 
 
 @dataclass(eq=False)
@@ -179,32 +175,24 @@ class _HistorySums:
         self.times[:, time] += (day, mean, 1.0, float(len(warm) > 0))
         self.efforts += (squares, digest.samples)
 
-    @property
-    def _there(self) -> NDArray[np.bool_]:
-        """(C,) which times have logs: T of them."""
-        return np.asarray(self.times[2] > 0.0)
-
-    @property
-    def days(self) -> Array:
-        """(T,) mean day of each time that has logs."""
-        days, _, logs, _ = self.times[:, self._there]
-        return np.asarray(days / logs)
-
-    @property
-    def temperature(self) -> Array:
-        """(T,) mean temperature of each of them, °C; NaN where it is not known."""
-        _, warm, _, known = self.times[:, self._there]
-        return np.where(known > 0.0, warm / np.maximum(known, 1.0), np.nan)
-
-    @property
-    def effort(self) -> Array:
-        """(n,) root of the mean square of efforts, N·m or N."""
+    def history(self, task: HistoryTask) -> RobotHistory:
+        """Return the history that these sums are of, without its matrices."""
+        days, warm, logs, known = self.times[:, self.times[2] > 0.0]
         squares, samples = self.efforts
-        return np.sqrt(squares / np.maximum(samples, 1.0))
+        return RobotHistory(
+            task.robot,
+            days / logs,
+            np.where(known > 0.0, warm / np.maximum(known, 1.0), np.nan),
+            len(task.kept),
+            None,
+            task=task,
+            effort=np.sqrt(squares / np.maximum(samples, 1.0)),
+            logs=len(self.stamps),
+        )
 
     def means(self) -> tuple[JointGrams, ...]:
         """Return the means of each joint at each time, in order of time; there must be a log."""
-        there = self._there
+        there = self.times[2] > 0.0
         counts = self.times[2, there, None, None]
         return tuple(JointGrams(each.columns, each.grams[there] / counts) for each in self.joints)
 
