@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import pickle
 import re
 import stat
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from types import CodeType, FunctionType
-from typing import Any, BinaryIO, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,7 +25,6 @@ try:
     from numba import __version__ as numba_version
     from numba import config, njit
     from numba.core import compiler, event
-    from numba.core.compiler_lock import global_compiler_lock
 except ImportError as error:
     raise GeodrakeError(
         f"geodrake needs Numba, which cannot be imported: {error}.",
@@ -40,8 +37,6 @@ if config.DISABLE_JIT:  # type: ignore[attr-defined]
     )
 
 F = TypeVar("F", bound=Callable[..., Any])
-
-_LONGEST_WAIT, _PAUSE = 120.0, 0.02  # s, for what another process compiles
 
 _SOURCES: dict[Callable[..., Any], str] = {}
 """Of each compiled function a digest of compiler, files, constants and functions it is made from.
@@ -123,8 +118,7 @@ def _compiled(function: F, **options: Any) -> F:
     parts = numba_version, _source(function.__code__.co_filename), constants, called
     source = sha256("".join(map(str, parts)).encode())
     _SOURCES[function] = source.hexdigest()
-    dispatcher._cache = kept = _Kept(function, _SOURCES[function])
-    dispatcher.compile = kept.in_turn(dispatcher.compile)
+    dispatcher._cache = _Kept(function, _SOURCES[function])
     return cast(F, dispatcher)
 
 
@@ -146,8 +140,7 @@ class _Kept:
     A file for each signature, with a digest of its sources. Numba's own files have numbers that an
     index tells, which every process writes anew: of two that compile at once one may be told the
     other's. It also looks at the time of the function's own file alone, and a full disk or a file
-    that was cut off would be an error of the call. Of processes that need the same, one compiles
-    it.
+    that was cut off would be an error of the call.
     """
 
     def __init__(self, function: Callable[..., Any], source: str) -> None:
@@ -156,36 +149,24 @@ class _Kept:
         name = re.sub(r"[<>]", "", function.__qualname__)
         version = f"py{sys.version_info[0]}{sys.version_info[1]}{sys.abiflags}"
         self._stem = f"{path.stem}.{name}-{function.__code__.co_firstlineno}.{version}"
-        self._source, self._turns = source, list[BinaryIO]()
-
-    @property
-    def lock(self) -> Path:
-        """File that is locked by the process whose turn it is to compile."""
-        return Path(self.cache_path or "", f"{self._stem}.lock")
-
-    def in_turn(self, compile_one: Callable[[Any], Any]) -> Callable[[Any], Any]:
-        """Return Numba's way to compile for a signature, after which it is others' turn."""
-
-        def alone(signature: Any) -> Any:
-            with global_compiler_lock:
-                try:
-                    return compile_one(signature)
-                finally:
-                    while self._turns:
-                        with suppress(OSError):
-                            self.lock.unlink(missing_ok=True)
-                        self._turns.pop().close()
-
-        return alone
+        self._source = source
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return what was kept; None if nothing was that can be read, when it is our turn."""
+        """Return what was kept, unless it is a link, or others can write it; None without."""
         target_context.refresh()
-        found = self._read(sig, target_context)
-        if found is None and self.cache_path is not None:
-            self._take_turn()
-            found = self._read(sig, target_context)  # another process may have made it
-        return found
+        if self.cache_path is None:
+            return None
+        with suppress(Exception):
+            path = self._file(sig, target_context.codegen())
+            number = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+            with os.fdopen(number, "rb") as file:
+                status = os.fstat(number)
+                if stat.S_ISREG(status.st_mode) and _is_own(status):
+                    source, data = pickle.loads(file.read())
+                    if source == self._source:
+                        rebuild: Any = compiler.CompileResult._rebuild
+                        return rebuild(target_context, *data)
+        return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep what was compiled, if there is room."""
@@ -205,32 +186,6 @@ class _Kept:
     def _file(self, sig: Any, codegen: Any) -> Path:
         key = sha256(repr((sig, codegen.magic_tuple())).encode()).hexdigest()[:16]
         return Path(self.cache_path or "", f"{self._stem}.{key}.nbc")
-
-    def _read(self, sig: Any, target_context: Any) -> Any:
-        """Return what a file holds, unless it is a link, or others can write it."""
-        with suppress(Exception):
-            path = self._file(sig, target_context.codegen())
-            number = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-            with os.fdopen(number, "rb") as file:
-                status = os.fstat(number)
-                if stat.S_ISREG(status.st_mode) and _is_own(status):
-                    source, data = pickle.loads(file.read())
-                    if source == self._source:
-                        rebuild: Any = compiler.CompileResult._rebuild
-                        return rebuild(target_context, *data)
-        return None
-
-    def _take_turn(self) -> None:
-        """Wait while another process compiles, unless that takes too long."""
-        end = time.monotonic() + _LONGEST_WAIT
-        with suppress(OSError):  # a folder that cannot be written, or one without locks
-            file = self.lock.open("wb")
-            self._turns.append(file)
-            while time.monotonic() < end:
-                with suppress(BlockingIOError):
-                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                    break
-                time.sleep(_PAUSE)
 
 
 def _places(path: Path) -> Iterator[tuple[Path, int]]:

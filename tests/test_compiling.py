@@ -1,6 +1,5 @@
 """Compiled loops: kept on disk, shared by processes, made anew when a file of theirs changes."""
 
-import fcntl
 import os
 import subprocess
 import sys
@@ -26,29 +25,6 @@ def keep_in(folder, monkeypatch):
     """Has Numba keep what it compiles there; it reads its variables again when they change."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(folder))
     monkeypatch.setattr(compiling.config, "CACHE_DIR", str(folder))
-
-
-def test_what_another_process_compiles_is_waited_for(monkeypatch, tmp_path):
-    keep_in(tmp_path, monkeypatch)
-    function = compiling.compiled(lambda x: x + 1.0)
-    lock = function._cache.lock
-    lock.parent.mkdir(parents=True, exist_ok=True)
-    other, waited = lock.open("wb"), []
-    fcntl.flock(other, fcntl.LOCK_EX)
-
-    def pause(seconds):
-        waited.append(seconds)
-        if len(waited) == 3:
-            other.close()
-
-    monkeypatch.setattr(compiling.time, "sleep", pause)
-    assert function(1.0) == 2.0
-    assert len(waited) == 3
-    assert not lock.exists()
-    with lock.open("wb") as other:
-        fcntl.flock(other, fcntl.LOCK_EX)
-        monkeypatch.setattr(compiling, "_LONGEST_WAIT", 0.0)
-        assert function(1) == 2.0  # compiled all the same
 
 
 @pytest.fixture
