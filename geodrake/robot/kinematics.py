@@ -17,35 +17,10 @@ from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import LumpedBody, is_base_frame, lumped_bodies
 from geodrake.robot.coordinates import RobotCoordinates
-from geodrake.robot.joints import FrameMotion, joint_motions, joints_of
-from geodrake.robot.recursion import MOBILIZER, Samples, TreeRecords
+from geodrake.robot.joints import joint_motions, joints_of
+from geodrake.robot.recursion import Mobilizer, Samples, TreeRecords, records_of
 
 _WORLD, _MASSLESS = -1, -2
-
-
-@dataclass(frozen=True)
-class Mobilizer:
-    """One joint of the tree and the body B that it moves; P is the body on its inboard side.
-
-    Attributes:
-        parent: Index of the inboard mobilizer in the tree, -1 for the world.
-        body: Index of B among the lumped bodies, negative for a massless frame within a joint.
-        positions: Where the mobilizer's positions are in q.
-        velocities: Where its velocities are in v.
-        dofs: Indices in v of all velocities that move B, the mobilizer's own ones last.
-        motion: Motion of the frame B, displaced to Mo, in P.
-        p_MoBo_B: (3,) position of Bo from the joint's Mo, m.
-        gravity: Whether gravity acts on B.
-    """
-
-    parent: int
-    body: int
-    positions: slice
-    velocities: slice
-    dofs: tuple[int, ...]
-    motion: FrameMotion
-    p_MoBo_B: Array  # noqa: N815
-    gravity: bool
 
 
 @dataclass(frozen=True)
@@ -174,24 +149,7 @@ class KinematicTree(Short):
     @cached_property
     def records(self) -> TreeRecords:
         """The tree for compiled code."""
-        most = max((len(mobilizer.dofs) for mobilizer in self.mobilizers), default=0)
-        dofs = np.zeros((len(self.mobilizers), most), np.int64)
-        records = np.zeros(len(self.mobilizers), MOBILIZER)
-        for record, own, mobilizer in zip(records, dofs, self.mobilizers, strict=True):
-            joint, q, v = mobilizer.motion, mobilizer.positions, mobilizer.velocities
-            own[: len(mobilizer.dofs)] = mobilizer.dofs
-            record["parent"], record["body"] = mobilizer.parent, mobilizer.body
-            record["positions"], record["velocities"] = (
-                (x.start, x.stop - x.start) for x in (q, v)
-            )
-            record["count"], record["features"] = len(mobilizer.dofs), joint.features
-            record["ratio"] = joint.ratio
-            for name in ("rotation", "translation", "angular", "linear"):
-                matrix = getattr(joint, name)
-                record[name][:, : matrix.shape[1]] = matrix
-            record["offset"], record["p_MoBo_B"] = joint.offset, mobilizer.p_MoBo_B
-            record["gravity"] = mobilizer.gravity * self.gravity
-        return records, dofs
+        return records_of(self.mobilizers, self.gravity)
 
 
 def actuator_rows(J: Array | None, rows: Array) -> Array:

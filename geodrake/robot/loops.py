@@ -15,7 +15,7 @@ the sample before, so that the loop stays put together as it is.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import chain, product
 
 import numpy as np
@@ -34,12 +34,14 @@ from geodrake.robot.joints import (
     single_joints,
     slide_motion,
 )
-from geodrake.robot.kinematics import KinematicTree, Mobilizer
+from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot.recursion import Mobilizer, records_of
 from geodrake.robot.stated import WORLD, Closure, places_of_links
 from geodrake.robot.transmission.loop import (
     CLOSURE,
     LoopRecords,
     LoopTransmission,
+    in_loop,
     miss,
     solved,
 )
@@ -125,11 +127,11 @@ def closed_loops(
 
 @dataclass(frozen=True)
 class _Link:
-    """A loop closure with its frames, and the mobilizers on either side only."""
+    """A loop closure with its frames, and the mobilizers on one side of it only."""
 
     closure: Closure
     ends: tuple[tuple[int, RigidTransform], tuple[int, RigidTransform]]
-    sides: Mapping[int, int]
+    apart: frozenset[int]
 
 
 _Group = tuple[set[int], list[_Link], list[Followers]]
@@ -162,7 +164,7 @@ class _LoopFinder:
         links, left_out = list[_Link](), list[str]()
         for closure in closures:
             link = self._link(closure)
-            several = [i for i in link.sides if self._velocity(i) not in self.place]
+            several = [i for i in sorted(link.apart) if self._velocity(i) not in self.place]
             if several:
                 moved = (self.tree.mobilizers[i].body for i in several)
                 bodies = dict.fromkeys(self.tree.bodies[body] for body in moved if body >= 0)
@@ -171,11 +173,11 @@ class _LoopFinder:
                     f"open tree, as {', '.join(bodies)} moves there by a joint of several "
                     "degrees of freedom."
                 )
-            elif link.sides:
+            elif link.apart:
                 links.append(link)
         groups = list[_Group]()
         new: list[_Group] = [
-            ({self._velocity(i) for i in link.sides}, [link], []) for link in links
+            ({self._velocity(i) for i in link.apart}, [link], []) for link in links
         ]
         free = {name for at, name in enumerate(self.names) if at not in self.leads}
         for part in self.how.bent:
@@ -213,9 +215,7 @@ class _LoopFinder:
             while at >= 0:
                 chains[-1].append(at)
                 at = self.tree.mobilizers[at].parent
-        apart = set(chains[0]) ^ set(chains[1])
-        sides = {i: 1 if i in chains[1] else -1 for i in sorted(apart)}
-        return _Link(closure, (ends[0], ends[1]), sides)
+        return _Link(closure, (ends[0], ends[1]), frozenset(chains[0]) ^ frozenset(chains[1]))
 
     def _loop(
         self, velocities: list[int], links: Sequence[_Link], ties: Sequence[Followers]
@@ -265,32 +265,31 @@ class _LoopFinder:
         self, velocities: list[int], links: Sequence[_Link], ties: Sequence[Followers]
     ) -> tuple[LoopRecords, tuple[bool, ...]]:
         """Return the loop without a choice of free joints, and which of its joints slide."""
-        own = sorted({i for link in links for i in link.sides})
+        own, mobilizers = sorted({i for link in links for i in link.apart}), list[Mobilizer]()
         local = {-1: -1, **{i: at for at, i in enumerate(own)}}
-        mobilizers = [self._alone(i, local, velocities.index(self._velocity(i))) for i in own]
+        for i in own:
+            mobilizer, at = self.tree.mobilizers[i], velocities.index(self._velocity(i))
+            leader, motion = self.leads.get(int(mobilizer.velocities.start)), mobilizer.motion
+            motion = motion if leader is None else motion.following(*leader[1:])
+            parent = local.get(mobilizer.parent, -1)
+            mobilizers.append(in_loop(mobilizers, parent, at, motion, mobilizer.p_MoBo_B))
         slides = {m.velocities.start for m in mobilizers if m.motion.features is Features.CONSTANT}
         count = len(velocities)
-        closures, sides = np.zeros(len(links), CLOSURE), list[dict[int, int]]()
+        closures = np.zeros(len(links), CLOSURE)
         for closure, link in zip(closures, links, strict=True):
             ends = [(local.get(at, -1), X) for at, X in link.ends]
-            sides.append({local[i]: side for i, side in link.sides.items()})
             if (cut := link.closure.cut) is not None:
                 at, X = ends[0]
                 motion = slide_motion(cut.axis) if cut.slides else axis_motion(cut.axis)
                 slides |= {count} if cut.slides else set()
-                motion = motion.between(X, np.eye(3))
-                place = slice(count, count + 1)
-                mobilizers.append(Mobilizer(at, -1, place, place, (), motion, np.zeros(3), False))
-                ends[0] = len(mobilizers) - 1, RigidTransform()
-                sides[-1][len(mobilizers) - 1] = -1
+                ends[0] = len(mobilizers), RigidTransform()
+                mobilizers.append(in_loop(mobilizers, at, count, motion.between(X, np.eye(3))))
                 count += 1
             for k, (at, X) in enumerate(ends):
-                closure["mobilizers"][k], closure["positions"][k] = at, X.translation()
+                closure["bodies"][k], closure["positions"][k] = at, X.translation()
                 closure["rotations"][k] = X.rotation().matrix()
             closure["turns"] = link.closure.turns
         size = _size(mobilizers, closures)
-        tree = replace(self.tree, mobilizers=tuple(mobilizers)).records
-        table = np.array([[each.get(i, 0) for i in range(len(mobilizers))] for each in sides])
         units = np.array([*(size if k in slides else 1.0 for k in range(count)), size])
         tied = [(part, joint) for part in ties for joint in part.joints]
         couplings = np.zeros((len(tied), count, _COEFFICIENTS))
@@ -298,20 +297,9 @@ class _LoopFinder:
             polynomial = part.joints[joint]
             row[velocities.index(self.names.index(part.leader)), : len(polynomial)] = polynomial
             row[velocities.index(self.names.index(joint)), 1] -= 1.0
-        none = np.zeros(0, np.int64)
-        shape = LoopRecords(tree, closures, table, couplings, none, none, np.zeros(count), units)
+        tree, none = records_of(mobilizers, np.zeros(3)), np.zeros(0, np.int64)
+        shape = LoopRecords(tree, closures, couplings, none, none, np.zeros(count), units)
         return shape, tuple(k in slides for k in range(count))
-
-    def _alone(self, index: int, local: Mapping[int, int], at: int) -> Mobilizer:
-        """Return a mobilizer in the loop: its parent's number there, and that of its joint."""
-        mobilizer, place = self.tree.mobilizers[index], slice(at, at + 1)
-        own, motion = int(mobilizer.velocities.start), mobilizer.motion
-        if own in self.leads:
-            motion = motion.following(*self.leads[own][1:])
-        parent = local.get(mobilizer.parent, -1)
-        return Mobilizer(
-            parent, -1, place, place, (), motion, mobilizer.p_MoBo_B, mobilizer.gravity
-        )
 
 
 def _chosen(
@@ -386,6 +374,6 @@ def _size(mobilizers: Sequence[Mobilizer], closures: NDArray[np.void]) -> float:
     arms = [m.p_MoBo_B for m in mobilizers]
     arms += [m.motion.offset - (at_base[0] if m.parent < 0 else 0.0) for m in mobilizers]
     for closure in closures:
-        for at, place in zip(closure["mobilizers"], closure["positions"], strict=True):
+        for at, place in zip(closure["bodies"], closure["positions"], strict=True):
             arms.append(place - (at_base[0] if at < 0 else 0.0))
     return float(np.linalg.norm(arms, axis=1).max(initial=0.0)) or 1.0

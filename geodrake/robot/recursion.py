@@ -18,6 +18,8 @@ This is linear in (m, h, I): the ten factors are the regressor's block. Where φ
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,7 +27,7 @@ from numpy.typing import NDArray
 
 from geodrake.compiling import compiled, inlined
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
-from geodrake.robot.joints import Features
+from geodrake.robot.joints import Features, FrameMotion
 from geodrake.robot.vectors import (
     Vector,
     add,
@@ -58,6 +60,32 @@ Record = Any
 Motion = tuple[Vector, Vector, Vector, Vector]
 """ω, u, α and a of a body B, in B."""
 
+
+@dataclass(frozen=True)
+class Mobilizer:
+    """One joint of the tree and the body B that it moves; P is the body on its inboard side.
+
+    Attributes:
+        parent: Index of the inboard mobilizer in the tree, -1 for the world.
+        body: Index of B among the lumped bodies, negative for a massless frame within a joint.
+        positions: Where the mobilizer's positions are in q.
+        velocities: Where its velocities are in v.
+        dofs: Indices in v of all velocities that move B, the mobilizer's own ones last.
+        motion: Motion of the frame B, displaced to Mo, in P.
+        p_MoBo_B: (3,) position of Bo from the joint's Mo, m.
+        gravity: Whether gravity acts on B.
+    """
+
+    parent: int
+    body: int
+    positions: slice
+    velocities: slice
+    dofs: tuple[int, ...]
+    motion: FrameMotion
+    p_MoBo_B: Array  # noqa: N815
+    gravity: bool
+
+
 MOBILIZER = np.dtype(
     [
         ("parent", np.int64),
@@ -77,7 +105,7 @@ MOBILIZER = np.dtype(
     ],
     align=True,
 )
-"""A mobilizer for compiled code; see `geodrake.robot.kinematics.Mobilizer`."""
+"""A `Mobilizer` for compiled code."""
 
 MOTION = np.dtype(
     [
@@ -103,6 +131,26 @@ TreeRecords = tuple[NDArray[np.void], Indices]
 
 Of the velocities, as many as the record counts.
 """
+
+
+def records_of(mobilizers: Sequence[Mobilizer], gravity: Array) -> TreeRecords:
+    """Return mobilizers, each after its parent, for compiled code."""
+    most = max((len(mobilizer.dofs) for mobilizer in mobilizers), default=0)
+    dofs = np.zeros((len(mobilizers), most), np.int64)
+    records = np.zeros(len(mobilizers), MOBILIZER)
+    for record, own, mobilizer in zip(records, dofs, mobilizers, strict=True):
+        joint, q, v = mobilizer.motion, mobilizer.positions, mobilizer.velocities
+        own[: len(mobilizer.dofs)] = mobilizer.dofs
+        record["parent"], record["body"] = mobilizer.parent, mobilizer.body
+        record["positions"], record["velocities"] = ((x.start, x.stop - x.start) for x in (q, v))
+        record["count"], record["features"] = len(mobilizer.dofs), joint.features
+        record["ratio"] = joint.ratio
+        for name in ("rotation", "translation", "angular", "linear"):
+            matrix = getattr(joint, name)
+            record[name][:, : matrix.shape[1]] = matrix
+        record["offset"], record["p_MoBo_B"] = joint.offset, mobilizer.p_MoBo_B
+        record["gravity"] = mobilizer.gravity * gravity
+    return records, dofs
 
 
 @inlined

@@ -29,8 +29,14 @@ from geodrake.compiling import contiguous
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.robot.joints import Features, FrameMotion
-from geodrake.robot.kinematics import KinematicTree, Mobilizer, actuator_rows
-from geodrake.robot.recursion import Samples, calc_inverse_dynamics, calc_kinematics, calc_regressor
+from geodrake.robot.kinematics import KinematicTree, actuator_rows
+from geodrake.robot.recursion import (
+    Mobilizer,
+    Samples,
+    calc_inverse_dynamics,
+    calc_kinematics,
+    calc_regressor,
+)
 
 _PIECE = 1 << 18  # numbers of a piece: two megabytes stay in a core's cache
 

@@ -1,5 +1,6 @@
 """Transmissions against differences, limits through them, and what is no transmission."""
 
+import msgspec
 import numpy as np
 import pytest
 from own_transmission import OwnTransmission
@@ -16,7 +17,7 @@ from geodrake.robot.transmission import (
     gears,
     rolling_joint,
 )
-from geodrake.robot.transmission.statements import Drive
+from geodrake.robot.transmission.statements import Drive, FourBarLinkage, LinearActuator
 
 
 def random_motion(count=6, width=2, seed=0):
@@ -71,6 +72,60 @@ def test_derivatives_are_differences_and_actuators_follow_from_the_joints(part):
     )
     np.testing.assert_allclose(moved.v, (after - before) / (2 * h), atol=1e-6)
     np.testing.assert_allclose(moved.vd, (after - 2 * here + before) / h**2, atol=1e-5)
+
+
+BARS = FourBarLinkage(
+    actuator="m", joint="j", ground=0.1, crank=0.04, coupler=0.09, rocker=0.06,
+    crank_angle=1.2, rocker_angle=1.5,
+)  # fmt: skip
+CYLINDER = LinearActuator(actuator="m", joint="j", base=0.5, lever=0.4, length=0.5, angle=1.16)
+
+
+def rocker_of(bars, q):
+    """The rocker's angle by the law of cosines in the triangle of coupler, rocker and diagonal."""
+    end = bars.crank * np.exp(1j * (q + bars.crank_angle)) - bars.ground
+    sides = abs(end) ** 2 + bars.rocker**2 - bars.coupler**2
+    bend = np.arccos(sides / (2 * bars.rocker * abs(end)))
+    return np.angle(end) + (bend if bars.crossed else -bend) - bars.rocker_angle
+
+
+def lever_of(cylinder, q):
+    a, b = cylinder.base, cylinder.lever
+    turned = np.arccos((a**2 + b**2 - (q + cylinder.length) ** 2) / (2 * a * b)) - cylinder.angle
+    return -turned if cylinder.reversed else turned
+
+
+@pytest.mark.parametrize(
+    ("part", "angle", "reach"),
+    [
+        (BARS, rocker_of, 9.0),
+        (msgspec.structs.replace(BARS, crossed=True), rocker_of, 9.0),
+        (msgspec.structs.replace(BARS, crank=0.08, crank_angle=0.9), rocker_of, 0.6),
+        (CYLINDER, lever_of, 0.39),
+        (msgspec.structs.replace(CYLINDER, reversed=True), lever_of, 0.39),
+    ],
+)
+def test_linkages_are_those_of_the_law_of_cosines(part, angle, reach):
+    """A crank that goes around goes on through several turns, joint and all."""
+    q, found = np.linspace(-reach, reach, 401)[:, None], Drive.of(part).map
+    theta, J, rate = found.along(q, np.ones_like(q))
+    turns = (theta[:, 0] - angle(part, q[:, 0])) / (2 * np.pi)
+    np.testing.assert_allclose(turns, np.round(turns), atol=1e-12)
+    assert np.abs(np.diff(theta[:, 0])).max() < 0.3
+    slope = (angle(part, q + 1e-6) - angle(part, q - 1e-6)) / 2e-6
+    np.testing.assert_allclose(J[:, 0], slope, atol=1e-6)
+    bend = (found.jacobian(q + 1e-5) - found.jacobian(q - 1e-5)) / 2e-5
+    np.testing.assert_allclose(rate, bend, rtol=1e-5, atol=1e-5)
+    low, high = found.range
+    assert low[0] <= -reach and high[0] >= reach
+
+
+def test_linkages_say_where_they_do_not_close():
+    assert np.abs(np.ravel(Drive.of(CYLINDER).map.range) - [-0.4, 0.4]).max() < 1e-3
+    with pytest.raises(ArgumentError, match="loop of the cylinder m does not close at m = 0.45"):
+        Drive.of(CYLINDER).map.joint_positions(np.array([[0.45]]))
+    with pytest.raises(ArgumentError, match="do not reach each other at q = 0 with the crank at 3"):
+        Drive.of(msgspec.structs.replace(BARS, ground=0.2, crank_angle=3.0))
 
 
 def test_a_joint_that_an_actuator_does_not_move_does_not_limit_it():

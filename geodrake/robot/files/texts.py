@@ -498,6 +498,7 @@ class UrdfText(ModelText):
                 self.terms.left_out.append(f"{where}: <joint> {name} of <gazebo> is ignored.")
                 continue
             X_RJ, driven = X_RC @ X_CJ, number(joint, "axis/limit/effort") > 0.0
+            turn = turn / np.linalg.norm(turn)
             cut = CutJoint(name, f"{scope}::{name}", turn, kind == "prismatic", driven)
             poses = RigidTransform(np.linalg.solve(self._pose(ends[0]), X_RJ)), RigidTransform(X_CJ)
             has_axis = kind not in ("ball", "fixed")

@@ -59,6 +59,12 @@ class Transmission(abc.ABC):
     def jacobian(self, q: Array) -> Array:
         """J = ∂T/∂q, (N, k, n), of q (N, n)."""
 
+    @property
+    def range(self) -> tuple[Array, Array]:
+        """Least and greatest positions (n,) of the actuators where the map is known."""
+        most = np.full(self.num_actuators, np.inf)
+        return -most, most
+
     def inside(self, q: Array) -> Array:
         """Actuator coordinates (N, n) moved to where the map is known; themselves by default."""
         return q

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -19,16 +20,20 @@ from geodrake.boundary.showing import Short
 from geodrake.compiling import compiled, contiguous, inlined
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import Array
-from geodrake.robot.recursion import MOTION, POSE, Record, TreeRecords, pose, put_pose
+from geodrake.robot.joints import Features, FrameMotion
+from geodrake.robot.recursion import (
+    Mobilizer,
+    Record,
+    TreeRecords,
+    calc_kinematics,
+    records_of,
+)
 from geodrake.robot.transmission import JointlyEvaluated
 from geodrake.robot.vectors import (
     Vector,
     add,
     column,
     cross,
-    put,
-    scale,
-    subtract,
     times,
     vector,
 )
@@ -43,23 +48,21 @@ _SLACK = 1e-3  # the same, by which a step may miss beside half of itself
 
 CLOSURE = np.dtype(
     [
-        ("mobilizers", np.int64, (2,)),  # -1 of what stands still
+        ("bodies", np.int64, (2,)),  # -1 of what stands still
         ("rotations", float, (2, 3, 3)),
         ("positions", float, (2, 3)),
         ("turns", np.int64),
     ],
     align=True,
 )
-"""A closure for compiled code: mobilizers of its bodies, and its frames in them."""
+"""A closure for compiled code: the bodies that it joins, and its frames in them."""
 
 
 class LoopRecords(NamedTuple):
     """A loop of k joints for compiled code.
 
     Attributes:
-        tree: Its mobilizers.
-        sides: On which side of each closure each mobilizer is: −1 and 1, and 0 where it moves both
-            or none.
+        tree: Its mobilizers, whose bodies have their numbers.
         couplings: (·, k, ·) coefficients of polynomials in each joint whose sums are zero.
         free: Numbers of the n joints that are free.
         following: Numbers of those that follow.
@@ -69,7 +72,6 @@ class LoopRecords(NamedTuple):
 
     tree: TreeRecords
     closures: NDArray[np.void]
-    sides: Indices
     couplings: Array
     free: Indices
     following: Indices
@@ -77,31 +79,17 @@ class LoopRecords(NamedTuple):
     units: Array
 
 
-@inlined
-def _frame(closure: Record, side: int, world: Record, R: Array, p: Array) -> None:
-    """Write the rotation and origin of a closure's frame into R (2, 3, 3) and p (2, 3)."""
-    at, place = closure.mobilizers[side], vector(closure.positions[side])
-    if at >= 0:
-        place = vector(world[at].p_WoBo_W)
-    for k in range(3):
-        axis = column(closure.rotations[side], k)
-        if at >= 0:
-            axis = times(world[at].R_WB, axis)
-            place = add(place, scale(closure.positions[side, k], column(world[at].R_WB, k)))
-        R[side, 0, k], R[side, 1, k], R[side, 2, k] = axis
-    put(p[side], place)
-
-
-@inlined
-def _axis(mobilizer: Record, motion: Record, world: Record) -> tuple[Vector, Vector, Vector]:
-    """Return ω and the velocity of Mo where a joint moves at 1, and where Mo is, in the world."""
-    z, t = column(mobilizer.angular, 0), column(mobilizer.linear, 0)
-    place, parent = vector(motion.p_PMo), mobilizer.parent
-    if parent >= 0:
-        R = world[parent].R_WB
-        z, t = times(R, z), times(R, t)
-        place = add(vector(world[parent].p_WoBo_W), times(R, place))
-    return z, t, place
+def in_loop(
+    before: Sequence[Mobilizer],
+    parent: int,
+    joint: int,
+    motion: FrameMotion,
+    p_MoBo_B: ArrayLike = (0.0, 0.0, 0.0),
+) -> Mobilizer:
+    """Return the next mobilizer of a loop, at the number of one of those before, and of a joint."""
+    inner = before[parent].dofs if parent >= 0 else ()
+    at, place = slice(joint, joint + 1), np.asarray(p_MoBo_B, float)
+    return Mobilizer(parent, len(before), at, at, (*inner, joint), motion, place, False)
 
 
 @inlined
@@ -112,45 +100,41 @@ def _copy(x: Array, out: Array) -> None:
 
 
 @inlined
-def _put(out: Array, first: int, at: int, factor: float, values: Vector) -> None:
-    out[first, at] += factor * values[0]
-    out[first + 1, at] += factor * values[1]
-    out[first + 2, at] += factor * values[2]
+def _axis(closure: Record, side: int, k: int, X: Array) -> Vector:
+    """Return the k-th axis of a closure's frame in the world, of poses (nb, 4, 4)."""
+    axis, at = column(closure.rotations[side], k), closure.bodies[side]
+    return axis if at < 0 else times(X[at], axis)
 
 
 @compiled
 def _find_misses(loop: Any, x: Array, room: Any, c: Array, J: Array) -> None:
     """Write by how much closures miss, (m,), and J (m, k), at x (1, k)."""
-    (mobilizers, _), closures, sides = loop.tree, loop.closures, loop.sides
-    size = loop.units[-1]
-    motions, world, features, R, p = room
-    c[:], J[:] = 0.0, 0.0
-    for i in range(len(mobilizers)):
-        pose(mobilizers[i], x, 0, features, motions[i])
-        put_pose(mobilizers[i], motions[i], world, world[i])
-    first = 0
+    closures, size, first = loop.closures, loop.units[-1], 0
+    poses, angular, linear = room
+    c[:], J[:], poses[:], angular[:], linear[:] = 0.0, 0.0, 0.0, 0.0, 0.0
+    calc_kinematics(loop.tree, x, poses, angular, linear)
+    X = poses[0]
     for e in range(len(closures)):
         closure = closures[e]
         for side in range(2):
-            _frame(closure, side, world, R, p)
-        for j in range(3):
-            c[first + j] = (p[1, j] - p[0, j]) / size
-        if closure.turns:
-            for k in range(3):
-                a = R[0, 0, k], R[0, 1, k], R[0, 2, k]
-                b = R[1, 0, k], R[1, 1, k], R[1, 2, k]
-                turn = cross(a, b)
-                for j in range(3):
-                    c[first + 3 + j] += 0.5 * turn[j]
-        for i in range(len(mobilizers)):
-            side = sides[e, i]
-            if side != 0:
-                at = mobilizers[i].velocities[0]
-                z, t, place = _axis(mobilizers[i], motions[i], world)
-                end = vector(p[(side + 1) // 2])
-                _put(J, first, at, side / size, add(t, cross(z, subtract(end, place))))
-                if closure.turns:
-                    _put(J, first + 3, at, float(side), z)
+            sign, at, arm = 2.0 * side - 1.0, closure.bodies[side], vector(closure.positions[side])
+            place = arm
+            if at >= 0:
+                arm = times(X[at], arm)
+                place = add(arm, (X[at, 0, 3], X[at, 1, 3], X[at, 2, 3]))
+                for k in range(J.shape[1]):
+                    spin = column(angular[0, at], k)
+                    slide = add(column(linear[0, at], k), cross(spin, arm))
+                    for j in range(3):
+                        J[first + j, k] += sign / size * slide[j]
+                        if closure.turns:
+                            J[first + 3 + j, k] += sign * spin[j]
+            for j in range(3):
+                c[first + j] += sign / size * place[j]
+        for k in range(3 if closure.turns else 0):
+            turn = cross(_axis(closure, 0, k, X), _axis(closure, 1, k, X))
+            for j in range(3):
+                c[first + 3 + j] += 0.5 * turn[j]
         first += 6 if closure.turns else 3
     _add_couplings(loop.couplings, x, first, c, J)
 
@@ -238,18 +222,13 @@ def _follow(loop: Any, J: Array, B: Array, rooms: Any, out: Array) -> None:
 
 @inlined
 def _rooms(loop: Any) -> Any:
-    """Work arrays for poses and `_follow`, for c (m,), J (m, k) and a posture (1, k)."""
-    (mobilizers, _), closures, m, k = (
-        loop.tree,
-        loop.closures,
-        len(loop.couplings),
-        len(loop.reference),
-    )
-    width, d = max(len(loop.free), 1), len(loop.following)
+    """Work arrays for kinematics and `_follow`, for c (m,), J (m, k) and a posture (1, k)."""
+    (mobilizers, _), closures, k = loop.tree, loop.closures, len(loop.reference)
+    m, width, d = len(loop.couplings), max(len(loop.free), 1), len(loop.following)
     for e in range(len(closures)):
         m += 6 if closures[e].turns else 3
-    motions, world = np.empty(len(mobilizers), MOTION), np.empty(len(mobilizers), POSE)
-    room = motions, world, np.empty(9), np.empty((2, 3, 3)), np.empty((2, 3))
+    shape = 1, len(mobilizers), 3, k
+    room = np.empty((1, len(mobilizers), 4, 4)), np.empty(shape), np.empty(shape)
     solving = np.empty((m, d)), np.empty((m, width)), np.empty((d, d)), np.empty((d, width))
     return room, solving, np.empty(m), np.empty((m, k)), np.empty((1, k))
 
@@ -510,9 +489,10 @@ class LoopTransmission(JointlyEvaluated, Short):
             calc_loop_rates(self.records, theta, G, contiguous(v), rate)
         return theta, G, rate
 
-    def actuator_positions(self, theta: Array, *, start: object = 0.0) -> Array:
-        """Return Q (N, n) of the independent joints, whatever the others'."""
-        del start
+    def actuator_positions(self, theta: Array, *, start: ArrayLike = 0.0) -> Array:
+        """Return Q (N, n) of the independent joints, whatever the others', if they are shown."""
+        if not np.isin(self.free, self.shown).all():
+            return super().actuator_positions(theta, start=start)
         return np.array(theta[:, np.searchsorted(self.shown, self.free)])
 
     def inside(self, q: Array) -> Array:
@@ -521,6 +501,7 @@ class LoopTransmission(JointlyEvaluated, Short):
         moved = there + (1.0 - _OFF_THE_END) * share[:, None] * (q - there)
         return np.where((share < 1.0)[:, None], moved, q)
 
+    @cached_property
     def range(self) -> tuple[Array, Array]:
         """Least and greatest positions (n,) of the free joints between which the loop closes."""
         (lower, upper), there = self.limits[:, self.free], self.reference[self.free]
@@ -557,3 +538,42 @@ class LoopTransmission(JointlyEvaluated, Short):
 
 def _places(names: Sequence[str], values: ArrayLike) -> str:
     return ", ".join(f"{n} = {x:.4g}" for n, x in zip(names, np.asarray(values), strict=True))
+
+
+def linkage(
+    what: str,
+    joints: Sequence[tuple[str, int, FrameMotion]],
+    ends: Sequence[tuple[int, float]],
+    reference: ArrayLike,
+    *,
+    free: int,
+    size: float,
+) -> LoopTransmission:
+    """Return how the last of three joints of a flat linkage follows another one.
+
+    Args:
+        joints: Name, number of the joint inboard of it, −1 for the ground, and motion of each.
+        ends: Two joints, and where on the x axes of what they move the points are that are one, m.
+        reference: (3,) a posture in which the linkage is closed.
+        free: Number of the joint that the actuator moves.
+        size: Of the linkage, m.
+    """
+    mobilizers, closures = list[Mobilizer](), np.zeros(1, CLOSURE)
+    for at, (_, parent, motion) in enumerate(joints):
+        mobilizers.append(in_loop(mobilizers, parent, at, motion))
+    for side, (at, place) in enumerate(ends):
+        closures[0]["bodies"][side], closures[0]["positions"][side] = at, [place, 0.0, 0.0]
+        closures[0]["rotations"][side] = np.eye(3)
+    slides = tuple(motion.features is Features.CONSTANT for _, _, motion in joints)
+    records = LoopRecords(
+        records_of(mobilizers, np.zeros(3)),
+        closures,
+        np.zeros((0, 3, 1)),
+        np.array([free]),
+        np.array([at for at in range(3) if at != free]),
+        np.array(reference, float),
+        np.array([*(size if slide else 1.0 for slide in slides), size]),
+    )
+    names, ends_of_joints = tuple(name for name, _, _ in joints), np.full(3, np.inf)
+    limits = np.stack([-ends_of_joints, ends_of_joints])
+    return LoopTransmission(what, names, records, np.array([2]), (), slides, limits, (), 0.0)

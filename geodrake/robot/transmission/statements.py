@@ -24,6 +24,7 @@ from typing import Literal, get_args, get_type_hints
 
 import numpy as np
 from numpy.polynomial.polynomial import polyder, polyval
+from pydrake.math import RigidTransform
 from scipy.interpolate import CubicSpline
 
 from geodrake.boundary.arguments import file_path, instance, instances, number, real_array
@@ -32,15 +33,14 @@ from geodrake.boundary.yaml_schema import Schema, as_schema
 from geodrake.boundary.yaml_text import yaml_content
 from geodrake.errors import ArgumentError, GeodrakeError, ModelError
 from geodrake.inertia import Array
+from geodrake.robot.joints import FrameMotion, axis_motion, slide_motion
 from geodrake.robot.transmission import (
-    InSequence,
     JointlyEvaluated,
     LinearTransmission,
-    SideBySide,
     Transmission,
     rolling_joint,
 )
-from geodrake.robot.transmission.loop import LoopTransmission
+from geodrake.robot.transmission.loop import LoopTransmission, linkage
 
 Kind = Literal["", "revolute", "prismatic"]
 """How an actuator moves: as the joint does if empty."""
@@ -53,35 +53,50 @@ _ACTUATOR, _JOINT = ("actuator", "leader"), ("leader", "joint", "rotor")  # fiel
 _OFF_THE_END = 1e-3  # of the range, where a linkage still moves
 _LEAST_POINTS = 3  # of a table, whose spline has curvature
 _EVERYWHERE = -np.inf, np.inf
+_AXES = np.eye(3)
+_TURN = axis_motion(_AXES[2])
+
+
+def _at(motion: FrameMotion, x: float) -> FrameMotion:
+    """Return a motion at a place on the x axis, m."""
+    return motion.between(RigidTransform([x, 0.0, 0.0]), _AXES)
 
 
 @dataclass(frozen=True, eq=False)
-class ScalarTransmission(JointlyEvaluated, Short):
-    """θ = f(q) of one actuator and one joint.
+class Curves(JointlyEvaluated, Short):
+    """θ_i = f_i(q) of one actuator and k joints.
 
     Attributes:
-        law: f and its derivatives.
-        range: Between which q f is known.
+        laws: f_i and their derivatives.
+        ends: Between which q they are known.
     """
 
-    law: Law
-    range: tuple[float, float] = _EVERYWHERE
+    laws: tuple[Law, ...]
+    ends: tuple[float, float] = _EVERYWHERE
 
     @property
     def shape(self) -> tuple[int, int]:
-        """One, and one."""
-        return 1, 1
+        """As many joints as laws, and one actuator."""
+        return len(self.laws), 1
 
     def along(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
         """θ = f(q), J = f′(q) and J̇ = f″(q) q̇, of q and q̇ (N, 1)."""
-        own, rate = self._q(q)[:, 0], np.zeros(len(q))
+        own, rate = self._q(q)[:, 0], np.zeros((len(q), len(self.laws)))
         if v is not None:
-            rate = self.law(own, 2) * real_array(v, "v", ("N", 1))[:, 0]
-        return self.law(own, 0)[:, None], self.law(own, 1)[:, None, None], rate[:, None, None]
+            rate = self._of(own, 2) * real_array(v, "v", ("N", 1))
+        return self._of(own, 0), self._of(own, 1)[:, :, None], rate[:, :, None]
+
+    def _of(self, q: Array, order: int) -> Array:
+        return np.stack([law(q, order) for law in self.laws], axis=1)
+
+    @property
+    def range(self) -> tuple[Array, Array]:
+        """Return the ends."""
+        return np.array(self.ends[:1]), np.array(self.ends[1:])
 
     def inside(self, q: Array) -> Array:
         """Return positions moved to where f is known, a little off its ends."""
-        low, high = self.range
+        low, high = self.ends
         if not np.isfinite([low, high]).all():
             return q
         off = _OFF_THE_END * (high - low)
@@ -107,10 +122,6 @@ class Statement(Schema):
     def slides(self) -> bool | None:
         """Return whether the actuators are prismatic; None if they are of the joints' kind."""
         return _SLIDES[getattr(self, "kind", "")]
-
-    def range(self) -> tuple[float, float] | None:
-        """Return the range of an actuator's positions, rad or m; None for all."""
-        return None
 
 
 class Gear(Statement):
@@ -204,10 +215,8 @@ class Followers(Statement):
 
     def transmission(self) -> Transmission:
         """Return θ = q, and the polynomials of q."""
-        alike = LinearTransmission.of([[1.0]])
-        laws = (polynomial(np.array(c, float)) for c in self.joints.values())
-        maps = (alike, *map(ScalarTransmission, laws))
-        return InSequence((LinearTransmission.of([[1.0]] * len(maps)), SideBySide(maps)))
+        own = [0.0, 1.0], *self.joints.values()
+        return Curves(tuple(polynomial(np.array(c, float)) for c in own))
 
 
 def polynomial(coefficients: Array) -> Law:
@@ -235,31 +244,15 @@ class OneJoint(Statement):
     actuator: str
     joint: str
 
-    def law(self) -> Law:
-        """Return f and its derivatives; raise an ArgumentError if undefined."""
-        raise NotImplementedError
-
-    def transmission(self) -> ScalarTransmission:
-        """Return the map."""
-        return ScalarTransmission(self.law(), self._known())
-
-    def range(self) -> tuple[float, float] | None:
-        """Return where f is known."""
-        self.law()  # which refuses what has none
-        return self._known()
-
-    def _known(self) -> tuple[float, float]:
-        return _EVERYWHERE
-
 
 class Polynomial(OneJoint):
     """θ = c₀ + c₁ q + c₂ q² + …."""
 
     coefficients: list[float]
 
-    def law(self) -> Law:
+    def transmission(self) -> Transmission:
         """Return the polynomial."""
-        return polynomial(np.array(self.coefficients, float))
+        return Curves((polynomial(np.array(self.coefficients, float)),))
 
 
 class PositionTable(OneJoint):
@@ -269,7 +262,7 @@ class PositionTable(OneJoint):
     joint_positions: list[float]
     kind: Kind = ""
 
-    def law(self) -> Law:
+    def transmission(self) -> Transmission:
         """Return the natural spline, which extrapolates linearly."""
         q = real_array(np.array(self.actuator_positions, float), "actuator_points", ("m",))
         if len(q) < _LEAST_POINTS or not (np.diff(q) > 0.0).all():
@@ -278,12 +271,8 @@ class PositionTable(OneJoint):
                 f"{q.tolist()}."
             )
         theta = real_array(np.array(self.joint_positions, float), "joint_points", (len(q),))
-        return partial(_along, CubicSpline(q, theta, bc_type="natural"))
-
-    def range(self) -> tuple[float, float]:
-        """Return its first and its last position."""
-        self.law()
-        return self.actuator_positions[0], self.actuator_positions[-1]
+        law = partial(_along, CubicSpline(q, theta, bc_type="natural"))
+        return Curves((law,), (float(q[0]), float(q[-1])))
 
 
 class FourBarLinkage(OneJoint):
@@ -311,78 +300,37 @@ class FourBarLinkage(OneJoint):
         """Return that it turns."""
         return False
 
-    def law(self) -> Law:
-        """Return the rocker's angle from where θ = 0, within half a turn of it.
-
-        The slope is r_crank sin(φ − κ) / (r_rocker sin(ψ − κ)), with κ the angle of the coupler,
-        whose own slope follows from the loop.
-        """
-        for name in ("ground", "crank", "coupler", "rocker"):
-            number(getattr(self, name), name, lower=0.0, strict=True)
+    def transmission(self) -> Transmission:
+        """Return the closed loop of crank, coupler and rocker, put together as it is at q = 0."""
+        lengths = {key: getattr(self, key) for key in ("ground", "crank", "coupler", "rocker")}
+        for name, length in lengths.items():
+            number(length, name, lower=0.0, strict=True)
         for name in ("crank_angle", "rocker_angle"):
             number(getattr(self, name), name)
-        low, high = self._known()
-        if not low < 0.0 < high:
+        end = self.crank * np.exp(1j * self.crank_angle) - self.ground  # from the rocker's pivot
+        sides = abs(end) ** 2 + self.rocker**2 - self.coupler**2
+        cosine = sides / (2.0 * self.rocker * abs(end)) if end else np.inf
+        if not abs(cosine) < 1.0:
             raise ArgumentError(
                 "The bars of the four-bar linkage do not reach each other at q = 0 with the "
                 f"crank at {self.crank_angle:g} rad.",
                 advice="Check its lengths and crank_angle.",
             )
-        return self._rocker
-
-    def _known(self) -> tuple[float, float]:
-        """Range of q in which the bars meet, rad; infinite if the crank rotates fully.
-
-        The diagonal from the crank's end to the rocker's pivot is between |r − c| and r + c.
-        """
-        sides = self.crank**2 + self.ground**2
-        spans = (self.rocker + self.coupler) ** 2, (self.rocker - self.coupler) ** 2
-        least, most = ((sides - span) / (2.0 * self.crank * self.ground) for span in spans)
-        if least >= 1.0 or most <= -1.0:
-            return 0.0, 0.0
-        crank = float(np.mod(self.crank_angle + np.pi, 2.0 * np.pi) - np.pi)
-        outer = np.arccos(least) if least > -1.0 else np.pi
-        inner = np.arccos(most) if most < 1.0 else 0.0
-        if outer == np.pi and inner == 0.0:
-            return -np.inf, np.inf
-        if inner == 0.0:
-            return float(-outer - crank), float(outer - crank)
-        if outer == np.pi:
-            crank = crank % (2.0 * np.pi)
-            return float(inner - crank), float(2.0 * np.pi - inner - crank)
-        side = np.sign(crank) if crank else 1.0
-        ends = sorted((side * inner - crank, side * outer - crank))
-        return float(ends[0]), float(ends[1])
-
-    def _rocker(self, q: Array, order: int) -> Array:
-        crank, rocker, coupler = self._angles(q)
-        if order == 0:
-            return np.asarray(np.mod(rocker - self.rocker_angle + np.pi, 2.0 * np.pi) - np.pi)
-        lever = self.rocker * np.sin(rocker - coupler)
-        slope = self.crank * np.sin(crank - coupler) / lever
-        if order == 1:
-            return np.asarray(slope)
-        turn = self.crank * np.sin(crank - rocker) / (self.coupler * np.sin(rocker - coupler))
-        driven = self.crank * np.cos(crank - coupler) * (1.0 - turn)
-        driving = slope * self.rocker * np.cos(rocker - coupler) * (slope - turn)
-        return np.asarray((driven - driving) / lever)
-
-    def _angles(self, q: Array) -> tuple[Array, Array, Array]:
-        """Return angles (N,) of crank, rocker and coupler."""
-        crank = q + self.crank_angle
-        x, y = self.crank * np.cos(crank) - self.ground, self.crank * np.sin(crank)
-        diagonal = np.hypot(x, y)
-        cosine = (diagonal**2 + self.rocker**2 - self.coupler**2) / (2.0 * self.rocker * diagonal)
-        if (beyond := ~(np.abs(cosine) < 1.0)).any():
-            raise ArgumentError(
-                f"The bars of the four-bar linkage do not reach each other at q = "
-                f"{q[beyond][0]:.4g} rad.",
-                advice="Check its lengths and crank_angle, and that the log is of this actuator.",
-            )
-        bend = np.arccos(cosine)
-        rocker = np.arctan2(y, x) + (bend if self.crossed else -bend)
-        ends = self.rocker * np.cos(rocker) - x, self.rocker * np.sin(rocker) - y
-        return crank, rocker, np.arctan2(ends[1], ends[0])
+        rocker = np.angle(end) + np.arccos(cosine) * (1.0 if self.crossed else -1.0)
+        coupler = np.angle(self.rocker * np.exp(1j * rocker) - end) - self.crank_angle
+        half = np.mod(rocker - self.rocker_angle + np.pi, 2.0 * np.pi) - np.pi
+        return linkage(
+            f"the four-bar linkage of {self.actuator}",
+            [
+                (self.actuator, -1, _TURN.following(1.0, self.crank_angle)),
+                ("coupler", 0, _at(_TURN, self.crank)),
+                (self.joint, -1, _at(_TURN, self.ground).following(1.0, self.rocker_angle)),
+            ],
+            [(1, self.coupler), (2, self.rocker)],
+            [0.0, coupler, half],
+            free=0,
+            size=max(lengths.values()),
+        )
 
 
 class LinearActuator(OneJoint):
@@ -409,39 +357,29 @@ class LinearActuator(OneJoint):
         """Return that it does."""
         return True
 
-    def law(self) -> Law:
-        """Return γ less that at θ = 0, with its sign; the slope is L / (a b sin γ)."""
+    def transmission(self) -> Transmission:
+        """Return the closed loop of base, cylinder and lever, in which γ is from 0 to π."""
         for name in ("base", "lever"):
             number(getattr(self, name), name, lower=0.0, strict=True)
         number(self.length, "length", lower=0.0)
         number(self.angle, "angle", lower=0.0, upper=float(np.pi))
-        return self._opening
-
-    def _known(self) -> tuple[float, float]:
-        """Return between which q the triangle closes, m."""
-        return abs(self.base - self.lever) - self.length, self.base + self.lever - self.length
-
-    def _opening(self, q: Array, order: int) -> Array:
-        sign, cosine = -1.0 if self.reversed else 1.0, self._cosine(q)
-        if order == 0:
-            return np.asarray(sign * (np.arccos(cosine) - self.angle))
-        area, sine = self.base * self.lever, np.sqrt(1.0 - cosine**2)
-        if order == 1:
-            return np.asarray(sign * (q + self.length) / (area * sine))
-        bend = cosine * ((q + self.length) / (area * sine)) ** 2
-        return np.asarray(sign * (1.0 / area - bend) / sine)
-
-    def _cosine(self, q: Array) -> Array:
-        squares = self.base**2 + self.lever**2 - (q + self.length) ** 2
-        cosine = squares / (2.0 * self.base * self.lever)
-        if (beyond := ~(np.abs(cosine) < 1.0)).any():
-            low, high = self._known()
-            raise ArgumentError(
-                f"The cylinder cannot reach q = {q[beyond][0]:.4g} m: its range is {low:.4g} "
-                f"to {high:.4g} m.",
-                advice="Check base, lever and length, and that the log is of this actuator.",
-            )
-        return np.asarray(cosine)
+        side, square = -1.0 if self.reversed else 1.0, np.hypot(self.base, self.lever)
+        return linkage(
+            f"the cylinder {self.actuator}",
+            [
+                ("pivot", -1, _at(_TURN, self.base)),
+                (self.actuator, 0, slide_motion(_AXES[0]).following(1.0, self.length)),
+                (self.joint, -1, _TURN.following(side, self.angle)),
+            ],
+            [(1, 0.0), (2, self.lever)],
+            [
+                np.arctan2(self.lever, -self.base),
+                square - self.length,
+                side * (0.5 * np.pi - self.angle),
+            ],
+            free=1,
+            size=max(self.base, self.lever),
+        )
 
 
 class Stated(Schema):
@@ -479,7 +417,8 @@ class Drive(Short):
         map: θ = T(q) from the actuators to the joints.
         slides: Whether each actuator slides, so that its positions are in m and its efforts in N;
             None for each as the joint in whose place it stands.
-        range: Positions (n,) of the actuators between which the map holds, rad or m.
+        range: Positions (n,) of the actuators between which they may be, rad or m; None for all
+            where the map holds.
         statement: What it was made of, which is saved; None for one of functions of your own.
     """
 
@@ -508,33 +447,29 @@ class Drive(Short):
     @property
     def is_loop(self) -> bool:
         """Whether it is a closed loop of the model file."""
-        return isinstance(self.map, LoopTransmission)
+        return isinstance(self.map, LoopTransmission) and self.statement is None
 
     @classmethod
     def of_loop(cls, loop: LoopTransmission) -> Drive:
         """Return a closed loop as a drive."""
         names = tuple(loop.joints[at] for at in loop.shown)
-        return cls(loop.actuators, names, loop, range=loop.range())
+        return cls(loop.actuators, names, loop)
 
     @property
     def limits(self) -> tuple[Array, Array]:
-        """Range of positions (n,) of the map, rad or m."""
-        if self.range is not None:
-            return self.range
-        most = np.full(len(self.actuators), np.inf)
-        return -most, most
+        """Range of positions (n,) of the actuators, rad or m."""
+        return self.map.range if self.range is None else self.range
 
     @classmethod
     def of(cls, statement: Statement) -> Drive:
         """Return the drive that a part of a transmission file states."""
-        range_, slides = statement.range(), statement.slides()
+        slides = statement.slides()
         return cls(
             statement.actuator_names(),
             statement.joint_names(),
             statement.transmission(),
             None if slides is None else (slides,) * len(statement.actuator_names()),
-            None if range_ is None else (np.array([range_[0]]), np.array([range_[1]])),
-            statement,
+            statement=statement,
         )
 
 
