@@ -178,7 +178,7 @@ class RobotModel(Short):
         names, driven = joint_names(self.plant), {j for d in self.transmission for j in d.joints}
         return {
             names[to]: (names[of], ratio)
-            for to, of, ratio, _ in self.coordinates.led.each()
+            for to, (of, ratio, _) in self.coordinates.leads.items()
             if names[of] not in driven
         }
 
@@ -244,7 +244,7 @@ class RobotModel(Short):
     def joint_pairs(self) -> tuple[tuple[str, str], ...]:
         """Pairs of single-degree joints of one type that follow each other along the tree."""
         mobilizers, pairs = self.joint_tree.mobilizers, []
-        leaders = {to: of for to, of, *_ in self.coordinates.led.each()}
+        leaders = {to: lead.velocity for to, lead in self.coordinates.leads.items()}
         for mobilizer in mobilizers:
             if mobilizer.parent < 0:
                 continue

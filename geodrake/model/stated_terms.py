@@ -146,7 +146,7 @@ def _places(loaded: LoadedPlant, coordinates: RobotCoordinates) -> dict[str, sta
         at: stated.Followed(*coordinates.ratios.get(at, (name, 1.0, 0.0)))
         for at, name in enumerate(names)
     }
-    for to, of, ratio, offset in coordinates.led.each():
+    for to, (of, ratio, offset) in coordinates.leads.items():
         name, inner, place = own[of]
         own[to] = stated.Followed(name, ratio * inner, ratio * place + offset)
     keys = (

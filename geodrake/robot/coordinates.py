@@ -11,9 +11,10 @@ box is one inside its limits, in which every actuator may go as far in proportio
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from geodrake.compiling import contiguous
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
-from geodrake.robot.joints import Follower, Indices, joint_names, joints_of, scoped, single_joints
+from geodrake.robot.joints import Follower, Indices, joint_names, scoped, single_joints
 from geodrake.robot.transmission import times
 from geodrake.robot.transmission.loop import LoopTransmission
 from geodrake.robot.transmission.statements import Drive
@@ -48,50 +49,18 @@ class Places:
     joint_v: Indices
 
 
-@dataclass(frozen=True, eq=False)
-class Led:
-    """Joints that follow others, θ = r θ_leader + θ₀, by their places in q and v of the tree.
+class Lead(NamedTuple):
+    """What a joint follows, θ = r θ_leader + θ₀: a velocity of the tree, r, and θ₀, rad or m."""
 
-    Attributes:
-        positions: (2, m) those of the joints, and of what they follow.
-        velocities: (2, m) the same.
-        ratios: (m,) r.
-        offsets: (m,) θ₀, rad or m.
-    """
+    velocity: int
+    ratio: float
+    offset: float
 
-    positions: Indices
-    velocities: Indices
-    ratios: Array
-    offsets: Array
 
-    @classmethod
-    def of(cls, plant: MultibodyPlant, followers: Sequence[Follower]) -> Led:
-        """Find them in a plant."""
-        joints = {scoped(joint): joint for joint in joints_of(plant)}
-        pairs = [(joints[f.joint], joints[f.leader]) for f in followers]
-        q = [[int(joint.position_start()) for joint in pair] for pair in pairs]
-        v = [[int(joint.velocity_start()) for joint in pair] for pair in pairs]
-        at_q, at_v = (np.array(x, int).reshape(-1, 2).T for x in (q, v))
-        numbers = np.array([(f.ratio, f.offset) for f in followers], float).reshape(-1, 2)
-        return cls(at_q, at_v, *numbers.T)
-
-    def each(self) -> Iterator[tuple[int, int, float, float]]:
-        """Yield the velocity of each, the one that it follows, r and θ₀."""
-        columns = *self.velocities, self.ratios, self.offsets
-        yield from zip(*(column.tolist() for column in columns), strict=True)
-
-    def spread(self, rows: Array) -> None:
-        """Add rows (N, nv, ...) of leaders for those of their followers."""
-        to, of = self.velocities
-        rows[:, to] = self.ratios.reshape(-1, *(1,) * (rows.ndim - 2)) * rows[:, of]
-
-    def limited(self, lower: Array, upper: Array) -> tuple[Array, Array]:
-        """Return limits (nq,) of positions, those of leaders such that followers keep theirs."""
-        (to, of), low, high = self.positions, lower.copy(), upper.copy()
-        ends = (np.array([lower[to], upper[to]]) - self.offsets) / self.ratios
-        np.maximum.at(low, of, ends.min(axis=0))
-        np.minimum.at(high, of, ends.max(axis=0))
-        return low, high
+def leads_of(plant: MultibodyPlant, followers: Sequence[Follower]) -> dict[int, Lead]:
+    """Velocity of each follower in a plant -> what it follows."""
+    at = {scoped(joint): int(joint.velocity_start()) for joint in single_joints(plant)}
+    return {at[f.joint]: Lead(at[f.leader], f.ratio, f.offset) for f in followers}
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +74,7 @@ class RobotCoordinates:
         kept_v: (2, ·) the same of velocities.
         sizes: Numbers of the tree's positions and velocities.
         single: Velocity of each of the tree's joints of one degree of freedom -> its position.
-        led: Those that follow others.
+        leads: Velocity of each of the tree's joints that follow others -> what it follows.
     """
 
     names: tuple[str, ...]
@@ -114,7 +83,7 @@ class RobotCoordinates:
     kept_v: Indices
     sizes: tuple[int, int]
     single: Mapping[int, int]
-    led: Led
+    leads: Mapping[int, Lead]
 
     @classmethod
     def of(
@@ -127,8 +96,8 @@ class RobotCoordinates:
         joints, num_positions = joint_names(plant), plant.num_positions()
         single = single_joints(plant)
         positions = {int(j.velocity_start()): int(j.position_start()) for j in single}
-        led = Led.of(plant, followers)
-        aside = led.velocities[0].tolist()
+        leads = leads_of(plant, followers)
+        aside = list(leads)
         by_name = {joints[at]: at for at in positions if at not in aside}
         _check(drives, by_name)
         moved = [[by_name[joint] for joint in drive.joints] for drive in drives]
@@ -152,7 +121,7 @@ class RobotCoordinates:
             np.array([np.searchsorted(in_v, kept_v), kept_v]),
             (num_positions, len(joints)),
             positions,
-            led,
+            leads,
         )
 
     @property
@@ -200,10 +169,9 @@ class RobotCoordinates:
             rates = None if v is None else v[:, place.actuator_v]
             found = place.drive.map.along(q[:, place.actuator_q], rates)
             whole[:, place.joint_q], J[block], rate[block] = found
-        for rows in (J, rate):
-            self.led.spread(rows)
-        to, of = self.led.positions
-        whole[:, to] = self.led.ratios * whole[:, of] + self.led.offsets
+        for at, (of, ratio, offset) in self.leads.items():
+            J[:, at], rate[:, at] = ratio * J[:, of], ratio * rate[:, of]
+            whole[:, self.single[at]] = ratio * whole[:, self.single[of]] + offset
         return whole, J, rate
 
     def tree_positions(self, q: Array) -> Array:
@@ -304,14 +272,14 @@ class RobotCoordinates:
 
     def rates_of(self, q: Array, rates: Array) -> Array:
         """Return velocities (nv,) of the robot at q (nq,), nearest to those (·,) of its joints."""
-        own = np.setdiff1d(np.arange(self.sizes[1]), self.led.velocities[0])
+        own = np.setdiff1d(np.arange(self.sizes[1]), [*self.leads])
         return np.asarray(np.linalg.pinv(self.jacobian(q[None])[0, own]) @ rates[own])
 
     def robot_gradient(self, q: Array, gradient: Array) -> Array:
         """Return the (N, nq) gradient by the robot's positions q from that by the tree's (N, ·)."""
         found, gradient = np.zeros_like(q), gradient.copy()
-        for to, of, ratio in zip(*self.led.positions, self.led.ratios, strict=True):
-            gradient[:, of] += ratio * gradient[:, to]
+        for at, (of, ratio, _) in self.leads.items():
+            gradient[:, self.single[of]] += ratio * gradient[:, self.single[at]]
         own, tree = self.kept_q
         found[:, own] = gradient[:, tree]
         for place in self.places:
@@ -380,7 +348,7 @@ class RobotCoordinates:
     def positions_between(self, lower: Array, upper: Array) -> tuple[Array, Array]:
         """Least and greatest positions (nq,) of the robot, of those (nq of the tree,) of joints."""
         low, high = np.full((2, self.num_positions), np.nan)
-        lower, upper = self.led.limited(lower, upper)
+        lower, upper = limited(self.leads, self.single, (lower, upper))
         own, tree = self.kept_q
         low[own], high[own] = lower[tree], upper[tree]
         for place in self.places:
@@ -393,8 +361,9 @@ class RobotCoordinates:
 
         `within` are its least and greatest positions (nq,).
         """
-        (to, of), limits = self.led.velocities, limits.copy()
-        np.minimum.at(limits, of, limits[to] / np.abs(self.led.ratios))
+        limits = limits.copy()
+        for at, (of, ratio, _) in self.leads.items():
+            limits[of] = min(limits[of], limits[at] / abs(ratio))
         return self._each(limits, within, lambda J, most: _box(np.abs(J).max(axis=0), most))
 
     def effort_limits(self, limits: Array, within: tuple[Array, Array]) -> Array:
@@ -434,9 +403,25 @@ class RobotCoordinates:
             J = place.drive.map.constant_jacobian
             block = np.ix_(place.joint_v, place.actuator_v)
             moves[block] = True if J is None else J != 0.0
-        to, of = self.led.velocities
-        moves[to] = moves[of]
+        for at, lead in self.leads.items():
+            moves[at] = moves[lead.velocity]
         return moves
+
+
+def limited(
+    leads: Mapping[int, Lead], places: Mapping[int, int], limits: tuple[Array, Array]
+) -> tuple[Array, Array]:
+    """Return limits (nq,) of positions, those of leaders such that followers keep theirs.
+
+    Args:
+        places: Velocity of each joint -> its position.
+    """
+    low, high = (ends.copy() for ends in limits)
+    for at, (of, ratio, offset) in leads.items():
+        ends = sorted((end[places[at]] - offset) / ratio for end in limits)
+        low[places[of]] = max(low[places[of]], ends[0])
+        high[places[of]] = min(high[places[of]], ends[1])
+    return low, high
 
 
 def seated_at(drive: Drive, joints: Sequence[int]) -> list[int]:

@@ -25,7 +25,7 @@ from pydrake.multibody.plant import MultibodyPlant
 
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
-from geodrake.robot.coordinates import Led
+from geodrake.robot.coordinates import leads_of, limited
 from geodrake.robot.joints import (
     Features,
     Follower,
@@ -141,14 +141,13 @@ _Group = tuple[set[int], list[_Link], list[Followers]]
 class _LoopFinder:
     def __init__(self, plant: MultibodyPlant, path: object, how: LoopJoints) -> None:
         self.plant, self.names, self.path, self.how = plant, joint_names(plant), path, how
-        self.tree, led = KinematicTree.from_plant(plant), Led.of(plant, how.followers)
+        self.tree, self.leads = KinematicTree.from_plant(plant), leads_of(plant, how.followers)
         q = plant.GetPositions(plant.CreateDefaultContext())
+        places = {int(j.velocity_start()): int(j.position_start()) for j in single_joints(plant)}
         limits = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
-        lower, upper = led.limited(*limits)
-        self.leads = {to: (of, ratio, offset) for to, of, ratio, offset in led.each()}
+        lower, upper = limited(self.leads, places, limits)
         self.place, self.limits = dict[int, float](), dict[int, tuple[float, float]]()
-        for joint in single_joints(plant):
-            at, v = int(joint.position_start()), int(joint.velocity_start())
+        for v, at in places.items():
             if v not in self.leads:
                 self.place[v] = how.start.get(self.names[v], float(q[at]))
                 self.limits[v] = float(lower[at]), float(upper[at])
