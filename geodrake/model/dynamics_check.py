@@ -84,14 +84,11 @@ def second_opinion(model: RobotModel, states: States) -> tuple[str, Array, Array
 
 def _held(model: RobotModel, text: ModelText) -> Places:
     """Return where joints are held, those included that follow held ones."""
-    places = dict(model.held)
-    followers = [
-        (f, f.joint.split("::")[-1], f.leader.split("::")[-1]) for f in text.terms.followers
-    ]
-    for _ in followers:  # which may follow each other
-        for follower, joint, leader in followers:
-            if leader in places:
-                places.setdefault(joint, follower.ratio * places[leader] + follower.offset)
+    places, ties = dict(model.held), text.terms.followers
+    for _ in ties:  # which may follow each other
+        for joint, tie in ties.items():
+            if (leader := tie.leader.split("::")[-1]) in places:
+                places.setdefault(joint.split("::")[-1], tie.at(places[leader]))
     return places
 
 

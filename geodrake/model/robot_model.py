@@ -45,7 +45,6 @@ from geodrake.robot.joints import Follower, joint_names
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.plant import (
     LoadedPlant,
-    cannot_follow,
     effort_limits,
     load_plant,
     set_inertial_parameters,
@@ -545,9 +544,8 @@ def from_loaded_plant(
                 f"loop of {loaded.path.name}: {', '.join(loop.joints)}.",
                 advice="Log the joints of the loop, and remove this part of the transmission.",
             )
-    bent, apart = _bent_drives(loaded, drives)
-    drives, notes = (*drives, *bent), list[str]()
-    left_out = (*loaded.left_out, *apart)
+    known, notes, left_out = [d.statement for d in drives], list[str](), loaded.left_out
+    drives += tuple(Drive.of(part) for part in loaded.bent if part not in known)
     bare = RobotModel(
         loaded.plant,
         loaded.path,
@@ -621,25 +619,6 @@ def _check_against_mujoco(model: RobotModel, text: MjcfText, held: Mapping[str, 
         advice=BUG,
         path=model.path,
     )
-
-
-def _bent_drives(
-    loaded: LoadedPlant, given: Sequence[Drive]
-) -> tuple[tuple[Drive, ...], list[str]]:
-    """Return drives of joints that follow with varying ratio, and what they cannot express."""
-    known = [drive.statement for drive in given]
-    moving = [name for name in joint_names(loaded.plant) if name in loaded.joints]
-    following = {f.joint.rpartition("::")[2] for f in loaded.followers}
-    drives, notes = list[Drive](), list[str]()
-    for part in loaded.bent:
-        names = part.joint_names()
-        if part in known or set(names) <= set(loaded.held):
-            continue
-        if set(names) <= set(moving) and following.isdisjoint(names):
-            drives.append(Drive.of(part))
-        else:
-            notes.append(cannot_follow("<equality>", part.joints))
-    return tuple(drives), notes
 
 
 def read_again(model: RobotModel) -> RobotModel:

@@ -13,7 +13,7 @@ taken out.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -38,7 +38,7 @@ from scipy.sparse.csgraph import shortest_path
 
 from geodrake.errors import ModelError
 from geodrake.inertia.bodies import BASE_FRAMES, is_base_frame
-from geodrake.robot.joints import Follower, joints_of, scoped
+from geodrake.robot.joints import Tie, followers_of, joints_of, scoped
 from geodrake.robot.stated import Closure, CutJoint
 
 COORDINATES = ("x", "y", "z", "yaw", "pitch", "roll")
@@ -198,6 +198,7 @@ class Arrangement:
         places: Scoped names of joints that are held -> where, rad or m.
         aside: Scoped names of joints of other robots than the one asked for -> their poses X_FM.
         robot: Indices of that robot's bodies; None for all that there are.
+        followers: Scoped name of a joint -> what it follows.
         joints: Names, as users know them, of the robot's joints of one degree of freedom, held
             ones and followers included.
     """
@@ -207,7 +208,7 @@ class Arrangement:
     places: dict[str, float] = field(default_factory=dict)
     aside: Mapping[str, RigidTransform] = field(default_factory=dict)
     robot: frozenset[int] | None = None
-    followers: tuple[Follower, ...] = ()
+    followers: Mapping[str, Tie] = field(default_factory=dict)
     joints: tuple[str, ...] = ()
 
 
@@ -267,7 +268,7 @@ def chosen_robot(plant: MultibodyPlant, name: str, path: object) -> OneRobot:
 
 def checked_held(
     joints: Mapping[str, Joint],
-    followers: Sequence[Follower],
+    followers: Mapping[str, Tie],
     held: Mapping[str, float],
     path: Path,
 ) -> dict[str, float]:
@@ -278,7 +279,7 @@ def checked_held(
         held: Such a name -> where it is held, rad or m.
     """
     names = {scoped(joint): name for name, joint in joints.items()}
-    leaders = {names[f.joint]: names[f.leader] for f in followers}
+    leaders = {names[f.joint]: names[f.leader] for f in followers_of(followers)}
     places: dict[str, float] = {}
     for name, value in held.items():
         if name not in joints:
@@ -302,10 +303,8 @@ def checked_held(
                 joint=name,
             )
         places[scoped(joint)] = value
-    following = {
-        f.joint: f.ratio * places[f.leader] + f.offset for f in followers if f.leader in places
-    }
-    return places | following
+    leading = ((own, tie) for own, tie in followers.items() if tie.leader in places)
+    return {own: tie.at(places[tie.leader]) for own, tie in leading} | places
 
 
 def poses_of(

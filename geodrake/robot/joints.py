@@ -11,11 +11,13 @@ both, τ_q = Jᵀ τ_θ ([Lee2019] Eq. (3.6.57)).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
@@ -232,7 +234,7 @@ def joint_names(plant: MultibodyPlant) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Follower:
-    """A joint θ with one degree of freedom that follows another one.
+    """A joint θ with one degree of freedom that follows another one by a constant ratio.
 
     Attributes:
         joint: Scoped name of the joint.
@@ -247,27 +249,50 @@ class Follower:
     offset: float
 
 
-def resolved(stated: Sequence[Follower], joints: Sequence[str]) -> tuple[Follower, ...]:
-    """Return followers of independent leaders, without those that cannot follow.
+class Tie(NamedTuple):
+    """That a joint θ of one degree of freedom follows another one, θ = Σ cₖ θ_leaderᵏ.
+
+    Attributes:
+        leader: Scoped name of the joint that it follows.
+        coefficients: c₀, c₁, …
+    """
+
+    leader: str
+    coefficients: tuple[float, ...]
+
+    def at(self, place: float) -> float:
+        """Return the position where the leader is at one."""
+        return float(Polynomial(self.coefficients)(place))
+
+
+def resolved(stated: Mapping[str, Tie], joints: Collection[str]) -> dict[str, Tie]:
+    """Return what joints follow, as independent leaders, without those that cannot follow.
 
     Args:
+        stated: Scoped name of a joint -> what it follows.
         joints: Scoped names of the joints that there are, of one degree of freedom.
     """
     known = {
-        f.joint: f
-        for f in stated
-        if {f.joint, f.leader} <= set(joints)
-        and 0.0 < abs(f.ratio) <= _MOST
-        and abs(f.offset) <= _MOST
+        own: tie
+        for own, tie in stated.items()
+        if {own, tie.leader} <= set(joints)
+        and any(tie.coefficients[1:])
+        and all(abs(c) <= _MOST for c in tie.coefficients)
     }
-    found = []
-    for first in known.values():
-        follower, seen = first, {first.joint}
-        while follower.leader in known and follower.leader not in seen:
-            inner = known[follower.leader]
-            seen.add(inner.joint)
-            offset = follower.ratio * inner.offset + follower.offset
-            follower = Follower(first.joint, inner.leader, follower.ratio * inner.ratio, offset)
-        if follower.leader not in seen:
-            found.append(follower)
-    return tuple(found)
+    found = dict[str, Tie]()
+    for own, first in known.items():
+        tie, seen = first, {own}
+        while tie.leader in known and tie.leader not in seen:
+            seen.add(tie.leader)
+            inner = known[tie.leader]
+            whole = Polynomial(tie.coefficients)(Polynomial(inner.coefficients))
+            tie = Tie(inner.leader, tuple(whole.coef.tolist()))
+        if tie.leader not in seen:
+            found[own] = tie
+    return found
+
+
+def followers_of(ties: Mapping[str, Tie]) -> tuple[Follower, ...]:
+    """Return the joints that follow by a constant ratio."""
+    linear = ((own, tie) for own, tie in ties.items() if len(tie.coefficients) == 2)
+    return tuple(Follower(own, t.leader, *reversed(t.coefficients)) for own, t in linear)

@@ -44,6 +44,8 @@ from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.named_robots import robot_file
 from geodrake.robot.joints import (
     Follower,
+    Tie,
+    followers_of,
     joint_names,
     joints_of,
     resolved,
@@ -186,9 +188,9 @@ def load_plant(
         held={**loops.held, **held},
         places=arrangement.places,
         given=given,
-        followers=arrangement.followers,
+        followers=followers_of(arrangement.followers),
         joints=(*arrangement.joints, *(cut.name for cut in closing)),
-        bent=tuple(part for part in terms.bent if part not in loops.taken),
+        bent=tuple(part for part in _bent(arrangement.followers) if part not in loops.taken),
         # Gears of MJCF's actuators do not count: most scale efforts and are no gears.
         geared=tuple(joint for is_alike, joint in _motors(description) if not is_alike),
         mjcf=_whole_mjcf(description),
@@ -231,7 +233,7 @@ def _draft(
     followers = resolved(description.terms.followers, [scoped(joint) for joint in joints.values()])
     arrangement = replace(arrangement, followers=followers, joints=tuple(joints))
     stated = dict(description.terms.fixed)
-    for f in followers:  # which hold what they follow
+    for f in followers_of(followers):  # which hold what they follow
         if f.joint in stated:
             stated.setdefault(f.leader, (stated.pop(f.joint) - f.offset) / f.ratio)
     fixed = {name: stated[scoped(j)] for name, j in joints.items() if scoped(j) in stated}
@@ -244,7 +246,7 @@ def _draft(
             joint=of_base[0],
         )
     first = (*held, *given.leading)
-    loops = _loops(description, draft, LoopJoints(followers, first=first))
+    loops = _loops(description, draft, followers, LoopJoints(first=first))
     start, still = loops.places(held, description.path)
     if held or still:
         places = checked_held(joints, followers, {**still, **held}, description.path)
@@ -260,15 +262,20 @@ def _draft(
             arrangement,
             held=poses_of(draft.plant, places, places),
             places=places,
-            followers=tuple(f for f in followers if f.joint not in places),
+            followers={own: tie for own, tie in followers.items() if own not in places},
         )
         draft = _build(description, arrangement)
-        how = LoopJoints(arrangement.followers, first=given.leading, start=start)
-        loops = replace(_loops(description, draft, how), held=still)
+        how = LoopJoints(first=given.leading, start=start)
+        loops = replace(_loops(description, draft, arrangement.followers, how), held=still)
     return draft, arrangement, loops
 
 
-def _loops(description: ModelDescription, built: BuiltPlant, how: LoopJoints) -> Loops:
+def _loops(
+    description: ModelDescription,
+    built: BuiltPlant,
+    followers: Mapping[str, Tie],
+    how: LoopJoints,
+) -> Loops:
     """Return the closed loops of a plant of a description."""
     plant, terms = built.plant, description.terms
     closures = [*terms.closures, *built.opened]
@@ -285,7 +292,8 @@ def _loops(description: ModelDescription, built: BuiltPlant, how: LoopJoints) ->
             own = share**2 * length.spring.coefficients[1]
             stiffness[single[joint]] = stiffness.get(single[joint], 0.0) + own
     sprung = sorted((n for n, k in stiffness.items() if k > 0.0), key=lambda n: -stiffness[n])
-    how = replace(how, bent=tuple(terms.bent), driven=driven, sprung=sprung)
+    linear, bent = followers_of(followers), _bent(followers)
+    how = replace(how, followers=linear, bent=bent, driven=driven, sprung=sprung)
     found = closed_loops(plant, closures, path=description.path, how=how)
     if found.left_out and built.opened:
         raise ModelError(
@@ -304,25 +312,33 @@ def _single_joints(plant: MultibodyPlant) -> dict[str, Joint]:
 
 def _follower_notes(arrangement: Arrangement) -> list[str]:
     """Return which joints follow others, in words."""
-    following = {f.joint: f.leader for f in arrangement.followers}
-    pairs = ", ".join(f"{_last(a)} follows {_last(b)}" for a, b in following.items())
+    ties = followers_of(arrangement.followers)
+    pairs = ", ".join(f"{_last(f.joint)} follows {_last(f.leader)}" for f in ties)
     return [f"{pairs}, and is not independent."] if pairs else []
 
 
 def _ignored(description: ModelDescription, arrangement: Arrangement) -> list[str]:
     """Return notes on joints that cannot follow as the file requires."""
-    there = {f.joint for f in arrangement.followers}.union(arrangement.held, arrangement.aside)
-    stated = (f for f in description.terms.followers if f.joint not in there)
-    apart = [f"{_last(f.joint)} (of {_last(f.leader)})" for f in stated]
-    if not apart:
-        return []
+    still, stated = arrangement.held.keys(), description.terms.followers
+    apart = [
+        f"{_last(own)} (of {_last(tie.leader)})"
+        for own, tie in stated.items()
+        if own not in {*arrangement.followers, *arrangement.aside}
+        and not {own, tie.leader} <= still
+    ]
     what = "<equality>" if description.texts[0].kind == "xml" else "<mimic>"
-    return [cannot_follow(what, apart)]
+    words = f"{what} is ignored, as it has no joint to follow: {', '.join(apart)}."
+    return [words] if apart else []
 
 
-def cannot_follow(what: str, joints: Iterable[str]) -> str:
-    """Return a sentence on joints of a statement of the file whose leaders are not there."""
-    return f"{what} is ignored, as it has no joint to follow: {', '.join(joints)}."
+def _bent(ties: Mapping[str, Tie]) -> tuple[Followers, ...]:
+    """Return the joints that follow by a ratio that changes, by names, of each leader together."""
+    found = dict[str, Followers]()
+    for own, (leader, coefficients) in ties.items():
+        if len(coefficients) > 2:
+            part = found.setdefault(leader, Followers(_last(leader), {}))
+            part.joints[_last(own)] = list(coefficients)
+    return tuple(found.values())
 
 
 def _last(name: str) -> str:

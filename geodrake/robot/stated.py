@@ -13,8 +13,7 @@ from pydrake.multibody.plant import MultibodyPlant
 
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import lumped_bodies
-from geodrake.robot.joints import Follower
-from geodrake.robot.transmission.statements import Followers
+from geodrake.robot.joints import Tie
 
 WORLD = "world"
 """Name of the world among bodies."""
@@ -214,7 +213,7 @@ class FileTerms:
         coupled_inertia: Two joints, or one twice, and what tendons over several joints are there in
             the mass matrix.
         carried: Link -> which share of its weight something else carries.
-        bent: Joints that follow others by a ratio that changes.
+        followers: Joint -> what it follows.
         between: Bodies between several joints of one, which weigh nothing.
     """
 
@@ -234,8 +233,7 @@ class FileTerms:
     carried: dict[str, float] = field(default_factory=dict)
     boxes: list[BoxInMedium] = field(default_factory=list)
     struts: list[StatedStrut] = field(default_factory=list)
-    followers: list[Follower] = field(default_factory=list)
-    bent: list[Followers] = field(default_factory=list)
+    followers: dict[str, Tie] = field(default_factory=dict)
     closures: list[Closure] = field(default_factory=list)
     between: set[str] = field(default_factory=set)
 

@@ -138,6 +138,24 @@ def test_joints_that_follow_polynomials_are_those_of_mujoco(tmp_path):
     assert_close(model.motion(Motion(*motion)).load, np.stack([j + slope * k, s], axis=1))
 
 
+def test_what_follows_a_follower_of_a_polynomial_follows_its_leader(tmp_path):
+    """s = 0.05 − 0.7 k and k = p(j): both are of j, and the efforts of both are at it."""
+    more = '<joint joint1="s" joint2="k" polycoef="0.05 -0.7 0 0 0"/></equality>'
+    text = MJCF.format(BENT.replace("</equality>", more))
+    model, theirs = loaded(tmp_path, text, "m.xml"), mujoco.MjModel.from_xml_string(text)
+    assert model.joints == ("j",) and not model.left_out
+    motion = np.random.default_rng(0).uniform(-0.8, 0.8, (3, 5, 1))
+    x, w, a = motion[..., 0]
+    y = 0.1 + x + 0.4 * x**2 - 0.3 * x**3 + 0.2 * x**4
+    slope, bend = 1 + 0.8 * x - 0.9 * x**2 + 0.8 * x**3, 0.8 - 1.8 * x + 2.4 * x**2
+    k = np.stack([y, slope * w, slope * a + bend * w**2])
+    s = np.stack([0.05 - 0.7 * k[0], *(-0.7 * k[1:])])
+    rows = np.stack([motion[..., 0], s, k], axis=-1)
+    tau_j, tau_s, tau_k = mujoco_efforts(theirs, "jsk", *rows).T
+    expected = tau_j + slope * (tau_k - 0.7 * tau_s)
+    assert_close(model.motion(Motion(*motion)).load[:, 0], expected)
+
+
 def test_a_leader_of_a_polynomial_holds_its_follower(tmp_path):
     model = loaded(tmp_path, MJCF.format(BENT), "m.xml")
     held = load_model(tmp_path / "m.xml", lock={"j": 0.1})

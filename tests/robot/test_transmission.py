@@ -122,7 +122,7 @@ def test_linkages_are_those_of_the_law_of_cosines(part, angle, reach):
 
 def test_linkages_say_where_they_do_not_close():
     assert np.abs(np.ravel(Drive.of(CYLINDER).map.range) - [-0.4, 0.4]).max() < 1e-3
-    with pytest.raises(ArgumentError, match="loop of the cylinder m does not close at m = 0.45"):
+    with pytest.raises(ArgumentError, match=r"loop of the cylinder m does not close at m = 0\.45"):
         Drive.of(CYLINDER).map.joint_positions(np.array([[0.45]]))
     with pytest.raises(ArgumentError, match="do not reach each other at q = 0 with the crank at 3"):
         Drive.of(msgspec.structs.replace(BARS, ground=0.2, crank_angle=3.0))

@@ -24,7 +24,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from geodrake.inertia import Array
 from geodrake.robot.files.mjcf_source import CompiledMjcf, chain_to_world, load_mujoco
 from geodrake.robot.files.xml_text import place_of
-from geodrake.robot.joints import Follower
+from geodrake.robot.joints import Tie
 from geodrake.robot.stated import (
     WORLD,
     BoxInMedium,
@@ -34,7 +34,6 @@ from geodrake.robot.stated import (
     StatedLength,
     StatedStrut,
 )
-from geodrake.robot.transmission.statements import Followers
 
 _LEAST_INERTIA = 1e-15  # kg·m², as MuJoCo has it
 _KINDS = {
@@ -457,53 +456,43 @@ class MjcfTerms:
         at_joints = (on_what.mjTRN_JOINT, on_what.mjTRN_JOINTINPARENT)
         driven = {int(on[0]) for on, kind in motors if int(kind) in at_joints}
         leader, own = sorted(shares, key=lambda joint: joint not in driven)
-        return self._tie(own, leader, -shares[leader] / shares[own], length / shares[own])
+        return self._tie(own, leader, length / shares[own], -shares[leader] / shares[own])
 
-    def _tie(self, own: int, leader: int, ratio: float, offset: float) -> bool:
-        """Return whether a joint already follows or leads another one."""
-        ways = [(own, leader, ratio, offset)]
-        ways += [(leader, own, 1.0 / ratio, -offset / ratio)] if ratio else []
-        for first, second, *numbers in ways:
-            names = self._joint(first), self._joint(second)
-            if not self._follows_already(*names):
-                self.found.followers.append(Follower(*names, *numbers))
+    def _tie(self, own: int, leader: int, *coefficients: float) -> bool:
+        """Have a joint follow another one, or if the ratio is constant that one the first.
+
+        Returns:
+            Whether neither follows something already, or is followed by the other.
+        """
+        ways = [(own, leader, coefficients)]
+        if len(coefficients) == 2 and coefficients[1]:
+            ways.append((leader, own, (-coefficients[0] / coefficients[1], 1.0 / coefficients[1])))
+        for first, second, each in ways:
+            name, end = self._joint(first), self._joint(second)
+            ties = self.found.followers
+            while end in ties:  # which lead nowhere back
+                end = ties[end].leader
+            if name not in ties and end != name:
+                ties[name] = Tie(self._joint(second), each)
                 return True
         return False
 
     def _follow(self, at: int, first: int, second: int, data: Array) -> None:
         """Take that Y − y₀ = p(x − x₀), y₀ and x₀ at the file's own pose."""
-        own, leader = self._name("JOINT", first), self._name("JOINT", second)
         starts = [float(self.m.qpos0[self.m.jnt_qposadr[j]]) for j in (first, second)]
-        polynomial = np.polynomial.Polynomial(data)(np.polynomial.Polynomial([-starts[1], 1.0]))
-        coefficients = np.zeros(5)
-        coefficients[: len(polynomial.coef)] = polynomial.coef
-        coefficients[0] += starts[0]
-        if not data[2:].any():
-            tied = self._tie(first, second, float(coefficients[1]), float(coefficients[0]))
-        elif tied := not self._follows_already(self._joint(first), self._joint(second)):
-            known = next((part for part in self.found.bent if part.leader == leader), None)
-            if known is None:
-                known = Followers(leader, {})
-                self.found.bent.append(known)
-            known.joints[own] = coefficients.tolist()
-        if not tied:
+        own = data if data[2:].any() else data[:2]
+        moved = np.zeros(len(own))
+        polynomial = np.polynomial.Polynomial(own)(np.polynomial.Polynomial([-starts[1], 1.0]))
+        moved[: len(polynomial.coef)] = polynomial.coef
+        moved[0] += starts[0]
+        if not self._tie(first, second, *moved.tolist()):
+            name = self._name("JOINT", first)
             self._leave(
-                f"<equality>: the constraint <joint> of {own} and {leader}, as {own} already "
-                "follows or leads a joint,",
+                f"<equality>: the constraint <joint> of {name} and "
+                f"{self._name('JOINT', second)}, as {name} already follows or leads a joint,",
                 "equality",
                 at,
             )
-
-    def _follows_already(self, own: str, leader: str) -> bool:
-        """Return whether a joint follows another one, or is followed by what it would follow."""
-        leaders = {follower.joint: follower.leader for follower in self.found.followers}
-        for part in self.found.bent:
-            leaders |= {f"{self.scope}::{j}": f"{self.scope}::{part.leader}" for j in part.joints}
-        if own in leaders:
-            return True
-        while leader in leaders:  # which lead nowhere back
-            leader = leaders[leader]
-        return leader == own
 
 
 def _rows_of(thing: str, at: int) -> Callable[[str], tuple[str, slice]]:

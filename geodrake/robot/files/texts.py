@@ -15,7 +15,6 @@ import abc
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from copy import deepcopy
-from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 from xml.etree.ElementTree import Element, SubElement
@@ -45,7 +44,7 @@ from geodrake.robot.files.checks import (
 from geodrake.robot.files.includes import PACKAGE_ADVICE, Includes
 from geodrake.robot.files.model_edits import put_inertia, sdf_joints, sdf_models, sdf_pose
 from geodrake.robot.files.xml_text import numbered_text, place_of, wrong_at
-from geodrake.robot.joints import Follower
+from geodrake.robot.joints import Tie
 from geodrake.robot.stated import Closure, CutJoint, FileTerms, Spring, StatedLength
 from geodrake.robot.transmission.statements import Coupled, Gear, Statement
 
@@ -277,7 +276,7 @@ class ModelText(abc.ABC):
         Args:
             joints: Those in <ros2_control>.
         """
-        already = {follower.joint for follower in self.terms.followers}
+        already = set(self.terms.followers)
         found = [{each.tag: each.text or "" for each in plugin} for plugin in plugins]
         for joint in joints:
             given = {e.get("name", ""): e.text or "" for e in joint.findall("param")}
@@ -302,7 +301,7 @@ class ModelText(abc.ABC):
         )
         ratio = 0.0 if leader in self._still else ratio
         if ratio:
-            self.terms.followers.append(Follower(name, leader, ratio, offset - ratio * start))
+            self.terms.followers[name] = Tie(leader, (offset - ratio * start, ratio))
         else:
             self.terms.fixed[name] = offset
 
@@ -356,10 +355,10 @@ class SdfText(ModelText):
         for name, model in sdf_models(with_plugins, first=self.scope or ""):
             self._take_more_mimics(name, model.findall("plugin"))
         terms.fixed = {names.get(joint, joint): at for joint, at in terms.fixed.items()}
-        terms.followers = [
-            replace(f, joint=names.get(f.joint, f.joint), leader=names.get(f.leader, f.leader))
-            for f in terms.followers
-        ]
+        terms.followers = {
+            names.get(own, own): Tie(names.get(tie.leader, tie.leader), tie.coefficients)
+            for own, tie in terms.followers.items()
+        }
         nowhere = [*includes.missing, *includes.absent]
         if nowhere and not self._links:
             raise ModelError(
