@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import types
 from collections.abc import Iterable
@@ -26,6 +27,17 @@ _WORDS = {
 
 class Schema(msgspec.Struct, forbid_unknown_fields=True):
     """A table of a file: its fields, their types and defaults."""
+
+
+def schema_of(kind: Any) -> type[Schema]:
+    """Return the schema of a table of the fields of a dataclass."""
+    kinds, own = get_type_hints(kind), list[tuple[str, Any, Any]]()
+    for field in dataclasses.fields(kind):
+        default, made = field.default, field.default_factory
+        given = {} if default is dataclasses.MISSING else {"default": default}
+        given |= {} if made is dataclasses.MISSING else {"default_factory": made}
+        own.append((field.name, kinds[field.name], msgspec.field(**given)))
+    return msgspec.defstruct(kind.__name__, own, bases=(Schema,))  # type: ignore[return-value]
 
 
 def as_schema(content: object, schema: type[T]) -> T:

@@ -24,7 +24,7 @@ from geodrake.boundary.arguments import LARGEST, file_path, instance, instances,
 from geodrake.boundary.escaping import one_line
 from geodrake.boundary.input_files import open_regular, regular_file, sha256_of
 from geodrake.boundary.whole_files import write_whole
-from geodrake.boundary.yaml_schema import Schema, as_schema
+from geodrake.boundary.yaml_schema import Schema, as_schema, schema_of
 from geodrake.boundary.yaml_text import yaml_text
 from geodrake.effects import Effect, FittedEffect, effect_class, make_effect
 from geodrake.effects.column_checks import of_geodrake
@@ -78,24 +78,7 @@ class SavedEffect(Schema):
     deviations: list[float] = []
 
 
-class SavedEffortSignal(Schema):
-    """Signal that replaces the efforts of a joint; see `EffortSignal`."""
-
-    joint: str = ""
-    kind: str = ""
-    gain: float = 1.0
-    deviation: float = 0.0
-    damping: float = 0.0
-    damping_deviation: float = 0.0
-    delay: float = 0.0
-    limit: float = float("inf")
-    integral: float = 0.0
-    integral_deviation: float = 0.0
-    no_load_speed: float = float("inf")
-    rate_share: float = 1.0
-    dead_band: float = 0.0
-    dead_band_deviation: float = 0.0
-    effect_deviations: dict[str, float] = {}
+SavedEffortSignal = schema_of(EffortSignal)
 
 
 class SavedModel(Schema):
@@ -133,7 +116,7 @@ class SavedModel(Schema):
     transmission: Stated | None = None
     inertial_parameters: dict[str, list[float]] = {}
     effects: list[SavedEffect] = []
-    effort_signals: list[SavedEffortSignal] = []
+    effort_signals: list[SavedEffortSignal] = []  # type: ignore[valid-type]
     motorless: list[str] = []
     effort_noise: dict[str, float] = {}
     fading_speed: dict[str, float] = {}
@@ -474,16 +457,14 @@ def _fitted_effect(
     )
 
 
-def _effort_signals(
-    model: RobotModel, saved: Sequence[SavedEffortSignal]
-) -> tuple[EffortSignal, ...]:
+def _effort_signals(model: RobotModel, saved: Sequence[Schema]) -> tuple[EffortSignal, ...]:
     found: dict[str, EffortSignal] = {}
-    for each in saved:
-        if each.joint not in model.joints:
-            raise _foreign(f"it has a signal for efforts of {each.joint!r}", model.joints)
-        if each.joint in found:
-            raise ModelError(f"it has two signals for efforts of {each.joint!r}.")
-        found[each.joint] = EffortSignal(**asdict(each))
+    for signal in (EffortSignal(**asdict(each)) for each in saved):
+        if signal.joint not in model.joints:
+            raise _foreign(f"it has a signal for efforts of {signal.joint!r}", model.joints)
+        if signal.joint in found:
+            raise ModelError(f"it has two signals for efforts of {signal.joint!r}.")
+        found[signal.joint] = signal
     return tuple(found.values())
 
 
