@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
-    BallRpyJoint,
     BodyIndex,
     Joint,
     JointActuator,
@@ -39,7 +38,7 @@ from scipy.sparse.csgraph import shortest_path
 from geodrake.errors import ModelError
 from geodrake.inertia.bodies import BASE_FRAMES, is_base_frame
 from geodrake.robot.joints import Tie, followers_of, joints_of, scoped
-from geodrake.robot.stated import Closure, CutJoint
+from geodrake.robot.stated import CLOSING, Closure, CutJoint
 
 COORDINATES = ("x", "y", "z", "yaw", "pitch", "roll")
 """Last words of the names of a base's joints, from the world to the root."""
@@ -149,10 +148,13 @@ def _is_driven(actuators: list[JointActuator]) -> bool:
     return any(np.isfinite(actuator.effort_limit()) for actuator in actuators)
 
 
+_KINDS = {"weld": "fixed", "ball_rpy": "ball"}  # by Drake's names, where those are others
+
+
 def _opened(joint: Joint, name: str, actuators: list[JointActuator]) -> Closure:
     frames = joint.frame_on_parent(), joint.frame_on_child()
     first, second = (frame.GetFixedPoseInBodyFrame() for frame in frames)
-    cut, axis = None, None
+    kind, axis = _KINDS.get(joint.type_name(), joint.type_name()), np.zeros(3)
     match joint:
         case RevoluteJoint():
             axis = joint.revolute_axis()
@@ -160,27 +162,17 @@ def _opened(joint: Joint, name: str, actuators: list[JointActuator]) -> Closure:
             axis = joint.translation_axis()
         case WeldJoint():
             first = first.multiply(joint.X_FM())
-        case BallRpyJoint():
-            pass
-        case _:
-            raise ModelError(
-                f"Joint {name!r} of type {joint.type_name()} closes a kinematic loop.",
-                advice="Loops can close at revolute, prismatic, ball or fixed joints: open the "
-                "loop at another joint.",
-                joint=name,
-            )
-    if axis is not None:
-        cut = CutJoint(
-            name,
-            scoped(joint),
-            np.array(axis),
-            isinstance(joint, PrismaticJoint),
-            _is_driven(actuators),
+    if kind not in CLOSING:
+        raise ModelError(
+            f"Joint {name!r} of type {kind} closes a kinematic loop.",
+            advice="Loops can close at revolute, prismatic, ball or fixed joints: open the "
+            "loop at another joint.",
+            joint=name,
         )
-    bodies = (body.scoped_name().get_full() for body in (joint.parent_body(), joint.child_body()))
-    turns = not isinstance(joint, BallRpyJoint)
-    one, two = bodies
-    return Closure(f"the joint {name}", (one, two), (first, second), turns, cut)
+    slides, driven = isinstance(joint, PrismaticJoint), _is_driven(actuators)
+    one, two = (b.scoped_name().get_full() for b in (joint.parent_body(), joint.child_body()))
+    cut = CutJoint(name, scoped(joint), np.array(axis), slides, driven)
+    return Closure.by_joint(cut, kind, (one, two), (first, second))
 
 
 _SLACK = 1e-9  # rad or m, by which a held joint may be beyond its limits

@@ -121,6 +121,11 @@ class Followed(NamedTuple):
     offset: float = 0.0
 
 
+CUT = ("revolute", "continuous", "prismatic")
+CLOSING = (*CUT, "ball", "fixed")
+"""Kinds of joints that may close a loop, the first ones with a position."""
+
+
 @dataclass(frozen=True)
 class CutJoint:
     """A joint that closes a loop and is not in the tree.
@@ -153,6 +158,18 @@ class Closure:
     poses: tuple[RigidTransform, RigidTransform]
     turns: bool
     cut: CutJoint | None = None
+
+    @classmethod
+    def by_joint(
+        cls,
+        joint: CutJoint,
+        kind: str,
+        bodies: tuple[str, str],
+        poses: tuple[RigidTransform, RigidTransform],
+    ) -> Closure:
+        """Return that by a joint of a kind in `CLOSING`; the frames are one where it is at 0."""
+        cut = joint if kind in CUT else None
+        return cls(f"the joint {joint.name}", bodies, poses, kind != "ball", cut)
 
 
 @dataclass(frozen=True)

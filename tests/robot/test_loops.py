@@ -367,7 +367,17 @@ PIN = (
 )
 
 
-@pytest.mark.parametrize("closes", [BALL, PIN.format("ball"), PIN.format("revolute")])
+LOOP_JOINT = (
+    '<loop_joint name="pin" {}><link1 link="coupler_link" xyz=".25 0 .1" rpy=".1 0 0"/>'
+    '<link2 link="rocker_link" xyz=".05 0 .2" rpy=".1 0 0"/><axis xyz="{}"/></loop_joint>'
+)
+LOOP_JOINTS = (
+    LOOP_JOINT.format("", "0 -.995004165278 .0998334166468"),
+    LOOP_JOINT.format('type="ball"', "1 0 0"),
+)
+
+
+@pytest.mark.parametrize("closes", [BALL, PIN.format("ball"), PIN.format("revolute"), *LOOP_JOINTS])
 def test_what_closes_a_loop_of_a_urdf_for_drake_or_gazebo_is_read(tmp_path, closes):
     (tmp_path / "robot.urdf").write_text(four_bar_urdf(closes))
     model = load_model(tmp_path / "robot.urdf")
@@ -391,6 +401,15 @@ def test_a_joint_of_gazebo_in_a_urdf_has_its_damping_and_friction(tmp_path):
     base = '<gazebo><joint type="fixed"><parent>world</parent><child>base</child></joint></gazebo>'
     (tmp_path / "robot.urdf").write_text(four_bar_urdf(base))
     assert len(load_model(tmp_path / "robot.urdf").joints) == 3
+
+
+@pytest.mark.parametrize("wrong", ['link="nobody"', 'xyz="nan 0 0"', 'type="screw"'])
+def test_a_loop_joint_that_joins_nothing_is_refused(tmp_path, wrong):
+    text = LOOP_JOINTS[1].replace('type="ball"', wrong) if "type" in wrong else LOOP_JOINTS[1]
+    text = text.replace('link="rocker_link"', wrong).replace('xyz=".05 0 .2"', "", "xyz" in wrong)
+    (tmp_path / "robot.urdf").write_text(four_bar_urdf(text))
+    with pytest.raises(ModelError, match=r"line 1: <loop_joint> pin of the type (ball|screw) does"):
+        load_model(tmp_path / "robot.urdf")
 
 
 def test_a_ball_of_drake_names_bodies_that_are_there(tmp_path):

@@ -6,6 +6,7 @@ import pytest
 from geodrake import load_model
 from geodrake.errors import ModelError
 from geodrake.logs.motion import Motion
+from geodrake.model import check_dynamics
 
 SDF = """<sdf version="1.9"><world name="w">{world}
 <model name="r">{model}
@@ -274,6 +275,21 @@ def test_damping_of_a_planar_joint_of_a_urdf_is_that_of_each_direction(tmp_path)
     spring = '<gazebo reference="a"><springStiffness>4</springStiffness></gazebo>'
     (said,) = load(tmp_path, text, robot=spring).left_out
     assert "<springStiffness> 4 is ignored" in said
+
+
+def test_where_gazebo_puts_a_model_counts_for_its_weight(tmp_path):
+    """The twin is on a fixed joint that leans as much."""
+    place = "<gazebo><pose>0 0 1 0.3 -0.2 0.5</pose></gazebo>"
+    on_joint = """<link name="world"/><joint name="lean" type="fixed"><parent link="world"/>
+    <child link="base"/><origin xyz="0 0 1" rpy="0.3 -0.2 0.5"/></joint>"""
+    model, twin = load(tmp_path, URDF, robot=place), load(tmp_path, URDF, robot=on_joint)
+    np.testing.assert_allclose(held(model), held(twin), rtol=1e-12)
+    assert not np.allclose(held(model), held(load(tmp_path, URDF)), rtol=0.02)
+    load(tmp_path, URDF, robot=place)
+    assert any("the robot stands as <pose> 0 0 1 0.3 -0.2 0.5" in note for note in model.notes)
+    assert check_dynamics(model, samples=3).holds
+    (said,) = load(tmp_path, URDF, robot=on_joint + place).left_out
+    assert "<pose> 0 0 1 0.3 -0.2 0.5 of <gazebo> is ignored" in said
 
 
 def test_what_a_world_includes_and_is_not_there_refuses_no_robot(tmp_path):

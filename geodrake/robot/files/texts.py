@@ -45,7 +45,14 @@ from geodrake.robot.files.includes import PACKAGE_ADVICE, Includes
 from geodrake.robot.files.model_edits import put_inertia, sdf_joints, sdf_models, sdf_pose
 from geodrake.robot.files.xml_text import numbered_text, place_of, wrong_at
 from geodrake.robot.joints import Tie
-from geodrake.robot.stated import Closure, CutJoint, FileTerms, Spring, StatedLength
+from geodrake.robot.stated import (
+    CLOSING,
+    Closure,
+    CutJoint,
+    FileTerms,
+    Spring,
+    StatedLength,
+)
 from geodrake.robot.transmission.statements import Coupled, Gear, Statement
 
 URDF_UNREAD: Mapping[str, Collection[str]] = {
@@ -394,7 +401,6 @@ class SdfText(ModelText):
 
 
 _SEVERAL = ("planar", "floating", "ball", "universal")
-_CLOSING = ("revolute", "continuous", "prismatic", "ball", "fixed")
 _KINDS = ("SimpleTransmission", "DifferentialTransmission", "FourBarLinkageTransmission")
 _REDUCTIONS = ("mechanicalReduction", "mechanical_reduction")
 
@@ -434,7 +440,9 @@ class UrdfText(ModelText):
         self._take_floating(scope, joints)
         every = {e.get("name") for tag in ("joint", "drake:joint") for e in root.iter(tag)}
         self._take_gazebo(scope, [e for e in gazebo if e.get("reference")], every)
+        self._take_pose(scope, gazebo)
         self._take_gazebo_joints(scope, gazebo)
+        self._take_loop_joints(scope)
         for joint in joints:
             name = f"{scope}::{joint.get('name')}"
             self._take_mimic(name, scope, joint)
@@ -476,6 +484,23 @@ class UrdfText(ModelText):
             if np.isfinite(X := self._pose(link)).all():
                 self.terms.floating[f"{scope}::{link}"] = RigidTransform(X)
 
+    def _take_pose(self, scope: str, elements: list[Element]) -> None:
+        """Read where Gazebo puts the model, and with it the links that no joint holds."""
+        of_model = (element for element in elements if not element.get("reference"))
+        pose = next((each for e in of_model for each in e.findall("pose")), None)
+        if pose is None or is_off(pose.text or ""):
+            return
+        X, words = _matrix(*sdf_pose(pose)), " ".join((pose.text or "").split())[:80]
+        where = place_of(pose) or self.path
+        roots = [e.get("name", "") for e in self.root.findall("link")]
+        roots = [link for link in roots if link not in self._holding]
+        if "world" in roots or pose.get("relative_to") or not np.isfinite(X).all():
+            self.terms.left_out.append(f"{where}: <pose> {words} of <gazebo> is ignored.")
+            return
+        placed = {f"{scope}::{link}": RigidTransform() for link in roots} | self.terms.floating
+        self.terms.floating |= {link: RigidTransform(X) @ own for link, own in placed.items()}
+        self.terms.notes.append(f"{where}: the robot stands as <pose> {words} of <gazebo> has it.")
+
     def _take_gazebo_joints(self, scope: str, elements: list[Element]) -> None:
         """Read SDF's joints in <gazebo>, which close loops, or hold the base."""
         for joint in [joint for element in elements for joint in element.findall("joint")]:
@@ -490,27 +515,50 @@ class UrdfText(ModelText):
             turn = numbers(joint.findtext("axis/xyz", "0 0 1"), 3)
             if axis is not None and not is_off(axis.findtext("use_parent_model_frame", "")):
                 turn = (X_RC @ X_CJ)[:3, :3].T @ turn
-            readable = kind in _CLOSING and {one, two} <= self._links.keys() and bool(turn.any())
+            readable = kind in CLOSING and {one, two} <= self._links.keys() and bool(turn.any())
             readable = readable and (stated is None or stated.get("relative_to") is None)
             if not (readable and np.isfinite([*X_CJ.ravel(), *turn]).all()):
                 where = place_of(joint) or self.path
                 self.terms.left_out.append(f"{where}: <joint> {name} of <gazebo> is ignored.")
                 continue
-            X_RJ, driven = X_RC @ X_CJ, number(joint, "axis/limit/effort") > 0.0
-            turn = turn / np.linalg.norm(turn)
-            cut = CutJoint(name, f"{scope}::{name}", turn, kind == "prismatic", driven)
-            poses = RigidTransform(np.linalg.solve(self._pose(ends[0]), X_RJ)), RigidTransform(X_CJ)
-            has_axis = kind not in ("ball", "fixed")
-            self.terms.closures.append(
-                Closure(
-                    f"the joint {name}",
-                    (one, two),
-                    poses,
-                    kind != "ball",
-                    cut if has_axis else None,
-                )
-            )
-            self._take_axes([cut.scoped_name], joint, damping=True)
+            driven = number(joint, "axis/limit/effort") > 0.0
+            X_PJ = np.asarray(np.linalg.solve(self._pose(ends[0]), X_RC @ X_CJ))
+            self._close(f"{scope}::{name}", kind, (one, two), (X_PJ, X_CJ), turn, driven=driven)
+            self._take_axes([f"{scope}::{name}"], joint, damping=True)
+
+    def _take_loop_joints(self, scope: str) -> None:
+        """Read joints between two links that both have a joint already, as Drake once did."""
+        for joint in self.root.findall("loop_joint"):
+            self.root.remove(joint)
+            name, kind = joint.get("name", ""), joint.get("type") or "continuous"
+            ends = [joint.find(tag) for tag in ("link1", "link2")]
+            links = ["" if end is None else f"{scope}::{end.get('link')}" for end in ends]
+            places = [np.asarray(_matrix(*_at(end))) for end in ends if end is not None]
+            axis, stated = np.array([1.0, 0.0, 0.0]), joint.find("axis")
+            if stated is not None:
+                axis = numbers(stated.get("xyz", ""), 3)
+            one, two = links
+            known = kind in CLOSING and {one, two} <= self._links.keys() and bool(axis.any())
+            if not known or not np.isfinite([*np.ravel(places), *axis]).all():
+                what = f"<loop_joint> {name} of the type {kind} does not join two links"
+                raise wrong_at(joint, self.path, f"{what}, or has what is no number.")
+            self._close(f"{scope}::{name}", kind, (one, two), (places[0], places[1]), axis)
+
+    def _close(
+        self,
+        name: str,
+        kind: str,
+        links: tuple[str, str],
+        places: tuple[Array, Array],
+        axis: Array,
+        *,
+        driven: bool = False,
+    ) -> None:
+        """Add what a joint closes, by scoped names, between frames at places (4, 4) in links."""
+        turn, short = axis / np.linalg.norm(axis), name.rpartition("::")[2]
+        cut = CutJoint(short, name, turn, kind == "prismatic", driven)
+        poses = RigidTransform(places[0]), RigidTransform(places[1])
+        self.terms.closures.append(Closure.by_joint(cut, kind, links, poses))
 
     def _take_gazebo(self, scope: str, elements: list[Element], joints: set[str | None]) -> None:
         """Take springs of joints, and links without gravity."""
@@ -560,9 +608,12 @@ def _matrix(place: Array, turn: Array) -> Array:
 def _origin(element: Element) -> tuple[Array, Array]:
     """Return the position (3,), and roll, pitch and yaw of an <origin>."""
     origin = element.find("origin")
-    stated = [] if origin is None else [origin.get(key, "") for key in ("xyz", "rpy")]
-    place, turn = (numbers(words, 3) for words in stated or ("", ""))
-    return place, turn
+    return (np.zeros(3), np.zeros(3)) if origin is None else _at(origin)
+
+
+def _at(element: Element) -> tuple[Array, Array]:
+    """Return the position (3,), and roll, pitch and yaw that an element states."""
+    return numbers(element.get("xyz", ""), 3), numbers(element.get("rpy", ""), 3)
 
 
 def _motors(element: Element, path: Path) -> Iterator[Statement]:
