@@ -16,6 +16,7 @@ from geodrake.boundary.input_files import read_regular
 from geodrake.boundary.showing import Short
 from geodrake.boundary.whole_files import write_whole
 from geodrake.errors import FleetError
+from geodrake.fleet.fleet_logs import LogRecord
 from geodrake.fleet.history import DAY
 from geodrake.fleet.type_layout import FleetParameter
 from geodrake.inertia import Array
@@ -148,22 +149,13 @@ class RobotResult(Short):
         return max(self.own, key=lambda each: abs(each.apart), default=None)
 
 
-@dataclass(frozen=True)
-class UnusedLog(Short):
-    """A log that was not used: it is invalid, or has the same content as another."""
-
-    robot: str
-    log: str
-    reason: str
-
-
 @dataclass(frozen=True, eq=False)
 class FleetResult(Short):
     """Results of a fleet.
 
     Attributes:
         robots: The robots, worst first.
-        unused: Logs that findings are not of.
+        unused: Records of logs that findings are not of: invalid, or with the content of another.
         settings: Type -> hash of the settings of its digests.
         repairs: What of the model files is not believed.
         folder: Where digests and results are.
@@ -171,7 +163,7 @@ class FleetResult(Short):
     """
 
     robots: tuple[RobotResult, ...]
-    unused: tuple[UnusedLog, ...]
+    unused: tuple[LogRecord, ...]
     false_alarms: float
     settings: dict[str, str]
     repairs: tuple[str, ...] = ()

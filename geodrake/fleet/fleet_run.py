@@ -29,7 +29,6 @@ from geodrake.fleet.fleet_result import (
     OwnParameter,
     ParameterHistory,
     RobotResult,
-    UnusedLog,
 )
 from geodrake.fleet.history import DAY, HistoryTask, LogEquations, RobotHistory, read_history
 from geodrake.fleet.settings import DigestSettings
@@ -120,7 +119,7 @@ def look_at_fleet(
 def _result(
     fleet: Fleet, digests: FleetDigests, false_alarms: float, told: Told, team: Workers
 ) -> FleetResult:
-    unused = [UnusedLog(each.robot, each.address, each.reason) for each in digests.failed]
+    unused = [*digests.failed]
     robots: list[RobotResult] = []
     for kind in fleet.types.values():
         own = fleet.of_type(kind.name)
@@ -145,14 +144,14 @@ def _result(
     return FleetResult(worst_first, tuple(unused), false_alarms, *known)
 
 
-def _once(records: Sequence[LogRecord]) -> tuple[list[LogRecord], list[UnusedLog]]:
+def _once(records: Sequence[LogRecord]) -> tuple[list[LogRecord], list[LogRecord]]:
     """Return logs of a robot, those of the same bytes once; and the others."""
     seen: dict[str, str] = {}
     kept, twice = [], []
     for record in records:
         if record.digest in seen:
             reason = f"It has the same content as {seen[record.digest]}, and is used once."
-            twice.append(UnusedLog(record.robot, record.address, reason))
+            twice.append(replace(record, reason=reason))
         else:
             seen[record.digest] = record.address
             kept.append(record)
@@ -167,18 +166,18 @@ def _of_type(
     *,
     false_alarms: float,
     team: Workers,
-) -> tuple[list[RobotResult], list[UnusedLog]]:
+) -> tuple[list[RobotResult], list[LogRecord]]:
     """Return findings in robots of a type that have logs, and logs whose digest is damaged."""
     model, folder = type_source(kind)[0], fleet.folder / kind.name
     kept = type_layout(model, settings, np.ones(len(settings.joints)), payload=kind.payload).kept
     tasks = [HistoryTask(name, own, folder, settings, kept) for name, own in records.items() if own]
-    histories, damaged = list[RobotHistory](), list[UnusedLog]()
+    histories, damaged = list[RobotHistory](), list[LogRecord]()
     for history, refused in team.in_order(read_history, tasks):
         histories += [] if history is None else [history]
         for record, problem in refused:
             write_record(folder, replace(record, stamp=""))  # so that it is looked at again
             reason = f"{problem} The next run digests it again, if the log exists."
-            damaged.append(UnusedLog(record.robot, record.address, reason))
+            damaged.append(replace(record, reason=reason))
     if not histories:
         return [], damaged
     efforts = np.sqrt(np.mean([each.effort**2 for each in histories], axis=0))

@@ -18,6 +18,7 @@ from geodrake.effects import Role
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Series
 from geodrake.identification.models.results import BodyChange, ModelIdentification
 from geodrake.inertia import Array
+from geodrake.inertia.parameters import PARAMETER_NAMES
 from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal
 from geodrake.report import words
 from geodrake.report.charts import Bars, Chart, Panel, Plot, Stage
@@ -32,15 +33,7 @@ from geodrake.report.error_charts import (
     step_joint_bars,
     step_stages,
 )
-from geodrake.report.explaining_json import (
-    body_records,
-    draft_values,
-    error_records,
-    explanation_values,
-    identification_values,
-    step_records,
-)
-from geodrake.report.json_output import record
+from geodrake.report.json_output import picked, record
 from geodrake.report.numbers import (
     UNKNOWN,
     Units,
@@ -52,7 +45,18 @@ from geodrake.report.numbers import (
     percent,
     with_deviation,
 )
-from geodrake.report.page import About, Cell, ColoredList, Page, Section, Table, Tile, View, cells
+from geodrake.report.page import (
+    About,
+    Cell,
+    ColoredList,
+    Page,
+    Records,
+    Section,
+    Table,
+    Tile,
+    View,
+    cells,
+)
 from geodrake.report.rollouts import departures_table, motion_values, stages_table
 from geodrake.report.views import comparison_series
 
@@ -779,6 +783,81 @@ def _regularizers_table(found: ModelIdentification) -> Table:
 def _gamma(value: float) -> str:
     """Return the weight of a regularizer, which is unbounded under a loose residual bound."""
     return number(value) if math.isfinite(value) else "unbounded"
+
+
+def error_records(comparison: Comparison) -> Records:
+    """Return a row for each joint."""
+    names = ("joint", "std", "rms", "floor", "nrms", "removable")
+    return [picked(joint, *names) for joint in comparison.errors.joints]
+
+
+def explanation_values(found: Explanation) -> dict[str, Any]:
+    """Return the steps of an explanation, in which rivals have their probabilities."""
+    return {"steps": map(_step, found.steps)}
+
+
+def _step(step: Step) -> dict[str, Any]:
+    rivals = zip(step.rivals, step.probabilities_of_rivals, strict=True)
+    told = [record("Rival", rival, probability=share) for rival, share in rivals]
+    return record("Step", step, rivals=told)
+
+
+def draft_values(draft: Draft) -> dict[str, Any]:
+    """Return the effects of a draft, with their names and coefficients."""
+    found = []
+    for effect in draft.effects:
+        numbers = effect.formula.parameters, effect.coefficients, effect.deviations
+        values = {p.name: (c, d, p.unit) for p, c, d in zip(*numbers, strict=True)}
+        name = draft.names[effect.formula.joint]
+        found.append(record("DraftedEffect", effect, name=name, coefficients=values))
+    return {"effects": found}
+
+
+def identification_values(found: ModelIdentification) -> dict[str, Any]:
+    """Return the bodies of an identified model, and its effects with parameters."""
+    model = found.model
+    bodies = zip(model.bodies, model.phi, strict=True)
+    return {
+        "inertial_parameters": {
+            body: dict(zip(PARAMETER_NAMES, phi, strict=True)) for body, phi in bodies
+        },
+        "effects": [fitted for fitted in model.effects if len(fitted.parameters)],
+    }
+
+
+def step_records(found: Explanation) -> Records:
+    """Return a row for each parameter of each step."""
+    return [
+        {
+            "effect": step.effect,
+            "where": where,
+            "parameter": name,
+            "value": value,
+            "deviation": step.deviations.get(where, {}).get(name),
+            **picked(step, "error_before", "error_after", "probability"),
+        }
+        for step in found.steps
+        for where, values in step.parameters.items()
+        for name, value in values.items()
+    ]
+
+
+def body_records(found: ModelIdentification) -> Records:
+    """Return a row for each body."""
+    return [
+        {
+            "body": body.name,
+            "mass_before": body.mass[0],
+            "mass": body.mass[1],
+            "mass_deviation": body.mass_deviation,
+            **{
+                f"com_{axis}{end}": float(body.com[k][i])
+                for k, end in enumerate(("_before", ""))
+                for i, axis in enumerate("xyz")
+            },
+        }
+        for body in found.bodies
+    ]
 
 
 def _explained_values(found: Explained) -> dict[str, Any]:

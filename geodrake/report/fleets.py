@@ -70,7 +70,7 @@ def fleet_page(result: FleetResult, about: About) -> Page:
         f"{_since(each)}: {_size(each)}."
         for each in result.findings[:1]
     ]
-    unused = [f"{each.robot}: {each.log}: {each.reason}" for each in result.unused]
+    unused = [f"{each.robot}: {each.address}: {each.reason}" for each in result.unused]
     more = [f"and {len(unused) - _MOST_UNUSED} more" + (f", in {result.folder}" if place else "")]
     return Page(
         about,
@@ -447,7 +447,10 @@ def parquet_contents(result: FleetResult, folder: Path) -> Mapping[Path, Content
     tables = {
         "findings": (_FINDINGS, _finding_rows(result)),
         "parameters": (_PARAMETERS, _parameter_rows(result)),
-        "unused_logs": (_UNUSED, [vars(u) | {"log": printable(u.log)} for u in result.unused]),
+        "unused_logs": (
+            ("robot", "log", "reason"),
+            [vars(each) | {"log": printable(each.address)} for each in result.unused],
+        ),
     }
     return {
         folder / f"{name}.parquet": partial(
@@ -468,7 +471,6 @@ _PARAMETERS = (
     *("robot", "type", "effect", "where", "parameter", "unit", "date", "value", "deviation"),
     "shown",
 )
-_UNUSED = ("robot", "log", "reason")
 
 
 def _finding_rows(result: FleetResult) -> list[dict[str, Any]]:

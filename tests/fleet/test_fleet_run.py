@@ -216,7 +216,7 @@ def test_a_log_that_fails_is_a_row(own, tmp_path):
     shutil.copy(tmp_path / HEAVY / f"{date_of(0)}.csv", tmp_path / HEAVY / "2026-05-10.csv")
     result, seen = run_fleet(read_fleet(path), HERE)
     assert seen.made == 5
-    reasons = {Path(unused.log).name: unused.reason for unused in result.unused}
+    reasons = {Path(unused.address).name: unused.reason for unused in result.unused}
     assert "position" in reasons["2026-05-09.csv"]
     assert "no date like %Y-%m-%d" in reasons["undated.csv"]
     assert "the same content as" in reasons["2026-05-10.csv"]
@@ -253,7 +253,7 @@ def test_a_damaged_digest_is_a_row_and_made_again(own, tmp_path):
     damaged.write_bytes(good[:2000] + b"\xff" * 100 + good[2100:])
     result, seen = run_fleet(read_fleet(path), HERE)
     (unused,) = result.unused
-    assert (seen.made, unused.robot, unused.log) == (0, HEAVY, record.address)
+    assert (seen.made, unused.robot, unused.address) == (0, HEAVY, record.address)
     assert "damaged" in unused.reason
     assert {robot.robot: robot.logs for robot in result.robots} == {HEAVY: 1}
     again, seen = run_fleet(read_fleet(path), HERE)
