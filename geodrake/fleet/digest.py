@@ -1,9 +1,9 @@
 """Digests: logs as a few normal matrices, over columns that all logs of a folder share.
 
 Of each joint and block of a log a digest has the `JointData` that a fit is made from, without rows,
-and the autocovariance of what a fit leaves. Fits, changes from day to day and hierarchies of robots
-are small problems on these, and nobody goes back to samples. Digests of several logs are one
-digest: their blocks side by side.
+and how many independent samples what a fit leaves is worth. Fits, changes from day to day and
+hierarchies of robots are small problems on these, and nobody goes back to samples. Digests of
+several logs are one digest: their blocks side by side.
 
 A file holds all of a digest, and the text of its settings. In a folder, its name is the key that it
 holds, which is the hash of its log, of known payloads and of the settings.
@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -28,31 +27,10 @@ from geodrake.errors import ArgumentError, DigestError
 from geodrake.fleet.sealed_file import LARGEST, DamagedFileError, sealed, unsealed
 from geodrake.fleet.settings import FORMAT, DigestColumn, DigestSettings, settings_of
 from geodrake.identification.logs.dataset import JointData
-from geodrake.identification.logs.evidence import effective_by_covariance
 from geodrake.inertia import Array
 from geodrake.logs.known_payload import KnownPayload
 
 Indices = NDArray[np.intp]
-
-
-@dataclass(frozen=True, eq=False)
-class JointDigest(JointData, Short):
-    """A joint's data in B blocks, without rows; factors are triangular.
-
-    Attributes:
-        autocovariances: (B, lags) sums over rows of r_t r_{t+k} for k = 0, 1, …, where r is what
-            the model, refitted to the other blocks of the same log, leaves of this one.
-    """
-
-    autocovariances: Array
-
-    @property
-    def effective(self) -> float:
-        """Independent samples that the residuals of all blocks are worth; 0 of a joint at rest."""
-        count = int(self.samples.sum())
-        if not count:
-            return 0.0
-        return float(effective_by_covariance(self.autocovariances.sum(axis=0), count))
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +51,9 @@ class DigestedLog(Short):
         position: (2, nv) least and largest position of each joint, rad or m.
         speed: (2, nv) least and largest velocity, rad/s or m/s.
         temperature: (nv,) mean temperature of each joint, °C; NaN where it was not measured.
+        effective: (nv,) independent samples that what the model leaves of each block is worth,
+            refitted to the others; 0 of a joint at rest.
+        residual_power: (nv,) sum of squares of that, (N·m)² or N².
         effort_scale: (nv,) how large the effort of a joint without a motor could be, N·m or N;
             zeros at others.
         passive_inertia: As in `Dataset`.
@@ -94,6 +75,8 @@ class DigestedLog(Short):
     position: Array
     speed: Array
     temperature: Array
+    effective: Array
+    residual_power: Array
     effort_scale: Array
     passive_inertia: Array | None
     notes: tuple[str, ...] = ()
@@ -114,7 +97,7 @@ class Digest(Short):
     settings: DigestSettings
     logs: tuple[DigestedLog, ...]
     blocks: tuple[str, ...]
-    joints: tuple[JointDigest, ...]
+    joints: tuple[JointData, ...]
 
     @property
     def columns(self) -> tuple[DigestColumn, ...]:
@@ -131,10 +114,10 @@ class Digest(Short):
         """(nv,) rows of each joint; 0 for one that rests."""
         return np.array([joint.samples.sum() for joint in self.joints])
 
-    @cached_property
+    @property
     def effective(self) -> Array:
         """(nv,) independent samples that the residuals of each joint are worth."""
-        return np.array([joint.effective for joint in self.joints])
+        return np.sum([log.effective for log in self.logs], axis=0)
 
     @property
     def effective_share(self) -> Array:
@@ -197,7 +180,7 @@ class Digest(Short):
         return found
 
 
-_JOINED = "factors", "samples", "seen", "effort_sums", "carried", "autocovariances"  # of blocks
+_JOINED = "factors", "samples", "seen", "effort_sums", "carried"  # of blocks
 
 
 def merge(digests: Sequence[Digest]) -> Digest:
@@ -242,8 +225,8 @@ def by_settings(digest: Digest, settings: DigestSettings, what: str) -> Digest:
     return digest
 
 
-def _joined(parts: Sequence[JointDigest]) -> JointDigest:
-    """Return the joint's digest of several digests."""
+def _joined(parts: Sequence[JointData]) -> JointData:
+    """Return the joint's data of several digests."""
     together: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts]) for name in _JOINED
     }
@@ -258,7 +241,7 @@ class _DigestFile:
     settings: str  # what the settings file holds
     logs: tuple[DigestedLog, ...]
     blocks: tuple[str, ...]
-    joints: tuple[JointDigest, ...]
+    joints: tuple[JointData, ...]
 
 
 def digest_content(digest: Digest) -> bytes:

@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import irfft, next_fast_len, rfft
 
 from geodrake.boundary.arguments import instance, instances, integer, number, typed
 from geodrake.boundary.version import version
 from geodrake.effects import Effect
 from geodrake.errors import ArgumentError, DigestError, LogError
-from geodrake.fleet.digest import Digest, DigestedLog, JointDigest
+from geodrake.fleet.digest import Digest, DigestedLog
 from geodrake.fleet.hashes import model_hash, text_hash
 from geodrake.fleet.log_places import date_of_log
-from geodrake.fleet.settings import BLOCKS, LAGS, DigestEffect, DigestSettings, own_sources
+from geodrake.fleet.settings import BLOCKS, DigestEffect, DigestSettings, own_sources
 from geodrake.identification.logs.candidate_effects import candidate_delays, candidate_effects
 from geodrake.identification.logs.dataset import Dataset, JointData
-from geodrake.identification.logs.hypothesis import CrossValidation
+from geodrake.identification.logs.hypothesis import (
+    CrossValidation,
+    effective_of_rows,
+    residual_blocks,
+)
 from geodrake.identification.logs.log_slices import Layout
 from geodrake.identification.logs.model_fit import effects_of, model_unknowns
 from geodrake.identification.logs.noise import known_noise, prepare_for_model
@@ -35,7 +38,7 @@ from geodrake.identification.logs.reduce import (
     peak_speeds,
     reduced_joints,
 )
-from geodrake.identification.logs.unknowns import payload_reference
+from geodrake.identification.logs.unknowns import Unknowns, payload_reference
 from geodrake.inertia import Array
 from geodrake.logs.files import Reading
 from geodrake.logs.folds import validation_blocks
@@ -185,7 +188,6 @@ def make_settings(
         own_sources(wanted.extra),
         said_of_reading(wanted.reading),
         wanted.blocks or BLOCKS,
-        LAGS,
         version(),
         chosen_from=log.name,
         passive=tuple(joint for joint in own.joints if joint in log.passive),
@@ -246,9 +248,11 @@ def make_digest(
         effort_scale=scale,
         passive_inertia=passive_inertia(own, layout.tree, [trajectory]),
     )
-    joints = tuple(_joint(each, settings) for each in data)
-    digest = Digest(settings, (about,), tuple(fold.name for fold in folds), joints)
-    return with_autocovariances(digest, model, data, extra=extra)
+    digest = Digest(settings, (about,), tuple(fold.name for fold in folds), data)
+    dataset = digest_dataset(digest, model, extra=extra)
+    effective, power = _worth(dataset, model_unknowns(dataset, own))
+    about = replace(about, effective=effective, residual_power=power)
+    return replace(digest, logs=(about,), joints=tuple(map(_without_rows, data)))
 
 
 def _check_held(log: JointLog, settings: DigestSettings) -> None:
@@ -316,7 +320,7 @@ def _about(
     ]
     low, high = (np.array(ends) for ends in zip(*ranges, strict=True))
     position, speed = np.stack([low.min(axis=0), high.max(axis=0)], 1)
-    temperature = np.full(len(log.joints), np.nan)
+    temperature, nothing = np.full(len(log.joints), np.nan), np.zeros(len(log.joints))
     if log.temperature is not None:
         count = np.isfinite(log.temperature).sum(axis=0)
         np.divide(np.nansum(log.temperature, axis=0), count, out=temperature, where=count > 0)
@@ -337,22 +341,19 @@ def _about(
         position,
         speed,
         temperature,
-        np.zeros(len(log.joints)),
+        nothing,
+        nothing,
+        nothing,
         None,
         (*log.notes, *trajectory.notes),
     )
 
 
-def _joint(data: JointData, settings: DigestSettings) -> JointDigest:
-    """Return a joint's data without rows, and without autocovariances yet."""
+def _without_rows(data: JointData) -> JointData:
+    """Return a joint's data whose factors are triangular, with a diagonal of one sign."""
     factors = [triangular_factor([factor]) for factor in data.factors]
     factors = [np.where(np.diagonal(R) < 0.0, -1.0, 1.0)[:, None] * R for R in factors]
-    own = {
-        "factors": np.array(factors),
-        "rows": tuple(() for _ in data.samples),
-        "autocovariances": np.zeros((len(data.samples), settings.lags)),
-    }
-    return JointDigest(**{f.name: getattr(data, f.name) for f in fields(data)} | own)
+    return replace(data, factors=np.array(factors), rows=tuple(() for _ in data.samples))
 
 
 def model_of_digests(model: RobotModel, settings: DigestSettings) -> RobotModel:
@@ -412,55 +413,23 @@ def delays_of_joints(settings: DigestSettings) -> Array:
     return np.array([np.full(len(settings.joints), delay) for delay in settings.delays])
 
 
-def with_autocovariances(
-    digest: Digest,
-    model: RobotModel,
-    data: Sequence[JointData],
-    *,
-    extra: Sequence[type[Effect]] = (),
-) -> Digest:
-    """Return a digest with the autocovariances of the refitted model's residuals in each block.
+def _worth(dataset: Dataset, unknowns: Unknowns) -> tuple[Array, Array]:
+    """Return `effective` samples and `residual_power` of a `DigestedLog`.
 
     The model's bodies and effects are fitted to the other blocks, within what was known of them.
     """
-    dataset = digest_dataset(digest, model, extra=extra)
-    unknowns = model_unknowns(dataset, model_of_digests(model, digest.settings))
-    moving = digest.effort_std > 0.0
-    power = np.where(moving, digest.effort_std, 1.0) ** 2
-    share = np.full(len(digest.joints), _FIRST_SHARE)
+    moving = dataset.effort_std > 0.0
+    power = np.where(moving, dataset.effort_std, 1.0) ** 2
+    effective = _FIRST_SHARE * dataset.rows
     for _ in range(_ROUNDS):
-        weights = np.where(moving, share / power, 0.0)
+        weights = np.where(moving, effective / dataset.rows / power, 0.0)
         held_out = CrossValidation(dataset, unknowns, weights, physical=False).held_out
-        if digest.settings.passive:
+        if dataset.passive_inertia is not None:
             x = held_out.x.mean(axis=0)
             noisy = weights * held_out.sse.sum(axis=0)
             noisy *= dataset.inertias(unknowns.columns, x) ** 2
             unknowns = unknowns.pulled(dataset, x, noisy)
             held_out = CrossValidation(dataset, unknowns, weights, physical=False).held_out
-        digest = _with_residuals(digest, data, unknowns.columns, held_out.x)
-        share = digest.effective_share
-    return digest
-
-
-def _with_residuals(
-    digest: Digest, data: Sequence[JointData], columns: Indices, x: Array
-) -> Digest:
-    joints, lags = [], digest.settings.lags
-    for joint, each in zip(digest.joints, data, strict=True):
-        parts = zip(each.rows, each.parameters(columns, x), each.samples, strict=True)
-        of_blocks = [
-            _of_block([row.b[:, 0] - row.A @ own for row in rows], int(count), lags)
-            for rows, own, count in parts
-        ]
-        joints.append(replace(joint, autocovariances=np.array(of_blocks)))
-    return replace(digest, joints=tuple(joints))
-
-
-def _of_block(residuals: Sequence[Array], samples: int, lags: int) -> Array:
-    """Return (lags,) sums of r_t r_{t+k} over stretches without gaps, scaled to all samples."""
-    total, kept = np.zeros(lags), sum(map(len, residuals))
-    for r in residuals:
-        size = next_fast_len(len(r) + lags, real=True)
-        transform = rfft(r, size)
-        total += irfft(np.square(transform.real) + np.square(transform.imag), size)[:lags]
-    return total * (samples / max(kept, 1))
+        left = residual_blocks(dataset, unknowns.columns, held_out.x)
+        effective = effective_of_rows(left, dataset.rows)
+    return np.where(dataset.has_rows, effective, 0.0), held_out.sse.sum(axis=0)

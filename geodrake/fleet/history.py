@@ -18,7 +18,7 @@ from geodrake.boundary.input_files import read_regular
 from geodrake.boundary.showing import Short
 from geodrake.boundary.whole_files import made_folder, write_whole
 from geodrake.errors import DigestError, FleetError
-from geodrake.fleet.digest import Digest, JointDigest, read_digest_of
+from geodrake.fleet.digest import Digest, read_digest_of
 from geodrake.fleet.fleet_logs import DIGESTS, LogRecord, robot_folder
 from geodrake.fleet.hashes import text_hash
 from geodrake.fleet.sealed_file import DamagedFileError, sealed, unsealed
@@ -235,37 +235,34 @@ def weighted_grams(digest: Digest, kept: Indices) -> tuple[list[JointGrams], Arr
     shares = np.zeros((len(digest.joints), bodies + len(settings.columns)))
     if (inertia := digest.passive_inertia) is not None:
         shares[:, :bodies] = inertia
-    parts = zip(digest.joints, digest.effective_share, digest.noise_floor, strict=True)
-    for j, (joint, share, noise) in enumerate(parts):
+    parts = zip(digest.joints, digest.effective.tolist(), digest.noise_floor, strict=True)
+    for j, (joint, effective, noise) in enumerate(parts):
         local = joint.local(numbers)
         columns, at = np.flatnonzero(local >= 0), np.append(local[local >= 0], len(joint.columns))
         gram = joint.gram[np.ix_(at, at)]
         count = float(joint.samples.sum())
         if settings.joints[j] in settings.passive:
-            gram = _passive_gram(joint, gram, shares[j, numbers[columns]], share)
+            power = float(sum(log.residual_power[j] for log in digest.logs))
+            gram = _passive_gram(gram, shares[j, numbers[columns]], effective, power)
             found.append(JointGrams(columns, gram[None]))
             squares.append(count * float(digest.effort_scale[j]) ** 2)
             continue
-        weight = share / max(_residual_variance(gram, count), noise**2) if count else 0.0
-        found.append(JointGrams(columns, weight * gram[None]))
+        variance = max(_residual_variance(gram, count), noise**2)
+        found.append(JointGrams(columns, effective / max(count, 1.0) / variance * gram[None]))
         squares.append(gram[-1, -1])
     return found, np.array(squares)
 
 
-def _passive_gram(joint: JointDigest, gram: Array, inertia: Array, share: float) -> Array:
+def _passive_gram(gram: Array, inertia: Array, effective: float, power: float) -> Array:
     """Return the weighted normal matrix of a joint without a motor, near the model's bodies.
 
-    Its columns have the `inertia` (m,) of `Dataset.passive_inertia`. A row is worth what the
-    refitted model leaves. The likelihood of the inertia m that the joint feels, over that of the
-    model, is in it to second order: n (m − 2)², as in `LogFits`.
+    Its columns have the `inertia` (m,) of `Dataset.passive_inertia`; a row is worth what the
+    refitted model leaves, whose sum of squares is the `power`. The likelihood of the inertia m that
+    the joint feels, over that of the model, is in it to second order: n (m − 2)², as in `LogFits`.
     """
-    count = float(joint.samples.sum())
-    if not count:
-        return gram
-    power = max(float(joint.autocovariances[:, 0].sum()), 1e-300)
-    found = share * count / power * gram
-    found[:-1, :-1] += share * count * inertia[:, None] * inertia
-    found[:-1, -1] += 2.0 * share * count * inertia
+    found = effective / max(power, 1e-300) * gram
+    found[:-1, :-1] += effective * inertia[:, None] * inertia
+    found[:-1, -1] += 2.0 * effective * inertia
     found[-1, :-1] = found[:-1, -1]
     return found
 

@@ -42,9 +42,6 @@ DIGEST_NAME = r"[0-9a-f]{32}\.digest"
 FORMAT = "geodrake digest 4"
 """Name and version of the format of settings and digests."""
 
-LAGS = 200
-"""Autocovariances of residuals are kept up to so many samples' distance."""
-
 BLOCKS = 4
 """Blocks of a log, each with its own factor."""
 
@@ -129,7 +126,6 @@ class DigestSettings(Short):
         base_matrix: (n_B, 10·nb) base parameters of inertial parameters, φ_B = B φ.
         extra: Effect of the user's own that may have columns -> SHA-256 of its source.
         reading: How logs are read, as far as that is the same for all.
-        lags: Distance up to which autocovariances are kept, samples.
         passive: Joints without a motor.
         chosen_from: The log by which they were chosen.
     """
@@ -149,7 +145,6 @@ class DigestSettings(Short):
     extra: Mapping[str, str]
     reading: Mapping[str, Any]
     blocks: int
-    lags: int
     version: str
     format: str = FORMAT
     chosen_from: str = ""

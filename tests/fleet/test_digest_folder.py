@@ -129,7 +129,7 @@ def test_settings_of_something_else_are_refused_by_name(model, made, folder):
         (lambda text: "", "is empty"),
         (lambda text: text.replace(FORMAT, "geodrake digest 9"), "has format"),
         (lambda text: text.replace('"blocks": 4', '"blocks": "four"'), "has no valid settings"),
-        (lambda text: text.replace('"lags": 200', '"lags": NaN'), "has no valid settings"),
+        (lambda text: text.replace('"blocks": 4', '"blocks": NaN'), "has no valid settings"),
         (lambda text: text.replace("viscous_friction", "nobody's"), "its hash belongs to other"),
     ],
 )
