@@ -51,6 +51,7 @@ class DigestedLog(Short):
         position: (2, nv) least and largest position of each joint, rad or m.
         speed: (2, nv) least and largest velocity, rad/s or m/s.
         temperature: (nv,) mean temperature of each joint, °C; NaN where it was not measured.
+        samples: (nv,) rows of each joint; 0 for one that rests.
         effective: (nv,) independent samples that what the model leaves of each block is worth,
             refitted to the others; 0 of a joint at rest.
         residual_power: (nv,) sum of squares of that, (N·m)² or N².
@@ -75,6 +76,7 @@ class DigestedLog(Short):
     position: Array
     speed: Array
     temperature: Array
+    samples: NDArray[np.int_]
     effective: Array
     residual_power: Array
     effort_scale: Array
@@ -112,7 +114,7 @@ class Digest(Short):
     @property
     def samples(self) -> NDArray[np.int_]:
         """(nv,) rows of each joint; 0 for one that rests."""
-        return np.array([joint.samples.sum() for joint in self.joints])
+        return np.sum([log.samples for log in self.logs], axis=0)
 
     @property
     def effective(self) -> Array:

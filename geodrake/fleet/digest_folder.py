@@ -12,14 +12,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import file_path, instance, instances, number, typed
 from geodrake.boundary.showing import Short
 from geodrake.boundary.version import version
 from geodrake.boundary.whole_files import check_writable, made_folder, write_new, write_whole
 from geodrake.errors import ArgumentError, DigestError, GeodrakeError, OutputError
-from geodrake.fleet.digest import Digest, DigestedLog, digest_content, read_digest_of
+from geodrake.fleet.digest import DigestedLog, digest_content, read_digest_of
 from geodrake.fleet.digest_log import (
     LogFacts,
     Wanted,
@@ -31,7 +30,6 @@ from geodrake.fleet.digest_log import (
 from geodrake.fleet.hashes import file_hash, text_hash
 from geodrake.fleet.log_places import date_text
 from geodrake.fleet.settings import SETTINGS_FILE, DigestSettings, own_sources, read_settings
-from geodrake.inertia import Array
 from geodrake.logs.files import check_log, parts_of, read_log
 from geodrake.logs.known_payload import KnownPayload
 from geodrake.logs.motion import JointLog
@@ -52,8 +50,6 @@ class DigestRow(Short):
     """The outcome for one log.
 
     Attributes:
-        samples: (nv,) filtered samples of each joint.
-        effective: (nv,) independent samples that these are worth.
         reason: Why there is no digest; or what else is to say of it.
     """
 
@@ -61,14 +57,7 @@ class DigestRow(Short):
     status: str
     digest: Path | None = None
     about: DigestedLog | None = None
-    samples: NDArray[np.int_] | None = None
-    effective: Array | None = None
     reason: str = ""
-
-    @classmethod
-    def of(cls, file: Path, status: str, path: Path, digest: Digest, reason: str = "") -> DigestRow:
-        """Return the row of a log that has a digest."""
-        return cls(file, status, path, digest.logs[0], digest.samples, digest.effective, reason)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +95,8 @@ class _Folder:
         reason = ""
         if self.settings is not None and (file := self._file(self.settings, facts)).exists():
             try:
-                return DigestRow.of(log, THERE, file, read_digest_of(file, self.settings))
+                (about,) = read_digest_of(file, self.settings).logs
+                return DigestRow(log, THERE, file, about)
             except DigestError as error:
                 reason = f"digested again: {error.problem}"
         known, reading = self.model.known_joints, reading_for(self.model, self.wanted.reading)
@@ -122,7 +112,7 @@ class _Folder:
             else:
                 self.take_settings()  # another run was quicker to choose them
                 return self.add(log, facts)
-        return DigestRow.of(log, MADE, file, digest, reason)
+        return DigestRow(log, MADE, file, digest.logs[0], reason)
 
     def _chosen_from(self, log: JointLog) -> DigestSettings:
         """Return settings by the first log."""

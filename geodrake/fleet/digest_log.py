@@ -245,6 +245,7 @@ def make_digest(
         scale[~np.isin(own.joints, settings.passive)] = 0.0
     about = replace(
         _about(log, trajectory, own, settings, facts),
+        samples=np.array([each.samples.sum() for each in data]),
         effort_scale=scale,
         passive_inertia=passive_inertia(own, layout.tree, [trajectory]),
     )
@@ -341,6 +342,7 @@ def _about(
         position,
         speed,
         temperature,
+        nothing.astype(int),
         nothing,
         nothing,
         nothing,

@@ -244,10 +244,12 @@ def digests_page(run: DigestRun, about: About) -> Page:
 
 
 def _digest_cells(row: DigestRow) -> tuple[Cell, ...]:
-    about, name, samples, effective = row.about, row.digest, row.samples, row.effective
-    if about is None or name is None or samples is None or effective is None:
+    about, name = row.about, row.digest
+    if about is None or name is None:
         return cells(row.file.name, *("",) * 7)
-    ends = (f"{values.min():.0f} to {values.max():.0f}" for values in (samples, effective))
+    ends = (
+        f"{values.min():.0f} to {values.max():.0f}" for values in (about.samples, about.effective)
+    )
     ends = (text.partition(" ")[0] if len({*text.split(" to ")}) == 1 else text for text in ends)
     return cells(
         row.file.name,
@@ -405,10 +407,10 @@ def _digest_values(run: DigestRun) -> dict[str, Any]:
 
 def _digest_row(row: DigestRow, settings: DigestSettings | None) -> dict[str, Any]:
     about, said = row.about, {"log": row.file, "status": row.status, "reason": row.reason}
-    if about is None or settings is None or row.samples is None or row.effective is None:
+    if about is None or settings is None:
         return said
     values = (
-        *(row.samples, row.effective, about.noise_floor),
+        *(about.samples, about.effective, about.noise_floor),
         *(about.position.T, about.speed.T, about.temperature),
     )
     return {
