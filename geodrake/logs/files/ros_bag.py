@@ -22,10 +22,10 @@ from geodrake.logs.files.messages import (
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable, readable
 from geodrake.logs.files.topics import Topic, chosen_topics, topics_table
+from geodrake.logs.files.units import WORDS
 
 _FIRST = 20  # messages by which a topic is known; publishers of other joints may take turns
 _JOINT_STATE = "sensor_msgs/msg/JointState"
-_CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
 _DYNAMIC_STATE = "control_msgs/msg/DynamicJointState"
 _TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 _NUMBERS = re.compile(r"std_msgs/msg/(Float|Int)\d+MultiArray")
@@ -38,32 +38,6 @@ _REPAIR = (
     "If the recording is truncated, repair it: `ros2 bag reindex` for a folder, `mcap "
     "recover` for .mcap, `rosbag reindex` for .bag."
 )
-_HEAD = "std_msgs/Header header\nstring[] joint_names\n"
-_UNDEFINED = (
-    _HEAD
-    + "".join(
-        f"trajectory_msgs/JointTrajectoryPoint {name}\n" for name in ("desired", "actual", "error")
-    ),
-    _HEAD
-    + "".join(
-        f"trajectory_msgs/JointTrajectoryPoint {name}\n"
-        for name in ("reference", "feedback", "error", "output", "desired", "actual")
-    )
-    + "string[] multi_dof_joint_names\n"
-    + "".join(
-        f"trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_{name}\n"
-        for name in ("reference", "feedback", "error", "output", "desired", "actual")
-    ),
-)
-"""Controller messages, for SQLite bags without definitions (until Foxy, and in Humble)."""
-
-
-_INTERFACES = (
-    "std_msgs/Header header\nstring[] joint_names\nInterfaceValue[] interface_values\n"
-    + 80 * "="
-    + "\nMSG: control_msgs/InterfaceValue\nstring[] interface_names\nfloat64[] values\n"
-)
-
 
 Decoder = Callable[[bytes, str], Any]
 """Function from bytes to a message, and its type."""
@@ -168,7 +142,7 @@ def _messages(
     return found
 
 
-def _definitions(kind: str, definition: Any) -> tuple[str, ...]:
+def _definitions(kind: str, definition: Any) -> Sequence[str]:
     """Return the possible definitions of a message type, if it can be about joints."""
     if len(definition.data) > _LONGEST_DEFINITION or _LONG_ARRAY.search(definition.data):
         return ()  # no message about joints has such a one
@@ -177,7 +151,7 @@ def _definitions(kind: str, definition: Any) -> tuple[str, ...]:
         return (definition.data,) if numbers or _WORDS.search(definition.data) else ()
     if kind in (_JOINT_STATE, _TRAJECTORY) or _NUMBERS.fullmatch(kind):
         return ("",)
-    return {_CONTROLLER_STATE: _UNDEFINED, _DYNAMIC_STATE: (_INTERFACES,)}.get(kind, ())
+    return WORDS["definitions"].get(kind, ())
 
 
 def _store(kind: str, definition: str, form: str) -> Any:

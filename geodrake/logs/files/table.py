@@ -25,6 +25,7 @@ from geodrake.boundary.memory import machine_memory
 from geodrake.errors import GeodrakeError, LogError
 from geodrake.logs.files.name_rules import is_time, names_joints
 from geodrake.logs.files.packed_files import log_name
+from geodrake.logs.files.units import WORDS
 from geodrake.logs.time_stamps import check_time
 
 
@@ -480,27 +481,16 @@ def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
 
 
 _HIGHEST_RATE = 1e5
-_PERIODS = ("dt", "ts", "period", "timestep", "sampletime", "sampleperiod", "samplingtime")
-_RATES = (
-    "fs",
-    "rate",
-    "hz",
-    "fps",
-    "freq",
-    "frequency",
-    "samplerate",
-    "samplingrate",
-    "controlfreq",
-)
 
 
 def rate_in(name: str, value: Any) -> float | None:
     """Return the sampling rate from a scalar with a suitable name in a file, or None."""
     word = re.sub(r"[^a-z]", "", re.split(r"[./]", name.lower())[-1])
-    if not _is_alone(value) or word not in (*_PERIODS, *_RATES):
+    is_rate = word in WORDS["rates"].split()
+    if not _is_alone(value) or not (is_rate or word in WORDS["periods"].split()):
         return None
     number = number_in(value) or np.nan
-    rate = number if word in _RATES else 1.0 / number
+    rate = number if is_rate else 1.0 / number
     return rate if 1.0 <= rate <= _HIGHEST_RATE else None
 
 
