@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.boundary.arguments import instance, instances, number, real_array
+from geodrake.boundary.arguments import Shape, instance, instances, number, one_or_each, real_array
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, LogError
@@ -118,51 +118,29 @@ class JointLog(Short):
     left_out: tuple[str, ...] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
-        for share in np.ravel(np.asarray(self.effort_uncertainty, object)):
-            number(share, "effort_uncertainty", lower=0.0, upper=1.0)
-        for quantity in ("time", *QUANTITIES):
-            if (values := getattr(self, quantity)) is not None:
-                name = f"{quantity} of log {self.name!r}"
-                object.__setattr__(self, quantity, real_array(values, name, finite=False))
-        if np.ndim(self.time) != 1 or isinstance(self.joints, str):
-            raise ArgumentError(
-                f"Log {self.name!r} needs time stamps (N,) and a tuple of joint names; got "
-                f"time of shape {np.shape(self.time)} and joints {self.joints!r}."
-            )
         instance(self.name, "name", str)
         object.__setattr__(self, "joints", instances(self.joints, "joints", str))
-        for name, values in (("position", self.position), ("effort", self.effort)):
-            instance(values, name, np.ndarray)
-        shape = (len(self.time), len(self.joints))
-        for quantity in QUANTITIES:
-            values = getattr(self, quantity)
-            if values is not None and np.shape(values) != shape:
-                raise ArgumentError(
-                    f"The {quantity} of log {self.name!r} has shape {np.shape(values)}; "
-                    f"{shape[0]} time stamps and {shape[1]} joints need {shape}.",
-                    shape=np.shape(values),
-                )
-        for name, values in instance(self.floating, "floating", Mapping).items():
-            real_array(values, f"{name} of log {self.name!r}", (len(self.time),), finite=False)
         if len(set(self.joints)) != len(self.joints):
             raise ArgumentError(f"Log {self.name!r} has duplicate joint names: {self.joints}.")
+        sizes: dict[str, tuple[int, ...]] = {"n": (len(self.joints),)}
+        for quantity in ("time", *QUANTITIES):
+            values, shape = getattr(self, quantity), ("N",) if quantity == "time" else ("N", "n")
+            if values is not None or quantity in ("time", "position", "effort"):
+                name = f"{quantity} of log {self.name!r}"
+                values = real_array(values, name, shape, sizes, finite=False)
+                object.__setattr__(self, quantity, values)
+        for name, values in instance(self.floating, "floating", Mapping).items():
+            real_array(values, f"{name} of log {self.name!r}", ("N",), sizes, finite=False)
         instances(self.payloads, "payloads", KnownPayload)
-        self._check_efforts()
-        check_time(self.name, np.asarray(self.time, float))
-
-    def _check_efforts(self) -> None:
-        """Raise an ArgumentError for invalid facts about efforts."""
-        if np.shape(self.effort_uncertainty) not in ((), (len(self.joints),)):
-            raise ArgumentError(
-                f"Log {self.name!r} has {len(self.joints)} joints, but effort_uncertainty of "
-                f"shape {np.shape(self.effort_uncertainty)}."
-            )
+        for share in one_or_each(self.effort_uncertainty, "effort_uncertainty", len(self.joints)):
+            number(share, "effort_uncertainty", upper=1.0)
         for joint, kind in instance(self.effort_kinds, "effort_kinds", Mapping).items():
             if joint not in self.joints or kind not in (*EFFORT_KINDS, GROUND, UNMEASURED):
                 raise ArgumentError(
                     f"Log {self.name!r} has the unknown kind of efforts {kind!r} for {joint!r}.",
                     advice=f"Joints are {', '.join(self.joints)}; kinds {', '.join(EFFORT_KINDS)}.",
                 )
+        check_time(self.name, self.time)
 
     @property
     def passive(self) -> tuple[str, ...]:
@@ -252,6 +230,16 @@ class JointLog(Short):
         return replace(self, joints=tuple(joints), **pick)
 
 
+_SHAPES: Mapping[str, Shape | None] = {
+    "q": ("N", "nq"),
+    "v": ("N", "nv"),
+    "vd": ("N", "nv"),
+    "time": ("N",),
+    "before": ("M", "nq"),
+    "temperature": None,
+}
+
+
 @dataclass(frozen=True, eq=False)
 class Motion(Short):
     """Positions, velocities and accelerations in Drake's order, sample by sample.
@@ -273,22 +261,12 @@ class Motion(Short):
     temperature: Array | None = None
 
     def __post_init__(self) -> None:
-        for name in ("q", "v", "vd", "time", "before", "temperature"):
+        sizes: dict[str, tuple[int, ...]] = {}
+        for name, shape in _SHAPES.items():
             if (values := getattr(self, name)) is not None or name in ("q", "v", "vd"):
                 measured = name != "temperature"  # which need not be known
-                object.__setattr__(self, name, real_array(values, name, finite=measured))
-        if self.q.ndim != 2 or self.v.ndim != 2 or self.vd.ndim != 2:
-            raise ArgumentError(
-                f"A motion needs q (N, nq) and v (N, nv); got {self.q.shape} and {self.v.shape}."
-            )
-        times = () if self.time is None else np.shape(self.time)
-        lengths = {len(self.q), len(self.v), len(self.vd), *times}
-        if len(lengths) > 1 or np.shape(self.v) != np.shape(self.vd):
-            raise ArgumentError(
-                "A motion needs equally many samples of everything, and v̇ of the shape of "
-                f"v; got q {np.shape(self.q)}, v {np.shape(self.v)}, v̇ {np.shape(self.vd)}, "
-                f"time {times}."
-            )
+                values = real_array(values, name, shape, sizes, finite=measured)
+                object.__setattr__(self, name, values)
 
     def __len__(self) -> int:
         return len(self.q)
