@@ -25,7 +25,7 @@ from geodrake.logs.files.array_files import (
 from geodrake.logs.files.joined_tables import joined_tables, reshaped
 from geodrake.logs.files.lcm_log import MAGIC, read_lcm
 from geodrake.logs.files.lerobot_dataset import INFO, read_lerobot
-from geodrake.logs.files.name_rules import OF_JOINTS, meaning_of, meanings_of, quantity_of
+from geodrake.logs.files.name_rules import OF_JOINTS, meanings_of, quantity_of
 from geodrake.logs.files.packed_files import unpacked
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.ros_bag import read_bag
@@ -175,28 +175,20 @@ def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
 def _named_table(path: Path, reading: Reading) -> LogTable:
     """Return the columns of one file; bare names of joints get the quantity of the file's name."""
     table = reshaped(table_of(path, reading).loaded(skip=reading.skip_bad_rows), reading)
-    stem = unpacked(path).stem
-    quantity = quantity_of(stem)
-    if quantity is None and _TOLD.search(stem.lower()):
-        quantity = "command"
-    meanings = meanings_of(table.columns)
+    stem, meanings = unpacked(path).stem, meanings_of(table.columns)
+    quantity = quantity_of(stem) or ("command" if _TOLD.search(stem.lower()) else None)
     if quantity is None or any(m.quantity == quantity for m in meanings):
         return table
     if quantity == "command" and any(m.quantity in OF_JOINTS for m in meanings):
-        quantity = None  # positions by their names: of commands, as that of the file says
-
-    def named(column: str) -> str:
-        meaning = meaning_of(column)
-        if table.is_time(column):
-            return column
-        if quantity is None:
-            is_position = meaning is not None and meaning.quantity == "position"
-            own = column.removesuffix(".position")
-            named = f"{own}.command" if own != column else f"command_{column}"
-            return named if is_position else column
-        return f"{quantity}_{column}" if column.isdecimal() else f"{column}.{quantity}"
-
-    return _renamed(table, {name: named(name) for name in table.columns})
+        told = (m.column for m in meanings if m.quantity == "position")
+        own = {column: column.removesuffix(".position") for column in told}
+        return _renamed(
+            table, {c: f"{j}.command" if j != c else f"command_{c}" for c, j in own.items()}
+        )
+    bare = [column for column in table.columns if not table.is_time(column)]
+    return _renamed(
+        table, {c: f"{quantity}_{c}" if c.isdecimal() else f"{c}.{quantity}" for c in bare}
+    )
 
 
 def _renamed(table: LogTable, names: Mapping[str, str]) -> LogTable:
