@@ -384,27 +384,23 @@ _SOURCES = (
 _WORLDS = ("world", "map", "odom")
 
 
-def base_sources(
-    kinds: Mapping[str, str], named: Sequence[str]
-) -> tuple[list[str], list[str], list[str]]:
-    """Return the topics of poses, of IMUs and of wrenches, the best first.
+def base_sources(kinds: Mapping[str, str], named: Sequence[str]) -> list[list[str]]:
+    """Return topics of the pose of a base, of its IMU and of each foot, the best of a source first.
 
     `kinds` are the types of topics; those that are `named` are the only ones of their source.
     """
-    asked = {name.strip("/") for name in named}
-
-    def of(source: tuple[str, ...]) -> list[str]:
+    found = []
+    for source in _SOURCES:
         able = [name for name, kind in kinds.items() if kind in source]
-        able = [name for name in able if name.strip("/") in asked] or [
+        able = [name for name in able if name in named] or [
             name
             for name in able
             if not name.endswith("tf_static")
             and (kinds[name] not in _POSES or IS_BASE.search(name))
         ]
-        return sorted(able, key=lambda n: (source.index(kinds[n]), IS_BASE.search(n) is None))
-
-    poses, imus, wrenches = map(of, _SOURCES)
-    return poses, imus, wrenches
+        able.sort(key=lambda n: (source.index(kinds[n]), IS_BASE.search(n) is None))
+        found += [able] if source != _SOURCES[-1] else [[name] for name in able]
+    return found
 
 
 @dataclass

@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import groupby, islice
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from geodrake.boundary.input_files import regular_files
 from geodrake.boundary.optional_packages import optional_package
@@ -17,6 +17,7 @@ from geodrake.errors import LogError
 from geodrake.logs.files.messages import (
     BaseMessages,
     JointMessages,
+    Messages,
     base_sources,
 )
 from geodrake.logs.files.reading import Reading
@@ -42,6 +43,8 @@ _REPAIR = (
 Decoder = Callable[[bytes, str], Any]
 """Function from bytes to a message, and its type."""
 
+M = TypeVar("M", bound=Messages)
+
 
 def read_bag(path: Path, reading: Reading) -> LogTable:
     """Return the columns of a ROS bag."""
@@ -53,49 +56,37 @@ def read_bag(path: Path, reading: Reading) -> LogTable:
         spoken = sorted((c for c in reader.connections if c.msgcount), key=lambda c: c.topic)
         named = groupby(spoken, key=lambda c: c.topic)
         topics = [_probed(reader, [*each], method) for _, each in named]
-        sources, joints_reading = _base_sources(spoken, reading)
-        chosen = chosen_topics(path, topics, joints_reading)
+        base, notes, of_base = _base(reader, spoken, method, reading)
+        asked = [name for name in reading.topics if name.strip("/") not in of_base]
+        chosen = chosen_topics(path, topics, replace(reading, topic=asked or None))
         whole = [replace(each, messages=each.read()) for each in chosen]
-        base, notes = _base(reader, spoken, method, sources)
     return topics_table(path, whole, topics, reading, base).noting(*notes)
 
 
-def _base_sources(connections: Sequence[Any], reading: Reading) -> tuple[list[list[str]], Reading]:
-    """Return the topics to read of a free base and its feet, one each, and the other topics."""
-    if not reading.of_base:
-        return [], reading
-    asked = {name.strip("/") for name in reading.topics}
-    kinds = {
-        c.topic: c.msgtype
-        for c in connections
-        if c.topic.strip("/") in asked or not _WANTED.search(c.topic)
-    }
-    *single, wrenches = base_sources(kinds, reading.topics)
-    of_base = {name.strip("/") for names in (*single, wrenches) for name in names}
-    joints = [name for name in reading.topics if name.strip("/") not in of_base]
-    return [*single, *([name] for name in wrenches)], replace(reading, topic=joints or None)
-
-
 def _base(
-    reader: Any, connections: Sequence[Any], method: str, sources: Sequence[Sequence[str]]
-) -> tuple[list[BaseMessages], list[str]]:
-    """Return data of a floating base and its feet, from the first topic of each source."""
-    found, others = list[BaseMessages](), list[str]()
+    reader: Any, connections: Sequence[Any], method: str, reading: Reading
+) -> tuple[list[BaseMessages], list[str], set[str]]:
+    """Return data of a free base and its feet, notes, and the names of topics that have them."""
+    if not reading.of_base:
+        return [], [], set()
+    asked = [name.strip("/") for name in reading.topics]
+    topics = {c.topic.strip("/"): c for c in connections}
+    kinds = {n: c.msgtype for n, c in topics.items() if n in asked or not _WANTED.search(n)}
+    found, others, sources = list[BaseMessages](), list[str](), base_sources(kinds, asked)
     for names in sources:
         for k, name in enumerate(names):
-            rows, own = BaseMessages(name), [each for each in connections if each.topic == name]
+            own = [each for each in connections if each.topic == topics[name].topic]
             kind, definition = own[0].msgtype, own[0].msgdef
             decode = getattr(_store(kind, definition.data, definition.format.name), method)
-            for _, received, data in reader.messages(connections=own):
-                rows.add(decode(data, kind), received)
+            rows = _messages(reader, own, decode, BaseMessages(own[0].topic))
             if rows.groups:
                 found.append(rows)
-                others += names[k + 1 :]
+                others += [topics[other].topic for other in names[k + 1 :]]
                 break
     read = ", ".join(rows.topic for rows in found)
     notes = [f"base and feet are read from {read}"] if found else []
     notes += [f"{', '.join(others)} have the same (--topic)"] if others else []
-    return found, notes
+    return found, notes, {name for names in sources for name in names}
 
 
 def _storage(path: Path) -> Path:
@@ -125,7 +116,8 @@ def _probed(reader: Any, connections: Sequence[Any], method: str) -> Topic:
         try:
             decode = getattr(_store(kind, text, definition.format.name), method)
             read = partial(_messages, reader, connections, decode)
-            return replace(topic, messages=read(_FIRST), read=read)
+            first, whole = JointMessages(name), JointMessages(name)
+            return replace(topic, messages=read(first, _FIRST), read=partial(read, whole))
         except _problems():
             if is_state:  # of others, nothing may be known
                 raise
@@ -133,10 +125,9 @@ def _probed(reader: Any, connections: Sequence[Any], method: str) -> Topic:
 
 
 def _messages(
-    reader: Any, connections: Sequence[Any], decode: Decoder, most: int | None = None
-) -> JointMessages:
-    """Return the joint data in messages of a topic, or in the first of them."""
-    found = JointMessages(connections[0].topic)
+    reader: Any, connections: Sequence[Any], decode: Decoder, found: M, most: int | None = None
+) -> M:
+    """Return the data in messages of a topic, or in the first of them."""
     for connection, received, data in islice(reader.messages(connections=connections), most):
         found.add(decode(data, connection.msgtype), received)
     return found
