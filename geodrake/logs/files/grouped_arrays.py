@@ -37,7 +37,7 @@ def fields_of(
         if lists and isinstance(value, list):
             items = {f"[{k}]": each for k, each in enumerate(value)}
             yield from fields_of(items, f"{prefix}{name}", lists=lists)
-        elif isinstance(value, Mapping):
+        elif isinstance(value, dict):
             yield from fields_of(value, f"{prefix}{name}.", lists=lists)
         else:
             yield f"{prefix}{name}", value

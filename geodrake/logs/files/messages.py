@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from math import isnan
 from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import LogError
-from geodrake.logs.files.name_rules import MEASURED, OTHER, meaning_of, quantity_of
+from geodrake.logs.files.grouped_arrays import fields_of
+from geodrake.logs.files.name_rules import MEASURED, OTHER, meaning_of
 from geodrake.logs.files.table import LogTable
 from geodrake.logs.floating import IS_BASE, floating_name
 from geodrake.logs.motion import EFFORT_KINDS
@@ -53,67 +55,9 @@ NUMBERS = "data"
 """Names of numbers that do not tell their quantity."""
 
 _NAMES = ("name", "names", "joint_name", "joint_names")
-_OUTPUT = ("output", "effort")  # of a controller, where nobody measures
-_FIRST = "[0]"  # behind a field with several numbers for each motor
-_POINTS = "points"  # of a trajectory, which joints are told
-
-
-@dataclass(frozen=True)
-class JointFields:
-    """Where messages of a type have names of joints and their measurements.
-
-    Attributes:
-        arrays: Quantity -> where its array may be; the first with numbers counts. `NUMBERS` of
-            which the message says no more.
-        by_joint: Whether every joint has a list of its own, of values and what they are.
-        by_motor: Whether there is a message for each motor, or for more than the robot has.
-    """
-
-    names: str | None
-    arrays: Mapping[str, tuple[tuple[str, ...], ...]]
-    by_joint: bool = False
-    by_motor: bool = False
-
-    @classmethod
-    def of(cls, message: Any) -> JointFields | None:
-        """Return the fields of messages such as this one; None if a log does not need them."""
-        names = next(
-            (n for n in _NAMES if isinstance(getattr(message, n, None), list | tuple)), None
-        )
-        ranked = defaultdict[str, list[tuple[int, tuple[str, ...]]]](list)
-        for path, value in _leaves(message):
-            if np.ndim(value) == 1 and np.asarray(value).dtype.kind in "fiu":
-                quantity, role = _quantity_at(path)
-                ranked[quantity].append((role, path))
-        arrays = {
-            quantity: tuple(path for _, path in sorted(own, key=itemgetter(0)))
-            for quantity, own in ranked.items()
-            if quantity and (quantity != NUMBERS or hasattr(message, "layout"))
-        }
-        by_joint = hasattr(message, "interface_values")
-        says = by_joint or any(arrays.get(q) for q in ("position", "effort", "command", NUMBERS))
-        wholes = (_at(message, path[:-1]) for paths in arrays.values() for path in paths)
-        by_motor = any(isinstance(whole, list) and len(whole) > 1 for whole in wholes)
-        return cls(names, arrays, by_joint, by_motor) if says else None
-
-    def sample(self, message: Any) -> tuple[tuple[JointKey, ...], dict[str, Any], bool]:
-        """Return joints and arrays of a message, and whether efforts are those of a controller.
-
-        Joints without names are numbers from 0 on.
-        """
-        found: dict[str, Any] = _by_interface(message) if self.by_joint else {}
-        output = False
-        for quantity, paths in self.arrays.items():
-            for path in paths:
-                values = _at(message, path)
-                if values is not None and len(values) and not np.isnan(values).all():
-                    found[quantity] = values
-                    output |= path == _OUTPUT
-                    break
-        if "effort" in found:
-            found.pop("command", None)
-        names = () if self.names is None else tuple(getattr(message, self.names))
-        return names or tuple(range(len(next(iter(found.values()), ())))), found, output
+_OUTPUT = "output.effort"  # of a controller, where nobody measures
+_POINTS = "points."  # of a trajectory, which joints are told
+_LAYOUT = "layout.data_offset"  # beside numbers of any meaning
 
 
 Owners = tuple[Any, ...]
@@ -220,20 +164,30 @@ class JointMessages(Messages):
     """The joint data in messages of one topic.
 
     Attributes:
-        fields: Where these are, by its first messages; None if nothing is known of joints.
         from_controller: Whether efforts are those of a controller.
+        by_motor: Whether there is a message for each motor, or for more than the robot has.
     """
 
-    fields: JointFields | None = field(default=None, init=False)
     from_controller: bool = field(default=False, init=False)
+    by_motor: bool = field(default=False, init=False)
 
     def said(self, message: Any) -> Iterator[Said]:
-        """Yield what a message says of joints."""
-        self.fields = self.fields or JointFields.of(message)
-        if self.fields is None:
+        """Yield what a message says of joints; those without names are numbers from 0 on."""
+        fields, found = dict(fields_of(_plain(message))), dict[str, Array]()
+        for quantity, paths in _places(tuple(fields)).items():
+            for path in paths:
+                values = _of_joints(fields[path], quantity)
+                if len(values) and not (isnan(values[0]) and np.isnan(values).all()):
+                    found[quantity] = values
+                    self.from_controller |= path == _OUTPUT
+                    self.by_motor |= isinstance(fields[path], list) and len(values) > 1
+                    break
+        if "effort" in found:
+            found.pop("command", None)
+        if not found:
             return
-        joints, found, output = self.fields.sample(message)
-        self.from_controller |= output
+        named = (fields[name] for name in _NAMES if isinstance(fields.get(name), list | tuple))
+        joints = tuple(next(named, ())) or tuple(range(len(next(iter(found.values())))))
         for quantity, values in found.items():
             if len(values) != len(joints):
                 raise LogError(
@@ -287,7 +241,7 @@ class JointMessages(Messages):
 
     def _without_spare(self, table: LogTable) -> LogTable:
         """Return a table without entries of unused motors after the robot's last."""
-        if self.fields is None or not self.fields.by_motor:
+        if not self.by_motor:
             return table
         places = {n: int(n.rpartition("[")[2][:-1]) for n in table.columns if n.endswith("]")}
         last = max((k for name, k in places.items() if table.columns[name].any()), default=0)
@@ -305,72 +259,67 @@ def stamp_of(message: Any) -> int:
     return int(stamp.sec * 1_000_000_000 + stamp.nanosec)
 
 
-def _leaves(message: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Yield the fields of a ROS or LCM message and of nested ones, with their paths.
+_LEAVES = (str, int, float, np.ndarray)
 
-    Of a list of messages, one for each motor, numbers of each field together; of several
-    temperatures of a motor, the first.
+
+def _plain(message: Any) -> Any:
+    """Return a message, and those in it, as mappings of their fields other than headers.
+
+    Of a list of messages, one for each joint or motor, what each has by the name of a field. A
+    message of names and values has these as fields.
     """
-    first, *others = message if isinstance(message, list) and message else [message]
-    fields: Iterable[str] = getattr(first, "__dict__", ()) or getattr(first, "__slots__", ())
-    if path and not fields:
-        yield path, message
-    for name in fields:
-        if not others:
-            yield from _leaves(getattr(first, name), (*path, name))
-        elif np.isscalar(value := getattr(first, name)):
-            yield (*path, name), _at(message, [name])
-        elif np.ndim(value) == 1 and quantity_of(name) == "temperature":
-            yield (*path, name + _FIRST), _at(message, [name + _FIRST])
+    if isinstance(message, _LEAVES):
+        return message
+    if isinstance(message, list):
+        first = _plain(message[0]) if message else None
+        if not isinstance(first, dict):
+            return message
+        rows = [first, *map(_plain, message[1:])]
+        names = dict.fromkeys(name for row in rows for name in row)
+        return {name: [row.get(name, np.nan) for row in rows] for name in names}
+    if hasattr(message, "interface_names"):
+        return dict(zip(message.interface_names, message.values, strict=True))
+    own = getattr(message, "__dict__", None) or {
+        name: getattr(message, name) for name in getattr(message, "__slots__", ())
+    }
+    return {n: _plain(value) for n, value in own.items() if n != "header"} if own else message
+
+
+def _of_joints(values: Any, quantity: str) -> Array:
+    """Return numbers (n,) of joints, of several temperatures of each the first; (0,) for others."""
+    try:
+        array = np.asarray(values)
+    except ValueError:  # of lists of different lengths
+        return np.zeros(0)
+    if array.ndim == 2 and quantity == "temperature":
+        array = array[:, 0]
+    elif array.ndim == 2 and len(array) == 1:  # as of a trajectory of one point
+        array = array[0]
+    return array if array.ndim == 1 and array.dtype.kind in "fiu" else np.zeros(0)
 
 
 @lru_cache(1024)
-def _quantity_at(path: tuple[str, ...]) -> tuple[str, int]:
-    """Return the quantity and role of numbers at a path, by its name; "" for others.
+def _places(paths: tuple[str, ...]) -> dict[str, list[str]]:
+    """Return the fields of a message that may have each quantity, the best first.
 
-    Positions that are wanted are commands, which stand for efforts that nobody measures.
+    Positions that are wanted are commands, which stand for efforts that nobody measures; numbers of
+    which the message says no more are `NUMBERS`.
     """
-    if path == (NUMBERS,):
-        return NUMBERS, MEASURED
-    meaning = meaning_of(f"{'/'.join(path).removesuffix(_FIRST)}[0]")
-    if meaning is None or meaning.role >= OTHER:
-        return "", OTHER
-    if meaning.is_wanted or path[0] == _POINTS:
-        is_place = meaning.quantity in ("position", "command")
-        return "command" if is_place else "", meaning.role
-    if path[0] == _OUTPUT[0]:
-        return meaning.quantity if path == _OUTPUT else "", OTHER
-    return meaning.quantity, meaning.role
-
-
-def _at(message: Any, path: Sequence[str]) -> Any:
-    """Return the value at a path of a message, or None; for several, numbers of each."""
-    for name in path:
-        first, *others = message if isinstance(message, list) and message else [message]
-        message = _field(first, name)
-        if others:
-            is_number = np.isscalar(message)
-            message = [message, *(_field(x, name) for x in others)] if is_number else None
-    return message
-
-
-def _field(message: Any, name: str) -> Any:
-    """Return a field of a message, or None; for `name[0]` its first number."""
-    value = getattr(message, name.removesuffix(_FIRST), None)
-    if name.endswith(_FIRST) and value is not None:
-        return value[0] if len(value) else np.nan
-    return value
-
-
-def _by_interface(message: Any) -> dict[str, Array]:
-    """Quantity -> (n,) numbers of a message with a list of values for each joint, NaN for none."""
-    rows = [
-        {_quantity_at((name,))[0]: x for name, x in zip(i.interface_names, i.values, strict=True)}
-        for i in message.interface_values
-    ]
-    quantities = dict.fromkeys(q for row in rows for q in row if q)
-    found = {q: np.array([row.get(q, np.nan) for row in rows]) for q in quantities}
-    return {q: numbers for q, numbers in found.items() if not np.isnan(numbers).all()}
+    ranked = defaultdict[str, list[tuple[int, str]]](list)
+    for path in paths:
+        meaning = meaning_of(f"{path.replace('.', '/')}[0]")
+        if path == NUMBERS and _LAYOUT in paths:
+            ranked[NUMBERS].append((MEASURED, path))
+        if path == NUMBERS or meaning is None or meaning.role >= OTHER:
+            continue
+        quantity, role = meaning.quantity, meaning.role
+        if meaning.is_wanted or path.startswith(_POINTS):
+            quantity = "command" if quantity in ("position", "command") else ""
+        elif path.partition(".")[0] == "output":
+            quantity, role = quantity if path == _OUTPUT else "", OTHER
+        if quantity:
+            ranked[quantity].append((role, path))
+    return {q: [path for _, path in sorted(own, key=itemgetter(0))] for q, own in ranked.items()}
 
 
 _POSES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped")
@@ -453,6 +402,6 @@ def _floating(message: Any, frame: str) -> Iterator[tuple[str, str]]:
     """Yield the columns of a free base, an IMU or a foot that a message has, and where they are."""
     kinds = {"linear_acceleration": "imu", "wrench": "foot"}
     kind = next((kind for name, kind in kinds.items() if hasattr(message, name)), "base")
-    for path, _ in _leaves(message):
-        if (name := floating_name(".".join((kind, *path)))) is not None:
-            yield name if kind != "foot" else f"{frame}{name.removeprefix(kind)}", ".".join(path)
+    for path, _ in fields_of(_plain(message)):
+        if (name := floating_name(f"{kind}.{path}")) is not None:
+            yield name if kind != "foot" else f"{frame}{name.removeprefix(kind)}", path
