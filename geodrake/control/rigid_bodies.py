@@ -66,7 +66,7 @@ class RigidSample:
         v, a = reference
         J, rate = at.jacobian(motion[0])[0], at.jacobian_rate(*motion)[0]
         moved = motion[1] @ J.T, v @ J.T, a @ J.T + v @ rate.T
-        return cls(tree.joints, (at.tree_positions(motion[0]), *moved), (J, rate))
+        return cls(tree.joints, (at.joint_positions(motion[0]), *moved), (J, rate))
 
     def effort(self, phi: Array) -> Array:
         """Return Y φ (nv,) for φ (nb, 10), in operations that grow with nb, not nb nv."""

@@ -11,7 +11,7 @@ forces (`geodrake.identification.logs.contact_rows`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -180,19 +180,16 @@ def _checked(quaternion: Array, force: Array | None, gravity: Array, name: str) 
 
     known = np.isfinite(quaternion).all(axis=1) & np.isfinite(force).all(axis=1)
 
-    def off(order: Sequence[int], power: int = 1) -> float:
-        turn = Rotation.from_quat(quaternion[known][:, order]) ** power
+    def off(turn: Rotation) -> float:
         mean = turn.apply(force[known]).mean(axis=0)
         share = mean @ upwards(gravity) / max(float(np.linalg.norm(mean)), 1e-12)
         return float(np.arccos(np.clip(share, -1.0, 1.0)))
 
-    if known.any() and (given := off([1, 2, 3, 0])) > _TILT:
-        others = {
-            "its columns are x, y, z, w": off([0, 1, 2, 3]),
-            "it rotates the world into the body": off([1, 2, 3, 0], -1),
-        }
-        best = min(others, key=others.__getitem__)
-        hint = f" It would be upright if {best}." if others[best] < _TILT else ""
+    if not known.any():
+        return np.asarray(quaternion / length[:, None])
+    given, best, least = _readings(quaternion[known], off)
+    if given > _TILT:
+        hint = f" It would be upright if {best}." if least < _TILT else ""
         raise LogError(
             f"With the orientation of log {name!r}, the IMU measures gravity "
             f"{np.degrees(given):.0f}° off the vertical on average.{hint}",
@@ -200,6 +197,21 @@ def _checked(quaternion: Array, force: Array | None, gravity: Array, name: str) 
             "that body's axes.",
         )
     return np.asarray(quaternion / length[:, None])
+
+
+def _readings(quaternion: Array, off: Callable[[Rotation], float]) -> tuple[float, str, float]:
+    """Return how far off an orientation (N, 4) is, and the best other way to read it, and its own.
+
+    Args:
+        off: How far off a rotation of the body is.
+    """
+    turn = Rotation.from_quat(quaternion[:, [1, 2, 3, 0]])
+    others = {
+        "its columns are x, y, z, w": off(Rotation.from_quat(quaternion)),
+        "it rotates the world into the body": off(turn.inv()),
+    }
+    best = min(others, key=others.__getitem__)
+    return off(turn), best, others[best]
 
 
 def _check_rates(quaternion: Array, gyro: Array | None, log: JointLog) -> None:
@@ -219,17 +231,12 @@ def _check_rates(quaternion: Array, gyro: Array | None, log: JointLog) -> None:
     sums = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
     turned = sums[lag:] - sums[:-lag]
 
-    def off(order: Sequence[int], power: int = 1) -> float:
-        turn = Rotation.from_quat(quaternion[known][:, order]) ** power
+    def off(turn: Rotation) -> float:
         seen = (turn[:-lag].inv() * turn[lag:]).as_rotvec()
         return float(np.square(seen - turned).sum() / max(np.square(turned).sum(), 1e-12))
 
-    others = {
-        "its columns are x, y, z, w": off([0, 1, 2, 3]),
-        "it rotates the world into the body": off([1, 2, 3, 0], -1),
-    }
-    best = min(others, key=others.__getitem__)
-    if off([1, 2, 3, 0]) > 1.0 and others[best] < _AGREES:
+    given, best, least = _readings(quaternion[known], off)
+    if given > 1.0 and least < _AGREES:
         raise LogError(
             f"The orientation of log {log.name!r} does not turn as its angular velocities say. It "
             f"would if {best}.",

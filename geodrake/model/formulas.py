@@ -297,8 +297,8 @@ def joint_formulas(tree: KinematicTree, q: Formulas) -> Formulas:
             "Source code cannot have a closed loop, or a transmission with varying ratio.",
             advice="Export the formula of the joints, and map it in your own code.",
         )
-    shift = actuation.tree_positions(np.zeros((1, len(q))))[0]
-    return (actuation.tree_positions(np.eye(len(q))) - shift).T @ q + shift
+    shift = actuation.joint_positions(np.zeros((1, len(q))))[0]
+    return (actuation.joint_positions(np.eye(len(q))) - shift).T @ q + shift
 
 
 def _rooms(shape: Any, dtype: np.dtype[Any] | None = None) -> Any:

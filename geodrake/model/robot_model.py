@@ -144,7 +144,7 @@ class RobotModel(Short):
 
     def plant_positions(self, q: Array) -> Array:
         """Return (N, nq of the plant) positions, of those of the model (N, nq)."""
-        return self.coordinates.tree_positions(q)
+        return self.coordinates.joint_positions(q)
 
     def driving(
         self,

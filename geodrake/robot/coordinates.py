@@ -24,7 +24,7 @@ from geodrake.compiling import contiguous
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.robot.joints import Follower, Indices, joint_names, scoped, single_joints
-from geodrake.robot.transmission import times
+from geodrake.robot.transmission import JointlyEvaluated, times
 from geodrake.robot.transmission.loop import LoopTransmission
 from geodrake.robot.transmission.statements import Drive
 
@@ -64,7 +64,7 @@ def leads_of(plant: MultibodyPlant, followers: Sequence[Follower]) -> dict[int, 
 
 
 @dataclass(frozen=True, eq=False)
-class RobotCoordinates:
+class RobotCoordinates(JointlyEvaluated):
     """A map from a robot's q, v and v̇ to those of the tree of its plant.
 
     Attributes:
@@ -125,6 +125,11 @@ class RobotCoordinates:
         )
 
     @property
+    def shape(self) -> tuple[int, int]:
+        """Numbers of velocities of the tree, and of the robot."""
+        return self.sizes[1], self.num_velocities
+
+    @property
     def num_positions(self) -> int:
         """Number nq of the robot's positions."""
         return self.kept_q.shape[1] + sum(len(place.actuator_q) for place in self.places)
@@ -159,7 +164,7 @@ class RobotCoordinates:
         return q @ A + b, np.broadcast_to(self.constant, shape), np.broadcast_to(0.0, shape)
 
     def _along(self, q: Array, v: Array | None) -> tuple[Array, Array, Array]:
-        shape = len(q), self.sizes[1], self.num_velocities
+        shape = len(q), *self.shape
         whole, J, rate = np.zeros((len(q), self.sizes[0])), np.zeros(shape), np.zeros(shape)
         (own, tree), (own_v, tree_v) = self.kept_q, self.kept_v
         whole[:, tree] = q[:, own]
@@ -174,25 +179,13 @@ class RobotCoordinates:
             whole[:, self.single[at]] = ratio * whole[:, self.single[of]] + offset
         return whole, J, rate
 
-    def tree_positions(self, q: Array) -> Array:
-        """Return (N, nq of the tree) positions, of those of the robot (N, nq)."""
-        return self.along(q)[0]
-
-    def jacobian(self, q: Array) -> Array:
-        """J (N, nv of the tree, nv) with the tree's velocities J v."""
-        return self.along(q)[1]
-
-    def jacobian_rate(self, q: Array, v: Array) -> Array:
-        """J̇ (N, nv of the tree, nv)."""
-        return self.along(q, v)[2]
-
     def jacobian_rate_slope(self, q: Array, v: Array) -> Array:
         """Return ∂(J̇ v)/∂q (N, nv of the tree, nv), by differences of J̇ along v.
 
         J̇ v has all v twice, so that its slope is the rate of J̇ itself.
         """
         if self.constant is not None:
-            return np.zeros((len(q), self.sizes[1], self.num_velocities))
+            return np.zeros((len(q), *self.shape))
         speed = np.abs(v).max(axis=1, initial=0.0)[:, None]
         step = np.zeros_like(q)
         at_q = np.concatenate([place.actuator_q for place in self.places])

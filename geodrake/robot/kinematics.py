@@ -120,7 +120,7 @@ class KinematicTree(Short):
 
     def joint_positions(self, q: Array) -> Array:
         """Return (N, ·) positions of the tree's joints, of positions (N, nq)."""
-        return q if self.actuation is None else self.actuation.tree_positions(q)
+        return q if self.actuation is None else self.actuation.joint_positions(q)
 
     def inside(self, q: Array) -> Array:
         """Return positions (N, nq), those of actuators moved to where their maps are known."""

@@ -177,7 +177,7 @@ def test_joints_lead_that_logs_have(tmp_path):
     still = np.zeros_like(q)
     theta = model.coordinates.tree_samples(q, still + 1.0, still)[0]
     rocker, at = joint_names(model.plant).index("rocker"), joint_names(led.plant).index("crank")
-    again = led.coordinates.tree_positions(theta[:, [rocker]])
+    again = led.coordinates.joint_positions(theta[:, [rocker]])
     np.testing.assert_allclose(again[:, at], q[:, 0], atol=1e-9)
 
 

@@ -90,7 +90,7 @@ def test_what_pulls_at_joints_pulls_at_their_motors(arm, coupled):
     model = load_model(arm, transmission=way)
     q, v, vd = random(3)
     (J,) = model.coordinates.jacobian(np.zeros((1, 3)))
-    start = model.coordinates.tree_positions(np.zeros((1, 3)))
+    start = model.coordinates.joint_positions(np.zeros((1, 3)))
     whole = q @ J.T + start, v @ J.T, vd @ J.T
     np.testing.assert_allclose(model.effort(Motion(q, v, vd)), theirs(arm, *whole) @ J, atol=1e-9)
     assert not model.left_out

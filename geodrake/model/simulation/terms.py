@@ -326,7 +326,7 @@ class DrivenPlant(PlantMotion):
     def joined(self, q: Array, v: Array) -> Array:
         """Return the state of the plant of q and v of the model."""
         ways = self.model.coordinates
-        return np.concatenate([ways.tree_positions(q[None])[0], ways.jacobian(q[None])[0] @ v])
+        return np.concatenate([ways.joint_positions(q[None])[0], ways.jacobian(q[None])[0] @ v])
 
     def moving_force(self, state: Array, acceleration: Array) -> Array:
         """Return the force (nv of the plant,) for the model's motion with given accelerations."""
