@@ -145,35 +145,6 @@ class JointCoupling(JointPairEffect):
 
 
 @dataclass(frozen=True)
-class CarriedWeight(_Stated, BodyEffect):
-    """Weight of a body that needs no effort: compensated gravity, buoyancy, gravity switched off.
-
-    effort = m J_Pᵀ g, with the mass m in kg at the point P of the body and gravity g, against the
-    weight −m J_Pᵀ g that the body has in the model.
-    """
-
-    x: float = 0.0  # position of P from Bo along x of the body's frame, m; y and z follow
-    y: float = 0.0
-    z: float = 0.0
-
-    name = "carried_weight"
-    law = "m Jᵀ g at a point of a body, against its weight"
-    complexity = 3
-    shapes = tuple(Shape(axis, "m") for axis in "xyz")
-    parameters = (Parameter("mass", "kg"),)
-    signature = "follows the posture at all joints up to a body, as if it weighed less"
-    depends_on = frozenset({"q", "bodies"})
-
-    def rows(self, motion: RobotMotion) -> Rows:
-        """[J_Pᵀ g] at the joints that move the body."""
-        bodies = motion.body_motions(self.name)
-        body = bodies.motion(self.body)
-        J = body.jacobian_at(np.array([self.x, self.y, self.z]))
-        column = np.moveaxis(J, 1, 2) @ bodies.gravity
-        return {motion.joints[dof]: column[:, dof, None] for dof in body.dofs}
-
-
-@dataclass(frozen=True)
 class MediumDrag(_Stated, BodyEffect):
     """Drag of air or water on a body that counts as the box with its inertia (MuJoCo, "Fluid").
 
@@ -246,14 +217,58 @@ _LEAST_LENGTH = 1e-150  # m, whose inverse is a number
 
 
 @dataclass(frozen=True)
-class Strut(_Stated, Effect):
+class _BodyPair(Effect):
+    """An effect between two bodies, or a body and the world."""
+
+    bodies: tuple[str, str]  # names of the two bodies; "world" for what stands still
+    places: ClassVar[str] = "body_pair"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.bodies) != 2 or self.bodies[0] == self.bodies[1]:
+            raise ArgumentError(f"{self.name} needs two different bodies; it got {self.bodies}.")
+
+
+@dataclass(frozen=True)
+class CarriedWeight(_Stated, _BodyPair):
+    """Weight of a body that needs no effort: compensated gravity, buoyancy, gravity switched off.
+
+    effort = m (J_P − J′_P)ᵀ g, with the mass m in kg at the point P of the body and gravity g,
+    against the weight −m J_Pᵀ g that the body has in the model. J′_P is that of the point which is
+    where P is, of what carries the weight: joints inboard of that bear it all the same.
+    """
+
+    x: float = 0.0  # position of P from Bo along x of the first body's frame, m; y and z follow
+    y: float = 0.0
+    z: float = 0.0
+
+    name = "carried_weight"
+    law = "m (J − J′)ᵀ g at a point of a body that another one carries, against its weight"
+    complexity = 3
+    shapes = tuple(Shape(axis, "m") for axis in "xyz")
+    parameters = (Parameter("mass", "kg"),)
+    signature = "follows the posture at all joints up to a body, as if it weighed less"
+    depends_on = frozenset({"q", "bodies"})
+
+    def rows(self, motion: RobotMotion) -> Rows:
+        """[(J_P − J′_P)ᵀ g] at the joints that move either body."""
+        bodies, (own, by) = motion.body_motions(self.name), self.bodies
+        p, J, dofs = _point(bodies, own, np.array([self.x, self.y, self.z]))
+        if by != _WORLD:
+            carrier = bodies.motion(by)
+            J, dofs = J - carrier.jacobian_along(p - carrier.position), (*dofs, *carrier.dofs)
+        column = np.moveaxis(J, 1, 2) @ bodies.gravity
+        return {motion.joints[dof]: column[:, dof, None] for dof in sorted(set(dofs))}
+
+
+@dataclass(frozen=True)
+class Strut(_Stated, _BodyPair):
     """Spring and damper between a point P of a body and a point Q of another, or of the world.
 
     With L the distance of the two, effort = (k L + p + d L̇) ∂L/∂q: a counterbalance or a gas spring
     of stiffness k in N/m, preload p = −k L₀ in N and damping d in N·s/m.
     """
 
-    bodies: tuple[str, str]  # names of the two bodies; "world" for what stands still
     x: float = 0.0  # position of P from Bo along x of the first body's frame, m; y and z follow
     y: float = 0.0
     z: float = 0.0
@@ -263,7 +278,6 @@ class Strut(_Stated, Effect):
 
     name = "strut"
     law = "(k L + p + d L̇) ∂L/∂q, L the distance of two points"
-    places: ClassVar[str] = "body_pair"
     complexity = 3
     shapes = tuple(Shape(name, "m") for name in ("x", "y", "z", "other_x", "other_y", "other_z"))
     parameters = (
@@ -273,11 +287,6 @@ class Strut(_Stated, Effect):
     )
     signature = "follows the posture at all joints between two bodies"
     depends_on = frozenset({"q", "v", "bodies"})
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if len(self.bodies) != 2 or self.bodies[0] == self.bodies[1]:
-            raise ArgumentError(f"{self.name} needs two different bodies; it got {self.bodies}.")
 
     def rows(self, motion: RobotMotion) -> Rows:
         """Return columns of stiffness, preload and damping at the joints that move either body."""

@@ -442,11 +442,14 @@ def _with_parameters(
 def _fitted_effect(
     model: RobotModel, saved: SavedEffect, extra: Sequence[type[Effect]]
 ) -> FittedEffect:
-    effect = make_effect(saved.name, saved.where, saved.shape, extra)
+    where, kind = saved.where, effect_class(saved.name, extra)
+    if kind.places == "body_pair" and len(where) == 1:  # of files of before
+        where = [*where, "world"]
+    effect = make_effect(saved.name, where, saved.shape, extra)
     joints = (*model.joints, *model.joints_behind)
     places = model.bodies if "bod" in effect.places else joints
     places = (*places, "world") if effect.places == "body_pair" else places
-    for place in saved.where:
+    for place in where:
         if place not in places:
             raise _foreign(f"it has {saved.name} at {place!r}", places)
     count, what = len(effect.parameters), f"of {saved.name} at {effect.place}"

@@ -36,6 +36,7 @@ from geodrake.model.file_terms import (
 from geodrake.robot import stated
 from geodrake.robot.coordinates import RobotCoordinates
 from geodrake.robot.joints import joint_names
+from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.plant import LoadedPlant, scoped_joint_names
 
 _LEAST = 1e-100  # SI units: less counts as zero, as its square has no inverse
@@ -188,8 +189,9 @@ def _add_of_bodies(found: StatedEffects, loaded: LoadedPlant) -> None:
             body = places[member.scoped_name][0]
             weights[body] += share * link.default_mass() * np.append(1.0, com)
     for body, weight in weights.items():
-        if weight[0]:
-            found.add(Carried(body, *(weight[1:] / weight[0]).tolist()), weight[0])
+        for by, sign in _carriers(loaded, body) if weight[0] else ():
+            carried = Carried((body, by), *(weight[1:] / weight[0]).tolist())
+            found.add(carried, sign * weight[0])
     for strut in terms.struts:
         (one, X), (two, Y) = (places.get(link, ("", RigidTransform())) for link in strut.bodies)
         if one and two and one != two:
@@ -201,6 +203,23 @@ def _add_of_bodies(found: StatedEffects, loaded: LoadedPlant) -> None:
         body, X = places.get(box.body, still)
         if body != stated.WORLD:
             found.add(_drag(box, body, X @ box.X_BP), box.density, box.viscosity)
+
+
+def _carriers(loaded: LoadedPlant, body: str) -> list[tuple[str, float]]:
+    """Return what carries the compensated weight of a body, with signs.
+
+    Joints whose own motors do that bear it all the same: between any two bodies of the chain from
+    the world, what the inboard one carries, less what the outboard one does.
+    """
+    acting = loaded.terms.acting
+    if not acting:
+        return [(stated.WORLD, 1.0)]
+    tree, names = KinematicTree.from_plant(loaded.plant), scoped_joint_names(loaded.plant)
+    (*inboard, last) = tree.branch(tree.bodies.index(body)).mobilizers
+    bodies = [stated.WORLD, *(tree.bodies[each.body] for each in inboard)]
+    feels = [float(names[each.velocities.start] not in acting) for each in (*inboard, last)]
+    signs = np.diff([0.0, *feels]).tolist()
+    return [(each, sign) for each, sign in zip(bodies, signs, strict=True) if sign]
 
 
 def _drag(box: stated.BoxInMedium, body: str, X_BP: RigidTransform) -> Medium:

@@ -230,6 +230,7 @@ class FileTerms:
         coupled_inertia: Two joints, or one twice, and what tendons over several joints are there in
             the mass matrix.
         carried: Link -> which share of its weight something else carries.
+        acting: Joints whose own motors carry it, so that they bear all of the weight.
         followers: Joint -> what it follows.
         between: Bodies between several joints of one, which weigh nothing.
     """
@@ -248,6 +249,7 @@ class FileTerms:
     driven: set[str] = field(default_factory=set)
     coupled_inertia: list[tuple[str, str, float]] = field(default_factory=list)
     carried: dict[str, float] = field(default_factory=dict)
+    acting: set[str] = field(default_factory=set)
     boxes: list[BoxInMedium] = field(default_factory=list)
     struts: list[StatedStrut] = field(default_factory=list)
     followers: dict[str, Tie] = field(default_factory=dict)

@@ -77,6 +77,25 @@ def test_what_follows_pulls_at_its_leader(arm):
     assert check_dynamics(model, samples=5).holds
 
 
+def test_motors_that_compensate_gravity_bear_it_behind_followers_and_held_joints_too(arm):
+    """MuJoCo's own: what the motor of b gives against gravity is none of the passive forces."""
+    text = ARM.format("").replace('axis="0 1 0"', 'axis="0 1 0" actuatorgravcomp="true"')
+    arm.write_text(text, encoding="utf-8")
+    model, motion = load_model(arm), random(3)
+    np.testing.assert_allclose(model.effort(Motion(*motion)), theirs(arm, *motion), atol=1e-9)
+    carried = [f.effect.where for f in model.effects if f.effect.name == "carried_weight"]
+    assert carried == [("a", "world"), ("c", "world"), ("c", "a"), ("c", "b")]
+    q, v, vd = (np.insert(x, 1, y, axis=1) for x, y in zip(random(2), (0.4, 0, 0), strict=True))
+    held = load_model(arm, lock={"b": 0.4})
+    own = Motion(*(np.delete(x, 1, axis=1) for x in (q, v, vd)))
+    np.testing.assert_allclose(held.effort(own), theirs(arm, q, v, vd)[:, ::2], atol=1e-9)
+    arm.write_text(text.replace("</mujoco>", f"{FOLLOWS}</mujoco>"), encoding="utf-8")
+    J, (q, v, vd) = np.array([[1, 0], [0, 1], [-0.5, 0]]), random(2)
+    whole = (q @ J.T + [0, 0, 0.2], v @ J.T, vd @ J.T)
+    found = load_model(arm).effort(Motion(q, v, vd))
+    np.testing.assert_allclose(found, theirs(arm, *whole) @ J, atol=1e-9)
+
+
 @pytest.mark.parametrize("coupled", [False, True])
 def test_what_pulls_at_joints_pulls_at_their_motors(arm, coupled):
     """Behind a coupled wrist, springs of joints are those of no motor, and are told of."""
@@ -100,6 +119,12 @@ def test_a_saved_model_has_them(arm, tmp_path):
     model, motion = load_model(arm), Motion(*random(3))
     save_model(model, tmp_path / "model.yaml")
     again = load_model(tmp_path / "model.yaml")
+    saved = (tmp_path / "model.yaml").read_text(encoding="utf-8")
+    (tmp_path / "model.yaml").write_text(saved.replace("where: [c, world]", "where: [c]"))
+    assert [f.effect for f in load_model(tmp_path / "model.yaml").effects] == [
+        f.effect for f in again.effects
+    ]
+    assert saved.count("where: [c, world]") == 1
     assert [each.effect for each in again.effects] == [each.effect for each in model.effects]
     np.testing.assert_allclose(again.effort(motion), model.effort(motion), rtol=1e-14)
 

@@ -322,12 +322,12 @@ class MjcfTerms:
                 f"gravcomp={shares[0]:g} of all bodies is read as reduced gravity."
             )
             return
-        for body in moving:
-            if m.body_gravcomp[body] and by_motors.any():
-                what = f"gravcomp={m.body_gravcomp[body]:g} of {self._name('BODY', body)}"
-                self._leave(what, "body", body)
-            elif m.body_gravcomp[body]:
-                self.found.carried[self._body(body)] = float(m.body_gravcomp[body])
+        self.found.carried = {
+            self._body(body): float(m.body_gravcomp[body])
+            for body in moving
+            if m.body_gravcomp[body]
+        }
+        self.found.acting = {self._joint(joint) for joint in np.flatnonzero(by_motors).tolist()}
         self.reference.body_gravcomp[:] = 0.0
 
     def _take_medium(self) -> None:
