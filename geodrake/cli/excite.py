@@ -38,10 +38,9 @@ from geodrake.excitation.starts import below_floor
 from geodrake.excitation.target import SIZE_WORDS, WRENCH, usual_noise, usual_target
 from geodrake.excitation.tell_apart import Placed, separation_of
 from geodrake.excitation.trajectory import trajectory_content
+from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.shapes import robot_shapes
-
-Array = NDArray[np.float64]
 
 _FAMILIES = {"fourier": ("harmonics", "frequency"), "spline": ("points",), "free": ()}
 _MARGIN = 0.9  # of the velocity limits, by default

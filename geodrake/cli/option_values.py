@@ -8,17 +8,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.cli.input_options import pairs
 from geodrake.errors import ArgumentError
 from geodrake.excitation import MotionLimits, motion_limits
 from geodrake.excitation.feet import Foot
 from geodrake.excitation.limits import motors_of, signal_limits
+from geodrake.inertia import Array
 from geodrake.logs.motion import SIGNAL_KINDS
 from geodrake.model.robot_model import RobotModel
-
-Array = NDArray[np.float64]
 
 _QUANTITIES = ("position", "velocity", "acceleration", "effort", "jerk", *SIGNAL_KINDS)
 _JOINTS = "joint_1=0.1,joint_2=0.2"

@@ -25,19 +25,17 @@ from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from geodrake.boundary.showing import Short
 from geodrake.fleet.fleet_result import ChangedParameter, ChangeRival, FleetFinding
 from geodrake.fleet.history import DAY, LogEquations, RobotHistory
+from geodrake.fleet.settings import Indices
 from geodrake.fleet.type_columns import RAMP, STEP, ChangeHypothesis, TypeColumns
 from geodrake.fleet.type_learning import learn_type, least_squares, pooled
 from geodrake.fleet.type_model import RobotFit, TypeModel
 from geodrake.fleet.workers import HERE, Workers
 from geodrake.inertia import Array
-
-Indices = NDArray[np.intp]
 
 UNTIL = "until"
 FORMS = (STEP, UNTIL, RAMP)

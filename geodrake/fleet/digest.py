@@ -30,8 +30,6 @@ from geodrake.identification.logs.dataset import JointData
 from geodrake.inertia import Array
 from geodrake.logs.known_payload import KnownPayload
 
-Indices = NDArray[np.intp]
-
 
 @dataclass(frozen=True, eq=False)
 class DigestedLog(Short):

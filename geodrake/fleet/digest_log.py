@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import instance, instances, integer, number, typed
 from geodrake.boundary.version import version
@@ -53,8 +52,6 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.model.signal_efforts import in_efforts, kind_of
 from geodrake.robot.base_parameters import structural_base_parameters
 from geodrake.robot.reduction import triangular_factor
-
-Indices = NDArray[np.intp]
 
 _MOST_BLOCKS = 100  # of a log
 _STILL = 2e-3  # rad or m, by which a joint may move and still stand

@@ -22,10 +22,8 @@ from geodrake.fleet.digest import Digest, read_digest_of
 from geodrake.fleet.fleet_logs import DIGESTS, LogRecord, robot_folder
 from geodrake.fleet.hashes import text_hash
 from geodrake.fleet.sealed_file import DamagedFileError, sealed, unsealed
-from geodrake.fleet.settings import DigestSettings
+from geodrake.fleet.settings import DigestSettings, Indices
 from geodrake.inertia import Array
-
-Indices = NDArray[np.intp]
 
 DAY = 86400.0
 """s."""

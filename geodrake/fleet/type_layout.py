@@ -33,7 +33,7 @@ from geodrake.errors import ArgumentError, FleetError
 from geodrake.fleet.digest_log import Wanted, model_of_digests
 from geodrake.fleet.fleet_file import FleetType
 from geodrake.fleet.hashes import file_hash
-from geodrake.fleet.settings import DigestSettings
+from geodrake.fleet.settings import DigestSettings, Indices
 from geodrake.fleet.type_columns import (
     KINDS,
     STEP,
@@ -150,8 +150,6 @@ def with_joint_effects(model: RobotModel, kinds: Sequence[type[Effect]]) -> Robo
         information=block_diag(information, *sizes),
     )
 
-
-Indices = NDArray[np.intp]
 
 BODIES = "bodies"
 """Kind that columns of bodies have in place of an effect's."""

@@ -14,16 +14,14 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import gammaincinv
 
 from geodrake.boundary.showing import Short
 from geodrake.fleet.history import LogEquations, RobotHistory
+from geodrake.fleet.settings import Indices
 from geodrake.fleet.type_columns import TypeColumns, narrow_factor
 from geodrake.inertia import Array
-
-Indices = NDArray[np.intp]
 
 
 def calc_marginal(

@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.escaping import printable
+from geodrake.inertia import Array
 from geodrake.report.numbers import number
-
-Array = NDArray[np.float64]
 
 MOST_PANELS = 8  # panels that are shown at first, and that figures have
 MOST_POINTS = 2000  # largest number of points of a curve that a page holds

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.diagnosis.results import Diagnosis, Explanation
 from geodrake.identification.logs.model_errors import (
@@ -16,6 +15,7 @@ from geodrake.identification.logs.model_errors import (
     Series,
     worst_windows,
 )
+from geodrake.inertia import Array
 from geodrake.report.charts import (
     MOST_PANELS,
     NOISE,
@@ -33,8 +33,6 @@ from geodrake.report.charts import (
 )
 from geodrake.report.numbers import Units, number, shortened
 from geodrake.report.words import effect_label, places_label, step_place, worst_joint
-
-Array = NDArray[np.float64]
 
 MEASURED = Stage("measured", "measured", look="wide")
 BEFORE = Stage("as it stands", "before")

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.boundary.escaping import json_text, printable
 from geodrake.boundary.optional_packages import optional_package
@@ -34,14 +33,13 @@ from geodrake.fleet.history import DAY
 from geodrake.fleet.log_places import date_text
 from geodrake.fleet.type_columns import RAMP, STEP
 from geodrake.fleet.type_layout import BODIES, FleetParameter
+from geodrake.inertia import Array
 from geodrake.report.charts import Chart, Panel, Plot, Shade, Stage
 from geodrake.report.explaining import notes_section
 from geodrake.report.json_output import record
 from geodrake.report.numbers import chance, number, percent, with_deviation
 from geodrake.report.page import About, Cell, Page, Section, Table, Tile, View, cells
 from geodrake.report.words import effect_label
-
-Array = NDArray[np.float64]
 
 _VALUE = Stage("value of each log", "after")
 _INTERVAL = Stage("95 % interval", "measured")

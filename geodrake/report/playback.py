@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import positive
 from geodrake.boundary.escaping import path_part, printable
@@ -21,6 +20,7 @@ from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import Case, open_case
 from geodrake.identification.logs.compare import comparison
 from geodrake.identification.logs.model_errors import Comparison
+from geodrake.inertia import Array
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.drawn_robots import ColoredRobot, error_colors, top_error
@@ -39,8 +39,6 @@ from geodrake.report.robot_scene import (
 )
 from geodrake.report.words import effect_label
 from geodrake.robot.shapes import RobotShapes
-
-Array = NDArray[np.float64]
 
 MOST_SECONDS = 30.0
 """Maximum length of the excerpts, s."""

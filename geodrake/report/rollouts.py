@@ -7,10 +7,10 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.control.rollout import Rollout, RolloutFit
 from geodrake.control.rollout.rollout_values import is_soft
+from geodrake.inertia import Array
 from geodrake.model.effort_signal import SERVO
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.charts import MOST_PANELS, Chart, Panel, Plot, Stage, gap_filled
@@ -25,8 +25,6 @@ from geodrake.report.words import (
     effect_label,
     rollout_fit_words,
 )
-
-Array = NDArray[np.float64]
 
 _MEASURED = Stage("measured", "measured", look="wide")
 _SIMULATED = Stage("simulated", "after")

@@ -14,13 +14,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.boundary.escaping import printable
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.boundary.whole_files import Content
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.model_errors import Comparison
+from geodrake.inertia import Array
 from geodrake.report.numbers import Units
 from geodrake.report.page import About, Page, View
 
@@ -101,7 +101,6 @@ def figure(result: object) -> Figure:
     return bars_figure(bars[name]) if name in bars else chart_figure(charts[name])
 
 
-Array = NDArray[np.float64]
 Columns = Mapping[str, Sequence[str] | Array]  # name of a column -> its values, all of one length
 
 
