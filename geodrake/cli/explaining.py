@@ -75,7 +75,14 @@ def run_explain(options: ExplainOptions | Options, promise: str = "") -> None:
         "explain",
         "Explaining",
         partial(_explained, every_step=every_step) if target is None else _drafted,
-        outputs={"draft-effect": Output(target, "drafted effects", (".py",), _source)},
+        outputs={
+            "draft-effect": Output(
+                target,
+                "drafted effects",
+                (".py",),
+                lambda found: source_of(found.draft) if found.draft.effects else None,
+            )
+        },
         promise=promise,
     )
     run(command, options)
@@ -115,7 +122,3 @@ def _motions(given: Input, found: Explanation, *, every_step: bool) -> tuple[Rol
         with suppress(LogError, ModelError):  # as where nothing moves for as long as a window
             return commanded_motions(given.model, found.model, given.logs, between=models)
     return None
-
-
-def _source(found: Explained) -> str | None:
-    return source_of(found.draft) if found.draft and found.draft.effects else None

@@ -53,12 +53,14 @@ def run_play(options: PlayOptions) -> None:
             found, title=title, log_names=[log.name for log in options.logs], speed=speed
         )
 
-    def filmed(found: Playback) -> bytes:
-        return video(found, (options.video or Path()).suffix.lower(), speed=speed)
-
     outputs = {
         "out": Output(out, "page that plays the logs", make=page),
-        "video": Output(options.video, "video", (".mp4", ".gif"), filmed),
+        "video": Output(
+            options.video,
+            "video",
+            (".mp4", ".gif"),
+            lambda found: video(found, (options.video or Path()).suffix.lower(), speed=speed),
+        ),
         "to": Output(
             recorded,
             "recording",

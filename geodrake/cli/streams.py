@@ -190,7 +190,8 @@ def guarded(*, debug: bool = False, effect_files: Sequence[Path] = ()) -> Iterat
     try:
         check_surroundings()
         with results_apart():
-            _load_drake()
+            with deferred_interrupts():  # it prints errors of its own if its import is interrupted
+                importlib.import_module("pydrake")
             yield
     except typer.Exit:
         raise
@@ -217,12 +218,6 @@ def guarded(*, debug: bool = False, effect_files: Sequence[Path] = ()) -> Iterat
             "with the output of --debug.",
             INTERNAL_ERROR,
         )
-
-
-def _load_drake() -> None:
-    """Import pydrake, which prints errors of its own if its import is interrupted."""
-    with deferred_interrupts():
-        importlib.import_module("pydrake")
 
 
 def _stop(message: str, code: int) -> None:

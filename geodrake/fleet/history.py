@@ -217,7 +217,8 @@ def _summed(task: HistoryTask) -> tuple[_HistorySums, list[tuple[LogRecord, str]
         else:
             sums.add(wanted[at], times[at], record.date / DAY, digest, task.kept)
     if len(sums.stamps) > known:
-        _write_sums(task, sums)
+        with made_folder(task.file.parent):
+            write_whole(task.file, sealed((task.key, sums), _FORMAT))
     return sums, refused
 
 
@@ -299,11 +300,6 @@ def time_cells(dates: Array) -> NDArray[np.intp]:
     while len(found := np.unique(np.floor(dates / width), return_inverse=True)[0]) > MOST_TIMES:
         width *= 2.0
     return np.searchsorted(found, np.floor(dates / width))
-
-
-def _write_sums(task: HistoryTask, sums: _HistorySums) -> None:
-    with made_folder(task.file.parent):
-        write_whole(task.file, sealed((task.key, sums), _FORMAT))
 
 
 def _read_sums(task: HistoryTask) -> _HistorySums | None:

@@ -869,15 +869,14 @@ def _explained_values(found: Explained) -> dict[str, Any]:
     return {**values, "correlates": found.correlates, **motion_values(found.motions)}
 
 
-def _drawn(found: Explanation) -> Mapping[str, Comparison]:
-    return {"as it stands": found.before, **({"now": found.after} if found.steps else {})}
-
-
 _EXPLANATION: dict[str, Any] = {
     "records": step_records,
     "samples": lambda found: comparison_series(found.after, found.before),
     "figure": "efforts",
-    "drawn": _drawn,
+    "drawn": lambda found: {
+        "as it stands": found.before,
+        **({"now": found.after} if found.steps else {}),
+    },
 }
 
 VIEWS = {

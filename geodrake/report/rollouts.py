@@ -244,11 +244,6 @@ def motion_values(motions: Sequence[Rollout] | None) -> dict[str, Any]:
     return {"motion": {"before": before, "after": after, "steps": between}}
 
 
-def _beside(found: Simulated) -> dict[str, Any]:
-    before = {} if found.before is None else {"before": found.before}
-    return {**record("Rollout", found.after), **before}
-
-
 VIEWS = {
     Rollout: View(
         rollout_page,
@@ -262,7 +257,10 @@ VIEWS = {
     Simulated: View(
         rollout_page,
         "RolloutBeside",
-        _beside,
+        lambda found: {
+            **record("Rollout", found.after),
+            **({} if found.before is None else {"before": found.before}),
+        },
         samples=lambda found: rollout_series(found.after, found.before),
     ),
     RolloutFit: View(

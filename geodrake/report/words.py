@@ -53,12 +53,8 @@ def in_words(share: float) -> str:
 def effect_label(name: str) -> str:
     """Return the name of an effect or a parameter in words, such as "Coulomb friction"."""
     labels = {effect.name: effect.label for effect in catalogue() if effect.label}
-    return " + ".join(labels.get(part) or _spaced(part) for part in name.split(" + "))
-
-
-def _spaced(name: str) -> str:
-    words = printable(name).replace("_", " ").split(" ")
-    return " ".join(_PROPER_NAMES.get(word, word) for word in words)
+    parts = [labels.get(part) or printable(part).replace("_", " ") for part in name.split(" + ")]
+    return " ".join(_PROPER_NAMES.get(word, word) for word in " + ".join(parts).split(" "))
 
 
 def places_label(where: Sequence[str], joints: Collection[str], *, most: int | None = None) -> str:
