@@ -1,14 +1,19 @@
-"""The command `geodrake play`: logs replayed on the robot, coloured by error."""
+"""The command `geodrake play`: logs replayed on the robot, coloured by error, or served."""
 
 from __future__ import annotations
 
+import sys
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
 
 from geodrake.boundary.arguments import positive
 from geodrake.cli.command import Command, Input, Output, run
 from geodrake.cli.options import PlayOptions
 from geodrake.cli.rollout import other_model
-from geodrake.cli.serving import page_server, serve_page
+from geodrake.errors import ArgumentError, OutputError
 from geodrake.model.robot_model import RobotModel, read_again
 from geodrake.model.saved_model import is_saved_model
 from geodrake.report.pictures import check_video, video
@@ -17,6 +22,9 @@ from geodrake.report.playback import Playback, play_back
 from geodrake.report.recordings import check_viewer, recording
 
 DEFAULT_OUT = Path("play.html")
+_HOST = "localhost"
+_LOCAL = (_HOST, "127.0.0.1", "::1")
+_LARGEST_PORT = 65535
 
 
 def run_play(options: PlayOptions) -> None:
@@ -83,3 +91,81 @@ def _before(options: PlayOptions, given: Input) -> RobotModel | None:
     if options.before is not None:
         return other_model(options.before, given)
     return read_again(given.model) if is_saved_model(options.model) else None
+
+
+class PageServer(ThreadingHTTPServer):
+    """A server of one page."""
+
+    daemon_threads = True
+    page: bytes = b""  # UTF-8
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Ignore clients that disconnect."""
+        if not isinstance(sys.exception(), OSError):
+            super().handle_error(request, client_address)
+
+
+class _PageHandler(BaseHTTPRequestHandler):
+    server: PageServer
+    timeout = 20.0  # s without a request after which a client is disconnected
+
+    def do_GET(self) -> None:
+        """Answer with the page, and with 404 to any other path."""
+        self._answer()
+
+    def do_HEAD(self) -> None:
+        """Answer as to GET, without the page itself."""
+        self._answer()
+
+    def _answer(self) -> None:
+        if not self._is_local():  # against DNS rebinding
+            self.send_error(HTTPStatus.FORBIDDEN, explain="This page is for localhost only.")
+            return
+        found = self.path.partition("?")[0] in ("/", "/index.html")
+        body = self.server.page if found else b""
+        self.send_response(HTTPStatus.OK if found else HTTPStatus.NOT_FOUND)
+        self.send_header("Content-Type", "text/html; charset=utf-8")
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        if self.command != "HEAD":
+            self.wfile.write(body)
+
+    def _is_local(self) -> bool:
+        """Return whether the only `Host` of the request is this machine."""
+        hosts = self.headers.get_all("Host", [])
+        try:
+            return [urlsplit(f"//{host}").hostname in _LOCAL for host in hosts] == [True]
+        except ValueError:
+            return False
+
+    def version_string(self) -> str:
+        """Name the server, without versions."""
+        return "geodrake"
+
+    def log_message(self, *words: object) -> None:
+        """Log nothing."""
+
+
+def page_server(port: int) -> PageServer:
+    """Return a server bound to a port; raise if the port is not free."""
+    if not 0 <= port <= _LARGEST_PORT:
+        raise ArgumentError(
+            f"--live {port} is not a port.",
+            advice=f"Use 1 to {_LARGEST_PORT}, or 0 for any free port.",
+        )
+    try:
+        return PageServer((_HOST, port), _PageHandler)
+    except OSError as error:
+        raise OutputError(
+            f"Port {port} cannot be used: {error.strerror}.",
+            advice="Use another port, or --live 0 for any free one.",
+            port=port,
+        ) from error
+
+
+def serve_page(server: PageServer, page: str) -> None:
+    """Serve a page until the command is interrupted."""
+    server.page = page.encode()
+    address = f"http://{_HOST}:{server.server_address[1]}/"
+    print(f"Playing at {address}; Ctrl-C to stop.", file=sys.stderr, flush=True)
+    server.serve_forever()

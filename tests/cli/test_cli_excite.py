@@ -13,8 +13,7 @@ from pendulum_logs import PENDULUM
 from yaml import safe_load
 
 from geodrake.boundary.interrupts import StopSearch
-from geodrake.cli.excite import rivals_in
-from geodrake.cli.option_values import limits_of
+from geodrake.cli.excite import limits_of, rivals_in
 from geodrake.effects import CoulombFriction, FittedEffect
 from geodrake.errors import ArgumentError
 from geodrake.excitation.tell_apart import separation_of

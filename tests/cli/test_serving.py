@@ -6,8 +6,8 @@ import threading
 
 import pytest
 
-from geodrake.cli import serving
-from geodrake.cli.serving import page_server, serve_page
+from geodrake.cli import play
+from geodrake.cli.play import page_server, serve_page
 from geodrake.errors import OutputError
 
 
@@ -83,7 +83,7 @@ def test_heads_have_no_body(server):
 
 
 def test_a_client_that_says_nothing_is_hung_up_on(server, monkeypatch):
-    monkeypatch.setattr(serving._PageHandler, "timeout", 0.1)
+    monkeypatch.setattr(play._PageHandler, "timeout", 0.1)
     with connected(server) as client:
         assert client.recv(1) == b""
 
@@ -99,7 +99,7 @@ def test_a_client_that_leaves_is_no_news(server, capfd):
 
 
 def test_a_mistake_of_its_own_is_told(server, capfd, monkeypatch):
-    monkeypatch.setattr(serving._PageHandler, "_is_local", lambda handler: 1 / 0)
+    monkeypatch.setattr(play._PageHandler, "_is_local", lambda handler: 1 / 0)
     with pytest.raises(http.client.RemoteDisconnected):
         asked(server)
     assert "ZeroDivisionError" in capfd.readouterr().err
