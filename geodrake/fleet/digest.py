@@ -27,6 +27,7 @@ from geodrake.errors import ArgumentError, DigestError
 from geodrake.fleet.sealed_file import LARGEST, DamagedFileError, sealed, unsealed
 from geodrake.fleet.settings import FORMAT, DigestColumn, DigestSettings, settings_of
 from geodrake.identification.logs.dataset import JointData
+from geodrake.identification.logs.reduce import effort_deviation
 from geodrake.inertia import Array
 from geodrake.logs.known_payload import KnownPayload
 
@@ -120,20 +121,14 @@ class Digest(Short):
         return np.sum([log.effective for log in self.logs], axis=0)
 
     @property
-    def effective_share(self) -> Array:
-        """(nv,) effective samples as a share of all, in (0, 1]; 1 for a joint that rests."""
-        return np.where(self.samples > 0, self.effective / np.maximum(self.samples, 1), 1.0)
-
-    @property
     def effort_std(self) -> Array:
         """(nv,) standard deviation of the measured efforts, N·m or N; 0 of a joint at rest.
 
         Of joints without a motor, how large their efforts could be.
         """
-        total, squares = np.array([joint.effort_sums.sum(axis=0) for joint in self.joints]).T
-        count = np.maximum(self.samples, 1)
-        deviation = np.sqrt(np.maximum(squares / count - (total / count) ** 2, 0.0))
-        passive = np.isin(self.settings.joints, self.settings.passive)
+        joints = self.settings.joints
+        deviation = effort_deviation(joints, self.joints, joints)
+        passive = np.isin(joints, self.settings.passive)
         return np.where(passive & (self.samples > 0), self.effort_scale, deviation)
 
     @property
@@ -153,12 +148,6 @@ class Digest(Short):
         weights = np.array([float(log.noise_weight) for log in self.logs])
         powers = np.array([log.noise_floor**2 for log in self.logs])
         return np.sqrt(weights @ powers / weights.sum())
-
-    @property
-    def still(self) -> Array:
-        """(nv,) share of the rows that are not used because the joint rests."""
-        seen = np.array([joint.seen.sum() for joint in self.joints])
-        return np.asarray(1.0 - self.samples / np.maximum(seen, 1))
 
     def normal_matrices(self, *, delay: int = 0, block: int | None = None) -> Array:
         """Return (nv, p + 1, p + 1) G_j = [A | b]ᵀ[A | b] of every joint over all columns.

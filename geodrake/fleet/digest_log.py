@@ -398,7 +398,7 @@ def digest_dataset(
         digest.effort_std,
         digest.noise_floor,
         digest.logs[0].bandwidth,
-        digest.still,
+        np.array([joint.still for joint in digest.joints]),
         payload_reference(model.phi),
         gain_uncertainty(
             model, [t.payloads for t in digest.logs], [t.gain_deviations for t in digest.logs]
