@@ -42,7 +42,6 @@ class DigestedLog(Short):
         date: When it began, s since 1970.
         date_from: Where the date is from: `stamps`, `option` or `file`, which is when the file was
             changed last.
-        period: Time between its samples, s.
         bandwidth: Bandwidth of the filter that its period allows, nearest to the settings', Hz.
         payloads: Known payloads that the robot carried; their efforts are taken off.
         noise_floor: (nv,) estimated RMS of the sensor noise after filtering, N·m or N.
@@ -66,7 +65,6 @@ class DigestedLog(Short):
     date: float
     date_from: str
     seconds: float
-    period: float
     bandwidth: float
     payloads: tuple[KnownPayload, ...]
     noise_floor: Array
@@ -104,11 +102,6 @@ class Digest(Short):
     def columns(self) -> tuple[DigestColumn, ...]:
         """The p columns."""
         return self.settings.columns
-
-    @property
-    def date(self) -> float:
-        """When the first of the logs began, s since 1970."""
-        return min(log.date for log in self.logs)
 
     @property
     def samples(self) -> NDArray[np.int_]:

@@ -330,7 +330,6 @@ def _about(
         date,
         source,
         sum(map(len, trajectory.segments)) * trajectory.filter.period,
-        trajectory.filter.period,
         trajectory.filter.bandwidth,
         facts.payloads,
         known_noise([trajectory], model, sign_width=settings.sign_width)[0],
