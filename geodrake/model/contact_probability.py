@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import savgol_filter
 
 from geodrake.compiling import compiled
 from geodrake.logs.motion import JointLog, Motion
@@ -131,6 +130,8 @@ def signs_of(
         heights: (K, c) over the ground, m.
         known: (N,) the K instants at which positions are known.
     """
+    from scipy.signal import savgol_filter  # a third of a second, for those who need it
+
     at = [log.joints.index(joint) for joint in model.joints]
     q, tau = log.position[:, at], log.effort[:, at]
     period = float(np.median(np.diff(log.time))) if len(log) > 1 else _SMOOTH

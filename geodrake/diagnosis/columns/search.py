@@ -105,13 +105,15 @@ class ColumnSearch:
             if each.mistake.kind and each.score < never
         }
         mistaken = [each for each in places.values() if each.mistake.kind and each.score > least]
-        last = [self._refined(each, worth) for each in mistaken[:_FINALISTS]]
-        zeros = [each.mistake for each in (*reversed(mistaken), *last)]
-        self._zeros |= {m.joints: m.moved for m in zeros if m.kind == "position_zero"}
+        # Errors of zeros and gains are in a fit to first order: their sizes are found last.
+        finalists = mistaken[:_FINALISTS]
+        last = [each if each.mistake.free else self._refined(each, worth) for each in finalists]
+        zeros = [m for m in (e.mistake for e in reversed(mistaken)) if m.kind == "position_zero"]
+        self._zeros |= {mistake.joints: mistake.moved for mistake in zeros}
         if not any(each.score > plain.score for each in last):
             return None
         # With few independent samples, what is no mistake may be likelier than it looks at first.
-        last += [self._refined(each, worth) for each in places.values() if not each.mistake.kind]
+        last += [each for each in places.values() if not each.mistake.kind]
         last += self._together(max((j for j in last if not j.mistake.kind), key=_score), worth)
         # Probabilities are told by the samples that the residuals of the answer are worth.
         best, of_base = max(last, key=_score), model.worth(base)
