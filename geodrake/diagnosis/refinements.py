@@ -193,8 +193,12 @@ def expansions(case: Case, model: LogModel, fit: Fit) -> dict[Effect, Effect]:
 # Loads.
 
 
-def fitted_loads(case: Case, model: LogModel, fit: Fit) -> Array | None:
+def fitted_loads(
+    case: Case, model: LogModel, fit: Fit, before: Array | None = None
+) -> Array | None:
     """Return the bodies (nb, 10) of a fit with what they carry; None if loads barely change.
+
+    They are compared with those of the columns, and with others from `before`.
 
     Friction that grows with the load, gears that give way or have play: what they do is known at
     the right instants only if the load is. Where the ground pushes, motors say what it is.
@@ -210,8 +214,9 @@ def fitted_loads(case: Case, model: LogModel, fit: Fit) -> Array | None:
     for share in _SHARES:
         beyond = ~is_physical(phi)
         phi[beyond] = robot.phi[beyond] + share * step[beyond]
-    change = _change_of_load(model.dataset, (phi - was).ravel())
-    return phi if change >= _OTHER_LOADS else None
+    known = [was] if before is None else [was, before]
+    changes = [_change_of_load(model.dataset, (phi - each).ravel()) for each in known]
+    return phi if min(changes) >= _OTHER_LOADS else None
 
 
 def _change_of_load(dataset: Dataset, step: Array) -> float:

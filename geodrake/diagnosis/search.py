@@ -98,6 +98,8 @@ class Search:
         # Explanations for which speeds, shapes and further effects were looked for.
         self._faded, self._crowded, self._looked = set[Named](), set[Named](), set[Named]()
         self._climbed_far, self._doubted = False, False
+        # Loads of explanations that had columns, one after the other: two may lead to each other.
+        self._loaded = dict[tuple[Named, float], Array]()
         self._is_stopped = False
         self._told: FoundStep | None = None
         self.model = self._made()
@@ -336,6 +338,7 @@ class Search:
 
     def _offer(self, more: Sequence[Effect]) -> None:
         """Try more effects from now on."""
+        self._loaded.clear()
         self._effects += more
         self._grid = (*self._grid, *more)
         self._anew()
@@ -380,7 +383,7 @@ class Search:
 
     @property
     def _named(self) -> Named:
-        return frozenset(term.effect or term.key for term in self.fit.terms)
+        return _names(self.fit)
 
     def _doubtful(self) -> set[str]:
         """Return joints with more than noise left, or with something found at their motors."""
@@ -410,11 +413,13 @@ class Search:
         if moved:
             self._effects = [moved.get(effect, effect) for effect in self._effects]
         loads = self._other_loads(self.fit)
-        if loads is not None:
-            self.case = replace(self.case, loads=loads)
-            changed = True
         changed |= self._has_other_noise()
         if changed or near or moved:
+            self._loaded.clear()
+        if loads is not None:
+            self.case = replace(self.case, loads=loads)
+            self._loaded[(_names(self.fit), self.fit.choice.width)] = loads
+        if changed or near or moved or loads is not None:
             self._anew(moved, retimed=retimed)
             return True
         return False
@@ -441,7 +446,9 @@ class Search:
         loaded = any(e and "load" in e.depends_on for e in effects)
         if not loaded and not self.case.dataset.gain_uncertainty.any():
             return None
-        return fitted_loads(self.case, self.model, fit)
+        return fitted_loads(
+            self.case, self.model, fit, self._loaded.get((_names(fit), fit.choice.width))
+        )
 
     def _simplified(self) -> bool:
         """Offer finer shapes of one effect for crowded joints; return whether any was new."""
@@ -507,3 +514,8 @@ class Search:
         self._on_time = (1,) * len(delay)
         self._is_timed = True
         return True
+
+
+def _names(fit: Fit) -> Named:
+    """Return what was found, which columns that are made anew do not change."""
+    return frozenset(term.effect or term.key for term in fit.terms)

@@ -312,6 +312,21 @@ def test_bodies_are_as_far_from_the_file_as_they_are(distance=0.2):
     assert np.exp(np.mean(np.log(found))) == pytest.approx(distance, rel=0.5)
 
 
+def test_columns_for_the_loads_of_an_explanation_are_made_once():
+    """Two explanations, each likelier with the loads of the other, would take turns otherwise."""
+    log = effort_log("double_pendulum", 1, lighter(0.5, 1), duration=16.0, rate=100.0).log
+    case = open_case(PENDULUM, [replace(log, effort_uncertainty=0.1)], candidates=True)
+    search = Search(case)
+    near, far = (replace(search.fit.choice, width=search.model.widths[k]) for k in (0, -1))
+    made = []
+    for choice in (near, far, near, far):
+        search.fit = search._best([choice], search.fit)
+        search._refined()
+        made.append(search.case.loads)
+    assert made[1] is not None and made[1] is not made[0]
+    assert made[3] is made[2]
+
+
 def test_gains_scale_what_bodies_carry(problem):
     model, bodies, _, _ = problem
     loads = PENDULUM.phi * np.array([[1.0], [2.5]])
