@@ -30,11 +30,11 @@ from scipy.special import logsumexp
 from geodrake.boundary.showing import Short
 from geodrake.fleet.fleet_result import ChangedParameter, ChangeRival, FleetFinding
 from geodrake.fleet.history import DAY, LogEquations, RobotHistory
-from geodrake.fleet.settings import Indices
 from geodrake.fleet.type_columns import RAMP, STEP, ChangeHypothesis, TypeColumns
 from geodrake.fleet.type_learning import learn_type, least_squares, pooled
 from geodrake.fleet.type_model import RobotFit, TypeModel
 from geodrake.fleet.workers import HERE, Workers
+from geodrake.identification.logs.dataset import Indices
 from geodrake.inertia import Array
 
 UNTIL = "until"

@@ -85,7 +85,7 @@ class DigestedLog(Short):
 class Digest(Short):
     """The digest of one or several logs, over the columns of `settings`.
 
-    The numbering of columns is that of `columns`: first base parameters of the bodies, then the
+    The numbering of columns is that of `columns`: first inertial parameters of the bodies, then the
     parameters of effects, those of the model first. Bodies are those of the model and not
     differences from them: b is the whole measured effort (less what known payloads need).
 
@@ -154,9 +154,8 @@ class Digest(Short):
         size = len(self.columns) + 1
         found = np.zeros((len(self.joints), size, size))
         for own, joint in zip(found, self.joints, strict=True):
-            local = joint.local(self.settings.numbers)
-            at = np.append(np.flatnonzero(local >= 0), size - 1)
-            kept = np.append(local[local >= 0], len(joint.columns) + delay)
+            at = np.append(joint.columns, size - 1)
+            kept = [*range(len(joint.columns)), len(joint.columns) + delay]
             gram = joint.gram if block is None else joint.grams[block]
             own[np.ix_(at, at)] = gram[np.ix_(kept, kept)]
         return found

@@ -50,7 +50,6 @@ from geodrake.model.holding import holding
 from geodrake.model.logged_joints import log_of_model, model_of_logs
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.signal_efforts import in_efforts, kind_of
-from geodrake.robot.base_parameters import structural_base_parameters
 from geodrake.robot.reduction import triangular_factor
 
 _MOST_BLOCKS = 100  # of a log
@@ -166,7 +165,6 @@ def make_settings(
     effects = tuple(effect for effect in dict.fromkeys(effects) if effect.parameters)
     widths = own.sign_widths(least_sign_widths(peaks, trajectory.speed_noise))
     layout = Layout.of(own, effects, widths, STILL_SPEED * peaks)
-    base = structural_base_parameters(layout.tree)
     bandwidth, motion_bandwidth = trajectory.bandwidths
     validation_blocks([trajectory], blocks=wanted.blocks or BLOCKS)  # it is long enough
     return DigestSettings(
@@ -180,8 +178,6 @@ def make_settings(
         layout.still_speed,
         candidate_delays(trajectory.filter),
         tuple(map(DigestEffect.of, effects)),
-        base.independent,
-        base.matrix,
         own_sources(wanted.extra),
         said_of_reading(wanted.reading),
         wanted.blocks or BLOCKS,

@@ -168,8 +168,9 @@ def _of_type(
     team: Workers,
 ) -> tuple[list[RobotResult], list[LogRecord]]:
     """Return findings in robots of a type that have logs, and logs whose digest is damaged."""
-    model, folder = type_source(kind)[0], fleet.folder / kind.name
-    kept = type_layout(model, settings, np.ones(len(settings.joints)), payload=kind.payload).kept
+    (model, wanted), folder = type_source(kind), fleet.folder / kind.name
+    layout_of = partial(type_layout, model, settings, payload=kind.payload, extra=wanted.extra)
+    kept = layout_of(np.ones(len(settings.joints))).kept
     tasks = [HistoryTask(name, own, folder, settings, kept) for name, own in records.items() if own]
     histories, damaged = list[RobotHistory](), list[LogRecord]()
     for history, refused in team.in_order(read_history, tasks):
@@ -182,7 +183,7 @@ def _of_type(
         return [], damaged
     efforts = np.sqrt(np.mean([each.effort**2 for each in histories], axis=0))
     efforts[efforts == 0.0] = 1.0  # of joints at rest
-    layout = type_layout(model, settings, efforts, payload=kind.payload)
+    layout = layout_of(efforts)
     models = {
         robot.name: _own_values(kind, robot, layout, settings)
         for robot in fleet.of_type(kind.name)
@@ -214,8 +215,8 @@ def _own_values(
     found = np.array(
         [values.get((each.effect, each.where, each.name), np.nan) for each in layout.parameters]
     )
-    bodies = len(settings.independent)
-    found[:bodies] = settings.base_matrix @ own.total_phi.ravel()
+    base = layout.base.matrix @ own.total_phi.ravel()
+    found[: len(base)] = base
     return found
 
 

@@ -22,7 +22,8 @@ from geodrake.fleet.digest import Digest, read_digest_of
 from geodrake.fleet.fleet_logs import DIGESTS, LogRecord, robot_folder
 from geodrake.fleet.hashes import text_hash
 from geodrake.fleet.sealed_file import DamagedFileError, sealed, unsealed
-from geodrake.fleet.settings import DigestSettings, Indices
+from geodrake.fleet.settings import DigestSettings
+from geodrake.identification.logs.dataset import Indices
 from geodrake.inertia import Array
 
 DAY = 86400.0
@@ -230,19 +231,18 @@ def weighted_grams(digest: Digest, kept: Indices) -> tuple[list[JointGrams], Arr
     sensors' noise at least, as a log of few rows leaves nothing.
     """
     settings, found, squares = digest.settings, [], []
-    numbers, bodies = settings.numbers[kept], settings.base_matrix.shape[1]
-    shares = np.zeros((len(digest.joints), bodies + len(settings.columns)))
+    shares = np.zeros((len(digest.joints), len(settings.columns)))
     if (inertia := digest.passive_inertia) is not None:
-        shares[:, :bodies] = inertia
+        shares[:, : inertia.shape[1]] = inertia
     parts = zip(digest.joints, digest.effective.tolist(), digest.noise_floor, strict=True)
     for j, (joint, effective, noise) in enumerate(parts):
-        local = joint.local(numbers)
+        local = joint.local(kept)
         columns, at = np.flatnonzero(local >= 0), np.append(local[local >= 0], len(joint.columns))
         gram = joint.gram[np.ix_(at, at)]
         count = float(joint.samples.sum())
         if settings.joints[j] in settings.passive:
             power = float(sum(log.residual_power[j] for log in digest.logs))
-            gram = _passive_gram(gram, shares[j, numbers[columns]], effective, power)
+            gram = _passive_gram(gram, shares[j, kept[columns]], effective, power)
             found.append(JointGrams(columns, gram[None]))
             squares.append(count * float(digest.effort_scale[j]) ** 2)
             continue

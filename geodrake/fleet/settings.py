@@ -13,11 +13,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import file_path
 from geodrake.boundary.escaping import one_line
@@ -27,11 +26,8 @@ from geodrake.effects import Effect, make_effect
 from geodrake.errors import ArgumentError, DigestError
 from geodrake.fleet.hashes import source_hash, text_hash
 from geodrake.identification.logs.dataset import is_payload
-from geodrake.inertia import PARAMETERS_PER_BODY, Array
+from geodrake.inertia import Array
 from geodrake.inertia.parameters import PARAMETER_NAMES, PARAMETER_UNITS
-from geodrake.robot.base_parameters import BaseParameters
-
-Indices = NDArray[np.intp]
 
 SETTINGS_FILE = "digest_settings.json"
 """Name of the settings file in a folder of digests."""
@@ -55,11 +51,8 @@ class DigestColumn:
     """A column of a digest."""
 
     kind: str
-    # Of a body, a combination of inertial parameters, such as `Izz of arm + 0.1 m of hand`; the
-    # name of the effect otherwise.
-    name: str
-    # The body whose parameter names the combination; joints or bodies of the effect.
-    where: tuple[str, ...]
+    name: str  # `Izz of arm`, for example; the name of the effect
+    where: tuple[str, ...]  # the body; joints or bodies of the effect
     parameter: str  # `Izz`, for example; the parameter's name
     unit: str
     shape: Mapping[str, float] = field(default_factory=dict)
@@ -122,8 +115,6 @@ class DigestSettings(Short):
         delays: Delays between motion and effort that have a column of efforts, on top of the
             model's, s; the first is 0.
         effects: What has columns beside the bodies: the model's effects, then candidates.
-        independent: (n_B,) inertial parameters whose columns stand for all; see `BaseParameters`.
-        base_matrix: (n_B, 10·nb) base parameters of inertial parameters, φ_B = B φ.
         extra: Effect of the user's own that may have columns -> SHA-256 of its source.
         reading: How logs are read, as far as that is the same for all.
         passive: Joints without a motor.
@@ -140,8 +131,6 @@ class DigestSettings(Short):
     still_speed: Array
     delays: tuple[float, ...]
     effects: tuple[DigestEffect, ...]
-    independent: Indices
-    base_matrix: Array
     extra: Mapping[str, str]
     reading: Mapping[str, Any]
     blocks: int
@@ -161,26 +150,12 @@ class DigestSettings(Short):
         return dict(msgspec.to_builtins(self, enc_hook=np.ndarray.tolist))
 
     @cached_property
-    def numbers(self) -> Indices:
-        """(p,) which columns of a `Dataset` with these effects the p columns are."""
-        bodies = self.base_matrix.shape[1]
-        of_effects = np.arange(len(self.columns) - len(self.independent))
-        return np.concatenate([self.independent, bodies + of_effects])
-
-    @property
-    def base(self) -> BaseParameters:
-        """Return the base parameters, without the singular values that they were found by."""
-        return BaseParameters(self.base_matrix, self.independent, np.zeros(0), 0.0)
-
-    @cached_property
     def columns(self) -> tuple[DigestColumn, ...]:
-        """The p columns: n_B base parameters, then the effects' parameters."""
-        places = [divmod(int(at), PARAMETERS_PER_BODY) for at in self.independent]
+        """The p columns: the ten parameters of each body, then the effects' parameters."""
         of_bodies = [
-            DigestColumn(
-                "body", label, (self.bodies[body],), PARAMETER_NAMES[k], PARAMETER_UNITS[k]
-            )
-            for label, (body, k) in zip(self.base.labels(self.bodies), places, strict=True)
+            DigestColumn("body", f"{name} of {body}", (body,), name, unit)
+            for body in self.bodies
+            for name, unit in zip(PARAMETER_NAMES, PARAMETER_UNITS, strict=True)
         ]
         of_effects = [
             DigestColumn("effect", effect.name, effect.where, name, unit, effect.shape)
@@ -207,9 +182,7 @@ class DigestSettings(Short):
 
 
 _WORDS = {
-    "base_matrix": "base parameters",
     "extra": "effects of your own",
-    "independent": "base parameters",
     "motion_bandwidth": "bandwidth of the motion",
     "passive": "joints without a motor",
     "sign_width": "widths of signs",
@@ -242,15 +215,12 @@ def _settings_of(text: str) -> DigestSettings:
         raise ValueError(
             f"it has format {said.get('format')!r}, but this version of geodrake reads {FORMAT!r}"
         )
-    found = msgspec.convert(said, DigestSettings, dec_hook=array_of)
+    found = msgspec.convert(
+        said, DigestSettings, dec_hook=lambda _, values: np.array(values, float)
+    )
     if found.hash != said.get("hash"):
         raise ValueError("its hash belongs to other settings")
     return found
-
-
-def array_of(kind: Any, values: Any) -> NDArray[Any]:
-    """Return an array of the type that a field has, of lists; NaN in the place of null."""
-    return np.array(values, np.intp if np.intp in get_args(get_args(kind)[1]) else float)
 
 
 def read_settings(folder: str | Path) -> DigestSettings | None:

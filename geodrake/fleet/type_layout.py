@@ -33,7 +33,7 @@ from geodrake.errors import ArgumentError, FleetError
 from geodrake.fleet.digest_log import Wanted, model_of_digests
 from geodrake.fleet.fleet_file import FleetType
 from geodrake.fleet.hashes import file_hash
-from geodrake.fleet.settings import DigestSettings, Indices
+from geodrake.fleet.settings import DigestSettings
 from geodrake.fleet.type_columns import (
     KINDS,
     STEP,
@@ -45,11 +45,14 @@ from geodrake.fleet.type_columns import (
     narrow_factor,
 )
 from geodrake.identification.logs.criteria import SPREAD
+from geodrake.identification.logs.dataset import Indices
+from geodrake.identification.logs.log_slices import Layout
 from geodrake.identification.logs.unknowns import pullback_information
 from geodrake.inertia import Array, from_mass_com_inertia, is_physical
 from geodrake.logs.files import Reading, read_mapping
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.saved_model import load_model
+from geodrake.robot.base_parameters import BaseParameters, structural_base_parameters
 
 USUAL = tuple(kind for kind in catalogue() if kind.complexity == 0 and "vd" not in kind.depends_on)
 """Friction and offsets: effects that hardly any joint is without, but rotors, which bodies have."""
@@ -180,25 +183,35 @@ class TypeLayout(Short):
     parameters: tuple[FleetParameter, ...]  # (p,) what they are of
     columns: TypeColumns
     hypotheses: tuple[ChangeHypothesis, ...]
+    base: BaseParameters  # those of the bodies, which come first
 
 
 def type_layout(
-    model: RobotModel, settings: DigestSettings, efforts: Array, *, payload: float | None = None
+    model: RobotModel,
+    settings: DigestSettings,
+    efforts: Array,
+    *,
+    payload: float | None = None,
+    extra: Sequence[type[Effect]] = (),
 ) -> TypeLayout:
     """Return the columns of a type, and the changes to be considered in its robots.
 
     Args:
         efforts: (nv,) usual sizes of the joints' efforts, N·m or N.
         payload: Mass of a usual payload, kg; None for a tenth of all that moves.
+        extra: Effect classes of the user's own that have columns.
     """
     model = model_of_digests(model, settings)
-    bodies = len(settings.independent)
+    effects = tuple(effect.made(extra) for effect in settings.effects)
+    tree = Layout.of(model, effects, settings.sign_width, settings.still_speed).tree
+    base = structural_base_parameters(tree)
+    bodies = len(base.independent)
     own = _model_values(model, settings)
-    kept = np.concatenate([np.arange(bodies), np.array(sorted(own), np.intp)]).astype(np.intp)
-    parameters = _parameters(settings, kept, model)
+    kept = np.array([*base.independent.tolist(), *sorted(own)], np.intp)
+    parameters = _parameters(settings, kept, model, base)
     n, p = len(model.joints), len(kept) + len(model.joints)
     prior = np.zeros(p)
-    prior[:bodies] = settings.base_matrix @ model.total_phi.ravel()
+    prior[:bodies] = base.matrix @ model.total_phi.ravel()
     prior[bodies : p - n] = [own[at][0] for at in kept[bodies:].tolist()]
     relative = np.zeros(p, bool)
     relative[bodies : p - n] = [own[at][1] for at in kept[bodies:].tolist()]
@@ -214,7 +227,7 @@ def type_layout(
     ]
     changes = _joint_changes(parameters, relative, sizes)
     mass = payload or _USUAL_PAYLOAD * float(model.total_phi[:, 0].sum())
-    of_bodies, B = [], settings.base_matrix
+    of_bodies, B = [], base.matrix
     for body, (name, phi) in enumerate(zip(model.bodies, model.total_phi, strict=True)):
         if not is_physical(phi):
             continue
@@ -228,12 +241,12 @@ def type_layout(
     units = tuple(each.unit for each in parameters)
     spread = (*of_bodies, *spreads)
     columns = TypeColumns(prior, relative, relative.copy(), n, spread, units)
-    return TypeLayout(kept, parameters, columns, tuple(changes))
+    return TypeLayout(kept, parameters, columns, tuple(changes), base)
 
 
 def _model_values(model: RobotModel, settings: DigestSettings) -> dict[int, tuple[float, bool]]:
     """Return column of settings -> value of the model's effect, and if it is never negative."""
-    starts, at = {}, len(settings.independent)
+    starts, at = {}, model.phi.size
     for each in settings.effects:
         if not each.in_bodies:
             starts[each.name, each.where, tuple(each.shape.items())] = at
@@ -251,19 +264,19 @@ def _model_values(model: RobotModel, settings: DigestSettings) -> dict[int, tupl
 
 
 def _parameters(
-    settings: DigestSettings, kept: Indices, model: RobotModel
+    settings: DigestSettings, kept: Indices, model: RobotModel, base: BaseParameters
 ) -> tuple[FleetParameter, ...]:
     """Return the parameters of columns, units as their joints turn or slide."""
-    found = []
-    for at in kept.tolist():
-        column = settings.columns[at]
-        if column.kind == "body":
-            found.append(FleetParameter(BODIES, column.where[0], column.name, column.unit))
-        else:
-            where, unit = ", ".join(column.where), "" if column.unit == "1" else column.unit
-            if column.where[0] in model.sliding_joints:
-                unit = when_sliding(unit)
-            found.append(FleetParameter(column.name, where, column.parameter, unit))
+    columns, labels = [settings.columns[at] for at in kept.tolist()], base.labels(model.bodies)
+    found = [
+        FleetParameter(BODIES, column.where[0], label, column.unit)
+        for label, column in zip(labels, columns, strict=False)
+    ]
+    for column in columns[len(labels) :]:
+        where, unit = ", ".join(column.where), "" if column.unit == "1" else column.unit
+        if column.where[0] in model.sliding_joints:
+            unit = when_sliding(unit)
+        found.append(FleetParameter(column.name, where, column.parameter, unit))
     gains = [FleetParameter(_GAIN, joint, "scale", "") for joint in model.joints]
     return (*found, *gains)
 

@@ -19,8 +19,8 @@ from scipy.special import gammaincinv
 
 from geodrake.boundary.showing import Short
 from geodrake.fleet.history import LogEquations, RobotHistory
-from geodrake.fleet.settings import Indices
 from geodrake.fleet.type_columns import TypeColumns, narrow_factor
+from geodrake.identification.logs.dataset import Indices
 from geodrake.inertia import Array
 
 

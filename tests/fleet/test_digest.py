@@ -121,8 +121,7 @@ def test_normal_matrices_are_those_of_the_named_columns(model, settings):
     log = chain_log(model, 5, resisted, seconds=22.0, share=0.0)
     digest = digested(model, log, settings)
     x = np.zeros(len(digest.columns) + 1)
-    base = len(settings.independent)
-    x[:base] = settings.base_matrix @ model.phi.ravel()
+    x[: model.phi.size] = model.phi.ravel()
     for at, column in enumerate(digest.columns):
         if column.kind == "effect" and column.name in ("coulomb_friction", "viscous_friction"):
             size = FRICTION if column.name == "coulomb_friction" else VISCOUS
@@ -308,8 +307,8 @@ def test_a_log_that_cannot_bear_the_settings_is_told_so(model, logs, settings):
         lambda data: data.replace(b"digest", b"digger", 1),
         lambda data: sealed({"settings": "{}"}, FORMAT),
         lambda data: rewritten(data, lambda s: {**s, "format": "geodrake digest 9"}),
-        lambda data: rewritten(data, lambda s: {**s, "base_matrix": [[1.0]]}),
-        lambda data: rewritten(data, lambda s: {**s, "independent": [10**30]}),
+        lambda data: rewritten(data, lambda s: {**s, "sign_width": [[1.0]]}),
+        lambda data: rewritten(data, lambda s: {**s, "blocks": 10**30}),
     ],
 )
 def test_a_damaged_digest_is_refused(digests, tmp_path, spoil):

@@ -87,8 +87,8 @@ def test_histories_hold_what_such_a_joint_says_of_bodies(made, tmp_path):
     history = RobotHistory("r", np.zeros(1), np.full(1, 20.0), len(layout.kept), tuple(joints))
     (tmp_path / "truth.xml").write_text(text(mass=1.0))
     x = layout.columns.prior[: history.columns]
-    bodies = len(settings.independent)
-    x[:bodies] = settings.base_matrix @ load_model(tmp_path / "truth.xml").phi.ravel()
+    base = layout.base.matrix @ load_model(tmp_path / "truth.xml").phi.ravel()
+    x[: len(base)] = base
     shoulder = joints[0]
     at, gram = shoulder.columns, shoulder.grams[0]
     scale = gram[:-1, -1] @ x[at] / (x[at] @ gram[:-1, :-1] @ x[at])
