@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from math import isnan
-from operator import attrgetter, itemgetter
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +25,6 @@ Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 Clock = tuple[Stamps, Stamps]
 """(N,) when messages were measured, and (N,) when they were received, ns."""
-
-JointKey = str | int
-"""The name of a joint, or its number from 0 on in messages without names."""
 
 
 def is_complete(quantities: Iterable[str]) -> bool:
@@ -354,25 +351,15 @@ def base_sources(kinds: Mapping[str, str], named: Sequence[str]) -> list[list[st
 
 @dataclass
 class BaseMessages(Messages):
-    """The data of a floating base, its IMU, or forces at feet in messages of one topic.
-
-    Attributes:
-        frames: Frame -> columns of it, and what extracts their numbers from a message.
-    """
-
-    frames: dict[str, tuple[list[str], Callable[[Any], Sequence[float]]]] = field(
-        default_factory=dict, init=False
-    )
+    """The data of a floating base, its IMU, or forces at feet in messages of one topic."""
 
     def said(self, message: Any) -> Iterator[Said]:
         """Yield what a message says of frames, which may be several."""
         for part, frame in _frames(message):
-            if frame not in self.frames:
-                told = dict(_floating(part, frame or self.topic.strip("/").rpartition("/")[0]))
-                self.frames[frame] = [*told], attrgetter(*(told.values() or ["header"]))
-            names, numbers = self.frames[frame]
-            if names:
-                yield (frame,), dict(zip(names, numbers(part), strict=True)), part
+            fields = dict(fields_of(_plain(part)))
+            called = frame or self.topic.strip("/").rpartition("/")[0]
+            if told := _floating(tuple(fields), called):
+                yield (frame,), {name: fields[path] for name, path in told.items()}, part
 
     def tables(self) -> list[LogTable]:
         """Return a table for each frame, whose orientations turn the shorter way."""
@@ -398,10 +385,12 @@ def _frames(message: Any) -> Iterator[tuple[Any, str]]:
             yield each, f"{each.header.frame_id} {each.child_frame_id}"
 
 
-def _floating(message: Any, frame: str) -> Iterator[tuple[str, str]]:
-    """Yield the columns of a free base, an IMU or a foot that a message has, and where they are."""
-    kinds = {"linear_acceleration": "imu", "wrench": "foot"}
-    kind = next((kind for name, kind in kinds.items() if hasattr(message, name)), "base")
-    for path, _ in fields_of(_plain(message)):
-        if (name := floating_name(f"{kind}.{path}")) is not None:
-            yield name if kind != "foot" else f"{frame}{name.removeprefix(kind)}", path
+@lru_cache(1024)
+def _floating(paths: tuple[str, ...], frame: str) -> dict[str, str]:
+    """Return columns of a free base, an IMU or a foot, and the fields of a message for them."""
+    heads = {path.partition(".")[0] for path in paths}
+    kind = "imu" if "linear_acceleration" in heads else "foot" if "wrench" in heads else "base"
+    found = {path: name for path in paths if (name := floating_name(f"{kind}.{path}"))}
+    if kind != "foot":
+        return {name: path for path, name in found.items()}
+    return {f"{frame}{name.removeprefix(kind)}": path for path, name in found.items()}
