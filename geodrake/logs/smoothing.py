@@ -114,7 +114,7 @@ class Stretch:
         lag: (n,) time by which measured velocities are late, s; NaN of those that are derived from
             the positions instead, None if all are.
         first: First of the piece's samples that is in it.
-        made: The whole piece, once somebody has looked, if it stays in memory; else None.
+        whole: The whole piece, smoothed, if it stays in memory.
     """
 
     piece: Piece
@@ -122,7 +122,7 @@ class Stretch:
     lag: Array | None
     first: int
     stop: int
-    made: list[Segment] | None = None
+    whole: Segment | None = None
 
     @property
     def period(self) -> float:
@@ -142,29 +142,16 @@ class Stretch:
         """Return some of the samples, in memory."""
         start, stop, _ = samples.indices(len(self))
         start, stop = self.first + start, self.first + max(start, stop)
-        whole = self._whole
-        return self._smoothed(start, stop) if whole is None else whole[start:stop]
-
-    @property
-    def _whole(self) -> Segment | None:
-        """The whole piece, if it is kept in memory."""
-        if self.made is None:
-            return None
-        if not self.made:
-            segment = self._smoothed(0, len(self.piece))
-            for signal in segment.signals:
-                signal.setflags(write=False)  # whoever looks gets a view
-            self.made.append(segment)
-        return self.made[0]
+        return self._smoothed(start, stop) if self.whole is None else self.whole[start:stop]
 
     @cached_property
     def peak_speed(self) -> Array:
         """(n,) largest speed of every joint, rad/s or m/s."""
-        peaks, whole = [], self._whole
+        peaks = []
         for first in range(self.first, self.stop, CHUNK):
             stop = min(first + CHUNK, self.stop)
-            if whole is not None:
-                velocity = whole.velocity[first:stop]
+            if self.whole is not None:
+                velocity = self.whole.velocity[first:stop]
             else:
                 _, inner, _, near = self._near(first, stop)
                 velocity = near[inner]
@@ -215,5 +202,10 @@ def smooth_pieces(
     pieces: Sequence[Piece], smoother: ZeroPhaseFilter, lag: Array | None
 ) -> tuple[Stretch, ...]:
     """Return the pieces of a log, smoothed on access; see `Stretch` for arguments."""
-    kept = sum(map(len, pieces)) <= _KEPT
-    return tuple(Stretch(p, smoother, lag, 0, len(p), [] if kept else None) for p in pieces)
+    found = tuple(Stretch(piece, smoother, lag, 0, len(piece)) for piece in pieces)
+    if sum(map(len, pieces)) > _KEPT:
+        return found
+    whole = [stretch[:] for stretch in found]
+    for signal in (signal for segment in whole for signal in segment.signals):
+        signal.setflags(write=False)  # whoever looks gets a view
+    return tuple(replace(each, whole=own) for each, own in zip(found, whole, strict=True))
