@@ -50,17 +50,14 @@ class KnownPayload:
                 f"A known payload of {self.body} has a mass of {self.mass:g} kg.",
                 advice=f"Use the mass from a scale: above 0 kg and up to {_HEAVIEST:g} kg.",
             )
-        center = real_array(self.mass_center, "mass_center", finite=False)
-        inertia = real_array(self.inertia, "inertia", finite=False)
-        shapes = center.shape, inertia.shape
-        largest = _HEAVIEST * _FARTHEST**2
-        bounds = (center, _FARTHEST), (inertia, largest)
-        if shapes != ((3,), (3, 3)) or not all((np.abs(x) <= most).all() for x, most in bounds):
+        center = real_array(self.mass_center, "mass_center", (3,), finite=False)
+        inertia = real_array(self.inertia, "inertia", (3, 3), finite=False)
+        bounds = (center, _FARTHEST), (inertia, _HEAVIEST * _FARTHEST**2)
+        if not all((np.abs(x) <= most).all() for x, most in bounds):
             raise ArgumentError(
                 f"A known payload of {self.body} has its centre of mass at "
                 f"{self.mass_center} m and the inertia {self.inertia} kg·m².",
-                advice=f"Use three coordinates x, y, z up to {_FARTHEST:g} m, and three rows of "
-                "three numbers.",
+                advice=f"Use coordinates x, y, z up to {_FARTHEST:g} m.",
             )
 
         object.__setattr__(self, "mass_center", tuple(center.tolist()))

@@ -132,8 +132,8 @@ class TestLoad:
     [
         ({"mass": 0.0}, "a mass of 0 kg"),
         ({"mass": float("nan")}, "a mass of nan kg"),
-        ({"mass_center": (0.0, 1.0)}, "three coordinates x, y, z"),
-        ({"mass_center": (0.0, 1.0, np.inf)}, "three coordinates x, y, z"),
+        ({"mass_center": (0.0, 1.0)}, r"mass_center must be \(3,\)"),
+        ({"mass_center": (0.0, 1.0, np.inf)}, "coordinates x, y, z"),
     ],
 )
 def test_impossible_weights(values, words):
