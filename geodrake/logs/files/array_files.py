@@ -109,7 +109,7 @@ def _of_pandas(content: Any) -> Any:
 
 _DEEPEST = 30
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-_HDF5_STARTS = (0, 512)  # MATLAB puts a header of its own before
+_HDF5_WITHIN = 520  # bytes, as MATLAB puts a header of its own before
 _MAT_ADVICE = "Save arrays or structs of them: save('log.mat', 'time', 'q', 'tau', '-v7')."
 
 
@@ -138,11 +138,7 @@ def read_hdf5(path: Path, reading: Reading) -> LogTable:
 
 def _is_hdf5(path: Path) -> bool:
     with open_regular(path, "log", LogError) as file:
-        for start in _HDF5_STARTS:
-            file.seek(start)
-            if file.read(len(_HDF5)) == _HDF5:
-                return True
-    return False
+        return _HDF5 in file.read(_HDF5_WITHIN)
 
 
 def _of_hdf5(path: Path, reading: Reading, *, matlab: bool = True) -> dict[str, Any]:

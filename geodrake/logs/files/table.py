@@ -186,51 +186,35 @@ class TornRows:
         self.first = self.first or error
         self.rows.append(row)
         if len(self.rows) > _MOST_TORN:
-            raise self._refusal(self.rows, row + 1, f"in the first {row + 1} rows")
+            raise self._refusal(self.rows, row + 1)
 
     def settle(self, time: Array) -> tuple[Mask | None, tuple[str, ...]]:
         """Return the rows that are kept (all if None) and a note, by time stamps (N,)."""
-        bad = np.array(self.rows, int)
+        backwards = rows_out_of_order(time)
+        bad = np.union1d(self.rows, backwards).astype(int).tolist()
+        if not bad:
+            return None, ()
         count = min(len(self.rows), _AT_END)  # a last row that was cut off, or a few words
         cut = self.rows == [*range(len(time) - count, len(time))]
-        if self.first is not None and not (self.skip or cut):
-            raise self._refusal(self.rows, len(time), f"of {len(time)}")
-        backwards = rows_out_of_order(time)
-        if len(backwards):
-            self._check_order(time, backwards)
-        bad = np.union1d(bad, backwards)
-        if not len(bad):
-            return None, ()
-        if len(bad) > MOST * len(time) + cut * count:
-            raise self._refusal(bad.tolist(), len(time), f"of {len(time)}")
-        kept = np.ones(len(time), bool)
-        kept[bad] = False
-        return kept, (
-            f"{len(bad)} of {len(time)} rows are corrupt and skipped: {_runs(bad.tolist())}",
-        )
+        few = len(bad) <= MOST * len(time) + cut * count
+        if few and (self.skip or (cut and not len(backwards))):
+            kept = np.ones(len(time), bool)
+            kept[bad] = False
+            return kept, (f"{len(bad)} of {len(time)} rows are corrupt and skipped: {_runs(bad)}",)
+        if self.first is None or cut:
+            try:
+                check_time(log_name(self.path), time)
+            except LogError as error:
+                self.first = error
+        raise self._refusal(bad, len(time))
 
-    def _check_order(self, time: Array, backwards: NDArray[np.intp]) -> None:
-        """Raise for rows out of order, unless such rows are skipped."""
-        few = len(backwards) <= MOST * len(time)
-        if self.skip and few:
-            return
-        try:
-            check_time(log_name(self.path), time)
-        except LogError as error:
-            advice = error.advice
-            if few:
-                advice = f"Rows out of order: {_runs(backwards.tolist())}. {ADVICE}"
-            raise LogError(error.problem, advice=advice, **error.evidence) from None
-
-    def _refusal(self, rows: Sequence[int], count: int, of: str) -> LogError:
-        first = self.first
-        share = f"{len(rows)} {of}"
-        if first is None:
-            return LogError(f"Log {str(self.path)!r} has {share} corrupt rows.", advice=ADVICE)
-        advice = first.advice
-        if len(rows) > 1:
-            advice += f" Corrupt rows are {_runs(rows)}: {share}."
-        if len(rows) <= MOST * count:
+    def _refusal(self, rows: Sequence[int], count: int) -> LogError:
+        """Return the first error, with how many of the first rows are wrong."""
+        first = self.first or LogError(f"Log {str(self.path)!r} has corrupt rows.")
+        advice, few = first.advice, len(rows) <= MOST * count
+        if len(rows) > 1 and (few or self.rows):
+            advice += f" Corrupt rows are {_runs(rows)}: {len(rows)} of {count}."
+        if few:
             advice += f" {ADVICE}"
         elif self.skip:
             advice += f" At most {100 * MOST:g} % are skipped."
