@@ -239,12 +239,12 @@ def test_what_efforts_are_said_to_be(kinds):
             Reading(kinds={"shoulder": "current"}),
             "is voltage by its name, but current by --kind",
         ),
-        (frame(q_J=Q, tau_J=S), Reading(kinds={"wrist": "current"}), "kind for 'wrist'"),
+        (frame(q_J=Q, tau_J=S), Reading(kinds={"wrist": "current"}), "--kind names 'wrist'"),
         (frame(q_J=Q, tau_J=S), Reading(kinds={"shoulder": "command"}), "with kind 'command'"),
         (
             frame(q_J=Q, cmd_J=C),
             Reading(gains={"shoulder": 2.0}),
-            "gain for 'shoulder'.*no effort, current",
+            "no column of 'shoulder' with efforts or signals, which --gain",
         ),
     ],
 )

@@ -636,37 +636,30 @@ class Columns:
 
     def check_said(self) -> None:
         """Raise for gains and kinds of joints without such a column."""
-        path, joints = self.path, self.joints
-        heard, told = self.having("effort"), self.having("command")
-        whats = {PASSIVE: "--passive names", "gain": "There is a gain for"}
-        for joint, said in (
-            *dict.fromkeys(self.reading.gains, "gain").items(),
-            *self.reading.kinds.items(),
-        ):
-            if joint and joint not in joints:
-                what = whats.get(said, "There is a kind for")
+        said = [("--gain", joint, "") for joint in self.reading.gains]
+        said += [
+            ("--passive" if kind == PASSIVE else "--kind", joint, kind)
+            for joint, kind in self.reading.kinds.items()
+            if joint
+        ]
+        for option, joint, kind in said:
+            if joint not in self.joints:
                 raise LogError(
-                    f"{what} {joint!r}, which is not a joint of the log.",
-                    advice=f"Its joints are {listed(joints)}.",
+                    f"{option} names {joint!r}, which is not a joint of the log.",
+                    advice=f"Its joints are {listed(self.joints)}.",
                 )
-        for joint in self.reading.gains:
-            if joint not in heard:
-                raise LogError(
-                    f"There is a gain for {joint!r}, but log {str(path)!r} has no effort, "
-                    "current, voltage or duty cycle of it.",
-                    advice="Gains of servo commands are estimated with the model's inertias.",
-                    joint=joint,
-                )
-        for joint in joints:
-            kind = self.reading.kind_of(joint)
-            if kind not in (None, PASSIVE) and joint not in (told if kind == "command" else heard):
-                if joint not in self.reading.kinds:
-                    continue  # said of all joints that have it
-                raise LogError(
-                    f"Log {str(path)!r} has no column of {joint!r} with kind {kind!r}.",
-                    advice="Map it with --mapping.",
-                    joint=joint,
-                )
+            if kind == PASSIVE or joint in self.having(
+                "command" if kind == "command" else "effort"
+            ):
+                continue
+            raise LogError(
+                f"Log {str(self.path)!r} has no column of {joint!r} with "
+                f"{f'kind {kind!r}' if kind else 'efforts or signals'}, which {option} names.",
+                advice="Map it with --mapping."
+                if kind
+                else "Gains of servo commands are estimated with the model's inertias.",
+                joint=joint,
+            )
 
 
 def _mapped(name: str, column: MappedColumn, table: LogTable, reading: Reading) -> Meaning:
