@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 
 import numpy as np
@@ -195,28 +195,28 @@ def _known(values: Array) -> Array:
 
 
 def _columns(raw: JointLog, log: JointLog, columns: Columns) -> Iterator[UnderstoodColumn]:
-    for place, joint in enumerate(log.joints):
-        for quantity in columns.quantities:
-            source = columns.sources.get(f"{joint}.{quantity}")
-            if source is None:
-                continue  # commands have the place of efforts, or the other way round
-            known = _known(getattr(log, quantity)[:, place])
-            ends = (float(known.min()), float(known.max())) if len(known) else (np.nan, np.nan)
-            measured = np.count_nonzero(np.isfinite(getattr(raw, quantity)[:, place]))
-            yield UnderstoodColumn(
-                joint,
-                source.quantity if quantity == "effort" else quantity,
-                source.column,
-                source.unit.name if source.unit else "",
-                source.factor,
-                *ends,
-                len(raw) - int(measured),
-            )
-    for joint, where in log.standing.items():
-        source = columns.sources[f"{joint}.position"]
-        unit = source.unit.name if source.unit else ""
-        found = (joint, "position", source.column, unit, source.factor)
-        yield UnderstoodColumn(*found, where, where, 0)
+    for joint, quantity in product((*log.joints, *log.standing), columns.quantities):
+        source = columns.sources.get(f"{joint}.{quantity}")
+        if source is None:
+            continue  # commands have the place of efforts, or the other way round
+        measured, known = (_known(_of_joint(each, joint, quantity)) for each in (raw, log))
+        yield UnderstoodColumn(
+            joint,
+            source.quantity if quantity == "effort" else quantity,
+            source.column,
+            source.unit.name if source.unit else "",
+            source.factor,
+            float(known.min()) if len(known) else np.nan,
+            float(known.max()) if len(known) else np.nan,
+            len(raw) - len(measured),
+        )
+
+
+def _of_joint(log: JointLog, joint: str, quantity: str) -> Array:
+    if joint in log.alone:
+        return log.alone[joint]
+    values: Array = getattr(log, quantity)[:, log.joints.index(joint)]
+    return values
 
 
 def _rests(log: JointLog, period: float) -> Iterator[tuple[float, float]]:

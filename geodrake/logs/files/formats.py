@@ -38,25 +38,20 @@ _TEXT, _JSON = (".csv", ".txt", ".dat", ".tsv", ".log", ".lvm"), (".json", ".jso
 _SHEETS = (".xlsx", ".xlsm")
 _MODELS = (".urdf", ".sdf", ".xml", ".mjcf", ".xacro", ".yaml")
 
-SUFFIXES: Mapping[str, Reader] = {
-    **dict.fromkeys(_TEXT, read_text),
-    ".npy": read_npy,
-    ".npz": read_npz,
-    ".bag": read_bag,
-    ".mcap": read_bag,
-    ".db3": read_bag,
-    ".parquet": read_parquet,
-    ".pq": read_parquet,
-    ".feather": read_feather,
-    ".arrow": read_feather,
-    ".lcm": read_lcm,
-    ".lcmlog": read_lcm,
-    ".mat": read_mat,
-    ".h5": read_hdf5,
-    ".hdf5": read_hdf5,
-    **dict.fromkeys(_JSON, read_json),
-    **dict.fromkeys(_SHEETS, read_sheet),
+_READERS: Mapping[Reader, Sequence[str]] = {
+    read_text: _TEXT,
+    read_npy: (".npy",),
+    read_npz: (".npz",),
+    read_bag: (".bag", ".mcap", ".db3"),
+    read_parquet: (".parquet", ".pq"),
+    read_feather: (".feather", ".arrow"),
+    read_lcm: (".lcm", ".lcmlog"),
+    read_mat: (".mat",),
+    read_hdf5: (".h5", ".hdf5"),
+    read_json: _JSON,
+    read_sheet: _SHEETS,
 }
+SUFFIXES = {suffix: reader for reader, suffixes in _READERS.items() for suffix in suffixes}
 """Reader of files by their suffix."""
 
 FOLDERS: Mapping[str, Reader] = {
