@@ -296,10 +296,6 @@ class FourBarLinkage(OneJoint):
     rocker_angle: float = 0.0
     crossed: bool = False
 
-    def slides(self) -> bool:
-        """Return that it turns."""
-        return False
-
     def transmission(self) -> Transmission:
         """Return the closed loop of crank, coupler and rocker, put together as it is at q = 0."""
         lengths = {key: getattr(self, key) for key in ("ground", "crank", "coupler", "rocker")}
@@ -352,10 +348,6 @@ class LinearActuator(OneJoint):
     length: float = 0.0
     angle: float = 0.0
     reversed: bool = False
-
-    def slides(self) -> bool:
-        """Return that it does."""
-        return True
 
     def transmission(self) -> Transmission:
         """Return the closed loop of base, cylinder and lever, in which γ is from 0 to π."""
@@ -463,11 +455,13 @@ class Drive(Short):
     @classmethod
     def of(cls, statement: Statement) -> Drive:
         """Return the drive that a part of a transmission file states."""
-        slides = statement.slides()
+        made, slides = statement.transmission(), statement.slides()
+        if isinstance(made, LoopTransmission):
+            (slides,) = (made.slides[at] for at in made.free)
         return cls(
             statement.actuator_names(),
             statement.joint_names(),
-            statement.transmission(),
+            made,
             None if slides is None else (slides,) * len(statement.actuator_names()),
             statement=statement,
         )
