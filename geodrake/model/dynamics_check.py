@@ -76,10 +76,10 @@ def second_opinion(model: RobotModel, states: States) -> tuple[str, Array, Array
     elif len(texts) == 1 and texts[0].kind == "urdf":
         found = by_pinocchio(model, texts[0], held, joints)
     else:
-        found = by_drake(model, held, joints)
+        found = by_drake(model)
     if isinstance(found, str):
         return found
-    return found.by, found.efforts_of(model.coordinates, joints, states), ours
+    return found.by, found.efforts_of(model.coordinates, states), ours
 
 
 def _held(model: RobotModel, text: ModelText) -> Places:

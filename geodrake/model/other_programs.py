@@ -27,7 +27,13 @@ from pydrake.multibody.tree import Joint, MultibodyForces
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.model.simulation.terms import Model
-from geodrake.robot.arrangement import base_joints, moving_joints, open_loops
+from geodrake.robot.arrangement import (
+    base_joints,
+    moving_joints,
+    open_loops,
+    weld_joints,
+    welds_of,
+)
 from geodrake.robot.coordinates import RobotCoordinates
 from geodrake.robot.files import read_description
 from geodrake.robot.files.description import drake_errors, drake_messages
@@ -37,7 +43,7 @@ from geodrake.robot.files.texts import ModelText
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import numbered_text, parse_xml_bytes
 from geodrake.robot.joints import scoped, single_joints
-from geodrake.robot.plant import free_roots
+from geodrake.robot.plant import weld_roots
 from geodrake.robot.transmission import times
 
 _APART = 1e-4  # of the size, by which loops of rounded numbers may be open
@@ -57,18 +63,20 @@ class OtherProgram:
     """Another program with the model that it read of a file.
 
     Attributes:
+        units: The plant's joints that it has.
         rest: Its positions, velocities and accelerations, held joints in their places.
-        places: Of each joint, where it is in its positions and velocities.
+        places: Of each of the joints, where it is in its positions and velocities.
+        inverse_dynamics: Makes of its positions, velocities and accelerations efforts.
         free: Makes of R and p of a free body, and of its velocities ω and v in the world, the
             positions, T and the bias of accelerations of the program.
-        inverse_dynamics: Makes of its positions, velocities and accelerations efforts.
     """
 
     by: str
+    units: Units
     rest: tuple[Array, Array, Array]
     places: Sequence[tuple[slice, slice]]
-    free: Callable[[RotationMatrix, Array, Array], tuple[Array, Array, Array]]
     inverse_dynamics: Callable[[Array, Array, Array], Array]
+    free: Callable[[RotationMatrix, Array, Array], tuple[Array, Array, Array]] | None = None
 
     def state(self, q: Array, v: Array, size: int) -> tuple[Array, Array, Array]:
         """Return its positions, T and the bias of its accelerations, of a joint of the plant.
@@ -76,7 +84,7 @@ class OtherProgram:
         Args:
             q: (1,), (3,) or, of a free base, (6,) positions of the joint.
         """
-        if len(q) == 6:
+        if len(q) == 6 and self.free is not None:
             rpy = RollPitchYaw(q[:2:-1])
             spin = np.stack(list(map(rpy.CalcAngularVelocityInParentFromRpyDt, np.eye(3))), 1)
             B, bias = np.zeros((6, 6)), np.zeros(6)
@@ -93,13 +101,13 @@ class OtherProgram:
             return turned, rpy.ToRotationMatrix().matrix().T, np.zeros(3)
         return np.array([np.cos(q[0]), np.sin(q[0])]), np.eye(1), np.zeros(1)
 
-    def efforts(self, units: Units, q: Array, v: Array, vd: Array) -> Array:
+    def efforts(self, q: Array, v: Array, vd: Array) -> Array:
         """Return efforts (N, nv of the plant) of the plant's motion (N, ·)."""
         found = np.zeros_like(v)
         for k in range(len(q)):
             position, rate, acceleration = (x.copy() for x in self.rest)
             turns = []
-            for unit, (at_q, at_v) in zip(units, self.places, strict=True):
+            for unit, (at_q, at_v) in zip(self.units, self.places, strict=True):
                 there, own = part(unit)
                 placed, T, bias = self.state(q[k, there], v[k, own], len(position[at_q]))
                 position[at_q] = placed
@@ -111,11 +119,11 @@ class OtherProgram:
         return found
 
     def efforts_of(
-        self, coordinates: RobotCoordinates, units: Units, states: tuple[Array, Array, Array]
+        self, coordinates: RobotCoordinates, states: tuple[Array, Array, Array]
     ) -> Array:
         """Return efforts (N, nv) of a robot's motion (N, ·), at its own coordinates."""
         *samples, J = coordinates.tree_samples(*states)
-        return times(np.swapaxes(J, 1, 2), self.efforts(units, *samples))
+        return times(np.swapaxes(J, 1, 2), self.efforts(*samples))
 
 
 def part(unit: tuple[Joint, ...]) -> tuple[slice, slice]:
@@ -164,7 +172,8 @@ def by_mujoco(theirs: Any, held: Places, units: Units) -> OtherProgram | str:
         return np.array(data.qfrc_inverse)
 
     rest = (np.array(data.qpos), *np.zeros((2, theirs.nv)))
-    return OtherProgram(f"MuJoCo {mujoco.__version__}", rest, places, free, inverse_dynamics)
+    by = f"MuJoCo {mujoco.__version__}"
+    return OtherProgram(by, units, rest, places, inverse_dynamics, free)
 
 
 def joint_units(plant: MultibodyPlant) -> list[tuple[Joint, ...]]:
@@ -263,53 +272,34 @@ def by_pinocchio(model: Model, text: ModelText, held: Places, units: Units) -> O
         position[joint.idx_q : joint.idx_q + joint.nq] = at
     return OtherProgram(
         f"Pinocchio {pinocchio.__version__}",
+        units,
         (position, *np.zeros((2, theirs.nv))),
         [places[name] for name in names],
-        free,
         lambda q, v, vd: pinocchio.rnea(theirs, data, q, v, vd),
+        free,
     )
 
 
-def by_drake(model: Model, held: Places, units: Units) -> OtherProgram | str:
+def by_drake(model: Model) -> OtherProgram | str:
     """Return Drake with the original file, which geodrake otherwise simplifies."""
-    plant, own = MultibodyPlant(time_step=0.0), model.plant
-    floating = {base[-1].child_body().scoped_name().get_full() for base in base_joints(own)}
+    plant, units = MultibodyPlant(time_step=0.0), [(j,) for j in moving_joints(model.plant)]
+    bases = (base[-1].child_body() for base in base_joints(model.plant))
+    floating = {body.scoped_name().get_full() for body in bases}
     try:
         with drake_messages(), drake_errors(model.path):
             read_description(model.path, model.given).add_to(plant, simplified=False)
             open_loops(plant)
-            for body in free_roots(plant):
-                if body.scoped_name().get_full() not in floating:
-                    X_WB = plant.GetDefaultFloatingBaseBodyPose(body)
-                    plant.WeldFrames(plant.world_frame(), body.body_frame(), X_WB)
+            weld_joints(plant, welds_of(model.plant))
+            weld_roots(plant, lambda body: body.scoped_name().get_full() in floating)
             for index in plant.GetJointActuatorIndices():
                 plant.get_mutable_joint_actuator(index).set_default_rotor_inertia(0.0)
             plant.mutable_gravity_field().set_gravity_vector(model.tree.gravity)
             plant.Finalize()
     except ModelError as error:
         return f"Drake cannot read the original file: {error.problem.rstrip('.')}"
-    context, places = plant.CreateDefaultContext(), list[tuple[slice, slice]]()
-    joints = {scoped(joint): joint for joint in moving_joints(plant)}
-    for unit in units:
-        if len(unit) > 1:
-            child = unit[-1].child_body()
-            instance = plant.GetModelInstanceByName(
-                own.GetModelInstanceName(child.model_instance())
-            )
-            body = plant.GetBodyByName(child.name(), instance)
-            q, v = body.floating_positions_start(), body.floating_velocities_start_in_v()
-            places.append((slice(q, q + 7), slice(v, v + 6)))
-        elif (joint := joints.get(scoped(unit[0]))) is None:
-            return "Drake has other joints in the original file"
-        else:
-            places.append(part((joint,)))
-    rest = plant.GetPositions(context)
-    for joint in joints.values():
-        if joint.name() in held:
-            rest[joint.position_start()] = held[joint.name()]
-
-    def free(R: RotationMatrix, p: Array, v: Array) -> tuple[Array, Array, Array]:
-        return np.concatenate([R.ToQuaternion().wxyz(), p]), np.eye(6), np.zeros(len(v))
+    context, joints = plant.CreateDefaultContext(), {scoped(j): j for j in moving_joints(plant)}
+    if {scoped(joint) for (joint,) in units} != joints.keys():
+        return "Drake has other joints in the original file"
 
     def inverse_dynamics(q: Array, v: Array, vd: Array) -> Array:
         plant.SetPositions(context, q)
@@ -317,9 +307,12 @@ def by_drake(model: Model, held: Places, units: Units) -> OtherProgram | str:
         effort = plant.CalcInverseDynamics(context, vd, MultibodyForces(plant))
         return np.asarray(effort - plant.CalcGravityGeneralizedForces(context))
 
-    by = f"Drake {version('drake')} with the original file"
     return OtherProgram(
-        by, (rest, *np.zeros((2, plant.num_velocities()))), places, free, inverse_dynamics
+        f"Drake {version('drake')} with the original file",
+        units,
+        (plant.GetPositions(context), *np.zeros((2, plant.num_velocities()))),
+        [part((joints[scoped(joint)],)) for (joint,) in units],
+        inverse_dynamics,
     )
 
 

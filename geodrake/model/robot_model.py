@@ -605,7 +605,7 @@ def _check_against_mujoco(model: RobotModel, text: MjcfText, held: Mapping[str, 
     ours = replace(model, effects=tuple(some)).effort(motion)
     engine, what, off = by_mujoco(text.reference, held, units), "all joints", ""
     if not isinstance(engine, str):
-        theirs = engine.efforts_of(model.coordinates, units, (motion.q, motion.v, motion.vd))
+        theirs = engine.efforts_of(model.coordinates, (motion.q, motion.v, motion.vd))
         kept = [k for k, joint in enumerate(model.joints) if joint not in model.base_joints]
         errors = np.abs(ours - theirs)[:, kept].max(axis=0, initial=0.0)
         largest = float(np.abs(theirs).max(initial=0.0))
