@@ -169,6 +169,9 @@ def load_plant(
     terms, plant = description.terms, built.plant
     terms = replace(terms, lengths=[*built.lengths, *terms.lengths])
     apart = _ignored(description, arrangement)
+    others = plant.num_constraints() or plant.num_force_elements() > 1  # than gravity
+    left_out = ["Constraints and springs that only Drake reads are ignored."] if others else []
+    left_out += [*terms.left_out, *(terms.of_bases if floating else ()), *apart, *loops.left_out]
     notes = [*origin, *terms.notes, *built.notes, *_follower_notes(arrangement), *loops.notes]
     lines = [message.partition("\n")[0].rpartition("warning: ")[2] for message in messages]
     of_drake = [f"Drake: {line}" for line in lines if "inertia" in line or "mass" in line]
@@ -182,7 +185,7 @@ def load_plant(
         _once([*map(str, repairs), *weightless, *terms.lost, *of_drake]),
         _once(notes),
         terms,
-        _once([*terms.left_out, *(terms.of_bases if floating else ()), *apart, *loops.left_out]),
+        _once(left_out),
         loops.loops,
         closing,
         held={**loops.held, **held},
@@ -386,8 +389,6 @@ def _build(
             advice="Give a model with moving joints, or load it as a floating base.",
             path=description.path,
         )
-    if plant.num_constraints() or plant.num_force_elements() > 1:
-        notes.append("Constraints and springs of the file are not in the open tree.")
     return BuiltPlant(plant, lengths, tuple(notes), opened)
 
 

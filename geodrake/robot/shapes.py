@@ -44,14 +44,15 @@ from geodrake.robot.files.given import Given
 from geodrake.robot.files.includes import Includes
 from geodrake.robot.files.mjcf_source import compiled, load_mujoco
 from geodrake.robot.files.mjcf_terms import pose_of
+from geodrake.robot.files.texts import DRAKES_SPRINGS
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
 from geodrake.robot.mesh_files import READERS, regular_mesh, wavefront, wavefront_text
+from geodrake.robot.stated import WORLD_LINK
 
 _LAST_GROUP = 2  # of geoms that MuJoCo shows unasked
 _WIDE, _DEEP = 100.0, 1.0
 """Sides of the box below a plane, m: Drake has no distances of half-spaces to most shapes."""
-WORLD = "WorldModelInstance::world"  # Drake's scoped name
 SHAPES_ADVICE = (
     "Pass the shapes of links as `links`, and ignore those of the file (use_file=False)."
 )
@@ -123,7 +124,7 @@ def mjcf_geoms(
             bool(m.geom_group[at] <= _LAST_GROUP),
             bool(m.geom_contype[at] or m.geom_conaffinity[at]),
         )
-        link = f"{scope}::{m.body(body).name}" if body else WORLD
+        link = f"{scope}::{m.body(body).name}" if body else WORLD_LINK
         found.setdefault(link, []).append(geom)
     return {link: tuple(geoms) for link, geoms in found.items()}, tuple(source.lost)
 
@@ -271,6 +272,7 @@ def scene_of(
             raise ModelError(reason.rpartition(" refers to ")[2]) from error
 
     drop(root, "inertial", "mimic", "transmission", "sensor", "plugin", "gazebo", "surface")
+    drop(root, *DRAKES_SPRINGS)
     prepare(root, where)
     Includes(path, given.packages).name_by_urls(root)
     kind = "urdf" if root.tag == "robot" else "sdf"

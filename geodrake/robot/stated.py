@@ -18,6 +18,9 @@ from geodrake.robot.joints import Tie
 WORLD = "world"
 """Name of the world among bodies."""
 
+WORLD_LINK = "WorldModelInstance::world"
+"""Drake's scoped name of it among links."""
+
 _MOST_VELOCITIES = 6  # of a joint
 _ROUNDING = 1e-14  # of what two springs have, where they have nothing together
 

@@ -2,6 +2,9 @@
 
 import numpy as np
 import pytest
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import MultibodyForces, RevoluteSpring
 
 from geodrake import load_model
 from geodrake.errors import ModelError
@@ -25,10 +28,12 @@ URDF = """<robot name="r"><link name="base"/>{robot}
 {joint}</joint></robot>"""
 
 
+PARTS = ("world", "model", "one", "two", "inertial", "axis", "robot", "link", "joint")
+
+
 def load(folder, text, **parts):
-    names = ("world", "model", "one", "two", "inertial", "axis", "robot", "link", "joint")
     path = folder / ("r.urdf" if "robot" in text[:10] else "r.sdf")
-    path.write_text(text.format(**{**dict.fromkeys(names, ""), **parts}), encoding="utf-8")
+    path.write_text(text.format(**{**dict.fromkeys(PARTS, ""), **parts}), encoding="utf-8")
     return load_model(path)
 
 
@@ -254,7 +259,9 @@ def test_what_only_drake_reads_of_an_included_urdf_is_told(tmp_path, part):
     include = "<include><uri>r.urdf</uri><name>in</name></include>"
     weld = '<joint name="c" type="fixed"><parent>l1</parent><child>in::base</child></joint>'
     said = load(tmp_path, SDF, model=include + weld).left_out
-    assert len(said) == bool(part) and all("line 2: dry friction, springs, foll" in x for x in said)
+    told = [x for x in said if "line 2: dry friction, springs, followers" in x]
+    assert len(told) == bool(part)
+    assert len(said) == len(told) + ("<mimic" in part)  # a constraint, which Drake's plant has
 
 
 def test_what_an_include_changes_in_its_model_is_changed(tmp_path):
@@ -275,6 +282,63 @@ def test_damping_of_a_planar_joint_of_a_urdf_is_that_of_each_direction(tmp_path)
     spring = '<gazebo reference="a"><springStiffness>4</springStiffness></gazebo>'
     (said,) = load(tmp_path, text, robot=spring).left_out
     assert "<springStiffness> 4 is ignored" in said
+
+
+def drakes(tag, sdf, **stated):
+    """An element of Drake's own as URDF or SDF writes it."""
+    parts = ""
+    for key, value in stated.items():
+        name, kind = f"drake:{tag}_{key}", "value" if value[0] in "-.0123456789" else "name"
+        parts += f"<{name}>{value}</{name}>" if sdf else f'<{name} {kind}="{value}"/>'
+    return f"<drake:{tag}>{parts}</drake:{tag}>"
+
+
+STRUT = {
+    "p_AP": "0.1 0.2 0.7", "p_BQ": "0.2 0.1 -0.1", "free_length": "0.4", "stiffness": "30",
+    "damping": "2",
+}  # fmt: skip
+AT_JOINT = {"joint": "a", "nominal_angle": "0.3", "stiffness": "5"}
+
+
+@pytest.mark.parametrize("text", [URDF, SDF])
+def test_springs_of_drake_are_those_of_its_force_elements(tmp_path, text):
+    """Drake's parser reads the spring between two points; the one of a joint is added to it."""
+    sdf, at = text == SDF, {URDF: "robot", SDF: "model"}[text]
+    ends = {"body_A": "l2" if sdf else "base", "body_B": "l1"}
+    strut = drakes("linear_spring_damper", sdf, **ends, **STRUT)
+    spring = drakes("revolute_spring", sdf, **AT_JOINT)
+    model = load(tmp_path, text, **{at: strut + spring})
+    assert not model.left_out and model.plant.num_force_elements() == 1
+    plant, whole = MultibodyPlant(0.0), text.format(**dict.fromkeys(PARTS, "") | {at: strut})
+    Parser(plant).AddModelsFromString(whole, "sdf" if sdf else "urdf")
+    if not sdf:
+        plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base"))
+    plant.AddForceElement(RevoluteSpring(plant.GetJointByName("a"), 0.3, 5.0))
+    plant.Finalize()
+    assert plant.num_force_elements() == 3
+    context, nv = plant.CreateDefaultContext(), plant.num_velocities()
+    motion = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 5, nv))
+    found, forces = model.effort(Motion(*motion)), MultibodyForces(plant)
+    for q, v, vd, effort in zip(*motion, found, strict=True):
+        plant.SetPositions(context, q)
+        plant.SetVelocities(context, v)
+        plant.CalcForceElementsContribution(context, forces)
+        np.testing.assert_allclose(effort, plant.CalcInverseDynamics(context, vd, forces))
+    assert check_dynamics(model, samples=3).holds
+
+
+@pytest.mark.parametrize(
+    ("tag", "stated", "words"),
+    [
+        ("revolute_spring", AT_JOINT | {"joint": "k"}, "names 'k', which is no joint"),
+        ("revolute_spring", AT_JOINT | {"stiffness": "nan"}, "has no numbers as stiffness"),
+        ("linear_spring_damper", {"body_A": "base", "body_B": "q", **STRUT}, "but base and q"),
+        ("linear_spring_damper", {"body_A": "base", "body_B": "l1"}, "has no numbers as p_AP"),
+    ],
+)
+def test_springs_of_drake_that_are_nowhere_are_refused(tmp_path, tag, stated, words):
+    with pytest.raises(ModelError, match=f"line 1: <drake:{tag}> .*{words}"):
+        load(tmp_path, URDF, robot=drakes(tag, False, **stated))
 
 
 def test_where_gazebo_puts_a_model_counts_for_its_weight(tmp_path):

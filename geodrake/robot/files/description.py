@@ -38,7 +38,7 @@ from geodrake.robot.files.checks import drop
 from geodrake.robot.files.given import Given
 from geodrake.robot.files.includes import Includes, add_packages, named_packages
 from geodrake.robot.files.mjcf import MjcfText
-from geodrake.robot.files.texts import ModelText, SdfText, UrdfText
+from geodrake.robot.files.texts import DRAKES_SPRINGS, ModelText, SdfText, UrdfText
 from geodrake.robot.files.xacro_file import is_xacro, read_expanded
 from geodrake.robot.files.xml_text import LARGEST_FILE, SUPPORTED_FORMATS, parse_xml_bytes
 from geodrake.robot.stated import FileTerms
@@ -110,7 +110,8 @@ class ModelDescription:
             if self.directives is None and not simplified:
                 root = parse_xml_bytes(texts[0][0].encode(), self.path)
                 Includes(self.path, self.given.packages).name_by_urls(root)
-                drop(root, "spring_stiffness")  # beside which Drake lets no joint be taken out
+                # Beside springs, Drake lets no joint be taken out.
+                drop(root, "spring_stiffness", *DRAKES_SPRINGS)
                 parser.AddModelsFromString(tostring(root, encoding="unicode"), self.texts[0].kind)
             elif self.directives is None:
                 for own, (text, _) in zip(self.texts, texts, strict=True):

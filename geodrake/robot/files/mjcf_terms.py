@@ -27,6 +27,7 @@ from geodrake.robot.files.xml_text import place_of
 from geodrake.robot.joints import Tie
 from geodrake.robot.stated import (
     WORLD,
+    WORLD_LINK,
     BoxInMedium,
     Closure,
     FileTerms,
@@ -248,9 +249,7 @@ class MjcfTerms:
         for one, two in (part for part in parts if part not in moving):
             rest -= float(np.linalg.norm(data.site_xpos[one] - data.site_xpos[two]))
         ends = [int(m.site_bodyid[site]) for site in moving[0]]
-        first_body, second_body = (
-            self._body(body) if body else "WorldModelInstance::world" for body in ends
-        )
+        first_body, second_body = (self._body(body) if body else WORLD_LINK for body in ends)
         points = np.array(m.site_pos[moving[0][0]]), np.array(m.site_pos[moving[0][1]])
         strut = StatedStrut((first_body, second_body), points, stiffness, rest, damping)
         self.found.struts.append(strut)

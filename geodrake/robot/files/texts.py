@@ -47,11 +47,13 @@ from geodrake.robot.files.xml_text import numbered_text, place_of, wrong_at
 from geodrake.robot.joints import Tie
 from geodrake.robot.stated import (
     CLOSING,
+    CUT,
     Closure,
     CutJoint,
     FileTerms,
     Spring,
     StatedLength,
+    StatedStrut,
 )
 from geodrake.robot.transmission.statements import Coupled, Gear, Statement
 
@@ -63,15 +65,11 @@ URDF_UNREAD: Mapping[str, Collection[str]] = {
     "actuator": ("motorInertia", "rotorInertia"),
     "contact": ("inertia_scaling",),
     "joint": ("joint_properties",),
-    "robot": ("drake:linear_spring_damper", "drake:prismatic_spring", "drake:revolute_spring"),
 }
 SDF_UNREAD: Mapping[str, Collection[str]] = {
     "link": ("velocity_decay", "enable_wind", "kinematic"),
     "inertial": ("fluid_added_mass",),
-    "model": (
-        *("drake:linear_spring_damper", "drake:prismatic_spring", "drake:revolute_spring"),
-        "enable_wind",
-    ),
+    "model": ("enable_wind",),
 }
 """Tag -> tags of its children, or of theirs, that bear on efforts unless they are zero."""
 
@@ -132,6 +130,14 @@ def _of(element: Element, tags: Collection[str], path: Path) -> Iterator[str]:
 
 
 _BALL = "drake:ball_constraint"
+_JOINTS = ("joint", "drake:joint")
+DRAKES_SPRINGS: Mapping[str, str | None] = {
+    "drake:revolute_spring": "nominal_angle",
+    "drake:prismatic_spring": "nominal_position",
+    "drake:linear_spring_damper": None,
+}
+"""Tag of a spring -> where that of a joint is at rest; None for one between two points."""
+
 _LOOPS = ("linear_bushing_rpy", "distance_constraint", "weld_constraint")
 
 
@@ -214,19 +220,45 @@ class ModelText(abc.ABC):
         """Take Drake's constraints of points that are one, which close loops, out of a model."""
         for ball in model.findall(_BALL):
             model.remove(ball)
-
-            def stated(key: str, ball: Element = ball) -> str:
-                found = ball.find(f"{_BALL}_{key}")
-                words = "" if found is None else found.get("name") or found.get("value")
-                return (words or (found.text if found is not None else "") or "").strip()
-
-            first, second = stated("body_A"), stated("body_B")
+            first, second = (_of_drake(ball, key) for key in ("body_A", "body_B"))
             if not first or not second:
                 raise wrong_at(ball, self.path, f"<{_BALL}> does not name its two bodies.")
-            at, other = (RigidTransform(numbers(stated(key), 3)) for key in ("p_AP", "p_BQ"))
+            places = (numbers(_of_drake(ball, key), 3) for key in ("p_AP", "p_BQ"))
+            at, other = map(RigidTransform, places)
             bodies = f"{scope}::{first}", f"{scope}::{second}"
             name = f"<{_BALL}> of {first} and {second}"
             self.terms.closures.append(Closure(name, bodies, (at, other), False))
+
+    def _take_drakes_springs(self, scope: str, model: Element) -> None:
+        """Take Drake's springs of joints, and between points of two links, out of a model."""
+        joints = {e.get("name", ""): e.get("type") for e in model if e.tag in _JOINTS}
+        for spring in [each for each in model if each.tag in DRAKES_SPRINGS]:
+            model.remove(spring)
+
+            def value(key: str, count: int = 1, spring: Element = spring) -> Array:
+                found = numbers(_of_drake(spring, key) or "none", count)
+                if not np.isfinite(found).all():
+                    raise wrong_at(spring, self.path, f"<{spring.tag}> has no numbers as {key}.")
+                return found
+
+            if (rest := DRAKES_SPRINGS[spring.tag]) is None:
+                ends = [_of_drake(spring, key) for key in ("body_A", "body_B")]
+                links = [f"{scope}::{end}" for end in ends]
+                if not {*links} <= self._links.keys() or links[0] == links[1]:
+                    what = f"<{spring.tag}> does not name two links, but {' and '.join(ends)}."
+                    raise wrong_at(spring, self.path, what)
+                points = value("p_AP", 3), value("p_BQ", 3)
+                keys = ("stiffness", "free_length", "damping")
+                stiffness, length, damping = (float(value(key)[0]) for key in keys)
+                pair = links[0], links[1]
+                self.terms.struts.append(StatedStrut(pair, points, stiffness, length, damping))
+                continue
+            name = _of_drake(spring, "joint")
+            if joints.get(name) not in CUT:
+                what = f"<{spring.tag}> names {name!r}, which is no joint that it can be at."
+                raise wrong_at(spring, self.path, what)
+            own = Spring.linear(float(value("stiffness")[0]), float(value(rest)[0]))
+            self.terms.lengths.append(StatedLength({f"{scope}::{name}": 1.0}, own))
 
     def _drop_loops(self) -> None:
         tags = {f"{prefix}{tag}" for tag in _LOOPS for prefix in ("drake:", "")}
@@ -321,6 +353,13 @@ class ModelText(abc.ABC):
         """Return the inertial parameters (10,) that an <inertial> states."""
 
 
+def _of_drake(element: Element, key: str) -> str:
+    """Return what an element of Drake's own says in its child of a key."""
+    found = element.find(f"{element.tag}_{key}")
+    words = () if found is None else (found.get("name"), found.get("value"), found.text)
+    return next((word.strip() for word in words if word and word.strip()), "")
+
+
 _SPRING = ("spring_stiffness", "spring_reference")
 
 
@@ -350,6 +389,8 @@ class SdfText(ModelText):
         self._drop_loops()
         for name, model in models:
             self._links |= {f"{name}::{e.get('name')}": e for e in model.findall("link")}
+        for name, model in models:
+            self._take_drakes_springs(name, model)
         joints = list(sdf_joints(self.root, first=self.scope or ""))
         names = {stated: name for stated, name, _ in joints}
         self._still = {stated for stated, _, joint in joints if joint.get("type") == "fixed"}
@@ -433,13 +474,14 @@ class UrdfText(ModelText):
         self._drop_loops()
         root.set("name", root.get("name") or scope)
         self._links = {f"{scope}::{e.get('name')}": e for e in root.findall("link")}
-        joints = [*root.findall("joint"), *root.findall("drake:joint")]
+        joints = [joint for tag in _JOINTS for joint in root.findall(tag)]
         self._holding = {_end(joint, "child"): joint for joint in reversed(joints)}
         self._still = {f"{scope}::{e.get('name')}" for e in joints if e.get("type") == "fixed"}
         self._several = {f"{scope}::{e.get('name')}" for e in joints if e.get("type") in _SEVERAL}
         self._take_floating(scope, joints)
         every = {e.get("name") for tag in ("joint", "drake:joint") for e in root.iter(tag)}
         self._take_gazebo(scope, [e for e in gazebo if e.get("reference")], every)
+        self._take_drakes_springs(scope, root)
         self._take_pose(scope, gazebo)
         self._take_gazebo_joints(scope, gazebo)
         self._take_loop_joints(scope)
