@@ -137,17 +137,9 @@ class FilteredRegressor:
         except GeodrakeError:  # of an effect that has no finite columns
             return self.skipped(memory)
         after = memory.copy()
-        share = self._pass if memory[0] <= 1 else 1.0 - (1.0 - self._pass) ** memory[0]
-        ends = calc_ends(both, contiguous(effort), self.period, self.held_effort)
-        stack = after[1:].reshape(self.order + 1, -1)
-        if not _finite(ends[0]):
+        how = self.period, self._pass, self.held_effort, repeated
+        if not calc_filtered(both, contiguous(effort), how, after):
             return self.skipped(memory)
-        if repeated and memory[0]:
-            stack[-1] += ends[1] - ends[0]
-            after[0] += 1.0
-        else:
-            calc_filtered(ends, float(memory[0]), float(share), stack)
-            after[0] = 1.0
         return after
 
     def skipped(self, memory: Array) -> Array:
@@ -163,45 +155,52 @@ class FilteredRegressor:
 
 
 @compiled
-def calc_ends(both: Array, effort: Array, period: float, held: bool) -> Array:
-    """Return what a sample adds to the interval that it ends, and takes off the next one: (2, ·).
+def calc_filtered(
+    both: Array, effort: Array, how: tuple[float, float, bool, bool], memory: Array
+) -> bool:
+    """Pass the rows of an interval through all filters, and begin the next one.
+
+    What a sample adds to the interval that it ends is [now], and what it takes off the next one
+    [before]: the interval's rows are [now] − [before], with the filters linear in both.
 
     Args:
         both: (2, nv p) Y_p and Y_c.
         effort: (nv,) efforts.
-        period: h, s.
-        held: Whether the effort is the one that acted since the last instant.
+        how: h, s; the share that a filter lets through in that time; whether the effort is the one
+            that acted since the last instant; and whether only the effort is new.
+        memory: How many h the interval had, 0 if it is left out, and then (order + 1) times
+            (nv p + nv,) states of the filters, and what the interval began with.
+
+    Returns:
+        Whether all was finite; the memory is of no use otherwise.
     """
-    entries, nv = both.shape[1], len(effort)
-    ends = np.empty((2, entries + nv))
-    for i in range(entries):
-        moved, drift = both[0, i] / period, 0.5 * both[1, i]
-        ends[0, i], ends[1, i] = moved - drift, moved + drift
-    for i in range(nv):
-        ends[0, entries + i] = effort[i] if held else 0.5 * effort[i]
-        ends[1, entries + i] = 0.0 if held else -0.5 * effort[i]
-    return ends
-
-
-@compiled
-def calc_filtered(ends: Array, periods: float, share: float, stack: Array) -> None:
-    """Pass the rows of an interval through all filters, and begin the next one.
-
-    The interval's rows are [now] − [before], with the filters linear in both.
-
-    Args:
-        ends: (2, ·) from `calc_ends`.
-        periods: How many sampling intervals it had; 0 if it is left out.
-        stack: (order + 1, ·) states of the filters, and what the interval began with.
-    """
-    last = len(stack) - 1
-    for i in range(ends.shape[1]):
+    period, one, held, repeated = how
+    entries, periods = both.shape[1], memory[0]
+    width = entries + len(effort)
+    last = (len(memory) - 1) // width - 1
+    share = one if periods <= 1.0 else 1.0 - (1.0 - one) ** periods
+    goes_on, size = repeated and periods > 0.0, 0.0
+    for i in range(width):
+        if i < entries:
+            moved, drift = both[0, i] / period, 0.5 * both[1, i]
+            now, before = moved - drift, moved + drift
+        else:
+            value = effort[i - entries]
+            now, before = (value, 0.0) if held else (0.5 * value, -0.5 * value)
+        size += now * now
+        begun = 1 + last * width + i
+        if goes_on:
+            memory[begun] += before - now
+            continue
         if periods > 0.0:
-            value = (ends[0, i] - stack[last, i]) / periods
+            value = (now - memory[begun]) / periods
             for k in range(last):
-                stack[k, i] += share * (value - stack[k, i])
-                value = stack[k, i]
-        stack[last, i] = ends[1, i]
+                at = 1 + k * width + i
+                memory[at] += share * (value - memory[at])
+                value = memory[at]
+        memory[begun] = before
+    memory[0] = periods + 1.0 if goes_on else 1.0
+    return bool(size < np.inf)
 
 
 def _finite(x: Array) -> bool:

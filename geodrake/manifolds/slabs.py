@@ -70,7 +70,7 @@ def calc_slab_projection(
     put_scaled(0.0, gaps, held)
     for step in range(most + 1):
         calc_whitened(y, rows, factors, roots, whitened)
-        put_products(whitened, products)
+        np.dot(whitened, whitened.T, products)
         error = put_gaps(slabs, out, products, gaps)
         if error <= tolerance and step:
             return max(error, calc_stationarity((x, y), (rows, held), factors)), step
@@ -102,17 +102,6 @@ def put_scaled(share: float, values: Array, out: Array) -> None:
     """Write a multiple of a vector; for the multiple 0 zeros, even of NaN."""
     for i in range(len(out)):
         out[i] = share * values[i] if share != 0.0 else 0.0
-
-
-@compiled
-def put_products(whitened: Array, products: Array) -> None:
-    """Write W Wᵀ (k, k)."""
-    for i in range(len(whitened)):
-        for j in range(i + 1):
-            total = 0.0
-            for k in range(whitened.shape[1]):
-                total += whitened[i, k] * whitened[j, k]
-            products[i, j] = products[j, i] = total
 
 
 @compiled
