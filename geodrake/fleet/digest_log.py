@@ -29,16 +29,12 @@ from geodrake.identification.logs.model_fit import effects_of, model_unknowns
 from geodrake.identification.logs.noise import known_noise, prepare_for_model
 from geodrake.identification.logs.reduce import (
     STILL_SPEED,
-    effort_deviation,
-    effort_scale,
     gain_uncertainty,
     least_sign_widths,
-    passive_inertia,
     peak_speeds,
-    reduced_joints,
+    reduce_over,
 )
 from geodrake.identification.logs.unknowns import Unknowns, payload_reference
-from geodrake.inertia import Array
 from geodrake.logs.files import Reading
 from geodrake.logs.folds import validation_blocks
 from geodrake.logs.known_payload import KnownPayload
@@ -164,7 +160,6 @@ def make_settings(
     effects = (*effects_of(own), *settled)
     effects = tuple(effect for effect in dict.fromkeys(effects) if effect.parameters)
     widths = own.sign_widths(least_sign_widths(peaks, trajectory.speed_noise))
-    layout = Layout.of(own, effects, widths, STILL_SPEED * peaks)
     bandwidth, motion_bandwidth = trajectory.bandwidths
     validation_blocks([trajectory], blocks=wanted.blocks or BLOCKS)  # it is long enough
     return DigestSettings(
@@ -175,7 +170,7 @@ def make_settings(
         float(bandwidth),
         float(motion_bandwidth),
         widths,
-        layout.still_speed,
+        STILL_SPEED * peaks,
         candidate_delays(trajectory.filter),
         tuple(map(DigestEffect.of, effects)),
         own_sources(wanted.extra),
@@ -221,32 +216,23 @@ def make_digest(
     log = replace(log, payloads=facts.payloads) if facts.payloads else log
     log = _in_efforts(log_of_model(log, own), own)
     trajectory = _prepared(log, settings)
+    if trajectory.has_unknown_forces:
+        raise LogError(
+            f"Forces at contacts are unknown in log {log.name!r}, so that its rows are not those "
+            "of single joints, as digests have them.",
+            advice="Log the wrenches at the contacts.",
+        )
     folds = validation_blocks([trajectory], blocks=settings.blocks)
     effects = tuple(effect.made(extra) for effect in settings.effects)
     layout = Layout.of(own, effects, settings.sign_width, settings.still_speed)
-    advance = [*(delays_of_joints(settings) + own.delays)]
-    data = reduced_joints(layout, [trajectory], folds, advance)
-    deviation = effort_deviation(
-        own.joints, data, log.passive
-    )  # refuses a joint whose sensor has nothing to say
-    for joint, each in zip(own.joints, data, strict=True):
+    noise = known_noise([trajectory], own, sign_width=settings.sign_width)
+    dataset = reduce_over(layout, [trajectory], folds, delays=settings.delays, noise=noise)
+    for joint, each in zip(own.joints, dataset.data, strict=True):
         if not np.isfinite(each.factors).all():
             raise LogError(f"Columns of {joint} are not finite in log {log.name!r}.")
-    scale = np.zeros(len(own.joints))
-    if settings.passive:
-        scale = effort_scale(own, layout.tree, [trajectory], data, deviation)
-        scale[~np.isin(own.joints, settings.passive)] = 0.0
-    about = replace(
-        _about(log, trajectory, own, settings, facts),
-        samples=np.array([each.samples.sum() for each in data]),
-        effort_scale=scale,
-        passive_inertia=passive_inertia(own, layout.tree, [trajectory]),
-    )
-    digest = Digest(settings, (about,), tuple(fold.name for fold in folds), data)
-    dataset = digest_dataset(digest, model, extra=extra)
-    effective, power = _worth(dataset, model_unknowns(dataset, own))
-    about = replace(about, effective=effective, residual_power=power)
-    return replace(digest, logs=(about,), joints=tuple(map(_without_rows, data)))
+    about = _about(log, trajectory, dataset, settings, facts)
+    about = replace(about, **_worth(dataset, model_unknowns(dataset, own)))
+    return Digest(settings, (about,), dataset.folds, tuple(map(_without_rows, dataset.data)))
 
 
 def _check_held(log: JointLog, settings: DigestSettings) -> None:
@@ -301,10 +287,11 @@ def _prepared(log: JointLog, settings: DigestSettings) -> Trajectory:
 def _about(
     log: JointLog,
     trajectory: Trajectory,
-    model: RobotModel,
+    dataset: Dataset,
     settings: DigestSettings,
     facts: LogFacts,
 ) -> DigestedLog:
+    """Return what is to be known of a log, before it is known what its samples are worth."""
     date, source = date_of_log(log, facts.files, facts.date)
     ranges = [
         (values.min(axis=0), values.max(axis=0))
@@ -314,7 +301,7 @@ def _about(
     ]
     low, high = (np.array(ends) for ends in zip(*ranges, strict=True))
     position, speed = np.stack([low.min(axis=0), high.max(axis=0)], 1)
-    temperature, nothing = np.full(len(log.joints), np.nan), np.zeros(len(log.joints))
+    temperature, passive = np.full(len(log.joints), np.nan), np.isin(log.joints, settings.passive)
     if log.temperature is not None:
         count = np.isfinite(log.temperature).sum(axis=0)
         np.divide(np.nansum(log.temperature, axis=0), count, out=temperature, where=count > 0)
@@ -328,17 +315,17 @@ def _about(
         sum(map(len, trajectory.segments)) * trajectory.filter.period,
         trajectory.filter.bandwidth,
         facts.payloads,
-        known_noise([trajectory], model, sign_width=settings.sign_width)[0],
+        dataset.noise_floor,
         sum(map(len, trajectory.segments)),
         np.array(log.gain_deviations),
         position,
         speed,
         temperature,
-        nothing.astype(int),
-        nothing,
-        nothing,
-        nothing,
-        None,
+        dataset.samples.sum(axis=0),
+        np.zeros(len(log.joints)),
+        np.zeros(len(log.joints)),
+        np.where(passive, dataset.effort_std, 0.0),
+        dataset.passive_inertia,
         (*log.notes, *trajectory.notes),
     )
 
@@ -386,7 +373,7 @@ def digest_dataset(
         model.joints,
         model.bodies,
         effects,
-        delays_of_joints(settings),
+        np.outer(settings.delays, np.ones(len(settings.joints))),
         digest.blocks,
         tuple(log.name for log in digest.logs),
         digest.joints,
@@ -402,21 +389,15 @@ def digest_dataset(
     )
 
 
-def delays_of_joints(settings: DigestSettings) -> Array:
-    """Return (d, nv) the delays of settings, of every joint, s."""
-    return np.array([np.full(len(settings.joints), delay) for delay in settings.delays])
-
-
-def _worth(dataset: Dataset, unknowns: Unknowns) -> tuple[Array, Array]:
+def _worth(dataset: Dataset, unknowns: Unknowns) -> dict[str, Any]:
     """Return `effective` samples and `residual_power` of a `DigestedLog`.
 
     The model's bodies and effects are fitted to the other blocks, within what was known of them.
     """
-    moving = dataset.effort_std > 0.0
-    power = np.where(moving, dataset.effort_std, 1.0) ** 2
+    power = np.where(dataset.has_rows, dataset.effort_std, np.inf) ** 2
     effective = _FIRST_SHARE * dataset.rows
     for _ in range(_ROUNDS):
-        weights = np.where(moving, effective / dataset.rows / power, 0.0)
+        weights = effective / dataset.rows / power
         held_out = CrossValidation(dataset, unknowns, weights, physical=False).held_out
         if dataset.passive_inertia is not None:
             x = held_out.x.mean(axis=0)
@@ -426,4 +407,5 @@ def _worth(dataset: Dataset, unknowns: Unknowns) -> tuple[Array, Array]:
             held_out = CrossValidation(dataset, unknowns, weights, physical=False).held_out
         left = residual_blocks(dataset, unknowns.columns, held_out.x)
         effective = effective_of_rows(left, dataset.rows)
-    return np.where(dataset.has_rows, effective, 0.0), held_out.sse.sum(axis=0)
+    effective = np.where(dataset.has_rows, effective, 0.0)
+    return {"effective": effective, "residual_power": held_out.sse.sum(axis=0)}

@@ -32,6 +32,7 @@ from geodrake.identification.logs.case import open_case, reduced
 from geodrake.identification.logs.hypothesis import first_hypothesis
 from geodrake.identification.logs.model_fit import model_unknowns
 from geodrake.logs.known_payload import KnownPayload
+from geodrake.logs.motion import Trajectory
 from geodrake.model.saved_model import load_model
 
 MODELS = Path(__file__).parents[2] / "models"
@@ -182,6 +183,12 @@ def test_signals_of_unknown_gain_are_refused(model, logs, settings):
     currents = replace(logs[1], effort_kinds=dict.fromkeys(model.joints, "current"))
     with pytest.raises(LogError, match=r"has the current of base_yaw .* identify --save"):
         digested(model, currents, settings)
+
+
+def test_unknown_forces_at_contacts_are_refused(model, logs, settings, monkeypatch):
+    monkeypatch.setattr(Trajectory, "has_unknown_forces", True)
+    with pytest.raises(LogError, match="Forces at contacts are unknown in log 'log_2'"):
+        digested(model, logs[1], settings)
 
 
 def test_a_joint_that_moves_under_one_effort_is_refused(model, logs, settings):

@@ -73,25 +73,39 @@ def reduce_logs(
     empty = Layout(model, (), widths, still, (np.zeros(0, np.intp),) * len(model.joints))
     coupling = coupling_of(empty, trajectories, shared)
     layout = Layout.of(model, effects, widths, still, coupling=coupling)
-    further = np.array([np.broadcast_to(delay, len(model.joints)) for delay in delays])
-    data = reduced_joints(layout, trajectories, folds, list(further + model.delays), shared)
-    for joint, own in zip(model.joints, data, strict=True):
-        if not own.samples.any() and coupling is None:
+    noise = noise or known_noise(trajectories, model, sign_width=widths, fitted=fitted)
+    dataset = reduce_over(layout, trajectories, folds, delays=delays, noise=noise, shared=shared)
+    for joint, moves in zip(model.joints, dataset.has_rows, strict=True):
+        if not moves and coupling is None:
             raise LogError(
                 f"{joint} moves only for a moment: in no filtered sample it moves for most "
                 "of the filter's window.",
                 advice="Record a log in which it moves, or always rests. Did its sensor jump?",
                 joint=joint,
             )
+    return dataset
+
+
+def reduce_over(
+    layout: Layout,
+    trajectories: Sequence[Trajectory],
+    folds: Sequence[Fold],
+    *,
+    delays: Sequence[ArrayLike],
+    noise: Noise,
+    shared: RowCache | None = None,
+) -> Dataset:
+    """Reduce logs to the columns of a layout; a joint may rest throughout. See `reduce_logs`."""
+    model = layout.model
+    further = np.array([np.broadcast_to(delay, len(model.joints)) for delay in delays])
+    data = reduced_joints(layout, trajectories, folds, list(further + model.delays), shared)
     passive = {joint for trajectory in trajectories for joint in trajectory.passive}
     deviation = effort_deviation(model.joints, data, {*passive, *model.base_joints})
-    floor, known, of_motion = noise or known_noise(
-        trajectories, model, sign_width=layout.sign_width, fitted=fitted
-    )
+    floor, known, of_motion = noise
     return Dataset(
         model.joints,
         model.bodies,
-        effects,
+        layout.effects,
         further,
         tuple(fold.name for fold in folds),
         tuple(trajectory.name for trajectory in trajectories),
@@ -110,7 +124,7 @@ def reduce_logs(
         known,
         of_motion,
         passive_inertia(model, layout.tree, trajectories),
-        is_mixed=coupling is not None,
+        is_mixed=layout.coupling is not None,
     )
 
 
