@@ -20,7 +20,6 @@ from geodrake.effects.robot_motion import log_number, smoothed_sign
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, change_frame, inertial_parameters
 from geodrake.inertia.bodies import Member, lumped_bodies
-from geodrake.logs.motion import Motion
 from geodrake.logs.temperatures import Temperatures
 from geodrake.robot.joints import joints_of
 from geodrake.robot.kinematics import KinematicTree
@@ -63,7 +62,7 @@ class PlantMotion:
         robot = plant if isinstance(plant, RobotInstance) else RobotInstance(plant)
         self.robot, self.plant, self._log = robot, (plant := robot.plant), log
         self.phi, self.temperatures = inertial_parameters(plant), temperatures
-        self._context, self._phi = plant.CreateDefaultContext(), np.zeros(0)
+        self._phi = np.zeros(0)
         self.joints = robot.velocity_names
         width = one_or_each(sign_width, "sign_width", len(robot.joints))
         self._sign_width = np.ones(len(self.joints))  # that of other robots does not matter
@@ -77,9 +76,17 @@ class PlantMotion:
         for joint, at in zip(single, starts, strict=True):
             if joint.type_name() == "prismatic":
                 self.inertia_units[at] = "kg"
-        self._bodies: dict[str, tuple[int, Member]] = {
-            robot.body_names[member.name]: (i, member)
-            for i, body in enumerate(lumped_bodies(plant))
+
+    @cached_property
+    def _context(self) -> Context:
+        return self.plant.CreateDefaultContext()
+
+    @cached_property
+    def _bodies(self) -> dict[str, tuple[int, Member]]:
+        """Name of each link -> the body that it is a part of, and how."""
+        return {
+            self.robot.body_names[member.name]: (i, member)
+            for i, body in enumerate(lumped_bodies(self.plant))
             for member in body.members
         }
 
@@ -112,11 +119,11 @@ class PlantMotion:
         return effort
 
     def trial(self, v: Array, vd: Array, load: Array) -> RobotMotion:
-        """Return the plant in some configurations, with v, v̇ and loads (N, nv), for tests."""
-        q = np.tile(self.plant.GetPositions(self.plant.CreateDefaultContext()), (len(v), 1))
-        single = self.positions[self.positions >= 0]
+        """Return the robot in some configurations, with v, v̇ and loads (N, nv), for tests."""
+        still = self.plant.GetPositionsAndVelocities(self.plant.CreateDefaultContext())
+        q, single = np.tile(self.split(still)[0], (len(v), 1)), self.positions[self.positions >= 0]
         q[:, single] = np.random.default_rng(0).normal(size=(len(v), len(single)))
-        return self.seen(q, (v, vd, load), self.phi)
+        return self.seen(self.tree.inside(q), (v, vd, load), self.phi)
 
     def seen(
         self, q: Array, rates: tuple[Array, Array, Array], phi: Array, **known: Any
@@ -339,7 +346,7 @@ class DrivenPlant(PlantMotion):
             off = self.plant.MapQDotToVelocity(self._context, apart[:nq])
             wanted -= 2.0 * _RETURN * apart[nq:] + _RETURN**2 * off
         sample = state[None, :nq], state[None, nq:], wanted[None]
-        return inverse_dynamics(self._plant_tree, *sample, self.phi)[0]
+        return inverse_dynamics(self.model.joint_tree, *sample, self.phi)[0]
 
     def dynamics(self, q: Array, v: Array, phi: Array) -> tuple[Array, Array, Array]:
         """Return M, and C v − τ_g twice, at q (nq,) and v (nv,)."""
@@ -350,23 +357,8 @@ class DrivenPlant(PlantMotion):
         )
         return (np.array(units) - drift).T, drift, drift
 
-    def trial(self, v: Array, vd: Array, load: Array) -> RobotMotion:
-        """Return the model in some configurations, with v, v̇ and loads (N, nv), for tests."""
-        q = np.random.default_rng(0).normal(size=(len(v), self.sizes[0]))
-        return self.seen(self.model.tree.inside(q), (v, vd, load), self.phi)
-
-    def seen(
-        self, q: Array, rates: tuple[Array, Array, Array], phi: Array, **known: Any
-    ) -> RobotMotion:
-        """Return a motion as effects see it."""
-        *motion, load = q, *rates
-        seen = self.model.motion(Motion(*motion), sign_width=self._sign_width, load=load)
-        return replace(seen, log=self._log, **known)
-
     @cached_property
-    def _plant_tree(self) -> KinematicTree:
-        return KinematicTree.from_plant(self.plant)
-
-    @cached_property
-    def _context(self) -> Context:
-        return self.plant.CreateDefaultContext()
+    def tree(self) -> KinematicTree:
+        """Return the model's kinematics."""
+        found: KinematicTree = self.model.tree
+        return found
