@@ -32,7 +32,7 @@ from geodrake.inertia import Array, inertial_parameters
 from geodrake.logs.motion import Motion
 from geodrake.logs.temperatures import Temperatures
 from geodrake.model.effort_signal import EffortSignal, signal_of
-from geodrake.model.file_terms import Carried, CoupledDry, DryFriction, Medium, StrutEffect
+from geodrake.model.file_terms import CoupledDry, DryFriction
 from geodrake.model.other_programs import BUG, by_mujoco, check_loops, joint_units
 from geodrake.model.simulation.robot_in_diagram import RobotInDiagram, add_robot, make_act
 from geodrake.model.simulation.terms import DrivenPlant
@@ -55,7 +55,6 @@ from geodrake.robot.robot_instance import RobotInstance
 from geodrake.robot.transmission.loop import LoopTransmission
 from geodrake.robot.transmission.statements import Drive
 
-_NOT_COMPARED = (DryFriction, CoupledDry, Carried, Medium, StrutEffect)
 _STATES, _TOLERANCE = 3, 1e-9  # at which MJCFs are compared, and what of the largest effort
 
 LARGEST_REGRESSOR = 10_000_000
@@ -587,8 +586,7 @@ def from_loaded_plant(
 def _check_against_mujoco(model: RobotModel, text: MjcfText, held: Mapping[str, float]) -> None:
     """Raise if random efforts differ from MuJoCo's with the same file, except ignored elements.
 
-    Dry friction, limits and contacts, which are soft in MuJoCo, take no part, nor do carried
-    weights, media and struts, on which `geodrake check` has MuJoCo's opinion. Free bodies rest.
+    Dry friction, limits and contacts, which are soft in MuJoCo, take no part. Free bodies rest.
     """
     rng, units, m = np.random.default_rng(0), joint_units(model.plant), text.compiled
     if not {m.joint(k).name for k in range(m.njnt)}.issuperset(held):
@@ -601,7 +599,7 @@ def _check_against_mujoco(model: RobotModel, text: MjcfText, held: Mapping[str, 
     )
     if text.terms.set_aside or text.path != model.path:
         return  # of a thin body, say, whose repair is told of
-    some = [f for f in model.effects if not isinstance(f.effect, _NOT_COMPARED)]
+    some = [f for f in model.effects if not isinstance(f.effect, DryFriction | CoupledDry)]
     ours = replace(model, effects=tuple(some)).effort(motion)
     engine, what, off = by_mujoco(text.reference, held, units), "all joints", ""
     if not isinstance(engine, str):

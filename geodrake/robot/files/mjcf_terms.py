@@ -1,7 +1,7 @@
 """Terms of a compiled MJCF other than rigid bodies, and elements that cannot be modelled.
 
 What is not taken is said with its value, and taken out of the copy of the compiled model that the
-robot is compared with (`geodrake.model.other_programs`), as are carried weights, media and struts.
+robot is compared with (`geodrake.model.other_programs`).
 MuJoCo's forces are (its modeling and XML reference, joint, tendon and option)
 
     spring   −(q − q₀) (k + k₁ (q − q₀) + k₂ (q − q₀)²)      damper   −v (d + d₁ |v| + d₂ v²)
@@ -240,8 +240,6 @@ class MjcfTerms:
             return
         (stiffness,) = [0.0] if length is None else _pop(has, "stiffness")
         (damping,) = _pop(has, "damping")
-        for what in ("stiffness", "damping"):
-            getattr(self.reference, f"tendon_{what}")[at] = 0.0
         if not moving or not (stiffness or damping):
             return
         data, rest = mujoco.MjData(m), length or 0.0
@@ -327,14 +325,12 @@ class MjcfTerms:
             if m.body_gravcomp[body]
         }
         self.found.acting = {self._joint(joint) for joint in np.flatnonzero(by_motors).tolist()}
-        self.reference.body_gravcomp[:] = 0.0
 
     def _take_medium(self) -> None:
         """Read the forces of a medium on boxes, with notes on ellipsoids."""
-        m, option, own = self.m, self.m.opt, self.reference.opt
+        m, option = self.m, self.m.opt
         if not (option.density or option.viscosity):
             return
-        own.density = own.viscosity = 0.0
         others = list[str]()
         for body in np.flatnonzero(m.body_weldid).tolist():
             first, mass = int(m.body_geomadr[body]), float(m.body_mass[body])
@@ -355,6 +351,7 @@ class MjcfTerms:
                     )
                 )
         if others:
+            self.reference.geom_fluid[:, 1:] = 0.0  # their coefficients
             wind = f" wind={_list(option.wind)}" if np.any(option.wind) else ""
             self._leave(
                 f"The medium of <option density={option.density:g} viscosity={option.viscosity:g}"
