@@ -53,22 +53,22 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
         reading = replace(reading, mapping=reading.mapping.named(order))
     units = {column: unit for table in tables for column, unit in table.units.items()}
     noted = tuple(note for table in tables for note in table.notes)
-    times, origins, clock_notes = _one_clock(log, tables, reading)
-    stamped = [k for k, time in enumerate(times) if time is not None]
-    if len(stamped) < 2:
-        columns = _side_by_side(log, tables)
-        origins = {column: zero for table in tables for column, zero in table.origins.items()}
-        every = [column for table in tables for column in table.columns]
-        again = [column for column in columns if every.count(column) > 1]
+    stamps = [_time(table, reading) for table in tables]
+    bare = [str(t.path) for t, (time, _) in zip(tables, stamps, strict=True) if time is None]
+    if len(bare) >= len(tables) - 1:
+        columns, again = _side_by_side(log, tables)
+        zeros = {column: zero for table in tables for column, zero in table.origins.items()}
         said = next((table.rate for table in tables if table.rate), None)
-        return LogTable(log, columns, units, (*_twice(again), *noted), origins, rate=said)
-    if len(stamped) < len(tables):
-        bare = [str(table.path) for table, time in zip(tables, times, strict=True) if time is None]
+        return LogTable(log, columns, units, (*_twice(again), *noted), zeros, rate=said)
+    if bare:
         raise LogError(
             f"Parts of log {str(log)!r} have no time: {', '.join(bare)}.",
             advice="Give all parts time, or only one if all have the same rows.",
         )
-    known = [time for time in times if time is not None]
+    known, origin, clock_notes = _one_clock(
+        log, tables, [np.asarray(t) for t, _ in stamps], reading
+    )
+    clock_notes = (*dict.fromkeys(note for _, said in stamps for note in said), *clock_notes)
     steps = [np.diff(time[np.isfinite(time)]) for time in known]
     periods = [float(np.median(step)) if len(step) else np.inf for step in steps]
     if still := [str(t.path) for t, p in zip(tables, periods, strict=True) if not p > 0.0]:
@@ -85,7 +85,7 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
             f"The parts of log {str(log)!r} do not overlap in time: {', '.join(spans)}.",
             advice="Use one clock for both.",
         )
-    columns, origins, again = {order[0]: known[base]}, {order[0]: origins["time"]}, list[str]()
+    columns, again = {order[0]: known[base]}, list[str]()
     for table, time in zip(tables, known, strict=True):
         for column, values in table.columns.items():
             if column in columns:
@@ -97,7 +97,8 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
     note = f"joined by time at {rate:.4g} Hz, the rate of {tables[base].path}"
     notes = (note, *_twice(again), *slow_notes, *clock_notes, *noted)
     silent = {column: why for table in tables for column, why in table.silent.items()}
-    return LogTable(log, columns, units, notes, origins, {**silent, **rare}, order=order)
+    zeros = {order[0]: origin}
+    return LogTable(log, columns, units, notes, zeros, {**silent, **rare}, order=order)
 
 
 def _twice(columns: Sequence[str]) -> list[str]:
@@ -210,42 +211,33 @@ def _time(table: LogTable, reading: Reading) -> tuple[Array | None, tuple[str, .
 
 
 def _one_clock(
-    log: Path, tables: Sequence[LogTable], reading: Reading
-) -> tuple[list[Array | None], dict[str, int | None], tuple[str, ...]]:
-    """Return time stamps of each table, s, since when they are if known, and notes of them."""
-    stamps = [_time(table, reading) for table in tables]
-    times = [time for time, _ in stamps]
+    log: Path, tables: Sequence[LogTable], times: Sequence[Array], reading: Reading
+) -> tuple[list[Array], int | None, tuple[str, ...]]:
+    """Return time stamps of each table on one clock, s, since when they are if known, and notes."""
     for table, time in zip(tables, times, strict=True):
-        if time is not None and not np.isfinite(time).any():
+        if not np.isfinite(time).any():
             raise LogError(
                 f"A part of log {str(log)!r}, {table.path}, has empty cells of time only.",
                 advice="Log the time of each row.",
             )
-    notes = tuple(dict.fromkeys(note for _, said in stamps for note in said))
-    stamped = [k for k, time in enumerate(times) if time is not None]
-    if len(stamped) < 2:
-        return times, {"time": None}, notes
     zeros = [
         next((o for c, o in t.origins.items() if _is_time(t, c, reading)), None) for t in tables
     ]
-    if not any(zero is not None for zero in zeros):
-        return times, {"time": None}, notes
-    first = min(zero for zero in zeros if zero is not None)
-    own = []  # tables of which nobody knows when their time is zero
-    for k in stamped:
-        zero, time = zeros[k], np.asarray(times[k])
-        if zero is not None:
-            times[k] = time + 1e-9 * (zero - first)
-        elif np.nanmedian(time) > _YEARS:
-            times[k] = time - 1e-9 * first
-        else:
-            own.append(k)
-    base = next(k for k in stamped if k not in own)
-    for k in own:
-        named = [(str(tables[j].path), np.asarray(times[j])) for j in (k, base)]
-        times[k], words = _begun_together(log, *named)
-        notes = (*notes, words)
-    return times, {"time": first}, notes
+    first = min((zero for zero in zeros if zero is not None), default=None)
+    if first is None:
+        return [*times], None, ()
+    zeros = [
+        0 if zero is None and np.nanmedian(time) > _YEARS else zero
+        for zero, time in zip(zeros, times, strict=True)
+    ]
+    found = [t + 1e-9 * ((z or 0) - first) for z, t in zip(zeros, times, strict=True)]
+    base = next(k for k, zero in enumerate(zeros) if zero is not None)
+    notes = list[str]()
+    for k in (k for k, zero in enumerate(zeros) if zero is None):
+        named = (str(tables[k].path), times[k]), (str(tables[base].path), found[base])
+        found[k], words = _begun_together(log, *named)
+        notes.append(words)
+    return found, first, tuple(notes)
 
 
 def _begun_together(
@@ -273,7 +265,8 @@ def _begun_together(
     return time + float(np.nanmin(known) - np.nanmin(time)), words
 
 
-def _side_by_side(log: Path, tables: Sequence[LogTable]) -> dict[str, Array]:
+def _side_by_side(log: Path, tables: Sequence[LogTable]) -> tuple[dict[str, Array], list[str]]:
+    """Return the columns of parts with the same rows, and those that several have."""
     lengths = {len(table) for table in tables}
     if len(lengths) > 1:
         raise LogError(
@@ -281,10 +274,11 @@ def _side_by_side(log: Path, tables: Sequence[LogTable]) -> dict[str, Array]:
             f"{', '.join(map(str, sorted(lengths)))}.",
             advice="Log the time in every part.",
         )
-    columns: dict[str, Array] = {}
+    columns, again = dict[str, Array](), list[str]()
     for table in tables:
-        columns = {**columns, **table.columns, **columns}
-    return columns
+        again += [column for column in table.columns if column in columns]
+        columns |= {name: x for name, x in table.columns.items() if name not in columns}
+    return columns, again
 
 
 def at_instants(instants: Array, time: Array, values: Array, *, holds: bool = False) -> Array:
