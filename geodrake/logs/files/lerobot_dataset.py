@@ -38,18 +38,15 @@ def read_lerobot(path: Path, reading: Reading) -> LogTable:
         wanted = ["timestamp", "episode_index", *dict.fromkeys(f for f, _ in meaning)]
         episode = reading.episode
         only = None if episode is None else [("episode_index", "==", episode)]
-        tables = [
-            arrow_table(file, parquet.read_table(file, columns=wanted, filters=only)).columns
-            for file in regular_files(path.glob("data/**/*.parquet"), "log", LogError)
-        ]
-        tables = [table for table in tables if len(table["timestamp"])]
-        if not tables:
-            raise LogError(
-                f"LeRobot dataset {str(path)!r} has no samples"
-                + (f" of episode {episode}." if episode is not None else "."),
-                advice="Episodes are counted from 0." if episode is not None else "",
-            )
-        columns = {name: np.concatenate([t[name] for t in tables]) for name in tables[0]}
+        files = [*map(str, regular_files(path.glob("data/**/*.parquet"), "log", LogError))]
+        found = parquet.read_table(files, columns=wanted, filters=only)
+        columns = {**arrow_table(path, found).columns}
+    if not len(found):
+        raise LogError(
+            f"LeRobot dataset {str(path)!r} has no samples"
+            + (f" of episode {episode}." if episode is not None else "."),
+            advice="Episodes are counted from 0." if episode is not None else "",
+        )
     edges = np.flatnonzero(np.diff(columns.pop("episode_index"))) + 1
     named = {name: columns[column] for (_, column), name in meaning.items() if column in columns}
     named = {"time": columns["timestamp"], **named}
