@@ -413,6 +413,7 @@ DATES = {
     "another zone": "{:%Y-%m-%dT%H:%M:%S.%f}+02:00",
     "day first": "{:%d.%m.%Y %H:%M:%S.%f}",
     "month first": "{:%m/%d/%Y %H:%M:%S.%f}",
+    "noon and zone": "{:%m/%d/%Y %I:%M:%S.%f %p}+02:00",
 }
 
 

@@ -187,7 +187,9 @@ def text_layout(path: Path, file: Iterator[str], reading: Reading) -> TextLayout
 
 def _keyed(line: str) -> list[tuple[str, str]]:
     """Return names and cells of a line that has them together, and a date at its beginning."""
-    found, date = _KEYED.findall(line), DATE.match(line.lstrip(" ["))
+    line = line.lstrip(" [")
+    date = DATE.match(line)
+    found = _KEYED.findall(line[date.end() if date else 0 :])
     return [("time", date.group().strip()), *found] if found and date else found
 
 
