@@ -19,11 +19,7 @@ from geodrake.fleet.log_places import date_of_log
 from geodrake.fleet.settings import BLOCKS, DigestEffect, DigestSettings, own_sources
 from geodrake.identification.logs.candidate_effects import candidate_delays, candidate_effects
 from geodrake.identification.logs.dataset import Dataset, JointData
-from geodrake.identification.logs.hypothesis import (
-    CrossValidation,
-    effective_of_rows,
-    residual_blocks,
-)
+from geodrake.identification.logs.hypothesis import Hypothesis, first_hypothesis
 from geodrake.identification.logs.log_slices import Layout
 from geodrake.identification.logs.model_fit import effects_of, model_unknowns
 from geodrake.identification.logs.noise import known_noise, prepare_for_model
@@ -34,7 +30,7 @@ from geodrake.identification.logs.reduce import (
     peak_speeds,
     reduce_over,
 )
-from geodrake.identification.logs.unknowns import Unknowns, payload_reference
+from geodrake.identification.logs.unknowns import payload_reference
 from geodrake.logs.files import Reading
 from geodrake.logs.folds import validation_blocks
 from geodrake.logs.known_payload import KnownPayload
@@ -51,8 +47,6 @@ from geodrake.robot.reduction import triangular_factor
 _MOST_BLOCKS = 100  # of a log
 _STILL = 2e-3  # rad or m, by which a joint may move and still stand
 _KEY = 32  # letters of a digest's name
-_ROUNDS = 2  # of weighing joints by what samples are worth
-_FIRST_SHARE = 0.05  # of samples that are worth something, before anything is known
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,8 +224,8 @@ def make_digest(
     for joint, each in zip(own.joints, dataset.data, strict=True):
         if not np.isfinite(each.factors).all():
             raise LogError(f"Columns of {joint} are not finite in log {log.name!r}.")
-    about = _about(log, trajectory, dataset, settings, facts)
-    about = replace(about, **_worth(dataset, model_unknowns(dataset, own)))
+    refitted = first_hypothesis(dataset, model_unknowns(dataset, own))
+    about = _about(log, trajectory, refitted, settings, facts)
     return Digest(settings, (about,), dataset.folds, tuple(map(_without_rows, dataset.data)))
 
 
@@ -287,11 +281,12 @@ def _prepared(log: JointLog, settings: DigestSettings) -> Trajectory:
 def _about(
     log: JointLog,
     trajectory: Trajectory,
-    dataset: Dataset,
+    refitted: Hypothesis,
     settings: DigestSettings,
     facts: LogFacts,
 ) -> DigestedLog:
-    """Return what is to be known of a log, before it is known what its samples are worth."""
+    """Return what is to be known of a log, by its model refitted to it."""
+    dataset = refitted.dataset
     date, source = date_of_log(log, facts.files, facts.date)
     ranges = [
         (values.min(axis=0), values.max(axis=0))
@@ -322,8 +317,8 @@ def _about(
         speed,
         temperature,
         dataset.samples.sum(axis=0),
-        np.zeros(len(log.joints)),
-        np.zeros(len(log.joints)),
+        np.where(dataset.has_rows, refitted.effective, 0.0),
+        refitted.held_out.sse.sum(axis=0),
         np.where(passive, dataset.effort_std, 0.0),
         dataset.passive_inertia,
         (*log.notes, *trajectory.notes),
@@ -387,25 +382,3 @@ def digest_dataset(
         ),
         passive_inertia=digest.passive_inertia,
     )
-
-
-def _worth(dataset: Dataset, unknowns: Unknowns) -> dict[str, Any]:
-    """Return `effective` samples and `residual_power` of a `DigestedLog`.
-
-    The model's bodies and effects are fitted to the other blocks, within what was known of them.
-    """
-    power = np.where(dataset.has_rows, dataset.effort_std, np.inf) ** 2
-    effective = _FIRST_SHARE * dataset.rows
-    for _ in range(_ROUNDS):
-        weights = effective / dataset.rows / power
-        held_out = CrossValidation(dataset, unknowns, weights, physical=False).held_out
-        if dataset.passive_inertia is not None:
-            x = held_out.x.mean(axis=0)
-            noisy = weights * held_out.sse.sum(axis=0)
-            noisy *= dataset.inertias(unknowns.columns, x) ** 2
-            unknowns = unknowns.pulled(dataset, x, noisy)
-            held_out = CrossValidation(dataset, unknowns, weights, physical=False).held_out
-        left = residual_blocks(dataset, unknowns.columns, held_out.x)
-        effective = effective_of_rows(left, dataset.rows)
-    effective = np.where(dataset.has_rows, effective, 0.0)
-    return {"effective": effective, "residual_power": held_out.sse.sum(axis=0)}
