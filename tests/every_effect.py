@@ -3,6 +3,7 @@
 from geodrake import effects
 from geodrake.effects.of_files import (
     CarriedWeight,
+    EllipsoidDrag,
     JointCoupling,
     MediumDrag,
     PolynomialSpring,
@@ -35,6 +36,7 @@ EFFECTS = [
     (CarriedWeight(("wrist", "world"), 0.1, 0.2, -0.1), [1.5]),
     (CarriedWeight(("wrist", "column"), 0.1, 0.2, -0.1), [1.5]),
     (MediumDrag("wrist", 0.3, 0.2, 0.1, 0.1, 0.0, 0.2, 0.5, 0.5, -0.5, 0.5, 1.0, 2.0), [900, 3]),
+    (EllipsoidDrag("wrist", 0.3, 0.2, 0.1, 0.1, 0.0, 0.2, mass_x=0.02, inertia_z=1e-3), [900, 3]),
     (Strut(("column", "wrist"), 0.1, 0.2, 0.3, 0.1, 0.0, 0.2), [30.0, -5.0, 2.0]),
     (Strut(("world", "wrist"), 0.5, 0.2, 1.3, 0.1, 0.0, 0.2), [30.0, -5.0, 2.0]),
     (SquaredLoadFriction("elbow_pitch", 4.0), [0.1]),

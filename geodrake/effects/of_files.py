@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
@@ -145,25 +146,19 @@ class JointCoupling(JointPairEffect):
 
 
 @dataclass(frozen=True)
-class MediumDrag(_Stated, BodyEffect):
-    """Drag of air or water on a body that counts as the box with its inertia (MuJoCo, "Fluid").
+class _InMedium(_Stated, BodyEffect):
+    """Forces of air or water on a body, of its velocity v and ω against them, along axes at P.
 
-    With v and ω of the box against the medium, along its axes, at its centre P, force and moment of
-    a medium of density ρ and viscosity β are, for a box of sizes b and d = (b₁ + b₂ + b₃)/3,
-
-        fᵢ = −½ ρ bⱼ bₖ |vᵢ| vᵢ − 3 π β d vᵢ
-        gᵢ = −ρ bᵢ (bⱼ⁴ + bₖ⁴)/64 |ωᵢ| ωᵢ − π β d³ ωᵢ
-
-    and effort = −J_Pᵀ f − J_ωᵀ g.
+    With force f and moment g, effort = −J_Pᵀ f − J_ωᵀ g. Subclasses define `resistance`.
     """
 
-    size_x: float = 1.0  # b₁, m; b₂ and b₃ follow
+    size_x: float = 1.0  # m; y and z follow
     size_y: float = 1.0
     size_z: float = 1.0
     x: float = 0.0  # position of P from Bo along x of the body's frame, m; y and z follow
     y: float = 0.0
     z: float = 0.0
-    # Real part of the quaternion of the box's axes in the body's frame; its vector follows.
+    # Real part of the quaternion of the axes in the body's frame; its vector follows.
     turn_w: float = 1.0
     turn_x: float = 0.0
     turn_y: float = 0.0
@@ -172,8 +167,6 @@ class MediumDrag(_Stated, BodyEffect):
     wind_y: float = 0.0
     wind_z: float = 0.0
 
-    name = "medium_drag"
-    law = "drag of a medium on a box: ρ of the squares of v and ω, β of v and ω"
     complexity = 3
     shapes = (
         *(Shape(name, "m") for name in ("size_x", "size_y", "size_z", "x", "y", "z")),
@@ -189,8 +182,17 @@ class MediumDrag(_Stated, BodyEffect):
 
     @property
     def reported_shape(self) -> dict[str, float]:
-        """None: the box is that of the body's inertia."""
+        """None: it is that of the file."""
         return {}
+
+    @property
+    def size(self) -> Array:
+        """(3,) what the sizes are, m."""
+        return np.array([self.size_x, self.size_y, self.size_z])
+
+    @abc.abstractmethod
+    def resistance(self, v: Array, w: Array) -> tuple[Array, Array]:
+        """Return −f and −g (N, 3, 2) of density one, and of viscosity one, at v and ω (N, 3)."""
 
     def rows(self, motion: RobotMotion) -> Rows:
         """Return columns of density and viscosity at the joints that move the body."""
@@ -201,15 +203,102 @@ class MediumDrag(_Stated, BodyEffect):
         speed = motion.v[..., None]
         wind = np.array([self.wind_x, self.wind_y, self.wind_z])
         v, w = axes @ ((J @ speed)[..., 0] - wind)[..., None], axes @ (body.angular @ speed)
-        b = np.array([self.size_x, self.size_y, self.size_z])
-        d, (j, k) = b.mean(), (np.roll(b, -1), np.roll(b, -2))
-        force = np.concatenate([(0.5 * j * k)[:, None] * np.abs(v) * v, 3.0 * np.pi * d * v], -1)
-        moment = np.concatenate(
-            [(b * (j**4 + k**4) / 64.0)[:, None] * np.abs(w) * w, np.pi * d**3 * w], -1
-        )
+        force, moment = self.resistance(v[..., 0], w[..., 0])
         along = np.moveaxis(axes @ J, 1, 2) @ force
         columns = along + np.moveaxis(axes @ body.angular, 1, 2) @ moment
         return {motion.joints[dof]: columns[:, dof] for dof in body.dofs}
+
+
+@dataclass(frozen=True)
+class MediumDrag(_InMedium):
+    """Drag of air or water on a body that counts as the box with its inertia (MuJoCo, "Fluid").
+
+    In a medium of density ρ and viscosity β are, for a box of sizes b and d = (b₁ + b₂ + b₃)/3,
+
+        fᵢ = −½ ρ bⱼ bₖ |vᵢ| vᵢ − 3 π β d vᵢ
+        gᵢ = −ρ bᵢ (bⱼ⁴ + bₖ⁴)/64 |ωᵢ| ωᵢ − π β d³ ωᵢ
+    """
+
+    name = "medium_drag"
+    law = "drag of a medium on a box: ρ of the squares of v and ω, β of v and ω"
+
+    def resistance(self, v: Array, w: Array) -> tuple[Array, Array]:
+        """Return the same of ρ and β."""
+        b = self.size
+        d, (j, k) = b.mean(), (np.roll(b, -1), np.roll(b, -2))
+        force = 0.5 * j * k * np.abs(v) * v, 3.0 * np.pi * d * v
+        moment = b * (j**4 + k**4) / 64.0 * np.abs(w) * w, np.pi * d**3 * w
+        return np.stack(force, -1), np.stack(moment, -1)
+
+
+_LEAST = 1e-15  # as MuJoCo has it
+
+
+@dataclass(frozen=True)
+class EllipsoidDrag(_InMedium):
+    """Forces of air or water on an ellipsoid (MuJoCo, "Fluid", ellipsoid model).
+
+    With the semi-axes r, their products q = (r₂r₃, r₃r₁, r₁r₂), volume V, D = ⅔ (r₁ + r₂ + r₃) and
+    the area A that v sees, of a greatest one A₊, for coefficients c of the file,
+
+        f = ρ [−|v| (c_b A + c_s (A₊ − A)) v + c_k A cos α (q²v × v) × v + c_m V ω × v + m v × ω]
+            − 3 π β D v
+        g = ρ [−|c_a I ω + c_s (I₊ − I) ω| ω + m v × v + j ω × ω] − π β D³ ω
+
+    with cos α = |q v|² / (|v| |q² v|²), A = π |q² v| / |q v|, virtual masses m and inertias j, and
+    Iᵢ = 8/15 π rᵢ max(rⱼ, rₖ)⁴, of a greatest one I₊.
+    """
+
+    blunt: float = 0.5  # c_b; c_s, c_a, c_k and c_m follow
+    slender: float = 0.25
+    angular: float = 1.5
+    kutta: float = 1.0
+    magnus: float = 1.0
+    mass_x: float = 0.0  # m₁, m³; m₂ and m₃ follow
+    mass_y: float = 0.0
+    mass_z: float = 0.0
+    inertia_x: float = 0.0  # j₁, m⁵; j₂ and j₃ follow
+    inertia_y: float = 0.0
+    inertia_z: float = 0.0
+
+    name = "ellipsoid_drag"
+    law = "drag, lift and added mass of an ellipsoid: ρ of squares of v and ω, β of v and ω"
+    shapes = (
+        *_InMedium.shapes,
+        *(Shape(name) for name in ("blunt", "slender", "angular", "kutta", "magnus")),
+        *(Shape(f"mass_{axis}", "m³") for axis in "xyz"),
+        *(Shape(f"inertia_{axis}", "m⁵") for axis in "xyz"),
+    )
+
+    def resistance(self, v: Array, w: Array) -> tuple[Array, Array]:
+        """Return the same of ρ and β."""
+        r, (least, mid, most) = self.size, np.sort(self.size)
+        q, D = np.roll(r, -1) * np.roll(r, -2), 2.0 * r.mean()
+        speed = np.sqrt((v * v).sum(-1, keepdims=True))
+        seen = ((q * v) ** 2).sum(-1, keepdims=True)  # |q v|²
+        normal = q * q * v
+        across = (normal * normal).sum(-1, keepdims=True)
+        area = np.pi * np.sqrt(across / np.maximum(seen, _LEAST))
+        lean = seen / np.maximum(speed * across, _LEAST)
+        drag = speed * (self.blunt * area + self.slender * (np.pi * most * mid - area))
+        lift = _cross(_cross(normal, v), v)
+        carried = np.array([self.mass_x, self.mass_y, self.mass_z]) * v
+        spun = np.array([self.inertia_x, self.inertia_y, self.inertia_z]) * w
+        force = drag * v - self.kutta * area * lean * lift - _cross(carried, w)
+        force = force - self.magnus * (4.0 / 3.0 * np.pi * least * mid * most) * _cross(w, v)
+        turning = 8.0 / 15.0 * np.pi * r * np.maximum(np.roll(r, -1), np.roll(r, -2)) ** 4
+        largest = 8.0 / 15.0 * np.pi * mid * most**4
+        slowed = (self.angular * turning + self.slender * (largest - turning)) * w
+        moment = np.sqrt((slowed * slowed).sum(-1, keepdims=True)) * w
+        moment = moment - _cross(carried, v) - _cross(spun, w)
+        by_viscosity = 3.0 * np.pi * D * v, np.pi * D**3 * w
+        return np.stack([force, by_viscosity[0]], -1), np.stack([moment, by_viscosity[1]], -1)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Return products (N, 3) of vectors."""
+    on, back = [1, 2, 0], [2, 0, 1]
+    return np.asanyarray(a[..., on] * b[..., back] - a[..., back] * b[..., on])
 
 
 _WORLD = "world"

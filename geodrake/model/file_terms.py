@@ -12,6 +12,7 @@ from geodrake.effects import RotorInertia as Rotor
 from geodrake.effects import StribeckFriction as StaticFriction
 from geodrake.effects import ViscousFriction as Damping
 from geodrake.effects.of_files import CarriedWeight as Carried
+from geodrake.effects.of_files import EllipsoidDrag as Ellipsoid
 from geodrake.effects.of_files import JointCoupling as Coupling
 from geodrake.effects.of_files import MediumDrag as Medium
 from geodrake.effects.of_files import PolynomialSpring as Polynomial
@@ -27,6 +28,7 @@ __all__ = [
     "Delay",
     "Drag",
     "DryFriction",
+    "Ellipsoid",
     "LoadFriction",
     "Medium",
     "Offset",

@@ -27,6 +27,7 @@ from geodrake.model.file_terms import (
     Damping,
     Drag,
     DryFriction,
+    Ellipsoid,
     Medium,
     Polynomial,
     Rotor,
@@ -53,6 +54,7 @@ _WORDS: Mapping[type[Effect], str] = {
     Carried: "carried weight",
     StrutEffect: "tendon",
     Medium: "medium",
+    Ellipsoid: "medium of ellipsoids",
 }
 """Names of effects in files, in the order of a model's effects."""
 
@@ -199,10 +201,14 @@ def _add_of_bodies(found: StatedEffects, loaded: LoadedPlant) -> None:
             preload = -strut.stiffness * strut.length
             effect = StrutEffect((one, two), *ends[0], *ends[1])
             found.add(effect, strut.stiffness, preload, strut.damping)
-    for box in terms.boxes:
-        body, X = places.get(box.body, still)
+    for each in terms.in_medium:
+        body, X = places.get(each.body, still)
         if body != stated.WORLD:
-            found.add(_drag(box, body, X @ box.X_BP), box.density, box.viscosity)
+            X_BP = X @ each.X_BP
+            turn = X_BP.rotation().ToQuaternion().wxyz()
+            kind = Ellipsoid if each.coefficients else Medium
+            values = *each.size, *X_BP.translation(), *turn, *each.wind, *each.coefficients
+            found.add(kind(body, *values), each.density, each.viscosity)
 
 
 def _carriers(loaded: LoadedPlant, body: str) -> list[tuple[str, float]]:
@@ -220,8 +226,3 @@ def _carriers(loaded: LoadedPlant, body: str) -> list[tuple[str, float]]:
     feels = [float(names[each.velocities.start] not in acting) for each in (*inboard, last)]
     signs = np.diff([0.0, *feels]).tolist()
     return [(each, sign) for each, sign in zip(bodies, signs, strict=True) if sign]
-
-
-def _drag(box: stated.BoxInMedium, body: str, X_BP: RigidTransform) -> Medium:
-    turn = X_BP.rotation().ToQuaternion().wxyz()
-    return Medium(body, *box.size, *X_BP.translation(), *turn, *box.wind)

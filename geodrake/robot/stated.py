@@ -176,16 +176,17 @@ class Closure:
 
 
 @dataclass(frozen=True)
-class BoxInMedium:
-    """A body in a medium, as the box with its inertia.
+class InMedium:
+    """A body in a medium, as the box with its inertia, or an ellipsoid.
 
     Attributes:
         body: Scoped name of the body.
-        size: (3,) edges, m.
-        X_BP: Pose of the box's middle and axes in the body.
+        size: (3,) edges, or semi-axes, m.
+        X_BP: Pose of the middle and the axes in the body.
         density: Of the medium, kg/m³.
         viscosity: Of the medium, Pa·s.
         wind: (3,) its velocity in the world, m/s.
+        coefficients: (11,) of an ellipsoid, as `EllipsoidDrag` has them; none of a box.
     """
 
     body: str
@@ -194,6 +195,7 @@ class BoxInMedium:
     density: float
     viscosity: float
     wind: Array
+    coefficients: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -253,7 +255,7 @@ class FileTerms:
     coupled_inertia: list[tuple[str, str, float]] = field(default_factory=list)
     carried: dict[str, float] = field(default_factory=dict)
     acting: set[str] = field(default_factory=set)
-    boxes: list[BoxInMedium] = field(default_factory=list)
+    in_medium: list[InMedium] = field(default_factory=list)
     struts: list[StatedStrut] = field(default_factory=list)
     followers: dict[str, Tie] = field(default_factory=dict)
     closures: list[Closure] = field(default_factory=list)

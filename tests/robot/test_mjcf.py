@@ -114,6 +114,28 @@ TAKEN = {
             '<site site="v"/></spatial></tendon>',
         )
     ),
+    "a medium around ellipsoids of each kind, and a body that counts as a box": (
+        mjcf(
+            tip(
+                geom='<inertial pos="0 0 .1" mass="1" diaginertia=".1 .1 .1"/>'
+                + "".join(
+                    f'<geom type="{kind}" size="{size}" pos=".1 .2 {k}" euler="{20 * k} 30 9" '
+                    f'fluidshape="ellipsoid" fluidcoef=".4 .3 1.2 .9 {0.5 * k}"/>'
+                    for k, (kind, size) in enumerate(
+                        [
+                            ("sphere", ".1"),
+                            ("capsule", ".1 .2"),
+                            ("cylinder", ".2 .1"),
+                            ("ellipsoid", ".1 .3 .2"),
+                            ("box", ".3 .1 .2"),
+                        ]
+                    )
+                )
+                + f'<body pos=".1 0 .2"><joint name="b" axis="1 0 .3"/>{GEOM}</body>'
+            ),
+            head='<option density="90" viscosity="3" wind=".4 -.2 .3"/>',
+        )
+    ),
     "compensated gravity of all": (
         mjcf(tip())
         .replace('<body name="a"', '<body name="a" gravcomp=".8"')
@@ -190,11 +212,6 @@ def zero(**tables):
     return change
 
 
-def no_ellipsoids(theirs):
-    """Drag of ellipsoids without any of their coefficients; that of the box of the body a stays."""
-    theirs.geom_fluid[:, 1:] = 0.0
-
-
 MOCAP = '<body name="m" mocap="true" pos="1 0 0"><geom size=".1"/></body>'
 
 LEFT_OUT = {
@@ -211,13 +228,6 @@ LEFT_OUT = {
             'damping="0 .1"/></actuator>',
         ),
         zero(actuator_dampingpoly=0),
-    ),
-    "drag acts on the ellipsoids of a, t": (
-        mjcf(
-            tip(geom='<inertial pos="0 0 .1" mass="1" diaginertia=".1 .1 .1"/>' + GEOM),
-            head='<default><geom fluidshape="ellipsoid"/></default><option density="90"/>',
-        ).replace("<worldbody>", f"<worldbody>{GEOM}"),
-        no_ellipsoids,
     ),
     "Tendon p with stiffness 40": (
         mjcf(

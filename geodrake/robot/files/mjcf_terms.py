@@ -28,9 +28,9 @@ from geodrake.robot.joints import Tie
 from geodrake.robot.stated import (
     WORLD,
     WORLD_LINK,
-    BoxInMedium,
     Closure,
     FileTerms,
+    InMedium,
     Spring,
     StatedLength,
     StatedStrut,
@@ -327,36 +327,46 @@ class MjcfTerms:
         self.found.acting = {self._joint(joint) for joint in np.flatnonzero(by_motors).tolist()}
 
     def _take_medium(self) -> None:
-        """Read the forces of a medium on boxes, with notes on ellipsoids."""
+        """Read the forces of a medium on boxes and ellipsoids."""
         m, option = self.m, self.m.opt
-        if not (option.density or option.viscosity):
-            return
-        others = list[str]()
-        for body in np.flatnonzero(m.body_weldid).tolist():
+        medium = np.array([option.density, option.viscosity], float)
+        for body in np.flatnonzero(m.body_weldid).tolist() if medium.any() else ():
             first, mass = int(m.body_geomadr[body]), float(m.body_mass[body])
-            geoms = range(first, first + int(m.body_geomnum[body]))
-            if any(m.geom_fluid[geom][0] > 0.0 for geom in geoms):
-                others.append(self._name("BODY", body))
-            elif mass > 0.0:
+            own = range(first, first + int(m.body_geomnum[body]))
+            ellipsoids = [geom for geom in own if m.geom_fluid[geom][0] > 0.0]
+            for geom in ellipsoids:
+                share, *coefficients = m.geom_fluid[geom].tolist()
+                X = pose_of(m.geom_pos[geom], m.geom_quat[geom])
+                self._add_in_medium(body, self._semi_axes(geom), X, share * medium, coefficients)
+            if mass > 0.0 and not ellipsoids:
                 inertia = np.array(m.body_inertia[body])
                 edges = np.maximum(inertia.sum() - 2.0 * inertia, _LEAST_INERTIA)
-                self.found.boxes.append(
-                    BoxInMedium(
-                        self._body(body),
-                        np.sqrt(6.0 * edges / mass),
-                        pose_of(m.body_ipos[body], m.body_iquat[body]),
-                        float(option.density),
-                        float(option.viscosity),
-                        np.array(option.wind),
-                    )
-                )
-        if others:
-            self.reference.geom_fluid[:, 1:] = 0.0  # their coefficients
-            wind = f" wind={_list(option.wind)}" if np.any(option.wind) else ""
-            self._leave(
-                f"The medium of <option density={option.density:g} viscosity={option.viscosity:g}"
-                f"{wind}>, whose drag acts on the ellipsoids of {', '.join(others)},"
-            )
+                X = pose_of(m.body_ipos[body], m.body_iquat[body])
+                self._add_in_medium(body, np.sqrt(6.0 * edges / mass), X, medium)
+
+    def _add_in_medium(
+        self,
+        body: int,
+        size: Array,
+        X_BP: RigidTransform,
+        medium: Array,
+        coefficients: Sequence[float] = (),
+    ) -> None:
+        density, viscosity = medium.tolist()
+        wind, name = np.array(self.m.opt.wind), self._body(body)
+        own = InMedium(name, size, X_BP, density, viscosity, wind, tuple(coefficients))
+        self.found.in_medium.append(own)
+
+    def _semi_axes(self, geom: int) -> Array:
+        """Return the semi-axes (3,) of the ellipsoid that a geom counts as, m."""
+        kinds, kind = self.mujoco.mjtGeom, int(self.m.geom_type[geom])
+        a, b, c = self.m.geom_size[geom].tolist()
+        sizes = {
+            int(kinds.mjGEOM_SPHERE): (a, a, a),
+            int(kinds.mjGEOM_CAPSULE): (a, a, b + a),
+            int(kinds.mjGEOM_CYLINDER): (a, a, b),
+        }
+        return np.array(sizes.get(kind, (a, b, c)))
 
     def _take_equalities(self) -> None:
         m, mujoco = self.m, self.mujoco
