@@ -492,7 +492,7 @@ class Columns:
         return tuple(dict.fromkeys(c for source in self.sources.values() for c in source.columns))
 
     def date(self, table: LogTable) -> None:
-        """Read time as seconds since a known instant, whatever its name.
+        """Find since when time is.
 
         Time is left out where a rate says it. Commands are in the unit of their joint's position
         if nobody says theirs.
@@ -511,12 +511,10 @@ class Columns:
                     f"{quantity} of {joint}, but has dates.",
                     advice=_MAPPING_ADVICE,
                 )
-        time = self.places.get(("", "time"))
-        if time is not None and time.column in table.origins:
-            self.places["", "time"] = Meaning(time.column, "time", unit=unit_of("s", "time"))
-            self.origin = table.origins[time.column]
-            since = self.origin
-            self.notes += [] if since is None else [f"time is in s since {date_words(since)}"]
+        if (time := self.places.get(("", "time"))) is not None:
+            self.origin = table.origins.get(time.column)
+        if self.origin is not None:
+            self.notes.append(f"time is in s since {date_words(self.origin)}")
 
     def choose(self, table: LogTable, wanted: Sequence[str] | None, *, partial: bool) -> None:
         """Find the joints of the log, and those with positions only."""
@@ -683,6 +681,8 @@ def time_source(table: LogTable, reading: Reading) -> Meaning | None:
             return None
         best = min(times, key=lambda meaning: meaning.role)
         source = settled(table.path, best, "", reading, table.units)
+    if source.column in table.origins:  # whatever its name says
+        return Meaning(source.column, "time", unit=unit_of("s", "time"))
     beside = _nanoseconds(source.column, table.names) if source.factor == 1.0 else None
     return replace(source, nanoseconds=beside)
 

@@ -205,8 +205,6 @@ def _time(table: LogTable, reading: Reading) -> tuple[Array | None, tuple[str, .
     source = time_source(table, reading)
     if source is None:
         return None, ()
-    if source.column in table.origins:
-        return table.columns[source.column], ()
     return in_seconds(source, read_column(source, dict(table.columns), since_first=False))
 
 
