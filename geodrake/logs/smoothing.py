@@ -60,14 +60,23 @@ class Piece:
         grid = self.time[0] + self.period * np.arange(start, stop)
         grid = np.minimum(grid, self.time[-1])
         before, after = np.searchsorted(self.time, grid[[0, -1]]) if len(grid) else (0, 0)
-        rows = slice(max(0, before - SPLINE_REACH), after + SPLINE_REACH)
-        names = ("position", "velocity", "acceleration", "effort", "ground")
+        near = self.rows(slice(max(0, before - SPLINE_REACH), after + SPLINE_REACH))
         signals: dict[str, Any] = {
-            name: resample(self.time[rows], signal[rows], grid, sharp=name in ("effort", "ground"))
-            for name in names
-            if (signal := getattr(self, name)) is not None
+            name: resample(near.time, signal, grid, sharp=name in ("effort", "ground"))
+            for name, signal in near.signals.items()
         }
         return replace(self, time=grid, **signals)
+
+    @property
+    def signals(self) -> dict[str, Array]:
+        """What it has besides time, by name."""
+        names = ("position", "velocity", "acceleration", "effort", "ground")
+        return {name: signal for name in names if (signal := getattr(self, name)) is not None}
+
+    def rows(self, rows: slice) -> Piece:
+        """Return some of its rows."""
+        signals: dict[str, Any] = {name: signal[rows] for name, signal in self.signals.items()}
+        return replace(self, time=self.time[rows], **signals)
 
 
 @dataclass(frozen=True, eq=False)

@@ -190,20 +190,10 @@ def _uniform(log: JointLog, *, faultless: bool) -> UniformLog:
     runs, period, note = _runs(log.time, complete)
     _check_period(log, period)
     notes += [note] if note else []
-    pieces = tuple(
-        Piece(
-            log.time[run],
-            log.position[run],
-            None if velocity is None else velocity[run],
-            log.effort[run],
-            period,
-            None if own is None else own[run],
-            tuple(columns),
-            None if log.ground is None else log.ground[run],
-        )
-        for run in runs
-        if run.stop - run.start >= _LEAST_ROWS
+    whole = Piece(
+        log.time, log.position, velocity, log.effort, period, own, (*columns,), log.ground
     )
+    pieces = tuple(whole.rows(run) for run in runs if run.stop - run.start >= _LEAST_ROWS)
     noise, moving = _find_moving(log, pieces, period)
     return UniformLog(log, pieces, period, noise, moving, tuple(notes))
 
