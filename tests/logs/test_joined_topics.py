@@ -179,7 +179,7 @@ def test_topics_are_named_where_several_fit(tmp_path, log):
         topics = ("/joint_states", f"/{name}/commands")
         read = read_log(path, joints=JOINTS, reading=Reading(topic=topics))
         assert np.allclose(read.command, factor * log.command, atol=1e-6)
-    with pytest.raises(LogError, match=r"/left/commands .*commands only.* lacks"):
+    with pytest.raises(LogError, match=r"/left/commands .*2 joints with command.* lacks"):
         read_log(path, reading=Reading(topic="/left/commands"))
 
 

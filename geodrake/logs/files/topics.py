@@ -23,7 +23,7 @@ from geodrake.logs.files.messages import (
 from geodrake.logs.files.name_rules import meaning_of
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable
-from geodrake.logs.motion import EFFORT_KINDS
+from geodrake.logs.motion import EFFORT_KINDS, QUANTITIES
 
 _MOST_LISTED = 8
 
@@ -66,17 +66,9 @@ class Topic:
         return not self.part.isdisjoint(EFFORT_KINDS)
 
     def __str__(self) -> str:
-        if not self.part:
-            return f"{self.name} ({self.kind})"
-        if not self.fits and "command" in self.part:
-            return f"{self.name} ({self.kind}, commands only)"
-        missing = [] if "position" in self.part else ["position"]
-        missing += [] if self.has_efforts else ["effort"]
-        missing = [] if self.fits else missing
-        words = (
-            f"without {' and '.join(missing)}" if missing else f"{len(self.messages.joints)} joints"
-        )
-        return f"{self.name} ({self.kind}, {words})"
+        told = [q for q in (*QUANTITIES, *EFFORT_KINDS[1:]) if q in self.part]
+        words = f", {len(self.messages.joints)} joints with {', '.join(told)}" if told else ""
+        return f"{self.name} ({self.kind}{words})"
 
 
 def chosen_topics(path: Path, topics: Sequence[Topic], reading: Reading) -> tuple[Topic, ...]:
