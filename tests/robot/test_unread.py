@@ -354,6 +354,8 @@ def test_where_gazebo_puts_a_model_counts_for_its_weight(tmp_path):
     assert check_dynamics(model, samples=3).holds
     (said,) = load(tmp_path, URDF, robot=on_joint + place).left_out
     assert "<pose> 0 0 1 0.3 -0.2 0.5 of <gazebo> is ignored" in said
+    upright = place.replace("0.3 -0.2", "0 0")
+    assert not load(tmp_path, URDF, robot=on_joint + upright).left_out
 
 
 def test_what_a_world_includes_and_is_not_there_refuses_no_robot(tmp_path):

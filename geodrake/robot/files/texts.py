@@ -537,7 +537,8 @@ class UrdfText(ModelText):
         roots = [e.get("name", "") for e in self.root.findall("link")]
         roots = [link for link in roots if link not in self._holding]
         if "world" in roots or pose.get("relative_to") or not np.isfinite(X).all():
-            self.terms.left_out.append(f"{where}: <pose> {words} of <gazebo> is ignored.")
+            if not np.array_equal(X[:3, 2], [0.0, 0.0, 1.0]):  # else it weighs the same there
+                self.terms.left_out.append(f"{where}: <pose> {words} of <gazebo> is ignored.")
             return
         placed = {f"{scope}::{link}": RigidTransform() for link in roots} | self.terms.floating
         self.terms.floating |= {link: RigidTransform(X) @ own for link, own in placed.items()}
