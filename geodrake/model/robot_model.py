@@ -242,7 +242,7 @@ class RobotModel(Short):
     def joint_pairs(self) -> tuple[tuple[str, str], ...]:
         """Pairs of single-degree joints of one type that follow each other along the tree."""
         mobilizers, pairs = self.joint_tree.mobilizers, []
-        leaders = {to: lead.velocity for to, lead in self.coordinates.leads.items()}
+        leaders = {to: lead.of for to, lead in self.coordinates.leads.items()}
         for mobilizer in mobilizers:
             if mobilizer.parent < 0:
                 continue

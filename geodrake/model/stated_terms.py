@@ -36,7 +36,7 @@ from geodrake.model.file_terms import (
 )
 from geodrake.robot import stated
 from geodrake.robot.coordinates import RobotCoordinates
-from geodrake.robot.joints import joint_names
+from geodrake.robot.joints import Following, joint_names
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.plant import LoadedPlant, scoped_joint_names
 
@@ -139,26 +139,16 @@ class StatedEffects:
         return kind, power, self._at.get(effect.where[0], len(self._at))
 
 
-def _places(loaded: LoadedPlant, coordinates: RobotCoordinates) -> dict[str, stated.Followed]:
-    """Return where each joint is, by its scoped name and, of several velocities, with a number.
-
-    A joint that several actuators move, or by a ratio that changes, follows itself.
-    """
-    names, joints = joint_names(loaded.plant), scoped_joint_names(loaded.plant)
-    own = {
-        at: stated.Followed(*coordinates.ratios.get(at, (name, 1.0, 0.0)))
-        for at, name in enumerate(names)
-    }
-    for to, (of, ratio, offset) in coordinates.leads.items():
-        name, inner, place = own[of]
-        own[to] = stated.Followed(name, ratio * inner, ratio * place + offset)
+def _places(loaded: LoadedPlant, coordinates: RobotCoordinates) -> dict[str, Following]:
+    """Return where each joint is, by its scoped name and, of several velocities, with a number."""
+    joints = scoped_joint_names(loaded.plant)
     keys = (
         joint if joints.count(joint) == 1 else f"{joint}[{joints[:at].count(joint)}]"
         for at, joint in enumerate(joints)
     )
-    found = {key: own[at] for at, key in enumerate(keys)}
-    found |= {cut.scoped_name: stated.Followed(cut.name) for cut in loaded.closing}
-    return found | {joint: stated.Followed("", 0.0, at) for joint, at in loaded.places.items()}
+    found = dict(zip(keys, coordinates.followed(joint_names(loaded.plant)), strict=True))
+    found |= {cut.scoped_name: Following(cut.name) for cut in loaded.closing}
+    return found | {joint: Following("", 0.0, at) for joint, at in loaded.places.items()}
 
 
 def stated_effects(loaded: LoadedPlant, coordinates: RobotCoordinates) -> StatedEffects:

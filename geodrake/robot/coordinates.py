@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +22,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from geodrake.compiling import contiguous
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
-from geodrake.robot.joints import Follower, Indices, joint_names, scoped, single_joints
+from geodrake.robot.joints import Follower, Following, Indices, joint_names, scoped, single_joints
 from geodrake.robot.transmission import JointlyEvaluated, times
 from geodrake.robot.transmission.loop import LoopTransmission
 from geodrake.robot.transmission.statements import Drive
@@ -49,18 +48,10 @@ class Places:
     joint_v: Indices
 
 
-class Lead(NamedTuple):
-    """What a joint follows, θ = r θ_leader + θ₀: a velocity of the tree, r, and θ₀, rad or m."""
-
-    velocity: int
-    ratio: float
-    offset: float
-
-
-def leads_of(plant: MultibodyPlant, followers: Sequence[Follower]) -> dict[int, Lead]:
+def leads_of(plant: MultibodyPlant, followers: Sequence[Follower]) -> dict[int, Following]:
     """Velocity of each follower in a plant -> what it follows."""
     at = {scoped(joint): int(joint.velocity_start()) for joint in single_joints(plant)}
-    return {at[f.joint]: Lead(at[f.leader], f.ratio, f.offset) for f in followers}
+    return {at[f.joint]: Following(at[f.leader], f.ratio, f.offset) for f in followers}
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +74,7 @@ class RobotCoordinates(JointlyEvaluated):
     kept_v: Indices
     sizes: tuple[int, int]
     single: Mapping[int, int]
-    leads: Mapping[int, Lead]
+    leads: Mapping[int, Following]
 
     @classmethod
     def of(
@@ -294,14 +285,14 @@ class RobotCoordinates(JointlyEvaluated):
         """Return the robot's velocities that move some velocities of the tree."""
         return tuple(np.flatnonzero(self._moves[list(velocities)].any(axis=0)).tolist())
 
-    @property
-    def ratios(self) -> dict[int, tuple[str, float, float]]:
-        """Velocity of the tree -> the one of the robot that it follows, the ratio, and an offset.
+    def followed(self, joints: Sequence[str]) -> list[Following]:
+        """Return what each velocity of the tree follows by a constant ratio, by names.
 
-        Those that follow several actuators, or by a ratio that changes, are left out.
+        One that follows several actuators, or by a ratio that changes, follows that of its joint.
         """
-        own, tree = self.kept_v.tolist()
-        found = {at: (self.names[to], 1.0, 0.0) for to, at in zip(own, tree, strict=True)}
+        found = [Following(name) for name in joints]
+        for to, at in zip(*self.kept_v.tolist(), strict=True):
+            found[at] = Following(self.names[to])
         for place in self.places:
             if (J := place.drive.map.constant_jacobian) is not None:
                 still = place.drive.map.joint_positions(np.zeros((1, J.shape[1])))[0]
@@ -309,7 +300,10 @@ class RobotCoordinates(JointlyEvaluated):
                     if np.count_nonzero(row) == 1:
                         (i,) = np.flatnonzero(row)
                         name = self.names[place.actuator_v[i]]
-                        found[at] = name, float(row[i]), shift
+                        found[at] = Following(name, float(row[i]), shift)
+        for at, (of, ratio, offset) in self.leads.items():
+            name, inner, start = found[of]
+            found[at] = Following(name, ratio * inner, ratio * start + offset)
         return found
 
     @cached_property
@@ -397,12 +391,12 @@ class RobotCoordinates(JointlyEvaluated):
             block = np.ix_(place.joint_v, place.actuator_v)
             moves[block] = True if J is None else J != 0.0
         for at, lead in self.leads.items():
-            moves[at] = moves[lead.velocity]
+            moves[at] = moves[lead.of]
         return moves
 
 
 def limited(
-    leads: Mapping[int, Lead], places: Mapping[int, int], limits: tuple[Array, Array]
+    leads: Mapping[int, Following], places: Mapping[int, int], limits: tuple[Array, Array]
 ) -> tuple[Array, Array]:
     """Return limits (nq,) of positions, those of leaders such that followers keep theirs.
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -247,6 +247,18 @@ class Follower:
     leader: str
     ratio: float
     offset: float
+
+
+class Following(NamedTuple):
+    """That a position is ratio q + offset of another one; that of a held joint has ratio 0.
+
+    Attributes:
+        of: Name of a coordinate, or number of a velocity.
+    """
+
+    of: Any
+    ratio: float = 1.0
+    offset: float = 0.0
 
 
 class Tie(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -13,7 +13,7 @@ from pydrake.multibody.plant import MultibodyPlant
 
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import lumped_bodies
-from geodrake.robot.joints import Tie
+from geodrake.robot.joints import Following, Tie
 
 WORLD = "world"
 """Name of the world among bodies."""
@@ -105,23 +105,15 @@ class StatedLength:
             return [self]
         return [replace(self, shares={own: share}) for own in several]
 
-    def through(self, places: Mapping[str, Followed]) -> StatedLength:
+    def through(self, places: Mapping[str, Following]) -> StatedLength:
         """Return the length over the leaders of its joints."""
         shares, shift = dict[str, float](), 0.0
         for joint, share in self.shares.items():
             place = places[joint]
             shift += share * place.offset
-            shares[place.name] = shares.get(place.name, 0.0) + share * place.ratio
+            shares[place.of] = shares.get(place.of, 0.0) + share * place.ratio
         shares = {name: share for name, share in shares.items() if share}
         return replace(self, shares=shares, spring=self.spring.through(1.0, shift))
-
-
-class Followed(NamedTuple):
-    """Position of a joint, ratio q + offset of a coordinate; a held joint has ratio 0."""
-
-    name: str
-    ratio: float = 1.0
-    offset: float = 0.0
 
 
 CUT = ("revolute", "continuous", "prismatic")
