@@ -86,11 +86,10 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
         time = np.where(again, np.nan, time)
         even += (f"{again.sum()} of {rows} rows with a repeated time stamp are skipped",)
     kept, left_out = torn.settle(time)
-    if again.any():
-        kept = ~again if kept is None else kept & ~again
+    kept &= ~again
     _take_ticks(data, columns)
     kinds, motors = _without_motors(data, columns)
-    if kept is not None:
+    if not kept.all():
         time, data = time[kept], {name: values[kept] for name, values in data.items()}
     if (rarest := _rows_of_the_rarest(time, data)) is not None:
         words = (

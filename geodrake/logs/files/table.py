@@ -188,17 +188,16 @@ class TornRows:
         if len(self.rows) > _MOST_TORN:
             raise self._refusal(self.rows, row + 1)
 
-    def settle(self, time: Array) -> tuple[Mask | None, tuple[str, ...]]:
-        """Return the rows that are kept (all if None) and a note, by time stamps (N,)."""
-        backwards = rows_out_of_order(time)
+    def settle(self, time: Array) -> tuple[Mask, tuple[str, ...]]:
+        """Return the rows (N,) that are kept and a note, by time stamps (N,)."""
+        backwards, kept = rows_out_of_order(time), np.ones(len(time), bool)
         bad = np.union1d(self.rows, backwards).astype(int).tolist()
         if not bad:
-            return None, ()
+            return kept, ()
         count = min(len(self.rows), _AT_END)  # a last row that was cut off, or a few words
         cut = self.rows == [*range(len(time) - count, len(time))]
         few = len(bad) <= MOST * len(time) + cut * count
         if few and (self.skip or (cut and not len(backwards))):
-            kept = np.ones(len(time), bool)
             kept[bad] = False
             return kept, (f"{len(bad)} of {len(time)} rows are corrupt and skipped: {_runs(bad)}",)
         if self.first is None or cut:

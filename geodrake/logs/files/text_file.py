@@ -518,7 +518,7 @@ class TextTable(LogTable):
         words = self.texts(texts)
         rows = len(next(iter(columns.values()), ()))
         kept, notes = torn.settle(np.arange(float(rows)))
-        if kept is not None:
+        if not kept.all():
             columns = {name: values[kept] for name, values in columns.items()}
             words = {name: cells[kept] for name, cells in words.items()}
         silent = {name: f"holds {cells[:1]}" for name, cells in words.items()}
