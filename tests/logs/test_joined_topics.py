@@ -171,7 +171,7 @@ def test_topics_are_named_where_several_fit(tmp_path, log):
     path = bag(
         tmp_path, joint_states=states(log), left__commands=numbers(log), right__commands=both
     )
-    expected = "positions are in /joint_states .*; efforts or commands in /left.*, /right/commands"
+    expected = r"/joint_states .* with position.*/left/commands .* with command\), /right/commands"
     with pytest.raises(LogError, match=expected) as refused:
         read_log(path)
     assert "--topic /joint_states --topic /left/commands" in str(refused.value)

@@ -106,19 +106,19 @@ def _parts(path: Path, topics: Sequence[Topic]) -> tuple[Topic, Topic]:
     heard = _best([t for t in topics if is_complete(("position", *t.part)) and t not in moved])
     if len(moved) == len(heard) == 1:
         return moved[0], heard[0]
+    advice = (
+        "Record joint states with efforts, such as sensor_msgs/JointState, a controller state with "
+        "positions and commands, or commands in addition to joint states."
+    )
     if moved and heard:
-        raise LogError(
-            f"Log {str(path)!r} has no topic with both joint positions and efforts: "
-            f"positions are in {_listed(moved)}; efforts or commands in {_listed(heard)}.",
-            advice=f"Choose one of each to join them by time, as in --topic {moved[0].name} "
-            f"--topic {heard[0].name}.",
-            topics=[topic.name for topic in (*moved, *heard)],
+        advice = (
+            "Choose one of positions and one of efforts or commands, to join them by time, as in "
+            f"--topic {moved[0].name} --topic {heard[0].name}."
         )
     raise LogError(
         f"Log {str(path)!r} has no topic with both joint positions and efforts; it has "
         f"{_listed(topics)}.",
-        advice="Record joint states with efforts, such as sensor_msgs/JointState, a controller "
-        "state with positions and commands, or commands in addition to joint states.",
+        advice=advice,
         topics=[topic.name for topic in topics],
     )
 
@@ -148,7 +148,7 @@ def _named(path: Path, topics: Sequence[Topic], name: str, *, alone: bool) -> To
 
 
 def _listed(topics: Sequence[Topic]) -> str:
-    ordered = sorted(topics, key=lambda topic: not topic.fits)  # what matters most comes first
+    ordered = sorted(topics, key=lambda topic: (not topic.fits, not topic.part))
     more = f" … ({len(topics)} in total)" if len(topics) > _MOST_LISTED else ""
     return ", ".join(map(str, ordered[:_MOST_LISTED])) + more
 
