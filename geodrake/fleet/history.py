@@ -35,7 +35,6 @@ MOST_TIMES = 100
 _FILE = "history.sums"  # beside the records of a robot's logs
 _LARGEST = 8 * 10**9  # bytes that sums of many logs of a robot of many joints unpack to at most
 _FORMAT = "geodrake history 2"
-_NEGLIGIBLE = 1e-9  # share of the largest eigenvalue
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,55 +226,28 @@ def weighted_grams(digest: Digest, kept: Indices) -> tuple[list[JointGrams], Arr
     """Return weighted normal matrices of a log, one a joint, and (n,) sums of squared efforts.
 
     They are over the columns that are kept (p,). What a row is worth is the share of its samples
-    that are independent, over the variance of what the columns leave of the log itself: that of the
-    sensors' noise at least, as a log of few rows leaves nothing.
+    that are independent, over the variance of what the refitted model leaves: that of the sensors'
+    noise at least. The likelihood of the inertia m that a joint without a motor feels, over that of
+    the model, is in them to second order: n (m − 2)², as in `LogFits`.
     """
     settings, found, squares = digest.settings, [], []
     shares = np.zeros((len(digest.joints), len(settings.columns)))
     if (inertia := digest.passive_inertia) is not None:
         shares[:, : inertia.shape[1]] = inertia
-    parts = zip(digest.joints, digest.effective.tolist(), digest.noise_floor, strict=True)
-    for j, (joint, effective, noise) in enumerate(parts):
+    power = np.sum([log.residual_power for log in digest.logs], axis=0)
+    power = np.maximum(power, digest.samples * digest.noise_floor**2)
+    counts = zip(digest.joints, digest.effective.tolist(), power.tolist(), strict=True)
+    for j, (joint, effective, left) in enumerate(counts):
         local = joint.local(kept)
         columns, at = np.flatnonzero(local >= 0), np.append(local[local >= 0], len(joint.columns))
-        gram = joint.gram[np.ix_(at, at)]
-        count = float(joint.samples.sum())
-        if settings.joints[j] in settings.passive:
-            power = float(sum(log.residual_power[j] for log in digest.logs))
-            gram = _passive_gram(gram, shares[j, kept[columns]], effective, power)
-            found.append(JointGrams(columns, gram[None]))
-            squares.append(count * float(digest.effort_scale[j]) ** 2)
-            continue
-        variance = max(_residual_variance(gram, count), noise**2)
-        found.append(JointGrams(columns, effective / max(count, 1.0) / variance * gram[None]))
+        gram, own = joint.gram[np.ix_(at, at)], np.append(shares[j, kept[columns]], 0.0)
         squares.append(gram[-1, -1])
-    return found, np.array(squares)
-
-
-def _passive_gram(gram: Array, inertia: Array, effective: float, power: float) -> Array:
-    """Return the weighted normal matrix of a joint without a motor, near the model's bodies.
-
-    Its columns have the `inertia` (m,) of `Dataset.passive_inertia`; a row is worth what the
-    refitted model leaves, whose sum of squares is the `power`. The likelihood of the inertia m that
-    the joint feels, over that of the model, is in it to second order: n (m − 2)², as in `LogFits`.
-    """
-    found = effective / max(power, 1e-300) * gram
-    found[:-1, :-1] += effective * inertia[:, None] * inertia
-    found[:-1, -1] += 2.0 * effective * inertia
-    found[-1, :-1] = found[:-1, -1]
-    return found
-
-
-def _residual_variance(gram: Array, samples: float) -> float:
-    """Return the residual variance of one joint after a fit of all columns, (N·m)² or N²."""
-    A, right, total = gram[:-1, :-1], gram[:-1, -1], float(gram[-1, -1])
-    seen = np.diagonal(A) > 0.0
-    unit = 1.0 / np.sqrt(np.diagonal(A)[seen])
-    values, vectors = np.linalg.eigh(A[np.ix_(seen, seen)] * unit[:, None] * unit)
-    told = values > _NEGLIGIBLE * values.max(initial=0.0)
-    along = vectors[:, told].T @ (unit * right[seen])
-    left = total - float(np.sum(along**2 / values[told]))
-    return max(left, 1e-12 * total, 1e-300) / max(samples - told.sum(), 1.0)
+        gram = effective / max(left, 1e-300) * gram + effective * own[:, None] * own
+        gram[:-1, -1] += 2.0 * effective * own[:-1]
+        gram[-1, :-1] = gram[:-1, -1]
+        found.append(JointGrams(columns, gram[None]))
+    scales = digest.samples * np.square(digest.effort_scale)
+    return found, np.where(np.isin(settings.joints, settings.passive), scales, squares)
 
 
 def _stamp(record: LogRecord, digest: Path, time: int) -> str:
