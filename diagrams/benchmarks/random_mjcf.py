@@ -284,7 +284,7 @@ def difference(path: Path, rng: np.random.Generator) -> tuple[float, int, bool]:
     at = [
         mujoco.mj_name2id(theirs, mujoco.mjtObj.mjOBJ_JOINT, joint) for joint in model.single_joints
     ]
-    own = list(model.single_places[0])
+    own = list(model.single_places)
     motion = Motion(_positions(model, q), _only(v, own), _only(vd, own))
     ours, others = model.effort(motion)[:, own], np.zeros((count, len(own)))
     friction = theirs.dof_frictionloss
@@ -318,8 +318,7 @@ def _only(values: np.ndarray, places: list[int]) -> np.ndarray:
 def _positions(model, q: np.ndarray) -> np.ndarray:
     """Return positions in Drake's order; balls are at zero."""
     found = np.zeros((len(q), model.tree.num_positions))
-    for velocity, position in zip(*model.single_places, strict=True):
-        found[:, position] = q[:, velocity]
+    found[:, model.single_places] = q[:, model.single_places]
     return found
 
 

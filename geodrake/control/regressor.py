@@ -51,7 +51,6 @@ class ControlModel:
     _turning: bool  # whether effects other than payloads depend on accelerations
     _sign_width: Array
     _direction: Callable[[Array], Array]
-    _positions: NDArray[np.intp]
     _single: NDArray[np.bool_]
     _all_single: bool
     _floats: bool
@@ -82,9 +81,7 @@ class ControlModel:
             ArgumentError: A sign width is negative or not finite, or they are not (nv,).
         """
         joints, bodies = instance(model, "model", RobotModel).joints, model.bodies
-        positions, single = np.zeros(len(joints), int), np.zeros(len(joints), bool)
-        for velocity, position in zip(*model.single_places, strict=True):
-            single[velocity], positions[velocity] = True, position
+        single = np.isin(np.arange(len(joints)), model.single_places)
         sign_width = model.sign_widths(one_or_each(sign_width, "sign_width", len(joints)))
         effects = tuple(fitted.effect for fitted in model.effects)
         turning = tuple(effect for effect in effects if effect.role is not Role.BODY)
@@ -103,7 +100,6 @@ class ControlModel:
             _turning="vd" in EffectColumns(joints, turning, trial).depends_on,
             _sign_width=sign_width,
             _direction=smoothed_sign(sign_width),
-            _positions=positions,
             _single=single,
             _all_single=bool(single.all()),
             _floats=bool(model.base_joints),
@@ -281,9 +277,7 @@ class ControlSample:
         if "load" in model._columns.depends_on:
             phi = model._total_phi if self._load_phi is None else self._load_phi
             load = self.rigid.effort(phi)
-        q_joint = q.take(model._positions)
-        if not model._all_single:
-            q_joint = np.where(model._single, q_joint, np.nan)
+        q_joint = q if model._all_single else np.where(model._single, q, np.nan)
         return JointMotion(q_joint, v, a, load, model._direction(v))
 
     def _seen(self, regressor: Array | None) -> Seen:

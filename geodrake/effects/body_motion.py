@@ -55,8 +55,8 @@ class RobotBodies:
         return self.tree.gravity
 
     @property
-    def joints_behind(self) -> Mapping[str, tuple[int, int]]:
-        """Joint behind a transmission, or in a loop -> its position and velocity in the tree's."""
+    def joints_behind(self) -> Mapping[str, int]:
+        """Joint behind a transmission, or in a loop -> where it is in the tree's positions."""
         return {} if self.tree.actuation is None else self.tree.actuation.behind
 
     def tree_samples(self, v: Array, vd: Array) -> tuple[Array, Array, Array, Array]:

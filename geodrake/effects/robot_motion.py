@@ -99,11 +99,10 @@ class RobotMotion(Short):
 
     def _joint(self, name: str) -> JointMotion:
         if (found := self._behind(name)) is not None:
-            tree, at_q, at_v = found
-            theta, rates, accelerations, J = tree
-            v, width = rates[:, at_v], np.abs(J[:, at_v]) @ self.sign_width
+            (theta, rates, accelerations, J), at = found
+            v, width = rates[:, at], np.abs(J[:, at]) @ self.sign_width
             sign_v = self.direction(v, width)
-            return JointMotion(theta[:, at_q], v, accelerations[:, at_v], np.zeros_like(v), sign_v)
+            return JointMotion(theta[:, at], v, accelerations[:, at], np.zeros_like(v), sign_v)
         i = self.index(name)
         v = self.v[:, i]
         return JointMotion(
@@ -114,7 +113,7 @@ class RobotMotion(Short):
         """Columns by joint, of those (N, k) of efforts at one joint, τ_q = Jᵀ τ_θ."""
         if (found := self._behind(name)) is None:
             return {name: columns}
-        (*_, J), _, at = found
+        (*_, J), at = found
         moving = np.flatnonzero(J[:, at].any(axis=0))
         return {self.joints[i]: J[:, at, i, None] * columns for i in moving}
 
@@ -125,12 +124,12 @@ class RobotMotion(Short):
             found[joint] = found[joint] + columns if joint in found else columns
         return found
 
-    def _behind(self, name: str) -> tuple[tuple[Array, Array, Array, Array], int, int] | None:
+    def _behind(self, name: str) -> tuple[tuple[Array, Array, Array, Array], int] | None:
         """Return the motion of the tree and the index of a joint behind a transmission, or None."""
         if name in self.joints or self.bodies is None:
             return None
         places = self.bodies.joints_behind
-        return (self._tree, *places[name]) if name in places else None
+        return (self._tree, places[name]) if name in places else None
 
     @cached_property
     def _tree(self) -> tuple[Array, Array, Array, Array]:

@@ -119,8 +119,7 @@ def at_actuators(
         rate = np.swapaxes(actuation.jacobian_rate(q, v), 1, 2)
         bent = actuation.jacobian_rate(q, vd) + actuation.jacobian_rate_slope(q, v)
         by_q = times(rate, gradient.v) + times(np.swapaxes(bent, 1, 2), gradient.vd)
-        for place in actuation.places:
-            found.q[:, place.actuator_q] += by_q[:, place.actuator_v]
+        found.q[:, actuation.driven] += by_q[:, actuation.driven]
         found.v[:] += times(2.0 * rate, gradient.vd)
     return found
 
@@ -166,7 +165,7 @@ def _with_effects(
     parts: Sequence[tuple[Effect, Array]],
 ) -> MotionGradient:
     """Return the gradient of Σ rows ∘ Y + Σ weights ∘ Y_e; `rows` is changed."""
-    at_velocity, at_position = model.single_places
+    at = model.single_places
     direct, load = RobotGradient.zero(seen), np.zeros(motion.v.shape)
     unknown = []
     for effect, weights in parts:
@@ -183,7 +182,7 @@ def _with_effects(
     if load.any():
         rows += load[:, :, None] * model.total_phi.ravel()
     total = inverse_dynamics_regressor_gradient(model.tree, motion.q, motion.v, motion.vd, rows)
-    total.q[:, at_position] += direct.q[:, at_velocity]
+    total.q[:, at] += direct.q[:, at]
     total.v[:] += direct.v
     total.vd[:] += direct.vd
     if unknown:

@@ -111,20 +111,16 @@ class Stance(Short):
         return np.setdiff1d(np.arange(len(self.motors)), self._own[0])
 
     @cached_property
-    def _places(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Where positions and velocities of motors that follow are in the plant's."""
+    def _places(self) -> NDArray[np.intp]:
+        """Where motors that follow are among the plant's joints."""
         names = joint_names(self.robot.plant)
-        known = {names[j.velocity_start()]: j for j in single_joints(self.robot.plant)}
-        joints = [known[self.motors[k]] for k in self.following]
-        at = [(int(j.position_start()), int(j.velocity_start())) for j in joints]
-        first, second = np.array(at, np.intp).reshape(-1, 2).T
-        return first, second
+        return np.array([names.index(self.motors[k]) for k in self.following], np.intp)
 
     def _ratios(self, J: Array) -> Array:
         """Return G (N, motors, nv), of J (N, nv of the plant, nv)."""
         found = np.zeros((len(J), len(self.motors), J.shape[2]))
         found[:, self._own[0], self._own[1]] = 1.0
-        found[:, self.following] = J[:, self._places[1]]
+        found[:, self.following] = J[:, self._places]
         return found
 
     def motor_states(self, states: Array) -> Array:
@@ -133,10 +129,8 @@ class Stance(Short):
         found[:, :, self._own[0]] = states[:, :, self._own[1]]
         if len(self.following):
             theta, rates, accelerations, _ = self.model.coordinates.tree_samples(*states)
-            at_q, at_v = self._places
-            found[0][:, self.following] = theta[:, at_q]
-            found[1][:, self.following] = rates[:, at_v]
-            found[2][:, self.following] = accelerations[:, at_v]
+            for own, moving in zip(found, (theta, rates, accelerations), strict=True):
+                own[:, self.following] = moving[:, self._places]
         return found
 
     def free(self, motors: Array, name: str) -> Array:
@@ -208,8 +202,8 @@ class Stance(Short):
         # dτ also has dG: D dG b − D G C⁻¹ (dGᵀ D G + Gᵀ D dG) b.
         rest = D * (weights - times(G, a))
         P = rest[:, :, None] * b[:, None] - tau[:, :, None] * a[:, None]
-        products = np.zeros((len(P), self.model.coordinates.sizes[1], P.shape[2]))
-        products[:, self._places[1]] = P[:, self.following]
+        products = np.zeros((len(P), self.model.coordinates.size, P.shape[2]))
+        products[:, self._places] = P[:, self.following]
         found.q[:] += self.model.coordinates.bend(motion.q, products)
         return found
 
@@ -363,12 +357,10 @@ class Stance(Short):
 
     def _by_following(self, motion: Motion, weights: Sequence[Array]) -> MotionGradient:
         """Return the gradient with the free joints' motion, of that with motors that follow."""
-        coordinates, (at_q, at_v) = self.model.coordinates, self._places
-        sizes = coordinates.sizes[0], coordinates.sizes[1], coordinates.sizes[1]
-        places = at_q, at_v, at_v
-        rows = [np.zeros((len(motion), size)) for size in sizes]
-        for row, at, own in zip(rows, places, weights, strict=True):
-            row[:, at] = own
+        coordinates = self.model.coordinates
+        rows = [np.zeros((len(motion), coordinates.size)) for _ in weights]
+        for row, own in zip(rows, weights, strict=True):
+            row[:, self._places] = own
         J = coordinates.jacobian(motion.q)
         return at_actuators(coordinates, J, motion, MotionGradient(*rows))
 

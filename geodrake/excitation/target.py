@@ -287,12 +287,7 @@ def _checked_noise(noise: ArrayLike, rows: Sequence[str]) -> Array:
 def _ranges(model: RobotModel) -> tuple[Array, Array]:
     """Return ranges of random positions: a whole turn, of sliding joints what limits allow."""
     lower, upper = model.position_limits
-    at_velocity, at_position = model.single_places
-    sliding = [
-        place
-        for at, place in zip(at_velocity, at_position, strict=True)
-        if model.joints[at] in model.sliding_joints
-    ]
+    sliding = [at for at in model.single_places if model.joints[at] in model.sliding_joints]
     limited = np.isin(np.arange(len(lower)), sliding) & np.isfinite(lower) & np.isfinite(upper)
     return np.where(limited, lower, -np.pi), np.where(limited, upper, np.pi)
 

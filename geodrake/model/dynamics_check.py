@@ -31,7 +31,6 @@ from geodrake.model.other_programs import (
     joint_units,
 )
 from geodrake.model.robot_model import RobotModel, is_of_file
-from geodrake.robot.arrangement import moving_joints
 from geodrake.robot.files import read_description
 from geodrake.robot.files.description import drake_messages
 from geodrake.robot.files.mjcf import MjcfText
@@ -212,15 +211,8 @@ def _random_states(model: RobotModel, count: int, rng: np.random.Generator) -> S
     middle = np.clip(0.0, np.minimum(lower, upper), np.maximum(lower, upper))
     low, high = np.where(lower <= upper, [lower, upper], middle)  # limits may be farther than π
     q = rng.uniform(low, high, (count, len(low)))
-    pitches, (own, tree) = model.base_joints[4::6], model.coordinates.kept_q.tolist()
-    starts = dict(zip(tree, own, strict=True))
-    for joint in moving_joints(model.plant):
-        start = starts.get(int(joint.position_start()), 0)
-        if joint.name() in pitches:  # of a free base, whose angles are singular at 90°
-            q[:, start] *= _UPRIGHT
-        if joint.num_positions() > joint.num_velocities():  # a quaternion
-            q[:, start : start + 4] = rng.normal(size=(count, 4))
-            q[:, start : start + 4] /= np.linalg.norm(q[:, start : start + 4], axis=1)[:, None]
+    pitches = [k for k, joint in enumerate(model.joints) if joint in model.base_joints[4::6]]
+    q[:, pitches] *= _UPRIGHT  # of free bases, whose angles are singular at 90°
     v, vd = rng.uniform(-1.0, 1.0, (2, count, len(model.joints)))
     return q, v * np.minimum(model.velocity_limits, _SPEED), vd * _ACCELERATION
 

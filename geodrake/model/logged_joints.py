@@ -45,7 +45,7 @@ def reading_for(model: RobotModel, reading: Reading | None = None) -> Reading:
     of_all = {} if usual is None else {"": usual}
     motorless = frozenset({*none, *model.motorless})
     motors_of = {**of_all, **reading.motors}
-    ends = np.stack(model.position_limits, 1)[model.single_places[1]]
+    ends = np.stack(model.position_limits, 1)[model.single_places]
     limits = {
         j: (low, high) for j, (low, high) in zip(model.single_joints, ends.tolist(), strict=True)
     }

@@ -248,7 +248,7 @@ class RobotModel(Short):
                 continue
             own = mobilizers[mobilizer.parent].velocities.start, mobilizer.velocities.start
             both = (self.coordinates.standing.get(leaders.get(at, at)) for at in own)
-            pair = [at for at in dict.fromkeys(both) if at in self.single_places[0]]
+            pair = [at for at in dict.fromkeys(both) if at in self.single_places]
             if len(pair) == 2 and self._types[pair[0]] == self._types[pair[1]]:
                 pairs.append((self.joints[pair[0]], self.joints[pair[1]]))
         return tuple(pairs)
@@ -315,8 +315,7 @@ class RobotModel(Short):
     def _by_velocity(self, q: Array) -> Array:
         """Return (N, nv) positions by velocity, of q (N, nq); NaN for joints of several degrees."""
         found = np.full((len(q), len(self.joints)), np.nan)
-        at_velocity, at_position = self.single_places
-        found[:, at_velocity] = q[:, at_position]
+        found[:, self.single_places] = q[:, self.single_places]
         return found
 
     def effort(self, motion: Motion, *, sign_width: ArrayLike = 0.0) -> Array:
@@ -352,17 +351,14 @@ class RobotModel(Short):
     def positions(self, by_joint: Array) -> Array:
         """Return (N, nq) positions in Drake's order from those of single-degree joints (N, nv)."""
         by_joint = real_array(by_joint, "by_joint", ("N", len(self.joints)))
-        at_velocity, at_position = self.single_places
-        if len(at_velocity) < len(self.joints):
-            several = [n for i, n in enumerate(self.joints) if i not in at_velocity]
+        if len(self.single_places) < len(self.joints):
+            several = [n for i, n in enumerate(self.joints) if i not in self.single_places]
             raise ArgumentError(
                 f"Logs have one position for each joint, but {', '.join(several)} belong to "
                 "joints of several degrees of freedom.",
                 advice="Weld the base, or use the regressors from Python.",
             )
-        q = np.zeros((len(by_joint), self.tree.num_positions))
-        q[:, at_position] = by_joint[:, at_velocity]
-        return q
+        return by_joint.copy()
 
     @cached_property
     def _types(self) -> dict[int, str]:
@@ -371,7 +367,7 @@ class RobotModel(Short):
         found = {at: name for at, name in types.items() if at is not None}
         for place in self.coordinates.places:
             slides = place.drive.slides
-            for at, sliding in zip(place.actuator_v.tolist(), slides or (), strict=False):
+            for at, sliding in zip(place.actuators.tolist(), slides or (), strict=False):
                 found[at] = "prismatic" if sliding else "revolute"
         return found
 
@@ -379,27 +375,22 @@ class RobotModel(Short):
         """Return where the model file puts a joint of one degree of freedom, rad or m."""
         q = self.plant.GetPositions(self.plant.CreateDefaultContext())
         own = self.coordinates.nearest(q[None])
-        return float(own[0, self._at(joint)])
+        return float(own[0, self.joints.index(joint)])
 
     def limits_of(self, joint: str) -> tuple[float, float]:
         """Return the positions between which a joint of one degree of freedom stays, rad or m."""
-        lower, upper = self.position_limits
-        return float(lower[self._at(joint)]), float(upper[self._at(joint)])
-
-    def _at(self, joint: str) -> int:
-        """Return where the position of a joint of one degree of freedom is in q."""
-        at_velocity, at_position = self.single_places
-        return at_position[at_velocity.index(self.joints.index(joint))]
+        (lower, upper), at = self.position_limits, self.joints.index(joint)
+        return float(lower[at]), float(upper[at])
 
     @cached_property
     def single_joints(self) -> tuple[str, ...]:
         """Names of the joints of one degree of freedom."""
-        return tuple(self.joints[i] for i in self.single_places[0])
+        return tuple(self.joints[i] for i in self.single_places)
 
     @cached_property
     def sliding_joints(self) -> tuple[str, ...]:
         """Names of the prismatic joints, whose positions are in m and efforts in N."""
-        starts = self.single_places[0]
+        starts = self.single_places
         own = tuple(self.joints[i] for i in starts if self._types[i] == "prismatic")
         if not self.joints_behind:
             return own
@@ -410,8 +401,8 @@ class RobotModel(Short):
         return (*own, *(names[k] for k in at if names[k] in self.joints_behind), *closing)
 
     @cached_property
-    def single_places(self) -> tuple[list[int], list[int]]:
-        """Return where the joints of one degree of freedom are in v and in q."""
+    def single_places(self) -> list[int]:
+        """Return where the joints of one degree of freedom are in q and v."""
         return self.coordinates.single_places
 
     def create_context(self) -> Context:
@@ -591,7 +582,7 @@ def _check_against_mujoco(model: RobotModel, text: MjcfText, held: Mapping[str, 
     rng, units, m = np.random.default_rng(0), joint_units(model.plant), text.compiled
     if not {m.joint(k).name for k in range(m.njnt)}.issuperset(held):
         return  # as a part of a free base is held
-    q = rng.uniform(-1.0, 1.0, (_STATES, model.coordinates.num_positions))
+    q = rng.uniform(-1.0, 1.0, (_STATES, len(model.joints)))
     q = model.coordinates.inside(q)
     motion = Motion(q, *rng.uniform(-2.0, 2.0, (2, _STATES, len(model.joints))))
     check_loops(

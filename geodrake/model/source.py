@@ -262,8 +262,7 @@ def _formulas(
     v, vd = Symbols.inputs("v", nv), Symbols.inputs("vd", nv)
     load = inverse_dynamics_formula(model.tree, q, v, vd, model.total_phi)
     by_joint = Symbols.of(np.full((1, nv), np.nan))  # for joints of several degrees
-    at_velocity, at_position = model.single_places
-    by_joint[0, at_velocity] = q[at_position]
+    by_joint[0, model.single_places] = q[model.single_places]
     seen = RobotMotion(
         model.joints,
         by_joint,

@@ -22,7 +22,15 @@ from pydrake.multibody.plant import MultibodyPlant
 from geodrake.compiling import contiguous
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
-from geodrake.robot.joints import Follower, Following, Indices, joint_names, scoped, single_joints
+from geodrake.robot.joints import (
+    Follower,
+    Following,
+    Indices,
+    joint_names,
+    joints_of,
+    scoped,
+    single_joints,
+)
 from geodrake.robot.transmission import JointlyEvaluated, times
 from geodrake.robot.transmission.loop import LoopTransmission
 from geodrake.robot.transmission.statements import Drive
@@ -42,10 +50,8 @@ class Places:
 
     drive: Drive
     seats: Indices
-    actuator_q: Indices
-    actuator_v: Indices
-    joint_q: Indices
-    joint_v: Indices
+    actuators: Indices
+    joints: Indices
 
 
 def leads_of(plant: MultibodyPlant, followers: Sequence[Follower]) -> dict[int, Following]:
@@ -58,22 +64,21 @@ def leads_of(plant: MultibodyPlant, followers: Sequence[Follower]) -> dict[int, 
 class RobotCoordinates(JointlyEvaluated):
     """A map from a robot's q, v and v̇ to those of the tree of its plant.
 
+    Its joints have as many positions as velocities, so that both are in the same places.
+
     Attributes:
         names: Names of the robot's nv velocities.
-        kept_q: (2, ·) where positions of joints without a drive are in the robot's q, and in the
-            tree's.
-        kept_v: (2, ·) the same of velocities.
-        sizes: Numbers of the tree's positions and velocities.
-        single: Velocity of each of the tree's joints of one degree of freedom -> its position.
+        kept: (2, ·) where joints without a drive are in the robot's q and v, and in the tree's.
+        size: Number of the tree's velocities.
+        single: Velocities of the tree's joints of one degree of freedom.
         leads: Velocity of each of the tree's joints that follow others -> what it follows.
     """
 
     names: tuple[str, ...]
     places: tuple[Places, ...]
-    kept_q: Indices
-    kept_v: Indices
-    sizes: tuple[int, int]
-    single: Mapping[int, int]
+    kept: Indices
+    size: int
+    single: frozenset[int]
     leads: Mapping[int, Following]
 
     @classmethod
@@ -84,63 +89,54 @@ class RobotCoordinates(JointlyEvaluated):
         drives: Sequence[Drive] = (),
     ) -> RobotCoordinates:
         """Return the indices in a plant with following joints and drives."""
-        joints, num_positions = joint_names(plant), plant.num_positions()
-        single = single_joints(plant)
-        positions = {int(j.velocity_start()): int(j.position_start()) for j in single}
-        leads = leads_of(plant, followers)
-        aside = list(leads)
-        by_name = {joints[at]: at for at in positions if at not in aside}
+        for joint in joints_of(plant):
+            if joint.num_positions() != joint.num_velocities():
+                raise ModelError(
+                    f"Joint {joint.name()!r} has {joint.num_positions()} positions for "
+                    f"{joint.num_velocities()} velocities.",
+                    advice="Load the model from its file: a free base is on six joints there.",
+                    joint=joint.name(),
+                )
+        joints, leads = joint_names(plant), leads_of(plant, followers)
+        single = frozenset(int(joint.velocity_start()) for joint in single_joints(plant))
+        by_name = {joints[at]: at for at in sorted(single.difference(leads))}
         _check(drives, by_name)
         moved = [[by_name[joint] for joint in drive.joints] for drive in drives]
         seated = [seated_at(drive, own) for drive, own in zip(drives, moved, strict=True)]
         driven = {at for own in moved for at in own}
-        gone = driven.difference(*seated).union(aside)  # joints without an actuator of their own
-        in_v = np.setdiff1d(np.arange(len(joints)), [*gone])
-        in_q = np.setdiff1d(np.arange(num_positions), [positions[at] for at in gone])
-        kept_v = np.setdiff1d(in_v, [*driven])
-        kept_q = np.setdiff1d(in_q, [positions[at] for at in driven])
+        gone = driven.difference(*seated).union(leads)  # joints without an actuator of their own
+        there = np.setdiff1d(np.arange(len(joints)), [*gone])
+        kept = np.setdiff1d(there, [*driven])
         names, places = dict(enumerate(joints)), []
         for drive, own, seats in zip(drives, moved, seated, strict=True):
             names |= dict(zip(seats, drive.actuators, strict=True))
-            seats_q, joint_q = (np.array([positions[at] for at in x]) for x in (seats, own))
-            own_q, own_v = np.searchsorted(in_q, seats_q), np.searchsorted(in_v, seats)
-            places.append(Places(drive, np.array(seats), own_q, own_v, joint_q, np.array(own)))
+            at = np.searchsorted(there, seats)
+            places.append(Places(drive, np.array(seats), at, np.array(own)))
         return cls(
-            tuple(names[at] for at in in_v.tolist()),
+            tuple(names[at] for at in there.tolist()),
             tuple(places),
-            np.array([np.searchsorted(in_q, kept_q), kept_q]),
-            np.array([np.searchsorted(in_v, kept_v), kept_v]),
-            (num_positions, len(joints)),
-            positions,
+            np.array([np.searchsorted(there, kept), kept]),
+            len(joints),
+            single,
             leads,
         )
 
     @property
     def shape(self) -> tuple[int, int]:
         """Numbers of velocities of the tree, and of the robot."""
-        return self.sizes[1], self.num_velocities
-
-    @property
-    def num_positions(self) -> int:
-        """Number nq of the robot's positions."""
-        return self.kept_q.shape[1] + sum(len(place.actuator_q) for place in self.places)
-
-    @property
-    def num_velocities(self) -> int:
-        """Number nv of the robot's velocities."""
-        return len(self.names)
+        return self.size, len(self.names)
 
     @cached_property
     def constant(self) -> Array | None:
         """J (nv of the tree, nv) if all ratios are constant; else None."""
         if any(place.drive.map.constant_jacobian is None for place in self.places):
             return None
-        return self._along(np.zeros((1, self.num_positions)), None)[1][0]
+        return self._along(np.zeros((1, len(self.names))), None)[1][0]
 
     @cached_property
     def _linear(self) -> tuple[Array, Array]:
         """(nq, nq of the tree) and (nq of the tree,), of positions q A + b where J is constant."""
-        zero = np.zeros(self.num_positions)
+        zero = np.zeros(len(self.names))
         start, *ends = self._along(np.vstack([zero, np.eye(len(zero))]), None)[0]
         return np.reshape(ends, (len(zero), len(start))) - start, start
 
@@ -156,18 +152,18 @@ class RobotCoordinates(JointlyEvaluated):
 
     def _along(self, q: Array, v: Array | None) -> tuple[Array, Array, Array]:
         shape = len(q), *self.shape
-        whole, J, rate = np.zeros((len(q), self.sizes[0])), np.zeros(shape), np.zeros(shape)
-        (own, tree), (own_v, tree_v) = self.kept_q, self.kept_v
+        whole, J, rate = np.zeros((len(q), self.size)), np.zeros(shape), np.zeros(shape)
+        own, tree = self.kept
         whole[:, tree] = q[:, own]
-        J[:, tree_v, own_v] = 1.0
+        J[:, tree, own] = 1.0
         for place in self.places:
-            block = np.ix_(np.arange(len(q)), place.joint_v, place.actuator_v)
-            rates = None if v is None else v[:, place.actuator_v]
-            found = place.drive.map.along(q[:, place.actuator_q], rates)
-            whole[:, place.joint_q], J[block], rate[block] = found
+            block = np.ix_(np.arange(len(q)), place.joints, place.actuators)
+            rates = None if v is None else v[:, place.actuators]
+            found = place.drive.map.along(q[:, place.actuators], rates)
+            whole[:, place.joints], J[block], rate[block] = found
         for at, (of, ratio, offset) in self.leads.items():
             J[:, at], rate[:, at] = ratio * J[:, of], ratio * rate[:, of]
-            whole[:, self.single[at]] = ratio * whole[:, self.single[of]] + offset
+            whole[:, at] = ratio * whole[:, of] + offset
         return whole, J, rate
 
     def jacobian_rate_slope(self, q: Array, v: Array) -> Array:
@@ -179,26 +175,24 @@ class RobotCoordinates(JointlyEvaluated):
             return np.zeros((len(q), *self.shape))
         speed = np.abs(v).max(axis=1, initial=0.0)[:, None]
         step = np.zeros_like(q)
-        at_q = np.concatenate([place.actuator_q for place in self.places])
-        step[:, at_q] = _STEP * (v / np.where(speed > 0, speed, 1.0))[:, self.driven]
+        step[:, self.driven] = _STEP * (v / np.where(speed > 0, speed, 1.0))[:, self.driven]
         ahead, behind = self.jacobian_rate(q + step, v), self.jacobian_rate(q - step, v)
         return np.asarray((ahead - behind) / (2.0 * _STEP) * speed[:, :, None])
 
     def bend(self, q: Array, products: Array) -> Array:
         """Return (N, nq) Σ_ij ∂J_ij/∂q_l P_ij for P (N, nv of the tree, nv), at q (N, nq)."""
         found = np.zeros_like(q)
-        for place in self.places:
-            for at_q, at_v in zip(place.actuator_q, place.actuator_v, strict=True):
-                unit = np.zeros((len(q), self.num_velocities))
-                unit[:, at_v] = 1.0
-                # ∂J/∂q_l is the rate of J where only q_l moves, with speed one.
-                found[:, at_q] = (self.jacobian_rate(q, unit) * products).sum((1, 2))
+        for at in self.driven:
+            unit = np.zeros_like(q)
+            unit[:, at] = 1.0
+            # ∂J/∂q_l is the rate of J where only q_l moves, with speed one.
+            found[:, at] = (self.jacobian_rate(q, unit) * products).sum((1, 2))
         return found
 
     @cached_property
     def driven(self) -> Indices:
         """Velocities of the robot that are those of actuators of drives."""
-        return np.concatenate([np.zeros(0, np.intp), *(p.actuator_v for p in self.places)])
+        return np.concatenate([np.zeros(0, np.intp), *(p.actuators for p in self.places)])
 
     def tree_samples(self, q: Array, v: Array, vd: Array) -> tuple[Array, Array, Array, Array]:
         """Positions, velocities and accelerations of the tree, and J, along a motion (N, ·)."""
@@ -214,9 +208,9 @@ class RobotCoordinates(JointlyEvaluated):
         """Return `tree_samples` with joints beyond the tree, which close loops; see `behind`."""
         theta, rates, accelerations, J = self.tree_samples(q, v, vd)
         for place, loop in self._loops:
-            at, own = list(loop.cut), place.actuator_v
-            places, G, rate = loop.of_all(q[:, place.actuator_q], v[:, own])
-            more = np.zeros((len(q), len(at), self.num_velocities))
+            at, own = list(loop.cut), place.actuators
+            places, G, rate = loop.of_all(q[:, own], v[:, own])
+            more = np.zeros((len(q), len(at), len(self.names)))
             more[:, :, own] = G[:, at]
             bias = times(rate[:, at], v[:, own])
             theta, J = np.hstack([theta, places[:, at]]), np.concatenate([J, more], axis=1)
@@ -235,51 +229,47 @@ class RobotCoordinates(JointlyEvaluated):
         q = q.copy()
         for place in self.places:
             low, high = place.drive.limits
-            own = np.clip(q[:, place.actuator_q], low, high)
-            q[:, place.actuator_q] = place.drive.map.inside(own)
+            own = np.clip(q[:, place.actuators], low, high)
+            q[:, place.actuators] = place.drive.map.inside(own)
         return q
 
     def nearest(self, theta: Array) -> Array:
         """Return (N, nq) positions of the robot whose joints are nearest to the tree's (N, ·)."""
-        q = np.zeros((len(theta), self.num_positions))
-        own, tree = self.kept_q
+        q = np.zeros((len(theta), len(self.names)))
+        own, tree = self.kept
         q[:, own] = theta[:, tree]
         for place in self.places:
-            J, at = place.drive.map.constant_jacobian, theta[:, place.joint_q]
+            J, at = place.drive.map.constant_jacobian, theta[:, place.joints]
             if J is None:
                 start = middle(*place.drive.limits)
-                q[:, place.actuator_q] = place.drive.map.actuator_positions(at, start=start)
+                q[:, place.actuators] = place.drive.map.actuator_positions(at, start=start)
             else:
                 shift = place.drive.map.joint_positions(np.zeros((1, J.shape[1])))
-                q[:, place.actuator_q] = (at - shift) @ np.linalg.pinv(J).T
+                q[:, place.actuators] = (at - shift) @ np.linalg.pinv(J).T
         return q
 
     def rates_of(self, q: Array, rates: Array) -> Array:
         """Return velocities (nv,) of the robot at q (nq,), nearest to those (·,) of its joints."""
-        own = np.setdiff1d(np.arange(self.sizes[1]), [*self.leads])
+        own = np.setdiff1d(np.arange(self.size), [*self.leads])
         return np.asarray(np.linalg.pinv(self.jacobian(q[None])[0, own]) @ rates[own])
 
     def robot_gradient(self, q: Array, gradient: Array) -> Array:
         """Return the (N, nq) gradient by the robot's positions q from that by the tree's (N, ·)."""
         found, gradient = np.zeros_like(q), gradient.copy()
         for at, (of, ratio, _) in self.leads.items():
-            gradient[:, self.single[of]] += ratio * gradient[:, self.single[at]]
-        own, tree = self.kept_q
+            gradient[:, of] += ratio * gradient[:, at]
+        own, tree = self.kept
         found[:, own] = gradient[:, tree]
         for place in self.places:
-            J = place.drive.map.jacobian(q[:, place.actuator_q])
-            found[:, place.actuator_q] = times(np.swapaxes(J, 1, 2), gradient[:, place.joint_q])
+            JT = np.swapaxes(place.drive.map.jacobian(q[:, place.actuators]), 1, 2)
+            found[:, place.actuators] = times(JT, gradient[:, place.joints])
         return found
 
     @cached_property
-    def single_places(self) -> tuple[list[int], list[int]]:
-        """Where joints of one degree of freedom, and actuators, are in the robot's v and q."""
-        kept_q = dict(zip(self.kept_q[1].tolist(), self.kept_q[0].tolist(), strict=True))
-        kept = zip(*self.kept_v.tolist(), strict=True)
-        found = {own: kept_q[self.single[at]] for own, at in kept if at in self.single}
-        for place in self.places:
-            found |= dict(zip(place.actuator_v.tolist(), place.actuator_q.tolist(), strict=True))
-        return sorted(found), [found[at] for at in sorted(found)]
+    def single_places(self) -> list[int]:
+        """Where joints of one degree of freedom, and actuators, are in the robot's q and v."""
+        kept = (own for own, at in zip(*self.kept.tolist(), strict=True) if at in self.single)
+        return sorted([*kept, *self.driven.tolist()])
 
     def moved_by(self, velocities: Sequence[int]) -> tuple[int, ...]:
         """Return the robot's velocities that move some velocities of the tree."""
@@ -291,15 +281,15 @@ class RobotCoordinates(JointlyEvaluated):
         One that follows several actuators, or by a ratio that changes, follows that of its joint.
         """
         found = [Following(name) for name in joints]
-        for to, at in zip(*self.kept_v.tolist(), strict=True):
+        for to, at in zip(*self.kept.tolist(), strict=True):
             found[at] = Following(self.names[to])
         for place in self.places:
             if (J := place.drive.map.constant_jacobian) is not None:
                 still = place.drive.map.joint_positions(np.zeros((1, J.shape[1])))[0]
-                for at, row, shift in zip(place.joint_v.tolist(), J, still.tolist(), strict=True):
+                for at, row, shift in zip(place.joints.tolist(), J, still.tolist(), strict=True):
                     if np.count_nonzero(row) == 1:
                         (i,) = np.flatnonzero(row)
-                        name = self.names[place.actuator_v[i]]
+                        name = self.names[place.actuators[i]]
                         found[at] = Following(name, float(row[i]), shift)
         for at, (of, ratio, offset) in self.leads.items():
             name, inner, start = found[of]
@@ -307,39 +297,36 @@ class RobotCoordinates(JointlyEvaluated):
         return found
 
     @cached_property
-    def behind(self) -> dict[str, tuple[int, int]]:
-        """Joint of a drive that is no actuator -> its position and velocity in the tree's.
+    def behind(self) -> dict[str, int]:
+        """Joint of a drive that is no actuator -> where it is in the tree's positions.
 
         Those of joints that close loops come after them, as `all_samples` has them.
         """
         beyond = (loop.joints[k] for _, loop in self._loops for k in loop.cut)
         tree = {
-            joint: (int(at_q), int(at_v))
+            joint: at
             for place in self.places
-            for joint, at_q, at_v in zip(
-                place.drive.joints, place.joint_q, place.joint_v, strict=True
-            )
+            for joint, at in zip(place.drive.joints, place.joints.tolist(), strict=True)
             if joint not in self.names
         }
-        first, second = self.sizes
-        return tree | {name: (first + k, second + k) for k, name in enumerate(beyond)}
+        return tree | {name: self.size + k for k, name in enumerate(beyond)}
 
     @cached_property
     def standing(self) -> dict[int, int]:
         """Velocity of the tree -> the corresponding one of the robot."""
-        found = dict(zip(self.kept_v[1].tolist(), self.kept_v[0].tolist(), strict=True))
+        found = dict(zip(self.kept[1].tolist(), self.kept[0].tolist(), strict=True))
         for place in self.places:
-            found |= dict(zip(place.seats.tolist(), place.actuator_v.tolist(), strict=True))
+            found |= dict(zip(place.seats.tolist(), place.actuators.tolist(), strict=True))
         return found
 
     def positions_between(self, lower: Array, upper: Array) -> tuple[Array, Array]:
         """Least and greatest positions (nq,) of the robot, of those (nq of the tree,) of joints."""
-        low, high = np.full((2, self.num_positions), np.nan)
-        lower, upper = limited(self.leads, self.single, (lower, upper))
-        own, tree = self.kept_q
+        low, high = np.full((2, len(self.names)), np.nan)
+        lower, upper = limited(self.leads, lower, upper)
+        own, tree = self.kept
         low[own], high[own] = lower[tree], upper[tree]
         for place in self.places:
-            at, ends = place.actuator_q, (lower[place.joint_q], upper[place.joint_q])
+            at, ends = place.actuators, (lower[place.joints], upper[place.joints])
             low[at], high[at] = _positions(place.drive, *ends)
         return low, high
 
@@ -362,7 +349,7 @@ class RobotCoordinates(JointlyEvaluated):
         found = self._each(limits, within, _efforts)
         for place in self.places:
             if place.drive.is_loop:
-                found[place.actuator_v] = limits[place.seats]
+                found[place.actuators] = limits[place.seats]
         return found
 
     def _each(
@@ -373,41 +360,34 @@ class RobotCoordinates(JointlyEvaluated):
         `of` makes those (n,) of a drive's actuators of its J (N, k, n) where they may be, and of
         the limits (k,) of its joints.
         """
-        found = np.full(self.num_velocities, np.inf)
-        own, tree = self.kept_v
+        found = np.full(len(self.names), np.inf)
+        own, tree = self.kept
         found[own] = limits[tree]
         for place in self.places:
-            found[place.actuator_v] = of(_jacobians(place, within), limits[place.joint_v])
+            found[place.actuators] = of(_jacobians(place, within), limits[place.joints])
         return found
 
     @cached_property
     def _moves(self) -> NDArray[np.bool_]:
         """(nv of the tree, nv) which velocity of the robot can move which of the tree."""
-        moves = np.zeros((self.sizes[1], self.num_velocities), bool)
-        own, tree = self.kept_v
+        moves = np.zeros(self.shape, bool)
+        own, tree = self.kept
         moves[tree, own] = True
         for place in self.places:
             J = place.drive.map.constant_jacobian
-            block = np.ix_(place.joint_v, place.actuator_v)
+            block = np.ix_(place.joints, place.actuators)
             moves[block] = True if J is None else J != 0.0
         for at, lead in self.leads.items():
             moves[at] = moves[lead.of]
         return moves
 
 
-def limited(
-    leads: Mapping[int, Following], places: Mapping[int, int], limits: tuple[Array, Array]
-) -> tuple[Array, Array]:
-    """Return limits (nq,) of positions, those of leaders such that followers keep theirs.
-
-    Args:
-        places: Velocity of each joint -> its position.
-    """
-    low, high = (ends.copy() for ends in limits)
+def limited(leads: Mapping[int, Following], lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Return limits (nq,) of positions, those of leaders such that followers keep theirs."""
+    low, high = lower.copy(), upper.copy()
     for at, (of, ratio, offset) in leads.items():
-        ends = sorted((end[places[at]] - offset) / ratio for end in limits)
-        low[places[of]] = max(low[places[of]], ends[0])
-        high[places[of]] = min(high[places[of]], ends[1])
+        first, last = sorted((end[at] - offset) / ratio for end in (lower, upper))
+        low[of], high[of] = max(low[of], first), min(high[of], last)
     return low, high
 
 
@@ -465,7 +445,7 @@ def _jacobians(place: Places, within: tuple[Array, Array]) -> Array:
     """J (N, k, n) where the actuators may be: once, if it is constant."""
     if (J := place.drive.map.constant_jacobian) is not None:
         return J[None]
-    low, high = (ends[place.actuator_q] for ends in within)
+    low, high = (ends[place.actuators] for ends in within)
     few = len(low) == 1
     return place.drive.map.jacobian(_grid(low, high) if few else middle(low, high)[None])
 

@@ -92,16 +92,16 @@ class KinematicTree(Short):
 
     def driven(self, actuation: RobotCoordinates) -> KinematicTree:
         """Return the same tree behind a transmission."""
-        sizes = actuation.num_positions, actuation.num_velocities
-        return replace(self, actuation=actuation, num_positions=sizes[0], num_velocities=sizes[1])
+        size = len(actuation.names)
+        return replace(self, actuation=actuation, num_positions=size, num_velocities=size)
 
     @cached_property
     def joints(self) -> KinematicTree:
         """The tree of the joints, without a transmission."""
         if self.actuation is None:
             return self
-        nq, nv = self.actuation.sizes
-        return replace(self, actuation=None, num_positions=nq, num_velocities=nv)
+        size = self.actuation.size
+        return replace(self, actuation=None, num_positions=size, num_velocities=size)
 
     def joint_samples(
         self, q: Array, v: Array, vd: Array

@@ -143,14 +143,13 @@ class _LoopFinder:
         self.plant, self.names, self.path, self.how = plant, joint_names(plant), path, how
         self.tree, self.leads = KinematicTree.from_plant(plant), leads_of(plant, how.followers)
         q = plant.GetPositions(plant.CreateDefaultContext())
-        places = {int(j.velocity_start()): int(j.position_start()) for j in single_joints(plant)}
         limits = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
-        lower, upper = limited(self.leads, places, limits)
+        lower, upper = limited(self.leads, *limits)
         self.place, self.limits = dict[int, float](), dict[int, tuple[float, float]]()
-        for v, at in places.items():
-            if v not in self.leads:
-                self.place[v] = how.start.get(self.names[v], float(q[at]))
-                self.limits[v] = float(lower[at]), float(upper[at])
+        for at in (int(joint.velocity_start()) for joint in single_joints(plant)):
+            if at not in self.leads:
+                self.place[at] = how.start.get(self.names[at], float(q[at]))
+                self.limits[at] = float(lower[at]), float(upper[at])
         # Scoped name of a body -> its mobilizer, -1 for what stands still, and its pose there.
         moving = {
             self.tree.bodies[m.body]: k for k, m in enumerate(self.tree.mobilizers) if m.body >= 0

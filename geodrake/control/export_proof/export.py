@@ -28,7 +28,6 @@ from geodrake.control.export_proof.reference import (
     compared,
     logged_motions,
     logged_starts,
-    position_order,
     random_motion,
     random_starts,
     roll_out_all,
@@ -399,13 +398,11 @@ def _of_efforts(
     model = without(held, loaded.ignores)
     ours = model.effort(motion)
     if held.followers and loaded.of_plant:
-        J, single = np.asarray(held.coordinates.constant), held.coordinates.single
-        q = held.plant_positions(motion.q)[:, [single[k] for k in range(len(J))]]
+        J, q = np.asarray(held.coordinates.constant), held.plant_positions(motion.q)
         theirs, meant = loaded.effort(q, motion.v @ J.T, motion.vd @ J.T)
         theirs, meant = theirs @ J, (meant[:, :, None] | (J == 0.0)).all(axis=1)
     else:
-        q = motion.q[:, position_order(held)]
-        theirs, meant = loaded.effort(q, motion.v, motion.vd)
+        theirs, meant = loaded.effort(motion.q, motion.v, motion.vd)
     off, share = np.where(meant, np.abs(theirs - ours), 0.0), float(meant.mean())
     return Difference(loaded.name, "effort", *_largest(off, ours, held), share, names)
 

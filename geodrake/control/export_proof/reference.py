@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.control.export_proof.joints import exported_joints
 from geodrake.effects import Effect
@@ -158,13 +157,6 @@ def _acceleration(model: RobotModel, q: Array, v: Array, effort: Array) -> Array
         raise RuntimeError(f"the bodies moved by {model.joints[least]} have no inertia") from error
 
 
-def position_order(model: RobotModel) -> NDArray[np.intp]:
-    """Return where the position of each velocity stands among Drake's."""
-    nv = len(model.joints)
-    places = model.positions(np.arange(nv, dtype=float)[None])[0]
-    return np.argsort(places)
-
-
 def logged_motions(model: RobotModel, trajectories: Sequence[Trajectory]) -> list[Motion]:
     """Choose passages of logs, spread evenly."""
     stretches = [s for trajectory in trajectories for s in trajectory.segments]
@@ -196,8 +188,7 @@ def _motion(model: RobotModel, stretch: Stretch, start: int, began: float) -> Mo
 def random_motion(model: RobotModel, seed: int = 0) -> Motion:
     """Return a smooth motion at random, within the limits of the robot."""
     rng, nv = np.random.default_rng(seed), len(model.joints)
-    order = position_order(model)
-    low, high = (limits[order] for limits in model.position_limits)
+    low, high = model.position_limits
     low, high = np.maximum(low, -_LARGEST), np.minimum(high, _LARGEST)
     fastest = np.minimum(model.velocity_limits, _FASTEST)
     time: Array = np.arange(_RANDOM, dtype=float) * _PERIOD
@@ -246,9 +237,9 @@ def _logged_start(held: RobotModel, part: Segment) -> Start:
 
 def random_starts(held: RobotModel, motion: Motion) -> list[Start]:
     """Return starts of rollouts along a motion, under efforts about those of its postures."""
-    every, order = len(motion.v) // _STARTS, position_order(held)
+    every = len(motion.v) // _STARTS
     q, v = motion.q[::every], motion.v[::every]
     effort = held.effort(Motion(q, np.zeros_like(v), np.zeros_like(v)))
     time = np.arange(round(HORIZON / STEP)) * STEP
     share = 1.0 + _SWING * np.sin(2 * np.pi * _SWING_FREQUENCY * time)  # so that delays are felt
-    return [Start(q[k][order], v[k], np.outer(share, effort[k])) for k in range(len(v))]
+    return [Start(q[k], v[k], np.outer(share, effort[k])) for k in range(len(v))]

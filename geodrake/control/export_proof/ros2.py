@@ -35,7 +35,7 @@ def ros2_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
     Its efforts are those of the exported C++ function at no acceleration.
     """
     count = len(model.joints)
-    if len(model.single_joints) != count or model.tree.num_positions != count:
+    if len(model.single_joints) != count:
         raise ModelError(
             "A ros2_control controller needs joints with one degree of freedom, but the "
             "model has others.",

@@ -131,7 +131,7 @@ def _speeds_behind(model: RobotModel, segments: Sequence[Segment]) -> dict[str, 
         q, v = model.positions(segment.position), segment.velocity
         peaks = np.abs(actuation.all_samples(q, v, np.zeros_like(v))[1]).max(axis=0, initial=0.0)
         for joint in set(actuation.behind).difference(aside):
-            peak = float(peaks[actuation.behind[joint][1]])
+            peak = float(peaks[actuation.behind[joint]])
             found[joint] = max(found.get(joint, 0.0), peak)
     return {joint: found[joint] for joint in actuation.behind if found.get(joint, 0.0) > 0.0}
 

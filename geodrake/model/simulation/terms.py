@@ -316,7 +316,7 @@ class DrivenPlant(PlantMotion):
         self.joints, self.phi, self.temperatures = model.joints, model.total_phi, temperatures
         self._sign_width, self.direction = sign_width, smoothed_sign(sign_width)
         self._log = 0 if log is None else log_number(log)
-        self._find_places(*model.single_places)
+        self._find_places(model.single_places, model.single_places)
         self._others = np.zeros(0, int)
 
     @property
