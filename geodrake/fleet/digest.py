@@ -68,7 +68,6 @@ class DigestedLog(Short):
     bandwidth: float
     payloads: tuple[KnownPayload, ...]
     noise_floor: Array
-    noise_weight: int
     gain_deviations: Array
     position: Array
     speed: Array
@@ -138,9 +137,8 @@ class Digest(Short):
     @property
     def noise_floor(self) -> Array:
         """(nv,) RMS of the sensor noise after filtering, N·m or N."""
-        weights = np.array([float(log.noise_weight) for log in self.logs])
-        powers = np.array([log.noise_floor**2 for log in self.logs])
-        return np.sqrt(weights @ powers / weights.sum())
+        seconds = [log.seconds for log in self.logs]
+        return np.sqrt(np.average([log.noise_floor**2 for log in self.logs], 0, seconds))
 
     def normal_matrices(self, *, delay: int = 0, block: int | None = None) -> Array:
         """Return (nv, p + 1, p + 1) G_j = [A | b]ᵀ[A | b] of every joint over all columns.

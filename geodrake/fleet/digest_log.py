@@ -311,7 +311,6 @@ def _about(
         trajectory.filter.bandwidth,
         facts.payloads,
         dataset.noise_floor,
-        sum(map(len, trajectory.segments)),
         np.array(log.gain_deviations),
         position,
         speed,
