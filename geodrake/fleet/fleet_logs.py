@@ -281,6 +281,8 @@ def _choose_settings(
 
 def digest_task(task: LogTask) -> LogRecord:
     """Digest a log, wherever this runs."""
+    if any("\ud800" <= letter <= "\udfff" for letter in task.place.address):
+        return _failure(task, "Its path is not UTF-8, which files of fleets require. Rename it.")
     (model, wanted), folder = type_source(task.kind), task.folder / DIGESTS
     if not folder.is_dir():
         raise OutputError(

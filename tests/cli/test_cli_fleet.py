@@ -63,7 +63,7 @@ def test_findings_are_said_and_written(folder):
     times = parquet.read_table("results/parameters.parquet").to_pylist()
     assert len(times) == 3 * LOGS * len(numbers["robots"][0]["parameters"])
     (unused,) = parquet.read_table("results/unused_logs.parquet").to_pylist()
-    assert unused["log"].endswith(rf"{date_of(1)}\udcff.csv") and "same content" in unused["reason"]
+    assert unused["log"].endswith(rf"{date_of(1)}\udcff.csv") and "not UTF-8" in unused["reason"]
     assert msgspec.json.decode(text)["unused"][0]["log"] == unused["log"]
 
     page = Path("page.html").read_text(encoding="utf-8")
