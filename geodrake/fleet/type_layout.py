@@ -45,7 +45,7 @@ from geodrake.fleet.type_columns import (
     narrow_factor,
 )
 from geodrake.identification.logs.criteria import SPREAD
-from geodrake.identification.logs.dataset import Indices
+from geodrake.identification.logs.dataset import Indices, column_starts
 from geodrake.identification.logs.log_slices import Layout
 from geodrake.identification.logs.unknowns import pullback_information
 from geodrake.inertia import Array, from_mass_com_inertia, is_physical
@@ -206,7 +206,7 @@ def type_layout(
     tree = Layout.of(model, effects, settings.sign_width, settings.still_speed).tree
     base = structural_base_parameters(tree)
     bodies = len(base.independent)
-    own = _model_values(model, settings)
+    own = _model_values(model, effects)
     kept = np.array([*base.independent.tolist(), *sorted(own)], np.intp)
     parameters = _parameters(settings, kept, model, base)
     n, p = len(model.joints), len(kept) + len(model.joints)
@@ -244,23 +244,17 @@ def type_layout(
     return TypeLayout(kept, parameters, columns, tuple(changes), base)
 
 
-def _model_values(model: RobotModel, settings: DigestSettings) -> dict[int, tuple[float, bool]]:
-    """Return column of settings -> value of the model's effect, and if it is never negative."""
-    starts, at = {}, model.phi.size
-    for each in settings.effects:
-        if not each.in_bodies:
-            starts[each.name, each.where, tuple(each.shape.items())] = at
-            at += len(each.parameters)
-    found = {}
-    for fitted in model.effects:
-        effect = fitted.effect
-        shape = {name: float(x) for name, x in effect.shape.items() if x is not None}
-        start = starts.get((effect.name, tuple(effect.where), tuple(shape.items())))
-        if start is None or effect.role not in _KEPT:
-            continue
-        for k, parameter in enumerate(effect.parameters):
-            found[start + k] = float(fitted.parameters[k]), parameter.lower >= 0.0
-    return found
+def _model_values(model: RobotModel, effects: tuple[Effect, ...]) -> dict[int, tuple[float, bool]]:
+    """Return column of effects -> its value in the model, and if it is never negative."""
+    starts = column_starts(effects, model.bodies)
+    return {
+        starts[fitted.effect] + k: (float(value), parameter.lower >= 0.0)
+        for fitted in model.effects
+        if fitted.effect in starts and fitted.effect.role in _KEPT
+        for k, (parameter, value) in enumerate(
+            zip(fitted.effect.parameters, fitted.parameters, strict=True)
+        )
+    }
 
 
 def _parameters(
