@@ -136,11 +136,13 @@ MJCF = """<mujoco model="m"><option density="{}"/><worldbody><body name="a">
 
 def test_what_is_left_out_fails_the_check_and_is_told_first(tmp_path):
     path = tmp_path / "m.xml"
-    ellipsoid = MJCF.replace("<geom", '<geom fluidshape="ellipsoid"')
-    path.write_text(ellipsoid.format(1000), encoding="utf-8")
+    band = '<tendon><fixed name="p" stiffness="50" springlength=".1 .2"><joint joint="j" coef="1"/>'
+    text = MJCF.format(0).replace("</mujoco>", f"{band}</fixed></tendon></mujoco>")
+    path.write_text(text, encoding="utf-8")
     done, numbers = checked(path)
     assert done.exit_code == 1
-    assert done.output.startswith("Warning: m.xml was repaired. The medium of <option")
+    assert done.output.startswith("Warning: m.xml was repaired. ")
+    assert "Tendon p with stiffness 50 is ignored." in done.output
     verdict = " ".join(done.output.rpartition("Verdict")[2].split())
     assert "has forces or parts that geodrake does not model" in verdict and "MuJoCo" in verdict
     assert not numbers["agrees"] and not numbers["repaired"]
