@@ -213,21 +213,11 @@ def _joined(parts: Sequence[JointData]) -> JointData:
     return replace(parts[0], peaks=np.max([part.peaks for part in parts], axis=0), **together)
 
 
-@dataclass(frozen=True)
-class _DigestFile:
-    """The content of a digest file."""
-
-    settings: str  # what the settings file holds
-    logs: tuple[DigestedLog, ...]
-    blocks: tuple[str, ...]
-    joints: tuple[JointData, ...]
-
-
 def digest_content(digest: Digest) -> bytes:
     """Return the content of a digest's file: the same for the same digest on every machine."""
     instance(digest, "digest", Digest)
     parts = digest.logs, digest.blocks, digest.joints
-    return sealed(_DigestFile(digest.settings.text(), *parts), FORMAT)
+    return sealed((digest.settings.text(), *parts), FORMAT)
 
 
 def read_digest_of(path: Path, settings: DigestSettings) -> Digest:
@@ -252,12 +242,15 @@ def read_digest(path: str | Path) -> Digest:
     path = file_path(path)
     data = read_regular(path, "digest", DigestError, largest=LARGEST)
     try:
-        said = unsealed(data, FORMAT, _DigestFile)
+        settings, logs, blocks, joints = unsealed(
+            data,
+            FORMAT,
+            tuple[str, tuple[DigestedLog, ...], tuple[str, ...], tuple[JointData, ...]],
+        )
     except DamagedFileError as error:
         raise DigestError(
             f"{path} is not a digest, or damaged: {error}.",
             advice="Delete it, and digest its log again.",
             path=path,
         ) from error
-    settings = settings_of(said.settings, path)
-    return Digest(settings, said.logs, said.blocks, said.joints)
+    return Digest(settings_of(settings, path), logs, blocks, joints)

@@ -322,9 +322,8 @@ def test_a_damaged_digest_is_refused(digests, tmp_path, spoil):
 
 def rewritten(data, change):
     """The bytes of a digest whose settings say something else."""
-    said = unsealed(data, FORMAT, dict)
-    said["settings"] = json.dumps(change(json.loads(said["settings"])))
-    return sealed(said, FORMAT)
+    settings, *parts = unsealed(data, FORMAT, list)
+    return sealed((json.dumps(change(json.loads(settings))), *parts), FORMAT)
 
 
 def test_dates_are_those_of_stamps_or_said(logs, tmp_path):
