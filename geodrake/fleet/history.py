@@ -47,10 +47,6 @@ class JointGrams(Short):
     columns: Indices  # (m,) which of a type's columns these are, ascending
     grams: Array  # (T, m + 1, m + 1) matrices [A | b]ᵀ W [A | b] of each log or time
 
-    def longer(self, times: int) -> JointGrams:
-        """Return a copy extended by so many times without information."""
-        return JointGrams(self.columns, np.pad(self.grams, ((0, times), (0, 0), (0, 0))))
-
 
 @dataclass(frozen=True, eq=False)
 class LogEquations(Short):
@@ -164,7 +160,8 @@ class _HistorySums:
         if more := max(time + 1 - self.times.shape[1], 0):
             self.times = np.pad(self.times, ((0, 0), (0, more)))
             before = self.joints or [JointGrams(j.columns, j.grams[:0]) for j in joints]
-            self.joints = [each.longer(more) for each in before]
+            none = (0, more), (0, 0), (0, 0)  # information at further times
+            self.joints = [JointGrams(j.columns, np.pad(j.grams, none)) for j in before]
         for sums, own in zip(self.joints, joints, strict=True):
             sums.grams[time] += own.grams[0]
         warm = np.concatenate([log.temperature for log in digest.logs])
