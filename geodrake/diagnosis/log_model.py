@@ -414,18 +414,20 @@ class LogModel:
         """Fit the most probable parameters and noise of an explanation.
 
         `shares` (nv,) are independent samples over rows, and `noise` (B,), or (nv,), is the
-        variance of the noise to begin with. None if something is negative that must not be.
+        variance of the noise to begin with. None if something is less than it must be.
         """
         prior, logarithm = self._prior(choice)
-        least = [s.start + t.positive for t, s in self.spans(choice.terms).items()]
-        least, free = [at for at in least if len(at)], np.ones(len(prior), bool)
+        spans = self.spans(choice.terms).items()
+        bounded = [(s.start + t.positive, t.least) for t, s in spans if len(t.positive)]
+        free = np.ones(len(prior), bool)
         for _ in range(_MOST_PINNED):
             found = self._solved(choice, shares, noise, (prior, logarithm))
-            below = np.array([k for at in least for k in at if free[k] and found.x[k] <= 0.0], int)
+            low = [at[free[at] & (found.x[at] <= least)] for at, least in bounded]
+            below = np.concatenate([np.zeros(0, np.intp), *low])
             if not len(below):
                 return found
             free[below] = False
-            if any(not free[at].any() for at in least):
+            if any(not free[at].any() for at, _ in bounded):
                 return None  # nothing of a term would be left
             # Some parameters of a term stay at zero: as if it were without them.
             logarithm += float(np.log1p(_PINNED / prior[below, below]).sum())

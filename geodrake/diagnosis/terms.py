@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.unknown_efforts import CURVES, UnknownFunction
@@ -36,6 +37,9 @@ _USUAL = -2
 """Which of the payloads, in order of their mass, a body may carry that carries others."""
 _PHYSICAL = 0.1
 """Share of the prior of a payload that is physical, by the geometric metric: of any mass."""
+_FURTHEST = 3.0
+"""Deviations that a parameter may be below its usual value; farther, another shape is the right
+one, unless there is no smaller one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,11 +54,12 @@ class Term:
     information: Array  # (k, k) their prior information
     first: float  # twice the logarithm of the prior odds against it, in a robot that has it nowhere
     again: float  # the same in a robot that has it elsewhere
-    positive: Indices  # which of its parameters cannot be negative
+    positive: Indices  # which of its parameters cannot be negative, nor far below a usual value
     says: frozenset[Key]  # names and places of what it contains, itself included
     # Sets of such keys, one of which must be there already; none for most.
     needs: tuple[frozenset[Key], ...] = ()
     is_own: bool = False  # whether the model has the effect, whose values may be others by now
+    is_least: bool = False  # whether no smaller shape of the effect is tried there
 
     def __repr__(self) -> str:
         return f"{self.name}@{'+'.join(self.where)}"
@@ -62,10 +67,25 @@ class Term:
     @cached_property
     def log_information(self) -> float:
         """Log |Λ| of the prior, by what is left of it where things are as they must be."""
-        share = _PHYSICAL if self.is_whole else 0.5 ** len(self.positive)
+        share = _PHYSICAL if self.is_whole else float(np.prod(ndtr(self._reach)))
         if len(self.information) == 1:  # as of most
             return float(np.log(self.information[0, 0]) - 2.0 * np.log(share))
         return float(np.linalg.slogdet(self.information)[1]) - 2.0 * float(np.log(share))
+
+    @cached_property
+    def least(self) -> Array:
+        """(b,) what `positive` parameters are above: 0, or the least that is usual of some."""
+        return np.maximum(self.mean[self.positive] - self._reach * self._spread, 0.0)
+
+    @property
+    def _spread(self) -> Array:
+        return np.asarray(np.diag(self.information)[self.positive] ** -0.5)
+
+    @property
+    def _reach(self) -> Array:
+        """(b,) how many deviations below their mean `positive` parameters may be."""
+        far = self.mean[self.positive] / self._spread
+        return far if self.is_body or self.is_least else np.minimum(far, _FURTHEST)
 
     @cached_property
     def prior_distance(self) -> float:
@@ -122,6 +142,10 @@ def terms_of(
     for effect in effects:
         places.setdefault(type(effect), set()).add(effect.where)
     sizes, terms, own = _column_sizes(dataset), list[Term](), {f.effect for f in model.effects}
+    smallest = dict[tuple[type[Effect], tuple[str, ...]], float]()
+    for effect in effects:
+        key = type(effect), effect.where
+        smallest[key] = min(_first_shape(effect), smallest.get(key, np.inf))
     load = dataset.payload * np.array([1.0, *(_REACH for _ in range(3)), *(_REACH**2,) * 6])
     sides = _square_reaches(model)
     for effect in effects:
@@ -149,8 +173,17 @@ def terms_of(
         says = frozenset(key_of(effect, kind) for kind in (None, *effect.contains))
         needs = tuple(frozenset((e.name, effect.where) for e in bases) for bases in effect.refines)
         what = name, effect.where, effect, columns
-        terms += [Term(*what, *prior, *prices, least, says, needs, is_own) for prior in priors]
+        is_least = _first_shape(effect) == smallest[type(effect), effect.where]
+        terms += [
+            Term(*what, *prior, *prices, least, says, needs, is_own, is_least) for prior in priors
+        ]
     return (*terms, *_wrong_bodies(model, dataset, beliefs))
+
+
+def _first_shape(effect: Effect) -> float:
+    """Return the first shape of an effect; infinite where it has none that is a number."""
+    value = getattr(effect, effect.shapes[0].name) if effect.shapes else None
+    return float(value) if isinstance(value, int | float) else np.inf
 
 
 def _load_priors(

@@ -14,7 +14,9 @@ import pytest
 from pendulum_logs import PENDULUM
 from scipy.integrate import solve_ivp
 
+from diagrams.benchmarks.servo_gains import make_servo_log, servo_draws, servo_file
 from geodrake import load_model
+from geodrake.diagnosis import explain
 from geodrake.effects import Backlash, FittedEffect
 from geodrake.effects.motor_and_transmission import link_lag
 from geodrake.effects.sensors import EffortScale
@@ -137,3 +139,10 @@ def test_a_gain_scales_play_that_follows_no_noise():
         found.append(columns[1])
     assert np.ptp(found[0]) > 0.0
     assert np.ptp(found[1] - found[0]) < 1e-6
+
+
+def test_noise_of_coarse_encoders_is_no_share_of_a_wide_gap():
+    """Loads of an upright axis are accelerations, whose noise is in the column and in the error."""
+    draw = servo_draws(3, 416, hobby=True)[2]
+    found = explain(servo_file(draw.robot).model, [make_servo_log(draw).log])
+    assert "backlash" not in {step.effect for step in found.steps}
