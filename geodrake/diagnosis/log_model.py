@@ -291,6 +291,13 @@ class LogModel:
         """Return sums (nv,) over the blocks of each joint of values (B,)."""
         return np.bincount(self.joint_of, values, len(self.rows)).astype(float)
 
+    def felt_by(self, term: Term) -> int:
+        """Return the index of the joint that alone feels a term; −1 if bodies or several do."""
+        if term.effect is None or term.is_body:
+            return -1
+        felt = np.flatnonzero(self.dataset.felt(term.effect))
+        return int(felt[0]) if len(felt) == 1 else -1
+
     def seen_noise(self, fit: Fit) -> Array:
         """Return (nv,) mean squared residuals of a fit without its terms of unresolved reversals.
 

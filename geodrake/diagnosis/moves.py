@@ -65,6 +65,8 @@ def neighbours(
         late = replace(was, delay=delay)
         if gain + base - model.odds_against(late) > _HOPE:
             found.append(late)
+        if sum(one != other for one, other in zip(delay, was.delay, strict=True)) > 1:
+            found += _without_needless(model, fit, late)
     return found
 
 
@@ -98,6 +100,14 @@ def alone(model: LogModel, fit: Fit) -> Terms:
 def _other_widths(model: LogModel, choice: Choice) -> list[Choice]:
     others = [width for width in model.widths if width != choice.width]
     return [replace(choice, width=width) for width in others]
+
+
+def _without_needless(model: LogModel, fit: Fit, late: Choice) -> list[Choice]:
+    """Drop what a delay of all efforts makes needless, as effects may have made up for it."""
+    finder = _Finder(model, model.unbounded(late, model.shares(fit), fit.noise))
+    needless = [term for term in late.terms if any(m.gain > 0.0 for m in finder.dropped(term))]
+    kept = tuple(term for term in late.terms if term not in needless)
+    return [model.choice(late, kept)] if needless and model.are_compatible(kept) else []
 
 
 class _Finder:
@@ -142,7 +152,7 @@ class _Finder:
     ) -> list[tuple[float, Terms]]:
         """Return packages that may come to the rest, by their gains without prior odds."""
         possible = self.model.compatibility.beside(rest, packages)
-        gains = self.around.gains(possible, dropped)
+        gains = self.around.promises(possible, dropped)
         order = [k for k in np.argsort(-gains, kind="stable") if np.isfinite(gains[k])]
         return [(float(gains[k]), possible[k]) for k in order]
 
@@ -246,15 +256,20 @@ class _Finder:
         ]
         # Another shape may make an unknown function unnecessary.
         known = [t for t in here if not isinstance(t.effect, UNKNOWN)]
-        keys = {term.key for term in known} if len(known) < len(here) else set()
         packages += [
-            tuple(other if term.key == other.key else term for term in known)
+            tuple(other if term is own else term for term in known)
+            for own in known
             for other in offered
-            if other.key in keys
+            if other.key == own.key
         ]
         unique = {frozenset(package): package for package in packages}
         unique.pop(frozenset(here), None)
         return [*unique.values()]
+
+    def dropped(self, term: Term) -> Iterator[Move]:
+        """Drop one term."""
+        rest = tuple(other for other in self.fit.terms if other is not term)
+        return self._without(rest, self.around.dropped([term]))
 
     def _replaced(self, term: Term) -> Iterator[Move]:
         """Drop one term, or replace it by others, one of which does not belong to one joint."""

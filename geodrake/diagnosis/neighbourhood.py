@@ -39,6 +39,8 @@ class Dropped:
     rows: Array  # (i, D) rows of the dropped parameters in H⁻¹AᵀA, of distinct columns
     inverse: Array  # (i, i) inverse of their covariance
     x: Array  # (i,) their values
+    squares: float  # by how much weighted squared errors rise
+    joint: int  # the joint that alone feels the terms; −1 if several do
 
 
 class Neighbourhood:
@@ -55,6 +57,7 @@ class Neighbourhood:
         root, _ = dtrtrs(factor.T, scale[:, None] * self._cross, lower=0, trans=1)
         # Of the transpose, which is in Fortran's order, the lower triangle is written.
         self._schur = dsyrk(-1.0, root, 1.0, gram.T, trans=1, lower=1, overwrite_c=1).T
+        self._most_taken = np.minimum(1.0 - model.floor / fit.variance, _MOST_TAKEN)
         spans = model.spans(fit.terms).items()
         self._at = {term: np.arange(span.start, span.stop) for term, span in spans}
 
@@ -114,7 +117,9 @@ class Neighbourhood:
         inverse = np.linalg.inv(covariance)
         known = self._model.prior_scores[np.concatenate([self._model.at[t] for t in terms])].sum()
         loss = -x @ inverse @ x - np.linalg.slogdet(covariance)[1] - known
-        return Dropped(float(loss), self._inverse[at] @ self._cross, inverse, x)
+        squares = float(x @ inverse @ x)
+        rows = self._inverse[at] @ self._cross
+        return Dropped(float(loss), rows, inverse, x, squares, self._joint(terms))
 
     def gains(self, packages: Sequence[Terms], dropped: Dropped | None = None) -> Array:
         """Return (m,) what each package of terms adds to the score, without prior odds.
@@ -123,6 +128,20 @@ class Neighbourhood:
         without `dropped.loss`, and −∞ where something is negative that cannot be.
         """
         return self._gained(packages, dropped)[0]
+
+    def promises(self, packages: Sequence[Terms], dropped: Dropped | None = None) -> Array:
+        """Return gains (m,) with the noise that is left where one joint alone feels the change.
+
+        Of two effects that only together leave little, each promises little, and so do both if the
+        noise is what it was without them.
+        """
+        gains, falls = self._gained(packages, dropped)
+        at = np.array([self._joint(package) for package in packages], int)
+        if dropped is not None:
+            at, falls = np.where(at == dropped.joint, at, -1), falls - dropped.squares
+        samples = self._model.of_joints(self._samples())[at]
+        share = np.minimum(falls / samples, self._most_taken[at])
+        return np.where(at >= 0, gains - falls - samples * np.log1p(-share), gains)
 
     def hopes(self, terms: Sequence[Term]) -> Array:
         """Return gains (m,) of effects that one joint feels, if they left only white noise.
@@ -135,6 +154,11 @@ class Neighbourhood:
         at = [joints.index(term.where[0]) for term in terms]
         share = np.minimum(falls / samples[at], _MOST_TAKEN)
         return gains - falls - rows[at] * np.log1p(-share)
+
+    def _joint(self, terms: Sequence[Term]) -> int:
+        """Return the joint that alone feels terms; −1 if several feel them."""
+        felt = {self._model.felt_by(term) for term in terms}
+        return felt.pop() if len(felt) == 1 else -1
 
     def _gained(self, packages: Sequence[Terms], dropped: Dropped | None) -> tuple[Array, Array]:
         """Return gains (m,) and by how much weighted squared errors fall (m,)."""

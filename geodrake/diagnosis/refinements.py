@@ -5,7 +5,7 @@ Each is a coordinate of the explanation. Columns are made anew for its neighbour
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
@@ -114,23 +114,22 @@ def fitted_delays(delays: Array, joints: Sequence[str]) -> list[FittedEffect]:
 
 
 def finer_shapes(
-    terms: Sequence[Term], grid: Sequence[Effect], zooms: Mapping[tuple[str, tuple[str, ...]], int]
-) -> list[Effect]:
-    """Return shapes between those of a grid, around those that were found.
+    effect: Effect, grid: Sequence[Effect], tried: Container[Effect], level: int
+) -> tuple[list[Effect], int]:
+    """Return shapes around that of an effect that are not tried yet, and the level after theirs.
 
-    `zooms` tells how often the shape of a name and place was made finer.
+    They are between those of a grid, the finer the higher the level is.
     """
-    found = list[Effect]()
-    for term in terms:
-        step = zooms.get(term.key, 0)
-        if term.effect is not None and step < ZOOMS:
-            found += _finer(term.effect, grid, _STEPS[step])
-    return found
+    near = list[Effect]()
+    while not near and level < LEVELS:
+        near = [e for e in _finer(effect, grid, _STEPS[level]) if e not in tried]
+        level += 1
+    return near, level
 
 
 _STEPS = (1.0 / 3.0, 1.0 / 12.0, 1.0 / 48.0)
 """Steps of finer and finer grids of a shape, in steps of the coarse one."""
-ZOOMS = len(_STEPS)
+LEVELS = len(_STEPS)
 
 
 def _finer(effect: Effect, grid: Sequence[Effect], share: float) -> list[Effect]:

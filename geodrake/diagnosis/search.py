@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +19,7 @@ from geodrake.diagnosis.log_model import Choice, Delay, Fit, LogModel
 from geodrake.diagnosis.moves import alone
 from geodrake.diagnosis.proposals import proposed
 from geodrake.diagnosis.refinements import (
-    ZOOMS,
+    LEVELS,
     common_delay,
     delays_of,
     expansions,
@@ -92,7 +93,7 @@ class Search:
         self._step = float(np.abs(case.dataset.delays[1:, 0]).min(initial=np.inf))
         self._delays: list[ArrayLike] = [*case.dataset.delays]
         self._on_time: Delay = (0,) * len(case.model.joints)
-        self._zooms = dict[tuple[str, tuple[str, ...]], int]()
+        self._levels = dict[Effect, int]()  # of finer shapes around an effect, that come next
         self._is_timed = False
         self._tried = [self._origin]  # delays (nv,) that have columns: the file's come first
         # Explanations for which speeds, shapes and further effects were looked for.
@@ -252,9 +253,13 @@ class Search:
                 pause=self._is_inexact,
                 further=further,
             )
-            if not self._is_inexact(self.fit) or not self._refined():
+            if not self._is_inexact(self.fit):
                 break
-            shaped = {term.where[0] for term in self.fit.terms if term.key in self._zooms}
+            # A shape may make up for friction that fades.
+            faded = bool(self._finer(self.fit.terms)) and self._fades()
+            if not faded and not self._refined():
+                break
+            shaped = {term.where[0] for term in self.fit.terms if term.effect in self._levels}
             if shaped:  # before anything else makes up for a shape that is not exact
                 self.fit = climb(self.model, self.fit, hopeful=hopeful, joints=shaped)
 
@@ -285,7 +290,7 @@ class Search:
             return True
         if expansions(self.case, self.model, fit):
             return True
-        if finer_shapes(fit.terms, self._grid, self._zooms):
+        if self._finer(fit.terms):
             return True
         return self._other_loads(fit) is not None
 
@@ -399,15 +404,9 @@ class Search:
         retimed = self._retimed()
         changed = retimed
         shaped = (*self.fit.terms, *other_choices(self.model, self.fit, self._grid))
-        near = [
-            effect
-            for effect in finer_shapes(shaped, self._grid, self._zooms)
-            if effect not in self._effects
-        ]
-        for term in self.fit.terms:
-            if any((e.name, e.where) == term.key for e in near):
-                self._zooms[term.key] = self._zooms.get(term.key, 0) + 1
-        self._effects += near
+        near = self._finer(shaped)
+        self._levels |= near
+        self._effects += [effect for effect in near if effect not in self._effects]
         moved = expansions(self.case, self.model, self.fit)
         moved |= instants(self.case, self.model, self.fit)
         if moved:
@@ -423,6 +422,15 @@ class Search:
             self._anew(moved, retimed=retimed)
             return True
         return False
+
+    def _finer(self, terms: Sequence[Term]) -> dict[Effect, int]:
+        """Return untried shapes around those of terms, and these, with their next levels."""
+        found = dict[Effect, int]()
+        for effect in (term.effect for term in terms if term.effect is not None):
+            level = self._levels.get(effect, 0)
+            near, level = finer_shapes(effect, self._grid, self._effects, level)
+            found |= dict.fromkeys([effect, *near], level) if near else {}
+        return found
 
     def _has_other_noise(self) -> bool:
         """Return whether other effects than before carry noise of accelerations into efforts."""
@@ -456,11 +464,11 @@ class Search:
             return False
         self._crowded.add(self._named)
         offered = False
-        for zoom in range(ZOOMS):
-            single = alone(self.model, self.fit)
-            finer = finer_shapes(single, self._grid, {term.key: zoom for term in single})
-            if new := [effect for effect in finer if effect not in self._effects]:
-                self._effects += new
+        for level in range(LEVELS):
+            single = [term.effect for term in alone(self.model, self.fit) if term.effect]
+            finer = [finer_shapes(e, self._grid, self._effects, level)[0] for e in single]
+            if any(finer):
+                self._effects += chain.from_iterable(finer)
                 self._anew()
                 offered = True
         return offered

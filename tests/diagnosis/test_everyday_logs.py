@@ -12,8 +12,9 @@ from pinocchio_logs import MODELS, effort_log
 
 from geodrake import load_model
 from geodrake.diagnosis import explain
+from geodrake.diagnosis.moves import neighbours
 from geodrake.diagnosis.refinements import common_delay
-from geodrake.diagnosis.search import searched
+from geodrake.diagnosis.search import Search, searched
 from geodrake.identification.logs.case import open_case
 from geodrake.logs.motion import JointLog
 
@@ -29,8 +30,11 @@ def places(explanation):
     return {step.effect: set(step.where) for step in explanation.steps}
 
 
-def in_turn(seconds=30.0, rate=100.0, noise=0.003):
-    """A log in which the shoulder moves for a while, and then the elbow, both with friction."""
+def in_turn(seconds=30.0, rate=100.0, noise=(0.003, 1e-5), rotors=(0.0, 0.0)):
+    """A log in which the shoulder moves for a while, and then the elbow, both with friction.
+
+    Its noise is that of efforts, N·m, and of positions, rad.
+    """
     rng, time = np.random.default_rng(5), np.arange(0.0, seconds, 1.0 / rate)
     half = seconds / 2.0
     q = np.zeros((len(time), 2))
@@ -40,9 +44,13 @@ def in_turn(seconds=30.0, rate=100.0, noise=0.003):
         swing = 1.2 * np.sin(2.0 * since[moves]) * np.sin(np.pi * since[moves] / half) ** 2
         q[moves, joint] = swing
     v = np.gradient(q, time, axis=0)
-    effort = body_effort(q, v, np.gradient(v, time, axis=0)) + DRY * np.tanh(v / 0.003) + WET * v
-    measured = q + 1e-5 * rng.normal(size=q.shape)
-    return JointLog("in turn", JOINTS, time, measured, effort + noise * rng.normal(size=q.shape))
+    vd = np.gradient(v, time, axis=0)
+    effort = body_effort(q, v, vd) + DRY * np.tanh(v / 0.003) + WET * v + rotors * vd
+    effort, measured = (
+        each + size * rng.normal(size=q.shape)
+        for each, size in zip((effort, q), noise, strict=True)
+    )
+    return JointLog("in turn", JOINTS, time, measured, effort)
 
 
 def test_friction_of_joints_that_move_in_turn_is_found_and_predicted(model):
@@ -50,6 +58,20 @@ def test_friction_of_joints_that_move_in_turn_is_found_and_predicted(model):
     found = explain(model, [in_turn()], blocks=2)
     assert places(found) == {"coulomb_friction": {*JOINTS}, "viscous_friction": {*JOINTS}}
     assert found.end.nrms < 0.03
+
+
+def test_heavy_rotors_behind_noise_of_accelerations_are_found_at_a_lower_bandwidth(model):
+    log = in_turn(noise=(0.003, 3e-5), rotors=np.array([20.0, 5.0]))
+    found = explain(model, [log])
+    assert any("noise of accelerations above it" in note for note in found.notes)
+    every = {*JOINTS}
+    assert places(found) == {
+        "coulomb_friction": every,
+        "viscous_friction": every,
+        "rotor_inertia": every,
+    }
+    (rotors,) = (s.parameters for s in found.steps if s.effect == "rotor_inertia")
+    assert rotors["shoulder"]["inertia"] == pytest.approx(20.0, rel=0.02)
 
 
 def test_an_offset_may_be_many_times_the_deviation_of_an_effort(model):
@@ -74,6 +96,20 @@ def test_offset_and_symmetric_friction_are_simpler_than_asymmetric_friction(mode
         "rotor_inertia": {*JOINTS},
         "effort_offset": {"elbow"},
     }
+
+
+def test_a_delay_takes_the_place_of_viscous_friction_at_all_joints(model):
+    """Friction that makes up for a delay goes when all efforts are late."""
+    log = pendulum_log(3, rate=250.0)
+    seconds = Search(open_case(model, [log], candidates=True)).model.dataset.delays[1, 0]
+    efforts = [np.interp(log.time - seconds, log.time, each) for each in log.effort.T]
+    late = replace(log, effort=np.stack(efforts, 1))
+    log_model = Search(open_case(model, [late], candidates=True)).model
+    wet = [term for term in log_model.terms if term.name == "viscous_friction"]
+    choice = log_model.choice(log_model.bare(np.ones(2)).choice, wet)
+    found = neighbours(log_model, log_model.unbounded(choice, np.ones(2)))
+    delays = [log_model.lateness(choice) for choice in found if not choice.terms]
+    assert any(np.allclose(delay, seconds) for delay in delays)
 
 
 def test_efforts_that_are_late_by_a_part_of_a_sample_are_late():

@@ -180,6 +180,23 @@ def test_gains_and_losses_are_differences_of_evidence(problem):
             assert gain == pytest.approx(after - now, abs=1e-3)
 
 
+@pytest.mark.parametrize("gone", [(), (RUBBING,)])
+def test_promises_are_gains_with_the_noise_that_is_left(gone):
+    """Of effects that only together leave little, both promise what they bring."""
+    problem = random_problem(dry=6.0)
+    model, before = problem[0], settled(problem[0], *gone)
+    by_effect = {term.effect: term for term in model.terms}
+    package = (by_effect[RUBBING], by_effect[OFFSETS[1]])
+    around = Neighbourhood(model, before)
+    dropped = around.dropped([by_effect[e] for e in gone]) if gone else None
+    (promise,), (gain,) = (each([package], dropped) for each in (around.promises, around.gains))
+    after = settled(model, RUBBING, OFFSETS[1])
+    true = after.score - before.score - prior_odds(model, after) + prior_odds(model, before)
+    lost = dropped.loss if gone else 0.0
+    assert promise + lost == pytest.approx(true, abs=0.15 * abs(true) + 1.0)
+    assert gone or gain < 0.6 * true
+
+
 def test_bodies_that_cannot_be_are_as_improbable_as_they_are():
     """A body of less than no mass, of which the prior has one in so many."""
     could, cannot = random_problem(ball=1.0), random_problem(ball=-1.0)

@@ -60,10 +60,10 @@ def test_ur10e_has_dry_and_viscous_friction(ur10e_free):
     assert found.end.nrms <= 0.037
     joints = found.model.joints
     assert set(places(found)["coulomb_friction"]) == set(joints)
-    # That of the shoulder pan may grow less than its speed: two logs that took no part bear it out.
+    # Two may not grow as the speed does: three logs that took no part bear them out.
     where = places(found)
     power = set(where.get("nonlinear_viscous_friction", ())) - set(where["viscous_friction"])
-    assert power <= {"shoulder_pan_joint"}
+    assert power <= {"shoulder_pan_joint", "wrist_2_joint"}
     assert set(where["viscous_friction"]) | power == set(joints)
     assert found.steps[0].effect in ("coulomb_friction", "viscous_friction")
 

@@ -93,7 +93,7 @@ def test_nothing_is_added_where_nothing_moves(model, effect, place, words):
 def test_a_joint_at_rest_counts_by_what_gravity_holds(model):
     """Its own deviation is next to nothing, and no measure of 1 N·m."""
     log = braked_log(2)
-    errors = compare(model, [log], hold_resting=False).errors
+    errors = compare(model, [log], hold_resting=False, bandwidth=2.0).errors
     resting = [joint for k, joint in enumerate(errors.joints) if k not in MOVING]
     moving = [errors.joints[k] for k in MOVING]
     deviation = log.effort.std(axis=0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -172,10 +172,14 @@ def _residual(
 
 _EXCESS = 25.0  # times the other's power: five times the amplitude is a clear difference
 _FEWEST = 60  # filtered samples that a lower bandwidth leaves at least, as far as there are so many
+_FEWEST_MOVING = 30  # of a joint that moves, where the bandwidth is lowered for noise
 _ENOUGH = 400  # filtered samples of each joint, which make folds of some fifty
 _MOST_NOISE = 2.0  # power of noise, with that of accelerations, over that of efforts alone
-_MOST_ACCELERATION_NOISE = 0.1  # over the deviation of the acceleration itself
-_WORTH_RAISING, _TRIES = 1.2, 4  # factor by which a bandwidth is raised at least, and so many tried
+_TOO_NOISY = 3.0  # the same, above which a bandwidth is lowered
+_STILL = 0.01  # of the peak speed
+_MOTION = 2.0  # deviations of their noise that accelerations of a joint in motion have at least
+_MOST_SHAKING = 0.1  # over the deviation of the acceleration itself
+_STEP, _TRIES = 1.2, 4  # factor between bandwidths that are tried, and so many higher ones
 _LARGEST_RATIO = 700.0  # logarithm of a ratio that is a number still
 
 
@@ -186,9 +190,10 @@ def prepare_for_model(
 
     The motion alone suggests a bandwidth (`prepare_logs`). It is lowered to where the motion asks
     for efforts that were not measured: vibration, play and elasticity behind the motor move the
-    joint without the motor's effort. It is raised where the log is short, as far as noise of
-    positions and accelerations costs little. A rough model will do; logs have their joints in its
-    order. With the prepared logs comes a sentence on what was changed and why, if anything was.
+    joint without the motor's effort. It is lowered, too, until noise of accelerations costs little,
+    as inertias carry it into efforts. It is raised where the log is short, as far as that noise
+    costs little. A rough model will do; logs have their joints in its order. With the prepared logs
+    comes a sentence on what was changed and why, if anything was.
     """
     uniform = [log if isinstance(log, UniformLog) else make_uniform(log) for log in logs]
     trajectories = prepare_logs(uniform)
@@ -206,53 +211,124 @@ def prepare_for_model(
             f"bandwidth lowered to {coherent:.3g} Hz, as the motion above it does not match "
             "the measured efforts: vibration, backlash or position noise"
         )
-    if outputs >= _ENOUGH:
-        return trajectories, None
+    found = _with_less_noise(model, uniform, trajectories, chosen)
+    if found is None and outputs < _ENOUGH:
+        found = _with_more_samples(model, uniform, trajectories, chosen)
+    return (trajectories, None) if found is None else found
+
+
+def _with_less_noise(
+    model: RobotModel,
+    uniform: Sequence[UniformLog],
+    trajectories: tuple[Trajectory, ...],
+    chosen: float,
+) -> tuple[tuple[Trajectory, ...], str] | None:
+    """Lower the bandwidth until noise of accelerations costs little, as far as that helps."""
+    noise, suits = _acceleration_noise(model, trajectories), chosen
+    while noise.loss > _TOO_NOISY and noise.fewest > _STEP * _FEWEST_MOVING:
+        lower = suits / _STEP
+        tried = prepare_logs(uniform, bandwidth=lower, how="chosen from the data")
+        less = _acceleration_noise(model, tried)
+        # What a fit knows goes with the power of the motion over that of the noise.
+        if noise.loss / less.loss < noise.motion_over(less):
+            break
+        trajectories, noise, suits = tried, less, lower
+    if suits == chosen:
+        return None
+    return trajectories, (
+        f"bandwidth lowered from {chosen:.3g} to {suits:.3g} Hz, as noise of accelerations "
+        "above it is more than that of the measured efforts"
+    )
+
+
+def _with_more_samples(
+    model: RobotModel,
+    uniform: Sequence[UniformLog],
+    trajectories: tuple[Trajectory, ...],
+    chosen: float,
+) -> tuple[tuple[Trajectory, ...], str] | None:
+    """Raise the bandwidth of short logs, as far as noise costs little."""
+    outputs = sum(sum(trajectory.output_counts) for trajectory in trajectories)
     highest = HIGHEST_BANDWIDTH / max(t.filter.period for t in trajectories)
     sharp = prepare_logs(uniform, bandwidth=chosen, motion_bandwidth=highest)
     frequency, ratio = effort_ratio(model, sharp)
     noisy = frequency[(frequency > chosen) & (ratio > 1.0)]
     limit = min([highest, *noisy[:1].tolist()])
-    raised = min(chosen * _ENOUGH / outputs, limit)
-    if raised < _WORTH_RAISING * chosen:
-        return trajectories, None
-    lowest = _WORTH_RAISING * chosen
-    apart = 1 + int(np.log(raised / lowest) / np.log(_WORTH_RAISING))
+    raised, lowest = min(chosen * _ENOUGH / outputs, limit), _STEP * chosen
+    if raised < lowest:
+        return None
+    apart = 1 + int(np.log(raised / lowest) / np.log(_STEP))
     for higher in np.geomspace(raised, lowest, min(apart, _TRIES)).tolist():
         longer = prepare_logs(uniform, bandwidth=higher, how="chosen from the data")
-        if _is_precise(model, longer):
+        if _acceleration_noise(model, longer).is_small:
             words = f"from {chosen:.3g} to {higher:.3g} Hz, as the log is short"
             return longer, f"bandwidth raised {words}"
-    return trajectories, None
+    return None
 
 
-def _is_precise(model: RobotModel, trajectories: Sequence[Trajectory]) -> bool:
-    """Return whether noise of accelerations costs little.
+@dataclass(frozen=True)
+class _AccelerationNoise:
+    """What noise of accelerations, as efforts are filtered, does to residuals and to columns."""
 
-    Such noise adds to residuals. It also adds to the columns, so that inertias come out too small
-    where it is a good part of an acceleration, as with some IMUs.
+    loss: float  # power of noise, with that of accelerations, over that of efforts alone
+    deviation: Array  # (nv,) of the noise, rad/s² or m/s²
+    motion: Array  # (nv,) deviation of accelerations themselves
+    fewest: int  # filtered samples of a joint in motion, the least of all joints
+
+    @property
+    def moves(self) -> NDArray[np.bool_]:
+        """(nv,) whether accelerations of a joint are more than noise."""
+        return self.motion > _MOTION * self.deviation
+
+    @property
+    def is_small(self) -> bool:
+        """Whether residuals are not much larger, and inertias not much too small, due to it."""
+        shaking = self.moves & (self.deviation > _MOST_SHAKING * self.motion)
+        return self.loss <= _MOST_NOISE and not shaking.any()
+
+    def motion_over(self, other: _AccelerationNoise) -> float:
+        """Return the power of accelerations over that with another filter, the geometric mean."""
+        moves = self.moves & other.moves
+        ratio = np.log(self.motion[moves] / other.motion[moves])
+        return float(np.exp(2.0 * ratio.mean())) if moves.any() else 1.0
+
+
+def _acceleration_noise(
+    model: RobotModel, trajectories: Sequence[Trajectory]
+) -> _AccelerationNoise:
+    """Return what noise of accelerations does, as inertias carry it into efforts.
+
+    The model's inertia may lack rotors: roughly, each joint has what a fit of its residuals with
+    friction and a spring finds.
     """
-    losses, samples, size = [np.zeros(0)], [np.zeros(0)], np.zeros(len(model.joints))
+    columns, residuals = list[Array](), list[Array]()
+    noise, carried, samples = list[Array](), list[Array](), list[int]()
     for trajectory in trajectories:
         robot, low_pass = carrying(model, trajectory.payloads), trajectory.filter
         for segment in trajectory.segments:
             start, rate = segment[:_SAMPLES], 1.0 / segment.period
-            size = np.maximum(size, start.acceleration.std(axis=0))  # a joint may rest in some
             rows = contact_rows(robot, trajectory, start)
             density = _density_of_rows(start, rows, rate, low_pass.bandwidth)
-            measured = replace(start, effort=_taken(rows, start.effort))
-            noise = density * low_pass.noise_gain**2 * rate / 2.0
-            known = (noise > 0.0) & ~_is_silent(density, measured)
-            carried = _carried(start, robot, trajectory, 0.0, rows)
-            losses.append(np.log1p(carried[known] / noise[known]))
-            samples.append(np.full(known.sum(), float(len(start))))
-    shaking = np.max([t.acceleration_noise for t in trajectories], axis=0)
-    if np.any(shaking > _MOST_ACCELERATION_NOISE * size):
-        return False
-    weights = np.concatenate(samples)
-    if not weights.any():
-        return True
-    return float(np.exp(np.average(np.concatenate(losses), weights=weights))) <= _MOST_NOISE
+            start = replace(start, effort=_taken(rows, start.effort))
+            power = density * low_pass.noise_gain**2 * rate / 2.0
+            noise.append(np.where(_is_silent(density, start), 0.0, power))
+            carried.append(_carried(start, robot, trajectory, 0.0, rows))
+            samples.append(len(start))
+            v = start.velocity
+            own = [start.acceleration, v, np.sign(v), start.position, np.ones_like(v)]
+            columns.append(low_pass.apply(np.stack(own, 2)))
+            residuals.append(low_pass.apply(_residual(start, robot, 0.0, trajectory, rows)))
+    A, b = np.concatenate(columns), np.concatenate(residuals)
+    rotors = [np.linalg.lstsq(A[:, j], b[:, j])[0][0] for j in range(b.shape[1])]
+    deviation = np.max([t.acceleration_noise for t in trajectories], axis=0)
+    known, more = np.array(noise) > 0.0, np.square(np.maximum(rotors, 0.0) * deviation)
+    weights = np.tile(samples, (len(rotors), 1)).T[known]
+    losses = np.log1p((np.array(carried) + more)[known] / np.array(noise)[known])
+    loss = np.average(losses, weights=weights) if len(weights) else 0.0
+    speed = np.abs(A[:, :, 1])
+    moving = np.sum(speed > _STILL * speed.max(axis=0), axis=0)
+    fewest = int(min(moving[moving > 0], default=0))
+    return _AccelerationNoise(float(np.exp(loss)), deviation, A[:, :, 0].std(axis=0), fewest)
 
 
 def coherent_bandwidth(model: RobotModel, trajectories: Sequence[Trajectory]) -> float | None:
