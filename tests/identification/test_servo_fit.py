@@ -22,7 +22,12 @@ from geodrake.errors import LogError
 from geodrake.identification.logs import signal_calibration
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.effort_gains import ALIKE
-from geodrake.identification.logs.servo_fit import JointMotions, fit_servo, motions_of
+from geodrake.identification.logs.servo_fit import (
+    JointMotions,
+    calc_command_before,
+    fit_servo,
+    motions_of,
+)
 from geodrake.identification.logs.signal_calibration import (
     calibrate_efforts,
     expected_servo,
@@ -540,3 +545,17 @@ def test_an_integral_that_makes_a_joint_swing_up_ends_its_search():
     motions = JointMotions((rows,), (rows[:, 4] + noise,), (0.005,))
     fit = fit_servo(motions, EffortSignal("a", "command", 40.0, integral=3e4), 5.0)
     assert fit is None or fit.error < 0.1 * fit.moved
+
+
+def test_commands_between_rows_bend_as_smooth_ones_do():
+    """Straight lines look like a servo that knows their rate and acts later: less friction."""
+    rate, period = 2.0 * np.pi * 2.0, 0.02
+    rows = np.zeros((200, 8))
+    rows[:, 7] = np.sin(rate * period * np.arange(200))
+    at = np.linspace(2.0, 197.0, 777)
+    found = np.array([calc_command_before(rows, each, period) for each in at.tolist()])
+    straight = np.interp(at, np.arange(200), rows[:, 7])
+    expected = np.sin(rate * period * at)
+    off = np.abs(found[:, 0] - expected).max()
+    assert off < 0.1 * np.abs(straight - expected).max()
+    np.testing.assert_allclose(found[:, 1], rate * np.cos(rate * period * at), atol=0.03 * rate)

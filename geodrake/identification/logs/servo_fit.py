@@ -110,7 +110,7 @@ _USUAL_LOAD, _MOST_LOAD = 0.2, 2.0  # of the largest load, that friction by its 
 _USUAL_BAND = 0.01  # rad or m
 _IDLE_LEAVES = 0.5  # share of what is left of positions, that a dead band leaves at most
 _NOTHING = float(np.finfo(float).tiny)  # rad² or m², of a joint that stands exactly still
-_SMOOTHER = 1.0 / 12.0 / np.sqrt(3.0)  # of second differences of commands: deviation
+_SMOOTHER = 1.0 / 24.0 / np.sqrt(3.0)  # of second differences of commands: deviation
 _FAR = 1e3  # rad or m, from the measured motion, and no farther: squares stay numbers
 _TRIED_DELAYS = (0.0, 0.01, 0.03)  # s, that searches begin from
 _LINEAR_DELAYS = tuple(np.linspace(0.0, LONGEST_DELAY, 7).tolist())  # and linear fits try, s
@@ -738,10 +738,9 @@ class _Search:
         """Return changes (N,) of positions by one deviation of each quantity that no log shows.
 
         Feedback that acts late by τ takes kp τ off the damping and d τ off the inertia. How
-        commands go on between rows matters too: straight lines between rows of period T are
-        c + T² c̈ / 12 in the mean for a smooth command c, and but for a delay c + T² c̈ / 24 for one
-        that a servo holds; any share between none and the first is as likely. `J` (N, f) are slopes
-        with the numbers that are `free`.
+        commands go on between rows of period T matters too: one that a servo holds is, but for a
+        delay, a smooth one c with T² c̈ / 24 more in the mean; any share of that is as likely.
+        `J` (N, f) are slopes with the numbers that are `free`.
         """
         motions, at = self.motions, np.flatnonzero(free).searchsorted([_DAMPING, _ARMATURE])
         late = J[:, at] @ [numbers[0], numbers[_RATE] + numbers[_DAMPING]]
@@ -1055,10 +1054,17 @@ def calc_velocity_after(
 def calc_command_before(rows: Array, at: float, period: float) -> tuple[float, float]:
     """Return the command at a row's number, which may be between two, and its rate.
 
-    Before the first row the command is as it is there.
+    Between rows it is a cubic with the rates of central differences: straight lines would bend
+    less than commands do, which a servo that knows their rate, and acts later, makes up for. Before
+    the first row the command is as it is there.
     """
     if at <= 0.0:
         return rows[0, 7], 0.0
-    low = int(at)
-    high, g = min(low + 1, len(rows) - 1), at - low
-    return (1.0 - g) * rows[low, 7] + g * rows[high, 7], (rows[high, 7] - rows[low, 7]) / period
+    last = len(rows) - 1
+    low = min(int(at), last)
+    high, g = min(low + 1, last), at - low
+    a, b = rows[low, 7], rows[high, 7]
+    left, right = 0.5 * (b - rows[max(low - 1, 0), 7]), 0.5 * (rows[min(high + 1, last), 7] - a)
+    bend, twist = 3.0 * (b - a) - 2.0 * left - right, left + right - 2.0 * (b - a)
+    rise = left + g * (2.0 * bend + 3.0 * g * twist)
+    return a + g * (left + g * (bend + g * twist)), rise / period
