@@ -65,7 +65,7 @@ def neighbours(
         late = replace(was, delay=delay)
         if gain + base - model.odds_against(late) > _HOPE:
             found.append(late)
-        if sum(one != other for one, other in zip(delay, was.delay, strict=True)) > 1:
+        if len({*delay}) == 1:
             found += _without_needless(model, fit, late)
     return found
 
@@ -103,9 +103,9 @@ def _other_widths(model: LogModel, choice: Choice) -> list[Choice]:
 
 
 def _without_needless(model: LogModel, fit: Fit, late: Choice) -> list[Choice]:
-    """Drop what a delay of all efforts makes needless, as effects may have made up for it."""
+    """Drop what may have made up for a delay of all efforts."""
     finder = _Finder(model, model.unbounded(late, model.shares(fit), fit.noise))
-    needless = [term for term in late.terms if any(m.gain > 0.0 for m in finder.dropped(term))]
+    needless = [term for term in late.terms if any(m.gain > 0.0 for m in finder.leaving(term))]
     kept = tuple(term for term in late.terms if term not in needless)
     return [model.choice(late, kept)] if needless and model.are_compatible(kept) else []
 
@@ -254,7 +254,7 @@ class _Finder:
             for gone, come in trades
             if not set(come) & set(here)
         ]
-        # Another shape may make an unknown function unnecessary.
+        # Any other shape of an effect may take its place, without unknown functions.
         known = [t for t in here if not isinstance(t.effect, UNKNOWN)]
         packages += [
             tuple(other if term is own else term for term in known)
@@ -266,8 +266,8 @@ class _Finder:
         unique.pop(frozenset(here), None)
         return [*unique.values()]
 
-    def dropped(self, term: Term) -> Iterator[Move]:
-        """Drop one term."""
+    def leaving(self, term: Term) -> Iterator[Move]:
+        """Drop one term, if the others may be without it."""
         rest = tuple(other for other in self.fit.terms if other is not term)
         return self._without(rest, self.around.dropped([term]))
 

@@ -130,10 +130,10 @@ class Neighbourhood:
         return self._gained(packages, dropped)[0]
 
     def promises(self, packages: Sequence[Terms], dropped: Dropped | None = None) -> Array:
-        """Return gains (m,) with the noise that is left where one joint alone feels the change.
+        """Return gains (m,) as after the noise has fallen, where one joint alone feels the change.
 
-        Of two effects that only together leave little, each promises little, and so do both if the
-        noise is what it was without them.
+        Elsewhere they are those of `gains`. At the old noise, two effects that help only together
+        would promise too little.
         """
         gains, falls = self._gained(packages, dropped)
         at = np.array([self._joint(package) for package in packages], int)

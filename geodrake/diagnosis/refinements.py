@@ -118,7 +118,8 @@ def finer_shapes(
 ) -> tuple[list[Effect], int]:
     """Return shapes around that of an effect that are not tried yet, and the level after theirs.
 
-    They are between those of a grid, the finer the higher the level is.
+    They are between those of a grid, the finer the higher the level is. Where there are none, all
+    levels are done.
     """
     near = list[Effect]()
     while not near and level < LEVELS:
@@ -146,7 +147,9 @@ def _finer(effect: Effect, grid: Sequence[Effect], share: float) -> list[Effect]
     value, gaps = getattr(effect, name), np.diff(np.log(known))
     at = int(np.clip(np.searchsorted(known, value) - 1, 0, len(gaps) - 1))
     steps = share * gaps[at] * np.array([-2.0, -1.0, 1.0, 2.0])
-    near = [replace(effect, **{name: float(value * factor)}) for factor in np.exp(steps)]  # type: ignore[type-var]
+    # Rounded, so that shapes around two others are the same where they meet.
+    values_near = [float(f"{value * factor:.9g}") for factor in np.exp(steps)]
+    near = [replace(effect, **{name: each}) for each in values_near]  # type: ignore[type-var]
     return [e for e in near if e.distinct and bool(e.refines) == bool(effect.refines)]
 
 

@@ -411,6 +411,7 @@ class Search:
         moved |= instants(self.case, self.model, self.fit)
         if moved:
             self._effects = [moved.get(effect, effect) for effect in self._effects]
+            self._levels = {moved.get(e, e): level for e, level in self._levels.items()}
         loads = self._other_loads(self.fit)
         changed |= self._has_other_noise()
         if changed or near or moved:
@@ -424,7 +425,7 @@ class Search:
         return False
 
     def _finer(self, terms: Sequence[Term]) -> dict[Effect, int]:
-        """Return untried shapes around those of terms, and these, with their next levels."""
+        """Return each term's shape and the untried ones around it, by the level to try next."""
         found = dict[Effect, int]()
         for effect in (term.effect for term in terms if term.effect is not None):
             level = self._levels.get(effect, 0)

@@ -63,7 +63,7 @@ def test_friction_of_joints_that_move_in_turn_is_found_and_predicted(model):
 def test_heavy_rotors_behind_noise_of_accelerations_are_found_at_a_lower_bandwidth(model):
     log = in_turn(noise=(0.003, 3e-5), rotors=np.array([20.0, 5.0]))
     found = explain(model, [log])
-    assert any("noise of accelerations above it" in note for note in found.notes)
+    assert any("noise of accelerations makes up" in note for note in found.notes)
     every = {*JOINTS}
     assert places(found) == {
         "coulomb_friction": every,

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geodrake.effects.sensors import delayed_by
+from geodrake.errors import ArgumentError, LogError
 from geodrake.identification.logs.contact_rows import MixedRows, contact_rows
 from geodrake.identification.logs.criteria import JOINT_NOISE_MARGIN, LEAST_NOISE
 from geodrake.logs.filtering import (
@@ -177,7 +178,7 @@ _ENOUGH = 400  # filtered samples of each joint, which make folds of some fifty
 _MOST_NOISE = 2.0  # power of noise, with that of accelerations, over that of efforts alone
 _TOO_NOISY = 3.0  # the same, above which a bandwidth is lowered
 _STILL = 0.01  # of the peak speed
-_MOTION = 2.0  # deviations of their noise that accelerations of a joint in motion have at least
+_IN_MOTION = 4.0  # deviations of its noise that the peak speed of a joint in motion has at least
 _MOST_SHAKING = 0.1  # over the deviation of the acceleration itself
 _STEP, _TRIES = 1.2, 4  # factor between bandwidths that are tried, and so many higher ones
 _LARGEST_RATIO = 700.0  # logarithm of a ratio that is a number still
@@ -190,10 +191,10 @@ def prepare_for_model(
 
     The motion alone suggests a bandwidth (`prepare_logs`). It is lowered to where the motion asks
     for efforts that were not measured: vibration, play and elasticity behind the motor move the
-    joint without the motor's effort. It is lowered, too, until noise of accelerations costs little,
-    as inertias carry it into efforts. It is raised where the log is short, as far as that noise
-    costs little. A rough model will do; logs have their joints in its order. With the prepared logs
-    comes a sentence on what was changed and why, if anything was.
+    joint without the motor's effort. Otherwise it is lowered while noise of accelerations, which
+    inertias carry into efforts, costs much and enough samples stay. It is raised where the log is
+    short, as far as that noise costs little. A rough model will do; logs have their joints in its
+    order. With the prepared logs comes a sentence on what was changed and why, if anything was.
     """
     uniform = [log if isinstance(log, UniformLog) else make_uniform(log) for log in logs]
     trajectories = prepare_logs(uniform)
@@ -224,20 +225,24 @@ def _with_less_noise(
     chosen: float,
 ) -> tuple[tuple[Trajectory, ...], str] | None:
     """Lower the bandwidth until noise of accelerations costs little, as far as that helps."""
-    noise, suits = _acceleration_noise(model, trajectories), chosen
+    noise, lower, found = _acceleration_noise(model, trajectories), chosen, trajectories
     while noise.loss > _TOO_NOISY and noise.fewest > _STEP * _FEWEST_MOVING:
-        lower = suits / _STEP
-        tried = prepare_logs(uniform, bandwidth=lower, how="chosen from the data")
+        lower /= _STEP
+        try:
+            tried = prepare_logs(uniform, bandwidth=lower, how="chosen from the data")
+        except (ArgumentError, LogError):  # a log would be too short
+            break
         less = _acceleration_noise(model, tried)
         # What a fit knows goes with the power of the motion over that of the noise.
         if noise.loss / less.loss < noise.motion_over(less):
             break
-        trajectories, noise, suits = tried, less, lower
+        found, noise = tried, less
+    suits = min(trajectory.filter.bandwidth for trajectory in found)
     if suits == chosen:
         return None
-    return trajectories, (
-        f"bandwidth lowered from {chosen:.3g} to {suits:.3g} Hz, as noise of accelerations "
-        "above it is more than that of the measured efforts"
+    return found, (
+        f"bandwidth lowered from {chosen:.3g} to {suits:.3g} Hz, as noise of accelerations makes "
+        "up most of the noise in efforts"
     )
 
 
@@ -272,23 +277,20 @@ class _AccelerationNoise:
 
     loss: float  # power of noise, with that of accelerations, over that of efforts alone
     deviation: Array  # (nv,) of the noise, rad/s² or m/s²
-    motion: Array  # (nv,) deviation of accelerations themselves
+    size: Array  # (nv,) the same of accelerations themselves, before they are filtered
+    motion: Array  # (nv,) the same of filtered accelerations; 0 of a joint at rest
     fewest: int  # filtered samples of a joint in motion, the least of all joints
-
-    @property
-    def moves(self) -> NDArray[np.bool_]:
-        """(nv,) whether accelerations of a joint are more than noise."""
-        return self.motion > _MOTION * self.deviation
 
     @property
     def is_small(self) -> bool:
         """Whether residuals are not much larger, and inertias not much too small, due to it."""
-        shaking = self.moves & (self.deviation > _MOST_SHAKING * self.motion)
-        return self.loss <= _MOST_NOISE and not shaking.any()
+        return self.loss <= _MOST_NOISE and bool(
+            np.all(self.deviation <= _MOST_SHAKING * self.size)
+        )
 
     def motion_over(self, other: _AccelerationNoise) -> float:
         """Return the power of accelerations over that with another filter, the geometric mean."""
-        moves = self.moves & other.moves
+        moves = (self.motion > 0.0) & (other.motion > 0.0)
         ratio = np.log(self.motion[moves] / other.motion[moves])
         return float(np.exp(2.0 * ratio.mean())) if moves.any() else 1.0
 
@@ -296,39 +298,50 @@ class _AccelerationNoise:
 def _acceleration_noise(
     model: RobotModel, trajectories: Sequence[Trajectory]
 ) -> _AccelerationNoise:
-    """Return what noise of accelerations does, as inertias carry it into efforts.
+    """Return what noise of accelerations does at the least, as inertias carry it into efforts.
 
     The model's inertia may lack rotors: roughly, each joint has what a fit of its residuals with
-    friction and a spring finds.
+    friction and a spring finds. Joints at rest do not count.
     """
-    columns, residuals = list[Array](), list[Array]()
-    noise, carried, samples = list[Array](), list[Array](), list[int]()
+    columns, residuals, segments = list[Array](), list[Array](), list[Array]()
+    noise, carried, shaking, samples = list[Array](), list[Array](), list[Array](), list[int]()
+    size, own_rows = np.zeros(len(model.joints)), True
     for trajectory in trajectories:
         robot, low_pass = carrying(model, trajectory.payloads), trajectory.filter
         for segment in trajectory.segments:
             start, rate = segment[:_SAMPLES], 1.0 / segment.period
             rows = contact_rows(robot, trajectory, start)
+            own_rows &= rows is None
             density = _density_of_rows(start, rows, rate, low_pass.bandwidth)
             start = replace(start, effort=_taken(rows, start.effort))
             power = density * low_pass.noise_gain**2 * rate / 2.0
             noise.append(np.where(_is_silent(density, start), 0.0, power))
             carried.append(_carried(start, robot, trajectory, 0.0, rows))
+            shaking.append(trajectory.acceleration_noise)
             samples.append(len(start))
+            size = np.maximum(size, start.acceleration.std(axis=0))  # a joint may rest in some
             v = start.velocity
             own = [start.acceleration, v, np.sign(v), start.position, np.ones_like(v)]
             columns.append(low_pass.apply(np.stack(own, 2)))
             residuals.append(low_pass.apply(_residual(start, robot, 0.0, trajectory, rows)))
+            segments.append(columns[-1][:, :, 0].std(axis=0))
     A, b = np.concatenate(columns), np.concatenate(residuals)
-    rotors = [np.linalg.lstsq(A[:, j], b[:, j])[0][0] for j in range(b.shape[1])]
-    deviation = np.max([t.acceleration_noise for t in trajectories], axis=0)
-    known, more = np.array(noise) > 0.0, np.square(np.maximum(rotors, 0.0) * deviation)
-    weights = np.tile(samples, (len(rotors), 1)).T[known]
-    losses = np.log1p((np.array(carried) + more)[known] / np.array(noise)[known])
+    speed, peak = np.abs(A[:, :, 1]), np.abs(A[:, :, 1]).max(axis=0)
+    moves = peak > _IN_MOTION * np.max([t.speed_noise for t in trajectories], axis=0)
+    deviation = np.max(shaking, axis=0)
+    rotors = np.zeros(len(moves))
+    for j in np.flatnonzero(moves) if own_rows else ():
+        scale = np.maximum(np.abs(A[:, j]).max(axis=0), np.finfo(float).tiny)
+        rotors[j] = max(np.linalg.lstsq(A[:, j] / scale, b[:, j])[0][0] / scale[0], 0.0)
+    known = (np.array(noise) > 0.0) & moves
+    weights = np.tile(samples, (len(moves), 1)).T[known]
+    power = np.array(carried) + np.square(rotors * np.array(shaking))
+    losses = np.log1p(power[known] / np.array(noise)[known])
     loss = np.average(losses, weights=weights) if len(weights) else 0.0
-    speed = np.abs(A[:, :, 1])
-    moving = np.sum(speed > _STILL * speed.max(axis=0), axis=0)
-    fewest = int(min(moving[moving > 0], default=0))
-    return _AccelerationNoise(float(np.exp(loss)), deviation, A[:, :, 0].std(axis=0), fewest)
+    counts = np.sum(speed > _STILL * peak, axis=0)[moves]
+    motion = np.where(moves, np.max(segments, axis=0), 0.0)
+    fewest = int(min(counts, default=0))
+    return _AccelerationNoise(float(np.exp(loss)), deviation, size, motion, fewest)
 
 
 def coherent_bandwidth(model: RobotModel, trajectories: Sequence[Trajectory]) -> float | None:
