@@ -16,6 +16,7 @@ from geodrake.diagnosis.moves import neighbours
 from geodrake.diagnosis.refinements import common_delay
 from geodrake.diagnosis.search import Search, searched
 from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.noise import prepare_for_model
 from geodrake.logs.motion import JointLog
 
 DRY, WET = np.array([0.3, 0.15]), np.array([0.2, 0.1])
@@ -72,6 +73,21 @@ def test_heavy_rotors_behind_noise_of_accelerations_are_found_at_a_lower_bandwid
     }
     (rotors,) = (s.parameters for s in found.steps if s.effect == "rotor_inertia")
     assert rotors["shoulder"]["inertia"] == pytest.approx(20.0, rel=0.02)
+
+
+def test_a_lower_bandwidth_leaves_enough_samples_of_every_log(model):
+    noisy = in_turn(noise=(0.0003, 1e-4), rotors=np.array([20.0, 5.0]))
+    begin = noisy.time < 6.0
+    short = replace(
+        noisy,
+        name="short",
+        time=noisy.time[begin],
+        position=noisy.position[begin],
+        effort=noisy.effort[begin],
+    )
+    (long, kept), words = prepare_for_model(model, [noisy, short])
+    assert "lowered" in words
+    assert min(map(sum, (long.output_counts, kept.output_counts))) >= 10
 
 
 def test_an_offset_may_be_many_times_the_deviation_of_an_effort(model):
