@@ -192,12 +192,11 @@ class _Finder:
 
     def hopeful(self, most: int) -> list[Choice]:
         """Add one effect of a joint that would gain if it left white noise, the best first."""
-        present, data = self.fit.terms, self.model.dataset
+        present, joints = self.fit.terms, self.model.dataset.joints
         offered = [
             (term,)
             for term in self.model.terms
-            if term.effect is not None and term.joint in data.joints and term not in present
-            if data.felt(term.effect).sum() == 1
+            if term.joint in joints and term not in present and self.model.felt_by(term) >= 0
         ]
         possible = [t for (t,) in self.model.compatibility.beside(present, offered)] if most else []
         choices = [self._choice((*present, term)) for term in possible]

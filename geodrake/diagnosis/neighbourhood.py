@@ -139,9 +139,8 @@ class Neighbourhood:
         at = np.array([self._joint(package) for package in packages], int)
         if dropped is not None:
             at, falls = np.where(at == dropped.joint, at, -1), falls - dropped.squares
-        samples = self._model.of_joints(self._samples())[at]
-        share = np.minimum(falls / samples, self._most_taken[at])
-        return np.where(at >= 0, gains - falls - samples * np.log1p(-share), gains)
+        samples = self._model.of_joints(self._samples())
+        return np.where(at >= 0, self._quieter(gains, falls, at, samples), gains)
 
     def hopes(self, terms: Sequence[Term]) -> Array:
         """Return gains (m,) of effects that one joint feels, if they left only white noise.
@@ -149,11 +148,16 @@ class Neighbourhood:
         What is missing makes residuals vary slowly, so that they count for few samples.
         """
         gains, falls = self._gained([(term,) for term in terms], None)
-        rows, joints = self._model.rows, self._model.dataset.joints
-        samples = self._model.of_joints(self._samples())
-        at = [joints.index(term.where[0]) for term in terms]
-        share = np.minimum(falls / samples[at], _MOST_TAKEN)
-        return gains - falls - rows[at] * np.log1p(-share)
+        at = np.array([self._joint([term]) for term in terms], int)
+        return self._quieter(gains, falls, at, self._model.rows)
+
+    def _quieter(self, gains: Array, falls: Array, at: Indices, worth: Array) -> Array:
+        """Return gains (m,) with the noise that is left at joints `at` (m,), worth (nv,) samples.
+
+        Weighted squared errors there fall by `falls` (m,).
+        """
+        share = falls / self._model.of_joints(self._samples())[at]
+        return gains - falls - worth[at] * np.log1p(-np.minimum(share, self._most_taken[at]))
 
     def _joint(self, terms: Sequence[Term]) -> int:
         """Return the joint that alone feels terms; −1 if several feel them."""

@@ -38,8 +38,8 @@ _USUAL = -2
 _PHYSICAL = 0.1
 """Share of the prior of a payload that is physical, by the geometric metric: of any mass."""
 _FURTHEST = 3.0
-"""Deviations that a parameter may be below its usual value; farther, another shape is the right
-one, unless there is no smaller one."""
+"""A parameter may be this many deviations below its usual value: below that a smaller shape is the
+right one. The smallest shape has no such bound."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ class Term:
 
     @cached_property
     def least(self) -> Array:
-        """(b,) what `positive` parameters are above: 0, or the least that is usual of some."""
+        """(b,) lower bounds of `positive` parameters."""
         return np.maximum(self.mean[self.positive] - self._reach * self._spread, 0.0)
 
     @property

@@ -253,8 +253,8 @@ class Backlash(DeflectionEffect):
     """Dead band between a motor, whose position is measured, and its link.
 
     effort = −g (∂τ/∂q s + ∂τ/∂v ṡ + M s̈), with the lag s(t) of the link; g is 1 where the gap is
-    as wide as the shape says. A small share of a wide gap is no play: it is as long as the noise of
-    accelerations lasts where loads are small.
+    as wide as the shape says. A small share of a wide gap is no play: noise of accelerations looks
+    like that where loads are small.
 
     The link lies at the side of the gap to which its load pushes it, s = ±h. When the load τ_j
     changes its sign the link comes loose, is carried by nothing, M_jj s̈ = τ_j, and strikes the

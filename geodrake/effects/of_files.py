@@ -147,7 +147,7 @@ class JointCoupling(JointPairEffect):
 
 @dataclass(frozen=True)
 class _InMedium(_Stated, BodyEffect):
-    """Forces of air or water on a body, of its velocity v and ω against them, along axes at P.
+    """Forces of air or water on a body that moves at v and ω through them, in axes at P.
 
     With force f and moment g, effort = −J_Pᵀ f − J_ωᵀ g. Subclasses define `resistance`.
     """
@@ -187,12 +187,12 @@ class _InMedium(_Stated, BodyEffect):
 
     @property
     def size(self) -> Array:
-        """(3,) what the sizes are, m."""
+        """(3,) sizes along the axes, m."""
         return np.array([self.size_x, self.size_y, self.size_z])
 
     @abc.abstractmethod
     def resistance(self, v: Array, w: Array) -> tuple[Array, Array]:
-        """Return −f and −g (N, 3, 2) of density one, and of viscosity one, at v and ω (N, 3)."""
+        """Return −f/ρ and −f/β, and −g/ρ and −g/β (N, 3, 2), at v and ω (N, 3)."""
 
     def rows(self, motion: RobotMotion) -> Rows:
         """Return columns of density and viscosity at the joints that move the body."""
@@ -213,7 +213,7 @@ class _InMedium(_Stated, BodyEffect):
 class MediumDrag(_InMedium):
     """Drag of air or water on a body that counts as the box with its inertia (MuJoCo, "Fluid").
 
-    In a medium of density ρ and viscosity β are, for a box of sizes b and d = (b₁ + b₂ + b₃)/3,
+    In a medium of density ρ and viscosity β, with sizes b of the box and d = (b₁ + b₂ + b₃)/3,
 
         fᵢ = −½ ρ bⱼ bₖ |vᵢ| vᵢ − 3 π β d vᵢ
         gᵢ = −ρ bᵢ (bⱼ⁴ + bₖ⁴)/64 |ωᵢ| ωᵢ − π β d³ ωᵢ
@@ -223,7 +223,7 @@ class MediumDrag(_InMedium):
     law = "drag of a medium on a box: ρ of the squares of v and ω, β of v and ω"
 
     def resistance(self, v: Array, w: Array) -> tuple[Array, Array]:
-        """Return the same of ρ and β."""
+        """Return the parts of force and moment that go with ρ and with β."""
         b = self.size
         d, (j, k) = b.mean(), (np.roll(b, -1), np.roll(b, -2))
         force = 0.5 * j * k * np.abs(v) * v, 3.0 * np.pi * d * v
@@ -271,7 +271,7 @@ class EllipsoidDrag(_InMedium):
     )
 
     def resistance(self, v: Array, w: Array) -> tuple[Array, Array]:
-        """Return the same of ρ and β."""
+        """Return the parts of force and moment that go with ρ and with β."""
         r, (least, mid, most) = self.size, np.sort(self.size)
         q, D = np.roll(r, -1) * np.roll(r, -2), 2.0 * r.mean()
         speed = np.sqrt((v * v).sum(-1, keepdims=True))
