@@ -55,7 +55,7 @@ def delays_of(model: LogModel, fit: Fit) -> tuple[Array, Array]:
     """Find the delays near those of a fit at which it is most probable.
 
     Returned are those (nv,) on top of the model's, s, and their standard deviations (nv,), s;
-    infinite where nobody knows.
+    infinite where unknown.
     """
     dataset, delay = model.dataset, fit.choice.delay
     joints = np.arange(len(delay))
@@ -91,7 +91,7 @@ def common_delay(delays: Array, deviations: Array) -> float | None:
     late = np.abs(delays) > 1e-9
     if np.ptp(delays) < 1e-9:
         return None
-    known = deviations[late]  # infinite where nobody knows
+    known = deviations[late]  # infinite where unknown
     weights = known**-2.0 if np.isfinite(known).any() else None
     return float(np.average(delays[late], weights=weights))
 

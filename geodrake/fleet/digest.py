@@ -125,7 +125,7 @@ class Digest(Short):
 
     @property
     def effort_scale(self) -> Array:
-        """(nv,) how large efforts of joints without a motor could be, N·m or N; zeros at others."""
+        """(nv,) largest efforts of joints without a motor, N·m or N; zero at other joints."""
         return np.sqrt(np.mean([log.effort_scale**2 for log in self.logs], axis=0))
 
     @property

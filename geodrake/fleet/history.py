@@ -92,7 +92,7 @@ class RobotHistory(Short):
     # (p,) or (T, p) parameters of the robot, as far as they are known, that gains of its joints
     # refer to; None without gains.
     reference: Array | None = None
-    task: HistoryTask | None = None  # what a history in a file is of
+    task: HistoryTask | None = None  # what a history in a file was made for
     # (n,) root of the mean square of the robot's efforts, N·m or N
     effort: Array = field(default_factory=lambda: np.zeros(0))
     logs: int = 0  # number of logs, of which several may be of one time; 0 for one at each

@@ -230,7 +230,7 @@ class JointMotions:
 
     @cached_property
     def _residual(self) -> Callable[[bytes], Array]:
-        """The same of the bytes of a servo, those of a few last ones at once."""
+        """Residuals (N,) by the bytes of a servo's parameters; the last four are kept."""
 
         @lru_cache(maxsize=4)
         def residual(servo: bytes) -> Array:

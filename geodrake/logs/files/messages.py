@@ -58,13 +58,13 @@ _LAYOUT = "layout.data_offset"  # beside numbers of any meaning
 
 
 Owners = tuple[Any, ...]
-"""Joints, or a frame, of which a message says something."""
+"""The joints, or the frame, that a message is about."""
 
 Said = tuple[Owners, Mapping[str, Any], Any]
-"""Joints or a frame, numbers by what they are, and the part of the message with its stamp."""
+"""Joints or a frame, their numbers by quantity, and the part of the message with its stamp."""
 
 Key = tuple[Owners, tuple[str, ...]]
-"""What messages of a group have in common: joints or a frame, and what is said of these."""
+"""What messages of a group have in common: joints or a frame, and quantities."""
 
 
 @dataclass
