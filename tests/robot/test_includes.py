@@ -115,6 +115,15 @@ def test_included_sdf_models_are_what_drake_makes_of_them(tmp_path, kind, merge)
     assert len(springs) == {"placed": 1, "nested": 2, "old": 0}[kind]
 
 
+@pytest.mark.parametrize("place", ["worlds/models/more", "more", "gazebo/more"])
+def test_models_of_gazebo_are_found_beside_the_world_and_on_its_path(tmp_path, monkeypatch, place):
+    monkeypatch.setenv("GZ_SIM_RESOURCE_PATH", f"{tmp_path / 'gazebo'}")
+    named = "<model><sdf version='1.9'>b.sdf</sdf></model>"
+    write(write(tmp_path / place / "model.config", named).with_name("b.sdf"), sdf(body("b")))
+    model = load_model(write(tmp_path / "worlds" / "robot.sdf", including("model://more")))
+    assert set(model.joints) == {"a_joint", "b_joint"}
+
+
 def test_worlds_without_their_sun_are_checked_and_shown(tmp_path):
     folder = tmp_path / "my worlds"
     write(folder / "more" / "model.sdf", sdf(body("b")))
@@ -212,7 +221,6 @@ def test_messages_of_drake_have_the_line_of_the_file_it_is_in(tmp_path):
 
 def test_only_packages_that_are_named_are_looked_for(tmp_path, monkeypatch):
     near = package(tmp_path / "near", "near")
-    package(tmp_path, "near")  # which is farther
     package(tmp_path, "near")  # which is farther
     far = package(tmp_path / "path" / "deep" / "far", "far")
     package(far / "within", "within")

@@ -71,6 +71,9 @@ TAKEN = {
             head='<option density="900"><flag spring="disable" damper="disable"/></option>',
         ).replace('<body name="t"', '<body name="t" gravcomp=".5"')
     ),
+    "a flag of dry friction": (
+        mjcf(tip('damping="1"'), head='<option><flag frictionloss="disable"/></option>')
+    ),
     "settings of masses": (
         mjcf(
             tip(

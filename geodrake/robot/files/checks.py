@@ -182,7 +182,7 @@ MJCF_NUMBERS: Numeric = {
         "damping": Numbers(range(1, 4), least=0.0),
         "stiffness": Numbers(range(1, 4)),
     },
-    "flag": {"gravity": None},
+    "flag": dict.fromkeys(("gravity", "frictionloss")),
 }
 
 

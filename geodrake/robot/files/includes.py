@@ -262,9 +262,11 @@ def _merged(model: Element) -> list[Element]:
 _URL = re.compile(r"(?:package|model)://([^/\n\"'<>]+)")
 _LARGEST_MANIFEST = 1_000_000  # bytes
 _MOST_FOLDERS = 20_000  # looked through below one entry of ROS_PACKAGE_PATH
+_GAZEBO_PATHS = ("GZ_SIM_RESOURCE_PATH", "SDF_PATH", "GAZEBO_MODEL_PATH")
 PACKAGE_ADVICE = (
-    "Packages are searched by package.xml in folders above the model, in ROS_PACKAGE_PATH "
-    "and AMENT_PREFIX_PATH; --package NAME=FOLDER adds one."
+    "Packages are searched by package.xml or model.config in and beside folders above the model, "
+    "and in ROS_PACKAGE_PATH, AMENT_PREFIX_PATH and GZ_SIM_RESOURCE_PATH; --package NAME=FOLDER "
+    "adds one."
 )
 _MARKERS = frozenset({"AMENT_IGNORE", "CATKIN_IGNORE", "COLCON_IGNORE"})
 
@@ -311,8 +313,13 @@ def folder_of_package(name: str, path: Path, folders: Mapping[str, Path]) -> Pat
 
 
 def _around(path: Path, names: Iterable[str]) -> Iterator[Path]:
-    """Yield folders that may be packages of some names, the nearest first."""
-    yield from path.resolve().parents
+    """Yield folders that may be packages or Gazebo's models of some names, the nearest first."""
+    for parent in path.resolve().parents:
+        yield parent
+        yield from (parent / name for name in names)
+        yield from (parent / "models" / name for name in names)
+    for entry in (e for v in _GAZEBO_PATHS for e in os.environ.get(v, "").split(os.pathsep) if e):
+        yield from (Path(entry) / name for name in names)
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
         if prefix:
             yield from (Path(prefix) / "share" / name for name in names)
@@ -335,9 +342,9 @@ def packages_below(entry: str | Path) -> Iterator[Path]:
 
 
 def package_name(folder: Path) -> str | None:
-    """Return the package name in a folder's manifest; None if it cannot be read."""
+    """Return the name of a package by its manifest, or of Gazebo's model; None if it is none."""
     manifest = folder / "package.xml"
     with suppress(ModelError):
         data = read_regular(manifest, "manifest", ModelError, largest=_LARGEST_MANIFEST)
         return str(parse_xml_bytes(data, manifest).findtext("name", "")).strip() or None
-    return None
+    return folder.name if (folder / "model.config").is_file() else None
