@@ -13,9 +13,8 @@ from pendulum_logs import PENDULUM as MODEL
 from pendulum_logs import sines
 from pinocchio_logs import effort_log
 
-import geodrake
 from geodrake.diagnosis import Step
-from geodrake.effects import CoulombFriction, JointEffect, Parameter
+from geodrake.effects import JointEffect, Parameter
 from geodrake.logs.files import write_log
 from geodrake.logs.motion import JointLog, Motion
 from geodrake.model.saved_model import load_model
@@ -77,15 +76,6 @@ def test_diagnose_ranks_and_saves_the_model_as_loaded(log, tmp_path):
     assert found["candidates"][0]["effect"] in ("coulomb_friction", "viscous_friction")
     assert found["error"]["start_nrms"] > found["candidates"][0]["error_after"]
     assert load_model(saved).effects == ()
-
-
-def test_add_takes_a_place_and_a_saved_model(log, tmp_path):
-    saved = tmp_path / "model.yaml"
-    output = told("add", "coulomb_friction@elbow", MODEL, log, "--save", saved)
-    effects = [fitted.effect for fitted in geodrake.load_model(saved).effects]
-    assert CoulombFriction("elbow") in effects
-    assert CoulombFriction("shoulder") not in effects
-    assert re.search(r"Added: Coulomb friction \(elbow, [\d.]+ ± [\d.]+ ± [\d.]+ N·m\)", output)
 
 
 def test_module_runs_piped_in_ascii_with_no_more_than_a_word_now_and_then(log):

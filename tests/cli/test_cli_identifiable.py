@@ -9,10 +9,8 @@ from pendulum_logs import PENDULUM as MODEL
 from pendulum_logs import sines
 
 from geodrake.cli.identify import named_effects
-from geodrake.errors import ArgumentError
 from geodrake.excitation import identifiable_parameters, make_target, measurement_factor
 from geodrake.excitation.identifiable import log_identifiability
-from geodrake.identification.models.identify import with_effects
 from geodrake.logs.files import write_log
 from geodrake.logs.motion import JointLog
 from geodrake.model.saved_model import load_model
@@ -90,21 +88,3 @@ def test_a_joint_that_hardly_moves_is_not_told(tmp_path, log):
     assert ("viscous_friction", ("elbow",)) in missing
     assert "viscous_friction of elbow" in identifiability_verdict(lame)
     assert "All parameters of effects are identifiable" in identifiability_verdict(lively)
-
-
-def test_threshold_and_more_logs(log, tmp_path):
-    more = pendulum_log(tmp_path / "more.csv", seed=5)
-    settings = {"noise": NOISE, "bandwidth": 5.0}
-    counts = [found_in([log], threshold=t, **settings).count for t in (1e-4, 1e-2, 1.0)]
-    assert counts == sorted(counts) and counts[0] < counts[-1]
-    one, both = (found_in(logs, **settings) for logs in ([log], [log, more]))
-    assert both.count >= one.count
-    pairs = zip(both.effects, one.effects, strict=True)
-    assert all(b.deviation < o.deviation for b, o in pairs)
-
-
-def test_an_effect_that_the_model_has():
-    model = load_model(MODEL)
-    effects = named_effects(["coulomb_friction"], model)
-    with pytest.raises(ArgumentError, match="already"):
-        log_identifiability(with_effects(model, effects), [], effects=effects)

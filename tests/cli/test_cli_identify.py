@@ -234,10 +234,3 @@ def test_the_page_says_that_the_model_was_refitted(found):
     verdict = f"nrms on held-out data {ends}"
     assert re.search(rf"<h1[^>]*>\s*{re.escape(verdict)}", page)
     assert "before" in page
-
-
-def test_doubts_about_the_logs_are_said_first(found):
-    doubted = replace(found.comparison, first=("the unit is a guess",))
-    page = page_of(replace(found, comparison=doubted, notes=("the unit is a guess",)))
-    assert [section.items for section in page.first] == [("the unit is a guess",)]
-    assert all("the unit is a guess" not in section.items for section in page.sections)

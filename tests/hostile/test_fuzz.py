@@ -155,7 +155,7 @@ def everything_is_imported(tmp_path_factory):
         row.check(tmp_path_factory.mktemp("good"))
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", FILES)
 @hypothesis.settings(
     max_examples=CASES,

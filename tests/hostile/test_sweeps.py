@@ -8,6 +8,8 @@ import copy
 import math
 import re
 import warnings
+from collections import defaultdict
+from functools import cache
 from xml.etree import ElementTree
 
 import numpy as np
@@ -24,6 +26,7 @@ from geodrake.inertia import is_physical
 from geodrake.logs import Motion
 from geodrake.logs.files.mapping_file import read_mapping
 
+Dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 NUMBERS = ("nan", "inf", "-inf", "-7", "0", "1e-300", "1e300", "1e400", "0x10", "1,5", "many", "")
 WORDS = ("", "nobody", "world", "a::b", "a  b", "../x", "關節", "1", "x" * 300, "__root__", "-")
 VALUES = (None, True, -1.0, 0, 0.5, 1e200, math.nan, math.inf, 10**30, "", "words", "a\0b")
@@ -115,7 +118,7 @@ def _places(data):
 
 
 def _dumped(data):
-    return yaml.safe_dump(data, allow_unicode=True, sort_keys=False)
+    return yaml.dump(data, Dumper=Dumper, allow_unicode=True, sort_keys=False)
 
 
 def read_model(path):
@@ -145,9 +148,19 @@ FILES = {
 MANY = 20  # places of a file in which one change is tried; of more, others by each change
 
 
+@cache
+def changed_texts(name):
+    """Name of a change -> a file's texts with it, one for each place."""
+    good, changes, _ = FILES[name]
+    found = defaultdict(list)
+    for change, text in changes(good):
+        found[change].append(text)
+    return found
+
+
 def cases():
-    for name, (text, changes, _) in FILES.items():
-        for k, change in enumerate(sorted({kind for kind, _ in changes(text)})):
+    for name in FILES:
+        for k, change in enumerate(sorted(changed_texts(name))):
             yield name, change, k
 
 
@@ -175,8 +188,7 @@ def test_the_good_file(name, tmp_path):
 @pytest.mark.parametrize(("name", "change", "first"), list(cases()))
 def test_one_change(name, change, first, tmp_path):
     fill(tmp_path)
-    good, changes, read = FILES[name]
-    path, texts = tmp_path / name, [text for kind, text in changes(good) if kind == change]
+    path, read, texts = tmp_path / name, FILES[name][-1], changed_texts(name)[change]
     step = 1 + len(texts) // MANY
     for text in texts[first % step :: step]:
         path.write_text(text, encoding="utf-8")
