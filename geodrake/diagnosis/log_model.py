@@ -213,6 +213,15 @@ class LogModel:
             block[:n, n : n + 2] = gram @ mixed
             block[n : n + 2, :n] = block[:n, n : n + 2].T
             block[n : n + 2, n : n + 2] = mixed.T @ block[:n, n : n + 2]
+        # Index of the joint that alone feels a term; −1 if bodies or several do.
+        felt = np.array([(places[:, at] >= 0).any(axis=1) for at in self.at.values()]).reshape(
+            -1, nv
+        )
+        alone = np.where(felt.sum(axis=1) == 1, felt.argmax(axis=1), -1).tolist()
+        self.felt_by = {
+            term: -1 if term.effect is None or term.is_body else joint
+            for term, joint in zip(self.at, alone, strict=True)
+        }
         self.places, self._inertias = places[self.joint_of], self._inertias[self.joint_of]
         self._ends = np.array([len(joint.columns) for joint in data.data])
         late = self._ends[self.joint_of, None] + np.arange(len(data.delays))
@@ -290,13 +299,6 @@ class LogModel:
     def of_joints(self, values: Array) -> Array:
         """Return sums (nv,) over the blocks of each joint of values (B,)."""
         return np.bincount(self.joint_of, values, len(self.rows)).astype(float)
-
-    def felt_by(self, term: Term) -> int:
-        """Return the index of the joint that alone feels a term; −1 if bodies or several do."""
-        if term.effect is None or term.is_body:
-            return -1
-        felt = np.flatnonzero(self.dataset.felt(term.effect))
-        return int(felt[0]) if len(felt) == 1 else -1
 
     def seen_noise(self, fit: Fit) -> Array:
         """Return (nv,) mean squared residuals of a fit without its terms of unresolved reversals.

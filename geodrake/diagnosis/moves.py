@@ -196,7 +196,7 @@ class _Finder:
         offered = [
             (term,)
             for term in self.model.terms
-            if term.joint in joints and term not in present and self.model.felt_by(term) >= 0
+            if term.joint in joints and term not in present and self.model.felt_by[term] >= 0
         ]
         possible = [t for (t,) in self.model.compatibility.beside(present, offered)] if most else []
         choices = [self._choice((*present, term)) for term in possible]

@@ -161,7 +161,7 @@ class Neighbourhood:
 
     def _joint(self, terms: Sequence[Term]) -> int:
         """Return the joint that alone feels terms; −1 if several feel them."""
-        felt = {self._model.felt_by(term) for term in terms}
+        felt = {self._model.felt_by[term] for term in terms}
         return felt.pop() if len(felt) == 1 else -1
 
     def _gained(self, packages: Sequence[Terms], dropped: Dropped | None) -> tuple[Array, Array]:
