@@ -20,7 +20,7 @@ class Beliefs:
         size: Prior standard deviation of the effort of an effect's parameter, relative to the
             standard deviation of its joint's measured effort.
         rarer: Odds against an effect for each unit of complexity.
-        again: Odds against an effect at each further joint.
+        again: Odds against a delay of each further joint's efforts.
         shape: Effective number of values of a shape parameter, such as an exponent.
         order: The same for an order found in a spectrum, or an instant.
         delays: The same for delays.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -167,9 +168,12 @@ class _Finder:
         """Return moves to packages beside the rest, those that promise most first."""
         loss = 0.0 if dropped is None else dropped.loss
         hope = _HOPE - loss - self.base + odds_against(rest)
-        offers = self._offers(rest, packages, dropped)[:most]
-        offers = [(gain, p) for gain, p in offers if gain - sum(t.again for t in p) > hope]
-        moves = [self._move((*rest, *come), gain + loss, come) for gain, come in offers]
+        offers, there = self._offers(rest, packages, dropped)[:most], Counter(t.name for t in rest)
+        moves = [
+            self._move((*rest, *come), gain + loss, come)
+            for gain, come in offers
+            if gain - sum(term.price(there[term.name]) for term in come) > hope
+        ]
         return sorted(moves, key=lambda move: -move.gain)
 
     def added(self) -> Iterator[Move]:

@@ -53,7 +53,9 @@ class Term:
     mean: Array  # (k,) prior mean of its parameters
     information: Array  # (k, k) their prior information
     first: float  # twice the logarithm of the prior odds against it, in a robot that has it nowhere
-    again: float  # the same in a robot that has it elsewhere
+    # The same in a robot that has it elsewhere, apart from the odds that so many joints have it.
+    again: float
+    peers: int  # joints that may have it; 0 where it says nothing of others
     positive: Indices  # which of its parameters cannot be negative, nor far below a usual value
     says: frozenset[Key]  # names and places of what it contains, itself included
     # Sets of such keys, one of which must be there already; none for most.
@@ -91,6 +93,12 @@ class Term:
     def prior_distance(self) -> float:
         """Return mᵀ Λ m, the squared distance of zero from the prior mean."""
         return float(self.mean @ self.information @ self.mean)
+
+    def price(self, count: int) -> float:
+        """Twice the logarithm of the odds against it in a robot that has it at so many joints."""
+        if not count or not self.peers:
+            return self.first
+        return self.again + 2.0 * float(np.log(max(self.peers - count, 1) / (count + 1.0)))
 
     @cached_property
     def key(self) -> Key:
@@ -170,12 +178,17 @@ def terms_of(
         bounded = [0] if body else [k for k, p in enumerate(effect.parameters) if p.lower == 0.0]
         least = np.array([] if is_own else bounded, np.intp)  # what a model has may have shrunk
         prices = _prices(effect, odds, beliefs, body=body)
+        # What motors and gears do at one joint is likely at others; a spring, or an effect at a
+        # pair or a body, says little about others.
+        likely = effect.places == "joint" and not body and not _is_spring(effect)
+        peers = len(places[type(effect)]) if likely else 0
         says = frozenset(key_of(effect, kind) for kind in (None, *effect.contains))
         needs = tuple(frozenset((e.name, effect.where) for e in bases) for bases in effect.refines)
         what = name, effect.where, effect, columns
         is_least = _first_shape(effect) == smallest[type(effect), effect.where]
         terms += [
-            Term(*what, *prior, *prices, least, says, needs, is_own, is_least) for prior in priors
+            Term(*what, *prior, *prices, peers, least, says, needs, is_own, is_least)
+            for prior in priors
         ]
     return (*terms, *_wrong_bodies(model, dataset, beliefs))
 
@@ -249,11 +262,7 @@ def _prices(effect: Effect, odds: float, beliefs: Beliefs, *, body: bool) -> tup
     shape = beliefs.order if effect.proposer in _IN_MANY else beliefs.shape
     price = 2.0 * np.log(shape) * effect.free_shapes + _ODD_SHAPE * odd
     first = price + 2.0 * (np.log(odds) + effect.complexity * np.log(beliefs.rarer))
-    # What motors and gears do at one joint is likely at others; a spring, or an effect at a pair or
-    # a body, says little about others.
-    likely = effect.places == "joint" and not body and not _is_spring(effect)
-    again = min(first, price + 2.0 * np.log(beliefs.again)) if likely else first
-    return float(first), float(again)
+    return float(first), float(price)
 
 
 def _is_spring(effect: Effect) -> bool:
@@ -276,7 +285,7 @@ def _wrong_bodies(model: RobotModel, dataset: Dataset, beliefs: Beliefs) -> list
             says, own = frozenset({(kind.name, (body,))}), metric[np.ix_(at, at)]
             # A last body is rarely wrong by itself: it holds something.
             price = odds + (2.0 * np.log(beliefs.inner) if body in model.load_bodies else 0.0)
-            terms.append(Term(kind.name, (body,), None, at, zero, own, price, price, none, says))
+            terms.append(Term(kind.name, (body,), None, at, zero, own, price, price, 0, none, says))
     return terms
 
 
@@ -384,9 +393,14 @@ def _is_met(ways: Ways, present: int) -> bool:
 
 
 def odds_against(terms: Iterable[Term]) -> float:
-    """Twice the logarithm of the prior odds against terms: kinds that are elsewhere cost less."""
-    total, seen = 0.0, set[Any]()
+    """Twice the logarithm of the prior odds against terms.
+
+    Of a kind that says something of other joints, any number of these is as likely as any other:
+    where few have it, another one is less likely to, and where most have it, more.
+    """
+    total, seen = 0.0, dict[str, int]()
     for term in sorted(terms, key=lambda each: -each.first):
-        total += term.again if term.name in seen else term.first
-        seen.add(term.name)
+        count = seen.get(term.name, 0)
+        total += term.price(count)
+        seen[term.name] = count + 1
     return total

@@ -1,6 +1,7 @@
 """What the evidence of an explanation is: axioms, and dense computations of the same numbers."""
 
 from dataclasses import replace
+from math import comb
 
 import numpy as np
 import pytest
@@ -381,6 +382,14 @@ def test_springs_are_not_everywhere(problem):
         next(t for t in problem[0].terms if t.effect == effect) for effect in COMPENSATORS
     )
     assert odds_against((first, second)) == pytest.approx(2.0 * odds_against((first,)))
+
+
+def test_any_number_of_joints_with_a_kind_is_as_likely_as_another(problem):
+    """Of n joints, so that what most have is more likely than not at those that are left."""
+    term, n = next(t for t in problem[0].terms if t.name == "coulomb_friction"), 7
+    joints = tuple(replace(term, where=(f"joint {k}",), peers=n) for k in range(n))
+    sets = [comb(n, k) * np.exp(-0.5 * odds_against(joints[:k])) for k in range(1, n + 1)]
+    np.testing.assert_allclose(sets, sets[0])
 
 
 def test_gains_of_efforts_that_are_wrong_make_no_sample_dependent():
