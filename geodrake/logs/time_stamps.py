@@ -31,6 +31,9 @@ _SHORT, _BURSTS = 0.25, 0.05  # of the mean step, and the share of steps that ar
 _GAP_STEPS, _GAP_SECONDS = 5.0, 0.02  # a longer step is a gap, a shorter one is jitter
 _BURSTS_TOGETHER = 10.0  # longest usual steps of what is averaged
 _INSTANT = 1e-9  # s
+_WRAPS = [2.0**bits * unit for bits in (16, 24, 32) for unit in (1.0, 1e-3, 1e-6, 1e-9)]
+"""Times at which a counter in some unit begins anew, s."""
+
 _GAP = 1.0  # s that are taken to lie between rows before and after a clock was set back
 
 
@@ -64,6 +67,31 @@ def time_unit(name: str, time: Array) -> tuple[float, str] | None:
     (unit,) = likely
     words = f"time is in {unit}, judging by {rates[unit]:.4g} Hz: converted"
     return _UNITS[unit], f"{words} (--units time=s if it is not)"
+
+
+def unwrapped(time: Array) -> tuple[Array, tuple[str, ...]]:
+    """Return time stamps (N,) of a counter that begins anew as if it went on, and a note.
+
+    It ends at a power of two of its units, between one row and the next.
+    """
+    rows = np.flatnonzero(np.isfinite(time))
+    steps = np.diff(time[rows])
+    back = np.flatnonzero(steps < 0.0)
+    if not 0 < len(back) <= _EVEN * len(rows):
+        return time, ()
+    most = _GAP_STEPS * float(np.median(steps))
+    last, first = time[rows[back]], time[rows[back + 1]]
+    ends = [w for w in _WRAPS if np.all((last < w) & (w - last <= most) & (np.abs(first) <= most))]
+    if len(ends) != 1:
+        return time, ()
+    found = time.copy()
+    for row in rows[back + 1]:
+        found[row:] += ends[0]
+    again = f"{len(back)} times, first " if len(back) > 1 else ""
+    words = (
+        f"the counter of time begins anew at {ends[0]:.6g} s, {again}at row {rows[back[0] + 1] + 1}"
+    )
+    return found, (f"{words}: it goes on",)
 
 
 def with_clock_set_back(time: Array) -> tuple[Array, tuple[str, ...]]:

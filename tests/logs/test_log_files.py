@@ -97,7 +97,7 @@ def _replace(k, row):
         (ROWS[0], ROWS[1:], ["no header", "0.00,0,0,0.5"]),
         (
             HEADER.replace("time", "Instant"),
-            ROWS,
+            [f"{k}{row[4:]}" for k, row in enumerate(ROWS)],
             ["no column 'time'", "Instant", "a.position", "--rate"],
         ),
         (HEADER.replace("effort", "colour"), ROWS, ["no joint with both", "a, b", "none"]),

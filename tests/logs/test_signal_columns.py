@@ -347,6 +347,13 @@ def test_registers_that_were_read_without_their_sign(tmp_path, written, words):
     assert f"'pwm_0' is read as {words}" in said(log)
 
 
+def test_a_register_that_has_one_sign_only_is_as_those_of_other_joints(tmp_path):
+    told = np.column_stack([WHOLE[:, 0], -1.0 - np.abs(WHOLE[:, 0])])
+    written = np.where(told < 0.0, 2.0**10 - told, told)
+    path = write(tmp_path / "log.csv", frame(q_J=Q[:, :2], pwm_J=written))
+    assert np.array_equal(read_log(path, joints=JOINTS[:2]).effort, told)
+
+
 def test_whole_numbers_of_a_wide_range_are_no_registers():
     """Half of what a register could hold is never visited; positions hold no magnitudes."""
     for numbers in (np.abs(WHOLE), np.rint(65535.0 * (0.5 + Q / 2.1))):

@@ -28,6 +28,12 @@ PLAIN = pandas.DataFrame(
 MOMENTS = pandas.Timestamp("2026-05-01 12:00:00") + pandas.to_timedelta(TIME, unit="s")
 LISTS = {"time": TIME, "q": POSITION, "tau": EFFORT}
 TURNED = {"time": TIME, "q": POSITION[:, ::-1], "tau": EFFORT[:, ::-1]}
+REVERSED = [
+    (t, [*zip(JOINTS[::-1], q, tau, strict=True)])
+    for t, q, tau in zip(TIME, TURNED["q"].tolist(), TURNED["tau"].tolist(), strict=True)
+]
+"""Time -> joints from the last to the first with position and effort."""
+
 TEXTS = [str(tuple(row)).replace(",", "") for row in EFFORT.tolist()]
 IN_CELLS = pandas.DataFrame(
     {"type": "STATE", "time": TIME, "positions": POSITION.tolist(), "torques": TEXTS}
@@ -76,11 +82,13 @@ def echo_of_ros2():
     return pandas.concat([pandas.DataFrame(stamps), pandas.DataFrame(numbers)], axis=1)
 
 
-def in_hdf5(more):
+def in_hdf5(more, attributes=()):
     def write(path):
         with h5py.File(path, "w") as file:
             for name, values in more.items():
                 file[name] = values
+            for name in attributes:
+                file[name].attrs.update(attributes[name])
 
     return write
 
@@ -149,6 +157,46 @@ SHAPES = {
     "names_once.json": text(json.dumps({**listed(TURNED), "joint_names": JOINTS[::-1]})),
     "names_once.npz": lambda path: np.savez(path, joint_names=JOINTS[::-1], **TURNED),
     "names_once.h5": in_hdf5({**TURNED, "joint_names": list(JOINTS[::-1])}),
+    "named_motors.jsonl": text("\n".join(json.dumps({"time": t, "joints": [
+        {"name": n, "position": p, "torque": e} for n, p, e in each]}) for t, each in REVERSED)),
+    "message.json": text(json.dumps([{"topic": "/states", "timestamp": t, "message": {
+        "name": JOINTS[::-1], "position": [p for _, p, _ in each],
+        "effort": [e for _, _, e in each]}} for t, each in REVERSED])),
+    "names_beside.json": text(json.dumps({"info": {"joint_names": JOINTS[::-1]}, "data": [
+        {"time": t, "q": [p for _, p, _ in each], "tau": [e for _, _, e in each]}
+        for t, each in REVERSED]})),
+    "names_in_attributes.h5": in_hdf5({f"arm/{name}": x for name, x in TURNED.items()},
+        {"arm/q": {"joint_names": JOINTS[::-1]}}),
+    "names_of_a_group.h5": in_hdf5({f"arm/{name}": x for name, x in TURNED.items()},
+        {"arm": {"names": JOINTS[::-1]}}),
+    "isaac.npz": lambda path: np.savez(path, dof_pos=TURNED["q"], dof_torque=TURNED["tau"],
+        dof_names=JOINTS[::-1], step_dt=0.01),
+    "one_robot_of_many.npz": lambda path: np.savez(path, joint_pos=POSITION[:, None],
+        applied_torque=EFFORT[:, None], time=TIME),
+    "records.h5": in_hdf5({"log": PLAIN.to_records(index=False)}),
+    "gazebo.txt": text("".join(f"header {{\n stamp {{\n  sec: 17\n  nsec: {1e9 * t:.0f}\n }}\n}}\n"
+        + "".join(f'joint {{\n name: "{n}"\n axis1 {{\n position: {p}\n force: {e}\n }}\n}}\n'
+            for n, p, e in each) for t, each in REVERSED)),
+    "simulink.mat": lambda path: savemat(path, {n: {"time": TIME[:, None], "signals": {"values": x,
+        "label": label}} for n, x, label in (("q", POSITION, ""), ("tau", EFFORT, "tau"))}),
+    "titles.xlsx": lambda path: pandas.DataFrame([["Test 12", "Robot A", *[None] * 3], [None] * 5,
+        ["Time", *(f"J{k} {q}" for q in ("Pos", "Trq") for k in (1, 2))], ["ms", *["°"] * 2,
+        *["Nm"] * 2], *np.column_stack([1e3 * TIME, np.rad2deg(POSITION), EFFORT]).tolist()])
+        .to_excel(path, header=False, index=False),
+    "units_of_levels.csv": text("Time,Joint 1,,Joint 2,\nms,Position,Torque,Position,Torque\n"
+        + pandas.DataFrame(np.column_stack([1e3 * TIME, POSITION, EFFORT])[:, [0, 1, 3, 2, 4]])
+        .to_csv(index=False, header=False)),
+    "first_column.csv": table(PLAIN.rename(columns={"time": "pc_ts"})),
+    "duration.csv": table(PLAIN.rename(columns={"time": "duration"})
+        .assign(duration=10 * np.arange(ROWS))),
+    "console.log": text("\n".join(f"[INFO] [{1.7e9 + t:.9f}] [arm]: q: {a!r} {b!r} | tau: {c!r} "
+        f"{d!r}"
+        for t, (a, b), (c, d) in zip(TIME, POSITION.tolist(), EFFORT.tolist(), strict=True))),
+    "pounds.csv": table(pandas.DataFrame({"t": TIME, **{f"J{k + 1} Position (deg)":
+        np.rad2deg(POSITION[:, k]) for k in (0, 1)}, **{f"J{k + 1} Torque (lb-in)":
+        EFFORT[:, k] / 0.1129848290276167 for k in (0, 1)}})),
+    "small_units.csv": table(PLAIN.set_axis(["t", "j1_q_rad", "j2_q_rad", "j1_tau_nm", "j2_tau_nm"],
+        axis=1)),
     "clock.csv": times("%H:%M:%S.%f"),
     "noon.csv": times("%d/%m/%Y %I:%M:%S.%f %p"),
     "half_day.csv": times("%I:%M:%S.%f %p"),
@@ -370,6 +418,15 @@ def test_a_clock_that_was_set_back_leaves_a_gap(tmp_path):
     assert steps[29] == pytest.approx(1.0)
     np.testing.assert_allclose(np.delete(steps, 29), 0.01, atol=1e-9)
     assert any("set back by 0.15 s at row 31" in note for note in log.notes)
+
+
+@pytest.mark.parametrize(("bits", "unit", "times"), [(16, "ms", 1), (32, "us", 1), (16, "us", 9)])
+def test_a_counter_of_time_that_begins_anew_goes_on(tmp_path, bits, unit, times):
+    end, time = 2.0**bits, np.arange(1000 * times) * 1e-3 * (0.59 if times > 1 else 10.0)
+    stamps = np.mod(end - 5000 + np.rint(time / {"ms": 1e-3, "us": 1e-6}[unit]), end)
+    log = read_log(csv_at(tmp_path, stamps, np.sin(time), np.cos(time), f"t_{unit}"))
+    np.testing.assert_allclose(log.time - log.time[0], time, atol=1e-6)
+    assert any("the counter of time begins anew at" in note for note in log.notes)
 
 
 def log_at(folder, stamps, time):

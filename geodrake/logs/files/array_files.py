@@ -29,16 +29,17 @@ from geodrake.logs.files.grouped_arrays import (
     fields_of,
     is_of_episode,
     records_table,
+    tells_of_columns,
 )
-from geodrake.logs.files.name_rules import is_time, numbers_joints
+from geodrake.logs.files.name_rules import OF_JOINTS, is_time, meaning_of, numbers_joints
 from geodrake.logs.files.packed_files import open_log, unpacked
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import (
     LogTable,
     check_room,
+    number_in,
     numbered,
     numeric_table,
-    rate_in,
     readable,
     rows_of,
 )
@@ -72,6 +73,36 @@ def read_echo(path: Path, reading: Reading) -> LogTable:
         whole = text.rpartition(b"\n---")[0] or text  # the last may be cut off
         documents = list(yaml.load_all(whole, yaml.CSafeLoader))
     return records_table(path, [each for each in documents if isinstance(each, Mapping)])
+
+
+_OF_MESSAGE = re.compile(r'(\w+)\s*(?::\s*("(?:[^"\\]|\\.)*"|[^\s{}"]+)|:?\s*\{)|\}')
+
+
+def read_gazebo(path: Path, reading: Reading) -> LogTable:
+    """Return the columns of Gazebo's `gz topic --echo`: messages in protobuf's format of text.
+
+    Each begins with the field that the first begins with. Numbers that are zero are not written.
+    """
+    messages, inside = list[dict[str, Any]](), list[dict[str, Any]]()
+    for found in _OF_MESSAGE.finditer(_whole(path, "text").decode()):
+        name, value = found.groups()
+        if name is None:
+            inside = inside[:-1]
+            continue
+        if not messages or (not inside and name == next(iter(messages[0]))):
+            messages.append({})
+        field: Any = {} if value is None else value.strip('"')
+        (inside[-1] if inside else messages[-1]).setdefault(name, []).append(field)
+        inside += [field] if value is None else []
+    records = [dict(fields_of(_unlisted(each), lists=True)) for each in messages]
+    zeros = {n: 0.0 for each in records for n, x in each.items() if number_in(x) is not None}
+    return records_table(path, [zeros | each for each in records])
+
+
+def _unlisted(fields: Mapping[str, list[Any]]) -> dict[str, Any]:
+    """Return the fields of a message, without lists of those that come once."""
+    each = {n: [_unlisted(x) if isinstance(x, dict) else x for x in f] for n, f in fields.items()}
+    return {name: found[0] if len(found) == 1 else found for name, found in each.items()}
 
 
 def read_rsi(path: Path, reading: Reading) -> LogTable:
@@ -168,26 +199,42 @@ def _of_hdf5(path: Path, reading: Reading, *, matlab: bool = True) -> dict[str, 
         datasets = {n: v for n, v in found.items() if isinstance(v, h5py.Dataset)}
         told += _attributes(file)
         told += [(n, np.ravel(v[()])[0]) for n, v in datasets.items() if v.size == 1]
-        arrays = {n: v for n, v in datasets.items() if v.shape and (matlab or len(v.shape) <= 2)}
+        arrays = {n: v for n, v in datasets.items() if v.shape and (matlab or _width(v.shape) <= 2)}
         is_large = len(arrays) > MOST_COLUMNS
         wanted = {n: v for n, v in arrays.items() if not is_large or _is_wanted(n, reading)}
         size = sum(value.size for value in wanted.values())
         check_room(path, size, f"{size} numbers")
         groups = {n for n in found if not is_of_episode(n.split("/"), reading)} - datasets.keys()
         for name in [n for n in found if n in arrays or n in groups]:
-            *structs, last = name.split("/")
-            inside = variables
-            for struct in structs:
-                inside = inside.setdefault(struct, {})
             array = _array(wanted[name], matlab=matlab) if name in wanted else None
-            inside[last] = {} if name in groups else array
-    return variables | {name: float(x) for name, x in told if rate_in(name, x) is not None}
+            _put(variables, name, {} if name in groups else array)
+    for name, value in told:
+        if tells_of_columns(name, value):
+            _put(variables, name, value)
+    return variables
+
+
+def _put(variables: dict[str, Any], name: str, value: Any) -> None:
+    """Put a value where its path leads in nested tables; what is of an array is beside it."""
+    *structs, last = name.split("/")
+    for k, struct in enumerate(structs):
+        inside = variables.setdefault(struct, {})
+        if not isinstance(inside, dict):
+            last = "_".join([*structs[k:], last])
+            break
+        variables = inside
+    variables[last] = value
 
 
 def _array(dataset: Any, *, matlab: bool) -> Any:
-    """Return the numbers of a dataset, columns first if MATLAB wrote it; None for its texts."""
+    """Return the numbers of a dataset, columns first if MATLAB wrote it; None for its texts.
+
+    Those of records are in a table of their fields.
+    """
     if dataset.attrs.get("MATLAB_class", b"double") in (b"char", b"cell"):
         return None
+    if names := dataset.dtype.names:
+        return {name: dataset[name] for name in names}
     return np.asarray(dataset).T if matlab else np.asarray(dataset)
 
 
@@ -283,8 +330,16 @@ def arrow_numbers(column: Any) -> Any:
 
 def read_npy(path: Path, reading: Reading) -> LogTable:
     """Return the columns of an NPY file: fields of records, or those of a matrix."""
-    with readable(path, "NPY file", "Write it with numpy.save: records, or a row for each sample."):
-        array = npy.open_memmap(regular_file(path, "log", LogError), mode="r")
+    advice = "Write it with numpy.save: records, or a row for each sample."
+    with readable(path, "NPY file", advice):
+        try:
+            array = npy.open_memmap(regular_file(path, "log", LogError), mode="r")
+        except ValueError as error:
+            if "Python objects" not in str(error):
+                raise
+            what = "holds Python objects, such as a dict, which may run any program when read"
+            save = "Save its arrays by name: numpy.savez(file, time=time, q=q, tau=tau)."
+            raise LogError(f"Log {str(path)!r} {what}.", advice=save) from error
     check_room(path, array.size, f"{array.size} numbers")
     if array.dtype.names:
         return numeric_table(path, {n: array[n] for n in array.dtype.names}, len(array))
@@ -304,7 +359,7 @@ _NPZ_ADVICE = "Store one 1-D array for each column, all of the same length."
 
 def read_npz(path: Path, reading: Reading) -> LogTable:
     """Return the columns of an NPZ file."""
-    arrays, objects = dict[str, Any](), list[str]()
+    arrays, objects, wide = dict[str, Any](), list[str](), dict[str, str]()
     with (
         readable(path, "NPZ archive", f"Write it with numpy.savez. {_NPZ_ADVICE}"),
         open_regular(path, "log", LogError) as file,
@@ -313,7 +368,7 @@ def read_npz(path: Path, reading: Reading) -> LogTable:
         entries = {e: e.filename.removesuffix(".npy").strip() for e in archive.infolist()}
         check_once(path, [*entries.values()])
         declared = {entry: _declared(archive, entry) for entry in entries}
-        wanted = {e: said for e, said in declared.items() if len(said[0]) <= 2}
+        wanted = {e: said for e, said in declared.items() if _width(said[0]) <= 2}
         size = sum(math.prod(shape) for shape, _ in wanted.values())
         check_room(path, size, f"{size} numbers")
         for entry, name in entries.items():
@@ -330,9 +385,18 @@ def read_npz(path: Path, reading: Reading) -> LogTable:
                     array = npy.read_array(member, allow_pickle=False)
                     if member.read(1):
                         raise ValueError(f"array {name!r} is longer than its header says")
+                    array = np.squeeze(array) if array.ndim > 2 else array
                     arrays[name] = np.asarray(array, float) if array.dtype.kind in "fiu" else array
+            elif (meaning := meaning_of(name)) is not None and meaning.quantity in OF_JOINTS:
+                wide[name] = f"has the shape {shape} instead of a row for each sample"
     table = numeric_table(path, arrays, rows_of(arrays))
-    return replace(table, silent={**table.silent, **dict.fromkeys(objects, "holds objects")})
+    silent = {**table.silent, **dict.fromkeys(objects, "holds objects"), **wide}
+    return replace(table, silent=silent)
+
+
+def _width(shape: Sequence[int]) -> int:
+    """Return how many dimensions an array has, but for those of length 1 beyond two."""
+    return len(shape) if len(shape) <= 2 else sum(count != 1 for count in shape)
 
 
 def _declared(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> tuple[tuple[int, ...], Any]:

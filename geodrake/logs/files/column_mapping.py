@@ -26,6 +26,7 @@ from geodrake.logs.files.name_rules import (
     matched,
     meaning_of,
     meanings_of,
+    plain_words,
     words_of,
 )
 from geodrake.logs.files.packed_files import log_name
@@ -122,6 +123,7 @@ def listed(names: Sequence[str]) -> str:
 Best = dict[tuple[str, str], list[Meaning]]
 
 _MOST_CLOCKS, _EVEN = 50, 0.9  # columns that are looked at, and share of steps that are even
+_CLOCKS = frozenset(("time", "timestamp", "stamp", "ts", "clock", "duration", "uptime", "elapsed"))
 _STEADY = 0.2  # of its mean, by which the voltage of a supply may vary
 
 
@@ -342,13 +344,19 @@ def columns_of(
     places = columns.places
     try:
         if columns.rate is None and ("", "time") not in places:
-            clock, words = likely_clock(table)
+            clock, words, is_sure = likely_clock(table)
             places = {("", "time"): Meaning(clock, "time"), **places} if clock else places
+            if is_sure:
+                columns.places = places
+                columns.notes.append(f"{words}, so it is taken as time")
+        if columns.rate is None and ("", "time") not in columns.places:
+            asked = ": is it time? In which unit, a mapping can say. "
             told = [] if names else [f"; {n!r} {why}" for n, why in table.silent.items()]
             silent = "".join(told[:_FEW_WORDS])
             raise LogError(
                 f"Log {str(path)!r} has no column 'time'; it has {listed(names)}{silent}.",
-                advice=f"{words}{HEADER_ADVICE} Without time, give the sampling rate with --rate.",
+                advice=f"{words}{asked if clock else ''}{HEADER_ADVICE} "
+                "Without time, give the sampling rate with --rate.",
             )
         columns.date(table)
         columns.choose(table, joints, partial=partial)
@@ -363,21 +371,24 @@ def columns_of(
     return columns
 
 
-def likely_clock(table: LogTable) -> tuple[str, str]:
-    """Return the column that may be time by its values or its name, with a question."""
+def likely_clock(table: LogTable) -> tuple[str, str, bool]:
+    """Return the column that may be time by its values or its name, in words, and if it must be.
+
+    It is if it increases evenly and its name says so, or if it is the first and not of whole steps.
+    """
     others = [name for name in table.names[:_MOST_CLOCKS] if meaning_of(name) is None]
     with suppress(LogError):  # of cells that are no numbers
         for name, values in table.read(others, skip=True)[0].items():
             steps = np.diff(values)
             step = float(np.median(steps)) if len(steps) else 0.0
             even = np.abs(steps - step) <= 0.5 * step
-            if step > 0.0 and step != 1.0 and even.mean() > _EVEN:  # by 1, it counts rows
-                words = (
-                    f"{name!r} increases by {step:.4g} from row to row: is it time? In which unit"
-                )
-                return name, f"{words}, a mapping can say. "
+            is_called = bool(_CLOCKS & plain_words(name))
+            counts = step == 1.0 and not is_called  # rows
+            if step > 0.0 and not counts and even.mean() > _EVEN:
+                words = f"{name!r} increases by {step:.4g} from row to row"
+                return name, words, is_called or (name == table.names[0] and step % 1.0 != 0.0)
     close = difflib.get_close_matches("time", [name.lower() for name in table.names[:100]], 1)
-    return "", f"Is it {close[0]!r}? " if close else ""
+    return "", f"Is it {close[0]!r}? " if close else "", False
 
 
 def _by_names(table: LogTable, joints: Sequence[str] | None, reading: Reading) -> Columns:

@@ -14,6 +14,7 @@ from geodrake.errors import LogError
 from geodrake.logs.files.array_files import (
     read_echo,
     read_feather,
+    read_gazebo,
     read_hdf5,
     read_json,
     read_mat,
@@ -66,6 +67,7 @@ BEGINNINGS: Mapping[bytes, Reader] = {
     MAGIC: read_lcm,
     b"header:": read_echo,
     b"---\nheader:": read_echo,
+    b"header {": read_gazebo,
     b"<Rob ": read_rsi,
 }
 """Reader of files by their first bytes: lcm-logger's names end in a date."""

@@ -17,7 +17,7 @@ from geodrake.logs.files.column_mapping import listed
 from geodrake.logs.files.joined_tables import joined_tables
 from geodrake.logs.files.name_rules import OF_JOINTS, is_time, meanings_of, names_joints
 from geodrake.logs.files.reading import Reading
-from geodrake.logs.files.table import LogTable, check_room, numeric_table, rows_of
+from geodrake.logs.files.table import LogTable, check_room, numeric_table, rate_in, rows_of
 from geodrake.logs.time_stamps import longest_step
 
 Array = NDArray[np.float64]
@@ -50,7 +50,10 @@ def content_table(
     if (grouped := grouped_table(path, content, reading)) is not None:
         return grouped
     if isinstance(content, Mapping):
-        content = next((x for x in content.values() if are_records(x)), content)
+        records = next((x for x in content.values() if are_records(x)), None)
+        if records is not None:
+            said = {name: x for name, x in fields_of(content) if tells_of_columns(name, x)}
+            return records_table(path, records, said)
     if are_records(content):
         return records_table(path, content)
     if not isinstance(content, Mapping):
@@ -69,11 +72,7 @@ def arrays_of(variables: Mapping[str, Any]) -> dict[str, Any]:
     """
     while len(variables) == 1 and isinstance(inner := next(iter(variables.values())), Mapping):
         variables = inner
-    signals = np.atleast_1d(variables.get("signals", []))
-    if all(isinstance(each, Mapping) and {"label", "values"} <= each.keys() for each in signals):
-        named = {str(x["label"] or f"signal{k}"): x["values"] for k, x in enumerate(signals)}
-        variables = {**variables, **named}
-    found = {}
+    variables, found = _with_signals(variables), {}
     for name, value in fields_of(variables):
         size = value.size if isinstance(value, np.ndarray) else 2
         size = len(value) if isinstance(value, list) else size
@@ -87,8 +86,36 @@ def are_records(content: Any) -> bool:
     return isinstance(content, list) and {isinstance(row, Mapping) for row in content} == {True}
 
 
-def records_table(path: Path, content: Sequence[Mapping[str, Any]]) -> LogTable:
-    """Return the columns of records, which need not have the same fields."""
+def _with_signals(variables: Mapping[str, Any], called: str = "signal{}") -> Mapping[str, Any]:
+    """Return variables with those of Simulink, by their labels or what signals without are called.
+
+    Signals are structs of values, with a label each.
+    """
+    signals = [*np.atleast_1d(variables.get("signals", []))]
+    if not all(isinstance(each, Mapping) and "values" in each for each in signals):
+        return variables
+    named = dict[str, Any]()
+    for k, each in enumerate(signals):
+        label = np.asarray(each.get("label", ""))
+        named[str(label) if label.size == 1 and str(label) else called.format(k)] = each["values"]
+    return {**variables, **named}
+
+
+def tells_of_columns(name: str, value: Any) -> bool:
+    """Return whether a value beside arrays is their sampling rate, or names their joints."""
+    is_list = isinstance(value, list | np.ndarray) and len(np.atleast_1d(value)) > 0
+    named = is_list and names_joints(name) and all(isinstance(x, str) for x in value)
+    return named or (np.isscalar(value) and rate_in(name, value) is not None)
+
+
+def records_table(
+    path: Path, content: Sequence[Mapping[str, Any]], said: Mapping[str, Any] | None = None
+) -> LogTable:
+    """Return the columns of records, which need not have the same fields.
+
+    Args:
+        said: What is beside the records: names of joints, a sampling rate.
+    """
     columns = dict[str, list[Any]]()
     for k, record in enumerate(content):
         for name, value in fields_of(record, lists=True):
@@ -97,7 +124,7 @@ def records_table(path: Path, content: Sequence[Mapping[str, Any]]) -> LogTable:
         for values in columns.values():
             values.extend([None] * (k + 1 - len(values)))
     arrays = {name: np.array(values, object) for name, values in columns.items()}
-    return numeric_table(path, arrays, len(content))
+    return numeric_table(path, {**(said or {}), **arrays}, len(content))
 
 
 def grouped_table(path: Path, content: Any, reading: Reading) -> LogTable | None:
@@ -154,7 +181,7 @@ def _in_turn(
             advice="Choose one of these, or omit --episode to read all.",
         )
     chosen = [reading.episode] if reading.episode is not None else [*episodes]
-    said = {name: x for name, x in content.items() if np.isscalar(x)}
+    said = {name: x for name, x in fields_of(content) if tells_of_columns(name, x)}
     tables = []
     for number in chosen:
         arrays = arrays_of(episodes[number])
@@ -206,6 +233,7 @@ def _parts_in(content: Any, name: tuple[str, ...] = ()) -> Iterator[tuple[tuple[
             called = next((str(x) for n, x in record.items() if names_joints(n)), str(k))
             yield from _parts_in(record, (*name, called))
     elif isinstance(content, Mapping):
+        content = _with_signals(content, "value")
         for own, each in content.items():
             if isinstance(each, Mapping) or are_records(each):
                 yield from _parts_in(each, (*name, own))

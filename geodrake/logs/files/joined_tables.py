@@ -315,9 +315,10 @@ def reshaped(table: LogTable, reading: Reading) -> LogTable:
     if spread is not None or reading.mapping is not None:
         return table if spread is None else spread
     naming = {n: w for n, w in words.items() if names_joints(n) and len({*w}) <= _MOST_JOINTS}
-    numbered = {n: w for n, w in naming.items() if number_of(n) is not None}
-    if numbered and all(_NAMES & plain_words(name) or name.endswith("]") for name in numbered):
-        return _named(table, numbered)
+    numbered = {n: w for n, w in naming.items() if re.search(r"\d", n)}
+    named = {n: w for n, w in numbered.items() if _NAMES & plain_words(n) or n.endswith("]")}
+    if named:
+        return _named(table, named)
     return _pivoted(table, *next(iter(naming.items())), reading) if naming else table
 
 
@@ -368,13 +369,14 @@ def _check_names(table: LogTable, column: str, words: Texts) -> None:
 
 
 def _named(table: LogTable, naming: Mapping[str, Texts]) -> LogTable:
-    """Return the table with numbered columns renamed by the names in each row."""
+    """Return the table with the columns of joints renamed by the names in each row."""
     in_lists = all(name.endswith("]") for name in naming)
-    joints = {number_of(name): words for name, words in naming.items()}
-    measured = (m for m in meanings_of(table.columns) if m.quantity in OF_JOINTS)
-    found = {m.column: m for m in measured if m.role <= PLAIN and m.number in joints}
-    found = {n: m for n, m in found.items() if n.endswith("]") or not in_lists}
-    used = _likeliest(found, lambda m: (m.quantity, m.number))
+    measured = [m for m in meanings_of(table.columns) if m.quantity in OF_JOINTS]
+    measured = [m for m in measured if m.role <= PLAIN and (m.column.endswith("]") or not in_lists)]
+    owner = {name: _named_by(name, naming) for name in naming}
+    found = {m.column: (m, n) for n, is_of in owner.items() for m in measured if is_of(m)}
+    meanings = {column: m for column, (m, _) in found.items()}
+    used = _likeliest(meanings, lambda m: (m.quantity, found[m.column][1]))
     if not used:
         return table
     for name, words in naming.items():
@@ -382,15 +384,37 @@ def _named(table: LogTable, naming: Mapping[str, Texts]) -> LogTable:
     columns = {n: values for n, values in table.columns.items() if n not in found}
     units = {n: unit for n, unit in table.units.items() if n not in found}
     for column, meaning in used.items():
-        words, unit = joints[meaning.number], _unit_of(table, meaning)
+        words, unit = naming[found[column][1]], _unit_of(table, meaning)
         for joint in dict.fromkeys(words.tolist()):
             name, here = f"{joint}.{meaning.quantity}", words == joint
             before = columns.get(name, np.full(len(table), np.nan))
             columns[name] = np.where(here, table.columns[column], before)
             units |= {name: unit} if unit else {}
-    names = list(dict.fromkeys(joint for words in joints.values() for joint in words.tolist()))
+    names = list(dict.fromkeys(joint for words in naming.values() for joint in words.tolist()))
     note = f"joints are named by cells of the log: {listed(names)}"
     return replace(table, columns=columns, units=units, notes=(*table.notes, note))
+
+
+def _named_by(name: str, naming: Mapping[str, Texts]) -> Callable[[Meaning], bool]:
+    """Return what tells whether a column is of the joint that the cells of another one name.
+
+    It is beside that one, as `joints[2].angle` is beside `joints[2].name`; or has the number that
+    the other ends in, and is in the same group if several groups name their joints otherwise.
+    """
+    head, number = _head(name), number_of(name)
+    if number is None:
+        return lambda m: f"{_head(m.column)}.".startswith(f"{head}.")
+    alike = (n for n in naming if number_of(n) == number)
+    is_alone = len({tuple(dict.fromkeys(naming[n].tolist())) for n in alike}) == 1
+    return lambda m: (
+        m.words[-1:] == (number,)
+        and (is_alone or f"{m.column.replace('/', '.')}.".startswith(f"{head}."))
+    )
+
+
+def _head(name: str) -> str:
+    """Return the group that a column is in."""
+    return name.replace("/", ".").rpartition(".")[0]
 
 
 def _likeliest(

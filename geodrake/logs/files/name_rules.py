@@ -60,6 +60,7 @@ _SECOND = re.compile(r"(?<![A-Za-z])(?:q2d|d2q|qd2(?=[\s_.(\[]+\d))(?![a-z])")  
 _TYPED = re.compile(r"(?<![A-Za-z])(?:f|lr|r|n)(?=(?:Act|Set|Actual|Target)[A-Z])")  # in a PLC
 _INCREMENTAL = ("inc", "cnt", "qc")  # a kind of encoder, where they stand in no brackets
 _OBSERVED = ("observation.state", "observation.position")  # of LeRobot
+_GROUP = re.compile(r"(?<=.)[/.](?![^(\[]*[)\]])")  # behind a name that stands in no brackets
 _BRACKETS = re.compile(r"\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]\s*$")
 _INDEX = re.compile(r"\[(\d+)\]")
 _FIRST_SENSOR = re.compile(r"(?<=\][./]temperature)\[0\]$")  # of several in the same motor
@@ -232,12 +233,11 @@ def _time(name: str) -> Meaning | None:
         suffix = unit is not None
         plain = "_".join(parts[:-1]) if suffix else plain
     words = _split(plain)
-    inside, stroke, own = name.rpartition("/")
-    if stroke and words and not (_BESIDE_TIME | ROLE_WORDS.keys()).issuperset(_split(inside)):
-        found = _time(own)  # of a group of any name
-        return None if found is None else replace(found, column=name, role=found.role + 1)
     if not words or not (_BESIDE_TIME | ROLE_WORDS.keys()).issuperset(words):
-        return None
+        group, *inside = _GROUP.split(name, maxsplit=1)  # a group of any name
+        if not inside or (found := _time(inside[0])) is None:
+            return None
+        return replace(found, column=name, role=found.role + 1, style=(group, *found.style))
     asked = DESIRED in (ROLE_WORDS.get(str(w)) for w in words)  # by a plan's clock
     context = tuple(map(str, words if suffix else words[:-1]))
     if words[-1] in _NANOSECONDS:

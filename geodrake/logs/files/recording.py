@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from geodrake.logs.files.packed_files import log_name
 from geodrake.logs.files.table import TornRows
 from geodrake.logs.files.units import Unit, unit_of
 from geodrake.logs.motion import PASSIVE, JointLog
-from geodrake.logs.time_stamps import evened, order_of_time, repeats, with_clock_set_back
+from geodrake.logs.time_stamps import evened, order_of_time, repeats, unwrapped, with_clock_set_back
 
 Array = NDArray[np.float64]
 
@@ -49,17 +49,11 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
             advice="Record several seconds of motion.",
         )
 
-    signed = list[str]()
+    signed = list(_take_signs(columns, numbers))
 
     def column(joint: str, quantity: str) -> Array:
         source = columns.places.get((joint, quantity))
-        if source is None:
-            return np.full(rows, np.nan)
-        found = _signed_register(numbers[source.column], magnitudes=quantity != "position")
-        if found is not None:
-            numbers[source.column], words = found
-            signed.append(f"{source.column!r} is read as {words}")
-        return read_column(source, numbers)
+        return np.full(rows, np.nan) if source is None else read_column(source, numbers)
 
     joints, notes = columns.joints, tuple[str, ...]()
     if columns.rate is not None:
@@ -75,6 +69,7 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
         for place, joint in enumerate(joints):
             data[quantity][:, place] = column(joint, quantity)
 
+    time, wrapped = unwrapped(time)
     time, more = with_clock_set_back(time)
     order = None if torn.rows else order_of_time(time, data["position"])
     if order is not None:  # rows that are torn are known by their place in the file
@@ -110,7 +105,7 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
         data["effort"],
         data.get("velocity"),
         data.get("acceleration"),
-        (*columns.notes, *notes, *more, *even, *signed, *motors, *left_out),
+        (*columns.notes, *notes, *wrapped, *more, *even, *signed, *motors, *left_out),
         effort_uncertainty=np.where(passive, 0.0, uncertainty) if passive.any() else uncertainty,
         standing={joint: _place(data[f"{joint}.position"]) for joint in alone},
         alone={joint: data[f"{joint}.position"] for joint in alone},
@@ -123,8 +118,32 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
     )
 
 
-def _signed_register(numbers: Array, *, magnitudes: bool) -> tuple[Array, str] | None:
-    """Return numbers (N,) with their signs, and their encoding; None if they have signs.
+def _take_signs(columns: Columns, numbers: dict[str, Array]) -> Iterator[str]:
+    """Give numbers of registers that were read without their sign that sign; yield notes.
+
+    Columns of one quantity are of registers of one kind: that of a joint that always pushes one way
+    is known by those of others.
+    """
+    for quantity in {what: None for _, what in columns.places}:
+        own = [source.column for (_, what), source in columns.places.items() if what == quantity]
+        found = {c: _register(numbers[c], magnitudes=quantity != "position") for c in own}
+        known = next(filter(None, found.values()), None)
+        for column in own:
+            kind, values = found[column] or known, numbers[column]
+            half, is_complement = kind or (np.inf, False)
+            largest = np.fmax.reduce(values, initial=0.0)
+            if not half <= largest < 2.0 * half or np.fmin.reduce(values) < 0.0:
+                continue
+            turned = values - 2.0 * half if is_complement else half - values
+            numbers[column] = np.where(values >= half, turned, values)
+            bits, end = round(np.log2(half)), turned[np.nanargmax(values)]
+            how = f"sign and magnitude with the sign in bit {bits}"
+            how = f"two's complement of {bits + 1} bits" if is_complement else how
+            yield f"{column!r} is read as {how}: {largest:.0f} is {end:.0f}"
+
+
+def _register(numbers: Array, *, magnitudes: bool) -> tuple[float, bool] | None:
+    """Return half of the range of a register, and if it is in two's complement; None otherwise.
 
     A register of k bits that is read without its sign shows small numbers, numbers next to 2ᵏ, and
     none in between: at least half of the range is never visited. With a bit for the sign the
@@ -140,16 +159,11 @@ def _signed_register(numbers: Array, *, magnitudes: bool) -> tuple[Array, str] |
         half = 2.0 ** (bits - 1)
         least = known.min(initial=np.inf, where=known >= half)
         if largest < 2.0 * half - 0.5 and _are_apart(known, half, least):
-            words = f"two's complement of {bits} bits: {largest:.0f} is {largest - 2 * half:.0f}"
-            return np.where(numbers >= half, numbers - 2.0 * half, numbers), words
+            return half, True
     for bit in _SIGN_BITS if magnitudes else ():
         half = 2.0**bit
         if largest < 1.5 * half and _are_apart(known, half, 1.5 * half):
-            words = (
-                f"sign and magnitude with the sign in bit {bit}: {largest:.0f} is "
-                f"{half - largest:.0f}"
-            )
-            return np.where(numbers >= half, half - numbers, numbers), words
+            return half, False
     return None
 
 

@@ -59,8 +59,10 @@ _KEYED_ROWS = 4  # rows above numbers that begin with what they say, at least
 _LINES_AHEAD = 1000  # in which dates, lists and words are looked for
 _WHITESPACE = None
 _KEYED = re.compile(  # a name and its number, or a list of numbers
-    r"(?<![\w.\])])([A-Za-z_][^:=\s,;]*)\s*[:=]\s*(\[[^\]]*\]|\([^)]*\)|[+-]?(?:\.?\d|nan|inf)[^\s,;]*)"
+    r"(?<![\w.\])])([A-Za-z_][^:=\s,;]*)\s*[:=]\s*"
+    r"(\[[^\]]*\]|\([^)]*\)|[+-]?(?:\.?\d|nan|inf)[^\s,;]*(?:\s+[+-]?\.?\d[^\s,;:=]*(?!\S))*)"
 )
+_STAMP = re.compile(r"(?:\[\w+\] *)?\[ *(\d+\.\d+) *\]")  # of a line, as ROS's console has it
 _MAY_BE_MARKED = defaultdict(
     lambda: re.compile(r"\d[,'’ \u00a0\u202f]\d|,\d|\d\.\d{3}(?!\d)"),
     {",": re.compile('"'), _WHITESPACE: re.compile("[,'’]")},
@@ -152,7 +154,7 @@ def text_layout(path: Path, file: Iterator[str], reading: Reading) -> TextLayout
     lines.append("")
     above, data, mark = _rows_above(lines, begin)
     keyed_names, units = _keyed_names(path, [cells for _, cells in above], lines[data:], mark)
-    begin = above[0][0] if above else begin
+    begin = _names_at(above) if above else begin
     separator = _separator(lines[begin])
     cells, after = _header_cells(path, lines, begin, separator)
     names: Sequence[str] = () if reading.columns else _joint_state(cells)
@@ -186,11 +188,15 @@ def text_layout(path: Path, file: Iterator[str], reading: Reading) -> TextLayout
 
 
 def _keyed(line: str) -> list[tuple[str, str]]:
-    """Return names and cells of a line that has them together, and a date at its beginning."""
-    line = line.lstrip(" [")
-    date = DATE.match(line)
-    found = _KEYED.findall(line[date.end() if date else 0 :])
-    return [("time", date.group().strip()), *found] if found and date else found
+    """Return names and cells of a line that has them together, and a time at its beginning."""
+    line = line.lstrip()
+    stamp, date = _STAMP.match(line), DATE.match(line.lstrip(" ["))
+    time = stamp[1] if stamp else date[0].strip() if date else ""
+    found = [("time", time)] if time else []
+    for name, cell in _KEYED.findall(line.partition(time)[2] if time else line):
+        is_row = " " in cell and cell[0] not in "[("  # of numbers with blanks between them
+        found.append((name, f"[{cell}]" if is_row else cell))
+    return found if len(found) > bool(time) else []
 
 
 def _first_line(lines: Sequence[str]) -> tuple[int, str]:
@@ -223,6 +229,12 @@ def _rows_above(
     wide = takewhile(lambda row: len(row[1]) - len(first) in (0, 1), reversed(rows))
     above = dropwhile(lambda row: _names_nothing(row[1]), reversed([*wide]))
     return [*above], at, separator
+
+
+def _names_at(above: Sequence[tuple[int, list[str]]]) -> int:
+    """Return the line of the first row that names each column otherwise; else the first one."""
+    whole = (k for k, cells in above if all(cells) and len({*cells}) == len(cells))
+    return next(whole, above[0][0])
 
 
 def _names_nothing(cells: Sequence[str]) -> bool:
@@ -287,7 +299,7 @@ def _whole_header(
     levels = [*zip(spread, below, strict=False)]
     is_level = len(set(spread)) < len(header) == len(below) == len(set(levels))
     if is_level and below[-1] and not any(map(is_number, below)):
-        header, after = [f"{b}.{a}".strip(".") for a, b in levels], after + 1
+        header, after = [_of_levels(*level) for level in levels], after + 1
         below = _cells_of(lines[after], separator)
         if below[:1] > [""] and not any(below[1:]):  # a name that pandas gives the index
             header, after = [below[0], *header[1:]], after + 1
@@ -295,6 +307,12 @@ def _whole_header(
     if len(below) == len(header) + 1 and all(below) and any(map(is_number, below)):
         header = ["_row", *header]  # which have numbers or names, as R and pandas write them
     return header, after
+
+
+def _of_levels(name: str, below: str) -> str:
+    """Return the name of a column in two lines; below that of time may be its unit."""
+    is_unit = is_time(name) and find_unit(below.strip("[]()"), "time") is not None
+    return f"{name} [{below.strip('[]()')}]" if is_unit else f"{below}.{name}".strip(".")
 
 
 def _joint_state(cells: Sequence[str]) -> tuple[str, ...]:
