@@ -181,7 +181,7 @@ def test_a_unit_in_brackets_says_the_quantity_in_any_language():
     names = [
         "Soll-Winkel 2 [°]",
         "Ist-Winkel 2 [°]",
-        "Vitesse coude (rad/s)",
+        "Snelheid elleboog (rad/s)",
         "Par 1 [N·m]",
         "Zeit [ms]",
     ]
@@ -189,7 +189,7 @@ def test_a_unit_in_brackets_says_the_quantity_in_any_language():
     assert [m.quantity for m in told] == ["position", "position", "velocity", "effort", "time"]
     assert [m.number for m in told[:2]] == [2, 2]
     assert told[0].role > told[1].role
-    assert (told[2].joint, told[3].number) == ("Vitesse coude", 1)
+    assert (told[2].joint, told[3].number) == ("Snelheid elleboog", 1)
     assert meaning_of("Gewicht [kg]") is None
 
 

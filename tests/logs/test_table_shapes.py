@@ -197,6 +197,20 @@ SHAPES = {
         EFFORT[:, k] / 0.1129848290276167 for k in (0, 1)}})),
     "small_units.csv": table(PLAIN.set_axis(["t", "j1_q_rad", "j2_q_rad", "j1_tau_nm", "j2_tau_nm"],
         axis=1)),
+    "lists_by_names.json": text(json.dumps({"time": TIME.tolist(), "joints": [
+        {"name": n, **listed({"position": POSITION[:, k], "effort": EFFORT[:, k]})}
+        for k, n in [*enumerate(JOINTS)][::-1]]})),
+    "names_again.csv": table(PLAIN.set_axis(["t", "pos", "pos", "torque", "torque"], axis=1)),
+    "names_of_pandas.csv": table(PLAIN.set_axis(["t", "pos", "pos.1", "trq", "trq.1"], axis=1)),
+    "chinese.csv": table(PLAIN.set_axis(["时间", *(f"关节{k}{q}" for q in ("位置", "力矩")
+        for k in (1, 2))], axis=1)),
+    "french.csv": table(PLAIN.set_axis(["temps", "position_1", "position_2", "couple_1",
+        "couple_2"], axis=1)),
+    "camels.csv": table(pandas.DataFrame({"TimeMs": 1e3 * TIME, **{f"joint{k + 1}PosDeg":
+        np.rad2deg(POSITION[:, k]) for k in (0, 1)}, **{f"joint{k + 1}TorqueNm": EFFORT[:, k]
+        for k in (0, 1)}})),
+    "raw.csv": table(pandas.DataFrame({"t": TIME, "q_raw_1": TIME, "q_raw_2": TIME}).join(
+        PLAIN.set_axis(["_", "q_filt_1", "q_filt_2", "tau_filt_1", "tau_filt_2"], axis=1))),
     "clock.csv": times("%H:%M:%S.%f"),
     "noon.csv": times("%d/%m/%Y %I:%M:%S.%f %p"),
     "half_day.csv": times("%I:%M:%S.%f %p"),
@@ -404,6 +418,16 @@ def test_joints_that_the_model_lacks_are_left_out_and_named(tmp_path):
     assert log.left_out == ("gripper",)
     with pytest.raises(LogError, match="has joint 'elbow', but"):  # misspelled, not one joint more
         read_log(path, joints=("base", "elbows", "gripper"), partial=True)
+
+
+def test_numbers_of_other_joints_than_the_model_has_are_told_and_drafted_in_order(tmp_path):
+    each = (("q", POSITION), ("tau", EFFORT))
+    own = {f"{name}{k}": x[:, k % 2] for k in range(3) for name, x in each}
+    words = "has 3 joints by numbers, but the model has 2: base, elbow"
+    with pytest.raises(LogError, match=words) as caught:
+        read_log(csv_of(tmp_path, {"time": TIME, **own}), joints=JOINTS)
+    proposal = caught.value.evidence["proposal"]
+    assert "base:\n    position: q0" in proposal and "elbow:\n    position: q1" in proposal
 
 
 def csv_at(folder, time, position=POSITION[:, 0], effort=EFFORT[:, 0], name="time"):

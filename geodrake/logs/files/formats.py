@@ -37,6 +37,7 @@ Reader = Callable[[Path, Reading], LogTable]
 
 _TEXT, _JSON = (".csv", ".txt", ".dat", ".tsv", ".log", ".lvm"), (".json", ".jsonl", ".ndjson")
 _SHEETS = (".xlsx", ".xlsm")
+_ARCHIVES = (".zip", ".tar", ".7z", ".rar", ".tgz")
 _MODELS = (".urdf", ".sdf", ".xml", ".mjcf", ".xacro", ".yaml")
 
 _READERS: Mapping[Reader, Sequence[str]] = {
@@ -87,6 +88,8 @@ def table_of(path: Path, reading: Reading) -> LogTable:
             f"Log {str(path)!r} has the unknown format {path.suffix!r}.",
             advice="Is it the model? `geodrake log` takes that with --model."
             if path.suffix.lower() in _MODELS
+            else "Unpack it first."
+            if path.suffix.lower() in _ARCHIVES
             else f"Convert it to one of {', '.join(SUFFIXES)}.",
         )
     table = reader(path, reading)

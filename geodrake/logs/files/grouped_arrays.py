@@ -50,6 +50,7 @@ def content_table(
     if (grouped := grouped_table(path, content, reading)) is not None:
         return grouped
     if isinstance(content, Mapping):
+        content = _by_names(content)
         records = next((x for x in content.values() if are_records(x)), None)
         if records is not None:
             said = {name: x for name, x in fields_of(content) if tells_of_columns(name, x)}
@@ -84,6 +85,18 @@ def arrays_of(variables: Mapping[str, Any]) -> dict[str, Any]:
 def are_records(content: Any) -> bool:
     """Return whether something is a list of tables, a record for each sample."""
     return isinstance(content, list) and {isinstance(row, Mapping) for row in content} == {True}
+
+
+def _by_names(content: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the arrays of records of joints by the joints' names."""
+    found = dict[str, Any]()
+    for key, value in content.items():
+        records = value if are_records(value) and len(value) <= _MOST_PARTS else []
+        lists = [[name for name, x in each.items() if isinstance(x, list)] for each in records]
+        called = [str(x) for each in records for n, x in each.items() if names_joints(n)]
+        is_of_joints = all(lists) and len(set(called)) == len(records) > 0
+        found |= dict(zip(called, records, strict=True)) if is_of_joints else {key: value}
+    return found
 
 
 def _with_signals(variables: Mapping[str, Any], called: str = "signal{}") -> Mapping[str, Any]:

@@ -60,6 +60,7 @@ _SECOND = re.compile(r"(?<![A-Za-z])(?:q2d|d2q|qd2(?=[\s_.(\[]+\d))(?![a-z])")  
 _TYPED = re.compile(r"(?<![A-Za-z])(?:f|lr|r|n)(?=(?:Act|Set|Actual|Target)[A-Z])")  # in a PLC
 _INCREMENTAL = ("inc", "cnt", "qc")  # a kind of encoder, where they stand in no brackets
 _OBSERVED = ("observation.state", "observation.position")  # of LeRobot
+_CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 _GROUP = re.compile(r"(?<=.)[/.](?![^(\[]*[)\]])")  # behind a name that stands in no brackets
 _BRACKETS = re.compile(r"\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]\s*$")
 _INDEX = re.compile(r"\[(\d+)\]")
@@ -138,7 +139,12 @@ def meanings_of(names: Iterable[str]) -> list[Meaning]:
 
     A letter that is a unit of what the name says, as in `cur_A`, is no joint if no other has it.
     """
+    names = list(names)
     found = [meaning for name in names if (meaning := meaning_of(name)) is not None]
+    again = {name.removesuffix(".1") for name in names if name.endswith(".1")}
+    for k, meaning in enumerate(found):
+        if meaning.column in again and meaning.is_bare:  # the first of those that pandas numbers
+            found[k] = replace(meaning, words=(0,))
     counts = Counter(meaning.words for meaning in found)
     for k, meaning in enumerate(found):
         is_letter = len(meaning.joint) == 1 and meaning.style[:1] != ("own",)
@@ -227,7 +233,7 @@ def _time(name: str) -> Meaning | None:
     """Read a name of time stamps, such as `Time (ms)`, `header.stamp.secs` or `%time`."""
     plain, unit = _without_brackets(name, "time")
     suffix = False
-    parts = [part for part in re.split(r"[_\s./]+", plain) if part]
+    parts = [part for part in re.split(r"[_\s./]+", _CAMEL.sub("_", plain)) if part]
     if unit is None and len(parts) > 1 and parts[-1].lower() not in _TIMES | _NANOSECONDS:
         unit = find_unit(parts[-1], "time")
         suffix = unit is not None
@@ -376,7 +382,8 @@ def _without_unit(name: str, quantity: str) -> tuple[str, Unit | None]:
             unit = None if text in _INCREMENTAL else find_unit(text, quantity)
             if unit is not None and (last or parts[-1].isdecimal()):
                 return "_".join(parts[:first] + parts[first + count :]), unit
-    return name, None
+    words = _CAMEL.sub("_", name)  # of joint1PosDeg
+    return (name, None) if words == name or "_" in name else _without_unit(words, quantity)
 
 
 ONLY = "joint"  # what a joint is called whose columns name none

@@ -176,6 +176,7 @@ def text_layout(path: Path, file: Iterator[str], reading: Reading) -> TextLayout
         if not any(header):
             raise no_header(path, header)
         header, begin = _whole_header(header, lines, after, separator)
+        header = _told_apart(header)
         units = _units(header, lines[begin].split(separator))
         names, begin = _with_units(header, units), begin + bool(units)
     layout = TextLayout(tuple(names), separator, ".", begin, units, unnamed, is_keyed)
@@ -307,6 +308,15 @@ def _whole_header(
     if len(below) == len(header) + 1 and all(below) and any(map(is_number, below)):
         header = ["_row", *header]  # which have numbers or names, as R and pandas write them
     return header, after
+
+
+def _told_apart(header: Sequence[str]) -> list[str]:
+    """Return names with numbers where they come again, as pandas does; not time and own ones."""
+    counts, found = dict[str, int](), list[str]()
+    for name in header:
+        k = counts[name] = counts.get(name, -1) + 1
+        found.append(name if not k or is_time(name) or "." in name else f"{name}.{k}")
+    return found
 
 
 def _of_levels(name: str, below: str) -> str:

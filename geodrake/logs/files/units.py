@@ -133,7 +133,7 @@ def _scaled(text: str, quantity: str) -> Unit | None:
 def _spelled(text: str) -> tuple[str, ...]:
     """Return spellings of a unit: unchanged, without dots, with a slash, in lower case."""
     plain = re.sub(r"[·*\s.⋅-]", "", text).replace("^2", "²").replace("s2", "s²")
-    over = re.sub(r"(?:_|per)(s|min)", r"/\1", plain)
+    over = re.sub(r"(?i:_|per)([Ss]|[Mm]in)", lambda found: f"/{found[1].lower()}", plain)
     over = over.replace("/s/s", "/s²").replace("/sec", "/s")
     found = [plain, over]
     for each in (plain, over):
