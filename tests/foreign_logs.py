@@ -146,6 +146,93 @@ def motor_states(folder, log, *, spare=0):
     return write_rosbag2(folder / "motors", {"/lowstate": messages()}, store)
 
 
+def other_messages(folder, log, kind, definitions, make):
+    """A rosbag2 of messages of a type that only the bag defines."""
+    from rosbags.typesys import get_types_from_msg
+
+    store = ros2_store()
+    for name, text in definitions.items():
+        store.register(get_types_from_msg(text, name))
+    header = ros2_header(store)
+
+    def messages():
+        for k, since in enumerate(nanoseconds(log)):
+            stamp = header(since + EPOCH)
+            yield since + EPOCH, make(store.types, stamp, *(x[k] for x in log_arrays(log)))
+
+    return write_rosbag2(folder / kind, {"/arm": messages()}, store)
+
+
+def log_arrays(log):
+    return log.position, log.velocity, log.effort
+
+
+def messages_with_names(folder, log):
+    """A message for each joint with its name, the last joint first."""
+    state = "string name\nfloat64 angle\nfloat64 speed\nfloat64 torque\n"
+    kinds = {"own_msgs/msg/State": state}
+    kinds["own_msgs/msg/Arm"] = "std_msgs/Header header\nown_msgs/State[] joints\n"
+
+    def make(types, stamp, *numbers):
+        rows = [*zip(log.joints, *numbers, strict=True)][::-1]
+        return types["own_msgs/msg/Arm"](stamp, [types["own_msgs/msg/State"](*row) for row in rows])
+
+    return other_messages(folder, log, "named", kinds, make)
+
+
+def messages_by_names(folder, log):
+    """A field for each joint, called after it."""
+    fields = "".join(f"own_msgs/Part {joint}\n" for joint in log.joints)
+    kinds = {"own_msgs/msg/Part": "float64 pos\nfloat64 vel\nfloat64 torque\n"}
+    kinds["own_msgs/msg/Whole"] = f"builtin_interfaces/Time stamp\n{fields}"
+
+    def make(types, stamp, *numbers):
+        parts = (types["own_msgs/msg/Part"](*row) for row in zip(*numbers, strict=True))
+        return types["own_msgs/msg/Whole"](stamp.stamp, *parts)
+
+    return other_messages(folder, log, "by_names", kinds, make)
+
+
+def json_mcap(folder, log):
+    """What Foxglove's SDK writes of a program without ROS."""
+    from mcap.writer import Writer
+
+    with (path := folder / "json.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("State", "jsonschema", b"{}")
+        channel = writer.register_channel("/state", "json", schema)
+        for k, since in enumerate(nanoseconds(log)):
+            told = dict(
+                zip(("q", "dq", "tau"), (x[k].tolist() for x in log_arrays(log)), strict=True)
+            )
+            data = json.dumps({"names": log.joints, **told}).encode()
+            writer.add_message(channel, since + EPOCH, data, since + EPOCH)
+        writer.finish()
+    return path
+
+
+def protobuf_mcap(folder, log):
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+    from mcap_protobuf.writer import Writer
+
+    kind = descriptor_pb2.FieldDescriptorProto
+    file = descriptor_pb2.FileDescriptorProto(name="own.proto", package="own", syntax="proto3")
+    state, names = file.message_type.add(name="State"), ("name", "position", "velocity", "effort")
+    for number, name in enumerate(names, 1):
+        own = kind.TYPE_STRING if name == "name" else kind.TYPE_DOUBLE
+        state.field.add(name=name, number=number, type=own, label=kind.LABEL_REPEATED)
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(file)
+    make = message_factory.GetMessageClass(pool.FindMessageTypeByName("own.State"))
+    with (path := folder / "own.mcap").open("wb") as stream, Writer(stream) as writer:
+        for k, since in enumerate(nanoseconds(log)):
+            rows = (log.joints[::-1], *(x[k, ::-1] for x in log_arrays(log)))
+            message = make(**dict(zip(names, rows, strict=True)))
+            writer.write_message("/state", message, since + EPOCH, since + EPOCH)
+    return path
+
+
 def bare_mcap(folder, log):
     """One MCAP file, by the writer of mcap-ros2-support."""
     from mcap_ros2.writer import Writer
@@ -403,6 +490,10 @@ FORMATS = (
     rosbag2_sqlite3,
     controller_state,
     bare_mcap,
+    json_mcap,
+    protobuf_mcap,
+    messages_with_names,
+    messages_by_names,
     ros1_bag,
     arrow_parquet,
     pandas_parquet,

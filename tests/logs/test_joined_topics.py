@@ -44,6 +44,26 @@ def states(log, *, stamp=lambda ns: ns, efforts=None):
     return list(told)
 
 
+def test_a_gripper_that_the_model_lacks_slows_no_arm(tmp_path, log):
+    """It has the same topic, and a message of its own for each five of the arm."""
+    gripper = JointLog(
+        "g", ("finger",), log.time[::5] + 1e-3, *[0.02 + 0.0 * log.effort[::5, :1]] * 2
+    )
+    each = states(log, efforts=log.effort) + states(gripper, efforts=gripper.effort)
+    both = sorted(each, key=lambda message: message[0])
+    bag = write_rosbag2(tmp_path / "bag", {"/joint_states": both}, ros2_store())
+    read = read_log(bag, joints=JOINTS)
+    assert np.allclose(read.effort, log.effort, atol=1e-9)
+    assert "no such joints: finger.position" in " ".join(read.notes)
+
+
+def test_positions_and_efforts_without_names_are_joined(tmp_path, log):
+    topics = {"/joint_positions": numbers(log, values=log.position)}
+    topics["/joint_torques"] = numbers(log, values=log.effort)
+    read = read_log(write_rosbag2(tmp_path / "bag", topics, ros2_store()), joints=JOINTS)
+    assert np.allclose(read.position, log.position) and np.allclose(read.effort, log.effort)
+
+
 def numbers(log, order=(0, 1), *, late=0.0, every=1, values=None):
     """Float64MultiArrays, without stamps and names."""
     types = ros2_store().types

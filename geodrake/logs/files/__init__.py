@@ -105,6 +105,7 @@ def understand(
     path = file_path(path)
     joints = None if joints is None else instances(joints, "joints", str)
     reading = Reading() if reading is None else instance(reading, "reading", Reading)
+    reading = replace(reading, joints=joints or ())
     parts = parts_of(path)
     for part in parts:
         check_log(part)

@@ -16,6 +16,7 @@ from geodrake.logs.files.name_rules import (
     OF_JOINTS,
     PLAIN,
     Meaning,
+    matched,
     meaning_of,
     meanings_of,
     names_joints,
@@ -48,6 +49,7 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
 
     Of tables with far fewer than others only what changes slowly is used; see `_slow_parts`.
     """
+    tables = _of_model(tables, reading)
     order = _order(tables, reading)
     if reading.mapping is not None:
         reading = replace(reading, mapping=reading.mapping.named(order))
@@ -99,6 +101,19 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
     silent = {column: why for table in tables for column, why in table.silent.items()}
     zeros = {order[0]: origin}
     return LogTable(log, columns, units, notes, zeros, {**silent, **rare}, order=order)
+
+
+def _of_model(tables: Sequence[LogTable], reading: Reading) -> Sequence[LogTable]:
+    """Return the tables without those of other joints than the model's, as of a gripper, alone."""
+    told = [[m for m in meanings_of(t.columns) if m.quantity in OF_JOINTS] for t in tables]
+    joints = [set(matched(each, reading.joints)[0].values()) for each in told]
+    model = {*reading.joints}
+    is_own = [not m or not j.isdisjoint(model) for m, j in zip(told, joints, strict=True)]
+    if reading.mapping is not None or all(is_own) or model.isdisjoint(set().union(*joints)):
+        return tables
+    first, *others = [table for table, own in zip(tables, is_own, strict=True) if own]
+    lost = [m.column for each, own in zip(told, is_own, strict=True) if not own for m in each]
+    return [first.noting(f"not used, as the model has no such joints: {listed(lost)}"), *others]
 
 
 def _twice(columns: Sequence[str]) -> list[str]:

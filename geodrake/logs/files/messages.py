@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from geodrake.errors import LogError
 from geodrake.logs.files.grouped_arrays import fields_of
-from geodrake.logs.files.name_rules import MEASURED, OTHER, meaning_of
+from geodrake.logs.files.name_rules import MEASURED, OTHER, PLAIN, Meaning, meaning_of
 from geodrake.logs.files.table import LogTable
 from geodrake.logs.floating import IS_BASE, floating_name
 from geodrake.logs.motion import EFFORT_KINDS
@@ -171,6 +171,7 @@ class JointMessages(Messages):
     def said(self, message: Any) -> Iterator[Said]:
         """Yield what a message says of joints; those without names are numbers from 0 on."""
         fields, found = dict(fields_of(_plain(message))), dict[str, Array]()
+        joints: Owners = ()
         for quantity, paths in _places(tuple(fields)).items():
             for path in paths:
                 values = _of_joints(fields[path], quantity)
@@ -179,12 +180,15 @@ class JointMessages(Messages):
                     self.from_controller |= path == _OUTPUT
                     self.by_motor |= isinstance(fields[path], list) and len(values) > 1
                     break
+        if not is_complete(found) and (own := _numbers_of_joints(fields)):
+            joints, found = own
         if "effort" in found:
             found.pop("command", None)
         if not found:
             return
-        named = (fields[name] for name in _NAMES if isinstance(fields.get(name), list | tuple))
-        joints = tuple(next(named, ())) or tuple(range(len(next(iter(found.values())))))
+        named = (x for n, x in fields.items() if n.rpartition(".")[2] in _NAMES)
+        names = next((x for x in named if isinstance(x, list | tuple)), ())
+        joints = joints or tuple(names) or tuple(range(len(next(iter(found.values())))))
         for quantity, values in found.items():
             if len(values) != len(joints):
                 raise LogError(
@@ -250,10 +254,11 @@ class JointMessages(Messages):
 
 def stamp_of(message: Any) -> int:
     """Return the time stamp of a message of ROS or LCM, ns; 0 if it has none."""
-    stamp = getattr(getattr(message, "header", None), "stamp", None)
-    if stamp is None:
+    stamp = getattr(getattr(message, "header", message), "stamp", None)
+    if stamp is None or not hasattr(stamp, "sec"):
         return 1000 * int(getattr(message, "utime", 0))
-    return int(stamp.sec * 1_000_000_000 + stamp.nanosec)
+    part = getattr(stamp, "nanosec", None)
+    return int(stamp.sec) * 1_000_000_000 + int(getattr(stamp, "nsec", 0) if part is None else part)
 
 
 _LEAVES = (str, int, float, np.ndarray)
@@ -280,6 +285,24 @@ def _plain(message: Any) -> Any:
         name: getattr(message, name) for name in getattr(message, "__slots__", ())
     }
     return {n: _plain(value) for n, value in own.items() if n != "header"} if own else message
+
+
+def _numbers_of_joints(fields: Mapping[str, Any]) -> tuple[Owners, dict[str, Array]] | None:
+    """Return joints with what each has, of messages with a part for each of them by its name."""
+    found = defaultdict[str, dict[str, float]](dict)
+    for path, meaning in _parts_of_joints(tuple(fields)).items():
+        if isinstance(fields[path], float | int):
+            found[meaning.quantity][meaning.joint] = fields[path]
+    joints = tuple(found.get("position", ()))
+    whole = {q: np.array([*x.values()]) for q, x in found.items() if tuple(x) == joints}
+    return (joints, whole) if is_complete(whole) else None
+
+
+@lru_cache(1024)
+def _parts_of_joints(paths: tuple[str, ...]) -> dict[str, Meaning]:
+    """Return the fields of a message that are of joints by their names, with their meanings."""
+    told = {path: meaning_of(path.replace(".", "/")) for path in paths}
+    return {p: m for p, m in told.items() if m and m.role <= PLAIN and m.joint not in (*"xyzw", "")}
 
 
 def _of_joints(values: Any, quantity: str) -> Array:

@@ -117,6 +117,7 @@ class Reading:
         ignored: Columns that are not used.
         motorless: Joints that are passive where a log has no effort of them, or zeros alone.
         motors: Joint -> its motor; by the name "", that of all others.
+        joints: Those of the model; parts of a log without any of them are not used.
         limits: Joint -> its least and its largest position by the model, rad or m.
         of_base: Whether a recording is read for what it has of a free base and its feet.
 
@@ -139,6 +140,7 @@ class Reading:
     motors: Mapping[str, Motor] = field(default_factory=dict)
     of_base: bool = False
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    joints: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", instances(self.columns, "columns", str))

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import importlib
+import json
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import groupby, islice
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, TypeVar
 
-from geodrake.boundary.input_files import regular_files
+import numpy as np
+
+from geodrake.boundary.input_files import open_regular, regular_files
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.messages import (
@@ -30,7 +34,7 @@ _JOINT_STATE = "sensor_msgs/msg/JointState"
 _DYNAMIC_STATE = "control_msgs/msg/DynamicJointState"
 _TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 _NUMBERS = re.compile(r"std_msgs/msg/(Float|Int)\d+MultiArray")
-_WORDS = re.compile(r"effort|torque|\btau")  # in the definition of a type that has efforts
+_WORDS = re.compile(r"effort|torque|trq|\btau")  # in the definition of a type that has efforts
 _WANTED = re.compile(r"command|cmd|goal|target|desired|reference|setpoint", re.IGNORECASE)
 _IDL_RULE = "=" * 80 + "\n"  # between definitions in IDL
 _LONGEST_DEFINITION = 50_000  # letters of a type and of those in it, which take seconds to parse
@@ -48,6 +52,8 @@ M = TypeVar("M", bound=Messages)
 
 def read_bag(path: Path, reading: Reading) -> LogTable:
     """Return the columns of a ROS bag."""
+    if path.suffix.lower() == ".mcap" and (profile := _profile(path)) is not None:
+        return _read_channels(path, reading, profile)
     is_first = path.suffix.lower() == ".bag"
     method = "deserialize_ros1" if is_first else "deserialize_cdr"
     module = f"rosbags.rosbag{1 if is_first else 2}"
@@ -61,6 +67,55 @@ def read_bag(path: Path, reading: Reading) -> LogTable:
         chosen = chosen_topics(path, topics, replace(reading, topic=asked or None))
         whole = [replace(each, messages=each.read()) for each in chosen]
     return topics_table(path, whole, topics, reading, base).noting(*notes)
+
+
+_MCAP = re.compile(rb"\x89MCAP0\r\n\x01.{8}(.)\0\0\0", re.DOTALL)
+
+
+def _profile(path: Path) -> str | None:
+    """Return what an MCAP file says that it is of; None for ROS 2 and files that are none."""
+    with open_regular(path, "log", LogError) as file:
+        found = _MCAP.match(file.read(21))
+        profile = file.read(found[1][0]).decode(errors="replace") if found else "ros2"
+    return None if profile == "ros2" else profile
+
+
+def _read_channels(path: Path, reading: Reading, profile: str) -> LogTable:
+    """Return the columns of an MCAP file of messages in JSON or protobuf, as of Foxglove."""
+    package = optional_package("mcap_protobuf.decoder", "logs", "MCAP files", LogError)
+    factory, topics = package.DecoderFactory(), dict[str, Topic]()
+    make = importlib.import_module("mcap.reader").make_reader
+    plain = importlib.import_module("google.protobuf.json_format").MessageToDict
+    whole = {"preserving_proto_field_name": True, "always_print_fields_with_no_presence": True}
+    with readable(path, "MCAP file", _REPAIR), open_regular(path, "log", LogError) as file:
+        for schema, channel, message in make(file).iter_messages():
+            decode = factory.decoder_for(channel.message_encoding, schema)
+            if decode is None and channel.message_encoding != "json":
+                raise LogError(
+                    f"Log {str(path)!r} has messages of {channel.topic} in "
+                    f"{channel.message_encoding!r}, and is of {profile or 'no framework'}.",
+                    advice="Of MCAP files other than ROS's, JSON and protobuf are read.",
+                )
+            read = (
+                json.loads(message.data) if decode is None else plain(decode(message.data), **whole)
+            )
+            name = channel.topic
+            is_wanted = bool(_WANTED.search(name))
+            kind = schema.name if schema else "json"
+            new = Topic(name, kind, JointMessages(name), is_wanted=is_wanted)
+            topics.setdefault(name, new).messages.add(_as_message(read), message.log_time)
+    told = [*topics.values()]
+    return topics_table(path, chosen_topics(path, told, reading), told, reading)
+
+
+def _as_message(value: Any) -> Any:
+    """Return JSON as a message: objects have fields, and lists of numbers are arrays."""
+    if isinstance(value, dict):
+        return SimpleNamespace(**{name: _as_message(each) for name, each in value.items()})
+    if not isinstance(value, list):
+        return value
+    are_numbers = all(isinstance(each, float | int) for each in value)
+    return np.array(value, float) if value and are_numbers else [_as_message(x) for x in value]
 
 
 def _base(

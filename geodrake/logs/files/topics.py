@@ -102,7 +102,7 @@ def _best(topics: Sequence[Topic]) -> Sequence[Topic]:
 def _parts(path: Path, topics: Sequence[Topic]) -> tuple[Topic, Topic]:
     """Return the topics of positions and of efforts or commands, where no topic has both."""
     named = [t for t in topics if any(isinstance(joint, str) for joint in t.messages.joints)]
-    moved = _best([topic for topic in named if "position" in topic.part])
+    moved = _best([topic for topic in named or topics if "position" in topic.part])
     heard = _best([t for t in topics if is_complete(("position", *t.part)) and t not in moved])
     if len(moved) == len(heard) == 1:
         return moved[0], heard[0]
