@@ -325,10 +325,21 @@ class ContactFrame:
 
         Of a sole, which moments act on too, it has the link's turning below, (N, 6, nv).
         """
+        found = np.zeros((len(bodies.q), 6 if sole else 3, bodies.tree.num_velocities))
+        self.put_jacobian(bodies, found)
+        return found
+
+    def put_jacobian(self, bodies: RobotBodies, out: Array) -> None:
+        """Write the Jacobian to zeros (N, 3, nv), or to those of a sole, (N, 6, nv)."""
         motion = bodies.motion(self.body)
-        arm = motion.rotation @ self.center - self.radius * upwards(bodies.gravity)
-        point = motion.jacobian_along(arm)
-        return np.concatenate([point, motion.angular], axis=1) if sole else point
+        x, y, z = (motion.rotation @ self.center - self.radius * upwards(bodies.gravity)).T
+        for i in motion.dofs:
+            (wx, wy, wz), v = motion.angular[:, :, i].T, motion.linear[:, :, i]
+            out[:, 0, i] = v[:, 0] + wy * z - wz * y
+            out[:, 1, i] = v[:, 1] + wz * x - wx * z
+            out[:, 2, i] = v[:, 2] + wx * y - wy * x
+            if out.shape[1] > 3:
+                out[:, 3:, i] = motion.angular[:, :, i]
 
     def height(self, bodies: RobotBodies) -> Array:
         """Return heights (N,) of the lowest point of the ball over the world's origin, m."""

@@ -43,8 +43,10 @@ def contact_rows(model: RobotModel, trajectory: Trajectory, segment: Segment) ->
         return None if measured.all() else MixedRows(own, {})
     bodies = RobotBodies(model.tree, model.positions(segment.position), model.total_phi)
     frames = contact_frames(model, contacts.frames)
-    sole = on_soles(contacts, frames)
-    J = np.stack([frame.jacobian(bodies, sole=sole) for frame in frames], 1)  # (N, c, 3 or 6, nv)
+    axes = 6 if on_soles(contacts, frames) else 3
+    J = np.zeros((len(segment), len(frames), axes, len(model.joints)))
+    for k, frame in enumerate(frames):
+        frame.put_jacobian(bodies, J[:, k])
     base = [model.joints.index(joint) for joint in model.base_joints]
     flags, scales = contacts.at(segment.time), row_scales(model, trajectory)
     return rows_without(J, flags, scales, base, measured=measured)
