@@ -326,17 +326,24 @@ class _Finder:
     def sparing(self) -> Iterator[Choice]:
         """Add a payload, or another effect of the whole robot, which may let bodies stay put.
 
-        With bodies as free as they are it may promise nothing, and much with bodies that stay.
+        With bodies as free as they are it may promise nothing, and much with bodies that stay: by
+        these its mass is chosen.
         """
-        present, last = self.fit.terms, set(self.model.model.load_bodies)
+        model, present = self.model, self.fit.terms
+        last, width, around = set(model.model.load_bodies), model.widths[0], self.around
+        if self.fit.choice.width > width:
+            held, shares = replace(self.fit.choice, width=width), self.fit.weights * self.fit.noise
+            around = Neighbourhood(model, model.unbounded(held, shares[: len(model.rows)]))
         kinds = dict[object, list[Terms]]()
-        for term in self.model.terms:
+        for term in model.terms:
             whole = term.effect is not None and term.effect.places == "robot"
             if whole or (term.is_body and term.is_whole and term.where[0] in last):
                 kinds.setdefault(term.effect, []).append((term,))
         for offered in kinds.values():
-            for _, come in self._offers(present, offered)[:1]:
-                yield self._choice((*present, *come))
+            possible = model.compatibility.beside(present, offered)
+            gains = around.promises(possible)
+            if np.isfinite(gains).any():
+                yield self._choice((*present, *possible[int(np.argmax(gains))]))
 
 
 def _complexity(term: Term) -> int:

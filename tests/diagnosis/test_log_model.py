@@ -376,6 +376,17 @@ def test_a_delay_costs_its_odds_only_where_it_is_one(problem):
     assert timed.are_apart((1, 1), (0, 0))
 
 
+@pytest.mark.parametrize("ball", [0.5, 2.0])
+def test_the_mass_of_a_payload_is_chosen_by_bodies_that_stay(ball):
+    """Beside bodies that may be anything, a lighter or heavier one promises as much."""
+    model = random_problem(ball=ball)[0]
+    loads, near = [t for t in model.terms if t.effect == PAYLOAD], model.widths[0]
+    by_score = {model.unbounded(Choice((t,), near, (0, 0)), SHARES).score: t for t in loads}
+    anything = model.unbounded(Choice((), 50.0, (0, 0)), SHARES)
+    found = {each.terms for each in neighbours(model, anything, most=0)}
+    assert [each for each in found if set(each) & set(loads)] == [(by_score[max(by_score)],)]
+
+
 def test_springs_are_not_everywhere(problem):
     """A gravity compensator at a second joint is as rare as at the first."""
     first, second = (
