@@ -73,7 +73,7 @@ class Piece:
         names = ("position", "velocity", "acceleration", "effort", "ground")
         return {name: signal for name in names if (signal := getattr(self, name)) is not None}
 
-    def rows(self, rows: slice) -> Piece:
+    def rows(self, rows: slice | NDArray[np.intp]) -> Piece:
         """Return some of its rows."""
         signals: dict[str, Any] = {name: signal[rows] for name, signal in self.signals.items()}
         return replace(self, time=self.time[rows], **signals)

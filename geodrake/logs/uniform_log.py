@@ -151,7 +151,7 @@ def naming_log(log: JointLog) -> Iterator[None]:
 
 
 def make_uniform(log: JointLog, *, faultless: bool = False) -> UniformLog:
-    """Split a log at gaps and empty cells, and find its period, noise and moving joints.
+    """Split a log at gaps in its complete rows, and find its period, noise and moving joints.
 
     Args:
         faultless: Whether it is already without what its sensors did wrong.
@@ -187,12 +187,13 @@ def _uniform(log: JointLog, *, faultless: bool) -> UniformLog:
             advice="Log time, position and effort (or current, voltage, duty cycle or command) "
             "of all joints in the same row.",
         )
-    runs, period, note = _runs(log.time, complete)
+    kept = slice(None) if complete.all() else np.flatnonzero(complete)
+    runs, period, note = _runs(log.time[kept])
     _check_period(log, period)
     notes += [note] if note else []
     whole = Piece(
         log.time, log.position, velocity, log.effort, period, own, (*columns,), log.ground
-    )
+    ).rows(kept)
     pieces = tuple(whole.rows(run) for run in runs if run.stop - run.start >= _LEAST_ROWS)
     noise, moving = _find_moving(log, pieces, period)
     return UniformLog(log, pieces, period, noise, moving, tuple(notes))
@@ -240,30 +241,21 @@ def _check_period(log: JointLog, period: float) -> None:
         )
 
 
-def _runs(time: Array, complete: NDArray[np.bool_]) -> tuple[list[slice], float, str | None]:
-    """Return rows between gaps and incomplete rows, the period, and a note if they are many."""
-    rows: NDArray[np.intp] | range
-    holes: NDArray[np.bool_] | bool
-    if complete.all():
-        rows, steps, holes = range(len(time)), np.diff(time), False
-    else:
-        rows = np.flatnonzero(complete)
-        steps, holes = np.diff(time[rows]), np.diff(rows) > 1
+def _runs(time: Array) -> tuple[list[slice], float, str | None]:
+    """Return rows between gaps in complete rows, the period, and a note if they are many."""
+    steps = np.diff(time)
     period = float(np.median(steps))
     longest = longest_step(period)
     while longest < _LONGEST_BRIDGE and _in_scraps(steps, longest) > _MOST_SCRAPS:
         longest = min(1.3 * longest, _LONGEST_BRIDGE)
-    last = np.flatnonzero((steps > longest) | holes).tolist()
-    runs = [
-        slice(int(rows[before + 1]), int(rows[end]) + 1)
-        for before, end in pairwise([-1, *last, len(rows) - 1])
-    ]
+    last = np.flatnonzero(steps > longest).tolist()
+    runs = [slice(before + 1, end + 1) for before, end in pairwise([-1, *last, len(time) - 1])]
     if not last:
         return runs, period, None
     at = max(last, key=steps.__getitem__)
     note = (
         f"split into {len(runs)} pieces at gaps and empty cells; the longest gap is "
-        f"{steps[at]:.3g} s at t = {time[rows[at]]:.2f} s"
+        f"{steps[at]:.3g} s at t = {time[at]:.2f} s"
     )
     return runs, period, note
 

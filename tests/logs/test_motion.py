@@ -102,7 +102,7 @@ def test_holes_split_instead_of_being_bridged(hole):
         log = _make_log(log.time[keep])
     else:
         values = getattr(log, hole).copy()
-        values[2000] = np.nan
+        values[2000:2030] = np.nan
         log = replace(log, **{hole: values})
     trajectory = prepare_logs([log], bandwidth=4.0)[0]
     low_pass = trajectory.filter
@@ -113,6 +113,15 @@ def test_holes_split_instead_of_being_bridged(hole):
         center = segment.time[low_pass.output_indices(len(segment))]
         reach = low_pass.halfwidth * low_pass.period
         assert np.all((center + reach < 20.0) | (center - reach > 20.0))
+
+
+def test_cells_that_are_empty_for_less_than_a_gap_are_bridged():
+    time = _uniform(40.0)
+    log, rows = _make_log(time), np.arange(100, len(time), 100)
+    log.position[rows, 0] = log.effort[rows + 50, 1] = np.nan
+    trajectory = prepare_logs([log], bandwidth=4.0)[0]
+    (stretch,) = trajectory.segments
+    assert max(_error(stretch[:])) < 1e-3
 
 
 def test_pieces_too_short_are_dropped_with_a_note():

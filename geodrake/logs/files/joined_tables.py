@@ -105,7 +105,8 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
 
 def _of_model(tables: Sequence[LogTable], reading: Reading) -> Sequence[LogTable]:
     """Return the tables without those of other joints than the model's, as of a gripper, alone."""
-    told = [[m for m in meanings_of(t.columns) if m.quantity in OF_JOINTS] for t in tables]
+    beside = [[n for n in table.columns if floating_name(n) is None] for table in tables]
+    told = [[m for m in meanings_of(each) if m.quantity in OF_JOINTS] for each in beside]
     joints = [set(matched(each, reading.joints)[0].values()) for each in told]
     model = {*reading.joints}
     is_own = [not m or not j.isdisjoint(model) for m, j in zip(told, joints, strict=True)]
