@@ -296,7 +296,7 @@ def by_drake(model: Model) -> OtherProgram | str:
             plant.mutable_gravity_field().set_gravity_vector(model.tree.gravity)
             plant.Finalize()
     except ModelError as error:
-        return f"Drake cannot read the original file: {error.problem.rstrip('.')}"
+        return error.problem.rstrip(".")
     context, joints = plant.CreateDefaultContext(), {scoped(j): j for j in moving_joints(plant)}
     if {scoped(joint) for (joint,) in units} != joints.keys():
         return "Drake has other joints in the original file"

@@ -122,6 +122,7 @@ def test_models_of_gazebo_are_found_beside_the_world_and_on_its_path(tmp_path, m
     write(write(tmp_path / place / "model.config", named).with_name("b.sdf"), sdf(body("b")))
     model = load_model(write(tmp_path / "worlds" / "robot.sdf", including("model://more")))
     assert set(model.joints) == {"a_joint", "b_joint"}
+    assert (second := check_dynamics(model).second) is not None and second.holds
 
 
 def test_worlds_without_their_sun_are_checked_and_shown(tmp_path):

@@ -57,6 +57,18 @@ def test_gravity_of_a_world_and_what_is_no_number(tmp_path):
             load(tmp_path, SDF, **{at: wrong})
 
 
+def test_two_joints_in_one_of_gazebo_are_a_universal_joint(tmp_path):
+    both = """<joint name="b" type="{}"><parent>l1</parent><child>l2</child><axis><xyz>0 0 1</xyz>
+<dynamics><damping>.3</damping></dynamics></axis><axis2><xyz>0 1 0</xyz></axis2></joint>"""
+    one, other = (
+        load(tmp_path, SDF.partition('<joint name="b"')[0] + both.format(kind) + SDF[-24:])
+        for kind in ("universal", "revolute2")
+    )
+    motion = Motion(*np.random.default_rng(0).uniform(-1, 1, (3, 4, 3)))
+    assert one.joints == other.joints and len(one.joints) == 3
+    np.testing.assert_array_equal(one.effort(motion), other.effort(motion))
+
+
 def test_gravity_that_is_off(tmp_path):
     off = "<gravity>{}</gravity>"
     model = load(tmp_path, SDF, one=off.format("0"), two=off.format("false"))
@@ -95,6 +107,11 @@ def test_gravity_that_is_off(tmp_path):
             SDF,
             {"model": '<plugin name="gz::sim::systems::Hydrodynamics" filename="x"/>'},
             "systems::Hydro",
+        ),
+        (
+            SDF,
+            {"model": '<joint name="g" type="gearbox"><parent>l1</parent></joint>'},
+            "<joint> g of the type gearbox",
         ),
         (
             SDF,

@@ -123,14 +123,12 @@ class Includes:
                     )
 
     def name_by_urls(self, root: Element) -> None:
-        """Make the paths of an SDF's includes absolute, and remove missing ones."""
+        """Name the files of an SDF's includes, and remove missing ones."""
         self._drop_absent(root, self.path.parent)
         for uri in root.iterfind(".//include/uri"):
             place = (uri.text or "").strip()
-            if "://" not in place:
-                (file,) = _models_of(self.path.parent.resolve() / place, by_url=False)
-                place = f"file://{file}"
-            uri.text = place
+            found = _models_of(self.resolve(place, self.path.parent.resolve()), "://" in place)
+            uri.text = f"file://{found[-1].resolve()}"
 
     def _drop_absent(self, root: Element, folder: Path) -> None:
         """Remove the includes of worlds whose models do not exist."""

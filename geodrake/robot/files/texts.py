@@ -377,6 +377,13 @@ class SdfText(ModelText):
         terms.left_out += [*includes.missing, *includes.unread]
         terms.left_out += unread(self.root, SDF_UNREAD, self.path)
         self._take_gravity()
+        for parent, joint in [(e, j) for e in self.root.iter() for j in e.findall("joint")]:
+            if joint.get("type") == "revolute2":  # which moves as a universal joint does
+                joint.set("type", "universal")
+            elif joint.get("type") == "gearbox":
+                parent.remove(joint)
+                what = f"<joint> {joint.get('name')} of the type gearbox is ignored."
+                terms.left_out.append(f"{place_of(joint) or self.path}: {what}")
         with_plugins = deepcopy(self.root)
         for link in self.root.iter("link"):
             inertial = link.find("inertial")
