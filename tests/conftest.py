@@ -36,7 +36,6 @@ LONG_MODULES = {
     "subprocess",
     "runpy",
     "typer.testing",
-    "playwright.sync_api",
     "adaptive_loops",
     "pinocchio_logs",
     "servo_logs",
@@ -87,7 +86,8 @@ def pytest_collection_modifyitems(items):
             if cases[test] % mark.args[0]:
                 item.add_marker("thorough")
             cases[test] += 1
-        if is_quick(item.module) and not any(map(item.get_closest_marker, LONG_MARKS)):
+        takes_long = "browser" in item.fixturenames or any(map(item.get_closest_marker, LONG_MARKS))
+        if is_quick(item.module) and not takes_long:
             item.add_marker("quick")
 
 

@@ -1,5 +1,7 @@
-"""A log of the demo played over its arm, as its file has it and with effects."""
+"""A log of the demo played over its arm, as its file has it and with effects; a browser."""
 
+import os
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -43,3 +45,20 @@ def cut():
 @pytest.fixture(scope="session")
 def short(before, after, cut):
     return play_back(after, [cut], before=before)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Chromium, driven by playwright; tests are skipped where either is not installed."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    names = ("chromium", "chromium-browser", "google-chrome")
+    path = os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, names)), None)
+    if path is None:
+        pytest.skip("no Chromium is installed")
+    flags = ["--no-sandbox", "--disable-background-networking", "--use-angle=swiftshader"]
+    with playwright.sync_playwright() as driver:
+        started = driver.chromium.launch(
+            executable_path=path, args=[*flags, "--enable-unsafe-swiftshader"]
+        )
+        yield started
+        started.close()

@@ -1,28 +1,11 @@
 """The page of a report in a real browser: plots, tables, widths, schemes, paper, no scripts."""
 
-import os
 import re
-import shutil
 
 import pytest
 from report_results import comparison, explanation, friction, joint_names, page, step
 
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-
-_NAMES = ("chromium", "chromium-browser", "google-chrome")
-CHROMIUM = os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, _NAMES)), None)
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
-
-FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
 JOINTS = joint_names(10)
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with playwright.sync_playwright() as driver:
-        started = driver.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        yield started
-        started.close()
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -191,16 +190,6 @@ def test_the_command_plays_a_saved_model_beside_its_file(tmp_path, after):
     assert out.stat().st_size < 4e6
 
 
-def chromium():
-    """A browser of playwright's, or a reason to skip."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    found = filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome")))
-    path = next(found, None)
-    if path is None:
-        pytest.skip("there is no Chromium")
-    return playwright.sync_playwright, path
-
-
 PLOTTED = """() => {
     const canvas = document.getElementById("gd-plots");
     const {data} = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
@@ -222,8 +211,7 @@ SHOWN = """() => {
 }"""
 
 
-def test_a_browser_opens_it_and_jumps(tmp_path, page, short):
-    sync_playwright, path = chromium()
+def test_a_browser_opens_it_and_jumps(browser, tmp_path, page, short):
     file = tmp_path / "play.html"
     file.write_text(page)
     moment = next(m for m in short.moments if m.played == 0)
@@ -232,34 +220,30 @@ def test_a_browser_opens_it_and_jumps(tmp_path, page, short):
     body = f"/drake/robot/0 before/arm6::{link.get(joint, 'flange')}"
     arrow = f"/drake/robot/0 before/arm6::upper_arm/efforts/{JOINT}/measured/arrow"
     seen = []
-    with sync_playwright() as playwright:
-        arguments = ["--no-sandbox", "--disable-background-networking", "--use-angle=swiftshader"]
-        arguments.append("--enable-unsafe-swiftshader")
-        browser = playwright.chromium.launch(executable_path=path, args=arguments)
-        view = browser.new_page(viewport={"width": 640, "height": 700})
-        view.on("console", lambda m: seen.append(m.text) if m.type == "error" else None)
-        view.on("pageerror", lambda error: seen.append(str(error)))
-        view.on("request", lambda r: seen.append(r.url) if r.url.startswith("http") else None)
-        view.goto(file.as_uri())
-        view.wait_for_selector("html[data-ready=yes]", state="attached", timeout=60_000)
-        button = view.locator(".gd-moment").first
-        assert joint in button.inner_text()
-        button.click()
-        view.wait_for_selector('.gd-moment[aria-pressed="true"]')
-        view.locator("#gd-now", has_text=f"{joint} errs most").wait_for()  # at the next frame
-        time, length, color = view.evaluate(SHOWN % (arrow, f"{body}/shapes"))
-        assert view.locator("#gd-play").inner_text() == "Play"
-        chosen = view.locator("#gd-joint option:checked").inner_text()
-        before = view.evaluate("viewer.camera.position.toArray()")
-        view.keyboard.press("4")
-        above = view.evaluate("viewer.camera.position.toArray()")
-        view.keyboard.press("ArrowLeft")
-        view.wait_for_timeout(300)
-        later = view.evaluate("viewer.animator.time")
-        view.locator("body").press(" ")
-        view.locator("#gd-play", has_text="Pause").wait_for()
-        drawn_plots = view.evaluate(PLOTTED)
-        browser.close()
+    view = browser.new_page(viewport={"width": 640, "height": 700})
+    view.on("console", lambda m: seen.append(m.text) if m.type == "error" else None)
+    view.on("pageerror", lambda error: seen.append(str(error)))
+    view.on("request", lambda r: seen.append(r.url) if r.url.startswith("http") else None)
+    view.goto(file.as_uri())
+    view.wait_for_selector("html[data-ready=yes]", state="attached", timeout=60_000)
+    button = view.locator(".gd-moment").first
+    assert joint in button.inner_text()
+    button.click()
+    view.wait_for_selector('.gd-moment[aria-pressed="true"]')
+    view.locator("#gd-now", has_text=f"{joint} errs most").wait_for()  # at the next frame
+    time, length, color = view.evaluate(SHOWN % (arrow, f"{body}/shapes"))
+    assert view.locator("#gd-play").inner_text() == "Play"
+    chosen = view.locator("#gd-joint option:checked").inner_text()
+    before = view.evaluate("viewer.camera.position.toArray()")
+    view.keyboard.press("4")
+    above = view.evaluate("viewer.camera.position.toArray()")
+    view.keyboard.press("ArrowLeft")
+    view.wait_for_timeout(300)
+    later = view.evaluate("viewer.animator.time")
+    view.locator("body").press(" ")
+    view.locator("#gd-play", has_text="Pause").wait_for()
+    drawn_plots = view.evaluate(PLOTTED)
+    view.close()
     assert not seen
     assert time == pytest.approx(moment.frame / FRAMES, abs=1e-3)
     expected = tracks(page)[arrow, "scale"][1][moment.frame][2]
