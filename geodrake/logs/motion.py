@@ -350,6 +350,13 @@ def check_joints(
     name: str, joints: Sequence[str], model_joints: Sequence[str], *, partial: bool = False
 ) -> None:
     """Raise a LogError unless the joints of the log of that name are the model's, in any order."""
+    if joints and set(joints).isdisjoint(model_joints) and len(joints) > 1:
+        raise LogError(
+            f"Log {name!r} has the joints {', '.join(joints[:8])}, of which the model has none; it "
+            f"has {', '.join(model_joints[:8])}.",
+            advice="Is it the log of another robot? Rename its columns, or say which is which in a "
+            "mapping.",
+        )
     for joint in joints:
         if joint not in model_joints:
             raise LogError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,7 +23,12 @@ from geodrake.inertia import (
 )
 from geodrake.inertia.bodies import LumpedBody, lumped_bodies
 from geodrake.model.robot_model import RobotModel
-from geodrake.robot.files.description import drake_messages, model_text_of, read_description
+from geodrake.robot.files.description import (
+    ModelDescription,
+    drake_messages,
+    model_text_of,
+    read_description,
+)
 from geodrake.robot.files.model_edits import EditedFile
 from geodrake.robot.files.xacro_file import is_xacro, read_expanded
 from geodrake.robot.repairs import TOLERANCE, stated_inertias
@@ -72,6 +77,21 @@ def check_export(model: RobotModel, path: Path) -> None:
             "copy is too.",
             advice=f"Name it {path.stem}{_SUFFIXES[kind][0]}.",
             path=path,
+        )
+    moving = {part.scoped_name for body in lumped_bodies(model.plant) for part in body.members}
+    _check_in_itself(model, read_description(model.path, model.given), moving)
+
+
+def _check_in_itself(model: RobotModel, description: ModelDescription, links: Set[str]) -> None:
+    """Raise for links in files that a model's file includes."""
+    (text,) = description.texts
+    if inside := text.included(links):
+        (first, *_), files = inside, ", ".join(dict.fromkeys(map(str, inside.values())))
+        raise ModelError(
+            f"{model.path} includes {files}, which has {', '.join(inside)}: a copy of the first "
+            f"cannot hold the inertia of {first}.",
+            advice="Give the included file, or copy what it has into the model.",
+            links=tuple(inside),
         )
 
 
@@ -125,6 +145,8 @@ def export_bodies(model: RobotModel) -> Export:
             if not np.all(np.abs(new - old) <= _UNCHANGED * np.abs(new).max())  # NaN differs
             or (anew and name in here and new[0] > 0.0)
         }
+        if not changed.keys() <= here:
+            _check_in_itself(model, description, changed.keys())
         if not changed.keys() <= here and kind == "xml":
             absent.append(body.name)  # between several joints of one body, or made by MuJoCo
             continue

@@ -297,3 +297,18 @@ def test_inertias_that_stand_in_frames_of_an_mjcf(tmp_path):
     (tmp_path / "s.xml").write_bytes(content)
     np.testing.assert_allclose(load_model(tmp_path / "s.xml").phi, 1.1 * model.phi, atol=1e-15)
     assert content.count(b"<inertial") == 1
+
+
+@pytest.mark.parametrize("kind", ["xml", "sdf"])
+def test_bodies_of_included_files_are_not_written_into_the_file_that_includes_them(tmp_path, kind):
+    if kind == "xml":
+        inner = MJCF
+        outer = '<mujoco><include file="inner.xml"/></mujoco>'
+    else:
+        inner = SDF
+        include = "<include><uri>inner.sdf</uri></include>"
+        outer = f'<sdf version="1.9"><world name="w">{include}</world></sdf>'
+    (tmp_path / f"inner.{kind}").write_text(inner, encoding="utf-8")
+    (path := tmp_path / f"outer.{kind}").write_text(outer, encoding="utf-8")
+    with pytest.raises(ModelError, match=rf"outer.{kind} includes .*inner.{kind}, which has one"):
+        check_export(load_model(path), tmp_path / f"copy.{kind}")

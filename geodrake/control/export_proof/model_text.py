@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
@@ -28,6 +28,7 @@ from geodrake.robot.arrangement import moving_joints
 from geodrake.robot.files.checks import words
 from geodrake.robot.files.description import model_text_of
 from geodrake.robot.files.mjcf import MjcfText
+from geodrake.robot.files.mjcf_source import unused
 from geodrake.robot.files.model_edits import EditedFile, comment_words, put_inertia, put_numbers
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.joints import joint_names, scoped
@@ -178,7 +179,13 @@ def _urdf_joint(root: Element, link: Link) -> None:
 
 
 def _sdf(links: Sequence[Link], name: str, gravity: Array) -> Element:
+    """Return an SDF, in which a link that is called like a joint has another name."""
     del gravity
+    taken = unused({link.joint.name for link in links})
+    names = {link.name: taken(link.name) for link in links}
+    links = [
+        replace(link, name=names[link.name], parent=names.get(link.parent or "")) for link in links
+    ]
     version = "1.11" if any(link.follows for link in links) else "1.9"  # that has <mimic>
     root = Element("sdf", {"version": version, "xmlns:drake": _DRAKE})
     model = SubElement(root, "model", name=name)

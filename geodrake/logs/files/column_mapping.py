@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import re
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -19,6 +18,7 @@ from geodrake.logs.files.name_rules import (
     DESIRED,
     MAPPED,
     MOTOR,
+    NUMBERED,
     OF_JOINTS,
     ONLY,
     PLAIN,
@@ -125,7 +125,6 @@ Best = dict[tuple[str, str], list[Meaning]]
 
 _MOST_CLOCKS, _EVEN = 50, 0.9  # columns that are looked at, and share of steps that are even
 _CLOCKS = frozenset(("time", "timestamp", "stamp", "ts", "clock", "duration", "uptime", "elapsed"))
-_NUMBERED = re.compile(r"joint_(\d+)")  # what joints are called that columns only number
 _STEADY = 0.2  # of its mean, by which the voltage of a supply may vary
 
 
@@ -364,22 +363,13 @@ def columns_of(
         columns.choose(table, joints, partial=partial)
     except LogError as error:
         if not is_mapped and not {joint for joint, _ in places}.intersection(joints or ()):
-            places = _in_order(_by_names(table, None, reading).places, joints or ()) | places
+            places = _by_names(table, None, reading).places | places
         propose(error, path, table.counted, places=places, joints=joints, reading=reading)
         raise
     check_once(path, names, {c for source in columns.places.values() for c in source.columns})
     columns.check_said()
     columns.keep_used(names)
     return columns
-
-
-def _in_order(
-    places: Mapping[tuple[str, str], Meaning], joints: Sequence[str]
-) -> dict[tuple[str, str], Meaning]:
-    """Return numbered joints as the first of a model's, in order."""
-    numbers = {name: int(n[1]) for name, _ in places if (n := _NUMBERED.fullmatch(name))}
-    called = dict(zip(sorted(numbers, key=lambda name: numbers[name]), joints, strict=False))
-    return {(called.get(name, name), what): source for (name, what), source in places.items()}
 
 
 def likely_clock(table: LogTable) -> tuple[str, str, bool]:
@@ -572,7 +562,7 @@ class Columns:
                 f"{wanted[0]}.position. Write tables of several joints to a file each, and "
                 f"join them as {wanted[0]}.csv+{wanted[1]}.csv. {_MAPPING_ADVICE}",
             )
-        are_numbered = wanted is not None and all(map(_NUMBERED.fullmatch, own))
+        are_numbered = wanted is not None and all(map(NUMBERED.fullmatch, own))
         if wanted is not None and are_numbered and not {*own}.intersection(wanted):
             raise LogError(
                 f"Log {str(path)!r} has {len(own)} joints by numbers, but the model has "

@@ -37,7 +37,14 @@ Reader = Callable[[Path, Reading], LogTable]
 
 _TEXT, _JSON = (".csv", ".txt", ".dat", ".tsv", ".log", ".lvm"), (".json", ".jsonl", ".ndjson")
 _SHEETS = (".xlsx", ".xlsm")
-_ARCHIVES = (".zip", ".tar", ".7z", ".rar", ".tgz")
+_OTHERS = {
+    **dict.fromkeys((".zip", ".tar", ".7z", ".rar", ".tgz"), "Unpack it first."),
+    **dict.fromkeys(
+        (".pkl", ".pickle", ".pt", ".joblib"),
+        "It may run any program when it is read: save its arrays with numpy.savez, or a data frame "
+        "with to_parquet.",
+    ),
+}
 _MODELS = (".urdf", ".sdf", ".xml", ".mjcf", ".xacro", ".yaml")
 
 _READERS: Mapping[Reader, Sequence[str]] = {
@@ -88,9 +95,7 @@ def table_of(path: Path, reading: Reading) -> LogTable:
             f"Log {str(path)!r} has the unknown format {path.suffix!r}.",
             advice="Is it the model? `geodrake log` takes that with --model."
             if path.suffix.lower() in _MODELS
-            else "Unpack it first."
-            if path.suffix.lower() in _ARCHIVES
-            else f"Convert it to one of {', '.join(SUFFIXES)}.",
+            else _OTHERS.get(path.suffix.lower()) or f"Convert it to one of {', '.join(SUFFIXES)}.",
         )
     table = reader(path, reading)
     if kind not in (*_TEXT, *_SHEETS, ".npy", ".npz"):

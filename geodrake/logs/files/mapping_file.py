@@ -14,7 +14,7 @@ from geodrake.boundary.arguments import positive, typed
 from geodrake.boundary.yaml_schema import Schema, as_schema
 from geodrake.boundary.yaml_text import yaml_content
 from geodrake.errors import ArgumentError, LogError
-from geodrake.logs.files.name_rules import DESIRED, OF_JOINTS, Meaning
+from geodrake.logs.files.name_rules import DESIRED, NUMBERED, OF_JOINTS, Meaning
 from geodrake.logs.files.reading import (
     ColumnMapping,
     MappedColumn,
@@ -152,8 +152,10 @@ def propose(
         return error
     called = list(dict.fromkeys(joint for joint, _ in places if joint))
     own = joints or called or ["JOINT"]
-    is_by_order = not set(called).intersection(own) and len(called) == len(own)
-    model = dict(zip(called, own, strict=True)) if is_by_order else {}
+    if are_numbered := all(map(NUMBERED.fullmatch, called)):
+        called.sort(key=lambda joint: int(joint.rpartition("_")[2]))
+    is_by_order = not set(called).intersection(own) and (are_numbered or len(called) == len(own))
+    model = dict(zip(called, own, strict=False)) if is_by_order else {}
     known = {(model.get(joint, joint), m.quantity): m for (joint, _), m in places.items()}
     found = {place: _column_of(meaning) for place, meaning in known.items()}
     guessed = {} if called else _guess(names, own, headed=headed)

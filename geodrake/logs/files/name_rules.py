@@ -387,6 +387,7 @@ def _without_unit(name: str, quantity: str) -> tuple[str, Unit | None]:
 
 
 ONLY = "joint"  # what a joint is called whose columns name none
+NUMBERED = re.compile(r"joint_(\d+)")  # and those that columns only number
 
 
 def matched(

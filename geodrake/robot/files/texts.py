@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import abc
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Container, Iterator, Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
 from typing import ClassVar
@@ -43,7 +43,7 @@ from geodrake.robot.files.checks import (
 )
 from geodrake.robot.files.includes import PACKAGE_ADVICE, Includes
 from geodrake.robot.files.model_edits import put_inertia, sdf_joints, sdf_models, sdf_pose
-from geodrake.robot.files.xml_text import numbered_text, place_of, wrong_at
+from geodrake.robot.files.xml_text import LocatedElement, numbered_text, place_of, wrong_at
 from geodrake.robot.joints import Tie
 from geodrake.robot.stated import (
     CLOSING,
@@ -178,6 +178,12 @@ class ModelText(abc.ABC):
     def links(self) -> tuple[str, ...]:
         """Scoped names of the links."""
         return tuple(self._links)
+
+    def included(self, links: Container[str]) -> dict[str, Path]:
+        """Return which of some links are in files that the file includes, and in which."""
+        found = {name.rpartition("::")[2]: e for name, e in self._links.items() if name in links}
+        elements = {n: e for n, e in found.items() if isinstance(e, LocatedElement)}
+        return {n: Path(e.path) for n, e in elements.items() if Path(e.path) != self.path}
 
     def stated_inertia(self, link: str) -> Array | None:
         """Inertial parameters (10,) of a link in the file, physical or not; else None."""
