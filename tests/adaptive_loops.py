@@ -10,12 +10,13 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorC
 from pydrake.systems.framework import BasicVector, DiagramBuilder, LeafSystem
 from pydrake.trajectories import PiecewisePolynomial, Trajectory
 
-from geodrake.control.adaptation import natural_adaptation, parameter_manifold
-from geodrake.control.loops import add_adaptive_loop
-from geodrake.control.regressor import ControlModel
-from geodrake.control.systems import (
+from geodrake.control import (
     AdaptiveComputedTorqueController,
+    ControlModel,
     PassivityBasedAdaptiveController,
+    add_adaptive_loop,
+    natural_adaptation,
+    parameter_manifold,
 )
 from geodrake.effects import FittedEffect, ViscousFriction
 from geodrake.inertia import (
@@ -24,7 +25,7 @@ from geodrake.inertia import (
     pseudo_inertia,
     to_spatial_inertia,
 )
-from geodrake.model.robot_model import load_description
+from geodrake.model import load_description
 
 MODELS = Path(__file__).parents[1] / "models"
 DAMPING = 0.3

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from pydrake.multibody.tree import MultibodyForces
 
-from geodrake.logs.motion import JointLog
+from geodrake.logs import JointLog
 
 
 def multisine(time, rng, *, joints=2, base=0.1, harmonics=8, reach=1.2):

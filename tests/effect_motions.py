@@ -16,7 +16,7 @@ from geodrake import effects
 from geodrake.effects import RobotMotion
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.inertia import inertial_parameters
-from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot import KinematicTree
 
 JOINTS = ("shoulder", "elbow", "wrist")
 

@@ -15,8 +15,8 @@ from pydrake.multibody.tree import (
 )
 
 from geodrake.inertia import inertial_parameters
-from geodrake.logs.motion import Motion
-from geodrake.model.robot_model import RobotModel
+from geodrake.logs import Motion
+from geodrake.model import RobotModel
 
 MODELS = Path(__file__).parents[1] / "models"
 

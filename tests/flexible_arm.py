@@ -8,7 +8,7 @@ import numpy as np
 from two_masses import having
 
 from geodrake import effects, load_model
-from geodrake.logs.motion import JointLog
+from geodrake.logs import JointLog
 
 ARM = Path(__file__).parents[1] / "models" / "arm7.urdf"
 KP = np.array([3e3, 3e3, 1.5e3, 1.5e3, 400.0, 400.0, 200.0])

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from geodrake.inertia import Array
-from geodrake.robot.transmission import Transmission
+from geodrake.robot import Transmission
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from chain_logs import inverse_dynamics, logged
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
-from geodrake.logs.motion import Motion
+from geodrake.logs import Motion
 
 PENDULUM = Path(__file__).parents[1] / "models" / "double_pendulum.urdf"
 JOINTS = ("shoulder", "elbow")

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.signal import lfilter
 
-from geodrake.logs.motion import JointLog
+from geodrake.logs import JointLog
 
 MODELS = Path(__file__).parents[1] / "models"
 

@@ -7,7 +7,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from geodrake.diagnosis.results import Candidate, Diagnosis, Explanation, FittedRival, Step
+from geodrake.diagnosis import Candidate, Diagnosis, Explanation, Step
+from geodrake.diagnosis.results import FittedRival
 from geodrake.identification.logs.model_errors import (
     Comparison,
     ErrorTable,

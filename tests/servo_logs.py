@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from geodrake.logs.motion import JointLog
+from geodrake.logs import JointLog
 
 PENDULUM = """
 <robot name="pendulum">

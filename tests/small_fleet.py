@@ -7,8 +7,7 @@ import numpy as np
 import pinocchio as pin
 from pinocchio_logs import MODELS, perturbed, random_motion, robot
 
-from geodrake.logs.files import write_log
-from geodrake.logs.motion import JointLog
+from geodrake.logs import JointLog, write_log
 
 PENDULUM = MODELS / "double_pendulum.urdf"
 LOGS, SECONDS, RATE = 8, 4.0, 200.0

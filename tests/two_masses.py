@@ -7,7 +7,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from geodrake import effects
-from geodrake.logs.motion import JointLog
+from geodrake.logs import JointLog
 
 LENGTH, MASS, BODY = 0.4, 1.5, 0.04
 INERTIA, WEIGHT, ROTOR, FRICTION = BODY + MASS * LENGTH**2, MASS * LENGTH * 9.81, 0.15, 0.4

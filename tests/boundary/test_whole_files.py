@@ -17,8 +17,7 @@ from geodrake.boundary.whole_files import (
     write_whole,
 )
 from geodrake.errors import GeodrakeError, OutputError
-from geodrake.logs.files import write_log
-from geodrake.logs.motion import JointLog
+from geodrake.logs import JointLog, write_log
 
 
 def full(file):

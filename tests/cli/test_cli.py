@@ -15,10 +15,9 @@ from pinocchio_logs import effort_log
 
 from geodrake.diagnosis import Step
 from geodrake.effects import JointEffect, Parameter
-from geodrake.logs.files import write_log
-from geodrake.logs.motion import JointLog, Motion
-from geodrake.model.saved_model import load_model
-from geodrake.report.numbers import Units
+from geodrake.logs import JointLog, Motion, write_log
+from geodrake.model import load_model
+from geodrake.report import Units
 from geodrake.report.words import finding, step_parameters
 
 COULOMB = {"shoulder": 0.3, "elbow": 0.2}

@@ -9,8 +9,8 @@ import pytest
 from commands import contents, refused, run, told
 from pendulum_logs import PENDULUM, pendulum_log
 
-from geodrake.logs.files import write_log
-from geodrake.model.saved_model import load_model, save_model
+from geodrake.logs import write_log
+from geodrake.model import load_model, save_model
 
 FINGERS = "".join(
     f"""<link name="{name}"><inertial><mass value="0.2"/><inertia ixx="1e-4" iyy="1e-4" izz="1e-4"

@@ -13,7 +13,7 @@ from geodrake.fleet import (
     read_digest,
 )
 from geodrake.fleet.settings import read_settings
-from geodrake.logs.files import write_log
+from geodrake.logs import write_log
 
 
 @pytest.fixture(scope="module")

@@ -17,10 +17,8 @@ from geodrake.cli.excite import limits_of, rivals_in
 from geodrake.effects import CoulombFriction, FittedEffect
 from geodrake.errors import ArgumentError
 from geodrake.excitation.tell_apart import separation_of
-from geodrake.logs.files import read_log
-from geodrake.logs.motion import Motion
-from geodrake.model import EffortSignal
-from geodrake.model.saved_model import load_model
+from geodrake.logs import Motion, read_log
+from geodrake.model import EffortSignal, load_model
 
 SOON = ("--seeds", 1, "--iterations", 12)
 FAST = (*SOON, "--samples", 40, "--duration", 4, "--harmonics", 2)

@@ -21,9 +21,8 @@ from geodrake.effects import (
     StribeckFriction,
     ViscousFriction,
 )
-from geodrake.logs.files import write_log
-from geodrake.logs.motion import JointLog
-from geodrake.model.saved_model import load_model, save_model
+from geodrake.logs import JointLog, write_log
+from geodrake.model import load_model, save_model
 
 PERIOD, DELAY = 0.01, 0.02
 

@@ -13,8 +13,9 @@ from pyarrow import parquet
 from small_fleet import FROM, HEAVY, LOGS, STICKY, date_of, write_file, write_fleet
 
 from geodrake.errors import DigestError, FleetError
+from geodrake.fleet import FleetFinding, FleetResult
 from geodrake.fleet.fleet_logs import FleetDigests
-from geodrake.fleet.fleet_result import ChangedParameter, FleetFinding, FleetResult, RobotResult
+from geodrake.fleet.fleet_result import ChangedParameter, RobotResult
 
 STEADY = "first"
 THREE = (STEADY, HEAVY, STICKY)

@@ -9,11 +9,14 @@ from pendulum_logs import PENDULUM as MODEL
 from pendulum_logs import sines
 
 from geodrake.cli.identify import named_effects
-from geodrake.excitation import identifiable_parameters, make_target, measurement_factor
-from geodrake.excitation.identifiable import log_identifiability
-from geodrake.logs.files import write_log
-from geodrake.logs.motion import JointLog
-from geodrake.model.saved_model import load_model
+from geodrake.excitation import (
+    identifiable_parameters,
+    log_identifiability,
+    make_target,
+    measurement_factor,
+)
+from geodrake.logs import JointLog, write_log
+from geodrake.model import load_model
 from geodrake.report.exciting import identifiability_verdict
 from geodrake.robot.base_parameters import structural_base_parameters
 

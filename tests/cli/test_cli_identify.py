@@ -13,13 +13,12 @@ from pendulum_logs import sines
 from geodrake.cli.identify import named_effects
 from geodrake.effects import CoulombFriction, FittedEffect, Payload, RotorInertia
 from geodrake.errors import ArgumentError, IdentificationError, ModelError
+from geodrake.identification import IdentificationSettings, identify_model
 from geodrake.identification.logs.log_fits import LogFits
-from geodrake.identification.models import IdentificationSettings, identify_model
 from geodrake.identification.models.identify import with_effects
 from geodrake.inertia import from_mass_com_inertia, is_physical
-from geodrake.logs.files import write_log
-from geodrake.logs.motion import JointLog
-from geodrake.model.saved_model import load_model, save_model
+from geodrake.logs import JointLog, write_log
+from geodrake.model import load_model, save_model
 from geodrake.report import page_of, render
 from geodrake.report.numbers import number
 

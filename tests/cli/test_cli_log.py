@@ -12,7 +12,8 @@ from PIL import Image
 from geodrake.cli.command import with_facts
 from geodrake.cli.input_options import ReadingOptions
 from geodrake.cli.options import AddOptions
-from geodrake.logs.files import Reading, read_log, read_mapping
+from geodrake.logs import Reading, read_log
+from geodrake.logs.files import read_mapping
 
 OWN = "time,shoulder.position,elbow.position,shoulder.effort,elbow.effort"
 

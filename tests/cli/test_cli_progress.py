@@ -12,10 +12,9 @@ from processes import start
 
 from geodrake.boundary.interrupts import StopSearch
 from geodrake.cli.progress import progress
-from geodrake.diagnosis.explain import explain
-from geodrake.diagnosis.search_progress import FoundStep
-from geodrake.logs.files import write_log
-from geodrake.model.saved_model import load_model
+from geodrake.diagnosis import explain
+from geodrake.logs import write_log
+from geodrake.model import load_model
 
 WAITING = re.compile(r".* \(\d+ s\)\n")  # said on a busy machine
 
@@ -50,13 +49,6 @@ def test_work_that_says_nothing_goes_on(capsys, monkeypatch):
         shown("Comparing")
         time.sleep(0.3)
     assert "Comparing (0 s)" in capsys.readouterr().err
-
-
-def test_share_of_a_step_is_how_far_it_is_to_the_noise():
-    step = FoundStep("payload", ("flange",), 1.0, 0.1, start=1.0, floor=0.01)
-    assert step.share == pytest.approx(0.5)
-    assert FoundStep("payload", (), 1.0, 0.01, start=1.0, floor=0.01).share == 1.0
-    assert FoundStep("payload", (), 1.0, 0.1, start=1.0, floor=0.0).share == pytest.approx(1 / 3)
 
 
 @pytest.fixture(scope="module")

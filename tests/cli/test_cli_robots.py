@@ -9,7 +9,7 @@ from commands import refused, told
 from pendulum_logs import PENDULUM
 from scipy.integrate import solve_ivp
 
-from geodrake.control.rollout import roll_out
+from geodrake.control import roll_out
 from geodrake.effects import FittedEffect, Hysteresis, RotorInertia
 from geodrake.logs import JointLog, Motion, read_log, write_log
 from geodrake.model import load_model

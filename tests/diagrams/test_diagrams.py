@@ -15,7 +15,7 @@ from meshcat_pages import drawn, tracks
 from scripts import ROOT, SCRIPTS, call, start
 
 from diagrams import benchmarks_page
-from geodrake.logs.files import read_log
+from geodrake.logs import read_log
 
 RUNS = json.loads(benchmarks_page.FIGURES.read_text(encoding="utf-8"))
 
@@ -24,6 +24,8 @@ LONG = {  # more than 5 s of the processor
     "adaptive_soak",
     "ambidex_arm",
     "ambidex_sandbags",
+    "atlas_identification",
+    "cheetah_leg",
     "excite_arms",
     "fleet_kills",
     "fleet_study",

@@ -6,8 +6,8 @@ from scipy.linalg import lstsq
 
 from diagrams.studies import ambidex_arm as draws
 from diagrams.studies.ambidex import arm as robot
-from geodrake.inertia.ellipsoids import equivalent_ellipsoid
-from geodrake.logs.motion import Motion
+from geodrake.inertia import equivalent_ellipsoid
+from geodrake.logs import Motion
 
 PLAN = draws.Plan(draws=1, counts=(30,), gamma=0.03, delta=0.5, hull=2.0, seed=4)
 

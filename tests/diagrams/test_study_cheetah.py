@@ -6,9 +6,8 @@ import numpy as np
 
 from diagrams.studies import cheetah_gallop as gallop
 from diagrams.studies.cheetah import leg as cheetah
-from geodrake.robot import joint_names
-from geodrake.robot.base_parameters import base_parameters
-from geodrake.robot.regressor import base_wrench_regressor, body_poses, inverse_dynamics
+from geodrake.robot import base_parameters, base_wrench_regressor, inverse_dynamics, joint_names
+from geodrake.robot.regressor import body_poses
 
 MODELS = Path(__file__).parents[2] / "models"
 

@@ -5,10 +5,9 @@ import pytest
 
 from diagrams.studies import atlas_identification as atlas
 from diagrams.studies import excitation_contours as contours
-from diagrams.studies import iiwa_excitation as iiwa
 from diagrams.studies import scara_excitation as scara
-from geodrake.excitation import ExcitationTrajectory, FreeSamples, Objective
-from geodrake.logs.motion import Motion
+from geodrake.excitation import ExcitationTrajectory, FreeSamples
+from geodrake.logs import Motion
 
 
 class TestContours:
@@ -66,17 +65,6 @@ class TestScara:
         for key, value in drawn.items():
             assert expected[key] == pytest.approx(value, rel=0.05)
 
-    def test_one_optimum_in_all_frames_and_the_smallest_error(self):
-        design, plan = scara.design, scara.Plan(iterations=6)
-        cells = [("geometric", "1"), ("geometric", "4"), ("none", "3"), ("diagonal", "1")]
-        first, second, none, diagonal = (design(scara.Cell(*cell), plan=plan) for cell in cells)
-        np.testing.assert_allclose(second["coefficients"], first["coefficients"], atol=1e-7)
-        assert first["error"] < 0.8 * min(none["error"], diagonal["error"])
-        values = [*first["value_by_frame"].values()]
-        assert max(values) < (1 + 1e-9) * min(values)
-        values = [*diagonal["value_by_frame"].values()]
-        assert max(values) > 2.0 * min(values)
-
 
 class TestOneFoot:
     def test_motions_are_in_balance(self):
@@ -93,18 +81,3 @@ class TestOneFoot:
             sole.append(X.GetAsMatrix4())
         assert np.ptp(sole, axis=0).max() < 1e-9
         assert np.abs(motion.v[[0, -1]]).max() < 1e-9
-
-
-class TestManipulator:
-    def test_base_representation_does_not_matter_to_the_geometric_criterion(self):
-        model = iiwa.manipulator(None)
-        q, v, vd = np.random.default_rng(2).uniform(-1, 1, (3, 40, 7))
-        values = {}
-        for base in (1, 2):
-            target = iiwa.represented_target(model, base, 0)
-            for name in ("none", "diagonal", "geometric"):
-                value = Objective(target, normalization=name).value(Motion(q, v, vd))
-                values.setdefault(name, []).append(value)
-        assert values["geometric"][1] == pytest.approx(values["geometric"][0], rel=1e-9)
-        for name in ("none", "diagonal"):
-            assert abs(np.log(values[name][1] / values[name][0])) > 0.1

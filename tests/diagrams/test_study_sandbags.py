@@ -6,7 +6,7 @@ from scipy.linalg import block_diag
 
 from diagrams.studies import ambidex_sandbags as study
 from diagrams.studies.ambidex import arm as robot
-from geodrake.logs.motion import Motion
+from geodrake.logs import Motion
 
 
 @pytest.fixture(scope="module")

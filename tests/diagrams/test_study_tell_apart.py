@@ -10,7 +10,7 @@ from commands import told
 from diagrams.benchmarks import tell_apart as study
 from diagrams.benchmarks.tell_apart import CASES, MOTIONS, Hidden
 from diagrams.harness import script_parser
-from geodrake.logs.files import read_log, write_log
+from geodrake.logs import read_log, write_log
 
 
 def robot_log(hidden, motion, duration, *, noise=0.0):

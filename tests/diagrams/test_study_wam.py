@@ -45,26 +45,6 @@ class TestRule:
         assert self.chosen(rows) == [1e2] * 3
         assert self.chosen(self.rows(lambda speed: abs(np.log(speed / 3.0)))) == [3.0] * 3
 
-    def test_reported_draws_take_what_is_chosen(self):
-        for chosen in laws.CHOSEN.values():
-            assert {laws.EUCLIDEAN, laws.NATURAL} <= set(chosen) <= set(laws.LAWS[1:])
-            assert set(chosen.values()) <= set(laws.GRID)
-        assert laws.speeds("wam", "source")[laws.EUCLIDEAN] == 5e-5
-
-
-@pytest.mark.parametrize("sigma", [0.1, 0.4])
-def test_geometric_laws_track_best_and_stay_physical(sigma):
-    speed, rows = laws.speeds("wam", "rule"), {}
-    for law in laws.LAWS:
-        draw = full.Draw(full.NOISE, law, speed[law], sigma, 0, amplitudes=(0.8,), end=1.3)
-        rows[law] = full.run_draw(draw, seed=0)
-        assert law == laws.NONE or 0.0 <= rows[law]["rise"] < 1e-3
-    rms = {law: row["rms"] for law, row in rows.items()}
-    assert max(rms[laws.NATURAL], rms[laws.PULLBACK]) < 0.5 * rms[laws.EUCLIDEAN]
-    assert rms[laws.EUCLIDEAN] < 0.5 * rms[laws.NONE]
-    assert rows[laws.EUCLIDEAN]["unphysical"] > 0.5
-    assert rows[laws.NATURAL]["unphysical"] == rows[laws.PULLBACK]["unphysical"] == 0.0
-
 
 def test_unfinished_rounds_of_a_lost_loop_are_not_told():
     draw = full.Draw(full.NOISE, laws.EUCLIDEAN, 10.0, 0.4, 0, amplitudes=(0.8,))

@@ -10,10 +10,10 @@ from pydrake.systems.framework import DiagramBuilder
 
 from geodrake import load_model, save_model
 from geodrake.control.export_proof import export_to
-from geodrake.effects import FittedEffect, make_effect
-from geodrake.effects.lookup import catalogue, file_effects
+from geodrake.effects import FittedEffect, catalogue, make_effect
+from geodrake.effects.lookup import file_effects
 from geodrake.errors import ArgumentError
-from geodrake.logs.motion import Motion
+from geodrake.logs import Motion
 from geodrake.model import check_dynamics, holding
 
 ARM = """<mujoco model="r"><option density="900" viscosity="2" wind=".3 -.1 .2"/><worldbody>

@@ -24,7 +24,7 @@ from geodrake.excitation import (
 from geodrake.excitation.collision_geometry import read_obstacles
 from geodrake.excitation.problem import make_problem
 from geodrake.excitation.starts import RampPlanner
-from geodrake.model.robot_model import load_description
+from geodrake.model import load_description
 from geodrake.robot import joint_names
 from geodrake.robot.mesh_files import stl_vertices
 

@@ -9,27 +9,23 @@ from pydrake.math import RigidTransform
 from scipy.linalg import eigh
 
 from geodrake.effects import (
+    BodyEffect,
     CoulombFriction,
     CoupledFriction,
     FittedEffect,
     JointSpring,
     LoadDependentFriction,
+    Parameter,
     Payload,
     RotorInertia,
     StribeckFriction,
     ViscousFriction,
 )
-from geodrake.effects.base import BodyEffect, Parameter
 from geodrake.errors import ArgumentError
-from geodrake.excitation.objective import (
-    CRITERIA,
-    NORMALIZATIONS,
-    Criterion,
-    Objective,
-)
-from geodrake.excitation.target import make_target
+from geodrake.excitation import Criterion, Objective, make_target
+from geodrake.excitation.objective import CRITERIA, NORMALIZATIONS
 from geodrake.inertia import from_mass_com_inertia
-from geodrake.logs.motion import Motion
+from geodrake.logs import Motion
 
 BODY = from_mass_com_inertia(2.0, [0.02, 0.1, 0.0], 0.01 * np.eye(3))
 

@@ -28,8 +28,7 @@ from geodrake.excitation import (
     motion_limits,
 )
 from geodrake.excitation.problem import make_problem
-from geodrake.model.effort_signal import EffortSignal
-from geodrake.model.robot_model import load_description
+from geodrake.model import EffortSignal, load_description
 
 FAST = DesignOptions(samples=60, iterations=40, sharpness=(8.0,))
 SHORT = FourierMotion(4.0, 2)

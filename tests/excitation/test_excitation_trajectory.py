@@ -8,18 +8,20 @@ import yaml
 from excitation_robots import arm
 
 from geodrake.errors import ArgumentError
-from geodrake.excitation.families import FourierMotion, FreeSamples, SplineMotion
-from geodrake.excitation.limits import motion_limits
-from geodrake.excitation.regressor_gradient import inverse_dynamics_regressor_gradient
-from geodrake.excitation.trajectory import (
+from geodrake.excitation import (
     ExcitationTrajectory,
+    FourierMotion,
+    FreeSamples,
+    SplineMotion,
+    motion_limits,
     read_drake_trajectory,
-    ros_joint_trajectory,
     write_trajectory,
 )
-from geodrake.logs.files import read_log
-from geodrake.model.robot_model import load_description
-from geodrake.robot.regressor import inverse_dynamics
+from geodrake.excitation.regressor_gradient import inverse_dynamics_regressor_gradient
+from geodrake.excitation.trajectory import ros_joint_trajectory
+from geodrake.logs import read_log
+from geodrake.model import load_description
+from geodrake.robot import inverse_dynamics
 
 TIMED = [
     FourierMotion(),

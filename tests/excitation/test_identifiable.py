@@ -20,7 +20,7 @@ from geodrake.excitation import (
     measurement_factor,
     reduced_identification,
 )
-from geodrake.logs.motion import Motion
+from geodrake.logs import Motion
 
 NOISE = 0.5
 

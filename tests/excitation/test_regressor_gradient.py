@@ -12,8 +12,7 @@ from geodrake.excitation.regressor_gradient import (
     inverse_dynamics_regressor_gradient,
 )
 from geodrake.inertia import inertial_parameters
-from geodrake.robot.kinematics import KinematicTree
-from geodrake.robot.regressor import base_wrench_regressor, inverse_dynamics_regressor
+from geodrake.robot import KinematicTree, base_wrench_regressor, inverse_dynamics_regressor
 
 NAMES = ("q", "v", "vd")
 

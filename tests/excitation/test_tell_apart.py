@@ -24,9 +24,9 @@ from geodrake.excitation import (
 )
 from geodrake.identification.logs.criteria import SPREAD
 from geodrake.identification.logs.unknowns import pullback_information
-from geodrake.logs.motion import Motion
-from geodrake.model.saved_model import load_model
-from geodrake.robot.regressor import inverse_dynamics_regressor
+from geodrake.logs import Motion
+from geodrake.model import load_model
+from geodrake.robot import inverse_dynamics_regressor
 
 NOISE = np.array([0.1, 0.2, 0.05])
 WIDTH = np.array([0.05, 0.1, 0.2])

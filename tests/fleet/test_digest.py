@@ -31,9 +31,9 @@ from geodrake.fleet.settings import FORMAT
 from geodrake.identification.logs.case import open_case, reduced
 from geodrake.identification.logs.hypothesis import first_hypothesis
 from geodrake.identification.logs.model_fit import model_unknowns
-from geodrake.logs.known_payload import KnownPayload
+from geodrake.logs import KnownPayload
 from geodrake.logs.motion import Trajectory
-from geodrake.model.saved_model import load_model
+from geodrake.model import load_model
 
 MODELS = Path(__file__).parents[2] / "models"
 FRICTION = np.array([6.0, 5.0, 4.0, 1.0, 1.0, 0.5])  # N·m

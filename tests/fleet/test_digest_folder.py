@@ -21,9 +21,8 @@ from geodrake.fleet import (
 )
 from geodrake.fleet.digest_log import Wanted
 from geodrake.fleet.settings import FORMAT, SETTINGS_FILE, read_settings
-from geodrake.logs.files import Reading, write_log
-from geodrake.logs.known_payload import KnownPayload
-from geodrake.model.saved_model import load_model
+from geodrake.logs import KnownPayload, Reading, write_log
+from geodrake.model import load_model
 
 
 @pytest.fixture(scope="module")

@@ -46,8 +46,8 @@ from geodrake.fleet.log_places import (
     local_log,
 )
 from geodrake.fleet.settings import read_settings
-from geodrake.logs.files import write_log
-from geodrake.model.saved_model import load_model, save_model
+from geodrake.logs import write_log
+from geodrake.model import load_model, save_model
 from geodrake.report.json_output import to_json
 from geodrake.report.views import numbers_of
 

@@ -23,7 +23,7 @@ from geodrake.fleet.type_layout import type_layout
 from geodrake.identification.logs.case import open_case, reduced
 from geodrake.identification.logs.hypothesis import CrossValidation, first_hypothesis
 from geodrake.identification.logs.model_fit import model_unknowns
-from geodrake.logs.files import read_log
+from geodrake.logs import read_log
 from geodrake.model.logged_joints import log_of_model, reading_for
 
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from geodrake.effects import CoulombFriction, EffortOffset, ViscousFriction
-from geodrake.fleet.digest_log import make_settings
+from geodrake.fleet import make_settings
 from geodrake.fleet.type_layout import type_layout, with_joint_effects
-from geodrake.logs.motion import JointLog
-from geodrake.model.saved_model import load_model
+from geodrake.logs import JointLog
+from geodrake.model import load_model
 
 CART = """<robot name="cart"><link name="base"/>
 <link name="cart"><inertial><mass value="2"/>

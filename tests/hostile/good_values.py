@@ -25,18 +25,17 @@ from scipy.io import savemat
 
 import geodrake
 from geodrake import control, effects, excitation, fleet, inertia
-from geodrake.control.adaptation import AdaptationLaw, LinearSet, mass_limits, parameter_manifold
+from geodrake.control import parameter_manifold
+from geodrake.control.adaptation import AdaptationLaw, LinearSet, mass_limits
 from geodrake.effects import FittedEffect
 from geodrake.excitation import FourierMotion
 from geodrake.excitation.trajectory import drake_trajectory
 from geodrake.identification import Riemannian
-from geodrake.inertia.ellipsoids import equivalent_ellipsoid
+from geodrake.inertia import equivalent_ellipsoid
 from geodrake.logs import JointLog, KnownPayload, Motion, write_log
-from geodrake.manifolds import PhysicalInertia, Positive
-from geodrake.manifolds.projections import slab
+from geodrake.manifolds import PhysicalInertia, Positive, slab
+from geodrake.robot import LinearTransmission, inverse_dynamics_regressor
 from geodrake.robot.base_parameters import structural_base_parameters
-from geodrake.robot.regressor import inverse_dynamics_regressor
-from geodrake.robot.transmission import LinearTransmission
 
 JOINTS, BODIES = ("shoulder", "elbow"), ("upper_link", "lower_link")
 rng = np.random.default_rng(0)

@@ -11,7 +11,8 @@ from makers import BODY, HEAD, damage, effect, log, npz, read_rows
 from geodrake.control.rollout import stepping
 from geodrake.effects import load_effect_file
 from geodrake.errors import GeodrakeError, LogError
-from geodrake.logs.files import read_log, table
+from geodrake.logs import read_log
+from geodrake.logs.files import table
 
 DAMAGED = [
     Row(f"{file}: {kind}", f"compare {file} log.csv", says, {file: content}, apart=apart)

@@ -24,7 +24,7 @@ from geodrake.errors import GeodrakeError
 from geodrake.fleet import read_fleet
 from geodrake.inertia import is_physical
 from geodrake.logs import Motion
-from geodrake.logs.files.mapping_file import read_mapping
+from geodrake.logs.files import read_mapping
 
 Dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 NUMBERS = ("nan", "inf", "-inf", "-7", "0", "1e-300", "1e300", "1e400", "0x10", "1,5", "many", "")

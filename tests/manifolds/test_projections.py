@@ -16,11 +16,9 @@ from geodrake.manifolds import (
     Free,
     Interval,
     PhysicalInertia,
+    Polyhedron,
     Positive,
     Product,
-)
-from geodrake.manifolds.projections import (
-    Polyhedron,
     affine_set,
     bregman_projection,
     halfspace,

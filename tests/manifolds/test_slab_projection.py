@@ -5,8 +5,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_points import random_point
 
-from geodrake.manifolds import Interval, PhysicalInertia, Positive, Product
-from geodrake.manifolds.projections import Polyhedron, bregman_projection
+from geodrake.manifolds import (
+    Interval,
+    PhysicalInertia,
+    Polyhedron,
+    Positive,
+    Product,
+    bregman_projection,
+)
 from geodrake.manifolds.slabs import TOLERANCE, slab_projection
 
 ROBOT = Product(

@@ -9,8 +9,7 @@ import pytest
 from report_results import JOINT, LOG, URDF
 
 from geodrake import load_model
-from geodrake.effects import CoulombFriction, FittedEffect, GravityTilt, Payload
-from geodrake.effects.environment import Contact
+from geodrake.effects import Contact, CoulombFriction, FittedEffect, GravityTilt, Payload
 from geodrake.inertia import from_mass_com_inertia
 from geodrake.logs import read_log
 from geodrake.report.playback import play_back

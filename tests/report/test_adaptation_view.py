@@ -6,7 +6,7 @@ from adaptive_loops import CONTROL, MODEL, TRUTH, closed_loop, natural, perturbe
 from meshcat_pages import transform
 from pydrake.geometry import Meshcat
 
-from geodrake.control.systems import PassivityBasedAdaptiveController
+from geodrake.control import PassivityBasedAdaptiveController
 from geodrake.errors import ArgumentError, OutputError
 from geodrake.report import AdaptationView, save_recording
 from geodrake.report.ellipsoids import placed

@@ -7,10 +7,9 @@ import pytest
 from meshcat_pages import commands
 
 from geodrake.errors import ArgumentError
-from geodrake.inertia import change_frame, from_pseudo_inertia, pseudo_inertia
+from geodrake.inertia import Ellipsoid, change_frame, from_pseudo_inertia, pseudo_inertia
 from geodrake.inertia.bodies import lumped_bodies
-from geodrake.inertia.ellipsoids import Ellipsoid
-from geodrake.model.saved_model import load_model
+from geodrake.model import load_model
 from geodrake.report.ellipsoids import (
     BOUNDARY,
     EllipsoidSet,

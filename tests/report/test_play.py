@@ -14,7 +14,8 @@ from pydrake.multibody.plant import MultibodyPlant
 from report_results import JOINT, LOG, URDF
 
 from geodrake import load_model, save_model
-from geodrake.control.rollout import Rollout, roll_out
+from geodrake.control import roll_out
+from geodrake.control.rollout import Rollout
 from geodrake.control.rollout.results import Window
 from geodrake.diagnosis import compare
 from geodrake.errors import ArgumentError

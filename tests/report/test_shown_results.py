@@ -17,9 +17,9 @@ from pendulum_logs import PENDULUM, friction, pendulum_log
 
 from geodrake import load_model
 from geodrake.boundary.showing import Short, Shown
-from geodrake.control.rollout import FittedValue, RolloutFit, roll_out
-from geodrake.diagnosis import compare, diagnose
-from geodrake.diagnosis.add import add
+from geodrake.control import roll_out
+from geodrake.control.rollout import FittedValue, RolloutFit
+from geodrake.diagnosis import add, compare, diagnose
 from geodrake.effects import FittedEffect, JointElasticity
 from geodrake.errors import ArgumentError
 from geodrake.excitation import (
@@ -28,8 +28,8 @@ from geodrake.excitation import (
     design_excitation,
     log_identifiability,
 )
-from geodrake.identification.models import identify_model
-from geodrake.logs.files import write_log
+from geodrake.identification import identify_model
+from geodrake.logs import write_log
 
 MODEL = str(PENDULUM)
 PACKAGES = (
