@@ -80,6 +80,7 @@ _FREE, _WIDTHS = 0.01, 15  # to hold the inertias, as a search may do, does not 
 _USUAL_SHARE = 0.3
 _ON_TIME = 1e-9  # s
 _UNSURE_DELAY = 0.01  # of the least difference of delays that are tried
+_ASYNCHRONOUS = 0.5  # of the least delay that is tried: no log is synchronous to the last bit
 _NOTABLE = 0.5  # of a squared error, that the error of a gain takes
 _MOST_PINNED, _PINNED = 4, 1e15
 _STATED = 1e-4  # share to which a file knows the values of effects, unless they are others
@@ -313,12 +314,12 @@ class LogModel:
     def _rates(self) -> tuple[Array, float]:
         """Return weights (K, nv) that make rates of efforts of those at all delays, in 1/s.
 
-        With them comes the deviation of a delay that was found, s. Without it, the error that an
-        inexact delay leaves would look like an effect.
+        With them comes the deviation of a delay that was found, or of one that is too short to be
+        tried, s. Without it, the error that an inexact delay leaves would look like an effect.
         """
         apart = self.dataset.delays  # from those of the efforts as they are advanced
         weights, found = np.zeros(apart.shape), np.abs(apart[np.abs(apart) > _ON_TIME])
-        if not len(found) or not any(self.on_time):
+        if not len(found):
             return weights, _ON_TIME
         for j, late in enumerate(apart.T):
             after, before = late > _ON_TIME, late < -_ON_TIME
@@ -328,7 +329,8 @@ class LogModel:
                     np.argmax(np.where(before, late, -np.inf)),
                 ]
                 weights[ends, j] = np.array([1.0, -1.0]) / (late[ends[0]] - late[ends[1]])
-        return weights, _UNSURE_DELAY * float(found.min())
+        share = _UNSURE_DELAY if any(self.on_time) else _ASYNCHRONOUS
+        return weights, share * float(found.min())
 
     def spans(self, terms: Terms) -> dict[Term, slice]:
         """Return where the parameters of terms, in this order, are among those of a fit."""
@@ -349,6 +351,10 @@ class LogModel:
             information[span, span] = term.information
             logarithm += term.log_information
         return information, float(logarithm)
+
+    def prior(self, choice: Choice) -> Array:
+        """Return the prior information Λ (n, n) of an explanation."""
+        return self._prior(choice)[0]
 
     @property
     def _spread(self) -> float:

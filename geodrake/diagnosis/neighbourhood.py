@@ -78,7 +78,11 @@ class Neighbourhood:
         packed, own, _ = model.normal(columns, was)
         late = [model.moments(columns, (k,) * len(was)) for k in range(count)]
         samples, now = self._samples(), fit.noise * model.block_rows
+        prior, mean = model.prior(fit.choice), model.mean[columns]
         found = list[tuple[Delay, float]]()
+
+        def away(x: Array) -> float:
+            return float((x - mean) @ prior @ (x - mean))
 
         def odds(delay: Delay) -> float:
             return model.odds_against(replace(fit.choice, delay=delay))
@@ -97,7 +101,7 @@ class Neighbourhood:
                 left = calc_squares((alone, moments[at], powers[at]), x)
                 ratio = np.maximum(left, 1e-12 * now[at]) / now[at]
                 delay = tuple(k if j in moved else was[j] for j in joints)
-                tried.append((delay, float(-samples[at] @ np.log(ratio))))
+                tried.append((delay, away(fit.x) - away(x) - float(samples[at] @ np.log(ratio))))
             tried = [each for each in tried if model.are_apart(each[0], was)]
             found.append(max(tried, key=lambda each: each[1] - odds(each[0])))
             on_time = tuple(model.on_time[j] if j in moved else was[j] for j in joints)

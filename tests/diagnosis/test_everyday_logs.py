@@ -128,15 +128,26 @@ def test_a_delay_takes_the_place_of_viscous_friction_at_all_joints(model):
     assert any(np.allclose(delay, seconds) for delay in delays)
 
 
+def sampled_late(steps):
+    """A log at 100 Hz of a robot with heavy rotors, its efforts late by so many steps of 1 ms."""
+    how = {"rate": 1000.0, "share": 0.003}
+    log = effort_log("double_pendulum", 6, lambda seen: 0.4 * seen.a, **how).log
+    late = np.vstack([log.effort[:1]] * steps + [log.effort[: len(log.effort) - steps]])
+    return JointLog("late", log.joints, log.time[::10], log.position[::10], late[::10])
+
+
 def test_efforts_that_are_late_by_a_part_of_a_sample_are_late():
     """With heavy rotors this would look like viscous friction."""
-    log = effort_log("double_pendulum", 6, lambda seen: 0.4 * seen.a, rate=500.0, share=0.003).log
-    late = replace(log, effort=np.vstack([log.effort[:1], log.effort[:-1]]))
-    sampled = JointLog("late", late.joints, late.time[::5], late.position[::5], late.effort[::5])
-    found = explain(load_model(MODELS / "double_pendulum.urdf"), [sampled])
+    found = explain(load_model(MODELS / "double_pendulum.urdf"), [sampled_late(2)])
     assert {step.effect for step in found.steps} >= {"rotor_inertia", "effort_delay"}
     (delay,) = (step for step in found.steps if step.effect == "effort_delay")
     assert delay.parameters["all joints"]["delay"] == pytest.approx(2e-3, abs=5e-4)
+
+
+def test_efforts_that_are_late_by_a_tenth_of_a_sample_are_not():
+    """No log is more synchronous than that, as its signals are read one after the other."""
+    found = explain(load_model(MODELS / "double_pendulum.urdf"), [sampled_late(1)])
+    assert {step.effect for step in found.steps} == {"rotor_inertia"}
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 3, 4])
