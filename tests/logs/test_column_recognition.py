@@ -39,6 +39,8 @@ NAMES = [
     ("qd2[1]", "acceleration", "", 1),
     ("qd2", "velocity", "", 2),
     ("i_3", "current", "", 3),
+    ("i_meas_elbow", "current", "elbow", None),
+    ("elbow_tau_J", "effort", "elbow", None),
     ("cur_elbow", "current", "elbow", None),
     ("target_current_1", "current", "", 1),
     ("actual_joint_voltage_2", "voltage", "", 2),
@@ -71,7 +73,14 @@ def test_names_of_loggers(name, quantity, joint, number):
     "name",
     [
         *("time", "t", "timestamp", "__time", "%time", "header.stamp.secs", "Time (ms)", "time_us"),
-        *("/joint_states/header/stamp/sec", "elapsed time [s]", "Temps (s)", "ctrl_timestamp"),
+        *(
+            "/joint_states/header/stamp/sec",
+            "arm.time",
+            "TimeMs",
+            "elapsed time [s]",
+            "Temps (s)",
+            "ctrl_timestamp",
+        ),
     ],
 )
 def test_names_of_time(name):
@@ -106,6 +115,16 @@ def test_names_that_say_nothing_or_are_odd(name):
         ("pwm_2 (%)", "%", 1e-2),
         ("elbow.present_load", "%", 1e-2),
         ("vel_estimate", "rev/s", 6.283185307179586),
+        ("effort/elbow [Nmm]", "Nmm", 1e-3),
+        ("q/joint2[mrad]", "mrad", 1e-3),
+        ("tau/J2_Nmm", "Nmm", 1e-3),
+        ("J3/current_mA", "mA", 1e-3),
+        ("Current/joint1 [mA]", "mA", 1e-3),
+        ("current1_A", "A", 1.0),
+        ("joint1VelDegS", "deg/s", 0.017453292519943295),
+        ("vel1_dps", "deg/s", 0.017453292519943295),
+        ("J1 Velocity (deg/sec)", "deg/s", 0.017453292519943295),
+        ("torque1 [kgf.cm]", "kgfcm", 0.0980665),
         ("voltage_1 [mA]", "mA", 1e-3),  # which is refused when it is read
     ],
 )

@@ -104,6 +104,8 @@ def test_urdf_reads_limits_damping_and_friction(load):
     assert stated == {ViscousFriction("j1"): [0.5], CoulombFriction("j1"): [0.3]}
     assert any("viscous_friction" in note and "j1 0.5" in note for note in model.notes)
     assert any("coulomb_friction" in note for note in model.notes)
+    endless = urdf(inertial()).replace('lower="-1" upper="2"', 'lower="-inf" upper="inf"')
+    assert np.ravel(position_limits(load(endless).plant)).tolist() == [-np.inf, np.inf]
 
 
 @pytest.mark.parametrize("effort", [10, 0])

@@ -61,6 +61,7 @@ _TYPED = re.compile(r"(?<![A-Za-z])(?:f|lr|r|n)(?=(?:Act|Set|Actual|Target)[A-Z]
 _INCREMENTAL = ("inc", "cnt", "qc")  # a kind of encoder, where they stand in no brackets
 _OBSERVED = ("observation.state", "observation.position")  # of LeRobot
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
+_TORQUE_J = re.compile(r"(?<![A-Za-z])tau_J(?![A-Za-z0-9])")  # of Franka, where J is no joint
 _GROUP = re.compile(r"(?<=.)[/.](?![^(\[]*[)\]])")  # behind a name that stands in no brackets
 _BRACKETS = re.compile(r"\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]\s*$")
 _INDEX = re.compile(r"\[(\d+)\]")
@@ -262,7 +263,7 @@ def _joint(column: str) -> Meaning | None:
     """Parse a name of a joint's quantity, with words in any order."""
     name = _TYPED.sub("", _SECOND.sub("qdd", column))
     name = _FIRST_SENSOR.sub("", name)
-    name = _INDEX.sub(r"_\1", name).replace(*_OBSERVED)
+    name = _TORQUE_J.sub("tau", _INDEX.sub(r"_\1", name).replace(*_OBSERVED))
     name = name.replace("qfrc_actuator", "qfrc")  # of MuJoCo: of motors, at joints
     brackets = _BRACKETS.search(name)
     cut = brackets.start() if brackets else len(name)
@@ -282,9 +283,14 @@ def _joint(column: str) -> Meaning | None:
         return None
     if quantity == "temperature" and _without_brackets(name, "time")[1] is not None:
         return None  # as of "Temps (s)" in French
-    plain, unit = _without_unit(parts[place], quantity)
-    if unit is None and quantity in SIGNAL_KINDS:  # of another kind: see `understanding`
-        plain, unit = _without_unit(parts[place], "effort")
+    # Signals may be in units of another kind, see `understanding`.
+    for kind in (quantity, "effort") if quantity in SIGNAL_KINDS else (quantity,):
+        parts[-1], unit = _without_unit(parts[-1], kind, alone=len(parts) == 1)
+        if unit is None:
+            parts[place], unit = _without_unit(parts[place], kind)
+        plain = parts[place]
+        if unit is not None:
+            break
     of_vendor = (own for form, own in WORDS["vendors"].items() if re.search(form, column))
     unit = unit or find_unit(next(of_vendor, ""), quantity)
     used = _used(_split(plain))
@@ -333,7 +339,7 @@ RULES: tuple[Callable[[str], Meaning | None], ...] = (_time, _joint, _measured_i
 
 def _quantity(words: Words) -> str | None:
     """Return the quantity that words name."""
-    counted = any(isinstance(w, int) for w in words)
+    counted = any(isinstance(w, int) or ROLE_WORDS.get(w) == MEASURED for w in words)
     named = [w for w in words if w in QUANTITY_WORDS and (counted or w not in _SHORT)]
     if len(named) > 1:  # the current position is no motor current, and voltage in V no velocity
         named = [w for w in named if w not in (*_CURRENT, *_SHORT)] or named
@@ -367,7 +373,7 @@ def _without_brackets(name: str, quantity: str) -> tuple[str, Unit | None]:
     return (name[: found.start()], unit) if found and unit else (name, None)
 
 
-def _without_unit(name: str, quantity: str) -> tuple[str, Unit | None]:
+def _without_unit(name: str, quantity: str, *, alone: bool = True) -> tuple[str, Unit | None]:
     """Return a name without its unit, in brackets or its own part: `q_deg_1`, `torque_Nmm`."""
     plain, unit = _without_brackets(name, quantity)
     if unit is not None:
@@ -377,7 +383,8 @@ def _without_unit(name: str, quantity: str) -> tuple[str, Unit | None]:
         for first in range(len(parts) - count, 0, -1):
             text = "_".join(parts[first : first + count])
             last = first + count == len(parts)
-            if len(text) < 2 and not (last and len(parts) > 2 and text in ("A", "N", "V")):
+            is_long = len(re.split(r"[_\s.]+", name)) > 2 or parts[0][-1:].isdecimal() or not alone
+            if len(text) < 2 and not (last and is_long and text in ("A", "N", "V")):
                 continue
             unit = None if text in _INCREMENTAL else find_unit(text, quantity)
             if unit is not None and (last or parts[-1].isdecimal()):

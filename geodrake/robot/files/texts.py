@@ -504,8 +504,11 @@ class UrdfText(ModelText):
             friction = number(joint, "dynamics", "friction")
             terms.lengths.append(StatedLength({name: 1.0}, friction=friction))
             terms.effort[name] = number(joint, "limit", "effort")
-            if (limit := joint.find("limit")) is not None and terms.effort[name] == 0.0:
-                limit.attrib.pop("effort", None)  # with 0, Drake ignores the rotor, too
+            limit = {} if (stated := joint.find("limit")) is None else stated.attrib
+            if terms.effort[name] == 0.0:
+                limit.pop("effort", None)  # with 0, Drake ignores the rotor, too
+            for key in [key for key, word in limit.items() if word.strip(" +-") == "inf"]:
+                del limit[key]  # as Drake means it, but does not read it
             dynamics = joint.find("dynamics")
             if dynamics is not None and joint.get("type") == "planar":
                 words = dynamics.get("damping", "").split()
