@@ -532,22 +532,29 @@ class LogModel:
         return self.unbounded(choice, np.full(len(self.rows), _USUAL_SHARE), fit.noise)
 
     def _physical(self, choice: Choice, x: Array, factor: Array) -> float:
-        """Return twice the logarithm of the probability that the fitted payloads are physical.
+        """Return twice the logarithm of the probability that what terms do to bodies is physical.
 
-        The Hessian is L Lᵀ with the `factor` L (n, n).
+        Payloads that the model lacks must be, and bodies that are wrong as they are then. The
+        Hessian is L Lᵀ with the `factor` L (n, n).
         """
         total = 0.0
         for term, at in self.spans(choice.terms).items():
-            if term.is_whole:
-                # Columns of L⁻¹ are zero above the diagonal, so that the last ones cost little.
-                columns = np.eye(len(x) - at.start, at.stop - at.start)
-                root, _ = dtrtrs(factor[at.start :, at.start :], columns, lower=1)
-                scale = np.sqrt(np.square(root).sum(axis=0))
-                correlations = (root / scale).T @ (root / scale) + 1e-9 * np.eye(len(scale))
-                draws = _DRAWS @ np.linalg.cholesky(correlations).T
-                matrices = np.tensordot(x[at] + scale * draws, _PSEUDO, 1)
-                share = np.mean(np.linalg.eigvalsh(matrices)[:, 0] > 0.0)
-                total += 2.0 * np.log(max(float(share), 0.5 / len(_DRAWS)))
+            if not (term.is_whole or term.effect is None):
+                continue
+            # Columns of L⁻¹ are zero above the diagonal, so that the last ones cost little.
+            columns, first, mean = np.eye(len(x) - at.start, at.stop - at.start), at.start, x[at]
+            if term.effect is None:
+                body = PARAMETERS_PER_BODY * self.dataset.bodies.index(term.where[0])
+                own = slice(body, body + PARAMETERS_PER_BODY)
+                columns, first, mean = np.zeros((len(x), PARAMETERS_PER_BODY)), 0, mean + x[own]
+                columns[at] = columns[own] = np.eye(PARAMETERS_PER_BODY)
+            root, _ = dtrtrs(factor[first:, first:], columns, lower=1)
+            scale = np.sqrt(np.square(root).sum(axis=0))
+            correlations = (root / scale).T @ (root / scale) + 1e-9 * np.eye(len(scale))
+            draws = _DRAWS @ np.linalg.cholesky(correlations).T
+            matrices = np.tensordot(mean + scale * draws, _PSEUDO, 1)
+            share = np.mean(np.linalg.eigvalsh(matrices)[:, 0] > 0.0)
+            total += 2.0 * np.log(max(float(share), 0.5 / len(_DRAWS)))
         return total
 
     def efforts(self, delay: Delay) -> Indices:

@@ -376,6 +376,19 @@ def test_a_delay_costs_its_odds_only_where_it_is_one(problem):
     assert timed.are_apart((1, 1), (0, 0))
 
 
+def test_a_wrong_body_must_be_physical_with_its_change(problem):
+    """The change may be negative, as of a link that is lighter than the file says."""
+    model, (_, link) = problem[0], PENDULUM.phi
+    term = next(t for t in model.terms if t.effect is None and t.where == PAYLOAD.where)
+    choice = Choice((term,), WIDTH, (0, 0))
+    sure = 1e6 * np.eye(model.first_term + len(link))
+    told = []
+    for share in (0.4, -0.4, -1.4):
+        x = np.concatenate([model.mean[: model.first_term], share * link])
+        told.append(model._physical(choice, x, sure))
+    assert told == pytest.approx([0.0, 0.0, -2.0 * np.log(400.0)])
+
+
 @pytest.mark.parametrize("ball", [0.5, 2.0])
 def test_the_mass_of_a_payload_is_chosen_by_bodies_that_stay(ball):
     """Beside bodies that may be anything, a lighter or heavier one promises as much."""
