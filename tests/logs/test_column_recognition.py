@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from geodrake.logs.files.name_rules import MEASURED, matched, meaning_of, meanings_of
+from geodrake.logs.files.name_rules import MEASURED, PLAIN, matched, meaning_of, meanings_of
 
 UR = tuple(
     f"{name}_joint"
@@ -188,6 +188,16 @@ def test_some_numbered_columns_are_of_the_joints_that_all_others_have():
     assert (found["actual_current_1"], found["target_q_4"]) == (UR[1], UR[4])
     found, _ = joints_of([*names, "tau_7"], UR)
     assert found["tau_7"] not in UR
+
+
+def test_joints_whose_names_say_something_else():
+    joints = ("base", "wrist_angle", "arm/joint1")
+    names = [f"{q} {joint}" for q in ("actual_position", "qd") for joint in joints]
+    names += [f"{joint.upper()}_tau" for joint in joints]
+    told = meanings_of(names, joints)
+    kinds = [*["position"] * 3, *["velocity"] * 3, *["effort"] * 3]
+    assert [(m.quantity, m.joint) for m in told] == [*zip(kinds, joints * 3, strict=True)]
+    assert all(m.role <= PLAIN for m in told)
 
 
 def test_names_that_may_be_of_two_joints_are_of_none():

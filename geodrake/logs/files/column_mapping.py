@@ -125,6 +125,7 @@ Best = dict[tuple[str, str], list[Meaning]]
 
 _MOST_CLOCKS, _EVEN = 50, 0.9  # columns that are looked at, and share of steps that are even
 _CLOCKS = frozenset(("time", "timestamp", "stamp", "ts", "clock", "duration", "uptime", "elapsed"))
+_KEPT = {"filtered": 1, "filt": 1, "smoothed": 1, "raw": 2}
 _STEADY = 0.2  # of its mean, by which the voltage of a supply may vary
 
 
@@ -168,13 +169,17 @@ def _is_own(meaning: Meaning) -> bool:
     return meaning.style[0] == "own"
 
 
-def _preference(meaning: Meaning, said: str | None) -> tuple[bool, bool, bool, int, int]:
-    """Return the sort key of several columns of one quantity of a joint, best first."""
+def _preference(meaning: Meaning, said: str | None) -> tuple[bool, bool, bool, int, int, int]:
+    """Return the sort key of several columns of one quantity of a joint, best first.
+
+    What was filtered hides its noise, and what is raw is often in counts.
+    """
+    kept = max((_KEPT[word] for word in plain_words(meaning.column) if word in _KEPT), default=0)
     if meaning.log_quantity != "effort":
-        return False, not _is_own(meaning), False, 0, meaning.role
+        return False, not _is_own(meaning), False, 0, meaning.role, kept
     kind = EFFORT_KINDS.index(meaning.quantity)
     other = said is not None and said != meaning.quantity
-    return other, not _is_own(meaning), meaning.role >= DESIRED, kind, meaning.role
+    return other, not _is_own(meaning), meaning.role >= DESIRED, kind, meaning.role, kept
 
 
 def settled(
@@ -397,7 +402,8 @@ def _by_names(table: LogTable, joints: Sequence[str] | None, reading: Reading) -
     """Return the meaning of columns by their names."""
     path, names, units = table.path, table.names, table.units
     beside = [name for name in names if floating_name(name) is None]
-    of_joints = [meaning for meaning in meanings_of(beside) if meaning.quantity in OF_JOINTS]
+    told = meanings_of(beside, joints or ())
+    of_joints = [meaning for meaning in told if meaning.quantity in OF_JOINTS]
     if joints and len(joints) > 1 and all(meaning.is_bare for meaning in of_joints):
         called = log_name(path)  # the joint may be said by the name of the file
         named = [replace(m, joint=called, words=words_of(called)) for m in of_joints]

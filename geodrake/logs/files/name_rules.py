@@ -67,6 +67,7 @@ _BRACKETS = re.compile(r"\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]\s*$")
 _INDEX = re.compile(r"\[(\d+)\]")
 _FIRST_SENSOR = re.compile(r"(?<=\][./]temperature)\[0\]$")  # of several in the same motor
 _FURTHER_SENSOR = re.compile(r"\][./]temperature\[[1-9]\d*\]$")
+_NO_WORD = "zzz"  # which says nothing
 _LONGEST_NAME = 200  # letters of a name of words
 
 
@@ -135,13 +136,19 @@ def meaning_of(name: str) -> Meaning | None:
     return next((found for rule in RULES if (found := rule(name)) is not None), None)
 
 
-def meanings_of(names: Iterable[str]) -> list[Meaning]:
+def meanings_of(names: Iterable[str], joints: Sequence[str] = ()) -> list[Meaning]:
     """Return the meanings of columns whose names have one.
 
     A letter that is a unit of what the name says, as in `cur_A`, is no joint if no other has it.
+
+    Args:
+        joints: Those of a model, whose names may have words that say something else, as `base` and
+            `wrist_angle` do.
     """
     names = list(names)
-    found = [meaning for name in names if (meaning := meaning_of(name)) is not None]
+    odd = {_split(joint): joint for joint in joints if _misleads(joint)}
+    each = (_of_joint(name, odd) or meaning_of(name) for name in names)
+    found = [meaning for meaning in each if meaning is not None]
     again = {name.removesuffix(".1") for name in names if name.endswith(".1")}
     for k, meaning in enumerate(found):
         if meaning.column in again and meaning.is_bare:  # the first of those that pandas numbers
@@ -153,6 +160,27 @@ def meanings_of(names: Iterable[str]) -> list[Meaning]:
         if unit is not None and counts[meaning.words] == 1:
             found[k] = replace(meaning, joint="", words=(), unit=unit)
     return found
+
+
+def _misleads(joint: str) -> bool:
+    """Return whether words of a joint's name, or a stroke, could be taken for something else."""
+    words = (str(word) for word in _split(joint))
+    return "/" in joint or any(w in QUANTITY_WORDS or ROLE_WORDS.get(w) == OTHER for w in words)
+
+
+def _of_joint(name: str, joints: Mapping[Words, str]) -> Meaning | None:
+    """Return the meaning of a column whose name has that of one of some joints as a whole."""
+    spans = [found.span() for found in _WORD.finditer(name)] if joints else []
+    words = _split(name)
+    for own, joint in joints.items():
+        places = [k for k in range(len(words)) if words[k : k + len(own)] == own]
+        if len(places) != 1 or len(own) == len(words) or _own(name) is not None:
+            continue
+        start, end = spans[places[0]][0], spans[places[0] + len(own) - 1][1]
+        told = meaning_of(f"{name[:start]}{_NO_WORD}{name[end:]}")
+        if told is not None and told.quantity in OF_JOINTS:
+            return replace(told, column=name, joint=joint, words=words_of(joint))
+    return None
 
 
 def is_time(name: str) -> bool:
@@ -295,9 +323,10 @@ def _joint(column: str) -> Meaning | None:
     unit = unit or find_unit(next(of_vendor, ""), quantity)
     used = _used(_split(plain))
     joint = _rest(plain, used)
-    counted = plain if place + 1 == len(parts) else f"{plain}/{parts[-1]}"  # as in command/data[2]
-    numbers = [w for w in _split(counted) if isinstance(w, int)]
     is_before = place + 1 == len(parts) or not _has_name(parts[-1])
+    is_counted = is_before and place + 1 < len(parts)  # as in command/data[2]
+    counted = f"{plain}/{parts[-1]}" if is_counted else plain
+    numbers = [w for w in _split(counted) if isinstance(w, int)]
     if not _has_name(joint) and not numbers and (place > 0 or not is_before):
         place = place - 1 if is_before else len(parts) - 1
         joint = parts[place]
