@@ -165,6 +165,11 @@ SHAPES = {
     "names_beside.json": text(json.dumps({"info": {"joint_names": JOINTS[::-1]}, "data": [
         {"time": t, "q": [p for _, p, _ in each], "tau": [e for _, _, e in each]}
         for t, each in REVERSED]})),
+    "labels.csv": table(NAMED.rename(columns={"name": "labels"})),
+    "labels.npz": lambda path: np.savez(path, labels=JOINTS[::-1], **TURNED),
+    "keys_beside.json": text(json.dumps({"keys": JOINTS[::-1], "data": [
+        {"time": t, "q": [p for _, p, _ in each], "tau": [e for _, _, e in each]}
+        for t, each in REVERSED]})),
     "names_in_attributes.h5": in_hdf5({f"arm/{name}": x for name, x in TURNED.items()},
         {"arm/q": {"joint_names": JOINTS[::-1]}}),
     "names_of_a_group.h5": in_hdf5({f"arm/{name}": x for name, x in TURNED.items()},

@@ -205,6 +205,7 @@ def log_of_frame(
     instance(name, "name", str)
     joints = None if joints is None else instances(joints, "joints", str)
     reading = Reading() if reading is None else instance(reading, "reading", Reading)
+    reading = replace(reading, joints=joints or ())
     with readable(Path(name), "frame of numbers", "Use numeric columns, such as float64."):
         arrays = _frame_arrays(frame, name)
     rows = max((len(values) for values in arrays.values() if np.ndim(values)), default=0)

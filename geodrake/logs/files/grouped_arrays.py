@@ -115,9 +115,9 @@ def _with_signals(variables: Mapping[str, Any], called: str = "signal{}") -> Map
 
 
 def tells_of_columns(name: str, value: Any) -> bool:
-    """Return whether a value beside arrays is their sampling rate, or names their joints."""
+    """Return whether a value beside arrays is their sampling rate, or may name their joints."""
     is_list = isinstance(value, list | np.ndarray) and len(np.atleast_1d(value)) > 0
-    named = is_list and names_joints(name) and all(isinstance(x, str) for x in value)
+    named = is_list and all(isinstance(x, str) for x in np.atleast_1d(value))
     return named or (np.isscalar(value) and rate_in(name, value) is not None)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from geodrake.logs.files.name_rules import (
     OF_JOINTS,
     PLAIN,
     Meaning,
+    Words,
     matched,
     meaning_of,
     meanings_of,
@@ -24,6 +25,7 @@ from geodrake.logs.files.name_rules import (
     number_of,
     numbers_joints,
     plain_words,
+    words_of,
 )
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable
@@ -330,12 +332,19 @@ def reshaped(table: LogTable, reading: Reading) -> LogTable:
     spread = None if is_mapped else _spread_values(table, words, reading)
     if spread is not None or reading.mapping is not None:
         return table if spread is None else spread
-    naming = {n: w for n, w in words.items() if names_joints(n) and len({*w}) <= _MOST_JOINTS}
+    model = {words_of(joint) for joint in reading.joints}
+    said = {n: w for n, w in words.items() if names_joints(n) or _are_joints(w, model)}
+    naming = {n: w for n, w in said.items() if len({*w}) <= _MOST_JOINTS}
     numbered = {n: w for n, w in naming.items() if re.search(r"\d", n)}
     named = {n: w for n, w in numbered.items() if _NAMES & plain_words(n) or n.endswith("]")}
     if named:
         return _named(table, named)
     return _pivoted(table, *next(iter(naming.items())), reading) if naming else table
+
+
+def _are_joints(cells: Texts, joints: Set[Words]) -> bool:
+    """Return whether cells (N,) are names of a model's joints, whatever their column is called."""
+    return len(cells) > 0 and words_of(cells[0]) in joints and {*map(words_of, {*cells})} <= joints
 
 
 def _spread_values(

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.memory import machine_memory
 from geodrake.errors import GeodrakeError, LogError
-from geodrake.logs.files.name_rules import is_time, names_joints
+from geodrake.logs.files.name_rules import is_time
 from geodrake.logs.files.packed_files import log_name
 from geodrake.logs.files.units import WORDS
 from geodrake.logs.time_stamps import check_time
@@ -480,10 +480,11 @@ def rate_in(name: str, value: Any) -> float | None:
 def _texts(name: str, values: Any, rows: int) -> dict[str, NDArray[np.object_]]:
     """Return the texts of an array, or its lists of texts, (N,).
 
-    A list of names of joints alone is that of each row.
+    A list of different names alone, as of joints, is that of each row.
     """
     cells = [] if _is_alone(values) else [_text(value) for value in values]
-    if len(cells) != rows and names_joints(name) and all(isinstance(cell, str) for cell in cells):
+    names = {cell for cell in cells if isinstance(cell, str)}
+    if len(names) == len(cells) != rows and cells:
         cells = [cells] * rows  # type: ignore[list-item]
     found = np.empty(len(cells), object)
     found[:] = cells

@@ -631,6 +631,7 @@ def _text_table(path: Path, reading: Reading, opened: Opener) -> LogTable:
     notes = dict.fromkeys(note for note in (layout.note, *(n for _, n in orders.values())) if note)
     table = TextTable(path, layout, opened).noting(*notes)
     names_rows = any(map(names_joints, layout.words)) or any(map(numbers_joints, layout.names))
+    names_rows |= any(layout.first[name].lstrip().startswith(("[", "(")) for name in layout.words)
     is_long = any(map(names_signals, layout.words)) or (names_rows and reading.mapping is None)
     return table.loaded(skip=reading.skip_bad_rows) if is_long else table
 
