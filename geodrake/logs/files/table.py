@@ -454,7 +454,7 @@ def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
         if origin is not None:
             origins[name] = origin
         notes |= {note: None} if note else {}
-    if lacking := [name for name in silent if not _is_alone(arrays[name])]:
+    if lacking := [n for n in silent if n not in words and not _is_alone(arrays[n])]:
         more = " …" if len(lacking) > _MOST_NAMES else ""
         named = ", ".join(lacking[:_MOST_NAMES])
         notes[f"columns with fewer values than rows: {named}{more}"] = None
