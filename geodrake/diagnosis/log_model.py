@@ -177,6 +177,7 @@ class LogModel:
         sources = [self.unknowns.columns, np.full(nv + 1, -1)]
         sources += [data.effect_columns(effect) for effect in self._reversals]
         self.first_term = sum(map(len, sources))
+        self._first_reversal = len(sources[0]) + len(sources[1])
         spans = self.spans(self.terms).items()
         self.at = {term: np.arange(span.start, span.stop) for term, span in spans}
         self._order = {term: k for k, term in enumerate(self.terms)}
@@ -307,7 +308,7 @@ class LogModel:
         In (N·m)² or N². Errors of gains of efforts are left out.
         """
         x = fit.x.copy()
-        x[len(self.unknowns.columns) + len(self.rows) + 1 : self.first_term] = 0.0
+        x[self._first_reversal : self.first_term] = 0.0
         squares = calc_squares(self.normal(fit.columns, fit.choice.delay), x)
         return self.of_joints(squares) / np.maximum(self.of_joints(self.block_rows), 1.0)
 
@@ -708,15 +709,18 @@ class LogModel:
         for term, span in self.spans(fit.terms).items():
             if term.effect is not None:
                 x[unknowns.span(term.effect)] += fit.x[span]
-        unsure = fit.x[p + len(self.rows) + 1 : self.first_term]  # after gains and the delay
+        unsure = fit.x[self._first_reversal : self.first_term]
         x[len(x) - len(unsure) :] = unsure
         held_out = hold_out(
             data, unknowns.columns, np.tile(x, (len(data.folds), 1)), delay=choice.delay
         )
         return self._hypothesis(choice, unknowns, fit, held_out)
 
-    def held_out(self, fit: Fit) -> HeldOut:
-        """Return the errors in each fold of a fit to the others, gains and reversals included."""
+    def held_out(self, fit: Fit, *, reversing: bool = True) -> HeldOut:
+        """Return the errors in each fold of a fit to the others, gains included.
+
+        Terms of unresolved reversals are left out of the predictions if not `reversing`.
+        """
         data, weights = self.dataset, fit.weights[: len(self.rows), None, None]
         systems = [
             self.row_columns(fit, j, *np.split(own.factors, [len(own.columns)], axis=2))
@@ -730,6 +734,8 @@ class LogModel:
         factor, scale = scaled_cholesky(self.even_hessian(fit) - gram)
         rhs = known + rhs.sum(axis=0) - rhs
         x = np.array([s * solved(L, s * b) for L, s, b in zip(factor, scale, rhs, strict=True)])
+        if not reversing:
+            x[:, self._first_reversal : self.first_term] = 0.0
         sse = [np.square(b - (A @ x[..., None])[..., 0]).sum(axis=1) for A, b in systems]
         inertias = inertias_of(self._inertias[: len(systems)].take(fit.columns, axis=1), x)
         return HeldOut(np.transpose(sse / inertias**2), data.samples, x)

@@ -39,14 +39,16 @@ def neighbours(
     most: int = _MOST,
     joints: Collection[str] | None = None,
     further: int = 0,
+    simple: bool = False,
 ) -> list[Choice]:
     """Find the most promising neighbours of an explanation.
 
     `most` counts them beside other widths of the bodies and the best delays, and beside `further`
     effects that promise most if they leave only white noise. If `joints` are given, their own
-    effects alone may change, and `further` does not count.
+    effects alone may change, and `further` does not count. If `simple`, what may come is what any
+    joint may have, and payloads.
     """
-    finder = _Finder(model, fit)
+    finder = _Finder(model, fit, simple=simple)
     moves = finder.moves() if joints is None else finder.rebuilt(joints)
     promising = sorted(moves, key=lambda move: -move.gain)
     best = list({move.choice.key: move for move in promising}.values())[:most]
@@ -114,12 +116,13 @@ def _without_needless(model: LogModel, fit: Fit, late: Choice) -> list[Choice]:
 class _Finder:
     """Finds the neighbours of one fit."""
 
-    def __init__(self, model: LogModel, fit: Fit) -> None:
+    def __init__(self, model: LogModel, fit: Fit, *, simple: bool = False) -> None:
         self.model, self.fit = model, fit
+        self.terms = tuple(t for t in model.terms if is_simple(t)) if simple else model.terms
         self.around = Neighbourhood(model, fit)
         self.base = model.odds_against(fit.choice)
         self.by_joint: dict[str, list[Term]] = {}
-        for term in model.terms:
+        for term in self.terms:
             if term.joint is not None:
                 self.by_joint.setdefault(term.joint, []).append(term)
         kinds = dict[str, list[Term]]()
@@ -179,7 +182,7 @@ class _Finder:
     def added(self) -> Iterator[Move]:
         """Add one term, the best at every joint together, or one kind at all joints together."""
         present = self.fit.terms
-        offered = [(term,) for term in self.model.terms if term not in present]
+        offered = [(term,) for term in self.terms if term not in present]
         moves = [m for m in self._moves(present, offered, most=None) if m.gain > _HOPE]
         yield from moves[:_MOST]
         best, kinds = dict[str, tuple[Term, float]](), dict[str, dict[str, tuple[Term, float]]]()
@@ -199,7 +202,7 @@ class _Finder:
         present, joints = self.fit.terms, self.model.dataset.joints
         offered = [
             (term,)
-            for term in self.model.terms
+            for term in self.terms
             if term.joint in joints and term not in present and self.model.felt_by[term] >= 0
         ]
         possible = [t for (t,) in self.model.compatibility.beside(present, offered)] if most else []
@@ -281,7 +284,7 @@ class _Finder:
         yield from self._without(rest, dropped)
         others: list[Terms] = [
             (other,)
-            for other in self.model.terms
+            for other in self.terms
             if other not in present and (term.joint is None or other.joint is None)
         ]
         if term.joint is None:  # what it does together may be of one kind at several joints
@@ -311,8 +314,8 @@ class _Finder:
             yield from self._without(rest, dropped)
             if joints == {None}:
                 continue
-            others = [term for term in self.model.terms if term.name != name]
-            shared = [(t,) for t in self.model.terms if t.joint is None and t not in present]
+            others = [term for term in self.terms if term.name != name]
+            shared = [(t,) for t in self.terms if t.joint is None and t not in present]
             yield from self._moves(rest, shared, dropped)
             best = dict[str, dict[str, tuple[float, Term]]]()
             own = [(term,) for term in others if term.joint in joints]
@@ -335,7 +338,7 @@ class _Finder:
             held, shares = replace(self.fit.choice, width=width), self.fit.weights * self.fit.noise
             around = Neighbourhood(model, model.unbounded(held, shares[: len(model.rows)]))
         kinds = dict[object, list[Terms]]()
-        for term in model.terms:
+        for term in self.terms:
             whole = term.effect is not None and term.effect.places == "robot"
             if whole or (term.is_body and term.is_whole and term.where[0] in last):
                 kinds.setdefault(term.effect, []).append((term,))
@@ -344,6 +347,11 @@ class _Finder:
             gains = around.promises(possible)
             if np.isfinite(gains).any():
                 yield self._choice((*present, *possible[int(np.argmax(gains))]))
+
+
+def is_simple(term: Term) -> bool:
+    """Return whether a term is what any joint may have, or a payload."""
+    return term.is_whole or (term.effect is not None and _complexity(term) == 0)
 
 
 def _complexity(term: Term) -> int:

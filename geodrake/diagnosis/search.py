@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from itertools import chain
 
@@ -16,7 +17,7 @@ from geodrake.diagnosis.contact_window import PIECES
 from geodrake.diagnosis.episodes import find_episodes
 from geodrake.diagnosis.handling import instants, is_short
 from geodrake.diagnosis.log_model import Choice, Delay, Fit, LogModel
-from geodrake.diagnosis.moves import alone
+from geodrake.diagnosis.moves import alone, is_simple
 from geodrake.diagnosis.proposals import proposed
 from geodrake.diagnosis.refinements import (
     LEVELS,
@@ -48,6 +49,7 @@ Named = frozenset[object]
 """What tells an explanation in any columns: terms are made anew with these."""
 
 _MOST_ROUNDS = 12
+_MOST_VISITS = 3  # of an explanation that is made exact
 _FIRST_SHARE = 0.05
 _FORCED_SHARE = 0.3
 _MOST_FADINGS = 3
@@ -101,31 +103,71 @@ class Search:
         self._climbed_far, self._doubted = False, False
         # Loads of explanations that had columns, one after the other: two may lead to each other.
         self._loaded = dict[tuple[Named, float], Array]()
-        self._is_stopped = False
         self._told: FoundStep | None = None
         self.model = self._made()
         self.fit = self._start()
 
     def found(self) -> Found:
         """Search to the end."""
+        search, is_stopped = self, False
         try:
             more = proposed(self.case, self.model, self.fit)
             if more:  # before anything else makes up for them
                 self._offer(more)
-            self._climb(hopeful=True)
-            self._climb(hopeful=False)
-            self._keep_bodies_near()
+            begun = self._copied()
+            self._climb_simply()
+            if not self._is_simple():
+                search = self._or_directly(begun)
             for _ in range(_MOST_ROUNDS):
-                if not self._goes_on():
+                if not search._goes_on():
                     break
-            self.fit = settled(self.model, self.fit)
+            search.fit = settled(search.model, search.fit)
         except StopSearch:
-            if not self.fit.terms:
+            if not search.fit.terms:
                 raise
-            self._is_stopped = True
+            is_stopped = True
             if self._progress is not None and self._told is not None:
                 self._progress(replace(self._told, is_last=True))
-        return Found(self.case, self.model, self.fit, self._start(), self._is_stopped)
+        return Found(search.case, search.model, search.fit, search._start(), is_stopped)
+
+    def _copied(self) -> Search:
+        """Return a search that may go another way from here."""
+        other = copy(self)
+        for name, value in vars(self).items():
+            if isinstance(value, list | dict | set):
+                setattr(other, name, copy(value))
+        return other
+
+    def _is_simple(self) -> bool:
+        """Return whether noise is left, bodies are near the file, and all found is common."""
+        left = (
+            np.sqrt(self.model.seen_noise(self.fit)) > NOISE_MARGIN * self.model.dataset.noise_floor
+        )
+        near = self.fit.choice.width <= self.model.wrong_beyond
+        return near and all(map(is_simple, self.fit.terms)) and not left.any()
+
+    def _or_directly(self, other: Search) -> Search:
+        """Climb once more, by all effects from the beginning; return the better search.
+
+        Common effects that came first may be in the way of a rare one.
+        """
+        other._progress = None
+        other._climb(hopeful=True)
+        other._climb(hopeful=False)
+        other._keep_bodies_near()
+        other._progress = self._progress
+        fewer = np.minimum(self.model.shares(self.fit), other.model.shares(other.fit))
+        return other if other._worth(fewer) > self._worth(fewer) else self
+
+    def _worth(self, shares: Array) -> float:
+        """Return twice the log-probability of held-out efforts, and of what was found, roughly.
+
+        Unlike the evidence it counts what remains where joints reverse, and noise of accelerations
+        helps nothing that takes the place of inertia. `shares` (nv,) are as those of fits.
+        """
+        errors = np.maximum(self.model.held_out(self.fit, reversing=False).mse, self.model.floor)
+        samples = shares * self.model.rows
+        return -float(samples @ np.log(errors)) - self.model.odds_against(self.fit.choice)
 
     def forced(
         self, kind: type[Effect], places: Places | None, further: Sequence[Effect] = ()
@@ -237,14 +279,16 @@ class Search:
         """Return the model with nothing new, its bodies as near to the file as the logs say."""
         return self.model.bare(np.full(len(self.model.rows), _FIRST_SHARE))
 
-    def _climb(self, *, hopeful: bool, further: int = 0) -> None:
+    def _climb(self, *, hopeful: bool, further: int = 0, simple: bool = False) -> None:
         def watch(before: Fit, after: Fit) -> None:
             self.fit = after
             if self._progress is not None:
                 self._told = progress_of(self.model, before, after)
                 self._progress(self._told)
 
-        for _ in range(_MOST_ROUNDS):
+        known = list[Named]()  # two explanations may lead to each other, each in its own columns
+        while known.count(self._named) < _MOST_VISITS and len(known) < _MOST_ROUNDS:
+            known.append(self._named)
             self.fit = climb(
                 self.model,
                 self.fit,
@@ -252,6 +296,7 @@ class Search:
                 watch=watch,
                 pause=self._is_inexact,
                 further=further,
+                simple=simple,
             )
             if not self._is_inexact(self.fit):
                 break
@@ -262,6 +307,16 @@ class Search:
             shaped = {term.where[0] for term in self.fit.terms if term.effect in self._levels}
             if shaped:  # before anything else makes up for a shape that is not exact
                 self.fit = climb(self.model, self.fit, hopeful=hopeful, joints=shaped)
+
+    def _climb_simply(self) -> None:
+        """Climb by what any joint may have, then by all effects.
+
+        Rare effects of several joints together may take the place of common ones and of a payload,
+        and no single step leads back: least where joints move little, or one after the other.
+        """
+        self._climb(hopeful=True, simple=True)
+        self._climb(hopeful=True)
+        self._climb(hopeful=False)
 
     def _keep_bodies_near(self) -> None:
         """Climb once more with bodies near the file, if they are far from it; keep the better.
@@ -276,10 +331,14 @@ class Search:
         self.fit = self._best([replace(far.choice, width=width) for width in near], far)
         self._climb(hopeful=True)
         self._climb(hopeful=False)
-        far = self.model.refitted(far)
-        better = gain_of(self.model, far, self.fit)
+        self._keep_better(far)
+
+    def _keep_better(self, was: Fit) -> None:
+        """Go back to what was found before if it is as probable."""
+        was = self.model.refitted(was)
+        better = gain_of(self.model, was, self.fit)
         if better is None or better[0] <= 0.0:
-            self.fit = far
+            self.fit = was
 
     def _is_inexact(self, fit: Fit) -> bool:
         """Return whether what was found is to be made exact before anything else is looked for.
@@ -358,10 +417,14 @@ class Search:
             more = self._suggested()
             if more:
                 self._offer(more)
+                was = self.fit
                 if any(effect.role is Role.EPISODE for effect in more):
                     self.fit = self._start()  # what was found may have followed the contact
-                self._climb(hopeful=True)
-                self._climb(hopeful=False)
+                    self._climb_simply()
+                    self._keep_better(was)
+                else:
+                    self._climb(hopeful=True)
+                    self._climb(hopeful=False)
                 return True
         before = self.fit.choice.key
         if not self._doubted:

@@ -7,8 +7,9 @@ import pytest
 
 pytest.importorskip("pinocchio")
 
+import pinocchio as pin
 from pendulum_logs import JOINTS, PENDULUM, body_effort, pendulum_log
-from pinocchio_logs import MODELS, effort_log
+from pinocchio_logs import MODELS, effort_log, robot
 
 from geodrake import load_model
 from geodrake.diagnosis import explain
@@ -52,6 +53,31 @@ def in_turn(seconds=30.0, rate=100.0, noise=(0.003, 1e-5), rotors=(0.0, 0.0)):
         for each, size in zip((effort, q), noise, strict=True)
     )
     return JointLog("in turn", JOINTS, time, measured, effort)
+
+
+def test_common_effects_in_turn_are_not_taken_for_rare_ones():
+    """In 40 s at 50 Hz: friction of six joints and a tool, which compensators could imitate."""
+    rng, arm, time = np.random.default_rng(3), robot("arm6"), np.arange(0.0, 40.0, 0.02)
+    tool = pin.Inertia(
+        0.06 * sum(i.mass for i in arm.inertias), np.array([0.02, 0.01, 0.06]), 1e-3 * np.eye(3)
+    )
+    arm.inertias[arm.njoints - 1] += tool
+    each, q = 40.0 / arm.nv, np.zeros((len(time), arm.nv))
+    for joint in range(arm.nv):
+        since, size = np.clip(time - joint * each, 0.0, each), rng.uniform(0.6, 1.0)
+        swing = np.sin(rng.uniform(1.0, 2.0) * since) * np.sin(np.pi * since / each) ** 2
+        q[:, joint] = size * swing
+    v = np.gradient(q, time, axis=0)
+    rows = zip(q, v, np.gradient(v, time, axis=0), strict=True)
+    load = np.array([pin.rnea(arm, arm.createData(), *row) for row in rows])
+    dry, wet = (rng.uniform(*r, arm.nv) * np.abs(load).max(0) for r in ((0.02, 0.1), (0.01, 0.05)))
+    effort = load + dry * np.tanh(v / 0.005) + wet * v
+    effort += 0.008 * effort.std(0) * rng.normal(size=q.shape)
+    joints, measured = tuple(arm.names)[1:], q + 2e-4 * rng.normal(size=q.shape)
+    known = load_model(MODELS / "arm6.urdf")
+    found = explain(known, [JointLog("in turn", joints, time, measured, effort)])
+    friction = {"coulomb_friction": {*joints}, "viscous_friction": {*joints}}
+    assert places(found) == {**friction, "payload": {known.bodies[-1]}}
 
 
 def test_friction_of_joints_that_move_in_turn_is_found_and_predicted(model):
