@@ -102,23 +102,3 @@ def test_one_sample_is_a_motion_of_one_sample(some, tried):
     np.testing.assert_array_equal(found, np.concatenate([np.zeros((3, 0)), *expected], axis=1))
     mu = np.random.default_rng(2).normal(size=columns.count)
     np.testing.assert_allclose(columns.effort(motion, mu)[0], found @ mu, atol=1e-12)
-
-
-def test_effects_of_one_kind_are_evaluated_together():
-    calls = []
-
-    @dataclass(frozen=True)
-    class Counted(JointEffect):
-        name = "counted"
-        parameters = GAIN
-
-        def columns(self, joint):
-            calls.append(len(joint.q))
-            return [joint.q]
-
-    columns, motion = EffectColumns(JOINTS, tuple(map(Counted, JOINTS)), trial), random_motion(1)
-    columns.at(sample_of(motion), lambda joints: motion)
-    calls.clear()
-    Y = columns.at(sample_of(motion), lambda joints: motion)
-    assert calls == [3]
-    np.testing.assert_array_equal(Y, np.diag(motion.q[0]))

@@ -156,14 +156,6 @@ def test_files_that_hold_no_drake_trajectory(tmp_path):
             read_drake_trajectory(tmp_path / name)
 
 
-def test_positions_are_in_the_order_of_joints():
-    """Of joints of one degree of freedom it is Drake's, too."""
-    model, states = arm(joints="RPRR"), np.arange(12.0).reshape(3, 1, 4)
-    trajectory = trajectory_of(FourierMotion(), model)
-    np.testing.assert_array_equal(trajectory.motion_of(states).q, states[0])
-    np.testing.assert_array_equal(model.positions(states[0]), states[0])
-
-
 def test_rates():
     trajectory = trajectory_of(FourierMotion(1.05), arm())
     np.testing.assert_allclose(trajectory.instants(10.0), [*np.arange(11) / 10, 1.05])

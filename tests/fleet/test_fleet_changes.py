@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from fleet_data import MEAN, columns, hypotheses, robot
 
-from geodrake.fleet.changes import RobotSearch
 from geodrake.fleet.changes import find_changes as find
 from geodrake.fleet.history import DAY
 from geodrake.fleet.type_learning import learn_type
@@ -98,14 +97,6 @@ def test_one_log_tells_no_change():
     rng = np.random.default_rng(5)
     histories = [robot(rng, logs=1).history() for _ in range(3)]
     assert not any(find_changes(histories, columns(), passes=1)[1])
-
-
-def test_no_states_are_kept_of_robots_that_were_searched(found):
-    history = fleet(1, 10, STEP, SEASON)[2]
-    search = RobotSearch(found[0].of(2), history, hypotheses())
-    places = search.find()
-    assert places and not search._states
-    assert search.told(places) and not search._states
 
 
 def test_changes_are_found_however_large():
