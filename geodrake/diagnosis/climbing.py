@@ -34,17 +34,17 @@ def climb(
     pause: Callable[[Fit], bool] | None = None,
     joints: Collection[str] | None = None,
     further: int = 0,
-    simple: bool = False,
+    common: bool = False,
 ) -> Fit:
     """Climb from neighbour to more probable neighbour.
 
     Hopeful, residuals count for more than they do now, as terms may be missing still. `pause` tells
     whether to return with what a step led to, as it is to be made exact first. If `joints` are
-    given, their own effects alone may change. `further` and `simple` are as of `neighbours`.
+    given, their own effects alone may change. `further` and `common` are as of `neighbours`.
     """
     seen = {fit.choice.key}  # samples are counted anew at each step, which may lead back
     for _ in range(_MOST_STEPS):
-        better = _step(model, fit, seen, joints, further, hopeful=hopeful, simple=simple)
+        better = _step(model, fit, seen, joints, further, hopeful=hopeful, common=common)
         if better is None:
             break
         if watch is not None:
@@ -87,14 +87,14 @@ def _step(
     further: int,
     *,
     hopeful: bool,
-    simple: bool,
+    common: bool,
 ) -> Fit | None:
     """Return the best neighbour of a fit not seen yet, if it is more probable."""
     model.level_noise(fit)
     own = model.shares(fit)
     high = np.maximum(own, _OPTIMISTIC)
     fit = _refitted(model, fit, high if hopeful else own)
-    choices = neighbours(model, fit, joints=joints, further=further, simple=simple)
+    choices = neighbours(model, fit, joints=joints, further=further, common=common)
     choices = [choice for choice in choices if choice.key not in seen]
     tried = model.ranked(choices, high, fit.noise)
     promising = tried[:_JUDGED]

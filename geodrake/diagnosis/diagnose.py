@@ -18,7 +18,6 @@ from geodrake.diagnosis.findings import (
     where_of,
 )
 from geodrake.diagnosis.moves import additions
-from geodrake.diagnosis.posterior import nrms_of
 from geodrake.diagnosis.results import Candidate, Diagnosis
 from geodrake.diagnosis.search import Found, searched
 from geodrake.diagnosis.terms import names_and_places
@@ -111,6 +110,6 @@ def _candidates(
         if name not in seen and gain > 0.0:
             seen.add(name)
             chance = float(np.exp(-0.5 * min(gain, 1400.0)))
-            nrms = nrms_of(found.model, fit)
+            nrms = found.model.validated(fit).nrms  # of bodies that can be
             candidates.append(Candidate(name, places, before, nrms, gain, chance, tied=False))
     return candidates

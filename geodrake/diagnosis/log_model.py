@@ -215,15 +215,7 @@ class LogModel:
             block[:n, n : n + 2] = gram @ mixed
             block[n : n + 2, :n] = block[:n, n : n + 2].T
             block[n : n + 2, n : n + 2] = mixed.T @ block[:n, n : n + 2]
-        # Index of the joint that alone feels a term; −1 if bodies or several do.
-        felt = np.array([(places[:, at] >= 0).any(axis=1) for at in self.at.values()]).reshape(
-            -1, nv
-        )
-        alone = np.where(felt.sum(axis=1) == 1, felt.argmax(axis=1), -1).tolist()
-        self.felt_by = {
-            term: -1 if term.effect is None or term.is_body else joint
-            for term, joint in zip(self.at, alone, strict=True)
-        }
+        self.felt_by = {term: self._felt_by(term, places[:, at]) for term, at in self.at.items()}
         self.places, self._inertias = places[self.joint_of], self._inertias[self.joint_of]
         self._ends = np.array([len(joint.columns) for joint in data.data])
         late = self._ends[self.joint_of, None] + np.arange(len(data.delays))
@@ -239,6 +231,16 @@ class LogModel:
             for _ in effect.parameters
         ]
         self._nuisances = np.concatenate([gains, [unsure_delay**-2.0], unsure])
+
+    @staticmethod
+    def _felt_by(term: Term, places: Indices) -> int:
+        """Return the index of the joint that alone feels a term; −1 if bodies or several do.
+
+        `places` (nv, k) are where the term's columns stand in those of each joint, −1 where nowhere.
+        """
+        felt = np.flatnonzero((places >= 0).any(axis=1))
+        alone = len(felt) == 1 and term.effect is not None and not term.is_body
+        return int(felt[0]) if alone else -1
 
     def _places(self, columns: Indices, rates: Array) -> Indices:
         """Return where all columns (n,) stand in those of each joint (nv, n), −1 where nowhere.
@@ -338,7 +340,7 @@ class LogModel:
         ends = np.cumsum([self.first_term, *(len(term.columns) for term in terms)]).tolist()
         return {t: slice(*ends) for t, ends in zip(terms, pairwise(ends), strict=True)}
 
-    def _prior(self, choice: Choice) -> tuple[Array, float]:
+    def prior(self, choice: Choice) -> tuple[Array, float]:
         """Return the prior information Λ (n, n) of an explanation and log |Λ|, up to a constant."""
         p, first, spans = len(self.unknowns.columns), self.first_term, self.spans(choice.terms)
         information = np.zeros((first + sum(len(term.columns) for term in spans),) * 2)
@@ -352,10 +354,6 @@ class LogModel:
             information[span, span] = term.information
             logarithm += term.log_information
         return information, float(logarithm)
-
-    def prior(self, choice: Choice) -> Array:
-        """Return the prior information Λ (n, n) of an explanation."""
-        return self._prior(choice)[0]
 
     @property
     def _spread(self) -> float:
@@ -432,7 +430,7 @@ class LogModel:
         `shares` (nv,) are independent samples over rows, and `noise` (B,), or (nv,), is the
         variance of the noise to begin with. None if something is less than it must be.
         """
-        prior, logarithm = self._prior(choice)
+        prior, logarithm = self.prior(choice)
         spans = self.spans(choice.terms).items()
         bounded = [(s.start + t.positive, t.least) for t, s in spans if len(t.positive)]
         free = np.ones(len(prior), bool)
@@ -457,7 +455,7 @@ class LogModel:
 
     def unbounded(self, choice: Choice, shares: Array, noise: Array | None = None) -> Fit:
         """Fit as `fit` does, whatever is negative."""
-        return self._solved(choice, shares, noise, self._prior(choice))
+        return self._solved(choice, shares, noise, self.prior(choice))
 
     def bare(self, shares: Array) -> Fit:
         """Fit nothing new, with bodies as near to those of the model as the logs say."""

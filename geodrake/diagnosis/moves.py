@@ -39,16 +39,16 @@ def neighbours(
     most: int = _MOST,
     joints: Collection[str] | None = None,
     further: int = 0,
-    simple: bool = False,
+    common: bool = False,
 ) -> list[Choice]:
     """Find the most promising neighbours of an explanation.
 
     `most` counts them beside other widths of the bodies and the best delays, and beside `further`
     effects that promise most if they leave only white noise. If `joints` are given, their own
-    effects alone may change, and `further` does not count. If `simple`, what may come is what any
-    joint may have, and payloads.
+    effects alone may change, and `further` does not count. If `common`, only what any joint may
+    have is added, and payloads.
     """
-    finder = _Finder(model, fit, simple=simple)
+    finder = _Finder(model, fit, common=common)
     moves = finder.moves() if joints is None else finder.rebuilt(joints)
     promising = sorted(moves, key=lambda move: -move.gain)
     best = list({move.choice.key: move for move in promising}.values())[:most]
@@ -116,9 +116,9 @@ def _without_needless(model: LogModel, fit: Fit, late: Choice) -> list[Choice]:
 class _Finder:
     """Finds the neighbours of one fit."""
 
-    def __init__(self, model: LogModel, fit: Fit, *, simple: bool = False) -> None:
+    def __init__(self, model: LogModel, fit: Fit, *, common: bool = False) -> None:
         self.model, self.fit = model, fit
-        self.terms = tuple(t for t in model.terms if is_simple(t)) if simple else model.terms
+        self.terms = tuple(t for t in model.terms if is_common(t)) if common else model.terms
         self.around = Neighbourhood(model, fit)
         self.base = model.odds_against(fit.choice)
         self.by_joint: dict[str, list[Term]] = {}
@@ -349,7 +349,7 @@ class _Finder:
                 yield self._choice((*present, *possible[int(np.argmax(gains))]))
 
 
-def is_simple(term: Term) -> bool:
+def is_common(term: Term) -> bool:
     """Return whether a term is what any joint may have, or a payload."""
     return term.is_whole or (term.effect is not None and _complexity(term) == 0)
 

@@ -78,7 +78,7 @@ class Neighbourhood:
         packed, own, _ = model.normal(columns, was)
         late = [model.moments(columns, (k,) * len(was)) for k in range(count)]
         samples, now = self._samples(), fit.noise * model.block_rows
-        prior, mean = model.prior(fit.choice), model.mean[columns]
+        (prior, _), mean = model.prior(fit.choice), model.mean[columns]
         found = list[tuple[Delay, float]]()
 
         def away(x: Array) -> float:

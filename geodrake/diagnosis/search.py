@@ -17,7 +17,7 @@ from geodrake.diagnosis.contact_window import PIECES
 from geodrake.diagnosis.episodes import find_episodes
 from geodrake.diagnosis.handling import instants, is_short
 from geodrake.diagnosis.log_model import Choice, Delay, Fit, LogModel
-from geodrake.diagnosis.moves import alone, is_simple
+from geodrake.diagnosis.moves import alone, is_common
 from geodrake.diagnosis.proposals import proposed
 from geodrake.diagnosis.refinements import (
     LEVELS,
@@ -115,9 +115,9 @@ class Search:
             if more:  # before anything else makes up for them
                 self._offer(more)
             begun = self._copied()
-            self._climb_simply()
-            if not self._is_simple():
-                search = self._or_directly(begun)
+            self._climb_by_common_first()
+            if not self._is_all_common():
+                search = self._or_by_all_at_once(begun)
             for _ in range(_MOST_ROUNDS):
                 if not search._goes_on():
                     break
@@ -126,44 +126,43 @@ class Search:
             if not search.fit.terms:
                 raise
             is_stopped = True
-            if self._progress is not None and self._told is not None:
-                self._progress(replace(self._told, is_last=True))
+            if search._progress is not None and search._told is not None:
+                search._progress(replace(search._told, is_last=True))
         return Found(search.case, search.model, search.fit, search._start(), is_stopped)
 
     def _copied(self) -> Search:
-        """Return a search that may go another way from here."""
+        """Return a search that goes on from here by itself."""
         other = copy(self)
         for name, value in vars(self).items():
             if isinstance(value, list | dict | set):
                 setattr(other, name, copy(value))
         return other
 
-    def _is_simple(self) -> bool:
-        """Return whether noise is left, bodies are near the file, and all found is common."""
-        left = (
-            np.sqrt(self.model.seen_noise(self.fit)) > NOISE_MARGIN * self.model.dataset.noise_floor
-        )
-        near = self.fit.choice.width <= self.model.wrong_beyond
-        return near and all(map(is_simple, self.fit.terms)) and not left.any()
+    def _is_all_common(self) -> bool:
+        """Return whether only noise is left, bodies are near the file, and all found is common."""
+        model, fit = self.model, self.fit
+        left = np.sqrt(model.seen_noise(fit)) > NOISE_MARGIN * model.dataset.noise_floor
+        near = fit.choice.width <= model.wrong_beyond
+        return near and all(map(is_common, fit.terms)) and not left.any()
 
-    def _or_directly(self, other: Search) -> Search:
-        """Climb once more, by all effects from the beginning; return the better search.
+    def _or_by_all_at_once(self, other: Search) -> Search:
+        """Climb from the beginning by all effects at once; return the better search.
 
         Common effects that came first may be in the way of a rare one.
         """
-        other._progress = None
         other._climb(hopeful=True)
         other._climb(hopeful=False)
         other._keep_bodies_near()
-        other._progress = self._progress
         fewer = np.minimum(self.model.shares(self.fit), other.model.shares(other.fit))
-        return other if other._worth(fewer) > self._worth(fewer) else self
+        is_better = other._held_out_score(fewer) > self._held_out_score(fewer)
+        return other if is_better else self
 
-    def _worth(self, shares: Array) -> float:
-        """Return twice the log-probability of held-out efforts, and of what was found, roughly.
+    def _held_out_score(self, shares: Array) -> float:
+        """Return twice the logarithm of how probable held-out efforts and what was found are.
 
-        Unlike the evidence it counts what remains where joints reverse, and noise of accelerations
-        helps nothing that takes the place of inertia. `shares` (nv,) are as those of fits.
+        `shares` (nv,) are independent samples over rows, the same for all that is compared. Unlike
+        in the evidence, errors where joints reverse count in full. A term that stands in for an
+        inertia gains nothing by having no noise of accelerations.
         """
         errors = np.maximum(self.model.held_out(self.fit, reversing=False).mse, self.model.floor)
         samples = shares * self.model.rows
@@ -279,16 +278,16 @@ class Search:
         """Return the model with nothing new, its bodies as near to the file as the logs say."""
         return self.model.bare(np.full(len(self.model.rows), _FIRST_SHARE))
 
-    def _climb(self, *, hopeful: bool, further: int = 0, simple: bool = False) -> None:
+    def _climb(self, *, hopeful: bool, further: int = 0, common: bool = False) -> None:
         def watch(before: Fit, after: Fit) -> None:
             self.fit = after
             if self._progress is not None:
                 self._told = progress_of(self.model, before, after)
                 self._progress(self._told)
 
-        known = list[Named]()  # two explanations may lead to each other, each in its own columns
-        while known.count(self._named) < _MOST_VISITS and len(known) < _MOST_ROUNDS:
-            known.append(self._named)
+        visited = list[Named]()  # two explanations may lead to each other, each in its own columns
+        while visited.count(self._named) < _MOST_VISITS and len(visited) < _MOST_ROUNDS:
+            visited.append(self._named)
             self.fit = climb(
                 self.model,
                 self.fit,
@@ -296,7 +295,7 @@ class Search:
                 watch=watch,
                 pause=self._is_inexact,
                 further=further,
-                simple=simple,
+                common=common,
             )
             if not self._is_inexact(self.fit):
                 break
@@ -308,13 +307,13 @@ class Search:
             if shaped:  # before anything else makes up for a shape that is not exact
                 self.fit = climb(self.model, self.fit, hopeful=hopeful, joints=shaped)
 
-    def _climb_simply(self) -> None:
-        """Climb by what any joint may have, then by all effects.
+    def _climb_by_common_first(self) -> None:
+        """Climb by what any joint may have, and payloads; then by all effects.
 
         Rare effects of several joints together may take the place of common ones and of a payload,
-        and no single step leads back: least where joints move little, or one after the other.
+        most easily where joints move little or one after the other. No single step leads back.
         """
-        self._climb(hopeful=True, simple=True)
+        self._climb(hopeful=True, common=True)
         self._climb(hopeful=True)
         self._climb(hopeful=False)
 
@@ -331,10 +330,10 @@ class Search:
         self.fit = self._best([replace(far.choice, width=width) for width in near], far)
         self._climb(hopeful=True)
         self._climb(hopeful=False)
-        self._keep_better(far)
+        self._keep_more_probable(far)
 
-    def _keep_better(self, was: Fit) -> None:
-        """Go back to what was found before if it is as probable."""
+    def _keep_more_probable(self, was: Fit) -> None:
+        """Go back to an earlier explanation unless the new one is more probable."""
         was = self.model.refitted(was)
         better = gain_of(self.model, was, self.fit)
         if better is None or better[0] <= 0.0:
@@ -420,8 +419,10 @@ class Search:
                 was = self.fit
                 if any(effect.role is Role.EPISODE for effect in more):
                     self.fit = self._start()  # what was found may have followed the contact
-                    self._climb_simply()
-                    self._keep_better(was)
+                    try:
+                        self._climb_by_common_first()
+                    finally:  # a stop keeps the best explanation so far
+                        self._keep_more_probable(was)
                 else:
                     self._climb(hopeful=True)
                     self._climb(hopeful=False)
