@@ -236,7 +236,7 @@ class LogModel:
     def _felt_by(term: Term, places: Indices) -> int:
         """Return the index of the joint that alone feels a term; −1 if bodies or several do.
 
-        `places` (nv, k) are where the term's columns stand in those of each joint, −1 where nowhere.
+        `places` (nv, k) are where its columns stand in those of each joint, −1 where nowhere.
         """
         felt = np.flatnonzero((places >= 0).any(axis=1))
         alone = len(felt) == 1 and term.effect is not None and not term.is_body

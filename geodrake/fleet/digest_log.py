@@ -17,12 +17,13 @@ from geodrake.fleet.digest import Digest, DigestedLog
 from geodrake.fleet.hashes import model_hash, text_hash
 from geodrake.fleet.log_places import date_of_log
 from geodrake.fleet.settings import BLOCKS, DigestEffect, DigestSettings, own_sources
+from geodrake.identification.logs.bandwidth import prepare_for_model
 from geodrake.identification.logs.candidate_effects import candidate_delays, candidate_effects
 from geodrake.identification.logs.dataset import Dataset, JointData
 from geodrake.identification.logs.hypothesis import Hypothesis, first_hypothesis
 from geodrake.identification.logs.log_slices import Layout
 from geodrake.identification.logs.model_fit import effects_of, model_unknowns
-from geodrake.identification.logs.noise import known_noise, prepare_for_model
+from geodrake.identification.logs.noise import known_noise
 from geodrake.identification.logs.reduce import (
     STILL_SPEED,
     gain_uncertainty,

@@ -22,7 +22,7 @@ from geodrake.diagnosis.contact_window import ResidualWindow, WrenchColumns, col
 from geodrake.effects import Contact
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.robot_motion import log_number
-from geodrake.identification.logs.noise import prepare_for_model
+from geodrake.identification.logs.bandwidth import prepare_for_model
 from geodrake.logs.filtering import design_filter
 from geodrake.logs.folds import assign_folds, validation_blocks
 from geodrake.model.saved_model import save_model

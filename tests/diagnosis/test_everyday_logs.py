@@ -16,8 +16,8 @@ from geodrake.diagnosis import explain
 from geodrake.diagnosis.moves import neighbours
 from geodrake.diagnosis.refinements import common_delay
 from geodrake.diagnosis.search import Search, searched
+from geodrake.identification.logs.bandwidth import prepare_for_model
 from geodrake.identification.logs.case import open_case
-from geodrake.identification.logs.noise import prepare_for_model
 from geodrake.logs.motion import JointLog
 
 DRY, WET = np.array([0.3, 0.15]), np.array([0.2, 0.1])

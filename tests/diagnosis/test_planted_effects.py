@@ -27,7 +27,7 @@ from geodrake.control.export_proof.held import held_by
 from geodrake.diagnosis import add, diagnose, explain
 from geodrake.effects import JointEffect, Parameter, Proposer
 from geodrake.errors import ArgumentError
-from geodrake.identification.logs.noise import prepare_for_model
+from geodrake.identification.logs.bandwidth import prepare_for_model
 from geodrake.logs.motion import USUAL_GAIN_DEVIATION, Motion
 from geodrake.model.export import reasons
 from geodrake.model.file_terms import Damping

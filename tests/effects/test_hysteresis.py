@@ -21,7 +21,7 @@ from pinocchio_logs import MODELS, effort_log
 from geodrake import load_model
 from geodrake.control import EffectForce
 from geodrake.effects import Hysteresis
-from geodrake.identification.logs.noise import prepare_for_model
+from geodrake.identification.logs.bandwidth import prepare_for_model
 from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.logs import Motion
 from geodrake.logs.folds import validation_blocks

@@ -22,13 +22,9 @@ from geodrake.effects import (
 )
 from geodrake.errors import LogError
 from geodrake.identification.logs import reduce
+from geodrake.identification.logs.bandwidth import coherent_bandwidth, prepare_for_model
 from geodrake.identification.logs.log_slices import RowCache
-from geodrake.identification.logs.noise import (
-    coherent_bandwidth,
-    filtered_below,
-    known_noise,
-    prepare_for_model,
-)
+from geodrake.identification.logs.noise import filtered_below, known_noise
 from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.logs.folds import validation_blocks
 from geodrake.logs.motion import JointLog

@@ -17,13 +17,14 @@ from geodrake.boundary.showing import Short
 from geodrake.effects import catalogue
 from geodrake.effects.base import Effect
 from geodrake.errors import LogError
+from geodrake.identification.logs.bandwidth import prepare_for_model
 from geodrake.identification.logs.candidate_effects import candidate_delays, candidate_effects
 from geodrake.identification.logs.dataset import Dataset, Delay
 from geodrake.identification.logs.hypothesis import HeldOut
 from geodrake.identification.logs.log_slices import MIXED_ROOM, ROOM, RowCache
 from geodrake.identification.logs.model_errors import ErrorTable, JointError, Series
 from geodrake.identification.logs.model_fit import effects_of
-from geodrake.identification.logs.noise import filtered_below, known_noise, prepare_for_model
+from geodrake.identification.logs.noise import filtered_below, known_noise
 from geodrake.identification.logs.reduce import reduce_logs, sign_widths
 from geodrake.identification.logs.signal_calibration import calibrate_efforts
 from geodrake.identification.logs.unknowns import Unknowns

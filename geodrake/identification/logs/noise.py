@@ -3,32 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geodrake.effects.sensors import delayed_by
-from geodrake.errors import ArgumentError, LogError
 from geodrake.identification.logs.contact_rows import MixedRows, contact_rows
 from geodrake.identification.logs.criteria import JOINT_NOISE_MARGIN, LEAST_NOISE
 from geodrake.logs.filtering import (
-    HIGHEST_BANDWIDTH,
     passband_density,
     quiet_density,
-    spectral_density,
     steepest_fall,
 )
-from geodrake.logs.motion import JointLog, Motion, Trajectory
-from geodrake.logs.preparation import prepare_logs
-from geodrake.logs.smoothing import Segment, Stretch
-from geodrake.logs.uniform_log import UniformLog, make_uniform
+from geodrake.logs.motion import Motion, Trajectory
+from geodrake.logs.smoothing import Segment
 from geodrake.model.carried_payloads import carrying
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
-_SAMPLES = 100_000  # of a segment that are looked at
+MOST_SAMPLES = 100_000  # of a segment that are looked at
 _POSES = 200  # at which the inertia matrix is looked at
 
 
@@ -67,25 +62,25 @@ def known_noise(
         gain, bandwidth = trajectory.filter.noise_gain, trajectory.filter.bandwidth
         for segment in trajectory.segments:
             rate = 1.0 / segment.period
-            start = segment[:_SAMPLES]
+            start = segment[:MOST_SAMPLES]
             rows = None if robot is None else contact_rows(robot, trajectory, start)
-            density = _density_of_rows(start, rows, rate, bandwidth)
-            start = replace(start, effort=_taken(rows, start.effort))
+            density = density_of_rows(start, rows, rate, bandwidth)
+            start = replace(start, effort=without_contacts(rows, start.effort))
             width = gain**2 * rate / 2.0
             noise = density * width
             if robot is not None:
-                residual = _residual(start, robot, sign_width, trajectory, rows)
+                residual = effort_residual(start, robot, sign_width, trajectory, rows)
                 density = np.minimum(density, quiet_density(residual, rate, bandwidth))
                 mean, quietest = passband_density(residual, rate, bandwidth)
-                carried = _carried(start, robot, trajectory, sign_width, rows)
+                carried = acceleration_power(start, robot, trajectory, sign_width, rows)
                 below = quietest * width if fitted else carried
-                whole = np.where(_is_silent(density, start), below, density * width + carried)
+                whole = np.where(is_silent(density, start), below, density * width + carried)
                 claimed += len(segment) * whole
                 noise = np.minimum(whole, mean * width)
                 if robot.base_joints:
                     share = np.minimum(carried / np.maximum(whole, np.finfo(float).tiny), 1.0)
                     moving += len(segment) * share * noise
-            silent |= _is_silent(density, start)
+            silent |= is_silent(density, start)
             power += len(segment) * noise
             # Limbs that stand have no rows, and what is zero there is no noise.
             weight += len(segment) * (1.0 if rows is None else rows.shares)
@@ -97,21 +92,21 @@ def filtered_below(trajectory: Trajectory) -> float:
     """Return where the efforts of a log end, Hz, if they were filtered before; else infinity."""
     bandwidth, ends = trajectory.filter.bandwidth, []
     for segment in trajectory.segments:
-        start, rate = segment[:_SAMPLES], 1.0 / segment.period
-        silent = _is_silent(quiet_density(start.effort, rate, bandwidth), start)
+        start, rate = segment[:MOST_SAMPLES], 1.0 / segment.period
+        silent = is_silent(quiet_density(start.effort, rate, bandwidth), start)
         if not silent.all():
             return np.inf
         ends.append(steepest_fall(start.effort, rate, bandwidth))
     return float(np.median(np.concatenate(ends)))
 
 
-def _is_silent(density: Array, segment: Segment) -> NDArray[np.bool_]:
+def is_silent(density: Array, segment: Segment) -> NDArray[np.bool_]:
     """Return (n,) whether white noise of a density is less than any sensor of efforts has."""
     rms = np.sqrt(density * 0.5 / segment.period)
     return np.asarray(rms < LEAST_NOISE * segment.effort.std(axis=0))
 
 
-def _density_of_rows(
+def density_of_rows(
     segment: Segment, rows: MixedRows | None, rate: float, bandwidth: float
 ) -> Array:
     """Return the density (nv,) of noise in efforts without unknown contact forces, the mean.
@@ -123,12 +118,12 @@ def _density_of_rows(
     return density if rows is None else rows.powers(density)
 
 
-def _taken(rows: MixedRows | None, efforts: Array) -> Array:
+def without_contacts(rows: MixedRows | None, efforts: Array) -> Array:
     """Return efforts (N, nv) without unknown contact forces."""
     return efforts if rows is None else rows.efforts(efforts)
 
 
-def _carried(
+def acceleration_power(
     segment: Segment,
     model: RobotModel,
     trajectory: Trajectory,
@@ -143,7 +138,7 @@ def _carried(
         faster = motion.vd.copy()
         faster[:, j] += deviation
         more = model.effort(replace(motion, vd=faster), sign_width=sign_width) - needed
-        more = _taken(rows, more)
+        more = without_contacts(rows, more)
         power += np.square(more).mean(0)
     return power
 
@@ -159,7 +154,7 @@ def motion_of(segment: Segment, model: RobotModel, trajectory: Trajectory) -> Mo
     )
 
 
-def _residual(
+def effort_residual(
     segment: Segment,
     model: RobotModel,
     sign_width: ArrayLike,
@@ -168,236 +163,4 @@ def _residual(
 ) -> Array:
     """Return (K, n) measured − predicted effort at the full rate."""
     needed = model.effort(motion_of(segment, model, trajectory), sign_width=sign_width)
-    return segment.effort - _taken(rows, delayed_by(model.delays, needed, segment.period))
-
-
-_EXCESS = 25.0  # times the other's power: five times the amplitude is a clear difference
-_FEWEST = 60  # filtered samples that a lower bandwidth leaves at least, as far as there are so many
-_FEWEST_MOVING = 30  # of a joint that moves, where the bandwidth is lowered for noise
-_ENOUGH = 400  # filtered samples of each joint, which make folds of some fifty
-_MOST_NOISE = 2.0  # power of noise, with that of accelerations, over that of efforts alone
-_TOO_NOISY = 3.0  # the same, above which a bandwidth is lowered
-_STILL = 0.01  # of the peak speed
-_IN_MOTION = 4.0  # deviations of its noise that the peak speed of a joint in motion has at least
-_MOST_SHAKING = 0.1  # over the deviation of the acceleration itself
-_STEP, _TRIES = 1.2, 4  # factor between bandwidths that are tried, and so many higher ones
-_LARGEST_RATIO = 700.0  # logarithm of a ratio that is a number still
-
-
-def prepare_for_model(
-    model: RobotModel, logs: Sequence[JointLog | UniformLog]
-) -> tuple[tuple[Trajectory, ...], str | None]:
-    """Prepare logs at a bandwidth that suits motion and efforts alike.
-
-    The motion alone suggests a bandwidth (`prepare_logs`). It is lowered to where the motion asks
-    for efforts that were not measured: vibration, play and elasticity behind the motor move the
-    joint without the motor's effort. Otherwise it is lowered while noise of accelerations, which
-    inertias carry into efforts, costs much and enough samples stay. It is raised where the log is
-    short, as far as that noise costs little. A rough model will do; logs have their joints in its
-    order. With the prepared logs comes a sentence on what was changed and why, if anything was.
-    """
-    uniform = [log if isinstance(log, UniformLog) else make_uniform(log) for log in logs]
-    trajectories = prepare_logs(uniform)
-    chosen = min(trajectory.filter.bandwidth for trajectory in trajectories)
-    coherent = coherent_bandwidth(model, trajectories)
-    outputs = sum(sum(trajectory.output_counts) for trajectory in trajectories)
-    if coherent is not None:
-        least = chosen * min(1.0, _FEWEST / max(outputs, 1))  # which leaves enough to hold out
-        if (coherent := max(coherent, least)) >= chosen:
-            return trajectories, None
-        lowered = prepare_logs(
-            uniform, bandwidth=coherent, motion_bandwidth=coherent, how="chosen from the data"
-        )
-        return lowered, (
-            f"bandwidth lowered to {coherent:.3g} Hz, as the motion above it does not match "
-            "the measured efforts: vibration, backlash or position noise"
-        )
-    found = _with_less_noise(model, uniform, trajectories, chosen)
-    if found is None and outputs < _ENOUGH:
-        found = _with_more_samples(model, uniform, trajectories, chosen)
-    return (trajectories, None) if found is None else found
-
-
-def _with_less_noise(
-    model: RobotModel,
-    uniform: Sequence[UniformLog],
-    trajectories: tuple[Trajectory, ...],
-    chosen: float,
-) -> tuple[tuple[Trajectory, ...], str] | None:
-    """Lower the bandwidth until noise of accelerations costs little, as far as that helps."""
-    noise, lower, found = _acceleration_noise(model, trajectories), chosen, trajectories
-    while noise.loss > _TOO_NOISY and noise.fewest > _STEP * _FEWEST_MOVING:
-        lower /= _STEP
-        try:
-            tried = prepare_logs(uniform, bandwidth=lower, how="chosen from the data")
-        except (ArgumentError, LogError):  # a log would be too short
-            break
-        less = _acceleration_noise(model, tried)
-        # What a fit knows goes with the power of the motion over that of the noise.
-        if noise.loss / less.loss < noise.motion_over(less):
-            break
-        found, noise = tried, less
-    suits = min(trajectory.filter.bandwidth for trajectory in found)
-    if suits == chosen:
-        return None
-    return found, (
-        f"bandwidth lowered from {chosen:.3g} to {suits:.3g} Hz, as noise of accelerations makes "
-        "up most of the noise in efforts"
-    )
-
-
-def _with_more_samples(
-    model: RobotModel,
-    uniform: Sequence[UniformLog],
-    trajectories: tuple[Trajectory, ...],
-    chosen: float,
-) -> tuple[tuple[Trajectory, ...], str] | None:
-    """Raise the bandwidth of short logs, as far as noise costs little."""
-    outputs = sum(sum(trajectory.output_counts) for trajectory in trajectories)
-    highest = HIGHEST_BANDWIDTH / max(t.filter.period for t in trajectories)
-    sharp = prepare_logs(uniform, bandwidth=chosen, motion_bandwidth=highest)
-    frequency, ratio = effort_ratio(model, sharp)
-    noisy = frequency[(frequency > chosen) & (ratio > 1.0)]
-    limit = min([highest, *noisy[:1].tolist()])
-    raised, lowest = min(chosen * _ENOUGH / outputs, limit), _STEP * chosen
-    if raised < lowest:
-        return None
-    apart = 1 + int(np.log(raised / lowest) / np.log(_STEP))
-    for higher in np.geomspace(raised, lowest, min(apart, _TRIES)).tolist():
-        longer = prepare_logs(uniform, bandwidth=higher, how="chosen from the data")
-        if _acceleration_noise(model, longer).is_small:
-            words = f"from {chosen:.3g} to {higher:.3g} Hz, as the log is short"
-            return longer, f"bandwidth raised {words}"
-    return None
-
-
-@dataclass(frozen=True)
-class _AccelerationNoise:
-    """What noise of accelerations, as efforts are filtered, does to residuals and to columns."""
-
-    loss: float  # power of noise, with that of accelerations, over that of efforts alone
-    deviation: Array  # (nv,) of the noise, rad/s² or m/s²
-    size: Array  # (nv,) the same of accelerations themselves, before they are filtered
-    motion: Array  # (nv,) the same of filtered accelerations; 0 of a joint at rest
-    fewest: int  # filtered samples of a joint in motion, the least of all joints
-
-    @property
-    def is_small(self) -> bool:
-        """Whether residuals are not much larger, and inertias not much too small, due to it."""
-        return self.loss <= _MOST_NOISE and bool(
-            np.all(self.deviation <= _MOST_SHAKING * self.size)
-        )
-
-    def motion_over(self, other: _AccelerationNoise) -> float:
-        """Return the power of accelerations over that with another filter, the geometric mean."""
-        moves = (self.motion > 0.0) & (other.motion > 0.0)
-        ratio = np.log(self.motion[moves] / other.motion[moves])
-        return float(np.exp(2.0 * ratio.mean())) if moves.any() else 1.0
-
-
-def _acceleration_noise(
-    model: RobotModel, trajectories: Sequence[Trajectory]
-) -> _AccelerationNoise:
-    """Return what noise of accelerations does at the least, as inertias carry it into efforts.
-
-    The model's inertia may lack rotors: roughly, each joint has what a fit of its residuals with
-    friction and a spring finds. Joints at rest do not count.
-    """
-    columns, residuals, segments = list[Array](), list[Array](), list[Array]()
-    noise, carried, shaking, samples = list[Array](), list[Array](), list[Array](), list[int]()
-    size, own_rows = np.zeros(len(model.joints)), True
-    for trajectory in trajectories:
-        robot, low_pass = carrying(model, trajectory.payloads), trajectory.filter
-        for segment in trajectory.segments:
-            start, rate = segment[:_SAMPLES], 1.0 / segment.period
-            rows = contact_rows(robot, trajectory, start)
-            own_rows &= rows is None
-            density = _density_of_rows(start, rows, rate, low_pass.bandwidth)
-            start = replace(start, effort=_taken(rows, start.effort))
-            power = density * low_pass.noise_gain**2 * rate / 2.0
-            noise.append(np.where(_is_silent(density, start), 0.0, power))
-            carried.append(_carried(start, robot, trajectory, 0.0, rows))
-            shaking.append(trajectory.acceleration_noise)
-            samples.append(len(start))
-            size = np.maximum(size, start.acceleration.std(axis=0))  # a joint may rest in some
-            v = start.velocity
-            own = [start.acceleration, v, np.sign(v), start.position, np.ones_like(v)]
-            columns.append(low_pass.apply(np.stack(own, 2)))
-            residuals.append(low_pass.apply(_residual(start, robot, 0.0, trajectory, rows)))
-            segments.append(columns[-1][:, :, 0].std(axis=0))
-    A, b = np.concatenate(columns), np.concatenate(residuals)
-    speed, peak = np.abs(A[:, :, 1]), np.abs(A[:, :, 1]).max(axis=0)
-    moves = peak > _IN_MOTION * np.max([t.speed_noise for t in trajectories], axis=0)
-    deviation = np.max(shaking, axis=0)
-    rotors = np.zeros(len(moves))
-    for j in np.flatnonzero(moves) if own_rows else ():
-        scale = np.maximum(np.abs(A[:, j]).max(axis=0), np.finfo(float).tiny)
-        rotors[j] = max(np.linalg.lstsq(A[:, j] / scale, b[:, j])[0][0] / scale[0], 0.0)
-    known = (np.array(noise) > 0.0) & moves
-    weights = np.tile(samples, (len(moves), 1)).T[known]
-    power = np.array(carried) + np.square(rotors * np.array(shaking))
-    losses = np.log1p(power[known] / np.array(noise)[known])
-    loss = np.average(losses, weights=weights) if len(weights) else 0.0
-    counts = np.sum(speed > _STILL * peak, axis=0)[moves]
-    motion = np.where(moves, np.max(segments, axis=0), 0.0)
-    fewest = int(min(counts, default=0))
-    return _AccelerationNoise(float(np.exp(loss)), deviation, size, motion, fewest)
-
-
-def coherent_bandwidth(model: RobotModel, trajectories: Sequence[Trajectory]) -> float | None:
-    """Return the frequency above which the motion and the measured efforts disagree, Hz.
-
-    From there on the effort that the model needs, a rough one, has more than 25 times the measured
-    power, the geometric mean over joints. None if it has not up to the bandwidth, or has from the
-    lowest frequency on, as where efforts are in other units.
-    """
-    frequency, ratio = effort_ratio(model, trajectories)
-    inside = frequency <= min(trajectory.filter.bandwidth for trajectory in trajectories)
-    frequency, ratio = frequency[inside], ratio[inside]
-    worst = int(np.argmax(ratio))
-    if ratio[worst] <= _EXCESS:
-        return None
-    together = np.flatnonzero(ratio[:worst] <= _EXCESS)
-    return float(frequency[together[-1] + 1]) if len(together) else None
-
-
-def effort_ratio(model: RobotModel, trajectories: Sequence[Trajectory]) -> tuple[Array, Array]:
-    """Return the power of the effort that the model needs over that of the measured effort.
-
-    Those are frequencies (K,) in Hz, without 0, and ratios (K,), the geometric mean over joints
-    that have a motor, and over a free base where the ground's forces are measured or taken out.
-    """
-    robots = {t.payloads: carrying(model, t.payloads) for t in trajectories}
-    held = [(t, segment) for t in trajectories for segment in t.segments]
-    segments = [segment for _, segment in held]
-    window = min(
-        0.5 * min(min(len(segment), _SAMPLES) * segment.period for segment in segments),
-        100.0 / trajectories[0].filter.bandwidth,
-    )
-    fastest = 0.5 / max(segment.period for segment in segments)
-    frequency = np.arange(1.0 / window, fastest, 1.0 / window)
-    needed = measured = np.zeros((len(frequency), len(model.joints)))
-    for trajectory, segment in held:
-        robot = robots[trajectory.payloads]
-        start = segment[:_SAMPLES]
-        motion = Motion(model.positions(start.position), start.velocity, start.acceleration)
-        rows = contact_rows(robot, trajectory, start)
-        effort = _taken(rows, robot.effort(motion))
-        needed = needed + _density(effort, segment, window, frequency)
-        measured = measured + _density(_taken(rows, start.effort), segment, window, frequency)
-    tiny = np.finfo(float).tiny
-    idle = [joint for t in trajectories for joint in t.passive]
-    grounded = all(trajectory.is_grounded for trajectory in trajectories)
-    driven = ~np.isin(model.joints, [*idle, *(() if grounded else model.base_joints)])
-    if (measured[:, driven] > 0.0).any():  # limbs that stand throughout have no rows
-        driven &= (measured > 0.0).any(axis=0)
-    ratio = np.mean((np.log(needed + tiny) - np.log(measured + tiny))[:, driven], axis=1)
-    return frequency, np.exp(np.minimum(ratio, _LARGEST_RATIO))
-
-
-def _density(effort: Array, segment: Stretch, window: float, frequency: Array) -> Array:
-    """Return (K, n) spectral density times samples, on a grid that logs of all rates share."""
-    rate = 1.0 / segment.period
-    own, density = spectral_density(effort, rate, round(window * rate))
-    columns = [np.interp(frequency, own, column) for column in density.T]
-    return len(segment) * np.stack(columns, 1)
+    return segment.effort - without_contacts(rows, delayed_by(model.delays, needed, segment.period))

@@ -26,10 +26,10 @@ from geodrake.errors import LogError
 from geodrake.logs.files.column_mapping import MOST_COLUMNS, check_once, is_used
 from geodrake.logs.files.grouped_arrays import (
     content_table,
+    describes_columns,
     fields_of,
     is_of_episode,
     records_table,
-    tells_of_columns,
 )
 from geodrake.logs.files.name_rules import OF_JOINTS, is_time, meaning_of, numbers_joints
 from geodrake.logs.files.packed_files import open_log, unpacked
@@ -81,7 +81,7 @@ _OF_MESSAGE = re.compile(r'(\w+)\s*(?::\s*("(?:[^"\\]|\\.)*"|[^\s{}"]+)|:?\s*\{)
 def read_gazebo(path: Path, reading: Reading) -> LogTable:
     """Return the columns of Gazebo's `gz topic --echo`: messages in protobuf's format of text.
 
-    Each begins with the field that the first begins with. Numbers that are zero are not written.
+    Each message starts with the same field as the first. Zeros are missing in it, and put back.
     """
     messages, inside = list[dict[str, Any]](), list[dict[str, Any]]()
     for found in _OF_MESSAGE.finditer(_whole(path, "text").decode()):
@@ -209,13 +209,13 @@ def _of_hdf5(path: Path, reading: Reading, *, matlab: bool = True) -> dict[str, 
             array = _array(wanted[name], matlab=matlab) if name in wanted else None
             _put(variables, name, {} if name in groups else array)
     for name, value in told:
-        if tells_of_columns(name, value):
+        if describes_columns(name, value):
             _put(variables, name, value)
     return variables
 
 
 def _put(variables: dict[str, Any], name: str, value: Any) -> None:
-    """Put a value where its path leads in nested tables; what is of an array is beside it."""
+    """Put a value at its path in nested tables; an attribute of an array goes beside the array."""
     *structs, last = name.split("/")
     for k, struct in enumerate(structs):
         inside = variables.setdefault(struct, {})
@@ -229,7 +229,7 @@ def _put(variables: dict[str, Any], name: str, value: Any) -> None:
 def _array(dataset: Any, *, matlab: bool) -> Any:
     """Return the numbers of a dataset, columns first if MATLAB wrote it; None for its texts.
 
-    Those of records are in a table of their fields.
+    Records become a table of their fields.
     """
     if dataset.attrs.get("MATLAB_class", b"double") in (b"char", b"cell"):
         return None
@@ -395,7 +395,7 @@ def read_npz(path: Path, reading: Reading) -> LogTable:
 
 
 def _width(shape: Sequence[int]) -> int:
-    """Return how many dimensions an array has, but for those of length 1 beyond two."""
+    """Return the number of dimensions of an array; beyond two, those of length 1 do not count."""
     return len(shape) if len(shape) <= 2 else sum(count != 1 for count in shape)
 
 

@@ -53,7 +53,7 @@ def content_table(
         content = _by_names(content)
         records = next((x for x in content.values() if are_records(x)), None)
         if records is not None:
-            said = {name: x for name, x in fields_of(content) if tells_of_columns(name, x)}
+            said = {name: x for name, x in fields_of(content) if describes_columns(name, x)}
             return records_table(path, records, said)
     if are_records(content):
         return records_table(path, content)
@@ -114,7 +114,7 @@ def _with_signals(variables: Mapping[str, Any], called: str = "signal{}") -> Map
     return {**variables, **named}
 
 
-def tells_of_columns(name: str, value: Any) -> bool:
+def describes_columns(name: str, value: Any) -> bool:
     """Return whether a value beside arrays is their sampling rate, or may name their joints."""
     is_list = isinstance(value, list | np.ndarray) and len(np.atleast_1d(value)) > 0
     named = is_list and all(isinstance(x, str) for x in np.atleast_1d(value))
@@ -194,7 +194,7 @@ def _in_turn(
             advice="Choose one of these, or omit --episode to read all.",
         )
     chosen = [reading.episode] if reading.episode is not None else [*episodes]
-    said = {name: x for name, x in fields_of(content) if tells_of_columns(name, x)}
+    said = {name: x for name, x in fields_of(content) if describes_columns(name, x)}
     tables = []
     for number in chosen:
         arrays = arrays_of(episodes[number])

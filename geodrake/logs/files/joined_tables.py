@@ -106,7 +106,7 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
 
 
 def _of_model(tables: Sequence[LogTable], reading: Reading) -> Sequence[LogTable]:
-    """Return the tables without those of other joints than the model's, as of a gripper, alone."""
+    """Drop tables whose joints are all unknown to the model, such as those of a gripper."""
     beside = [[n for n in table.columns if floating_name(n) is None] for table in tables]
     told = [[m for m in meanings_of(each) if m.quantity in OF_JOINTS] for each in beside]
     joints = [set(matched(each, reading.joints)[0].values()) for each in told]
@@ -421,10 +421,11 @@ def _named(table: LogTable, naming: Mapping[str, Texts]) -> LogTable:
 
 
 def _named_by(name: str, naming: Mapping[str, Texts]) -> Callable[[Meaning], bool]:
-    """Return what tells whether a column is of the joint that the cells of another one name.
+    """Return a test of whether a column belongs to the joint that a column of names gives.
 
-    It is beside that one, as `joints[2].angle` is beside `joints[2].name`; or has the number that
-    the other ends in, and is in the same group if several groups name their joints otherwise.
+    It does if it stands beside that column, as `joints[2].angle` beside `joints[2].name`, or if it
+    has the same number at its end. If groups name their joints differently, it must also be in the
+    same group.
     """
     head, number = _head(name), number_of(name)
     if number is None:

@@ -288,7 +288,7 @@ def _plain(message: Any) -> Any:
 
 
 def _numbers_of_joints(fields: Mapping[str, Any]) -> tuple[Owners, dict[str, Array]] | None:
-    """Return joints with what each has, of messages with a part for each of them by its name."""
+    """Return joints and their quantities from a message with one named part for each joint."""
     found = defaultdict[str, dict[str, float]](dict)
     for path, meaning in _parts_of_joints(tuple(fields)).items():
         if isinstance(fields[path], float | int):
@@ -300,7 +300,7 @@ def _numbers_of_joints(fields: Mapping[str, Any]) -> tuple[Owners, dict[str, Arr
 
 @lru_cache(1024)
 def _parts_of_joints(paths: tuple[str, ...]) -> dict[str, Meaning]:
-    """Return the fields of a message that are of joints by their names, with their meanings."""
+    """Return the fields of a message that belong to joints by their names, with their meanings."""
     told = {path: meaning_of(path.replace(".", "/")) for path in paths}
     return {p: m for p, m in told.items() if m and m.role <= PLAIN and m.joint not in (*"xyzw", "")}
 

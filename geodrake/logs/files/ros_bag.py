@@ -73,7 +73,7 @@ _MCAP = re.compile(rb"\x89MCAP0\r\n\x01.{8}(.)\0\0\0", re.DOTALL)
 
 
 def _profile(path: Path) -> str | None:
-    """Return what an MCAP file says that it is of; None for ROS 2 and files that are none."""
+    """Return the profile of an MCAP file; None if it is ROS 2, or if it is no such file."""
     with open_regular(path, "log", LogError) as file:
         found = _MCAP.match(file.read(21))
         profile = file.read(found[1][0]).decode(errors="replace") if found else "ros2"
@@ -93,7 +93,7 @@ def _read_channels(path: Path, reading: Reading, profile: str) -> LogTable:
             if decode is None and channel.message_encoding != "json":
                 raise LogError(
                     f"Log {str(path)!r} has messages of {channel.topic} in "
-                    f"{channel.message_encoding!r}, and is of {profile or 'no framework'}.",
+                    f"{channel.message_encoding!r}; its profile is {profile!r}.",
                     advice="Of MCAP files other than ROS's, JSON and protobuf are read.",
                 )
             read = (

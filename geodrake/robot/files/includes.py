@@ -340,7 +340,7 @@ def packages_below(entry: str | Path) -> Iterator[Path]:
 
 
 def package_name(folder: Path) -> str | None:
-    """Return the name of a package by its manifest, or of Gazebo's model; None if it is none."""
+    """Return the name of a package or of a Gazebo model; None if the folder is neither."""
     manifest = folder / "package.xml"
     with suppress(ModelError):
         data = read_regular(manifest, "manifest", ModelError, largest=_LARGEST_MANIFEST)
