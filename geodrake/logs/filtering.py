@@ -15,7 +15,6 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
@@ -26,39 +25,19 @@ from geodrake.errors import ArgumentError, LogError
 
 Array = NDArray[np.float64]
 
-HANN = (0.5, -0.5)
-"""Cosines of the usual window of a spectrum."""
-
-SHARP = (0.35875, -0.48829, 0.14128, -0.01168)
-"""Those of Blackman and Harris, whose side lobes, below −92 dB, hide nothing of a spectrum."""
+SHARP = "blackmanharris"
+"""The window whose side lobes, below −92 dB, hide nothing of a spectrum's dynamic range."""
 
 
 def spectral_density(
-    signal: ArrayLike,
-    rate: float,
-    length: int,
-    *,
-    window: Sequence[float] = HANN,
-    centered: bool = True,
+    signal: ArrayLike, rate: float, length: int, *, window: str = "hann", centered: bool = True
 ) -> tuple[Array, Array]:
-    """Return frequencies (K,), Hz, and spectral densities (K, n) of signals, by Welch's method.
+    """Return frequencies (K,), Hz, and spectral densities (K, n) of signals, by Welch's method."""
+    from scipy.signal import welch  # which takes a while to import
 
-    Windows are of so many samples, each of which begins half a window after the one before.
-    """
-    signal = np.asarray(signal, float)
-    length = min(length, len(signal))
-    turn = 2.0 * np.pi * np.arange(length) / length
-    weights = np.array(window) @ np.cos(np.outer(np.arange(len(window)), turn))
-    frequency = np.asarray(np.fft.rfftfreq(length, 1.0 / rate), float)
-    density = np.empty((len(frequency), signal.shape[1]))
-    for column, found in zip(signal.T, density.T, strict=True):
-        parts = sliding_window_view(column, length)[:: length - length // 2]
-        means = parts.mean(axis=1, keepdims=True) if centered else 0.0
-        spectra = rfft(weights * (parts - means), axis=1)
-        found[:] = (np.square(spectra.real) + np.square(spectra.imag)).mean(axis=0)
-    # Frequencies between the first and the last stand for their negative ones, too.
-    density[1 : len(density) - (length % 2 == 0)] *= 2.0
-    return frequency, np.asarray(density / (rate * np.square(weights).sum()))
+    detrend = "constant" if centered else False
+    frequency, density = welch(signal, rate, window, length, axis=0, detrend=detrend)
+    return frequency, density
 
 
 _LEAST_BINS = 12  # of a spectrum in a band

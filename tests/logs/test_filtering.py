@@ -4,17 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.signal import welch
 
 from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.filtering import (
-    HANN,
-    SHARP,
     choose_bandwidth,
     design_filter,
     differentiate,
     resample,
-    spectral_density,
 )
 
 PERIOD = 0.002
@@ -132,17 +128,3 @@ def test_bandwidth_holds_a_trot_that_positions_hardly_show_beside_a_sway():
     phases = rng.uniform(0.0, 2.0 * np.pi, (len(rates), 18))
     position = np.fft.irfft(size[:, None] * np.exp(1j * phases), count, axis=0)
     assert choose_bandwidth([(position, 0.005)]) > 8.0
-
-
-@pytest.mark.parametrize(
-    ("length", "window"), [(64, "hann"), (65, "blackmanharris"), (999, "hann")]
-)
-@pytest.mark.parametrize("centered", [True, False])
-def test_spectral_densities_are_those_of_scipy(length, window, centered):
-    signal = 3.0 + np.random.default_rng(0).normal(size=(400, 2)).cumsum(axis=0)
-    own = {"hann": HANN, "blackmanharris": SHARP}[window]
-    found = spectral_density(signal, 50.0, length, window=own, centered=centered)
-    detrend = "constant" if centered else False
-    wanted = welch(signal, 50.0, window, min(length, 400), axis=0, detrend=detrend)
-    np.testing.assert_allclose(found[0], wanted[0])
-    np.testing.assert_allclose(found[1], wanted[1], rtol=1e-9, atol=1e-12)

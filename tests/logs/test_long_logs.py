@@ -71,7 +71,7 @@ def test_trimming_does_not_depend_on_chunks(monkeypatch):
 def test_choices_look_at_a_part_of_a_long_log(monkeypatch):
     log = long_log(9000)
     monkeypatch.setattr(uniform_log, "_PART", 1_000)
-    monkeypatch.setattr(uniform_log, "_MOST_SAMPLES", 2_000)
+    monkeypatch.setattr(uniform_log, "_LOOKED_AT", 2_000)
     parts = list(uniform_log.make_uniform(log).sample_parts())
     assert [len(part) for part in parts] == pytest.approx([250] * 8, abs=1)
     assert parts[0].time[0] == log.time[0]
@@ -84,7 +84,7 @@ def test_memory_grows_with_the_log_alone(monkeypatch, tmp_path):
         monkeypatch.setattr(module, "CHUNK", 5_000)
     monkeypatch.setattr(smoothing, "_KEPT", 5_000)
     monkeypatch.setattr(uniform_log, "_PART", 5_000)
-    monkeypatch.setattr(noise, "MOST_SAMPLES", 10_000)
+    monkeypatch.setattr(noise, "_SAMPLES", 10_000)
     model, peaks = load_model(PENDULUM), []
     lengths = (30_000, 90_000)
     for samples in lengths:

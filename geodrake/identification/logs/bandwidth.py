@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from geodrake.errors import ArgumentError, LogError
 from geodrake.identification.logs.contact_rows import contact_rows
 from geodrake.identification.logs.noise import (
-    MOST_SAMPLES,
     acceleration_power,
     density_of_rows,
     effort_residual,
     is_silent,
+    looked_at,
     without_contacts,
 )
 from geodrake.logs.filtering import HIGHEST_BANDWIDTH, spectral_density
@@ -169,7 +169,7 @@ def _acceleration_noise(
     for trajectory in trajectories:
         robot, low_pass = carrying(model, trajectory.payloads), trajectory.filter
         for segment in trajectory.segments:
-            start, rate = segment[:MOST_SAMPLES], 1.0 / segment.period
+            start, rate = segment[: looked_at(segment)], 1.0 / segment.period
             rows = contact_rows(robot, trajectory, start)
             own_rows &= rows is None
             density = density_of_rows(start, rows, rate, low_pass.bandwidth)
@@ -231,7 +231,7 @@ def effort_ratio(model: RobotModel, trajectories: Sequence[Trajectory]) -> tuple
     held = [(t, segment) for t in trajectories for segment in t.segments]
     segments = [segment for _, segment in held]
     window = min(
-        0.5 * min(min(len(segment), MOST_SAMPLES) * segment.period for segment in segments),
+        0.5 * min(looked_at(segment) * segment.period for segment in segments),
         100.0 / trajectories[0].filter.bandwidth,
     )
     fastest = 0.5 / max(segment.period for segment in segments)
@@ -239,7 +239,7 @@ def effort_ratio(model: RobotModel, trajectories: Sequence[Trajectory]) -> tuple
     needed = measured = np.zeros((len(frequency), len(model.joints)))
     for trajectory, segment in held:
         robot = robots[trajectory.payloads]
-        start = segment[:MOST_SAMPLES]
+        start = segment[: looked_at(segment)]
         motion = Motion(model.positions(start.position), start.velocity, start.acceleration)
         rows = contact_rows(robot, trajectory, start)
         effort = without_contacts(rows, robot.effort(motion))

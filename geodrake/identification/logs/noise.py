@@ -17,13 +17,13 @@ from geodrake.logs.filtering import (
     steepest_fall,
 )
 from geodrake.logs.motion import Motion, Trajectory
-from geodrake.logs.smoothing import Segment
+from geodrake.logs.smoothing import Segment, Stretch
 from geodrake.model.carried_payloads import carrying
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
-MOST_SAMPLES = 100_000  # of a segment that are looked at
+_SAMPLES = 100_000  # of a segment that are looked at
 _POSES = 200  # at which the inertia matrix is looked at
 
 
@@ -62,7 +62,7 @@ def known_noise(
         gain, bandwidth = trajectory.filter.noise_gain, trajectory.filter.bandwidth
         for segment in trajectory.segments:
             rate = 1.0 / segment.period
-            start = segment[:MOST_SAMPLES]
+            start = segment[: looked_at(segment)]
             rows = None if robot is None else contact_rows(robot, trajectory, start)
             density = density_of_rows(start, rows, rate, bandwidth)
             start = replace(start, effort=without_contacts(rows, start.effort))
@@ -92,12 +92,17 @@ def filtered_below(trajectory: Trajectory) -> float:
     """Return where the efforts of a log end, Hz, if they were filtered before; else infinity."""
     bandwidth, ends = trajectory.filter.bandwidth, []
     for segment in trajectory.segments:
-        start, rate = segment[:MOST_SAMPLES], 1.0 / segment.period
+        start, rate = segment[: looked_at(segment)], 1.0 / segment.period
         silent = is_silent(quiet_density(start.effort, rate, bandwidth), start)
         if not silent.all():
             return np.inf
         ends.append(steepest_fall(start.effort, rate, bandwidth))
     return float(np.median(np.concatenate(ends)))
+
+
+def looked_at(segment: Stretch) -> int:
+    """Return how many samples of a segment are looked at for noise and a bandwidth."""
+    return min(len(segment), _SAMPLES)
 
 
 def is_silent(density: Array, segment: Segment) -> NDArray[np.bool_]:
