@@ -17,8 +17,10 @@ from pinocchio_logs import MODELS, effort_log
 from scipy.special import expit
 
 from geodrake import load_model
+from geodrake.boundary.interrupts import StopSearch
 from geodrake.diagnosis import compare, explain
 from geodrake.diagnosis.contact_window import ResidualWindow, WrenchColumns, columns
+from geodrake.diagnosis.search import Search
 from geodrake.effects import Contact
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.robot_motion import log_number
@@ -197,3 +199,18 @@ class TestDiagnosis:
         again = assert_is_saved(found, tmp_path)
         as_it_stands = compare(again, [effort_log("double_pendulum", 5).log]).errors
         assert as_it_stands.nrms < 0.03  # and nothing of the pushes
+
+    def test_a_stop_while_contacts_are_tried_keeps_what_was_found(self, monkeypatch):
+        push, climbed = pushed(2, POINT, np.array([2.0, 0.0, 0.0]), (5.0, 6.0)), []
+        climb = Search._climb_by_common_first
+
+        def stopped_the_second_time(search):
+            climbed.append(search)
+            if len(climbed) == 2:
+                raise StopSearch
+            climb(search)
+
+        monkeypatch.setattr(Search, "_climb_by_common_first", stopped_the_second_time)
+        found = found_in(lambda seen: push(seen) + 2.0 * seen.v, 4)
+        assert len(climbed) == 2 and found.is_interrupted
+        assert "viscous_friction" in {step.effect for step in found.steps}
