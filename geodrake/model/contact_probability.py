@@ -9,7 +9,6 @@ states, forwards and backwards). What was not measured does not count.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -119,14 +118,14 @@ def _forwards_and_backwards(log_odds: Array, change: float, out: Array) -> None:
 def signs_of(
     log: JointLog,
     model: RobotModel,
-    jacobians: Sequence[Array],
+    jacobians: Array,
     heights: Array,
     known: NDArray[np.bool_],
 ) -> FrameSigns:
     """Return heights, speeds and loads of frames in a log.
 
     Args:
-        jacobians: Of each frame, (K, 3 or 6, nv) in W, of its point, and of its turning below.
+        jacobians: (K, c, 3 or 6, nv) in W, of frames' points, and of their turning below.
         heights: (K, c) over the ground, m.
         known: (N,) the K instants at which positions are known.
     """
@@ -137,7 +136,8 @@ def signs_of(
     period = float(np.median(np.diff(log.time))) if len(log) > 1 else _SMOOTH
     window = 2 * max(1, round(0.5 * _SMOOTH / period)) + 1
     told = np.array([log.effort_kinds.get(j, "effort") == "effort" for j in model.joints])
-    shape = len(log), len(jacobians)
+    count = jacobians.shape[1]
+    shape = len(log), count
     high, speeds, loads = np.full((3, *shape), np.nan)
     high[known] = heights
     if len(log) < 2 * window:
@@ -148,7 +148,7 @@ def signs_of(
         measured = log.acceleration[:, at]
         vd = np.where(np.isfinite(measured), measured, vd)
     tau = savgol_filter(tau, window, 2, axis=0)
-    for k, J in enumerate(jacobians):
+    for k, J in enumerate(np.moveaxis(jacobians, 1, 0)):
         speeds[known, k] = np.linalg.norm(times(J[:, :3], v[known]), axis=1)
     weight = float(model.total_phi[:, 0].sum() * np.linalg.norm(model.tree.gravity))
     whole = np.isfinite(np.hstack([q, v, vd])).all(axis=1)
@@ -158,14 +158,14 @@ def signs_of(
         motion = Motion(model.positions(q[whole]), v[whole], vd[whole])
         missing = model.effort(motion) - tau[whole]
         noise = _EFFORT * np.sqrt(np.nanmean(np.square(tau[whole]), axis=0))
-        for k, J in enumerate(jacobians):
+        for k, J in enumerate(np.moveaxis(jacobians, 1, 0)):
             limb = np.asarray(J.any(axis=(0, 1))) & ~at_base
             if not limb.any() or not told[limb].all():
                 continue
             inverse = np.linalg.pinv(np.swapaxes(J[rows][:, :, limb], 1, 2), rcond=_NEARLY)
             solution = inverse[:, :3]
             by_noise = np.square(solution * noise[limb]).sum(axis=2)
-            deviations = np.sqrt((_LIGHT * weight / len(jacobians)) ** 2 + by_noise)
+            deviations = np.sqrt((_LIGHT * weight / count) ** 2 + by_noise)
             force = times(solution, missing[:, limb])
             loads[whole, k] = (np.abs(force) / deviations).max(axis=1)
     return FrameSigns(log.time, high, speeds, loads)

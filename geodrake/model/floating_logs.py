@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
+from geodrake.compiling import compiled, contiguous
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.errors import LogError
 from geodrake.inertia import Array
@@ -320,32 +321,50 @@ class ContactFrame:
     center: Array
     radius: float
 
-    def jacobian(self, bodies: RobotBodies, *, sole: bool = False) -> Array:
-        """Return the Jacobian (N, 3, nv), in W, of the lowest point of the ball.
-
-        Of a sole, which moments act on too, it has the link's turning below, (N, 6, nv).
-        """
-        found = np.zeros((len(bodies.q), 6 if sole else 3, bodies.tree.num_velocities))
-        self.put_jacobian(bodies, found)
-        return found
-
-    def put_jacobian(self, bodies: RobotBodies, out: Array) -> None:
-        """Write the Jacobian to zeros (N, 3, nv), or to those of a sole, (N, 6, nv)."""
-        motion = bodies.motion(self.body)
-        x, y, z = (motion.rotation @ self.center - self.radius * upwards(bodies.gravity)).T
-        for i in motion.dofs:
-            (wx, wy, wz), v = motion.angular[:, :, i].T, motion.linear[:, :, i]
-            out[:, 0, i] = v[:, 0] + wy * z - wz * y
-            out[:, 1, i] = v[:, 1] + wz * x - wx * z
-            out[:, 2, i] = v[:, 2] + wx * y - wy * x
-            if out.shape[1] > 3:
-                out[:, 3:, i] = motion.angular[:, :, i]
-
     def height(self, bodies: RobotBodies) -> Array:
         """Return heights (N,) of the lowest point of the ball over the world's origin, m."""
         motion = bodies.motion(self.body)
         center = motion.position + motion.rotation @ self.center
         return center @ upwards(bodies.gravity) - self.radius
+
+
+def contact_jacobians(
+    frames: Sequence[ContactFrame], bodies: RobotBodies, *, soles: bool = False
+) -> Array:
+    """Return Jacobians (N, c, 3, nv), in W, of the lowest points of frames' balls.
+
+    Of soles, which moments act on too, they have the links' turning below, (N, c, 6, nv).
+    """
+    count, axes = len(bodies.q), 6 if soles else 3
+    found = np.zeros((count, len(frames), axes, bodies.tree.num_velocities))
+    for k, frame in enumerate(frames):
+        motion = bodies.motion(frame.body)
+        arm = motion.rotation @ frame.center - frame.radius * upwards(bodies.gravity)
+        own, dofs = (contiguous(motion.angular), contiguous(motion.linear)), np.array(motion.dofs)
+        _put_point_jacobian(own, arm, dofs, found, k)
+    return found
+
+
+@compiled
+def _put_point_jacobian(
+    own: tuple[Array, Array], arm: Array, dofs: NDArray[np.intp], out: Array, k: int
+) -> None:
+    """Write the k-th Jacobian of all, of points that are at (N, 3) from a body's origin, in W.
+
+    Args:
+        own: (N, 3, nv) Jacobians of the body's turning, and of its origin.
+        dofs: Velocities that move it; the others' columns stay.
+    """
+    angular, linear = own
+    for n in range(len(arm)):
+        x, y, z = arm[n, 0], arm[n, 1], arm[n, 2]
+        for i in dofs:
+            wx, wy, wz = angular[n, 0, i], angular[n, 1, i], angular[n, 2, i]
+            out[n, k, 0, i] = linear[n, 0, i] + wy * z - wz * y
+            out[n, k, 1, i] = linear[n, 1, i] + wz * x - wx * z
+            out[n, k, 2, i] = linear[n, 2, i] + wx * y - wy * x
+            if out.shape[2] > 3:
+                out[n, k, 3, i], out[n, k, 4, i], out[n, k, 5, i] = wx, wy, wz
 
 
 def upwards(gravity: Array) -> Array:
@@ -489,7 +508,7 @@ def _found(
         return np.ones(heights.shape, bool), ()
     near = np.flatnonzero((heights[known] < HIGHEST).any(axis=0)).tolist()
     may_be_soles = sum(frames[k].radius == 0.0 for k in near) < _POINTS
-    jacobians = [frames[k].jacobian(bodies, sole=may_be_soles) for k in near]
+    jacobians = contact_jacobians([frames[k] for k in near], bodies, soles=may_be_soles)
     probability = np.zeros(heights.shape)
     signs = signs_of(log, model, jacobians, heights[known][:, near], known)
     probability[:, near] = touching_probability(signs)

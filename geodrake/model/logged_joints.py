@@ -75,7 +75,7 @@ def model_of_logs(
         LogError: Such a joint does not stand in one place, or no joint is left.
     """
     instance(model, "model", RobotModel)
-    logs = [with_base(log, model) for log in instances(logs, "logs", JointLog)]
+    logs = instances(logs, "logs", JointLog)
     model = _led_by(model, logs)
     free = [joint for joint in model.single_joints if joint not in model.base_joints]
     silent = [j for j in free if not any(_says(log, j) for log in logs)]

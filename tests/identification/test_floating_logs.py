@@ -43,7 +43,7 @@ from geodrake.logs.folds import validation_blocks
 from geodrake.logs.motion import JointLog
 from geodrake.logs.preparation import prepare_logs
 from geodrake.logs.unit_hints import effort_sign_hint
-from geodrake.model.floating_logs import contact_frames, on_soles, with_base
+from geodrake.model.floating_logs import contact_frames, contact_jacobians, on_soles, with_base
 from geodrake.model.logged_joints import log_of_model, reading_for
 from geodrake.model.robot_model import load_description
 from geodrake.robot.regressor import inverse_dynamics_regressor
@@ -289,7 +289,7 @@ def test_rows_without_contact_forces_are_pinocchios(model, feet, axes, unmeasure
     touching = ContactFlags(feet, np.arange(20) / RATE, rng.random((20, len(feet))) < 0.6)
     sole = axes == 6
     assert on_soles(touching, frames) == sole
-    J = np.stack([frame.jacobian(bodies, sole=sole) for frame in frames], 1)
+    J = contact_jacobians(frames, bodies, soles=sole)
     scales = rng.uniform(0.5, 2.0, 18)
     measured = ~np.isin(model.joints, unmeasured)
     rows = rows_without(J, touching.flags, scales, range(6), measured=measured)

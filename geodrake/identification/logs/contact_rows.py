@@ -23,7 +23,7 @@ from geodrake.effects.body_motion import RobotBodies
 from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Trajectory
 from geodrake.logs.smoothing import Segment
-from geodrake.model.floating_logs import contact_frames, on_soles
+from geodrake.model.floating_logs import contact_frames, contact_jacobians, on_soles
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
@@ -43,10 +43,7 @@ def contact_rows(model: RobotModel, trajectory: Trajectory, segment: Segment) ->
         return None if measured.all() else MixedRows(own, {})
     bodies = RobotBodies(model.tree, model.positions(segment.position), model.total_phi)
     frames = contact_frames(model, contacts.frames)
-    axes = 6 if on_soles(contacts, frames) else 3
-    J = np.zeros((len(segment), len(frames), axes, len(model.joints)))
-    for k, frame in enumerate(frames):
-        frame.put_jacobian(bodies, J[:, k])
+    J = contact_jacobians(frames, bodies, soles=on_soles(contacts, frames))
     base = [model.joints.index(joint) for joint in model.base_joints]
     flags, scales = contacts.at(segment.time), row_scales(model, trajectory)
     return rows_without(J, flags, scales, base, measured=measured)
