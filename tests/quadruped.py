@@ -24,7 +24,14 @@ def joint_text(name: str, parent: str, child: str, xyz: str, axis: str) -> str:
     )
 
 
-def quadruped() -> str:
+def quadruped(ball: float = 0.0) -> str:
+    """Return its URDF; its feet may be balls of a radius, m, a little off their frames."""
+    shape = (
+        '<collision><origin xyz="0.01 0 -0.01"/><geometry>'
+        f'<sphere radius="{ball}"/></geometry></collision>'
+        if ball
+        else ""
+    )
     parts = [link_text("trunk", 8.0, (0.4, 0.2, 0.1))]
     for leg in LEGS:
         x, y = 0.2 * (1 if leg[0] == "f" else -1), 0.1 * (1 if leg[1] == "l" else -1)
@@ -35,7 +42,7 @@ def quadruped() -> str:
             joint_text(f"{leg}_pitch", f"{leg}_hip", f"{leg}_thigh", f"0 {y / 2} 0", "0 1 0"),
             link_text(f"{leg}_calf", 0.3, (0.03, 0.03, 0.2), -0.1),
             joint_text(f"{leg}_knee", f"{leg}_thigh", f"{leg}_calf", "0 0 -0.2", "0 1 0"),
-            f'<link name="{leg}_foot"/><joint name="{leg}_ankle" type="fixed">'
+            f'<link name="{leg}_foot">{shape}</link><joint name="{leg}_ankle" type="fixed">'
             f'<parent link="{leg}_calf"/><child link="{leg}_foot"/>'
             '<origin xyz="0 0 -0.2"/></joint>',
         ]

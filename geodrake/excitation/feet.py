@@ -30,16 +30,18 @@ _ADVICE = "Say where it does: a Foot with points, or LINK=LENGTHxWIDTH or LINK=p
 
 @dataclass(frozen=True, eq=False)
 class Foot(Short):
-    """What of a robot stands on the ground: a sole, or one point.
+    """What of a robot stands on the ground: a sole, a ball that rolls, or a point.
 
     Attributes:
         frame: Name of a link, or of another frame of the model file.
-        points: (k, 3) corners of the sole in the frame, m; one for a foot that turns about it, as a
-            ball does nearly, which rolls by millimetres.
+        points: (k, 3) corners of the sole in the frame, m; one for a foot that turns about it, or
+            for the center of a ball.
+        radius: Of the ball, m; 0 without.
     """
 
     frame: str
     points: ArrayLike
+    radius: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "points", real_array(self.points, "points", ("k", 3)))
@@ -48,6 +50,11 @@ class Foot(Short):
             raise ArgumentError(
                 f"Foot {self.frame!r} has {count} points.",
                 advice="A foot is one point, or a sole of at least three corners.",
+            )
+        if number(self.radius, "radius", lower=0.0) and count > 1:
+            raise ArgumentError(
+                f"Foot {self.frame!r} has {count} points and a radius of {self.radius:g} m.",
+                advice="A ball has one point, its center; a sole has no radius.",
             )
 
     @classmethod
@@ -110,7 +117,7 @@ def _lowest(name: str, solids: Sequence[Solid], X_FB: RigidTransform, X_WF: Rigi
     touching, radius = points[low], radii[low]
     apart = np.ptp(touching - np.outer(touching @ down, down), axis=0).max()
     if apart < _SAME:
-        return Foot(name, touching[:1] + radius[:1, None] * down)
+        return Foot(name, touching[:1], float(radius[0]))
     touching = touching + radius[:, None] * down
     spread = np.linalg.svd(touching - touching.mean(axis=0), compute_uv=False)
     if len(touching) < 3 or spread[1] < _SAME:

@@ -24,6 +24,7 @@ from geodrake.robot.stated import WORLD, Closure
 from geodrake.robot.transmission.loop import LoopTransmission, solved
 from geodrake.robot.transmission.statements import Drive
 
+_LEVELLING = 3  # times, as lowest points of balls depend on the ground's slope
 _LEVEL = 0.005  # m, by which points of feet may be off the plane through them
 _NARROW = 0.005  # m, of a polygon on which nothing stands
 _SIDES = 12  # of a polygon at most
@@ -101,7 +102,7 @@ def make_stance(
         X_GP = X_WG.inverse() @ frame.CalcPoseInWorld(context) @ X_FP
         bodies = WORLD, frame.body().scoped_name().get_full()
         poses = X_GP, frame.GetFixedPoseInBodyFrame() @ X_FP
-        closures.append(Closure(foot.frame, bodies, poses, foot.is_sole))
+        closures.append(Closure(foot.frame, bodies, poses, foot.is_sole, radius=foot.radius))
     X_GB = X_WG.inverse() @ robot.plant.EvalBodyPoseInWorld(context, root_of(robot))
     turned = RollPitchYaw(X_GB.rotation()).vector()[::-1]
     start = at | dict(zip(robot.base_joints, [*X_GB.translation(), *turned], strict=True))
@@ -180,14 +181,13 @@ def _reachable(loop: LoopTransmission, robot: RobotModel) -> tuple[Array, Array]
 
 def _ground(robot: RobotModel, feet: Sequence[Foot], context: Context) -> RigidTransform:
     """Return the pose of the ground through all feet, with z upwards and its origin amid them."""
-    plant = robot.plant
-    points = np.vstack([_touching(robot, foot, context) for foot in feet])
-    center = points.mean(axis=0)
-    normal = np.array([0.0, 0.0, 1.0])
-    if len(points) > 2:
-        normal = np.linalg.svd(points - center)[2][2]
-        above = plant.CalcCenterOfMassPositionInWorld(context) - center
-        normal = normal if normal @ above > 0.0 else -normal
+    normal, above = np.array([0.0, 0.0, 1.0]), robot.plant.CalcCenterOfMassPositionInWorld(context)
+    for _ in range(_LEVELLING):
+        points = np.vstack([_touching(robot, foot, context, normal) for foot in feet])
+        center = points.mean(axis=0)
+        if len(points) > 2:
+            normal = np.linalg.svd(points - center)[2][2]
+            normal = normal if normal @ (above - center) > 0.0 else -normal
     heights = (points - center) @ normal
     if np.abs(heights).max() > _LEVEL:
         at = np.cumsum([0, *(len(np.asarray(foot.points)) for foot in feet)])
@@ -205,17 +205,18 @@ def _ground(robot: RobotModel, feet: Sequence[Foot], context: Context) -> RigidT
     return RigidTransform(R, center)
 
 
-def _touching(robot: RobotModel, foot: Foot, context: Context) -> Array:
-    """Return where a foot touches (k, 3), in the world, m."""
+def _touching(robot: RobotModel, foot: Foot, context: Context, normal: Array) -> Array:
+    """Return where a foot touches the ground of a normal, (k, 3), in the world, m."""
     X_WF = frame_of(robot.plant, foot.frame).CalcPoseInWorld(context)
-    return np.asarray(X_WF.multiply(np.asarray(foot.points).T).T)
+    return np.asarray(X_WF.multiply(np.asarray(foot.points).T).T - foot.radius * normal)
 
 
 def _polygon(
     robot: RobotModel, feet: Sequence[Foot], context: Context, X_WG: RigidTransform
 ) -> Array:
     """Return the corners (k, 2) of the polygon of feet, on the ground, counterclockwise."""
-    points = np.vstack([_touching(robot, foot, context) for foot in feet])
+    normal = X_WG.rotation().matrix()[:, 2]
+    points = np.vstack([_touching(robot, foot, context, normal) for foot in feet])
     flat = X_WG.inverse().multiply(points.T).T[:, :2]
     spread = np.linalg.svd(flat - flat.mean(axis=0), compute_uv=False)
     try:

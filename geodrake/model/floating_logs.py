@@ -11,12 +11,14 @@ forces (`geodrake.identification.logs.contact_rows`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.multibody.plant import MultibodyPlant
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
@@ -29,10 +31,8 @@ from geodrake.logs.floating import FLAG, FORCE, ContactFlags, frames_of, odd_fla
 from geodrake.logs.motion import GROUND, UNMEASURED, JointLog
 from geodrake.model.contact_probability import HIGHEST, signs_of, touching_probability
 from geodrake.model.robot_model import RobotModel
-from geodrake.robot.files.checks import numbers
-from geodrake.robot.files.xacro_file import read_expanded
-from geodrake.robot.files.xml_text import parse_xml_bytes
 from geodrake.robot.joints import joints_of
+from geodrake.robot.shapes import collision_balls
 
 _NORM = 0.02  # by which the length of a quaternion may differ from one
 _UPRIGHT = np.radians(80.0)  # of pitch, beyond which yaw and roll are nearly one
@@ -372,46 +372,33 @@ def upwards(gravity: Array) -> Array:
     return -gravity / max(float(np.linalg.norm(gravity)), 1e-12)
 
 
+_BALLS = WeakKeyDictionary[MultibodyPlant, Mapping[str, tuple[Array, float]]]()
+"""Collision spheres of links that were read before."""
+
+
 def contact_frames(model: RobotModel, names: Sequence[str]) -> tuple[ContactFrame, ...]:
-    """Return links by name, with the collision spheres that a URDF gives them."""
+    """Return links by name, with the collision spheres that the model's file gives them."""
     links = {
-        member.name: (lump.name, member.X_RB)
+        member.name: (lump.name, member)
         for lump in lumped_bodies(model.plant)
         for member in lump.members
     }
-    balls, found = _balls(model), []
+    if model.plant not in _BALLS:
+        is_file = model.path.is_file()
+        _BALLS[model.plant] = collision_balls(model.path, model.given) if is_file else {}
+    balls, found = _BALLS[model.plant], []
     for name in names:
         if name not in links:
             raise LogError(
                 f"The log has a contact or a force at link {name!r}, which the model lacks.",
                 advice=f"Links are {', '.join(links)}.",
             )
-        body, X_BL = links[name]
-        center, radius = balls.get(name, (np.zeros(3), 0.0))
+        body, link = links[name]
+        center, radius = balls.get(link.scoped_name, (np.zeros(3), 0.0))
+        X_BL = link.X_RB
         frame = X_BL.translation(), X_BL.rotation().matrix(), X_BL.multiply(center), radius
         found.append(ContactFrame(name, body, *frame))
     return tuple(found)
-
-
-def _balls(model: RobotModel) -> dict[str, tuple[Array, float]]:
-    """Link of a URDF that has one collision sphere -> its center in the link, and its radius, m."""
-    if model.path.suffix.lower() in (".yaml", ".yml") or not model.path.is_file():
-        return {}
-    root, found = parse_xml_bytes(read_expanded(model.path, model.given), model.path), {}
-    for link in root.iterfind("link"):
-        spheres = [
-            (collision, sphere)
-            for collision in link.iterfind("collision")
-            for sphere in collision.iterfind("geometry/sphere")
-        ]
-        if len(spheres) == 1:
-            collision, sphere = spheres[0]
-            origin = collision.find("origin")
-            place = numbers("" if origin is None else origin.get("xyz", ""), 3)
-            radius = float(numbers(sphere.get("radius", ""), 1)[0])
-            if np.isfinite([*place, radius]).all():
-                found[link.get("name", "")] = place, radius
-    return found
 
 
 def with_ground(log: JointLog, model: RobotModel) -> JointLog:

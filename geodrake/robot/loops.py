@@ -286,7 +286,7 @@ class _LoopFinder:
             for k, (at, X) in enumerate(ends):
                 closure["bodies"][k], closure["positions"][k] = at, X.translation()
                 closure["rotations"][k] = X.rotation().matrix()
-            closure["turns"] = link.closure.turns
+            closure["turns"], closure["radius"] = link.closure.turns, link.closure.radius
         size = _size(mobilizers, closures)
         units = np.array([*(size if k in slides else 1.0 for k in range(count)), size])
         tied = [(part, joint) for part in ties for joint in part.joints]

@@ -38,6 +38,7 @@ from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
 
 from geodrake.errors import ModelError
+from geodrake.inertia import Array
 from geodrake.robot.files.checks import drop
 from geodrake.robot.files.description import drake_errors, drake_messages, read_description
 from geodrake.robot.files.given import Given
@@ -152,6 +153,36 @@ def _shape(m: Any, at: int, hulls: bool) -> Shape | None:
     if hulls:
         shapes[int(kinds.mjGEOM_PLANE)] = lambda: Box(_WIDE, _WIDE, _DEEP)
     return shapes[kind]() if kind in shapes else None
+
+
+def collision_balls(path: Path, given: Given) -> Mapping[str, tuple[Array, float]]:
+    """Return the ball of links that collide by one, by scoped name: its center and radius, m.
+
+    Links may have other shapes, too. A file whose collision geometry nobody can read gives none.
+    """
+    found = dict[str, list[tuple[RigidTransform, Shape]]]()
+    with suppress(ModelError), drake_messages(), drake_errors(path):
+        if (of_mjcf := mjcf_geoms(path, given)) is not None:
+            for link, geoms in of_mjcf[0].items():
+                found[link] = [(g.X_BG, g.shape) for g in geoms if g.collides]
+        else:
+            plant, scene = scene_of(path, given, _leave_balls)
+            see = scene.model_inspector()
+            for link, own in geometries_of(plant, scene, Role.kProximity):
+                found[link] = [(see.GetPoseInFrame(id), see.GetShape(id)) for id in own]
+    balls = {
+        link: [(X.translation(), shape.radius()) for X, shape in own if isinstance(shape, Sphere)]
+        for link, own in found.items()
+    }
+    return {link: own[0] for link, own in balls.items() if len(own) == 1}
+
+
+def _leave_balls(root: Element, _: Where) -> None:
+    drop(root, "visual")
+    for link in root.iter("link"):
+        for shape in link.findall("collision"):
+            if shape.find("geometry/sphere") is None:
+                link.remove(shape)
 
 
 GRAY = Rgba(0.82, 0.84, 0.87, 1.0)

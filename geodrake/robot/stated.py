@@ -146,6 +146,8 @@ class Closure:
         bodies: Scoped names of the bodies, or `WORLD`.
         poses: Poses of the frames in them.
         turns: Whether the frames turn together; else only the origins are one.
+        radius: Of a ball about the second frame's origin that rolls on the world's x-y plane, m,
+            and where the frames are one at first; 0 where nothing rolls.
     """
 
     name: str
@@ -153,6 +155,7 @@ class Closure:
     poses: tuple[RigidTransform, RigidTransform]
     turns: bool
     cut: CutJoint | None = None
+    radius: float = 0.0
 
     @classmethod
     def by_joint(

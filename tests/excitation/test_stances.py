@@ -7,6 +7,8 @@ import mujoco
 import numpy as np
 import pytest
 from excitation_robots import MODELS
+from quadruped import FEET as DOG_FEET
+from quadruped import JOINTS, quadruped
 
 from geodrake.effects import CoulombFriction, FittedEffect, ViscousFriction
 from geodrake.errors import ArgumentError
@@ -25,6 +27,7 @@ from geodrake.excitation import (
 )
 from geodrake.excitation.problem import make_problem
 from geodrake.excitation.starts import at_rest
+from geodrake.logs.motion import Motion
 from geodrake.model import load_model
 
 BIPED = MODELS / "biped.urdf"
@@ -287,6 +290,8 @@ class TestFeet:
             make_stance(load_model(BIPED), FEET)
         with pytest.raises(ArgumentError, match="'x' has 2 points"):
             Foot("x", np.zeros((2, 3)))
+        with pytest.raises(ArgumentError, match=r"has 3 points and a radius of 0\.02 m"):
+            Foot("x", np.eye(3), radius=0.02)
 
     def test_robots_that_fall_over(self):
         """A trunk that leans back over the heel: no design begins there."""
@@ -307,6 +312,115 @@ class TestFeet:
         limits = motion_limits(load_model(MODELS / "arm6.urdf"), bounded=True)
         with pytest.raises(ArgumentError, match="but the motors are"):
             stance.within(limits)
+
+
+class RollingDog:
+    """A quadruped on balls, with a motion of its trunk, and in MuJoCo."""
+
+    radius, rate, seconds = 0.04, 500.0, 4.0
+    posture = tuple(0.6 * ("pitch" in name) - 1.2 * ("knee" in name) for name in JOINTS)
+
+    def __init__(self, folder):
+        path = folder / "dog.urdf"
+        path.write_text(quadruped(self.radius))
+        self.robot = load_model(path, floating=True)
+        most = [dict.fromkeys(JOINTS, value) for value in (5.0, 50.0, 60.0)]
+        self.limits = motion_limits(
+            self.robot, velocity=most[0], acceleration=most[1], effort=most[2], bounded=True
+        )
+        assert self.limits.joints == JOINTS
+
+    def stance(self, feet=DOG_FEET):
+        return make_stance(self.robot, feet, posture=self.posture, limits=self.limits)
+
+    def motion(self, stance):
+        """Return the trunk's motion, that of all joints, and the motors' efforts."""
+        size = np.array([0.024, 0.018, 0.012, 0.09, 0.09, 0.09])
+        pace = 2.0 * np.pi / self.seconds * np.array([1, 2, 1, 1, 2, 1])
+        times = np.arange(0.0, self.seconds, 1.0 / self.rate)[:, None]
+        angle, phase = pace * times + np.arange(6.0), np.arange(6.0)
+        q = stance.posture + size * (np.sin(angle) - np.sin(phase))
+        motion = Motion(q, size * pace * np.cos(angle), -size * pace**2 * np.sin(angle))
+        return motion, whole_motion(stance, motion), stance.efforts(motion)
+
+    def compiled(self, *, stands):
+        """Return MuJoCo's model, which stands on the ground, or has six joints at its trunk."""
+        head = '<robot name="quadruped">'
+        flags = '<mujoco><compiler fusestatic="false"/></mujoco>'
+        text = self.robot.path.read_text().replace(head, head + flags)
+        spec = mujoco.MjSpec.from_string(text)
+        trunk, kinds = spec.body("trunk"), mujoco.mjtJoint
+        if stands:
+            trunk.add_freejoint()
+            spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
+            spec.option.timestep = 1.0 / (4 * self.rate)
+            for geom in spec.geoms:
+                geom.solref, geom.solimp = [4e-3, 1.0], [0.99, 0.999, 1e-3, 0.5, 2.0]
+        else:
+            ways = [kinds.mjJNT_SLIDE] * 3 + [kinds.mjJNT_HINGE] * 3
+            axes = (*np.eye(3), *np.eye(3)[::-1])
+            for name, kind, axis in zip(self.robot.base_joints, ways, axes, strict=True):
+                trunk.add_joint(name=name, type=kind, axis=axis)
+            spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        return spec.compile()
+
+    def lacking(self, stance):
+        """Return the speed of the balls' lowest points, m/s, and efforts that no force explains.
+
+        The latter is relative to the weight.
+        """
+        model = self.compiled(stands=False)
+        data, weight = mujoco.MjData(model), 9.81 * self.robot.total_phi[:, 0].sum()
+        _, (joints, *samples), efforts = self.motion(stance)
+        dofs = [model.joint(name).dofadr[0] for name in joints]
+        motors, slip, left = [joints.index(name) for name in stance.motors], 0.0, 0.0
+        for q, v, vd, tau in list(zip(*samples, efforts, strict=True))[::10]:
+            data.qpos[dofs], data.qvel[dofs], data.qacc[dofs] = q, v, vd
+            mujoco.mj_inverse(model, data)
+            rows = []
+            for foot in DOG_FEET:
+                body = model.body(foot)
+                lowest = data.geom_xpos[body.geomadr[0]] - [0.0, 0.0, self.radius]
+                moved = np.zeros((3, model.nv))
+                mujoco.mj_jac(model, data, moved, None, lowest, body.id)
+                rows.append(moved[:, dofs])
+            J, needed = np.vstack(rows), data.qfrc_inverse[dofs].copy()
+            needed[motors] -= tau
+            needed -= J.T @ np.linalg.lstsq(J.T, needed, rcond=None)[0]
+            slip, left = max(slip, np.abs(J @ v).max()), max(left, np.abs(needed).max())
+        return slip, left / weight
+
+    def height_error(self, stance):
+        """Return how far MuJoCo's trunk is from the motion in height, the rms, m."""
+        model = self.compiled(stands=True)
+        data, (motion, (joints, q, v, _), efforts) = mujoco.MjData(model), self.motion(stance)
+        pose = np.array([*stance.base_columns(motion).values()]).T
+        own, order = [model.joint(name) for name in JOINTS], [joints.index(n) for n in JOINTS]
+        places, dofs = [joint.qposadr[0] for joint in own], [joint.dofadr[0] for joint in own]
+        efforts = efforts[:, [stance.motors.index(name) for name in JOINTS]]
+        data.qpos[:7], data.qpos[places] = pose[0], q[0, order]
+        heights, settling = [], round(self.rate)
+        for k in [0] * settling + [*range(len(q))]:
+            rates = v[k, order] if len(heights) >= settling else 0.0
+            for _ in range(4):
+                push = 800.0 * (q[k, order] - data.qpos[places]) + 8.0 * (rates - data.qvel[dofs])
+                data.qfrc_applied[dofs] = efforts[k] + push
+                mujoco.mj_step(model, data)
+            heights.append(data.qpos[2])
+        return np.std(np.array(heights[settling:]) - pose[:, 2])
+
+
+def test_feet_that_are_balls_roll(tmp_path):
+    """MuJoCo's roll as planned; feet that turn about one point would slip and lift the trunk."""
+    dog = RollingDog(tmp_path)
+    rolling = dog.stance()
+    assert [foot.radius for foot in rolling.feet] == [0.04] * 4
+    turn = np.array([[np.cos(0.6), 0.0, np.sin(0.6)], [0, 1, 0], [-np.sin(0.6), 0.0, np.cos(0.6)]])
+    lowest = np.array([0.01, 0.0, -0.01]) - 0.04 * turn[:, 2]  # calves lean by 0.6 − 1.2 rad
+    turning = dog.stance([Foot(foot, lowest[None]) for foot in DOG_FEET])
+    (slip, left), (most_slip, most_left) = dog.lacking(rolling), dog.lacking(turning)
+    assert slip < 0.3 * most_slip and left < min(0.1 * most_left, 1e-3)
+    assert dog.height_error(rolling) < min(0.3 * dog.height_error(turning), 1e-4)
 
 
 def test_load_is_shared_by_all_motors():

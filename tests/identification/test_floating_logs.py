@@ -46,7 +46,9 @@ from geodrake.logs.unit_hints import effort_sign_hint
 from geodrake.model.floating_logs import contact_frames, contact_jacobians, on_soles, with_base
 from geodrake.model.logged_joints import log_of_model, reading_for
 from geodrake.model.robot_model import load_description
+from geodrake.robot.files import Given
 from geodrake.robot.regressor import inverse_dynamics_regressor
+from geodrake.robot.shapes import collision_balls
 
 RATE = 100.0
 
@@ -272,6 +274,54 @@ class PinocchioDog:
         """Return the Jacobian (6, 18) of a foot's place and turning, in the last state."""
         world, frame = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED, self.model.getFrameId(foot)
         return pin.getFrameJacobian(self.model, self.data, frame, world)[:, self.order]
+
+
+BALL = (0.01, 0.0, -0.01), 0.04  # its center in a foot's frame, and radius
+SDF = """<sdf version="1.9"><model name="dog"><link name="a"><collision name="c">
+<pose>.01 0 -.01 0 0 0</pose><geometry><sphere><radius>.04</radius></sphere></geometry></collision>
+<collision name="d"><geometry><box><size>.1 .1 .1</size></box></geometry></collision></link></model>
+</sdf>"""
+MJCF = """<mujoco model="dog"><worldbody><body name="a"><freejoint/><geom size=".05" mass="1"
+contype="0" conaffinity="0"/><geom pos=".01 0 -.01" size=".04"/><geom type="capsule" size=".1 .1"/>
+</body></worldbody></mujoco>"""
+TWO = SDF.replace("box", "sphere").replace("<size>.1 .1 .1</size>", "<radius>.1</radius>")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "link"),
+    [
+        ("r.urdf", quadruped(ball=0.04), "fl_foot"),
+        ("r.sdf", SDF, "a"),
+        ("r.xml", MJCF, "a"),
+        ("two.sdf", TWO, ""),
+    ],
+)
+def test_balls_are_those_of_the_file(tmp_path, name, text, link):
+    """Those of pictures, other shapes, and links with several balls do not count."""
+    (tmp_path / name).write_text(text)
+    balls = collision_balls(tmp_path / name, Given())
+    found = {scope.rpartition("::")[2]: ball for scope, ball in balls.items()}
+    assert bool(found) == bool(link)
+    if link:
+        np.testing.assert_allclose(np.hstack(found[link]), np.hstack(BALL))
+
+
+def test_contacts_of_balls_are_below_their_centers(tmp_path):
+    """As a foot rolls, the point that touches moves over it: Pinocchio's Jacobians at it."""
+    path = tmp_path / "dog.urdf"
+    path.write_text(quadruped(ball=0.04), encoding="utf-8")
+    model, dog = load_description(path, floating=True), PinocchioDog(path)
+    q = np.random.default_rng(4).uniform(-0.7, 0.7, (8, 18))
+    bodies = RobotBodies(model.tree, model.positions(q), model.total_phi)
+    found = contact_jacobians(contact_frames(model, FEET), bodies)
+    for at, J in zip(q, found, strict=True):
+        dog.efforts(at, 0.0 * at, 0.0 * at)
+        for foot, own in zip(FEET, J, strict=True):
+            moved, turned = np.split(dog.jacobian(foot), 2)
+            R = dog.data.oMf[dog.model.getFrameId(foot)].rotation
+            x, y, z = R @ BALL[0] - [0.0, 0.0, BALL[1]]
+            across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+            np.testing.assert_allclose(own, moved - across @ turned, atol=1e-12)
 
 
 @pytest.mark.parametrize("unmeasured", [(), ("fl_pitch", "hr_knee")], ids=["all", "some"])

@@ -3,6 +3,10 @@
 What closures miss by, c(θ), is in shares of the size of the loop, and rad. Joints that follow solve
 J θ̇ = 0 with the free ones' θ̇ in the sense of least squares, as closures may say more than is
 needed: those of a flat linkage also hold it in its plane.
+
+A ball of radius r that rolls on the ground without slip has its center at r θ × z from where it was
+when its frame had not turned, with the rotation vector θ. That is exact while it turns about one
+axis; about several, what it slips is of second order in θ.
 """
 
 from __future__ import annotations
@@ -34,6 +38,8 @@ from geodrake.robot.vectors import (
     add,
     column,
     cross,
+    dot,
+    scale,
     times,
     vector,
 )
@@ -52,6 +58,7 @@ CLOSURE = np.dtype(
         ("rotations", float, (2, 3, 3)),
         ("positions", float, (2, 3)),
         ("turns", np.int64),
+        ("radius", float),
     ],
     align=True,
 )
@@ -106,6 +113,27 @@ def _axis(closure: Record, side: int, k: int, X: Array) -> Vector:
     return axis if at < 0 else times(X[at], axis)
 
 
+@inlined
+def _turned(closure: Record, X: Array) -> tuple[Vector, float]:
+    """Return the rotation vector θ between a closure's frames in W, and b of the rate of θ."""
+    turn, trace = (0.0, 0.0, 0.0), 0.0
+    for k in range(3):
+        one, other = _axis(closure, 0, k, X), _axis(closure, 1, k, X)
+        turn, trace = add(turn, cross(one, other)), trace + dot(one, other)
+    sine, cosine = 0.5 * np.sqrt(dot(turn, turn)), 0.5 * (trace - 1.0)
+    angle = np.arctan2(sine, cosine)
+    ratio = 0.5 * angle / sine if sine > 0.0 else 0.5
+    b = (1.0 - ratio * (1.0 + cosine)) / angle**2 if angle > 1e-3 else 1.0 / 12.0
+    return scale(ratio, turn), b
+
+
+@inlined
+def _turning(turn: Vector, b: float, spin: Vector) -> Vector:
+    """Return the rate of a rotation vector θ: (1 − [θ]/2 + b [θ]²) ω."""
+    once = cross(turn, spin)
+    return add(spin, add(scale(-0.5, once), scale(b, cross(turn, once))))
+
+
 @compiled
 def _find_misses(loop: Any, x: Array, room: Any, c: Array, J: Array) -> None:
     """Write by how much closures miss, (m,), and J (m, k), at x (1, k)."""
@@ -115,7 +143,9 @@ def _find_misses(loop: Any, x: Array, room: Any, c: Array, J: Array) -> None:
     calc_kinematics(loop.tree, x, poses, angular, linear)
     X = poses[0]
     for e in range(len(closures)):
-        closure = closures[e]
+        closure, turn, b = closures[e], (0.0, 0.0, 0.0), 0.0
+        if closure.radius > 0.0:
+            turn, b = _turned(closure, X)
         for side in range(2):
             sign, at, arm = 2.0 * side - 1.0, closure.bodies[side], vector(closure.positions[side])
             place = arm
@@ -129,8 +159,15 @@ def _find_misses(loop: Any, x: Array, room: Any, c: Array, J: Array) -> None:
                         J[first + j, k] += sign / size * slide[j]
                         if closure.turns:
                             J[first + 3 + j, k] += sign * spin[j]
+                    if closure.radius > 0.0:
+                        rate = _turning(turn, b, spin)
+                        J[first, k] -= closure.radius / size * rate[1]
+                        J[first + 1, k] += closure.radius / size * rate[0]
             for j in range(3):
                 c[first + j] += sign / size * place[j]
+        if closure.radius > 0.0:
+            c[first] -= closure.radius / size * turn[1]
+            c[first + 1] += closure.radius / size * turn[0]
         for k in range(3 if closure.turns else 0):
             turn = cross(_axis(closure, 0, k, X), _axis(closure, 1, k, X))
             for j in range(3):
