@@ -141,6 +141,7 @@ def test_a_gain_scales_play_that_follows_no_noise():
     assert np.ptp(found[1] - found[0]) < 1e-6
 
 
+@pytest.mark.thorough
 def test_noise_of_coarse_encoders_is_no_share_of_a_wide_gap():
     """Loads of an upright axis are accelerations, whose noise is in the column and in the error."""
     draw = servo_draws(3, 416, hobby=True)[2]

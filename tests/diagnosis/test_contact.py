@@ -175,6 +175,7 @@ class TestDiagnosis:
         assert [(s.effect, s.where) for s in found.steps] == [("contact", ("wrist_barrel",))]
         assert found.verdict == "explained"
 
+    @pytest.mark.thorough
     def test_a_push_that_comes_slowly(self):
         """Before its edges are found, the right body's wrench predicts less than others' do.
 

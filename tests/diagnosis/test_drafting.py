@@ -31,30 +31,35 @@ YAW, SHOULDER, ELBOW, ROLL, PITCH, SPIN = JOINTS
 
 
 def test_a_written_effect_explains(tmp_path):
-    """Of an arm whose bodies are off, and a gyroscope that the file knows nothing of.
+    """Of a pendulum whose bodies are off, and drag of a hose that the file knows nothing of.
 
     The file as `--effects` takes it: the verdict is then that all is explained.
     """
-    model, file = load_model(MODELS / "arm6.urdf"), tmp_path / "my_effect.py"
+    model, file = load_model(MODELS / "double_pendulum.urdf"), tmp_path / "my_effect.py"
+    shoulder, elbow = model.joints
     log = effort_log(
-        "arm6", 3, lambda seen: {3: 0.3 * seen.v[:, 4] * seen.v[:, 5]}, off=0.2, share=0.04
+        "double_pendulum",
+        3,
+        lambda seen: {1: 0.3 * seen.v[:, 0] * seen.q[:, 1]},
+        off=0.2,
+        share=0.04,
     ).log
     explanation, draft = draft_effects(model, [log])
     assert explanation.verdict == "unexplained"
     (effect,) = draft.effects
-    assert effect.formula.joint == ROLL
+    assert effect.formula.joint == elbow
     signals = frozenset().union(*(term.signals for term in effect.formula.terms))
-    assert signals == {(PITCH, "v"), (SPIN, "v")}
+    assert signals == {(shoulder, "v"), (elbow, "q")}
     assert draft.after.nrms < 1.15 * draft.after.floor_nrms
     before, after = np.square([effect.rms_before, effect.rms_after]) - effect.floor**2
     assert after < 0.09 * before  # of what is more than noise
-    assert any(c.joint == ROLL and c.share > 0.5 for c in draft.correlates)
+    assert any(c.joint == elbow and c.share > 0.5 for c in draft.correlates)
     file.write_text(source_of(draft))
     (written,) = load_effect_file(file)
-    assert written().where == (ROLL,)
+    assert written().where == (elbow,)
     assert written.candidates("another joint", 1.0) == []
     found = explain(model, [log], extra=[written])
-    assert [(step.effect, step.where) for step in found.steps] == [(written.name, (ROLL,))]
+    assert [(step.effect, step.where) for step in found.steps] == [(written.name, (elbow,))]
     assert found.verdict == "explained"
 
 

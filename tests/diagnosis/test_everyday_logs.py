@@ -55,6 +55,7 @@ def in_turn(seconds=30.0, rate=100.0, noise=(0.003, 1e-5), rotors=(0.0, 0.0)):
     return JointLog("in turn", JOINTS, time, measured, effort)
 
 
+@pytest.mark.thorough
 def test_common_effects_in_turn_are_not_taken_for_rare_ones():
     """In 40 s at 50 Hz: friction of six joints and a tool, which compensators could imitate."""
     rng, arm, time = np.random.default_rng(3), robot("arm6"), np.arange(0.0, 40.0, 0.02)

@@ -117,7 +117,7 @@ def offset_of_warmth(seen):
 
 
 def friction_of_warmth(j):
-    return (1.0 - 0.02 * (warm_and_cold(j.time) - 38.0)) * (6.0 * sign(j.v) + 4.0 * j.v)
+    return (1.0 - 0.02 * (warm_and_cold(j.time) - 38.0)) * (0.6 * sign(j.v) + 0.4 * j.v)
 
 
 def bristles(time, v, angle, fine=20):
@@ -240,16 +240,16 @@ ROWS = {
         temperature=lambda t: np.stack([np.full_like(t, 255.0), warming(t)], -1),
     ),
     "friction of what is warm": Planted(
-        ARM,
-        at(2, friction_of_warmth),
+        PENDULUM,
+        at(1, friction_of_warmth),
         {
-            DRY: (("elbow_pitch",), {}),
-            WET: (("elbow_pitch",), {}),
-            "thermal_friction": (("elbow_pitch",), {"coulomb_slope": -0.12}),
+            DRY: ((ELBOW,), {}),
+            WET: ((ELBOW,), {}),
+            "thermal_friction": ((ELBOW,), {"coulomb_slope": -0.012}),
         },
         {"off": 0.2},
         near=0.15,
-        temperature=lambda t: np.tile(np.round(warm_and_cold(t))[:, None], (1, 6)),
+        temperature=lambda t: np.tile(np.round(warm_and_cold(t))[:, None], (1, 2)),
     ),
     "a lighter forearm": Planted(ARM, lighter(3, 0.7), {"wrong_inertia": (("forearm",), {})}),
     "bristles that bend before they slip": Planted(
@@ -398,10 +398,10 @@ def test_values_of_warmth_are_those_at_its_reference():
     assert abs(values["offset"] + (30.0 - values["reference"]) * values["slope"]) < 0.02
     assert any("the sensor fails" in note for note in found.notes)
     steps = {step.effect: step for step in explained("friction of what is warm")[1].steps}
-    values = steps["thermal_friction"].parameters["elbow_pitch"]
-    coulomb = steps[DRY].parameters["elbow_pitch"]["coulomb"]
+    values = steps["thermal_friction"].parameters[ELBOW]
+    coulomb = steps[DRY].parameters[ELBOW]["coulomb"]
     at_38 = coulomb - (values["reference"] - 38.0) * values["coulomb_slope"]
-    assert at_38 == pytest.approx(6.0, rel=0.05)
+    assert at_38 == pytest.approx(0.6, rel=0.05)
 
 
 def test_what_goes_with_warmth_cannot_be_added_without_readings():

@@ -20,12 +20,14 @@ from geodrake.logs import read_log
 RUNS = json.loads(benchmarks_page.FIGURES.read_text(encoding="utf-8"))
 
 APART = "excitation_contours"
-LONG = {  # more than 5 s of the processor
+LONG = {  # more than 3 s of the processor
     "adaptive_soak",
     "ambidex_arm",
     "ambidex_sandbags",
     "atlas_identification",
+    "cheetah_gallop",
     "cheetah_leg",
+    "everyday_robots",
     "excite_arms",
     "fleet_kills",
     "fleet_study",
@@ -37,7 +39,11 @@ LONG = {  # more than 5 s of the processor
     "online_payload",
     "ordinary_robots",
     "pages_and_exports",
+    "readme_figures",
     "real_robots",
+    "servo_gains",
+    "tell_apart",
+    "wam_adaptation",
 }
 NAMES = sorted({*SCRIPTS} - {"iiwa_messages", "run_scenario"})  # which have tests of their own
 

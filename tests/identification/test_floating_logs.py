@@ -396,6 +396,7 @@ def test_a_payload_and_an_offset_of_a_foot_sensor_are_named_and_placed(model, he
     assert np.all(np.abs(values - offset) < 3.0 * np.array(deviations) + 0.02 * np.abs(offset))
 
 
+@pytest.mark.thorough
 def test_a_payload_at_the_edge_of_a_trunk_is_no_wrong_trunk(model):
     log = Maker(payload=2.6, place="-0.2 -0.1 0.1").log(wrenches=True, noise=1.0)
     (step,) = explain(model, log).steps
@@ -738,6 +739,7 @@ def test_commands_read_the_columns_of_a_free_base(tmp_path, monkeypatch, maker, 
     assert command == "log" or (tmp_path / "page.html").stat().st_size > 10_000
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("wrenches", [True, False])
 def test_a_gain_of_a_leg_is_told_by_forces_of_the_ground(model, maker, wrenches):
     log = maker.log(wrenches=wrenches, noise=1.0)

@@ -95,19 +95,16 @@ def test_it_finds_what_mujoco_has(model, log):
     assert np.isinf(fit.limit)
 
 
-@pytest.fixture(scope="module")
-def slow():
-    """Return rows of a double pendulum's log at 50 Hz, of encoders with 4096 steps."""
-    draws = (ServoDraw("double_pendulum", "mujoco", False, 0, seed, hobby=True) for seed in (1, 2))
-    return [score_servo(draw) for draw in draws]
+def test_intervals_of_slow_logs_hold_friction_and_rotors():
+    """Of a double pendulum at 50 Hz, by encoders with 4096 steps.
 
-
-def test_intervals_of_slow_logs_hold_friction_and_rotors(slow):
-    """Delay, damping and inertia make up for one another; with a delay held, few are inside."""
-    values = [v for row in slow for v in row["values"] if v["what"] in HIDDEN]
-    assert sum(v["what"] == "rotor_inertia" for v in values) >= 3
-    assert np.mean([v["inside"] for v in values]) >= 0.85
-    assert max(v["deviation"] / v["truth"] for v in values) < 1.0
+    Delay, damping and inertia make up for one another; with a delay held, few are inside.
+    """
+    row = score_servo(ServoDraw("double_pendulum", "mujoco", False, 0, 1, hobby=True))
+    values = [value for value in row["values"] if value["what"] in HIDDEN]
+    assert [value["what"] for value in values].count("rotor_inertia") == 2
+    assert sum(value["inside"] for value in values) >= len(values) - 1
+    assert max(value["deviation"] / value["truth"] for value in values) < 1.0
 
 
 def test_what_varies_with_the_motion_is_worth_few_samples(model, log):
