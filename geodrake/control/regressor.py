@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geodrake.boundary.arguments import instance, one_or_each
+from geodrake.compiling import contiguous
 from geodrake.control.rigid_bodies import RigidSample
 from geodrake.effects import Effect, JointMotion, RobotMotion, Role
 from geodrake.effects.body_motion import RobotBodies
-from geodrake.effects.effect_columns import EffectColumns, Seen, Trial
+from geodrake.effects.effect_columns import EffectColumns, Seen, Trial, put_signals
 from geodrake.effects.robot_motion import smoothed_sign
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
@@ -196,10 +197,15 @@ class ControlSample:
     @cached_property
     def regressor(self) -> Array:
         """Y (nv, p); formed once, which at one sample costs no more than a product without it."""
-        model = self.model
+        model, (_, qd, v, a) = self.model, self._motion
         Y = self.rigid.regressor(len(model.prior))
         if model.effects:
-            Y[:, model.num_inertial :] = self._effect_columns
+            v = qd if model.measured_friction else v
+            if not model._columns.only_signals:
+                others = model._columns.others_at(self._joints(a, v), self._seen(None))
+                Y[:, model.num_inertial :] = others
+            signals = contiguous(v), contiguous(a), model._direction(v)
+            put_signals(signals, model._columns.signals, 1.0, Y[:, model.num_inertial :])
         return self._scaled(Y)
 
     def effort(self, parameters: Array) -> Array:
@@ -239,18 +245,20 @@ class ControlSample:
         The inertia of effects must be constant, as that of a rotor is. Load-dependent friction has
         the load of this sample, without accelerations if it was made without.
         """
-        columns, (_, qd, v, _), n = self.model._columns, self._motion, self.model.num_inertial
+        columns, (_, qd, _, _), n = self.model._columns, self._motion, self.model.num_inertial
         both = self.rigid.momentum_regressors(len(self.model.prior))
         if not self.model.effects:
             return both
         (momentum, drift), (moved, rest) = both[..., :n], both[..., n:]
-        if v is qd and columns.depends_on.isdisjoint({"vd", "load", "bodies"}):
-            np.negative(self._effect_columns, out=rest)
-        else:
+        if not columns.only_signals:
             still = self._joints(np.zeros(len(qd)), qd)
-            rest -= columns.at(still, self._seen(-drift))
-            moved += columns.at(replace(still, vd=qd), self._seen(momentum))
-            moved -= columns.at(still, self._seen(np.zeros_like(momentum)))
+            rest -= columns.others_at(still, self._seen(-drift))
+            if not columns.depends_on.isdisjoint({"vd", "load", "bodies"}):
+                moved += columns.others_at(replace(still, vd=qd), self._seen(momentum))
+                moved -= columns.others_at(still, self._seen(np.zeros_like(momentum)))
+        qd, zero = contiguous(qd), np.zeros(len(qd))
+        put_signals((qd, zero, self.model._direction(qd)), columns.signals, -1.0, rest)
+        put_signals((zero, qd, zero), columns.signals, 1.0, moved)
         return np.array([self._scaled(part) for part in both]) if self.model._scales else both
 
     def _scaled(self, regressor: Array) -> Array:
@@ -263,12 +271,6 @@ class ControlSample:
                 regressor[:, column] = 0.0
                 regressor[velocity, column] = efforts[velocity]
         return regressor
-
-    @cached_property
-    def _effect_columns(self) -> Array:
-        _, qd, v, a = self._motion
-        motion = self._joints(a, qd if self.model.measured_friction else v)
-        return self.model._columns.at(motion, self._seen(None))
 
     def _joints(self, a: Array, v: Array) -> JointMotion:
         """Return the motion of all joints, each field (nv,), at accelerations and velocities."""

@@ -3,6 +3,8 @@
 At one sample, as a controller or a simulation has it, effects of one kind are evaluated together:
 the columns of a joint effect are functions of its joint's motion, sample by sample. So joints with
 the same effect and the same shape parameters are evaluated as if they were samples of one joint.
+Columns that are a signal of their joint as it is, such as the velocity of viscous friction, are
+written by a compiled loop.
 
 What columns depend on is declared by the class of an effect, or found by trial. One of a user's own
 need not declare it: all that its base class may see is right, but costs simulations and controllers
@@ -13,7 +15,7 @@ the time; that it depends on the history of the motion or the temperature it mus
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import TypeGuard
@@ -21,11 +23,15 @@ from typing import TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.compiling import compiled, contiguous
 from geodrake.effects.base import BodyEffect, Effect, JointEffect
 from geodrake.effects.column_checks import of_geodrake, rows_of
 from geodrake.effects.robot_motion import Array, JointMotion, RobotMotion
 
 Indices = NDArray[np.intp]
+
+_SIGNALS = ("v", "vd", "sign_v")
+"""Fields of a `JointMotion` that a column may be."""
 
 _BEHIND = frozenset({"q", "v", "bodies"})
 """Signals that effects of joints behind a transmission also depend on."""
@@ -84,7 +90,16 @@ class EffectColumns:
             seen: Makes of it what effects of several joints or of bodies see; called only if there
                 are such effects.
         """
-        Y = self._together_at(motion, self._together)
+        Y = self.others_at(motion, seen)
+        signals = contiguous(motion.v), contiguous(motion.vd), contiguous(motion.sign_v)
+        put_signals(signals, self.signals, 1.0, Y)
+        return Y
+
+    def others_at(self, motion: JointMotion, seen: Seen) -> Array:
+        """Return the result of `at` with zeros for columns that are a signal as it is."""
+        Y = np.zeros((len(self.joints), self.count))
+        for group in self._together:
+            group.put(Y, motion)
         if self._alone:
             _put(Y, self._alone, seen(motion))
         return Y
@@ -97,8 +112,15 @@ class EffectColumns:
             mu: (k,) parameters.
         """
         rest, moved = (replace(motion, vd=np.full(len(self.joints), x)) for x in (0.0, 1.0))
-        groups = self._together_of_acceleration
-        added = np.diag((self._together_at(moved, groups) - self._together_at(rest, groups)) @ mu)
+        change = np.zeros((len(self.joints), self.count))
+        put_signals((rest.vd, moved.vd, rest.vd), self.signals, 1.0, change)
+        for group in self._together:
+            if group.members[0][0] in self._moving:
+                before, after = np.zeros_like(change), np.zeros_like(change)
+                group.put(before, rest)
+                group.put(after, moved)
+                change += after - before
+        added = np.diag(change @ mu)
         if self._alone_of_acceleration:
             vd = np.vstack([rest.vd, np.eye(len(self.joints))])
             along = seen(replace(motion, vd=vd))
@@ -128,7 +150,24 @@ class EffectColumns:
         )
 
     @cached_property
+    def signals(self) -> tuple[Indices, Indices, Indices]:
+        """Velocities, columns and signals of the columns that are a signal as it is."""
+        found = [place for group in self._groups for place in group.signals]
+        rows, columns, signals = np.reshape(np.array(found, np.intp), (-1, 3)).T.copy()
+        return rows, columns, signals
+
+    @property
+    def only_signals(self) -> bool:
+        """Whether these are all columns."""
+        return not (self._together or self._alone)
+
+    @cached_property
     def _together(self) -> tuple[_Together, ...]:
+        """The groups with other columns than signals."""
+        return tuple(group for group in self._groups if not group.signals)
+
+    @cached_property
+    def _groups(self) -> tuple[_Together, ...]:
         """Groups of joint effects that may be evaluated together."""
         groups: list[list[tuple[JointEffect, slice]]] = []
         for effect, part in zip(self.effects, self._parts, strict=True):
@@ -148,7 +187,7 @@ class EffectColumns:
     @cached_property
     def _alone(self) -> tuple[tuple[Effect, slice], ...]:
         """The other effects, with the places of their parameters."""
-        together = {part.start for group in self._together for _, part in group.members}
+        together = {part.start for group in self._groups for _, part in group.members}
         both = zip(self.effects, self._parts, strict=True)
         return tuple((e, part) for e, part in both if e.parameters and part.start not in together)
 
@@ -160,16 +199,6 @@ class EffectColumns:
     @cached_property
     def _alone_of_acceleration(self) -> tuple[tuple[Effect, slice], ...]:
         return tuple((effect, part) for effect, part in self._alone if effect in self._moving)
-
-    @cached_property
-    def _together_of_acceleration(self) -> tuple[_Together, ...]:
-        return tuple(g for g in self._together if g.members[0][0] in self._moving)
-
-    def _together_at(self, motion: JointMotion, groups: Sequence[_Together]) -> Array:
-        Y = np.zeros((len(self.joints), self.count))
-        for group in groups:
-            group.put(Y, motion)
-        return Y
 
     def _agrees(self, group: _Together) -> bool:
         """Return whether effects of a group evaluated together equal each alone.
@@ -200,6 +229,7 @@ class _Together:
     joints: Indices | None  # (k,) their velocities; None for all velocities in order
     # (m, k) where their values are in the columns (nv, k) of all effects, flattened.
     places: Indices
+    count: int  # of the parameters of all effects
 
     @classmethod
     def of(
@@ -209,7 +239,25 @@ class _Together:
         at = np.array([joints.index(effect.joint) for effect, _ in members])
         columns = np.array([range(part.start, part.stop) for _, part in members]).T
         in_order = np.array_equal(at, np.arange(len(joints)))
-        return cls(tuple(members), None if in_order else at, at * count + columns)
+        return cls(tuple(members), None if in_order else at, at * count + columns, count)
+
+    @cached_property
+    def signals(self) -> list[tuple[int, int, int]]:
+        """(velocity, column, signal) of all columns, if each is a signal as it is; else none."""
+        effect = self.members[0][0]
+        if not of_geodrake(type(effect)):  # one of a user's own may be a signal only at times
+            return []
+        motion = JointMotion(*np.zeros((len(fields(JointMotion)), 1)))
+        signals = [id(getattr(motion, name)) for name in _SIGNALS]
+        shown = [id(column) for column in effect.columns(motion)]
+        if not set(shown) <= set(signals):
+            return []
+        rows, columns = np.divmod(self.places, self.count)
+        return [
+            (row, column, signals.index(which))
+            for which, *places in zip(shown, rows.tolist(), columns.tolist(), strict=True)
+            for row, column in zip(*places, strict=True)
+        ]
 
     def put(self, Y: Array, motion: JointMotion) -> None:
         """Write their columns at one sample into those of all effects."""
@@ -219,6 +267,25 @@ class _Together:
             motion = JointMotion(*(values[at] for values in fields))
         for place, values in zip(self.places, self.members[0][0].columns(motion), strict=True):
             Y.put(place, values)
+
+
+@compiled
+def put_signals(
+    signals: tuple[Array, Array, Array],
+    places: tuple[Indices, Indices, Indices],
+    share: float,
+    Y: Array,
+) -> None:
+    """Write a share of signals, each (nv,), to their places in columns; see `_SIGNALS`."""
+    rows, columns, which = places
+    for i in range(len(rows)):
+        row = rows[i]
+        value = signals[0][row]
+        if which[i] == 1:
+            value = signals[1][row]
+        elif which[i] == 2:
+            value = signals[2][row]
+        Y[row, columns[i]] = share * value
 
 
 def _put(Y: Array, effects: Sequence[tuple[Effect, slice]], motion: RobotMotion) -> None:

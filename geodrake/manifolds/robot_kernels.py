@@ -86,6 +86,23 @@ def put_congruence(A: Array, B: Array, room: Array, out: Array) -> None:
 
 
 @inlined
+def put_triangular_congruence(L: Array, B: Array, room: Array, out: Array) -> None:
+    """Write the lower triangle of Lᵀ B L (4, 4) of a lower triangular L; `out` may be B itself."""
+    for i in range(4):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(j, 4):
+                total += B[i, k] * L[k, j]
+            room[i, j] = total
+    for i in range(4):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(i, 4):
+                total += L[k, i] * room[k, j]
+            out[i, j] = total
+
+
+@inlined
 def frobenius_norm(Z: Array) -> float:
     """Return the root of the sum of squares of a matrix (4, 4)."""
     total = 0.0
@@ -263,7 +280,7 @@ def calc_whitened(x: Array, rows: Array, factors: Factors, L: Array, out: Array)
             if not any_of_it:  # as of bodies inboard of a joint
                 continue
             put_dual(rows[r, first : first + PARAMETERS_PER_BODY], X)
-            put_congruence(root, X, F, X)
+            put_triangular_congruence(root, X, F, X)
             entry = first
             for i in range(4):
                 out[r, entry] = share * X[i, i]

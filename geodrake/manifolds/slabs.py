@@ -36,6 +36,12 @@ _OVERSHOT = 0.1  # slope that a full step may leave beyond the top, relative to 
 _SLIGHT = 1e-13  # of a row's squared length, added to it, so that rows may depend on each other
 _NOTHING = 1e-300  # squared length of a row that says nothing
 _ROUNDING = 4e-16  # of a row's value, relative to its terms
+_MOST_STEPS = 40  # of Newton
+
+TOLERANCE = 1e-8
+"""Error of the conditions of optimality, in lengths of the metric, that certifies a projection."""
+
+_SOUGHT = 0.1 * TOLERANCE
 
 
 @compiled
@@ -43,58 +49,79 @@ def calc_slab_projection(
     x: Array,
     slabs: tuple[Array, Array, Array],
     factors: Factors,
-    limits: tuple[float, float, int],
-    out: tuple[Array, Array],
+    how: tuple[float, float],
+    y: Array,
 ) -> tuple[float, int]:
-    """Write the projection and its multipliers.
+    """Write the projection, or a point on the way there.
 
     Args:
         x: (n,) point inside of the manifold.
         slabs: Rows A (k, n), and their lower and upper limits (k,).
-        limits: Error at which to stop, least weight of a factor or 1, and most Newton steps.
-        out: (n,) the projection y, and (k,) λ.
+        how: Least weight of a factor or 1, and how much of the way is gone; see `slab_projection`.
+        y: (n,) the projection.
 
     Returns:
         The error of the conditions of optimality, in lengths of the metric at y, and how many steps
         it took. Infinite where the way led nowhere, as where no point is in all slabs.
     """
-    (rows, lower, upper), (tolerance, weight, most), (y, held) = slabs, limits, out
+    held = np.zeros(len(slabs[0]))
+    error, steps = calc_whole_projection(x, slabs, factors, how[0], (y, held))
+    if how[1] < 1.0 and steps > 0 and error <= TOLERANCE:
+        roots, whitened = np.empty((len(factors[0]), 4, 4)), np.empty(slabs[0].shape)
+        calc_whitened(x, slabs[0], factors, roots, whitened)
+        calc_spanned(x, (roots, whitened), how[1] * held, factors, y)
+    return error, steps
+
+
+@compiled
+def calc_whole_projection(
+    x: Array,
+    slabs: tuple[Array, Array, Array],
+    factors: Factors,
+    weight: float,
+    out: tuple[Array, Array],
+) -> tuple[float, int]:
+    """Write the projection y (n,) and its multipliers λ (k,), which are zeros before."""
+    (rows, lower, upper), (y, held) = slabs, out
     k, n = rows.shape
-    roots, whitened, products = (
-        np.empty((len(factors[0]), 4, 4)),
-        np.empty((k, n)),
-        np.empty((k, k)),
-    )
-    gaps, d, part, trial = np.empty(k), np.empty(k), np.empty(k), np.empty(n)
+    roots, trial = np.empty((len(factors[0]), 4, 4)), np.empty(n)
+    gaps, over = np.empty(k), np.empty(k)
     put_scaled(1.0, x, y)
-    put_scaled(0.0, gaps, held)
-    for step in range(most + 1):
-        calc_whitened(y, rows, factors, roots, whitened)
-        np.dot(whitened, whitened.T, products)
-        error = put_gaps(slabs, out, products, gaps)
-        if error <= tolerance and step:
-            return max(error, calc_stationarity((x, y), (rows, held), factors)), step
-        if step == most or not tolerance < error < np.inf:
-            return (error if error <= tolerance else np.inf), step
-        put_direction(products, gaps, held, d)
+    for step in range(_MOST_STEPS + 1):
+        if not put_gaps(slabs, out, gaps, over):
+            return np.inf, step
+        # Rows that are inside and push nothing have no part in a step.
+        at = np.flatnonzero((gaps != 0.0) | (held != 0.0))
+        if not len(at):
+            return (calc_stationarity((x, y), (rows, held), factors) if step else 0.0), step
+        A, pushed, low, high = rows[at], held[at], lower[at], upper[at]
+        whitened, d, part = np.empty((len(at), n)), np.empty(len(at)), np.empty(len(at))
+        calc_whitened(y, A, factors, roots, whitened)
+        products = np.dot(whitened, whitened.T)
+        error = calc_greatest(over[at], products)
+        if error <= _SOUGHT and step:
+            return max(error, calc_stationarity((x, y), (A, pushed), factors)), step
+        if step == _MOST_STEPS or not _SOUGHT < error < np.inf:
+            return (error if error <= _SOUGHT else np.inf), step
+        put_direction(products, gaps[at], pushed, d)
         slope = 0.0
-        for i in range(k):
-            slope += d[i] * gaps[i]
+        for i in range(len(at)):
+            slope += d[i] * gaps[at[i]]
         length = np.sqrt(max(slope, 0.0) / weight)
-        kink, at = calc_kink(held, d, lower, upper)
+        kink, turned = calc_kink(pushed, d, low, high)
         share = min(1.0, kink)
         put_scaled(share, d, part)
         calc_spanned(y, (roots, whitened), part, factors, trial)
-        if length > _NEAR and not is_short_enough(slabs, trial, (held, d), slope):
+        if length > _NEAR and not is_short_enough((A, low, high), trial, (pushed, d), slope):
             share = min(1.0 / (1.0 + length), kink)
             put_scaled(share, d, part)
             calc_spanned(y, (roots, whitened), part, factors, trial)
-        for i in range(k):
-            held[i] += part[i]
+        for i in range(len(at)):
+            held[at[i]] += part[i]
         if share == kink:
-            held[at] = 0.0
+            held[at[turned]] = 0.0
         put_scaled(1.0, trial, y)
-    return np.inf, most
+    return np.inf, _MOST_STEPS
 
 
 @compiled
@@ -106,20 +133,21 @@ def put_scaled(share: float, values: Array, out: Array) -> None:
 
 @compiled
 def put_gaps(
-    slabs: tuple[Array, Array, Array], point: tuple[Array, Array], products: Array, gaps: Array
-) -> float:
-    """Write how far limits are above the values of rows; the greatest error in the metric.
+    slabs: tuple[Array, Array, Array], point: tuple[Array, Array], gaps: Array, over: Array
+) -> bool:
+    """Write how far limits are above the values of rows; return whether all values are finite.
 
-    The gaps (k,) are the slope of the dual, zero where a row is inside and pushes nothing; the
-    products are A g(y)⁻¹ Aᵀ (k, k).
+    The gaps (k,) are the slope of the dual, zero where a row is inside and pushes nothing; `over`
+    (k,) is what is left of their size beyond rounding.
     """
-    (rows, lower, upper), (y, held), worst = slabs, point, 0.0
+    (rows, lower, upper), (y, held), finite = slabs, point, True
     for i in range(len(held)):
         value, terms = 0.0, 0.0
         for j in range(len(y)):
             term = rows[i, j] * y[j]
             value += term
             terms += abs(term)
+        finite &= terms < np.inf
         below, above = lower[i] - value, upper[i] - value
         if held[i] > 0.0:
             gaps[i] = below
@@ -127,10 +155,18 @@ def put_gaps(
             gaps[i] = above
         else:
             gaps[i] = below if below > 0.0 else min(above, 0.0)
-        off = max(abs(gaps[i]) - _ROUNDING * len(y) * terms, 0.0)
-        if off == 0.0 and held[i] == 0.0:
+        over[i] = max(abs(gaps[i]) - _ROUNDING * len(y) * terms, 0.0)
+        if over[i] == 0.0 and held[i] == 0.0:
             gaps[i] = 0.0
-        error = off / np.sqrt(products[i, i] + _NOTHING)
+    return finite
+
+
+@compiled
+def calc_greatest(over: Array, products: Array) -> float:
+    """Return the greatest error of rows in the metric, whose A g(y)⁻¹ Aᵀ is (k, k); or inf."""
+    worst = 0.0
+    for i in range(len(over)):
+        error = over[i] / np.sqrt(products[i, i] + _NOTHING)
         if not error < np.inf:
             return np.inf
         worst = max(worst, error)
@@ -229,12 +265,10 @@ def calc_stationarity(
     """Return the length of ∇h(x) + Aᵀ λ − ∇h(y) in the metric at y, of x and y, and of A and λ."""
     (x, y), (bodies, shares, places, lower, other_shares) = points, factors
     rows, multipliers = held
-    push = np.empty(len(x))
-    for j in range(len(x)):
-        value = 0.0
-        for i in range(len(rows)):
-            value += multipliers[i] * rows[i, j]
-        push[j] = value
+    push = np.zeros(len(x))
+    for i in range(len(rows)):
+        for j in range(len(x)):
+            push[j] += multipliers[i] * rows[i, j]
     P, X, F, d = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4)), np.empty(4)
     first_root, root, total = np.empty((4, 4)), np.empty((4, 4)), 0.0
     for body in range(len(bodies)):
@@ -265,12 +299,6 @@ def calc_stationarity(
         rest = 1.0 - slack / (x[at] - lower[k]) + other_shares[k] * slack * push[at]
         total += rest * rest / other_shares[k]
     return float(np.sqrt(total))
-
-
-TOLERANCE = 1e-8
-"""Error of the conditions of optimality, in lengths of the metric, that certifies a projection."""
-
-_MOST_STEPS = 40
 
 
 class SlabProjection(NamedTuple):
@@ -311,13 +339,10 @@ def slab_projection(
             is that of the whole way.
     """
     if manifold.robot is not None:
-        y, held = np.empty(len(x)), np.empty(len(rows))
+        y, how = np.empty(len(x)), (manifold.least_weight, float(share))
         slabs = (contiguous(rows), contiguous(lower), contiguous(upper))
-        limits = (0.1 * TOLERANCE, manifold.least_weight, _MOST_STEPS)
-        error, steps = calc_slab_projection(contiguous(x), slabs, manifold.robot, limits, (y, held))
-        if share < 1.0 and steps > 0 and error <= TOLERANCE:
-            y = manifold.calc_mirror_span(x, slabs[0]).point(share * held)
-        return SlabProjection(y, float(error), int(steps))
+        error, steps = calc_slab_projection(contiguous(x), slabs, manifold.robot, how, y)
+        return SlabProjection(y, error, steps)
     try:
         y = bregman_projection(manifold, x, Polyhedron(rows, lower, upper), tolerance=TOLERANCE)
         if share < 1.0 and y is not x:
