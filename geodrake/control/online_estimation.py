@@ -31,7 +31,14 @@ from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.inertia import Array
 from geodrake.manifolds import Product
 from geodrake.manifolds.projections import Polyhedron
-from geodrake.manifolds.slabs import SlabProjection, put_direction, slab_projection
+from geodrake.manifolds.robot_kernels import Factors
+from geodrake.manifolds.slabs import (
+    TOLERANCE,
+    SlabProjection,
+    calc_slab_projection,
+    put_direction,
+    slab_projection,
+)
 
 _MOST_FILTERS = 100
 
@@ -98,11 +105,6 @@ class FilteredRegressor:
         rows, columns = self.shape
         return rows * columns
 
-    @cached_property
-    def _pass(self) -> float:
-        """Share of what is new that one filter lets through."""
-        return float(-np.expm1(-self.bandwidth * self.period))
-
     def start(self) -> Array:
         """Return the memory before the first sample."""
         return np.zeros(self.size)
@@ -128,19 +130,21 @@ class FilteredRegressor:
             repeated: Whether positions and velocities are no new measurement but the last one: then
                 the effort alone is new.
         """
-        if not (_finite(q) and _finite(qd) and _finite(effort)):
-            return self.skipped(memory)
+        after = memory.copy()
         if sample is None:
             sample = self.control.at(q, qd, qd, np.zeros_like(qd))
         try:
-            both = sample.momentum_regressors.reshape(2, -1)
+            both = sample.momentum_regressors
         except GeodrakeError:  # of an effect that has no finite columns
-            return self.skipped(memory)
-        after = memory.copy()
-        how = self.period, self._pass, self.held_effort, repeated
-        if not calc_filtered(both, contiguous(effort), how, after):
-            return self.skipped(memory)
+            after[0] = 0.0
+            return after
+        calc_filtered(both, contiguous(effort), (*self.how, repeated), after)
         return after
+
+    @cached_property
+    def how(self) -> tuple[float, float, bool]:
+        """What `calc_filtered` is told of the filter."""
+        return self.period, float(-np.expm1(-self.bandwidth * self.period)), self.held_effort
 
     def skipped(self, memory: Array) -> Array:
         """Return the memory after a sample that is missing."""
@@ -150,8 +154,16 @@ class FilteredRegressor:
 
     def rows(self, memory: Array) -> tuple[Array, Array]:
         """Return the filtered regressor Y (nv, p) and efforts (nv,), N·m or N: Y p = effort."""
-        last = memory[1:].reshape(self.order + 1, -1)[self.order - 1]
-        return last[: self._entries].reshape(self.shape), last[self._entries :]
+        return filtered_rows(memory, *self.shape)
+
+
+@compiled
+def filtered_rows(memory: Array, rows: int, columns: int) -> tuple[Array, Array]:
+    """Return the regressor (rows, columns) and the efforts that a memory holds."""
+    entries = rows * columns
+    first = len(memory) - 2 * (entries + rows)
+    last = first + entries
+    return memory[first:last].reshape((rows, columns)), memory[last : last + rows]
 
 
 @compiled
@@ -164,7 +176,7 @@ def calc_filtered(
     [before]: the interval's rows are [now] − [before], with the filters linear in both.
 
     Args:
-        both: (2, nv p) Y_p and Y_c.
+        both: (2, nv, p) Y_p and Y_c.
         effort: (nv,) efforts.
         how: h, s; the share that a filter lets through in that time; whether the effort is the one
             that acted since the last instant; and whether only the effort is new.
@@ -172,44 +184,49 @@ def calc_filtered(
             (nv p + nv,) states of the filters, and what the interval began with.
 
     Returns:
-        Whether all was finite; the memory is of no use otherwise.
+        Whether all was finite; the interval is left out otherwise.
     """
     period, one, held, repeated = how
-    entries, periods = both.shape[1], memory[0]
+    momentum, drift = both[0].ravel(), both[1].ravel()
+    entries, periods = len(momentum), memory[0]
     width = entries + len(effort)
     last = (len(memory) - 1) // width - 1
     share = one if periods <= 1.0 else 1.0 - (1.0 - one) ** periods
     goes_on, size = repeated and periods > 0.0, 0.0
+    now, before = np.empty(width), np.empty(width)
+    for i in range(entries):
+        moved, rest = momentum[i] / period, 0.5 * drift[i]
+        now[i], before[i] = moved - rest, moved + rest
+    for i, value in enumerate(effort):
+        mean = value if held else 0.5 * value
+        now[entries + i], before[entries + i] = mean, mean - value
     for i in range(width):
-        if i < entries:
-            moved, drift = both[0, i] / period, 0.5 * both[1, i]
-            now, before = moved - drift, moved + drift
-        else:
-            value = effort[i - entries]
-            now, before = (value, 0.0) if held else (0.5 * value, -0.5 * value)
-        size += now * now
-        begun = 1 + last * width + i
-        if goes_on:
-            memory[begun] += before - now
-            continue
-        if periods > 0.0:
-            value = (now - memory[begun]) / periods
-            for k in range(last):
-                at = 1 + k * width + i
-                memory[at] += share * (value - memory[at])
-                value = memory[at]
-        memory[begun] = before
-    memory[0] = periods + 1.0 if goes_on else 1.0
-    return bool(size < np.inf)
-
-
-def _finite(x: Array) -> bool:
-    """Return whether all of x are numbers, and not absurdly large: by their sum of squares."""
-    return isfinite(np.vdot(x, x))
+        size += now[i] * now[i]
+    if not size < np.inf:
+        memory[0] = 0.0
+        return False
+    begun = memory[1 + last * width :]
+    if goes_on:
+        for i in range(width):
+            begun[i] += before[i] - now[i]
+        memory[0] = periods + 1.0
+        return True
+    for i in range(width) if periods > 0.0 else range(0):
+        value = (now[i] - begun[i]) / periods
+        for k in range(last):
+            at = 1 + k * width + i
+            memory[at] += share * (value - memory[at])
+            value = memory[at]
+    begun[:] = before
+    memory[0] = 1.0
+    return True
 
 
 Rows = tuple[Array, Array]
 """A regressor (k, n) and its efforts (k,)."""
+
+Projecting = tuple[Array, Factors, tuple[float, float]]
+"""Tolerances, (nv,) or (1,), and factors and `how` of `calc_slab_projection`."""
 
 METHODS = ("projection", "nudge")
 _SHARING = 1e-2  # of a row's squared length, added to it
@@ -318,10 +335,10 @@ class SampleUpdate(Short):
 
     def _toward(self, p: Array, rows: Rows, earlier: Rows | None) -> SlabProjection:
         """Return where a sample takes an estimate, together with an earlier one if they agree."""
-        (Y, effort), epsilon = rows, np.broadcast_to(self._tolerances, len(rows[1]))
+        Y, effort = rows
         if earlier is not None:
             Y, effort = np.concatenate((Y, earlier[0])), np.concatenate((effort, earlier[1]))
-            epsilon = np.concatenate((epsilon, epsilon))
+        epsilon = np.resize(self._tolerances, len(effort))
         if self.method == "nudge":
             nudged = slab_step(self.manifold, p, Y, effort, epsilon, relaxation=self._share)
             return SlabProjection(nudged, np.inf, 1)
@@ -332,11 +349,55 @@ class SampleUpdate(Short):
             return found
         return self._toward(p, rows, None) if earlier is not None else found._replace(point=p)
 
+    @cached_property
+    def compiled(self) -> Projecting | None:
+        """What `calc_projected` needs; None where that is not the whole update."""
+        robot, others = self.manifold.robot, (self._limited is not None or self.forgetting > 0)
+        if self.method == "nudge" or robot is None or others:
+            return None
+        how = self.manifold.least_weight, float(self._share)
+        return np.atleast_1d(self._tolerances), robot, how
+
     def _forgotten(self, p: Array, dt: float) -> Array:
         """Return the point whose ∇h is nearer to that of the prior, by the share of a time step."""
         gradient = self.manifold.calc_gradient(p)
         gradient -= expm1(-self.forgetting * dt) * (self._prior_gradient - gradient)
         return self.manifold.calc_point_of_gradient(gradient, p)
+
+
+@compiled
+def calc_projected(
+    p: Array, rows: Rows, earlier: Rows, projecting: Projecting, y: Array
+) -> tuple[float, int]:
+    """Write the projection of an estimate onto the slabs of a sample and of an earlier one.
+
+    Where they do not agree, it is the one onto those of the sample; where there is none either, it
+    is the estimate itself, and the error is infinite.
+
+    Args:
+        p: (n,) estimate inside of the manifold.
+        rows: Those of a sample.
+        earlier: Those of an earlier one, or none at all.
+
+    Returns:
+        Error and steps of `calc_slab_projection`.
+    """
+    (Y, effort), (tolerances, factors, how) = rows, projecting
+    count, error, steps = len(effort), np.inf, 0
+    for others in (len(earlier[1]), 0):
+        A = np.empty((count + others, len(p)))
+        lower, upper = np.empty(len(A)), np.empty(len(A))
+        for i in range(len(A)):
+            own = i < count
+            A[i] = Y[i] if own else earlier[0][i - count]
+            value = effort[i] if own else earlier[1][i - count]
+            epsilon = tolerances[i % count if len(tolerances) > 1 else 0]
+            lower[i], upper[i] = value - epsilon, value + epsilon
+        error, steps = calc_slab_projection(p, (A, lower, upper), factors, how, y)
+        if error <= TOLERANCE:
+            return error, steps
+    y[:] = p
+    return np.inf, steps
 
 
 def slab_step(

@@ -17,17 +17,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geodrake.boundary.arguments import instance, one_or_each
-from geodrake.compiling import contiguous
-from geodrake.control.rigid_bodies import RigidSample
+from geodrake.compiling import compiled, contiguous, inlined
+from geodrake.control.rigid_bodies import RigidSample, calc_momentum_regressors
 from geodrake.effects import Effect, JointMotion, RobotMotion, Role
 from geodrake.effects.body_motion import RobotBodies
-from geodrake.effects.effect_columns import EffectColumns, Seen, Trial, put_signals
+from geodrake.effects.effect_columns import EffectColumns, Indices, Seen, Trial, put_signals
 from geodrake.effects.robot_motion import smoothed_sign
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot.recursion import TreeRecords, calc_regressor
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -153,7 +154,54 @@ class ControlModel:
                 of the robot model with its payloads if None, so that the columns do not depend on
                 the estimate. For the same reason a scale of efforts is one of the model's efforts.
         """
-        return ControlSample(self, RigidSample.at(self.tree, q, qd, v, a), (q, qd, v, a), load_phi)
+        return ControlSample(self, (q, qd, v, a), load_phi)
+
+    @cached_property
+    def plain(self) -> Plain | None:
+        """The robot for compiled loops; None where effects need more than their joint's signals."""
+        if self._scales or self.tree.actuation is not None or not self._columns.only_signals:
+            return None
+        return self.tree.records, self._columns.signals, self._sign_width
+
+
+Plain = tuple[TreeRecords, tuple[Indices, Indices, Indices], Array]
+"""A robot for compiled loops: its tree, `EffectColumns.signals` of its effects, and the speeds
+(nv,) below which dry friction fades."""
+
+
+@compiled
+def calc_plain_regressor(
+    plain: Plain, motion: tuple[Array, Array, Array, Array], friction_v: Array, Y: Array
+) -> None:
+    """Write the regressor at q, q̇, v, a into zeros (nv, p), with friction at some velocities."""
+    (tree, signals, width), (q, qd, v, a) = plain, motion
+    samples = q.reshape((1, -1)), qd.reshape((1, -1)), v.reshape((1, -1)), a.reshape((1, -1))
+    calc_regressor(tree, samples, (0, -1), Y.reshape((1, *Y.shape)))
+    effects = Y[:, Y.shape[1] - len(signals[0]) :]
+    put_signals((friction_v, a, signs(friction_v, width)), signals, 1.0, effects)
+
+
+@compiled
+def calc_plain_momentum(plain: Plain, q: Array, qd: Array, both: Array) -> None:
+    """Write the momentum regressors at q and q̇ into zeros (2, nv, p)."""
+    tree, signals, width = plain
+    q_row, qd_row, still = q.reshape((1, -1)), qd.reshape((1, -1)), np.zeros(len(qd))
+    momentum, drift = both[0], both[1]
+    samples = q_row, qd_row, qd_row, qd_row
+    shape = 1, *drift.shape
+    calc_momentum_regressors(tree, samples, momentum.reshape(shape), drift.reshape(shape))
+    first = drift.shape[1] - len(signals[0])
+    put_signals((qd, still, signs(qd, width)), signals, -1.0, drift[:, first:])
+    put_signals((still, qd, still), signals, 1.0, momentum[:, first:])
+
+
+@inlined
+def signs(v: Array, width: Array) -> Array:
+    """Return the smoothed signs of velocities (nv,); see `RobotMotion.direction`."""
+    smoothed = np.empty(len(v))
+    for i in range(len(v)):
+        smoothed[i] = np.tanh(v[i] / width[i]) if width[i] != 0.0 else np.sign(v[i])
+    return smoothed
 
 
 def checked_control(control: ControlModel) -> ControlModel:
@@ -190,22 +238,26 @@ class ControlSample:
     """The regressor Y (nv, p) of one sample."""
 
     model: ControlModel
-    rigid: RigidSample
     _motion: tuple[Array, Array, Array, Array]
     _load_phi: Array | None
 
     @cached_property
+    def rigid(self) -> RigidSample:
+        """The bodies."""
+        return RigidSample.at(self.model.tree, *self._motion)
+
+    @cached_property
     def regressor(self) -> Array:
         """Y (nv, p); formed once, which at one sample costs no more than a product without it."""
-        model, (_, qd, v, a) = self.model, self._motion
+        model, (q, qd, v, a) = self.model, self._motion
+        seen = qd if model.measured_friction else v
+        if model.plain is not None:
+            Y = np.zeros((len(qd), len(model.prior)))
+            motion = contiguous(q), contiguous(qd), contiguous(v), contiguous(a)
+            calc_plain_regressor(model.plain, motion, contiguous(seen), Y)
+            return Y
         Y = self.rigid.regressor(len(model.prior))
-        if model.effects:
-            v = qd if model.measured_friction else v
-            if not model._columns.only_signals:
-                others = model._columns.others_at(self._joints(a, v), self._seen(None))
-                Y[:, model.num_inertial :] = others
-            signals = contiguous(v), contiguous(a), model._direction(v)
-            put_signals(signals, model._columns.signals, 1.0, Y[:, model.num_inertial :])
+        Y[:, model.num_inertial :] = model._columns.at(self._joints(a, seen), self._seen(None))
         return self._scaled(Y)
 
     def effort(self, parameters: Array) -> Array:
@@ -245,21 +297,20 @@ class ControlSample:
         The inertia of effects must be constant, as that of a rotor is. Load-dependent friction has
         the load of this sample, without accelerations if it was made without.
         """
-        columns, (_, qd, _, _), n = self.model._columns, self._motion, self.model.num_inertial
-        both = self.rigid.momentum_regressors(len(self.model.prior))
-        if not self.model.effects:
+        model, (q, qd, _, _) = self.model, self._motion
+        columns, n = model._columns, model.num_inertial
+        if model.plain is not None:
+            both = np.zeros((2, len(qd), len(model.prior)))
+            calc_plain_momentum(model.plain, contiguous(q), contiguous(qd), both)
             return both
+        both = self.rigid.momentum_regressors(len(model.prior))
         (momentum, drift), (moved, rest) = both[..., :n], both[..., n:]
-        if not columns.only_signals:
-            still = self._joints(np.zeros(len(qd)), qd)
-            rest -= columns.others_at(still, self._seen(-drift))
-            if not columns.depends_on.isdisjoint({"vd", "load", "bodies"}):
-                moved += columns.others_at(replace(still, vd=qd), self._seen(momentum))
-                moved -= columns.others_at(still, self._seen(np.zeros_like(momentum)))
-        qd, zero = contiguous(qd), np.zeros(len(qd))
-        put_signals((qd, zero, self.model._direction(qd)), columns.signals, -1.0, rest)
-        put_signals((zero, qd, zero), columns.signals, 1.0, moved)
-        return np.array([self._scaled(part) for part in both]) if self.model._scales else both
+        still = self._joints(np.zeros(len(qd)), qd)
+        rest -= columns.at(still, self._seen(-drift))
+        if not columns.depends_on.isdisjoint({"vd", "load", "bodies"}):
+            moved += columns.at(replace(still, vd=qd), self._seen(momentum))
+            moved -= columns.at(still, self._seen(np.zeros_like(momentum)))
+        return np.array([self._scaled(part) for part in both]) if model._scales else both
 
     def _scaled(self, regressor: Array) -> Array:
         """Return a regressor (nv, p) whose columns of scales are efforts of the model."""

@@ -90,14 +90,9 @@ class EffectColumns:
             seen: Makes of it what effects of several joints or of bodies see; called only if there
                 are such effects.
         """
-        Y = self.others_at(motion, seen)
+        Y = np.zeros((len(self.joints), self.count))
         signals = contiguous(motion.v), contiguous(motion.vd), contiguous(motion.sign_v)
         put_signals(signals, self.signals, 1.0, Y)
-        return Y
-
-    def others_at(self, motion: JointMotion, seen: Seen) -> Array:
-        """Return the result of `at` with zeros for columns that are a signal as it is."""
-        Y = np.zeros((len(self.joints), self.count))
         for group in self._together:
             group.put(Y, motion)
         if self._alone:

@@ -111,6 +111,17 @@ def test_the_estimate_explains_what_is_measured():
     assert fallen["projection"] > 1.3 * fallen["nudge"]
 
 
+@pytest.mark.parametrize("fault", [None, nothing, frozen])
+def test_the_compiled_update_is_the_one_step_by_step(monkeypatch, fault):
+    sensor = [FaultySensor(4, fault, 0.5, 0.9) if fault else None for _ in range(2)]
+    found = estimated(recorded(1.5), start=perturbed(0.3), sensor=sensor[0])
+    monkeypatch.setattr(SampleUpdate, "compiled", None)
+    others = estimated(recorded(1.5), start=perturbed(0.3), sensor=sensor[1])
+    for one, other in zip(found[:3], others[:3], strict=True):  # (errors are of rounding)
+        np.testing.assert_allclose(one, other, rtol=1e-8, atol=1e-9)
+    np.testing.assert_array_equal(found[3] <= 1e-8, others[3] <= 1e-8)
+
+
 @pytest.mark.parametrize("fault", [nothing, frozen])
 def test_a_sensor_that_fails_for_a_while(fault):
     start = perturbed(0.3)

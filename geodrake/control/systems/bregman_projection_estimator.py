@@ -7,14 +7,32 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem, State
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    DiscreteStateIndex,
+    DiscreteValues,
+    LeafSystem,
+    State,
+)
 
 from geodrake.boundary.arguments import instance, integer, number, positive
-from geodrake.control.online_estimation import FilteredRegressor, Rows, SampleUpdate
-from geodrake.control.regressor import ControlModel
+from geodrake.compiling import compiled, contiguous
+from geodrake.control.online_estimation import (
+    FilteredRegressor,
+    Projecting,
+    Rows,
+    SampleUpdate,
+    calc_filtered,
+    calc_projected,
+    filtered_rows,
+)
+from geodrake.control.regressor import ControlModel, Plain, calc_plain_momentum
 from geodrake.control.systems.safeguards import (
+    Limits,
     Safeguards,
     Watch,
+    calc_measured,
     checked_estimate,
     require_single_joints,
     usable,
@@ -24,6 +42,9 @@ from geodrake.inertia import Array
 from geodrake.inertia.bodies import check_context
 
 _SLOTS = 24  # samples in memory
+_ESTIMATE, _MEMORY, _SEEN, _RESIDUAL, _ERROR, _COUNT = range(6)  # discrete states
+
+_Compiled = tuple[Plain, Limits, tuple[float, float, bool], Projecting]
 
 
 @dataclass
@@ -35,10 +56,12 @@ class _Remembered:
     kept: int = 0  # how many have been put there
     count: int = 0  # number of samples when the last one was
 
-    def turn(self, number: int, kept: int) -> Rows | None:
-        """Return one of the first `kept` samples, turn by turn; None if there are none."""
+    def turn(self, number: int, kept: int) -> Rows:
+        """Return one of the first `kept` samples, turn by turn; no rows if there are none."""
         kept = min(kept, self.kept, _SLOTS)
-        return (self.regressors[number % kept], self.efforts[number % kept]) if kept else None
+        slot = slice(0) if kept == 0 else slice(number % kept, number % kept + 1)
+        size = self.regressors.shape[2]
+        return self.regressors[slot].reshape(-1, size), self.efforts[slot].reshape(-1)
 
     def put(self, rows: Rows, count: int) -> None:
         """Put rows in the place of the oldest ones."""
@@ -135,10 +158,13 @@ class BregmanProjectionEstimator(LeafSystem):
         self._watch = Watch(nv, time_step, stale_time)
         self._state_port = self.DeclareVectorInputPort("estimated_state", BasicVector(2 * nv))
         self._effort_port = self.DeclareVectorInputPort("effort", BasicVector(nv))
-        self._estimate, self._memory, self._seen, self._residual, self._error = (
+        watch, zero = self._watch.start(), np.zeros(nv)
+        for value in (start, filtered.start(), watch, zero, np.array([np.inf]), np.zeros(1)):
             self.DeclareDiscreteState(value)
-            for value in (start, filtered.start(), self._watch.start(), np.zeros(nv), [np.inf])
-        )
+        self._compiled: _Compiled | None = None
+        robot, projecting = getattr(control, "plain", None), update.compiled
+        if robot is not None and projecting is not None:
+            self._compiled = robot, self._watch.limits, filtered.how, projecting
         # (Not discrete state, all of which Drake copies at every update.)
         samples = _Remembered(np.zeros((_SLOTS, *filtered.shape)), np.zeros((_SLOTS, nv)))
         self._samples = self.DeclareAbstractState(AbstractValue.Make(samples))
@@ -146,15 +172,14 @@ class BregmanProjectionEstimator(LeafSystem):
             # Half a step after an update, where rounding of times makes no difference.
             period = time_step * update_every * self._spacing
             self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.5 * time_step, self._remember)
-        self._count = self.DeclareDiscreteState(np.zeros(1))
         self.DeclarePeriodicDiscreteUpdateEvent(time_step, 0.0, self._update)
-        self.DeclareStateOutputPort("parameters", self._estimate)
-        self.DeclareStateOutputPort("residual", self._residual)
-        self.DeclareStateOutputPort("projection_error", self._error)
+        self.DeclareStateOutputPort("parameters", DiscreteStateIndex(_ESTIMATE))
+        self.DeclareStateOutputPort("residual", DiscreteStateIndex(_RESIDUAL))
+        self.DeclareStateOutputPort("projection_error", DiscreteStateIndex(_ERROR))
 
     def parameters(self, context: Context) -> Array:
         """Return the estimate (p,) in a Context."""
-        return np.array(context.get_discrete_state(self._estimate).value())
+        return np.array(context.get_discrete_state(_ESTIMATE).value())
 
     def set_parameters(self, context: Context, parameters: ArrayLike | None) -> None:
         """Put an estimate (p,), ordered as `ControlModel.prior`, or None for that, into a Context.
@@ -164,42 +189,88 @@ class BregmanProjectionEstimator(LeafSystem):
         """
         check_context(self, context)
         p = checked_estimate(self.control, self._sample_update.manifold, parameters)
-        context.SetDiscreteState(self._estimate, p)
+        context.SetDiscreteState(_ESTIMATE, p)
 
     def _update(self, context: Context, state: DiscreteValues) -> None:
+        # (What is not written stays as it is.)
         x, effort = self._state_port.Eval(context), self._effort_port.Eval(context)
-        watched = np.array(context.get_discrete_state(self._seen).value())
+        p, memory, watched, residual, error, counted = map(state.get_mutable_value, range(6))
+        number, left = divmod(int(counted[0]), self._every)
+        samples: _Remembered = context.get_abstract_state(self._samples).get_value()
+        earlier = samples.turn(number, number // self._spacing)
+        update, following, found = self._sample_update, p, error[0]
+        if self._compiled is not None and not left:
+            following, states = np.empty(len(p)), (watched, memory, p, residual)
+            sample = contiguous(x), contiguous(effort)
+            new, found = calc_estimated(self._compiled, sample, states, earlier, following)
+            if new and not update.manifold.calc_contains(following):
+                following, found = p, np.inf
+        else:
+            with np.errstate(all="ignore"):
+                if new := self._filtered(x, effort, watched, memory):
+                    Y, known = self._filter.rows(memory)
+                    residual[:] = known - Y @ p
+                if new and not left:
+                    since = self._time_step * self._every
+                    following, found, _ = update.updated(p.copy(), Y, known, since, earlier=earlier)
+        if new:
+            p[:], error[0] = following, found
+            counted[0] += 1.0
+
+    def _filtered(self, x: Array, effort: Array, watched: Array, memory: Array) -> bool:
+        """Pass a sample through watch and filter, step by step; return whether it is a new one."""
         measured, new = self._watch.measure(watched, x)
-        state.set_value(self._seen, watched)
-        memory = context.get_discrete_state(self._memory).value()
         if not (measured and usable(effort)):
-            state.set_value(self._memory, self._filter.skipped(memory))
-            return
-        with np.errstate(all="ignore"):
-            memory = self._filter.advanced(
-                memory, x[: self._nv], x[self._nv :], effort, repeated=not new
-            )
-            state.set_value(self._memory, memory)
-            if not new:
-                return
-            p, (Y, known) = self.parameters(context), self._filter.rows(memory)
-            state.set_value(self._residual, known - Y @ p)
-            count = int(context.get_discrete_state(self._count).value()[0])
-            state.set_value(self._count, [count + 1])
-            if count % self._every:
-                return
-            samples: _Remembered = context.get_abstract_state(self._samples).get_value()
-            number = count // self._every
-            earlier = samples.turn(number, number // self._spacing)
-            since = self._time_step * self._every
-            following = self._sample_update.updated(p, Y, known, since, earlier=earlier)
-            state.set_value(self._estimate, following.point)
-            state.set_value(self._error, [following.error])
+            memory[0] = 0.0
+            return False
+        q, qd = x[: self._nv], x[self._nv :]
+        memory[:] = self._filter.advanced(memory, q, qd, effort, repeated=not new)
+        return new
 
     def _remember(self, context: Context, state: State) -> None:
         """Put the last sample into memory, if there is a new one."""
         samples: _Remembered = state.get_mutable_abstract_state(self._samples).get_mutable_value()
-        count = int(context.get_discrete_state(self._count).value()[0])
-        rows = self._filter.rows(context.get_discrete_state(self._memory).value())
+        count = int(context.get_discrete_state(_COUNT).value()[0])
+        rows = self._filter.rows(context.get_discrete_state(_MEMORY).value())
         if count > samples.count and all(np.isfinite(part).all() for part in rows):
             samples.put(rows, count)
+
+
+@compiled
+def calc_estimated(
+    how: _Compiled,
+    sample: tuple[Array, Array],
+    states: tuple[Array, Array, Array, Array],
+    earlier: Rows,
+    following: Array,
+) -> tuple[bool, float]:
+    """Update everything with one sample of a plain robot.
+
+    Args:
+        how: The robot, and what `calc_measured`, `calc_filtered` and `calc_projected` are told.
+        sample: (2 nv,) positions and velocities, and (nv,) efforts.
+        states: Memories of watch and filter, (n,) estimate, and (nv,) residual; all but the
+            estimate become those after the sample.
+        earlier: Rows of an earlier sample, or none.
+        following: (n,) where the estimate goes.
+
+    Returns:
+        Whether the sample is a new one, and the error of `calc_projected`; nothing but memories is
+        written if it is not.
+    """
+    (robot, limits, (period, share, held), projecting), (x, effort) = how, sample
+    (watched, memory, p, residual), nv = states, len(effort)
+    measured, new = calc_measured(x, limits, watched)
+    both = np.zeros((2, nv, len(p)))
+    if measured:
+        calc_plain_momentum(robot, x[:nv], x[nv:], both)
+    told = period, share, held, not new
+    if not (measured and calc_filtered(both, effort, told, memory)):
+        memory[0] = 0.0
+        return False, np.inf
+    if new:
+        Y, known = filtered_rows(memory, nv, len(p))
+        residual[:] = known - np.dot(Y, p)
+        error, _ = calc_projected(p, (Y, known), earlier, projecting, following)
+        return True, error
+    return False, np.inf

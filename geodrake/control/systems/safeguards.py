@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +23,9 @@ from geodrake.manifolds import Manifold
 
 _MOVING = 1e-4  # rad/s or m/s, speed above which two equal measurements are one
 _LARGEST = 1e6  # rad, m, rad/s or m/s, norm of a state that no robot has
+Limits = tuple[float, float, float]
+"""Period and stale time, s, and drift, rad or m, of a `Watch`."""
+
 SUSPECT = 0.25  # s, for which drift adds up, and for which a loop goes on before it is believed
 
 
@@ -159,7 +163,12 @@ class Watch:
 
     def measure(self, memory: Array, state: Array) -> tuple[bool, bool]:
         """Return whether a state (2 n,) is trusted and whether it is new, and remember it."""
-        return calc_measured(contiguous(state), (self.period, self.stale_time, self.drift), memory)
+        return calc_measured(contiguous(state), self.limits, memory)
+
+    @cached_property
+    def limits(self) -> Limits:
+        """What `calc_measured` is told."""
+        return float(self.period), float(self.stale_time), float(self.drift)
 
     def look(
         self, memory: Array, state: Array, desired: Array, acceleration: Array
@@ -200,11 +209,9 @@ class Watch:
 
 
 @compiled
-def calc_measured(
-    state: Array, times: tuple[float, float, float], memory: Array
-) -> tuple[bool, bool]:
+def calc_measured(state: Array, limits: Limits, memory: Array) -> tuple[bool, bool]:
     """Kernel of `Watch.measure`; the memory (4 n + 4,) becomes that of this sample."""
-    period, stale, most = times
+    period, stale, most = limits
     n = len(state) // 2
     drift, counts = memory[3 * n : 4 * n], memory[4 * n :]
     counts[0] += 1.0
