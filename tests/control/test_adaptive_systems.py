@@ -9,11 +9,13 @@ from adaptive_loops import (
     MODELS,
     START,
     TRUTH,
+    FaultySensor,
     SlowSensor,
     check_estimates,
     computed,
     motion,
     natural,
+    nothing,
     passive,
     pendulum_plant,
     perturbed,
@@ -38,6 +40,7 @@ from geodrake.control.loops import add_adaptive_loop
 from geodrake.control.online_estimation import FilteredRegressor
 from geodrake.control.systems import (
     FixedGains,
+    PassivityBasedAdaptiveController,
     PredictionError,
     Safeguards,
     VaryingGains,
@@ -76,6 +79,23 @@ def test_lyapunov_value_never_rises(law, gains, time_step):
     assert V[-1] < V[0]
     if law == "natural":
         check_estimates(logs)
+
+
+@pytest.mark.parametrize("gains", GAINS)
+@pytest.mark.parametrize("fault", [None, nothing])
+def test_the_compiled_step_is_the_one_step_by_step(monkeypatch, gains, fault):
+    """Steps with faults and limits of efforts too, which are made one by one."""
+    found = []
+    for compiled in (True, False):
+        if not compiled:
+            monkeypatch.setattr(PassivityBasedAdaptiveController, "_usual", None)
+        sensor = FaultySensor(4, fault, 0.1, 0.2) if fault else None
+        guards = Safeguards(effort_limits=[30.0, 20.0], settling_time=0.05)
+        controller = passive(natural(), gains=GAINS[gains], time_step=2e-3, safeguards=guards)
+        assert (controller._usual is not None) == compiled
+        found.append(run(controller, 0.5, sensor=sensor)[1])
+    for name, values in found[0].items():
+        np.testing.assert_allclose(values, found[1][name], rtol=1e-7, atol=1e-8, err_msg=name)
 
 
 def test_lyapunov_value_of_computed_torque():

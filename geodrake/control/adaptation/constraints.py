@@ -66,7 +66,7 @@ class LinearSet(ConvexSet):
         instance(self.polyhedron, "polyhedron", Polyhedron)
 
     @cached_property
-    def _rows(self) -> tuple[Array, Array]:
+    def rows(self) -> tuple[Array, Array]:
         """G (k, n) and g (k,) with the set as G p ≤ g."""
         above, below = np.isfinite(self.polyhedron.upper), np.isfinite(self.polyhedron.lower)
         matrix = self.polyhedron.matrix
@@ -75,12 +75,12 @@ class LinearSet(ConvexSet):
 
     def values(self, p: Array) -> Array:
         """Return how far each limit is exceeded (k,)."""
-        G, g = self._rows
+        G, g = self.rows
         return np.asarray(G @ p - g)
 
     def gradients(self, p: Array) -> Array:
         """Return outward normals (k, n)."""
-        return self._rows[0]
+        return self.rows[0]
 
 
 def body_limits(

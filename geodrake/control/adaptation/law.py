@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -20,9 +21,11 @@ from geodrake.boundary.arguments import (
     real_array,
 )
 from geodrake.boundary.showing import Short
+from geodrake.compiling import compiled
 from geodrake.errors import ArgumentError
-from geodrake.manifolds import Manifold
+from geodrake.manifolds import Manifold, Product
 from geodrake.manifolds.base import Array
+from geodrake.manifolds.robot_kernels import Factors, calc_natural_steps
 
 _MOST = 10_000  # parameters of one law
 
@@ -111,6 +114,11 @@ class UpdateLaw(abc.ABC):
                 name="parameters",
             )
 
+    @property
+    def compiled(self) -> Steps | None:
+        """What `calc_limited_step` needs, where that is the whole step but for γ; else None."""
+        return None
+
     def calc_contains(self, parameters: Array) -> bool:
         """Kernel of `contains`, of finite estimates."""
         return True
@@ -187,6 +195,14 @@ class AdaptationLaw(UpdateLaw):
         """That of the manifold."""
         return self.manifold.dimension
 
+    @cached_property
+    def compiled(self) -> Steps | None:
+        """The factors of a robot's bodies and lower bounds, and no limits."""
+        robot = self.manifold.robot if isinstance(self.manifold, Product) else None
+        if robot is None or self.integrator != "geodesic" or self.leakage > 0:
+            return None
+        return robot, np.zeros((0, self.dimension)), np.zeros(0)
+
     def calc_contains(self, parameters: Array) -> bool:
         """Return whether an estimate (n,) is inside of the manifold."""
         return bool(self.manifold.calc_contains(parameters))
@@ -218,6 +234,22 @@ class AdaptationLaw(UpdateLaw):
     def calc_parameter_error(self, truth: Array, parameters: Array) -> Array:
         """Return γ D(p‖p̂) (...), [Lee2019] Eq. (5.4.49)."""
         return np.asarray(self.gamma * self.manifold.calc_divergence(truth, parameters))
+
+
+Steps = tuple[Factors, Array, Array]
+"""Factors of a manifold, and limits G p ≤ g."""
+
+
+@compiled
+def calc_limited_step(p: Array, b: Array, steps: Steps, time: float, out: Array) -> bool:
+    """Write where a covector b (n,) takes an estimate in dt/γ; return whether that is all.
+
+    It is not where the step is very long, ends near the edge of the manifold, or beyond a limit.
+    """
+    factors, G, g = steps
+    if not calc_natural_steps(p, b, factors, time, out):
+        return False
+    return not (np.dot(G, out) > g).any()
 
 
 def natural_adaptation(

@@ -16,8 +16,9 @@ from scipy.optimize import nnls
 
 from geodrake.boundary.arguments import instance, mask, number, real_array
 from geodrake.boundary.showing import Short
+from geodrake.compiling import contiguous
 from geodrake.control.adaptation.constraints import ConvexSet, LinearSet
-from geodrake.control.adaptation.law import AdaptationLaw, UpdateLaw
+from geodrake.control.adaptation.law import AdaptationLaw, Steps, UpdateLaw
 from geodrake.errors import ArgumentError, ConvergenceError, GeodrakeError
 from geodrake.inertia import Array
 from geodrake.manifolds import ConstrainedInertia, Interval, Manifold, PhysicalInertia, Product
@@ -165,6 +166,14 @@ class ProjectedLaw(_OuterLaw):
         if not isinstance(self._set, LinearSet):
             return ()
         return _separate(self.law.manifold, self._set.polyhedron)
+
+    @cached_property
+    def compiled(self) -> Steps | None:
+        """The steps of the law, within limits of a polyhedron."""
+        if self.law.compiled is None or not isinstance(self._set, LinearSet):
+            return None
+        G, g = self._set.rows
+        return self.law.compiled[0], contiguous(G), contiguous(g)
 
     def calc_rate(self, parameters: Array, b: Array) -> Array:
         """Return the rate of the law, tangent to limits that bind ([Lee2019] Eq. (5.4.57))."""

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +20,7 @@ from pydrake.systems.framework import (
 )
 
 from geodrake.boundary.arguments import instance, number, positive
+from geodrake.compiling import compiled
 from geodrake.control.adaptation import UpdateLaw
 from geodrake.control.adaptation.outer_laws import limited
 from geodrake.control.regressor import ControlModel, ControlSample
@@ -30,6 +30,7 @@ from geodrake.control.systems.safeguards import (
     Safeguards,
     Seen,
     Watch,
+    calc_applied,
     checked_estimate,
     require_single_joints,
     usable,
@@ -39,13 +40,12 @@ from geodrake.inertia import Array
 from geodrake.inertia.bodies import check_context
 
 _PARAMETERS, _ACTUATION, _WATCH, _BEFORE = 0, 1, 2, 3
-_GAINS, _GAMMA = 0, 1  # numeric parameters
+_GAINS, GAMMA = 0, 1  # numeric parameters
 _BRAKING = 0.5  # of the limits of efforts, what is left for braking beside gravity and the like
 _QUIETLY = np.errstate(all="ignore")  # what is not finite is looked for and replaced
 
 
-@dataclass(frozen=True, eq=False)
-class ControlResult:
+class ControlResult(NamedTuple):
     """What a controller makes of one sample."""
 
     effort: Array  # (nv,) effort to be applied
@@ -204,6 +204,8 @@ class AdaptiveController(LeafSystem):
 
     def _resting(self, seen: Seen, gains: Array) -> bool:
         """Return whether r = q̇ − q̇_d + Λ (q − q_d) is within the dead zone."""
+        if not self._dead_zone.all():
+            return False
         r = seen.qd - seen.v_d + gains[: self._nv] * (seen.q - seen.q_d)
         return bool((np.abs(r) < self._dead_zone).all())
 
@@ -243,7 +245,7 @@ class AdaptiveController(LeafSystem):
             raise ArgumentError("The controller does not adapt, so it has no γ.")
         check_context(self, context)
         self.law.with_slowness(gamma)
-        context.get_mutable_numeric_parameter(_GAMMA).SetFromVector([gamma])
+        context.get_mutable_numeric_parameter(GAMMA).SetFromVector([gamma])
 
     def _set_gains(self, context: Context, gains: Array) -> None:
         check_context(self, context)
@@ -251,11 +253,11 @@ class AdaptiveController(LeafSystem):
 
     def _gains(self, context: Context) -> Array:
         """Return the gains (n,) in a Context."""
-        return np.asarray(context.get_numeric_parameter(_GAINS).CopyToVector())
+        return context.get_numeric_parameter(_GAINS).value()
 
     def _law_in(self, context: Context) -> UpdateLaw | None:
         """Return the law with the γ of a Context."""
-        gamma = float(context.get_numeric_parameter(_GAMMA).value()[0])
+        gamma = float(context.get_numeric_parameter(GAMMA).value()[0])
         law = self.law
         if law is None or law.slowness == gamma:
             return law
@@ -264,29 +266,36 @@ class AdaptiveController(LeafSystem):
         return self._law_then
 
     def _look(self, context: Context, memory: Array) -> tuple[Seen, Array]:
-        return self._watch.look(
-            memory,
+        return self._watch.look(memory, *self._inputs_in(context))
+
+    def _inputs_in(self, context: Context) -> tuple[Array, Array, Array]:
+        """Return the measured and the desired state, and the desired acceleration."""
+        return (
             self._state_port.Eval(context),
             self._desired_port.Eval(context),
             self._acceleration_port.Eval(context),
         )
+
+    def _step_as_usual(self, context: Context, state: DiscreteValues) -> bool:
+        """Take a time step in one compiled loop; return False, with nothing done, if it cannot."""
+        return False
 
     def _controlled(self, p: Array, seen: Seen, gains: Array) -> ControlResult | None:
         """Return the result at what was seen; None if the effort is not a number."""
         if not seen.known:
             return None
         try:
-            result = self._result_at(p, seen, gains)
-            if limited := bool((np.abs(result.effort) > self._limits).any()):
+            result, applied = self._result_at(p, seen, gains), np.empty(self._nv)
+            finite, limited = calc_applied(result.effort, self._limits, applied)
+            if limited:
                 masses = np.diagonal(result.sample.mass_matrix(self.control.prior))
                 seen = seen.within_reach(gains[: self._nv], _BRAKING * self._limits / masses)
                 result = self._result_at(p, seen, gains)
-            effort = result.effort
+                finite, _ = calc_applied(result.effort, self._limits, applied)
         except (GeodrakeError, np.linalg.LinAlgError):
             return None
-        if not usable(effort):
+        if not finite:
             return None
-        applied = np.clip(effort, -self._limits, self._limits)
         waits = (
             self.law is None
             or not (seen.trusted and seen.settled)
@@ -296,26 +305,30 @@ class AdaptiveController(LeafSystem):
         )
         return ControlResult(applied, result.sample, None if waits else result.covector, limited)
 
-    @_QUIETLY
     def _update(self, context: Context, state: DiscreteValues) -> None:
-        p = context.get_discrete_state(_PARAMETERS).value()
-        seen, memory = self._look(context, context.get_discrete_state(_WATCH).value())
+        if not self._step_as_usual(context, state):
+            self._step(context, state)
+
+    @_QUIETLY
+    def _step(self, context: Context, state: DiscreteValues) -> None:
+        # (What is not written stays as it is.)
+        p, actuation, watch, before = map(state.get_mutable_value, range(4))
+        seen, memory = self._look(context, watch)
         result = self._controlled(p, seen, self._gains(context))
         stopped = memory[-2] == 0.0  # by a contradiction
         if result is not None:
-            state.set_value(_ACTUATION, result.effort)
+            actuation[:] = result.effort
             stopped = stopped or (result.limited and not self._alone)
         surprised = stopped and self._watch.interrupt(memory)
-        state.set_value(_WATCH, memory)
+        watch[:] = memory
         if (law := self._law_in(context)) is not None:
-            p = self._following(context, state, law, seen, result)
-            before = context.get_discrete_state(_BEFORE).value()
+            following = self._following(context, state, law, seen, result)
             if surprised:
-                p = before[: len(p)].copy()
-                state.set_value(_BEFORE, _before(p))
+                following = before[: len(p)].copy()
+                before[:] = _before(following)
             elif seen.trusted:
-                state.set_value(_BEFORE, _remembered(before, p, self._time_step))
-            state.set_value(_PARAMETERS, p)
+                remember(before, following, self._time_step)
+            p[:] = following
 
     def _following(
         self,
@@ -409,10 +422,10 @@ def _before(p: Array) -> Array:
     return np.concatenate([p, p, [0.0]])
 
 
-def _remembered(before: Array, p: Array, seconds: float) -> Array:
-    """Return what is remembered of earlier estimates after some more seconds."""
-    after, n = before.copy(), len(p)
-    after[-1] += seconds
-    if after[-1] >= SUSPECT:
-        after[:n], after[n:-1], after[-1] = before[n:-1], p, 0.0
-    return after
+@compiled
+def remember(before: Array, p: Array, seconds: float) -> None:
+    """Bring what is remembered of earlier estimates up to date after some more seconds."""
+    n = len(p)
+    before[2 * n] += seconds
+    if before[2 * n] >= SUSPECT:
+        before[:n], before[n : 2 * n], before[2 * n] = before[n : 2 * n].copy(), p, 0.0

@@ -17,7 +17,7 @@ from pydrake.systems.framework import (
 )
 
 from geodrake.boundary.arguments import instance, integer, number, positive
-from geodrake.compiling import compiled, contiguous
+from geodrake.compiling import compiled
 from geodrake.control.online_estimation import (
     FilteredRegressor,
     Projecting,
@@ -201,8 +201,7 @@ class BregmanProjectionEstimator(LeafSystem):
         update, following, found = self._sample_update, p, error[0]
         if self._compiled is not None and not left:
             following, states = np.empty(len(p)), (watched, memory, p, residual)
-            sample = contiguous(x), contiguous(effort)
-            new, found = calc_estimated(self._compiled, sample, states, earlier, following)
+            new, found = calc_estimated(self._compiled, (x, effort), states, earlier, following)
             if new and not update.manifold.calc_contains(following):
                 following, found = p, np.inf
         else:

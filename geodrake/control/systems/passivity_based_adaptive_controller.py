@@ -3,21 +3,38 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydrake.systems.framework import Context
+from pydrake.systems.framework import Context, DiscreteValues
 
 from geodrake.boundary.arguments import instance, one_or_each, positive, real_array
 from geodrake.boundary.showing import Short
+from geodrake.compiling import compiled
 from geodrake.control.adaptation import UpdateLaw
-from geodrake.control.regressor import ControlModel, checked_control
-from geodrake.control.systems.adaptive_controller import AdaptiveController, ControlResult
+from geodrake.control.adaptation.law import Steps, calc_limited_step
+from geodrake.control.regressor import ControlModel, Plain, calc_plain_regressor, checked_control
+from geodrake.control.systems.adaptive_controller import (
+    GAMMA,
+    AdaptiveController,
+    ControlResult,
+    remember,
+)
 from geodrake.control.systems.prediction_error import PredictionError
-from geodrake.control.systems.safeguards import Safeguards, Seen
+from geodrake.control.systems.safeguards import (
+    Limits,
+    Safeguards,
+    Seen,
+    calc_applied,
+    calc_looked,
+    is_usable,
+)
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.model.simulation.scalar_system import differenced
+
+_How = tuple[Plain, tuple[Limits, float], tuple[Array, tuple[bool, bool], float], Steps]
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,6 +158,24 @@ class PassivityBasedAdaptiveController(AdaptiveController):
             )
         self._set_gains(context, vector)
 
+    @cached_property
+    def _usual(self) -> _How | None:
+        """What `calc_usual_step` is told; None where it will not do."""
+        robot, law = getattr(self.control, "plain", None), self.law
+        steps = None if law is None else law.compiled
+        if robot is None or steps is None or self._prediction is not None or self._dead_zone.any():
+            return None
+        kinds = self._varying, self.control.measured_friction
+        return robot, self._watch.told, (self._limits, kinds, self._time_step), steps
+
+    def _step_as_usual(self, context: Context, state: DiscreteValues) -> bool:
+        if self._usual is None:
+            return False
+        gains, gamma = self._gains(context), context.get_numeric_parameter(GAMMA).value()[0]
+        p, actuation, watch, before = map(state.get_mutable_value, range(4))
+        states, inputs = (p, actuation, watch, before), self._inputs_in(context)
+        return calc_usual_step(self._usual, inputs, (gains, gamma), states)
+
     def _error(self, seen: Seen, rate: Array) -> tuple[Array, Array, Array]:
         """Return v, a and r, each (nv,)."""
         v = seen.v_d - rate * (seen.q - seen.q_d)
@@ -171,3 +206,51 @@ def _gain_vector(gains: VaryingGains | FixedGains, nv: int) -> Array:
         return rate
     damping = one_or_each(gains.damping, "damping gains", nv, strict=True)
     return np.concatenate([rate, damping])
+
+
+@compiled
+def calc_usual_step(
+    how: _How,
+    inputs: tuple[Array, Array, Array],
+    gains: tuple[Array, float],
+    states: tuple[Array, Array, Array, Array],
+) -> bool:
+    """Take a time step of a plain robot as a whole; return False, with nothing done, if unusual.
+
+    Usual is that all inputs are trusted, no effort is beyond its limits and no estimate beyond
+    its own.
+
+    Args:
+        how: The robot, what `calc_looked` is told, limits of efforts (nv,), whether gains vary and
+            friction is of the measured velocity, the time step, and what `calc_limited_step` needs.
+        inputs: Measured and desired states (2 nv,), and desired accelerations (nv,).
+        gains: Those of `_gain_vector`, and γ.
+        states: Estimate, actuation, and memories of watch and earlier estimates.
+    """
+    (robot, told, (most, (varies, measured), step), steps), (p, actuation, watch, before) = (
+        how,
+        states,
+    )
+    n, memory = len(actuation), watch.copy()
+    motion, Y = np.empty((5, n)), np.zeros((n, len(p)))
+    trusted, _, _, settled = calc_looked(inputs, told, memory, motion)
+    if not (trusted and settled) or memory[-2] == 0.0:
+        return False
+    q, qd, (q_d, v_d, a_d) = motion[0].copy(), motion[1].copy(), motion[2:]
+    rate, damping = gains[0][:n], gains[0][n:]
+    v = v_d - rate * (q - q_d)
+    a, r = a_d - rate * (qd - v_d), qd - v
+    if varies:
+        a -= rate * r
+    calc_plain_regressor(robot, (q, qd, v, a), qd if measured else v, Y)
+    effort, applied, b, following = np.dot(Y, p), np.empty(n), np.dot(r, Y), np.empty(len(p))
+    if not varies:
+        effort -= damping * r
+    finite, beyond = calc_applied(effort, most, applied)
+    if beyond or not (finite and is_usable(b)):
+        return False
+    if not (calc_limited_step(p, b, steps, step / gains[1], following) and is_usable(following)):
+        return False
+    actuation[:], watch[:], p[:] = applied, memory, following
+    remember(before, following, step)
+    return True

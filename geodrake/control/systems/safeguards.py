@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +14,7 @@ from pydrake.multibody.tree import JointActuatorIndex
 
 from geodrake.boundary.arguments import number, one_or_each, real_array
 from geodrake.boundary.showing import Short
-from geodrake.compiling import compiled, contiguous
+from geodrake.compiling import compiled, contiguous, inlined
 from geodrake.control.adaptation import UpdateLaw
 from geodrake.control.regressor import ControlModel, checked_control
 from geodrake.errors import ArgumentError
@@ -93,8 +94,7 @@ class Safeguards(Short):
         return one_or_each(self.dead_zone, "dead_zone", nv)
 
 
-@dataclass(frozen=True, eq=False)
-class Seen:
+class Seen(NamedTuple):
     """What a controller goes by at one sample, always finite."""
 
     q: Array  # (n,) positions
@@ -119,8 +119,7 @@ class Seen:
             return self
         s = np.sign(e) * np.sqrt(2.0 * braking * (np.abs(e) - 0.5 * knee))
         r = ed + s
-        return replace(
-            self,
+        return self._replace(
             q_d=np.where(far, self.q, self.q_d),
             v_d=np.where(far, self.v_d - s, self.v_d),
             a_d=np.where(far, self.a_d - braking / np.abs(s) * ed + rate * r, self.a_d),
@@ -178,23 +177,16 @@ class Watch:
         Measured and desired states are (2 n,), positions and then velocities; accelerations (n,)
         are desired ones.
         """
-        n, following = self.size, memory.copy()
-        measured, new = self.measure(following, state)
-        last = following[2 * n : 3 * n]
-        if asked := usable(desired) and usable(acceleration):
-            q_d, v_d, a_d = desired[:n], desired[n:], acceleration
-        else:
-            q_d = state[:n] if measured and not usable(last) else last.copy()
-            v_d = a_d = np.zeros(n)
-        if known := usable(q_d):
-            last[:] = q_d
-        q, qd = (state[:n], state[n:]) if measured else (q_d, v_d)
-        settled = following[-2] * self.period >= self.settling_time
-        both = measured and asked
-        trusted = both and new and bool(settled)
-        return Seen(
-            q, qd, q_d, v_d, a_d, trusted, both and not new, known, bool(following[-1] >= 0.0)
-        ), following
+        following, motion = memory.copy(), np.empty((5, self.size))
+        inputs = contiguous(state), contiguous(desired), contiguous(acceleration)
+        q, qd, q_d, v_d, a_d = motion
+        answers = calc_looked(inputs, self.told, following, motion)
+        return Seen(q, qd, q_d, v_d, a_d, *answers), following
+
+    @cached_property
+    def told(self) -> tuple[Limits, float]:
+        """What `calc_looked` is told."""
+        return self.limits, float(self.settling_time)
 
     def interrupt(self, memory: Array) -> bool:
         """Return whether a loop that had gone on for a quarter of a second is interrupted.
@@ -239,6 +231,50 @@ def calc_measured(state: Array, limits: Limits, memory: Array) -> tuple[bool, bo
         memory[i], memory[n + i], drift[i] = state[i], state[n + i], following[i]
     counts[0], counts[1] = 0.0, 0.0
     return True, True
+
+
+@compiled
+def calc_looked(
+    inputs: tuple[Array, Array, Array], told: tuple[Limits, float], memory: Array, motion: Array
+) -> tuple[bool, bool, bool, bool]:
+    """Kernel of `Watch.look`: write the five rows of `Seen`, and return its four answers."""
+    (state, desired, acceleration), (limits, settling_time), n = inputs, told, len(inputs[2])
+    measured, new = calc_measured(state, limits, memory)
+    last, (q, qd, q_d, v_d, a_d) = memory[2 * n : 3 * n], motion
+    asked = is_usable(desired) and is_usable(acceleration)
+    if asked:
+        q_d[:], v_d[:], a_d[:] = desired[:n], desired[n:], acceleration
+    else:
+        q_d[:] = state[:n] if measured and not is_usable(last) else last
+        v_d[:] = a_d[:] = 0.0
+    known = is_usable(q_d)
+    if known:
+        last[:] = q_d
+    if measured:
+        q[:], qd[:] = state[:n], state[n:]
+    else:
+        q[:], qd[:] = q_d, v_d
+    both, settled = measured and asked, memory[-2] * limits[0] >= settling_time
+    return both and new and settled, both and not new, known, memory[-1] >= 0.0
+
+
+@inlined
+def is_usable(x: Array) -> bool:
+    """Return the result of `usable`, in compiled loops."""
+    size = 0.0
+    for i in range(len(x)):
+        size += x[i] * x[i]
+    return size < np.inf
+
+
+@compiled
+def calc_applied(effort: Array, limits: Array, applied: Array) -> tuple[bool, bool]:
+    """Write efforts (n,) within limits; return whether all are finite, and whether any was not."""
+    beyond = False
+    for i in range(len(effort)):
+        beyond |= abs(effort[i]) > limits[i]
+        applied[i] = min(max(effort[i], -limits[i]), limits[i])
+    return is_usable(effort), beyond
 
 
 def usable(x: Array) -> bool:
