@@ -204,13 +204,15 @@ def _load_priors(
 ) -> list[tuple[Array, Array]]:
     """Return prior means (10,) and informations (10, 10) of a body's payloads, light to heavy.
 
-    They are as wide as the usual `load` (10,), or as limbs branch off at a mean `square` distance,
+    They are as wide as the usual `load` (10,), and as limbs branch off at a mean `square` distance,
     m². What the model has already (`is_own`) may have changed either way.
     """
-    wide = load.copy()
+    shapes, wide = [load], load.copy()
     wide[4:7] = np.maximum(load[4:7], _SPREAD * load[0] * square)
+    if (wide > load).any():
+        shapes.append(wide)
     width, mean = (1.0, 0.0) if is_own else (beliefs.load, 1.0)
-    loads = [mass * wide for mass in beliefs.payloads]
+    loads = [mass * shape for mass in beliefs.payloads for shape in shapes]
     return [(mean * each, pullback_information(each[None], width)) for each in loads]
 
 

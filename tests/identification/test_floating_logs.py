@@ -403,6 +403,13 @@ def test_a_payload_at_the_edge_of_a_trunk_is_no_wrong_trunk(model):
     assert (step.effect, step.where) == ("payload", ("trunk",)) and step.probability > 0.9
 
 
+def test_a_compact_payload_on_a_trunk_keeps_its_mass(model):
+    """What is not spread as the limbs are is not taken for something lighter that is."""
+    log = Maker(payload=0.7, place="0.02 0.03 0.15").log(wrenches=True, noise=1.0)
+    (step,) = explain(model, log).steps
+    assert step.parameters["trunk"]["mass"] == pytest.approx(0.7, rel=0.01)
+
+
 def test_joints_without_a_motor_are_passive_where_other_efforts_are_measured(tmp_path, maker):
     motors = "".join(
         f'<transmission name="of_{joint}"><type>transmission_interface/SimpleTransmission</type>'
