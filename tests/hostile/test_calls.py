@@ -5,7 +5,7 @@ import pytest
 from calls import HELD, TABLES, UNCALLED, Call, ended, exports, good_calls, outcomes
 
 ALLOWED = {f"{which} = {words})" for words, all_ in TABLES["allowed"].items() for which in all_}
-CALLS, _UNKNOWN = good_calls()
+PARTS = 5  # among which calls are dealt out, quick ones and slow ones
 
 
 def held(call):
@@ -17,31 +17,31 @@ def held(call):
             yield f"{what}: {end}: {told}"
 
 
-NAMES = [
-    pytest.param(name, marks=pytest.mark.thorough if call.is_slow else ())
-    for name, call in CALLS.items()
-]
+def dealt_out(part, *, slow):
+    """The calls of a part."""
+    return [call for call in good_calls()[0].values() if call.is_slow == slow][part::PARTS]
 
 
-@pytest.mark.sampled(5)
-@pytest.mark.parametrize("name", NAMES)
-def test_wrong_calls(name):
-    wrong = list(held(CALLS[name]))
+SLOW = pytest.param(True, marks=pytest.mark.thorough)
+
+
+@pytest.mark.sampled(PARTS)
+@pytest.mark.parametrize("slow", [False, SLOW])
+@pytest.mark.parametrize("part", range(PARTS))
+def test_good_and_wrong_calls(part, slow):
+    calls = dealt_out(part, slow=slow)
+    bad = {call.name: told for call in calls for end, told in [ended(call)] if end != "accepted"}
+    assert not bad
+    wrong = [line for call in calls for line in held(call)]
     assert not wrong, "\n".join(wrong)
 
 
-@pytest.mark.sampled(5)
-@pytest.mark.parametrize("name", NAMES)
-def test_good_call(name):
-    end, told = ended(CALLS[name])
-    assert end == "accepted", told
-
-
 def test_everything_exported_is_called():
-    assert not _UNKNOWN, "give its arguments good values, or a reason in UNCALLED"
-    called = {name.split(".")[0] for name in CALLS} | set(UNCALLED)
+    calls, unknown = good_calls()
+    assert not unknown, "give its arguments good values, or a reason in UNCALLED"
+    called = {name.split(".")[0] for name in calls} | set(UNCALLED)
     assert len(called) > 150 and called <= {*exports(), *UNCALLED}
-    assert {each.partition("(")[0] for each in ALLOWED} <= set(CALLS)
+    assert {each.partition("(")[0] for each in ALLOWED} <= set(calls)
 
 
 def test_a_call_that_is_believed_is_noticed():
