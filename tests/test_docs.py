@@ -81,24 +81,6 @@ def test_every_page_is_in_the_navigation():
     assert named == {page.name for page in PAGES}
 
 
-NOUN_CLAUSE = re.compile(
-    r"(What|Whether|That (?!is|was|means|makes|holds)|Which|Whoever|Whatever|How)\b"
-)
-DOCUMENTS = [*PAGES, ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
-
-
-@pytest.mark.parametrize("page", DOCUMENTS, ids=lambda page: page.stem)
-def test_sentences_begin_with_their_subject_or_verb(page):
-    """No sentence begins with a clause in the place of its subject, such as 'What is left …'."""
-    prose = re.sub(r"^```.*?^```|^#.*?$|^\|.*?$|^    .*?$", "", text_of(page), flags=re.M | re.S)
-    sentences = []
-    for paragraph in re.split(r"\n\s*\n|\n(?=- |\d\. )", prose):
-        words = re.sub(r"^(- |\d\. )?(\*\*[^*]*\*\*:? ?)?", "", " ".join(paragraph.split()))
-        sentences += re.split(r"(?<=[.!?]) (?=[A-Z])", words)
-    found = [each for each in sentences if NOUN_CLAUSE.match(each) and not each.endswith("?")]
-    assert not found
-
-
 def test_limits_are_said_on_one_page():
     assert len(text_of(ROOT / "docs" / "limits.md").splitlines()) <= 80
 

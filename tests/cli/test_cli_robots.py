@@ -104,8 +104,8 @@ def test_a_xacro_file_that_asks_for_more_than_values_needs_to_be_trusted(robot, 
 
 
 def simulated(robot, dry=0.0, width=1.0):
-    """Four seconds of the pendulum with its gripper, with Dahl's friction there, by SciPy."""
-    model, time = load_model(robot), np.arange(0.0, 4.0, 0.01)
+    """Three seconds of the pendulum with its gripper, with Dahl's friction there, by SciPy."""
+    model, time = load_model(robot), np.arange(0.0, 3.0, 0.01)
     limit, rates, damping = np.array([2.0, 1.0, 0.4]), np.array([1.9, 3.1, 2.3]), [0.3, 0.3, 8.0]
 
     def slope(t, state):
@@ -117,7 +117,7 @@ def simulated(robot, dry=0.0, width=1.0):
         return [*v[0], *np.linalg.solve(needed[:3] - needed[3], effort - bias), bend]
 
     start = np.array([0.3, -0.2, 0.02, 0.0, 0.0, 0.0, 0.0])
-    states = solve_ivp(slope, (0.0, 4.0), start, t_eval=time, rtol=1e-7, atol=1e-9).y.T
+    states = solve_ivp(slope, (0.0, 3.0), start, t_eval=time, rtol=1e-7, atol=1e-9).y.T
     effort = limit * np.sin(np.outer(time, rates)) - damping * states[:, 3:6]
     return JointLog("log", model.joints, time, states[:, :3], effort, states[:, 3:6])
 

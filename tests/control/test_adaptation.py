@@ -48,9 +48,9 @@ SIZE = PRODUCT.dimension
 BODIES = Product((PhysicalInertia(), PhysicalInertia(), Positive(2)))
 
 seeds = st.integers(0, 2**32 - 1)
-properties = settings(max_examples=40)
+properties = settings(max_examples=15)
 few = settings(max_examples=6)
-some = settings(max_examples=20)
+some = settings(max_examples=10)
 
 
 def laws(manifold, at):

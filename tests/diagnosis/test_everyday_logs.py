@@ -177,7 +177,7 @@ def test_efforts_that_are_late_by_a_tenth_of_a_sample_are_not():
     assert {step.effect for step in found.steps} == {"rotor_inertia"}
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2, 3, 4])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_noise_of_accelerations_that_a_found_rotor_carries_is_noise(model, seed):
     """The file's light bodies carry a part of it; the rest would count as a model error."""
     rng = np.random.default_rng(seed)

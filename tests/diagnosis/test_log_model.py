@@ -321,11 +321,12 @@ def lighter(distance, seed):
 
 
 def test_bodies_are_as_far_from_the_file_as_they_are(distance=0.2):
-    """Between the widths that are searched, by logs of two arms of other bodies."""
+    """Between the widths that are searched, by logs of pendulums of other bodies."""
     found = []
-    for seed in (1, 2):
-        log = effort_log("arm6", seed, lighter(distance, seed), duration=16.0, rate=100.0).log
-        end = searched(open_case(load_model(MODELS / "arm6.urdf"), [log], candidates=True))
+    for seed in (1, 2, 3):
+        hidden = lighter(distance, seed)
+        log = effort_log("double_pendulum", seed, hidden, duration=16.0, rate=100.0).log
+        end = searched(open_case(PENDULUM, [log], candidates=True))
         found.append(end.model.likely_priors(end.fit)[0])
     assert np.exp(np.mean(np.log(found))) == pytest.approx(distance, rel=0.5)
 

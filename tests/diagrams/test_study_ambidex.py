@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.linalg import lstsq
 
 from diagrams.studies import ambidex_arm as draws
 from diagrams.studies.ambidex import arm as robot
@@ -53,16 +52,6 @@ class TestArm:
             expected = J.T @ needed + robot.ROTOR_INERTIA * vd[k]
             np.testing.assert_allclose(torque[k], expected, rtol=1e-10, atol=1e-12)
 
-    def test_wrench_at_rest_is_the_weight_above_the_centre_of_mass(self, arm):
-        rest = np.zeros((1, 7))
-        wrench = arm.wrench_regressor(Motion(rest, rest, rest)) @ arm.phi[:10].ravel()
-        mass = arm.phi[:10, 0].sum()
-        context = arm.plant.CreateDefaultContext()
-        center = arm.plant.CalcCenterOfMassPositionInWorld(context)
-        np.testing.assert_allclose(wrench[0, 3:], [0, 0, 9.81 * mass], atol=1e-9)
-        point = np.array([-wrench[0, 1], wrench[0, 0]]) / wrench[0, 5]
-        np.testing.assert_allclose(point, center[:2], atol=1e-12)
-
 
 def _no_forces(plant):
     from pydrake.multibody.tree import MultibodyForces
@@ -71,18 +60,6 @@ def _no_forces(plant):
 
 
 class TestMeasurements:
-    def test_motions_are_smooth_and_rest_between(self, arm):
-        motion = robot.point_to_point(arm, np.random.default_rng(2))
-        assert motion.q.shape == (47 * 130, 7)
-        period = robot.PERIOD
-        np.testing.assert_allclose(motion.v[::130], 0.0, atol=1e-12)
-        np.testing.assert_allclose(motion.vd[::130], 0.0, atol=1e-12)
-        for low, high in ((motion.q, motion.v), (motion.v, motion.vd)):
-            central = (low[2:] - low[:-2]) / (2 * period)
-            between = np.arange(1, len(low) - 1) % 130 > 0  # at rest, jerk jumps
-            error = np.abs(central - high[1:-1])[between].max()
-            assert error < 0.01 * np.abs(high).max()
-
     def test_truth_explains_all_but_uneven_friction_and_noise(self, measured):
         friction = np.concatenate([robot.COULOMB, robot.VISCOUS])
         explained = measured.bodies @ measured.truth.ravel() + measured.friction @ friction
@@ -104,19 +81,3 @@ class TestPriors:
             lifted = np.column_stack([points.positions[body], np.ones(59)])
             inside = np.einsum("ni,ij,nj->n", lifted, hulls.quadric[body], lifted)
             assert inside.min() >= -1e-12
-
-    def test_even_masses_are_stationary(self):
-        """The greatest entropy under linear constraints: log μ is a combination of the moments."""
-        points = np.random.default_rng(5).uniform(-1, 1, (40, 3))
-        wanted = np.diag([0.2, 0.25, 0.3, 1.0])
-        wanted[0, 3] = wanted[3, 0] = 0.1
-        masses = robot.even_masses(points, wanted)
-        lifted = np.column_stack([points, np.ones(40)])
-        np.testing.assert_allclose(np.einsum("n,ni,nj", masses, lifted, lifted), wanted, atol=1e-12)
-        moments = np.einsum("ni,nj->nij", lifted, lifted).reshape(40, 16)
-        rest = moments @ lstsq(moments, np.log(masses))[0] - np.log(masses)
-        assert np.abs(rest).max() < 1e-9
-
-    def test_no_masses_for_a_body_larger_than_its_points(self):
-        points = np.random.default_rng(5).uniform(-1, 1, (40, 3))
-        assert robot.even_masses(points, np.diag([1.5, 1.5, 1.5, 1.0])) is None

@@ -23,14 +23,6 @@ def test_motion_of_a_leg_tells_32_combinations_and_its_base_wrench_more():
     assert base_parameters(np.vstack([rows, base])).rank > 32
 
 
-def test_gallop_is_one_motion():
-    """Velocities and accelerations are the derivatives of the positions."""
-    step, time = 1e-5, np.array([0.1, 0.23])
-    before, here, after = (gallop.gallop(time + h) for h in (-step, 0.0, step))
-    np.testing.assert_allclose((after.q - before.q) / (2 * step), here.v, atol=1e-6)
-    np.testing.assert_allclose((after.v - before.v) / (2 * step), here.vd, atol=1e-4)
-
-
 def test_quantities_are_the_inverse_dynamics():
     """Of Drake's joints, rotors among them, which turn by the gear ratio."""
     robot, motion = gallop.whole_robot(), gallop.gallop(np.array([0.05, 0.31]))

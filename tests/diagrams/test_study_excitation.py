@@ -25,13 +25,6 @@ class TestContours:
             places = {(row["best_amplitude"], row["best_offset"]) for row in largest[name]}
             assert len(places) >= 3
 
-    def test_columns_are_the_motion(self):
-        """q̈ by finite differences of the positions that g cos q tells."""
-        weight, acceleration = contours.motions(np.array(0.4), np.array(0.9), 20001)
-        q = np.arccos(weight / contours.GRAVITY)
-        numeric = np.diff(q, 2) / (2.0 / 20000) ** 2
-        np.testing.assert_allclose(numeric, acceleration[1:-1], atol=1e-4)
-
 
 class TestScara:
     def test_frames_are_of_one_robot(self):

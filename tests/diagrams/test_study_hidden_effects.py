@@ -16,9 +16,7 @@ from diagrams.benchmarks.hidden.robots import (
     robot_names,
 )
 from diagrams.benchmarks.hidden.truths import OUTSIDE, TRUTHS
-from geodrake.inertia import pseudo_inertia
 
-TIME = np.arange(0.0, 12.0, 0.01)
 PLAIN = {
     "robot": "arm6",
     "motion": robots.FAST,
@@ -47,24 +45,6 @@ class TestEngines:
         efforts, others = (engine.efforts(*samples) for engine in engines)
         np.testing.assert_allclose(efforts, others, rtol=1e-9, atol=1e-9 * np.abs(efforts).max())
 
-    def test_agree_on_kinematics(self, engines):
-        q, point = np.random.default_rng(1).normal(size=(5, len(engines[0].low))), np.ones(3) / 3
-        for body in range(q.shape[1]):
-            maps = [engine.jacobians(body, point, q) for engine in engines]
-            np.testing.assert_allclose(*maps, atol=1e-9)
-            np.testing.assert_allclose(*(e.rotations(body, q) for e in engines), atol=1e-9)
-
-    def test_bodies_are_those_that_geodrake_reads(self, engines):
-        model = robot_model(self.of(engines))
-        assert model.joints == engines[0].joints
-        P = pseudo_inertia(model.phi)
-        np.testing.assert_allclose(engines[0].bodies(), P, rtol=1e-6, atol=1e-6 * np.abs(P).max())
-
-    @staticmethod
-    def of(engines):
-        names = {robot_model(name).joints: name for name in robot_names()}
-        return names[engines[0].joints]
-
 
 def test_congruent_bodies_are_physical_and_as_far_as_asked():
     P = np.repeat(
@@ -77,19 +57,6 @@ def test_congruent_bodies_are_physical_and_as_far_as_asked():
     distance = np.sqrt((np.log(np.linalg.eigvalsh(whitened)) ** 2).sum(1))
     assert np.sqrt(np.mean(distance**2)) == pytest.approx(0.2 * np.sqrt(10.0), rel=0.05)
     assert np.log(found[:, 3, 3] / 2.0).std() == pytest.approx(0.2, rel=0.1)
-
-
-@pytest.mark.parametrize("kind", robots.MOTIONS)
-def test_motions(kind, engines):
-    engine = engines[0]
-    q, v, a = robots.make_motion(kind, engine, TIME, np.random.default_rng(0))
-    assert (q > engine.low).all()
-    assert (q < engine.high).all()
-    fastest = np.minimum(engine.fastest, robots.SLOW_SPEED if kind == robots.SLOW else np.inf)
-    assert (np.abs(v).max(0) <= fastest + 1e-9).all()
-    for signal, slope in ((q, v), (v, a)):
-        error = np.abs(np.gradient(signal, TIME, axis=0) - slope)[1:-1]
-        assert error.max() < 0.05 * np.abs(slope).max()
 
 
 class TestLogs:
@@ -118,19 +85,6 @@ class TestLogs:
         (secret,) = made.secrets
         assert secret.share == pytest.approx(0.04, rel=0.1)
         assert set(secret.where) <= {*robot_model("arm6").joints, *robot_model("arm6").bodies}
-
-    def test_noise(self):
-        for colour in (logs.WHITE, logs.COLOURED):
-            fixed = {**PLAIN, "colour": colour, "shares": ()}
-            draw = logs.draw("none", (), 1, 0, **{**fixed, "noise": 0.02})
-            made = [
-                logs.make_recording(d, robot_model("arm6").bodies).log.effort
-                for d in (draw, logs.draw("none", (), 1, 0, **{**fixed, "noise": 0.0}))
-            ]
-            noise = (made[0] - made[1]) / made[1].std(0)
-            assert noise.std() == pytest.approx(0.02, rel=0.1)
-            next_one = np.mean(noise[1:] * noise[:-1]) / noise.var()
-            assert (next_one > 0.15) == (colour == logs.COLOURED)
 
 
 EASY = ("load_dependent_friction", "gravity_tilt")

@@ -9,7 +9,6 @@ from commands import told
 
 from diagrams.benchmarks import tell_apart as study
 from diagrams.benchmarks.tell_apart import CASES, MOTIONS, Hidden
-from diagrams.harness import script_parser
 from geodrake.logs import read_log, write_log
 
 
@@ -30,19 +29,6 @@ def held(hidden, postures):
 
 
 class TestRobots:
-    @pytest.mark.parametrize("name", MOTIONS)
-    def test_first_motions_are_smooth(self, name):
-        """Velocity and acceleration are derivatives, and the motion is slow and small."""
-        motion = MOTIONS[name][0](np.random.default_rng(0))
-        t = np.linspace(0.0, study.FIRST, 4001)
-        q, v, vd = motion(t)
-        h = 1e-5
-        ahead, behind = motion(t + h), motion(t - h)
-        np.testing.assert_allclose((ahead[0] - behind[0]) / (2 * h), v, atol=1e-7)
-        np.testing.assert_allclose((ahead[1] - behind[1]) / (2 * h), vd, atol=1e-5)
-        assert np.abs(v).max() < 0.6 * study.SPEED
-        assert np.ptp(q, axis=0).max() < 1.6
-
     @pytest.mark.sampled(3)
     @pytest.mark.parametrize("number", range(len(CASES)))
     def test_efforts_are_those_of_another_engine(self, number):
@@ -78,27 +64,6 @@ class TestRobots:
             expected = hidden.effort(motion.q, motion.v, model.motion(motion).load)[0]
             expected += held(hidden, motion.q) - held(Hidden.of(2), motion.q)
             np.testing.assert_allclose(effort, expected, rtol=1e-3, atol=1e-3)
-
-
-class TestTold:
-    def test_robots_are_drawn_until_enough_are_ambiguous(self, monkeypatch):
-        def fake(draw, *, iterations):
-            del iterations
-            row = {"told": True, "wrong": False, "tied": []}
-            logs = dict.fromkeys(study.LOGS, row)
-            more = {f"{log}_deviations": 1.0 for log in study.LOGS}
-            ambiguous = draw.case == 0 and draw.seed % 2 == 1
-            return {"case": draw.case, "seed": draw.seed, "ambiguous": ambiguous, **logs, **more}
-
-        monkeypatch.setattr(study, "run", fake)
-        plan = study.Plan(cases=(0, 1), wanted=3, most=8)
-        parser = script_parser("A study.", draws=True)
-        draws = study.draws_of(plan, parser, parser.parse_args(["--quick"]))
-        first, second = (study.summary(case, draws) for case in plan.cases)
-        assert (first["robots"], first["ambiguous"]) == (6, 3)
-        assert (second["robots"], second["ambiguous"]) == (8, 0)
-        assert first["designed"] == {"told": 3, "wrong": 0, "deviations": 1.0}
-        assert second["designed"]["deviations"] is None
 
 
 def test_the_command_that_diagnose_prints_designs_the_motion(tmp_path):

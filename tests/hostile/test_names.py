@@ -103,7 +103,7 @@ USES = {
 """What uses the names of joints and links -> what must become of them."""
 
 
-@pytest.mark.sampled(7)
+@pytest.mark.sampled(14)
 @pytest.mark.parametrize(("what", "command"), list(product(IN_XML, USES)))
 def test_joints_and_links(what, command, tmp_path):
     name = IN_XML[what]
