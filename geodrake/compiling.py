@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import pickle
 import re
 import stat
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from types import CodeType, FunctionType
-from typing import Any, TypeVar, cast
+from typing import Any, BinaryIO, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,6 +39,8 @@ if config.DISABLE_JIT:  # type: ignore[attr-defined]
     )
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+_TRIES, _PAUSE = 1200, 0.05  # how often a process looks whether another one is done, and s between
 
 _SOURCES: dict[Callable[..., Any], str] = {}
 """Of each compiled function a digest of compiler, files, constants and functions it is made from.
@@ -137,6 +141,8 @@ def _names(code: CodeType) -> frozenset[str]:
 class _Kept:
     """Compiled code of a function, valid while all that it came from is unchanged.
 
+    Of processes that begin together one compiles it, and the others wait.
+
     A file for each signature, with a digest of its sources. Numba's own files have numbers that an
     index tells, which every process writes anew: of two that compile at once one may be told the
     other's. It also looks at the time of the function's own file alone, and a full disk or a file
@@ -150,14 +156,37 @@ class _Kept:
         version = f"py{sys.version_info[0]}{sys.version_info[1]}{sys.abiflags}"
         self._stem = f"{path.stem}.{name}-{function.__code__.co_firstlineno}.{version}"
         self._source = source
+        self._lock: BinaryIO | None = None  # while it is compiled here
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return what was kept, unless it is a link, or others can write it; None without."""
+        """Return what was kept, None without; then other processes wait for what is compiled."""
         target_context.refresh()
         if self.cache_path is None:
             return None
+        path = self._file(sig, target_context.codegen())
+        kept = self._read(path, target_context)
+        if kept is None:
+            self._wait_for_others(path.with_suffix(".lock"))
+            kept = self._read(path, target_context)  # as another process may have compiled it
+            if kept is not None:
+                self._unlock()
+        return kept
+
+    def _wait_for_others(self, path: Path) -> None:
+        """Take the lock of what is to be compiled, or go on without it after a while."""
+        self._unlock()
+        with suppress(OSError):  # where files cannot be locked, each compiles its own
+            self._lock = path.open("wb")
+            for _ in range(_TRIES):
+                try:
+                    fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    break
+                except BlockingIOError:
+                    time.sleep(_PAUSE)
+
+    def _read(self, path: Path, target_context: Any) -> Any:
+        """Return what was kept, unless it is a link, or others can write it; None without."""
         with suppress(Exception):
-            path = self._file(sig, target_context.codegen())
             number = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
             with os.fdopen(number, "rb") as file:
                 status = os.fstat(number)
@@ -168,20 +197,31 @@ class _Kept:
                         return rebuild(target_context, *data)
         return None
 
+    def _unlock(self) -> None:
+        """Let processes go on that wait for what was compiled here."""
+        if self._lock is not None:
+            with suppress(OSError):
+                Path(self._lock.name).unlink()
+            self._lock.close()
+            self._lock = None
+
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep what was compiled, if there is room."""
-        if self.cache_path is None or data.library.has_dynamic_globals:
-            return
         with suppress(Exception):
-            content = pickle.dumps((self._source, data._reduce()), protocol=-1)
-            with tempfile.NamedTemporaryFile(dir=self.cache_path, delete=False) as file:
-                try:
-                    os.fchmod(file.fileno(), 0o644)  # whatever the umask
-                    file.write(content)
-                    file.flush()
-                    Path(file.name).replace(self._file(sig, data.codegen))
-                finally:
-                    Path(file.name).unlink(missing_ok=True)
+            if self.cache_path is not None and not data.library.has_dynamic_globals:
+                self._write(self._file(sig, data.codegen), data)
+        self._unlock()
+
+    def _write(self, path: Path, data: Any) -> None:
+        content = pickle.dumps((self._source, data._reduce()), protocol=-1)
+        with tempfile.NamedTemporaryFile(dir=self.cache_path, delete=False) as file:
+            try:
+                os.fchmod(file.fileno(), 0o644)  # whatever the umask
+                file.write(content)
+                file.flush()
+                Path(file.name).replace(path)
+            finally:
+                Path(file.name).unlink(missing_ok=True)
 
     def _file(self, sig: Any, codegen: Any) -> Path:
         key = sha256(repr((sig, codegen.magic_tuple())).encode()).hexdigest()[:16]

@@ -1,8 +1,10 @@
 """Compiled loops: kept on disk, shared by processes, made anew when a file of theirs changes."""
 
+import fcntl
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +61,21 @@ def test_what_is_kept_no_other_user_can_write_whatever_the_umask(kept):
         os.umask(before)
     assert file.stat().st_mode & 0o777 == 0o644
     assert again() == 1
+
+
+def test_what_another_process_compiles_is_waited_for(kept):
+    again, file = kept
+    aside = file.rename(file.with_suffix(".aside"))
+    lock = file.with_suffix(".lock").open("wb")
+    fcntl.flock(lock, fcntl.LOCK_EX)
+
+    def compiled():
+        aside.rename(file)
+        lock.close()
+
+    threading.Timer(0.2, compiled).start()
+    assert again() == 1
+    assert not file.with_suffix(".lock").exists()
 
 
 def others_can_write(file, monkeypatch):
