@@ -41,6 +41,7 @@ LONG = {  # more than 3 s of the processor
     "pages_and_exports",
     "readme_figures",
     "real_robots",
+    "scara_excitation",
     "servo_gains",
     "tell_apart",
     "wam_adaptation",
