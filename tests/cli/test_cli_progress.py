@@ -1,22 +1,22 @@
 """Progress on stderr, quiet and plain where asked for; what is kept of an interrupted search."""
 
 import json
+import os
 import re
 import signal
-import sys
 import time
 
 import pytest
 from pendulum_logs import PENDULUM, friction, pendulum_log
-from processes import start
+from processes import run_forked
 
 from geodrake.boundary.interrupts import StopSearch
-from geodrake.cli.progress import progress
+from geodrake.cli.progress import STOPPING, _Lines, progress
 from geodrake.diagnosis import explain
 from geodrake.logs import write_log
 from geodrake.model import load_model
 
-WAITING = re.compile(r".* \(\d+ s\)\n")  # said on a busy machine
+WAITING = re.compile(r".* \(\d+ s\)")  # said on a busy machine
 
 
 def test_lines_in_a_pipe_are_plain_or_none(capsys):
@@ -71,22 +71,22 @@ def test_an_interrupt_before_the_first_step_leaves_no_result(monkeypatch, pendul
 
 @pytest.mark.parametrize("twice", [False, True])
 def test_an_interrupt_keeps_what_was_found_and_a_second_ends_at_once(tmp_path, pendulum, twice):
-    # Jobs of a shell in the background ignore interrupts, and so do their children.
-    heard = "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)"
-    code = f"{heard}\nfrom geodrake.cli import main\nmain()"
+    def begin():
+        said = _Lines.history
+
+        def interrupted(self, line):
+            said(self, line)
+            if re.match(r"1  .*friction.*: nrms 0\.\d+ -> ", line) or (twice and line == STOPPING):
+                os.kill(os.getpid(), signal.SIGINT)
+
+        _Lines.history = interrupted
+
     targets = ("--json", "found.json", "--save", "model.yaml")
-    command = [sys.executable, "-c", code, "explain", *pendulum, *targets]
-    with start(command, folder=tmp_path) as run:
-        said = (line for line in run.stderr if not WAITING.fullmatch(line))
-        assert re.match(r"1  .*friction.*: nrms 0\.\d+ -> ", next(said))
-        run.send_signal(signal.SIGINT)
-        assert "Interrupted: keeping what was found" in next(said)
-        if twice:
-            run.send_signal(signal.SIGINT)
-        out, err = run.stdout.read(), "".join(said)
-    assert run.returncode == 130, err
+    code, out, err = run_forked(["explain", *pendulum, *targets], begin)
+    first, *rest = (line for line in err.splitlines() if not WAITING.fullmatch(line))
+    assert code == 130 and first.startswith("1  ") and rest[0] == STOPPING, err
     if twice:
-        assert (out, err, list(tmp_path.iterdir())) == ("", "Interrupted.\n", [])
+        assert (out, rest[1:], list(tmp_path.iterdir())) == ("", ["Interrupted."], [])
         return
     assert "Traceback" not in err and "The search was interrupted" in out
     numbers = json.loads((tmp_path / "found.json").read_text())
