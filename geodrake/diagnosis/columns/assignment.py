@@ -58,6 +58,14 @@ class Assignment:
         return (*columns, self.time, self.gravity)
 
     @property
+    def effort_key(self) -> tuple[object, ...]:
+        """Return what a fit of the efforts depends on: all but the factors of velocities."""
+        signs = tuple((source, own.tobytes()) for source, own in self.signs.items())
+        columns = self.effort.tobytes(), self.gain.tobytes(), signs, tuple(self.limits.items())
+        sets = self.without, self.carrying, self.is_far, self.unknown, self.apart
+        return (*self.motion_key, *columns, *sets)
+
+    @property
     def is_weightless(self) -> bool:
         """Return whether efforts are without the weight of the bodies."""
         return self.gravity is not None and not any(self.gravity)

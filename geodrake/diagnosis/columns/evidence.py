@@ -106,6 +106,7 @@ class ColumnModel:
         self.lower = np.full(len(self.mean), -np.inf)
         self.lower[size:first] = [q.lower for e in self.effects for q in e.parameters]
         self._designs: dict[tuple[object, ...], MotionDesigns] = {}
+        self._fits: dict[tuple[object, ...], ColumnFit] = {}  # without the evidence of the motion
         periods = [segment.period for t in samples.trajectories for segment in t.segments]
         self._rate = 1.0 / float(np.median(periods))
         self._rates = samples.effective(list(samples.v.T), [np.arange(len(samples))] * n)
@@ -287,6 +288,29 @@ class ColumnModel:
                 count as if they were explained.
             moved: (p,) by how much the assignment has moved these already.
         """
+        parts = worth, near.mse if near is not None else np.zeros(0)
+        parts = *parts, moved if moved is not None else np.zeros(0)
+        key = assignment.effort_key, tuple(wide), *(part.tobytes() for part in parts)
+        if key not in self._fits:
+            self._fits[key] = self._fitted(assignment, worth, near, wide, moved)
+        efforts = self._fits[key]
+        score = efforts.score + self.score_of_motion(assignment)
+        return replace(efforts, assignment=assignment, score=score)
+
+    def of_other_rates(self, fit: ColumnFit, assignment: Assignment) -> ColumnFit:
+        """Return a fit by an assignment with other factors of velocities, and so of no effort."""
+        more = self.score_of_motion(assignment) - self.score_of_motion(fit.assignment)
+        return replace(fit, assignment=assignment, score=fit.score + more)
+
+    def _fitted(
+        self,
+        assignment: Assignment,
+        worth: Array,
+        near: ColumnFit | None,
+        wide: Collection[int],
+        moved: Array | None,
+    ) -> ColumnFit:
+        """Return the result of `fit` without the evidence of the motion."""
         joints = self._joints(assignment)
         mean, information, lower = self._prior(assignment, joints, wide)
         start = mean.copy()
@@ -309,7 +333,7 @@ class ColumnModel:
         lacking = [np.sum(joint.design.columns >= self.lacking.start) for joint in joints]
         score += 2.0 * float(found.x[self.gains] @ lacking)
         masses = found.x[[PARAMETERS_PER_BODY * body for body in assignment.carrying]]
-        score = score + self.score_of_motion(assignment) if (masses > 0.0).all() else -np.inf
+        score = score if (masses > 0.0).all() else -np.inf
         by_column = np.zeros(len(errors))
         by_column[sources] = errors
         return ColumnFit(assignment, found.x, by_column, score)

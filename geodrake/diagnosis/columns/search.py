@@ -71,10 +71,13 @@ class ColumnSearch:
             if step is None:
                 break
             steps.append(step)
-            base, found = step.best.fit, step.best.fit.assignment
-            kind = step.best.mistake.kind
-            if not kind or KINDS[kind].changes == ("rate",):
-                continue  # of measured velocities, on which no effort depends
+            found, kind = step.best.fit.assignment, step.best.mistake.kind
+            if kind and KINDS[kind].changes == ("rate",):
+                base = model.of_other_rates(base, found)
+                continue
+            base = step.best.fit
+            if not kind:
+                continue
             self._hopeless.clear()
             self._zeros.clear()
             if found.apart | found.unknown:

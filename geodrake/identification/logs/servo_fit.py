@@ -519,14 +519,17 @@ def fit_servo(
     told = signal.integral or some.linear_servo(signal).integral
     first = _Search(some, told, expected)
     found = first.with_dead_band(first.at_its_limit(some.servo(begin), limit))
-    found = found if some is motions else found.along(motions)
+    loaded = first.best([found.freed(_LOAD)], seen=True)
+    if some is not motions:
+        found, loaded = found.along(motions), loaded.along(motions)
     search, start = replace(first, motions=motions), motions.servo(begin)
-    fit = search.fitted(found, start, bodies)
+    fit = search.fitted(found, loaded, start, bodies)
     if (
         fit is not None
         and fit.parameters[_INTEGRAL] ** 2 < PENALTY * fit.deviations[_INTEGRAL] ** 2
     ):
-        return search.fitted(search.best([found.plain()], seen=True), start, bodies)
+        plain = search.best([found.plain()], seen=True)
+        return search.fitted(plain, plain.freed(_LOAD), start, bodies)
     return fit
 
 
@@ -538,15 +541,19 @@ class _Search:
     told: float  # the integral gain by a linear fit; 0 if it has none
     expected: Expected
 
-    def fitted(self, half: _Servo, start: Array, bodies: float) -> ServoFit | None:
-        """Return the fit to all rows, from that to half of the windows on; see `fit_servo`."""
+    def fitted(self, half: _Servo, loaded: _Servo, start: Array, bodies: float) -> ServoFit | None:
+        """Return the fit to all rows, from those to half of the windows on; see `fit_servo`.
+
+        One of these has friction by the load.
+        """
         motions, began = self.motions, start.copy()
         began[[_LIMIT, _SHARE]] = half.numbers[[_LIMIT, _SHARE]]
-        sought, half = half.free[_LIMIT], half.limited(*began[[_LIMIT, _SHARE]].tolist())
+        sought, limited = half.free[_LIMIT], began[[_LIMIT, _SHARE]].tolist()
+        half, loaded = half.limited(*limited), loaded.limited(*limited)
         tested, moved = motions.tested, float(np.std(motions.measured))
         if not motions.rms(half.numbers, tested) < min(motions.rms(began, tested), moved):
             return None
-        loaded = self.best([half.freed(_LOAD)], seen=True)
+        loaded = self.best([loaded], seen=True)
         if motions.gain(half.numbers, loaded.numbers, tested) >= PENALTY:
             half = loaded
         best = self.best([half])
