@@ -288,9 +288,9 @@ class ColumnModel:
                 count as if they were explained.
             moved: (p,) by how much the assignment has moved these already.
         """
-        parts = worth, near.mse if near is not None else np.zeros(0)
-        parts = *parts, moved if moved is not None else np.zeros(0)
-        key = assignment.effort_key, tuple(wide), *(part.tobytes() for part in parts)
+        begun = None if near is None else near.mse.tobytes()
+        away = None if moved is None else moved.tobytes()
+        key = assignment.effort_key, tuple(wide), worth.tobytes(), begun, away
         if key not in self._fits:
             self._fits[key] = self._fitted(assignment, worth, near, wide, moved)
         efforts = self._fits[key]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Callable, Iterable, Mapping, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -89,34 +89,35 @@ class ColumnSearch:
     def _step(self, base: ColumnFit, settled: Set[Place]) -> MistakeFound | None:
         """Return the most probable mistake beside those of a fit; None if none is."""
         model, worth, prices = self.model, self.model.hopeful(), self._mistakes(base)
-        first = list[Judged]()
         promising = self._promising(prices, base)
-        for mistake in (each for each in promising if each.place not in self._hopeless):
-            # What several sizes explain may show only where they are right.
-            steps = _STEPS if len(mistake.free) > 1 else 1
-            judged = self._judged(mistake, base, worth, prices[mistake])
-            first.append(self._refined(judged, worth, steps))
-        places = dict[object, Judged]()
-        for each in sorted(first, key=_score, reverse=True):
-            if each.mistake.place not in settled or not each.mistake.kind:
+
+        def judged(mistakes: Iterable[Mistake]) -> list[Judged]:
+            found = list[Judged]()
+            for mistake in mistakes:
+                # What several sizes explain may show only where they are right.
+                steps = _STEPS if len(mistake.free) > 1 else 1
+                own = self._judged(mistake, base, worth, prices[mistake])
+                found.append(self._refined(own, worth, steps))
+            places = dict[object, Judged]()
+            for each in sorted(found, key=_score, reverse=True):
                 places.setdefault((each.mistake.place, each.mistake.sizes), each)
+            return list(places.values())
+
+        tried = [each for each in promising if each.kind and each.place not in self._hopeless]
+        first = [each for each in judged(tried) if each.mistake.place not in settled]
         plain = self._plain(base, worth, None)
         least, never = plain.score + _HOPELESS, plain.score + _HOPELESS_FOR_GOOD * worth.mean()
-        self._hopeless |= {
-            each.mistake.place
-            for each in places.values()
-            if each.mistake.kind and each.score < never
-        }
-        mistaken = [each for each in places.values() if each.mistake.kind and each.score > least]
+        self._hopeless |= {each.mistake.place for each in first if each.score < never}
+        mistaken = [each for each in first if each.score > least]
         # Errors of zeros and gains are in a fit to first order: their sizes are found last.
         finalists = mistaken[:_FINALISTS]
         last = [each if each.mistake.free else self._refined(each, worth) for each in finalists]
         zeros = [m for m in (e.mistake for e in reversed(mistaken)) if m.kind == "position_zero"]
         self._zeros |= {mistake.joints: mistake.moved for mistake in zeros}
         if not any(each.score > plain.score for each in last):
-            return None
+            return None  # whatever else the model lacks
         # With few independent samples, what is no mistake may be likelier than it looks at first.
-        last += [each for each in places.values() if not each.mistake.kind]
+        last += judged(each for each in promising if not each.kind)
         last += self._together(max((j for j in last if not j.mistake.kind), key=_score), worth)
         # Probabilities are told by the samples that the residuals of the answer are worth.
         best, of_base = max(last, key=_score), model.worth(base)

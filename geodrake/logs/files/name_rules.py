@@ -13,6 +13,7 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import zip_longest
 
 from geodrake.logs.files.units import WORDS, Unit, find_unit, scaled_unit
@@ -128,6 +129,7 @@ class Meaning:
         return only if isinstance(only, int) else None
 
 
+@lru_cache(maxsize=10_000)
 def meaning_of(name: str) -> Meaning | None:
     """Return the meaning of a column name; None if it is neither of a joint nor time."""
     own = _own(name)

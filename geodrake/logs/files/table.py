@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
@@ -401,10 +401,11 @@ def is_nothing(cell: Any) -> bool:
 def _list_in(cell: Any) -> list[float] | None:
     """Return the numbers of a list, or of a text such as `[0.1, 0.2]`; None otherwise."""
     if isinstance(cell, str):
-        with suppress(msgspec.DecodeError):  # as nearly all lists are JSON, which is read at once
-            return _NUMBERS.decode(cell)
-        found = LIST.fullmatch(cell.strip())
-        cell = _BETWEEN.split(found[1].strip()) if found else None
+        try:
+            return _NUMBERS.decode(cell)  # as nearly all lists are JSON, which is read at once
+        except msgspec.DecodeError:
+            found = LIST.fullmatch(cell.strip())
+            cell = _BETWEEN.split(found[1].strip()) if found else None
     try:
         return [float(number) for number in cell] if isinstance(cell, Sized) else None  # type: ignore[attr-defined]
     except (TypeError, ValueError):
@@ -419,14 +420,14 @@ def _date_text(value: Any) -> str:
 
 def number_in(value: Any) -> float | None:
     """Return the number in a text or an object; None otherwise."""
+    is_text = isinstance(value, str)
+    if is_text and "_" in value:  # which Python takes in its own numbers
+        return None
     try:
-        if isinstance(value, str):
-            if "_" in value:  # which Python takes in its own numbers
-                return None
-            value = _FORTRAN.sub("E", value)
         return float(value)
     except (TypeError, ValueError):
-        return None
+        usual = _FORTRAN.sub("E", value) if is_text else value
+        return None if usual is value or usual == value else number_in(usual)
 
 
 def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:

@@ -137,12 +137,13 @@ class TextLayout:
         else:
             reader = csv.reader(lines, delimiter=self.separator)
             rows = ((reader.line_num, cells) for cells in reader)
+        names, is_usual = [*self.names], self.decimal == "." and not self.grouped
         for line, cells in rows:
-            if not cells or cells[0].lstrip().startswith(COMMENTS) or cells == [*self.names]:
+            if not cells or cells[0].lstrip().startswith(COMMENTS) or cells == names:
                 continue
-            trailing = len(cells) == len(self.names) + 1 and not cells[-1].strip()
+            trailing = len(cells) == len(names) + 1 and not cells[-1].strip()
             kept = cells[:-1] if trailing else cells  # a separator behind the last cell
-            if self.decimal != "." or self.grouped:
+            if not is_usual:
                 kept = [plain(c, self.decimal, self.grouped.get(k)) for k, c in enumerate(kept)]
             yield line, kept
 
