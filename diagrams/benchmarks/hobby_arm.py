@@ -31,7 +31,8 @@ from diagrams.harness import script_parser, show, write
 from diagrams.public_data import add_folder_option, require
 from geodrake import load_model
 from geodrake.effects.of_files import BRAKING_SHARE
-from geodrake.identification.logs.servo_fit import PARAMETERS, ServoFit
+from geodrake.identification.logs.servo_fit import ServoFit
+from geodrake.identification.logs.servo_motion import PARAMETERS
 from geodrake.identification.logs.signal_calibration import (
     calibrate_efforts,
     servo_motions,

@@ -19,7 +19,7 @@ from geodrake.effects import CoulombFriction, FittedEffect, RotorInertia, Viscou
 from geodrake.effects.of_files import SquaredLoadFriction
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.identification.logs.case import open_case
-from geodrake.identification.logs.servo_fit import motions_of
+from geodrake.identification.logs.joint_motions import motions_of
 from geodrake.identification.logs.signal_calibration import signals_as_efforts
 from geodrake.logs.motion import JointLog, Motion
 from geodrake.logs.preparation import prepare_logs

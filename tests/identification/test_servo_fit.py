@@ -22,12 +22,9 @@ from geodrake.errors import LogError
 from geodrake.identification.logs import signal_calibration
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.effort_gains import ALIKE
-from geodrake.identification.logs.servo_fit import (
-    JointMotions,
-    calc_command_before,
-    fit_servo,
-    motions_of,
-)
+from geodrake.identification.logs.joint_motions import JointMotions, motions_of
+from geodrake.identification.logs.servo_fit import fit_servo
+from geodrake.identification.logs.servo_motion import calc_command_before
 from geodrake.identification.logs.signal_calibration import (
     calibrate_efforts,
     expected_servo,

@@ -14,7 +14,8 @@ from geodrake.control.rollout.roll_out import Progress, named_rollout
 from geodrake.errors import LogError
 from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.evidence import tie_probability
-from geodrake.identification.logs.servo_fit import PARAMETERS, ServoFit
+from geodrake.identification.logs.servo_fit import ServoFit
+from geodrake.identification.logs.servo_motion import PARAMETERS
 from geodrake.identification.logs.signal_calibration import BESIDE, with_servo_motions
 from geodrake.logs.motion import JointLog
 from geodrake.model.effort_signal import SERVO, signal_of

@@ -21,17 +21,11 @@ from geodrake.identification.logs.effort_gains import (
     SignalRows,
     signal_gains,
 )
+from geodrake.identification.logs.joint_motions import JointMotions, motions_of
 from geodrake.identification.logs.model_fit import effects_of
 from geodrake.identification.logs.reduce import reduce_logs
-from geodrake.identification.logs.servo_fit import (
-    LOWERED,
-    PARAMETERS,
-    Expected,
-    JointMotions,
-    ServoFit,
-    fit_servo,
-    motions_of,
-)
+from geodrake.identification.logs.servo_fit import LOWERED, Expected, ServoFit, fit_servo
+from geodrake.identification.logs.servo_motion import PARAMETERS
 from geodrake.logs.filtering import HIGHEST_BANDWIDTH
 from geodrake.logs.folds import validation_blocks
 from geodrake.logs.log_checks import check_saturation

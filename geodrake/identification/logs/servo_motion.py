@@ -1,0 +1,295 @@
+"""How a servo moves its joint: simulated along the measured motion of all others, compiled.
+
+Near the measured motion the bodies' effort is linear,
+
+    b + M (ẍ − q̈) + D (ẋ − q̇) + K (x − q),
+
+with slopes of the recursion, and the joint's motion x follows from
+
+    … + o + I ẍ + d ẋ + (F + k l²) sgn ẋ
+        = kp e + kr (dc/dt(t − δ) − ẋ) + w + ki ∫e dt,    e = dead(c(t − δ) − x),
+
+where dead takes a dead band b off an error, and the load l of the bodies is the first line: a gear
+rubs by all that goes through it, or where it brakes by so much of that that it does not lock
+(`SquaredLoadFriction`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.compiling import compiled, inlined
+from geodrake.effects.of_files import BRAKING_SHARE
+from geodrake.model.signal_efforts import calc_beyond
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+PARAMETERS = (
+    "stiffness",
+    "rate",
+    "damping",
+    "coulomb",
+    "armature",
+    "delay",
+    "offset",
+    "load",
+    "integral",
+    "dead_band",
+)
+"""kp, kr, d, F, I, δ, o, k, ki and b; of joints that turn in N·m/rad, N·m·s/rad (twice), N·m,
+kg·m², s, N·m, 1/(N·m), N·m/(rad·s) and rad.
+
+Numbers of a servo are these, its limit (infinite for none), the share of d within it, and the
+efforts w that an integral begins with, one for each stretch.
+"""
+
+RATE, DAMPING, COULOMB, ARMATURE, DELAY, OFFSET, LOAD, INTEGRAL = 1, 2, 3, 4, 5, 6, 7, 8
+DEAD_BAND, LIMIT, SHARE, BEGUN = 9, 10, 11, 12
+"""Where these numbers are; stiffness is the first."""
+
+_STEPS, _LONGEST_STEP = 4, 5e-3  # of simulations between two rows at least, and at most so long, s
+_THETA = 0.55  # how far within a step forces are as they are there
+_FAR = 1e3  # rad or m, from the measured motion, and no farther: squares stay numbers
+
+
+@compiled
+def calc_servo_motions(
+    rows: Array, ends: Indices, periods: Array, servo: Array, out: tuple[Array, Array]
+) -> None:
+    """Write the positions of a joint along stretches, one after the other; see the next.
+
+    Args:
+        rows: (N, 8) of all stretches.
+        ends: (S,) where each ends.
+        periods: (S,) s.
+        servo: (12 + S,) numbers of a servo, an effort w for each stretch.
+        out: (N,) positions, and (N, 8 or 11 + S) their slopes with these numbers; or none.
+    """
+    positions, slopes = out
+    here, begin = servo[: BEGUN + 1].copy(), 0
+    for k in range(len(ends)):
+        at = slice(begin, ends[k])
+        here[BEGUN] = servo[BEGUN + k]
+        calc_servo_motion(rows[at], periods[k], here, (positions[at], slopes[at]))
+        if slopes.shape[1] > INTEGRAL and k > 0:
+            slopes[at, BEGUN + k] = slopes[at, BEGUN]
+            slopes[at, BEGUN] = 0.0
+        begin = ends[k]
+
+
+@compiled
+def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array, Array]) -> None:
+    """Write the positions (N,) of a joint under its commands, by steps of the theta method.
+
+    Forces are those between both ends of a step, where the error is of second order but for what
+    damps stiff joints. Dry friction is that of the velocity and of the load afterwards, and a set
+    at rest: a joint sticks until more than F + k l² pulls at it. Slopes are those of the steps
+    themselves, while a joint that sticks goes on doing so. One that a weak servo lets
+    run away is held where it is far from the measured motion.
+
+    Args:
+        rows: (N, 8) b, M, K, D, q, q̇, q̈ and the command.
+        period: Time between rows, s.
+        servo: (13,) kp, kr, d, F, I, δ, o, k, ki, b, the largest effort, the share of d within it,
+            and w.
+        out: (N,) positions, and (N, p) their slopes with the first 8 of these numbers, or with all
+            but the share; (0, p) if those are not asked for.
+    """
+    positions, slopes = out
+    steps = max(_STEPS, int(np.ceil(period / _LONGEST_STEP)))
+    kp, kr, d, F, armature, delay, offset, load, ki, band, limit, own, w = servo
+    dt, per, late = period / steps, steps / period, delay / period
+    x, v, z = rows[0, 4], rows[0, 5], 0.0
+    c, rise = calc_command_before(rows, -late, period)
+    count = min(slopes.shape[1], BEGUN + 1) if len(slopes) > 0 else 0
+    at_numbers, direct, ahead = np.zeros((3, count)), np.zeros(13), _THETA * dt
+    reach, least = kp + ki * ahead, -BRAKING_SHARE / load  # (minus infinity without any)
+    positions[0], slopes[:1, :count] = x, 0.0
+    for k in range(len(rows) - 1):
+        for s in range(steps):
+            b, M, K, D, q, qd, qdd = calc_between(rows[k], rows[k + 1], (s + _THETA) / steps)
+            before, rise_before = c, rise
+            c, rise = calc_command_before(rows, k + (s + 1.0) / steps - late, period)
+            told = (1.0 - _THETA) * before + _THETA * c
+            inertia, free, old = (M + armature) * per, D + (1.0 - own) * d, (1.0 - _THETA) * v
+            at = x + ahead * old
+            side = np.sign(calc_beyond(told - x - ahead * v, band))
+            acts = 1.0 if band == 0.0 else abs(side)
+            soft = (acts * reach * ahead + kr + own * d) * _THETA
+            drive = acts * reach * (told - at - side * band) + ki * z + w
+            drive += kr * ((c - before) * per - old) - own * d * old
+            held = b + K * (at - q) + D * (old - qd) - M * qdd
+            rest = inertia * v - held - offset - (free - D) * old
+            heavy = inertia + K * ahead * _THETA + free * _THETA
+            gear = F, load, least, held - M * per * v, M * per + D * _THETA
+            now, way, stiff, bound = calc_within(limit, (drive, soft), (rest, heavy), gear)
+            gives = 1.0 if bound == 0.0 else 0.0
+            mean = old + _THETA * now
+            error = acts * (told - x - ahead * mean - side * band)
+            grows = gives > 0.0 or bound * error < 0.0
+            if count > 0:
+                later = (1.0 - _THETA) * rise_before + _THETA * rise
+                through, rubs = calc_rubbing(gear, now, way)
+                direct[:] = (
+                    gives * error,
+                    gives * ((c - before) * per - mean),
+                    -(1.0 - own + own * gives) * mean,
+                    -way,
+                    (v - now) * per,
+                    -gives * (acts * reach * later + kr * (rise - rise_before) * per),
+                    -1.0,
+                    -way * through**2,
+                    gives * (z + ahead * error),
+                    -gives * acts * reach * side,
+                    np.sign(bound),
+                    (1.0 - gives) * d * mean,
+                    gives,
+                )
+                pushes, damps = inertia + rubs * M * per, free + rubs * D + gives * (kr + own * d)
+                pulls, moves = K * (1.0 + rubs) + gives * acts * reach, abs(way) / stiff
+                growing = dt * acts if grows else 0.0
+                step = pushes, damps, pulls, gives * ki, moves, growing, dt
+                move_slopes(at_numbers, direct, step)
+                at_numbers[2, 5] -= growing * later
+                if count > 9:
+                    at_numbers[2, 9] -= growing * side
+            v, x, z = now, x + dt * mean, z + (dt * error if grows else 0.0)
+        if abs(x - rows[k + 1, 4]) > _FAR:
+            x, v = rows[k + 1, 4] + np.copysign(_FAR, x - rows[k + 1, 4]), 0.0
+            at_numbers[:2] = 0.0
+        positions[k + 1] = x
+        if count > 0:
+            slopes[k + 1, :count] = at_numbers[0]
+
+
+@compiled
+def move_slopes(
+    slopes: Array,
+    direct: Array,
+    step: tuple[float, float, float, float, float, float, float],
+) -> None:
+    """Take a step of slopes (3, p) of position, velocity and integral with numbers of a servo.
+
+    Args:
+        direct: Forces by which these numbers, and others after them, act by themselves.
+        step: How much force a velocity before adds, what damps, what holds, what an integral gives,
+            how much a force moves the joint (0 where it sticks), how long the integral grows, s,
+            and the time, s.
+    """
+    inertia, damps, holds, gives, moves, grows, dt = step
+    by_x, by_z = -moves * holds, moves * gives
+    by_v = moves * (inertia - (1.0 - _THETA) * (damps + holds * _THETA * dt))
+    xs, vs, zs = slopes[0], slopes[1], slopes[2]
+    for i in range(len(xs)):
+        x, v = xs[i], vs[i]
+        now = moves * direct[i] + by_v * v + by_x * x + by_z * zs[i]
+        mean = (1.0 - _THETA) * v + _THETA * now
+        zs[i] -= grows * (x + _THETA * dt * mean)
+        xs[i], vs[i] = x + dt * mean, now
+
+
+@inlined
+def calc_between(
+    a: Array, b: Array, share: float
+) -> tuple[float, float, float, float, float, float, float]:
+    """Return b, M, K, D, q, q̇ and q̈ between two rows."""
+    left = 1.0 - share
+    return (
+        left * a[0] + share * b[0],
+        left * a[1] + share * b[1],
+        left * a[2] + share * b[2],
+        left * a[3] + share * b[3],
+        left * a[4] + share * b[4],
+        left * a[5] + share * b[5],
+        left * a[6] + share * b[6],
+    )
+
+
+@inlined
+def calc_within(
+    limit: float,
+    servo: tuple[float, float],
+    joint: tuple[float, float],
+    gear: tuple[float, float, float, float, float],
+) -> tuple[float, float, float, float]:
+    """Return the next three with a servo, and its effort where that is at its limit, or 0.
+
+    Args:
+        limit: The largest effort of the servo, N·m or N.
+        servo: What it gives at rest, and how much of that a velocity takes away.
+        joint: What else moves the joint at rest, and how much of that a velocity takes away.
+        gear: See `calc_velocity_after`.
+    """
+    (drive, soft), (rest, heavy) = servo, joint
+    now, way, stiff = calc_velocity_after(drive + rest, heavy + soft, gear)
+    effort, bound = drive - soft * now, 0.0
+    if effort > limit or effort < -limit:
+        bound = limit if effort > 0.0 else -limit
+        now, way, stiff = calc_velocity_after(bound + rest, heavy, gear)
+    return now, way, stiff, bound
+
+
+@inlined
+def calc_rubbing(
+    gear: tuple[float, float, float, float, float], v: float, way: float
+) -> tuple[float, float]:
+    """Return the load that counts for friction, along the velocity, and how much that grows."""
+    _, load, least, held, grows = gear
+    through = max(way * (held + grows * v), least)
+    return through, 2.0 * load * through if through > least else 0.0
+
+
+@inlined
+def calc_velocity_after(
+    pull: float, stiff: float, gear: tuple[float, float, float, float, float]
+) -> tuple[float, float, float]:
+    """Return the velocity after an implicit step, its direction, and how it resists more force.
+
+    Velocity and direction are 0 if the joint sticks. There is one such velocity: where the load
+    brakes, friction grows by less than the load does.
+
+    Args:
+        pull: What moves the joint at rest, N·m or N.
+        stiff: How much of that a velocity takes away.
+        gear: F and k of friction F + k l²; the least load l, along the velocity, that it grows
+            with; the load of bodies that stop, and how it grows with the velocity.
+    """
+    F, load, least, held, grows = gear
+    way = 1.0 if pull > 0.0 else -1.0
+    if load == 0.0:
+        most = way * pull - F
+        return (way * most / stiff, way, stiff) if most > 0.0 else (0.0, 0.0, stiff)
+    still = way * held
+    most = way * pull - F - load * max(still, least) ** 2
+    if most <= 0.0:
+        return 0.0, 0.0, stiff
+    speed, resists = most / stiff, stiff
+    if load * grows > 0.0 and still + grows * speed > least:
+        begins = (least - still) / grows if still < least else 0.0
+        left = most - stiff * begins
+        linear = stiff + 2.0 * load * max(still, least) * grows
+        resists = np.sqrt(linear**2 + 4.0 * load * grows**2 * left)
+        speed = begins + 2.0 * left / (linear + resists)
+    return way * speed, way, resists
+
+
+@compiled
+def calc_command_before(rows: Array, at: float, period: float) -> tuple[float, float]:
+    """Return the command at a row's number, which may be between two, and its rate.
+
+    Between rows it is a cubic with the rates of central differences: straight lines would bend
+    less than commands do, which a servo that knows their rate, and acts later, makes up for. Before
+    the first row the command is as it is there.
+    """
+    if at <= 0.0:
+        return rows[0, 7], 0.0
+    last = len(rows) - 1
+    low = min(int(at), last)
+    high, g = min(low + 1, last), at - low
+    a, b = rows[low, 7], rows[high, 7]
+    left, right = 0.5 * (b - rows[max(low - 1, 0), 7]), 0.5 * (rows[min(high + 1, last), 7] - a)
+    bend, twist = 3.0 * (b - a) - 2.0 * left - right, left + right - 2.0 * (b - a)
+    rise = left + g * (2.0 * bend + 3.0 * g * twist)
+    return a + g * (left + g * (bend + g * twist)), rise / period
