@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
+from dataclasses import replace
 
 from geodrake.cli.command import (
     Command,
@@ -22,9 +23,9 @@ from geodrake.fleet.digest_folder import FAILED, DigestRun, digest_logs
 from geodrake.fleet.digest_log import Wanted
 from geodrake.fleet.log_places import date_seconds
 from geodrake.logs.files import file_names, log_content
-from geodrake.logs.inspection import inspect_log, mapping_text
+from geodrake.logs.inspection import LogInspection, inspect_log, mapping_text
 from geodrake.logs.motion import JointLog
-from geodrake.logs.unit_hints import check_ticks, position_limit_hint
+from geodrake.logs.unit_hints import check_ticks, position_limit_hint, position_unit_hint
 from geodrake.model.logged_joints import log_of_model, model_of_logs, reading_for
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.exports import InspectedLogs, log_chart
@@ -81,8 +82,21 @@ def _inspected(options: LogCommandOptions, given: Input) -> InspectedLogs:
     if model is None:
         return InspectedLogs(named)
     columns, unchecked = _columns(model, [each.log for each in found])
-    beyond = _beyond_limits(model, [each.log for each in found])
+    if any(
+        f.kind in ("position_unit", "position_alone_unit") for f in columns
+    ):  # which says it best
+        named = tuple((name, _without_unit_hint(each)) for name, each in named)
+        return InspectedLogs(named, columns, unchecked, model.repairs)
+    doubted = any(position_unit_hint(each.log) in each.first for each in found)
+    beyond = [] if doubted else _beyond_limits(model, [each.log for each in found])
     return InspectedLogs(named, columns, unchecked, model.repairs, beyond)
+
+
+def _without_unit_hint(found: LogInspection) -> LogInspection:
+    """Return an inspection that does not ask for the unit of positions."""
+    said = position_unit_hint(found.log)
+    first, notes = (tuple(w for w in each if w != said) for each in (found.first, found.notes))
+    return replace(found, first=first, notes=notes)
 
 
 def _beyond_limits(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:

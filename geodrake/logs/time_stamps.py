@@ -21,7 +21,9 @@ _DAYS = {"Excel": (36526.0, 73051.0), "MATLAB": (730486.0, 767011.0)}  # of 2000
 _DAY = 86400.0  # s
 _RATES = 5.0, 5000.0  # rows a second of a log
 _ROWS = 100_000  # that tell the unit
-_SLOWEST = 2.0  # s between rows: no log has more
+_SLOWEST = 0.5  # s between rows: what has more says nothing about accelerations
+_SMOOTH = 0.01  # of its range, by which a position that is logged often bends from row to row
+_ALIKE = 0.1  # of a unit, by which joints may differ in what their speeds say of it
 _MOST_SETS = 5  # of a clock, in a log
 _SMOOTHER = 0.5  # times as much as before positions bend in the order of time
 _EVEN = 0.02  # share of the rows before and after, at least, and ten of them
@@ -31,6 +33,7 @@ _SHORT, _BURSTS = 0.25, 0.05  # of the mean step, and the share of steps that ar
 _GAP_STEPS, _GAP_SECONDS = 5.0, 0.02  # a longer step is a gap, a shorter one is jitter
 _BURSTS_TOGETHER = 10.0  # longest usual steps of what is averaged
 _INSTANT = 1e-9  # s
+_WHOLE = 1e-6  # by which stamps that count are off
 _WRAPS = [2.0**bits * unit for bits in (16, 24, 32) for unit in (1.0, 1e-3, 1e-6, 1e-9)]
 """Times at which a counter in some unit begins anew, s."""
 
@@ -42,11 +45,14 @@ def longest_step(period: float) -> float:
     return max(_GAP_STEPS * period, _GAP_SECONDS)
 
 
-def time_unit(name: str, time: Array) -> tuple[float, str] | None:
+def time_unit(
+    name: str, time: Array, position: Array | None = None, velocity: Array | None = None
+) -> tuple[float, str] | None:
     """Return the factor from time stamps (N,) of unknown unit to seconds, and why; None for s.
 
-    They are of an epoch in ms, µs, ns or days, or of no plausible rate in any unit but one; those
-    in a column of the `name` time are in s unless they are of an epoch, as geodrake writes them.
+    They are of an epoch in ms, µs, ns or days, or of no plausible rate in any unit but one. Those
+    in a column of the `name` time are in s, as geodrake writes them, unless they are of an epoch,
+    velocities (N, n) say another unit, or they are whole and positions (N, n) smooth.
     """
     known = time[np.isfinite(time)][:_ROWS]
     if len(known) < 2:
@@ -58,15 +64,33 @@ def time_unit(name: str, time: Array) -> tuple[float, str] | None:
     for program, (first, last) in _DAYS.items():
         if first <= typical < last and _RATES[0] <= 1.0 / max(_DAY * period, _INSTANT) <= _RATES[1]:
             return _DAY, f"time is in days as in {program}, judging by its size: converted"
-    if name == "time" or period < _SLOWEST:
-        return None
-    rates = {unit: 1.0 / (factor * period) for unit, factor in _UNITS.items()}
+    rates = {unit: 1.0 / (factor * max(period, _INSTANT)) for unit, factor in _UNITS.items()}
     likely = [unit for unit, rate in rates.items() if _RATES[0] <= rate <= _RATES[1]]
-    if len(likely) != 1:
+    if period < _SLOWEST or len(likely) != 1:
         return None
     (unit,) = likely
+    if name == "time" and not _is_certain(_UNITS[unit], time, position, velocity):
+        return None
     words = f"time is in {unit}, judging by {rates[unit]:.4g} Hz: converted"
     return _UNITS[unit], f"{words} (--units time=s if it is not)"
+
+
+def _is_certain(factor: float, time: Array, position: Array | None, velocity: Array | None) -> bool:
+    """Return whether a motion (N, n) shows that a factor makes seconds of its time stamps (N,)."""
+    if position is None:
+        return False
+    place, steps = position[:_ROWS], np.diff(time[:_ROWS])
+    if velocity is not None:
+        way = np.nansum(np.abs(np.diff(place, axis=0)), axis=0)
+        seconds = way / np.maximum(np.nansum(np.abs(velocity[1:_ROWS]), axis=0), _INSTANT)
+        moves = seconds > 0.0
+        ratio = seconds[moves] / (factor * np.nanmedian(steps))
+        return bool(moves.any() and abs(np.median(ratio) - 1.0) < _ALIKE)
+    place = place[np.isfinite(place).all(axis=1)]
+    if len(place) < _FEWEST or np.any(np.abs(steps - np.rint(steps)) > _WHOLE):
+        return False
+    reach, bends = np.ptp(place, axis=0), np.abs(np.diff(place, 2, axis=0))
+    return bool(reach.any() and (np.median(bends, axis=0) <= _SMOOTH * reach).all())
 
 
 def unwrapped(time: Array) -> tuple[Array, tuple[str, ...]]:

@@ -69,6 +69,15 @@ def test_what_is_understood(tmp_path):
     assert np.nanmax(np.abs(again.position)) == pytest.approx(1.0, abs=1e-3)
 
 
+def test_degrees_are_told_once(tmp_path):
+    """By the check of the columns, which corrects them, and not by sizes and limits again."""
+    rows = table()
+    rows[:, 1:3] = np.rad2deg(rows[:, 1:3])
+    output = told("log", write(tmp_path / "log.csv", OWN, rows), "--model", PENDULUM)
+    assert output.count("--units position=deg") == 1
+    assert "Positions exceed" not in output and output.count("in degrees") == 1
+
+
 def test_currents_and_commands_are_shown_and_converted(tmp_path):
     rows = table()
     rows[:, 4] = rows[:, 2] + 0.01 * rows[:, 4]

@@ -1,11 +1,13 @@
 """Logs as robots' own loggers and other people's scripts write them, read without a mapping."""
 
+import json
 import re
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pandas
 import pytest
+import yaml
 
 from geodrake.errors import LogError
 from geodrake.logs.files import read_log, read_mapping
@@ -495,3 +497,122 @@ def test_dates_are_no_positions(tmp_path):
     path.write_text("\n".join(["time,a.position,a.effort", *lines]))
     with pytest.raises(LogError, match=r"'a.position'.*position of a, but has dates"):
         read_log(path)
+
+
+@pytest.mark.parametrize("form", ["{}_{}_{}", "/{}/joint_states/{}/{}", "{}.{}.{}"])
+def test_two_robots_alike_are_asked_about(tmp_path, form):
+    time, q, _, tau = motion(UR)
+    names, columns = ["time"], [time]
+    for side, scale in (("left", 1.0), ("right", 0.5)):
+        for what, values in (("position", scale * q), ("effort", scale * tau)):
+            names += [form.format(side, joint, what) for joint in UR]
+            columns.append(values)
+    path = write(tmp_path / "log.csv", names, columns)
+    asks = "each joint twice: of left and of right. Choose one: --topic left"
+    with pytest.raises(LogError, match=asks):
+        read_log(path, joints=UR)
+    for side, scale in (("left", 1.0), ("right", 0.5)):
+        log = read_log(path, joints=UR, reading=Reading(topic=side))
+        check(log, UR, scale * q, None, scale * tau)
+        assert not any("no meaning" in note for note in log.notes)
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_stamps_in_milliseconds_are_told_by_the_motion(tmp_path, moves):
+    time, q, v, tau = motion(PANDA, rate=1000.0)
+    names = [f"{kind}{k}" for kind in ("q", "tau", "dq")[: 2 + moves] for k in range(7)]
+    columns = [q, tau, v][: 2 + moves]
+    log = read_log(write(tmp_path / "a.csv", ["time", *names], [np.rint(1e3 * time), *columns]))
+    np.testing.assert_allclose(log.time, time, atol=1e-12)
+    assert any("time is in ms, judging by 1000 Hz" in note for note in log.notes)
+    slow = [1e3 * time, q, tau, 1e-3 * v][: 3 + moves] if moves else [1e3 * time + 0.25, q, tau]
+    slow[0] = slow[0] if moves else slow[0] + 0.3 * (np.arange(ROWS) % 2)
+    log = read_log(write(tmp_path / "b.csv", ["time", *names], slow))
+    np.testing.assert_allclose(log.time, slow[0])
+
+
+def test_targets_that_are_called_as_torques_may_be(tmp_path):
+    time, q, _, tau = motion(PANDA)
+    names = ["time", *indexed("q", 7), *indexed("tq", 7)]
+    log = read_log(write(tmp_path / "torque.csv", names, [time, q, tau]))
+    check(log, tuple(f"joint_{k}" for k in range(7)), q, None, tau)
+    log = read_log(write(tmp_path / "target.csv", names, [time, q, q + 0.01]))
+    np.testing.assert_allclose(log.command, q + 0.01)
+    names += indexed("i", 7)
+    log = read_log(write(tmp_path / "both.csv", names, [time, q, q + 0.01, tau]))
+    np.testing.assert_allclose(log.effort, tau)
+    assert set(log.effort_kinds.values()) == {"current"}
+
+
+@pytest.mark.parametrize("form", ["{}.{}", "id{}_{}"])
+def test_moteus_logs_turns(tmp_path, form):
+    time, q, v, tau = motion(PANDA)
+    told = {"position": q / (2 * np.pi), "velocity": v / (2 * np.pi), "torque": tau}
+    registers = {name: np.zeros_like(q) for name in ("mode", "fault", "q_current", "d_current")}
+    for more, factor in ((registers, 1.0), ({}, 1 / (2 * np.pi))):  # others may be in rad
+        each = told | more
+        names = [form.format(k, name) for name in each for k in range(1, 8)]
+        path = write(tmp_path / "log.csv", ["time", *names], [time, *each.values()])
+        log = read_log(path)
+        check(log, log.joints, factor * q, factor * v, tau)
+
+
+@pytest.mark.parametrize(
+    ("position", "effort"),
+    [
+        ("AXIS_ACT_A{}", "TORQUE_AXIS_ACT_A{}"),
+        ("$AXIS_ACT.A{}", "$TORQUE_AXIS_ACT[{}]"),
+        ("AXIS_ACT_A{}", "CURR_ACT_A{}"),
+    ],
+)
+def test_variables_of_a_kuka(tmp_path, position, effort):
+    time, q, _, tau = motion(IIWA)
+    names = [form.format(k) for form in (position, effort) for k in range(1, 8)]
+    log = read_log(
+        write(tmp_path / "log.csv", ["TIME", *names], [time, np.degrees(q), tau]), joints=IIWA
+    )
+    check(log, IIWA, q, None, tau)
+    assert any("position is in deg" in note for note in log.notes)
+
+
+@pytest.mark.parametrize("index", [True, False])
+def test_frames_that_pandas_wrote_to_hdf5(tmp_path, index):
+    h5py = pytest.importorskip("h5py")
+    time, q, _, tau = motion(PANDA)
+    names = [f"{kind}{k}" for kind in ("q", "tau") for k in range(7)]
+    values = np.hstack([q, tau]) if index else np.hstack([time[:, None], q, tau])
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        group = file.create_group("df")
+        group["axis0"] = group["block0_items"] = np.array([*["time"] * (not index), *names], "S")
+        group["axis1"], group["block0_values"] = time if index else np.arange(ROWS), values
+    check(read_log(tmp_path / "log.h5", joints=PANDA), PANDA, q, None, tau)
+    with h5py.File(tmp_path / "table.h5", "w") as file:
+        kind = np.dtype([("index", int), ("values_block_0", float, 14)])
+        file.create_group("df")["table"] = np.zeros(ROWS, kind)
+    with pytest.raises(LogError, match="named in pickles"):
+        read_log(tmp_path / "table.h5", joints=PANDA)
+
+
+@pytest.mark.parametrize("shape", ["records", "lists", "inside"])
+def test_records_in_yaml(tmp_path, shape):
+    time, q, _, tau = motion(UR)
+    rows = [
+        {"time": t, "name": [*UR], "position": x.tolist(), "effort": e.tolist()}
+        if shape != "records"
+        else {
+            "time": t,
+            "joints": {j: {"position": x[k], "effort": e[k]} for k, j in enumerate(UR)},
+        }
+        for t, x, e in zip(time.tolist(), q.round(6), tau.round(6), strict=True)
+    ]
+    content = {"samples": rows} if shape == "inside" else rows
+    text = yaml.safe_dump(json.loads(json.dumps(content)))
+    (tmp_path / "log.yaml").write_text(text)
+    check(read_log(tmp_path / "log.yaml", joints=UR), UR, q.round(6), None, tau.round(6))
+
+
+@pytest.mark.parametrize("text", ["directives:\n- add_model: {name: !Rpy 1}\n", "a: [1, 2]\n"])
+def test_a_model_in_yaml_is_no_log(tmp_path, text):
+    (tmp_path / "model.yaml").write_text(text)
+    with pytest.raises(LogError, match="Is it the model"):
+        read_log(tmp_path / "model.yaml")

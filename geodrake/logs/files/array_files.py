@@ -65,6 +65,17 @@ def read_json(path: Path, reading: Reading) -> LogTable:
         return content_table(path, _of_pandas(content), reading, _JSON_ADVICE)
 
 
+def read_yaml(path: Path, reading: Reading) -> LogTable:
+    """Return the columns of a YAML file, as `read_json` does of JSON."""
+    advice = "Is it the model? `geodrake log` takes that with --model."
+    with readable(path, "YAML file", advice):
+        content = yaml.load(_whole(path, "YAML"), yaml.CSafeLoader)
+        table = content_table(path, content, reading, advice)
+    if not any(map(meaning_of, table.names)):
+        raise LogError(f"Log {str(path)!r} has neither time nor joints.", advice=advice)
+    return table
+
+
 def read_echo(path: Path, reading: Reading) -> LogTable:
     """Return the columns of ROS's `topic echo`: a YAML document for each message."""
     advice = "Is it cut off? Remove the last message, or record a bag: ros2 bag record."
@@ -164,7 +175,27 @@ def read_mat(path: Path, reading: Reading) -> LogTable:
 def read_hdf5(path: Path, reading: Reading) -> LogTable:
     """Return the arrays of an HDF5 file by their paths; images and the like are left out."""
     with readable(path, "HDF5 file"):
-        return content_table(path, _of_hdf5(path, reading, matlab=False), reading)
+        content = _of_hdf5(path, reading, matlab=False)
+        return content_table(path, {n: _of_frame(path, x) for n, x in content.items()}, reading)
+
+
+def _of_frame(path: Path, group: Any) -> Any:
+    """Return the columns of a data frame that pandas wrote to a group; others as they are."""
+    if not isinstance(group, Mapping):
+        return group
+    if any(name.startswith("values_block") for name in group.get("table", ())):
+        raise LogError(
+            f"Log {str(path)!r} has a table of pandas, whose columns are named in pickles, which "
+            "may run any program when read.",
+            advice="Write the frame with to_parquet, or to_hdf(…, data_columns=True).",
+        )
+    blocks = [name.removesuffix("_values") for name in group if re.match(r"block\d+_values", name)]
+    index = group.get("axis1")
+    found = {"time": index} if blocks and np.asarray(index).dtype.kind == "f" else {}
+    for block in blocks:
+        names = (name.decode() for name in group[f"{block}_items"])
+        found |= dict(zip(names, group[f"{block}_values"].T, strict=True))
+    return found or group
 
 
 def _is_hdf5(path: Path) -> bool:
@@ -283,12 +314,8 @@ class ParquetColumns(Mapping[str, Array]):
         self._path, self._file, self._names = path, file, names
 
     def __getitem__(self, name: str) -> Array:
-        column, row = np.empty(self._file.metadata.num_rows), 0
         with readable(self._path, "Parquet file"):
-            for batch in self._file.iter_batches(columns=[name]):
-                column[row : row + len(batch)] = batch.column(0).to_numpy(zero_copy_only=False)
-                row += len(batch)
-        return column
+            return np.asarray(self._file.read([name]).column(0).to_numpy(), float)
 
     def __contains__(self, name: object) -> bool:
         return name in self._names

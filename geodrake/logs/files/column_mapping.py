@@ -68,10 +68,12 @@ def read_column(meaning: Meaning, numbers: dict[str, Array], *, since_first: boo
     return values + meaning.offset if meaning.offset else values
 
 
-def in_seconds(meaning: Meaning, time: Array) -> tuple[Array, tuple[str, ...]]:
-    """Return time stamps (N,) of unknown unit in s, and a note."""
+def in_seconds(
+    meaning: Meaning, time: Array, motion: Sequence[Array | None] = ()
+) -> tuple[Array, tuple[str, ...]]:
+    """Return time stamps (N,) of unknown unit in s, and a note; `motion` as for `time_unit`."""
     said = meaning.unit is not None or meaning.nanoseconds is not None
-    found = None if said else time_unit(meaning.column, time)
+    found = None if said else time_unit(meaning.column, time, *motion)
     return (time, ()) if found is None else (found[0] * time, (found[1],))
 
 
@@ -402,14 +404,17 @@ def _by_names(table: LogTable, joints: Sequence[str] | None, reading: Reading) -
     """Return the meaning of columns by their names."""
     path, names, units = table.path, table.names, table.units
     beside = [name for name in names if floating_name(name) is None]
-    told = meanings_of(beside, joints or ())
-    of_joints = [meaning for meaning in told if meaning.quantity in OF_JOINTS]
+    told = [m for m in meanings_of(beside, joints or ()) if m.quantity in OF_JOINTS]
+    asked = frozenset().union(*map(plain_words, reading.topics))
+    told = [m for m in told if asked <= plain_words(m.column)] or told
+    of_joints = _with_targets(table, told)
     if joints and len(joints) > 1 and all(meaning.is_bare for meaning in of_joints):
         called = log_name(path)  # the joint may be said by the name of the file
         named = [replace(m, joint=called, words=words_of(called)) for m in of_joints]
         of_joints = named if set(matched(named, joints)[0].values()) <= set(joints) else of_joints
     found, notes = matched(of_joints, joints)
     best, others = candidates(of_joints, found, reading)
+    _check_one_robot(path, best)
     places = {
         (joint, quantity): settled(path, same[0], joint, reading, units)
         for (joint, quantity), same in best.items()
@@ -428,6 +433,46 @@ def _by_names(table: LogTable, joints: Sequence[str] | None, reading: Reading) -
         rate, name = table.rate
         said.append(f"{rate:.6g} Hz, from {name!r} in the file")
     return Columns(path, reading, places, said, rate, own, others)
+
+
+def _check_one_robot(path: Path, best: Best) -> None:
+    """Raise for two columns of each joint that differ in a word which tells robots apart."""
+    apart = dict[str, set[frozenset[str]]]()
+    for (_, quantity), same in best.items():
+        first, second = same[0], same[min(1, len(same) - 1)]
+        words = plain_words(first.column), plain_words(second.column)
+        differ = words[0] ^ words[1] if first.role == second.role else frozenset()
+        apart.setdefault(quantity, set()).add(differ)
+    told = apart.get("position", set()) | apart.get("effort", set())
+    robots = sorted(next(iter(told), ()))
+    if len(told) == 1 and len(robots) == 2:
+        raise LogError(
+            f"Log {str(path)!r} has each joint twice: of {robots[0]} and of {robots[1]}.",
+            advice=f"Choose one: --topic {robots[0]}.",
+        )
+
+
+_TARGET = "tq"  # torques, or targets of positions q
+_FOLLOWS = 0.2  # of its deviation, by which a position may be off its target
+
+
+def _with_targets(table: LogTable, meanings: Sequence[Meaning]) -> list[Meaning]:
+    """Return columns with those called `tq` as targets, where their numbers follow positions."""
+    places = {m.words: m.column for m in meanings if m.quantity == "position" and m.role < DESIRED}
+    doubted = [m for m in meanings if m.words in places and _TARGET in plain_words(m.column)]
+    names = [name for m in doubted for name in (m.column, places[m.words])]
+    numbers, _ = table.read(list(dict.fromkeys(names)), skip=True) if names else ({}, None)
+    targets = set[str]()
+    for meaning in doubted:
+        place, target = numbers[places[meaning.words]], numbers[meaning.column]
+        off = np.nanstd(target - place) + abs(np.nanmean(target - place))
+        targets |= {meaning.column} if off < _FOLLOWS * np.nanstd(place) else set()
+    return [
+        replace(m, quantity="position", role=DESIRED, style=(_TARGET,), is_wanted=True)
+        if m.column in targets
+        else m
+        for m in meanings
+    ]
 
 
 def _by_mapping(table: LogTable, reading: Reading) -> Columns:

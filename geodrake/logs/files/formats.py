@@ -22,11 +22,12 @@ from geodrake.logs.files.array_files import (
     read_npz,
     read_parquet,
     read_rsi,
+    read_yaml,
 )
 from geodrake.logs.files.joined_tables import joined_tables, reshaped
 from geodrake.logs.files.lcm_log import MAGIC, read_lcm
 from geodrake.logs.files.lerobot_dataset import INFO, read_lerobot
-from geodrake.logs.files.name_rules import OF_JOINTS, meanings_of, quantity_of
+from geodrake.logs.files.name_rules import OF_JOINTS, meanings_of, plain_words, quantity_of
 from geodrake.logs.files.packed_files import unpacked
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.ros_bag import read_bag
@@ -36,7 +37,7 @@ from geodrake.logs.files.text_file import read_sheet, read_text
 Reader = Callable[[Path, Reading], LogTable]
 
 _TEXT, _JSON = (".csv", ".txt", ".dat", ".tsv", ".log", ".lvm"), (".json", ".jsonl", ".ndjson")
-_SHEETS = (".xlsx", ".xlsm")
+_SHEETS, _YAML = (".xlsx", ".xlsm"), (".yaml", ".yml")
 _OTHERS = {
     **dict.fromkeys((".zip", ".tar", ".7z", ".rar", ".tgz"), "Unpack it first."),
     **dict.fromkeys(
@@ -45,7 +46,7 @@ _OTHERS = {
         "with to_parquet.",
     ),
 }
-_MODELS = (".urdf", ".sdf", ".xml", ".mjcf", ".xacro", ".yaml")
+_MODELS = (".urdf", ".sdf", ".xml", ".mjcf", ".xacro", *_YAML)
 
 _READERS: Mapping[Reader, Sequence[str]] = {
     read_text: _TEXT,
@@ -58,6 +59,7 @@ _READERS: Mapping[Reader, Sequence[str]] = {
     read_mat: (".mat",),
     read_hdf5: (".h5", ".hdf5"),
     read_json: _JSON,
+    read_yaml: _YAML,
     read_sheet: _SHEETS,
 }
 SUFFIXES = {suffix: reader for reader, suffixes in _READERS.items() for suffix in suffixes}
@@ -100,7 +102,9 @@ def table_of(path: Path, reading: Reading) -> LogTable:
     table = reader(path, reading)
     if kind not in (*_TEXT, *_SHEETS, ".npy", ".npz"):
         return table
-    topics = ", ".join(reading.topics) if kind not in _SHEETS else ""
+    words = frozenset().union(*map(plain_words, table.names))  # of which one may tell a robot
+    topics = ", ".join(t for t in reading.topics if not plain_words(t) & words)
+    topics = topics if kind not in _SHEETS else ""
     said = {"topic": topics or None, "episode": reading.episode}
     notes = [
         f"{path.name} has no {name}s, so {value!r} has no meaning"

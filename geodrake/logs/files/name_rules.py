@@ -63,12 +63,14 @@ _INCREMENTAL = ("inc", "cnt", "qc")  # a kind of encoder, where they stand in no
 _OBSERVED = ("observation.state", "observation.position")  # of LeRobot
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 _TORQUE_J = re.compile(r"(?<![A-Za-z])tau_J(?![A-Za-z0-9])")  # of Franka, where J is no joint
+_AXIS = re.compile(r"(?i)(?<![a-z])axis(?=_(?:act|soll|ist|set|cmd)(?![a-z]))")  # of KUKA
 _GROUP = re.compile(r"(?<=.)[/.](?![^(\[]*[)\]])")  # behind a name that stands in no brackets
 _BRACKETS = re.compile(r"\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]\s*$")
 _INDEX = re.compile(r"\[(\d+)\]")
 _FIRST_SENSOR = re.compile(r"(?<=\][./]temperature)\[0\]$")  # of several in the same motor
 _FURTHER_SENSOR = re.compile(r"\][./]temperature\[[1-9]\d*\]$")
 _NO_WORD = "zzz"  # which says nothing
+_FEW_OF_FAMILY = 3  # words that are enough
 _LONGEST_NAME = 200  # letters of a name of words
 
 
@@ -151,6 +153,10 @@ def meanings_of(names: Iterable[str], joints: Sequence[str] = ()) -> list[Meanin
     odd = {_split(joint): joint for joint in joints if _misleads(joint)}
     each = (_of_joint(name, odd) or meaning_of(name) for name in names)
     found = [meaning for meaning in each if meaning is not None]
+    units = _units_of_family(names)
+    for k, meaning in enumerate(found):
+        if meaning.unit is None and (said := units.get(meaning.quantity)) is not None:
+            found[k] = replace(meaning, unit=find_unit(said, meaning.quantity))
     again = {name.removesuffix(".1") for name in names if name.endswith(".1")}
     for k, meaning in enumerate(found):
         if meaning.column in again and meaning.is_bare:  # the first of those that pandas numbers
@@ -162,6 +168,16 @@ def meanings_of(names: Iterable[str], joints: Sequence[str] = ()) -> list[Meanin
         if unit is not None and counts[meaning.words] == 1:
             found[k] = replace(meaning, joint="", words=(), unit=unit)
     return found
+
+
+def _units_of_family(names: Sequence[str]) -> Mapping[str, str]:
+    """Return the unit of quantities that columns tell by what their maker has beside them."""
+    ends = {name.lower() for name in names}
+    for family in WORDS["families"].values():
+        said = [w for w in family["words"].split() if any(e.endswith(w) for e in ends)]
+        if len(said) >= _FEW_OF_FAMILY:
+            return family
+    return {}
 
 
 def _misleads(joint: str) -> bool:
@@ -292,7 +308,7 @@ def _time(name: str) -> Meaning | None:
 def _joint(column: str) -> Meaning | None:
     """Parse a name of a joint's quantity, with words in any order."""
     name = _TYPED.sub("", _SECOND.sub("qdd", column))
-    name = _FIRST_SENSOR.sub("", name)
+    name = _FIRST_SENSOR.sub("", _AXIS.sub("position", name))
     name = _TORQUE_J.sub("tau", _INDEX.sub(r"_\1", name).replace(*_OBSERVED))
     name = name.replace("qfrc_actuator", "qfrc")  # of MuJoCo: of motors, at joints
     brackets = _BRACKETS.search(name)
@@ -507,7 +523,7 @@ def _match_style(style: Sequence[Meaning], joints: Sequence[str]) -> tuple[dict[
 
 
 def _by_name(keys: Mapping[Words, Meaning], joints: Sequence[str]) -> dict[Words, str]:
-    """Return joints whose words end as those of a column, or the reverse; each joint once."""
+    """Return joints whose words end as those of a column, or the reverse; each as often."""
     ends: dict[Words, list[tuple[int, str]]] = defaultdict(list)
     for joint in joints:
         words = words_of(joint)
@@ -523,8 +539,10 @@ def _by_name(keys: Mapping[Words, Meaning], joints: Sequence[str]) -> dict[Words
         whole = [joint for extra, joint in near if extra == 0]
         if len(least) == 1 and (key in ends or whole):
             found[key] = least[0]
-    taken = list(found.values())
-    return {key: joint for key, joint in found.items() if taken.count(joint) == 1}
+    taken = Counter(found.values())
+    if len({*taken.values()}) == 1:  # each of several robots may have all of them
+        return found
+    return {key: joint for key, joint in found.items() if taken[joint] == 1}
 
 
 def _numbers(keys: Sequence[Words]) -> dict[Words, int]:

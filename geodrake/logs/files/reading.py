@@ -112,7 +112,7 @@ class Reading:
             columns do not say it.
         skip_bad_rows: Leave out rows that no recorder meant, if they are at most 1 %.
         topic: Topic of a bag or channel of an LCM log, or several of a bag, which are joined by
-            time; None for what fits.
+            time; a word in the columns of one of several robots; None for what fits.
         episode: Episode of a dataset, or of demonstrations; None for all, one after the other.
         ignored: Columns that are not used.
         motorless: Joints that are passive where a log has no effort of them, or zeros alone.

@@ -56,11 +56,8 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
         return np.full(rows, np.nan) if source is None else read_column(source, numbers)
 
     joints, notes = columns.joints, tuple[str, ...]()
-    if columns.rate is not None:
-        time = np.arange(rows) / columns.rate
-    else:
-        stamps = columns.places["", "time"]
-        time, notes = in_seconds(stamps, read_column(stamps, numbers))
+    stamps = columns.places.get(("", "time"))
+    given = None if columns.rate is not None or stamps is None else read_column(stamps, numbers)
     alone = {joint: column(joint, "position") for joint in columns.standing}
     data = {name: read_column(source, numbers) for name, source in columns.floating.items()}
     data |= {f"{joint}.position": place for joint, place in alone.items()}
@@ -68,6 +65,10 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
         data[quantity] = np.empty((rows, len(joints)))
         for place, joint in enumerate(joints):
             data[quantity][:, place] = column(joint, quantity)
+    if stamps is None or given is None:
+        time = np.arange(rows) / (columns.rate or 1.0)
+    else:
+        time, notes = in_seconds(stamps, given, (data["position"], data.get("velocity")))
 
     time, wrapped = unwrapped(time)
     time, more = with_clock_set_back(time)
