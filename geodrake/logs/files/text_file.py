@@ -46,6 +46,7 @@ from geodrake.logs.files.table import (
     check_room,
     is_date,
     is_nothing,
+    number_in,
     numbered,
     order_of_days,
     readable,
@@ -397,11 +398,7 @@ def _header_cells(
 
 def is_number(cell: str) -> bool:
     """Return whether a cell is a number."""
-    try:
-        float(cell.replace(",", "."))
-    except ValueError:
-        return False
-    return True
+    return number_in(cell.replace(",", ".")) is not None
 
 
 def _are_numbers(cells: Sequence[str]) -> bool:
@@ -594,30 +591,22 @@ def _encoding(head: bytes) -> str:
 
 def read_sheet(path: Path, reading: Reading) -> LogTable:
     """Return the columns of a sheet of Excel, as those of a table of text; see `read_text`."""
-    openpyxl = optional_package("openpyxl", "logs", "sheets of Excel", LogError)
-    text = StringIO()
+    pandas = optional_package("pandas", "logs", "sheets of Excel", LogError)
     with readable(path, "sheet of Excel"), open_log(regular_file(path, "log", LogError)) as file:
         size = sum(entry.file_size for entry in ZipFile(file).infolist())
         check_room(path, size // 8, f"{size / 1e9:.3g} GB unpacked")
-        book = openpyxl.load_workbook(file, read_only=True, data_only=True)
-        sheets = {sheet.title: sheet for sheet in book.worksheets}
-        largest = max(sheets, key=lambda name: _size(sheets[name]))
-        name = reading.topics[0] if reading.topics else largest
-        if name not in sheets:
-            raise LogError(
-                f"Log {str(path)!r} has no sheet {name!r}; its sheets are {listed([*sheets])}.",
-                advice="Choose one with --topic; by default the largest is read.",
-            )
-        rows = sheets[name].iter_rows(values_only=True)
-        csv.writer(text).writerows(row for row in rows if any(cell is not None for cell in row))
+        sheets = pandas.read_excel(file, sheet_name=None, header=None, dtype=object)
+    largest = max(sheets, key=lambda name: sheets[name].size)
+    name = reading.topics[0] if reading.topics else largest
+    if name not in sheets:
+        raise LogError(
+            f"Log {str(path)!r} has no sheet {name!r}; its sheets are {listed([*sheets])}.",
+            advice="Choose one with --topic; by default the largest is read.",
+        )
     others = [each for each in sheets if each != name]
     note = [f"sheet {name!r} is read, not {listed(others)} (--topic)"] if others else []
-    content = text.getvalue().encode()
+    content = sheets[name].dropna(how="all").to_csv(header=False, index=False).encode()
     return _text_table(path, reading, partial(BytesIO, content)).noting(*note)
-
-
-def _size(sheet: Any) -> int:
-    return (sheet.max_row or 0) * (sheet.max_column or 0)
 
 
 def _text_table(path: Path, reading: Reading, opened: Opener) -> LogTable:
