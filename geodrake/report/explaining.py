@@ -34,6 +34,7 @@ from geodrake.report.error_charts import (
     step_stages,
 )
 from geodrake.report.json_output import picked, record
+from geodrake.report.motion_errors import departures_table, motion_values, stages_table
 from geodrake.report.numbers import (
     UNKNOWN,
     Units,
@@ -57,7 +58,6 @@ from geodrake.report.page import (
     View,
     cells,
 )
-from geodrake.report.rollouts import departures_table, motion_values, stages_table
 from geodrake.report.views import comparison_series
 
 if TYPE_CHECKING:

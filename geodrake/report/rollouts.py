@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from geodrake.model.effort_signal import SERVO
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.charts import MOST_PANELS, Chart, Panel, Plot, Stage, gap_filled
 from geodrake.report.json_output import record
+from geodrake.report.motion_errors import departures_table
 from geodrake.report.numbers import Units, number, with_deviation
 from geodrake.report.page import About, Page, Section, Table, Tile, View, cells
 from geodrake.report.views import rollout_series
@@ -133,32 +133,6 @@ def _footer(after: Rollout) -> str:
     )
 
 
-def departures_table(after: Rollout, before: Rollout | None, units: Units) -> Table:
-    """Return how far every joint departs from its measured motion."""
-    rows = []
-    for j, joint in enumerate(after.joints):
-        log, instant = joint.worst
-        ends = (before.joints[j].rms, joint.rms) if before else (joint.rms,)
-        worst = f"{log} {instant:.1f} s"
-        name = f"{joint.joint}, {units.at(joint.joint, 'rad')}"
-        rows.append(cells(name, joint.moved, *ends, departure(joint.relative), worst))
-    heads = ("before", "after") if before else ("departure",)
-    return Table(("joint", "moved", *heads, "share of motion", "worst at"), rows)
-
-
-def stages_table(stages: Sequence[Rollout], units: Units) -> Table:
-    """Return how far every joint departs before any step, and after each."""
-    steps = [f"after step {k}" for k in range(1, len(stages))]
-    rows = [
-        cells(
-            f"{joint.joint}, {units.at(joint.joint, 'rad')}",
-            *(stage.joints[j].rms for stage in stages),
-        )
-        for j, joint in enumerate(stages[0].joints)
-    ]
-    return Table(("joint", "before", *steps), rows, title="Step by step", detailed=True)
-
-
 def _values_table(found: RolloutFit, units: Units) -> Table:
     """Return what a fit of rollouts found, before and after."""
     rows = []
@@ -231,17 +205,6 @@ def _joined(parts: Sequence[Array | Sequence[Array]]) -> Array:
     """Return rows of all windows, one after the other, with a NaN behind each."""
     gap = np.full((len(parts[0]), 1), np.nan)
     return np.concatenate([each for part in parts for each in (np.asarray(part), gap)], axis=1)
-
-
-def motion_values(motions: Sequence[Rollout] | None) -> dict[str, Any]:
-    """Return rollouts under commands, by the key `motion`; nothing without commands.
-
-    Those before and after the fit, and after each step but the last.
-    """
-    if motions is None:
-        return {}
-    before, *between, after = motions
-    return {"motion": {"before": before, "after": after, "steps": between}}
 
 
 VIEWS = {

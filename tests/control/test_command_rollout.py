@@ -28,8 +28,8 @@ from geodrake.model import EffortSignal
 from geodrake.model.saved_model import load_model
 from geodrake.report import page_of, render
 from geodrake.report.json_output import record
+from geodrake.report.motion_errors import motion_values
 from geodrake.report.page import About
-from geodrake.report.rollouts import motion_values
 from geodrake.report.views import numbers_of
 from geodrake.robot import gears
 from geodrake.robot.transmission.statements import Drive
