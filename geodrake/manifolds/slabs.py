@@ -85,10 +85,10 @@ def calc_whole_projection(
     (rows, lower, upper), (y, held) = slabs, out
     k, n = rows.shape
     roots, trial = np.empty((len(factors[0]), 4, 4)), np.empty(n)
-    gaps, over = np.empty(k), np.empty(k)
+    gaps, over, sizes = np.empty(k), np.empty(k), np.abs(rows)
     put_scaled(1.0, x, y)
     for step in range(_MOST_STEPS + 1):
-        if not put_gaps(slabs, out, gaps, over):
+        if not put_gaps(slabs, sizes, out, gaps, over):
             return np.inf, step
         # Rows that are inside and push nothing have no part in a step.
         at = np.flatnonzero((gaps != 0.0) | (held != 0.0))
@@ -133,29 +133,29 @@ def put_scaled(share: float, values: Array, out: Array) -> None:
 
 @compiled
 def put_gaps(
-    slabs: tuple[Array, Array, Array], point: tuple[Array, Array], gaps: Array, over: Array
+    slabs: tuple[Array, Array, Array],
+    sizes: Array,
+    point: tuple[Array, Array],
+    gaps: Array,
+    over: Array,
 ) -> bool:
     """Write how far limits are above the values of rows; return whether all values are finite.
 
     The gaps (k,) are the slope of the dual, zero where a row is inside and pushes nothing; `over`
-    (k,) is what is left of their size beyond rounding.
+    (k,) is what is left of their size beyond rounding. Sizes (k, n) are those of the rows' entries.
     """
     (rows, lower, upper), (y, held), finite = slabs, point, True
+    values, terms = np.dot(rows, y), np.dot(sizes, np.abs(y))
     for i in range(len(held)):
-        value, terms = 0.0, 0.0
-        for j in range(len(y)):
-            term = rows[i, j] * y[j]
-            value += term
-            terms += abs(term)
-        finite &= terms < np.inf
-        below, above = lower[i] - value, upper[i] - value
+        finite &= terms[i] < np.inf
+        below, above = lower[i] - values[i], upper[i] - values[i]
         if held[i] > 0.0:
             gaps[i] = below
         elif held[i] < 0.0:
             gaps[i] = above
         else:
             gaps[i] = below if below > 0.0 else min(above, 0.0)
-        over[i] = max(abs(gaps[i]) - _ROUNDING * len(y) * terms, 0.0)
+        over[i] = max(abs(gaps[i]) - _ROUNDING * len(y) * terms[i], 0.0)
         if over[i] == 0.0 and held[i] == 0.0:
             gaps[i] = 0.0
     return finite
