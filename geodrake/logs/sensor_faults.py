@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from geodrake.errors import LogError
 from geodrake.logs.motion import JointLog
 from geodrake.logs.resting import LARGEST, travels
+from geodrake.logs.time_stamps import longest_step
 from geodrake.logs.unit_hints import check_ticks
 
 Array = NDArray[np.float64]
@@ -208,14 +209,16 @@ class _Sensor:
         return np.concatenate(found)
 
     def _stays(self, jumps: Indices) -> Iterator[tuple[slice, str]]:
-        """Yield readings before jumps that do not return."""
+        """Yield readings before jumps that do not return, as many as make a gap there."""
         steps = np.abs(np.diff(self.values)) if len(jumps) else np.zeros(0)
         for before in jumps.tolist():
             beside = steps[max(0, before - 1) : before], steps[before + 1 : before + 2]
             if max(step.max(initial=0.0) for step in beside) <= _ALONE * steps[before]:
                 there = f"{self.values[before]:.4g} to {self.values[before + 1]:.4g}"
                 words = f"jumps from {there} at t = {self.time[before]:.2f} s and stays there"
-                yield slice(before, before + 1), f"{words}, the row before it"
+                gap = longest_step(self.period) + self.period
+                first = int(np.searchsorted(self.time, self.time[before + 1] - gap))
+                yield slice(first, before + 1), f"{words}, the {before + 1 - first} rows before it"
 
     def _frozen(self, jumps: Indices) -> Iterator[tuple[int, int]]:
         """Yield the first and last reading of stretches that are the same while the joint moves."""
