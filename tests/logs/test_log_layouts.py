@@ -517,6 +517,19 @@ def test_two_robots_alike_are_asked_about(tmp_path, form):
         assert not any("no meaning" in note for note in log.notes)
 
 
+@pytest.mark.parametrize("words", [("raw", "filtered"), ("abs", "inc")])
+def test_two_sensors_of_a_joint_are_no_two_robots(tmp_path, words):
+    time, q, _, tau = motion(UR)
+    names = ["time", *(f"{joint}_effort" for joint in UR)]
+    names += [f"{word}_{joint}_position" for word in words for joint in UR]
+    log = read_log(write(tmp_path / "a.csv", names, [time, tau, q, q]), joints=UR)
+    check(log, UR, q, None, tau)
+    if words[0] == "raw":  # of efforts, too
+        names += [f"filtered_{joint}_effort" for joint in UR]
+        log = read_log(write(tmp_path / "b.csv", names, [time, tau, q, q, tau]), joints=UR)
+        check(log, UR, q, None, tau)
+
+
 @pytest.mark.parametrize("moves", [True, False])
 def test_stamps_in_milliseconds_are_told_by_the_motion(tmp_path, moves):
     time, q, v, tau = motion(PANDA, rate=1000.0)

@@ -871,7 +871,7 @@ def test_what_topic_echo_wrote(tmp_path, name):
     np.testing.assert_allclose(log.position, POSITION)
     np.testing.assert_allclose(log.effort, EFFORT)
     path.write_text("---\n".join([*messages, "position: [", *messages]))
-    with pytest.raises(LogError, match="not a readable output of topic echo"):
+    with pytest.raises(LogError, match=r"not a readable YAML file.*Remove the last message"):
         read_log(path, joints=JOINTS)
 
 

@@ -66,24 +66,18 @@ def read_json(path: Path, reading: Reading) -> LogTable:
 
 
 def read_yaml(path: Path, reading: Reading) -> LogTable:
-    """Return the columns of a YAML file, as `read_json` does of JSON."""
-    advice = "Is it the model? `geodrake log` takes that with --model."
+    """Return the columns of YAML, as of JSON; its documents may be messages of ROS's echo."""
+    model = "Is it the model? `geodrake log` takes that with --model."
+    advice = f"Is it cut off? Remove the last message. {model}"
     with readable(path, "YAML file", advice):
-        content = yaml.load(_whole(path, "YAML"), yaml.CSafeLoader)
-        table = content_table(path, content, reading, advice)
-    if not any(map(meaning_of, table.names)):
-        raise LogError(f"Log {str(path)!r} has neither time nor joints.", advice=advice)
-    return table
-
-
-def read_echo(path: Path, reading: Reading) -> LogTable:
-    """Return the columns of ROS's `topic echo`: a YAML document for each message."""
-    advice = "Is it cut off? Remove the last message, or record a bag: ros2 bag record."
-    with readable(path, "output of topic echo", advice):
         text = _whole(path, "YAML")
-        whole = text.rpartition(b"\n---")[0] or text  # the last may be cut off
-        documents = list(yaml.load_all(whole, yaml.CSafeLoader))
-    return records_table(path, [each for each in documents if isinstance(each, Mapping)])
+        whole = text.rpartition(b"\n---")[0] or text  # the last message may be cut off
+        content, *more = yaml.load_all(whole, yaml.CSafeLoader)
+        documents = [each for each in (content, *more) if isinstance(each, Mapping)]
+        table = content_table(path, documents if more else content, reading, advice)
+    if not any(map(meaning_of, table.names)):
+        raise LogError(f"Log {str(path)!r} has neither time nor joints.", advice=model)
+    return table
 
 
 _OF_MESSAGE = re.compile(r'(\w+)\s*(?::\s*("(?:[^"\\]|\\.)*"|[^\s{}"]+)|:?\s*\{)|\}')

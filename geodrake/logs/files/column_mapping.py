@@ -440,9 +440,9 @@ def _check_one_robot(path: Path, best: Best) -> None:
     apart = dict[str, set[frozenset[str]]]()
     for (_, quantity), same in best.items():
         first, second = same[0], same[min(1, len(same) - 1)]
-        words = plain_words(first.column), plain_words(second.column)
-        differ = words[0] ^ words[1] if first.role == second.role else frozenset()
-        apart.setdefault(quantity, set()).add(differ)
+        words = ({*map(str, words_of(m.column))} for m in (first, second))
+        differ = set.symmetric_difference(*words) if first.role == second.role else set()
+        apart.setdefault(quantity, set()).add(frozenset(differ))
     told = apart.get("position", set()) | apart.get("effort", set())
     robots = sorted(next(iter(told), ()))
     if len(told) == 1 and len(robots) == 2:

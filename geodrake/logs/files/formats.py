@@ -12,7 +12,6 @@ from geodrake.boundary.arguments import typed
 from geodrake.boundary.input_files import open_regular, regular_file
 from geodrake.errors import LogError
 from geodrake.logs.files.array_files import (
-    read_echo,
     read_feather,
     read_gazebo,
     read_hdf5,
@@ -75,8 +74,8 @@ FOLDERS: Mapping[str, Reader] = {
 
 BEGINNINGS: Mapping[bytes, Reader] = {
     MAGIC: read_lcm,
-    b"header:": read_echo,
-    b"---\nheader:": read_echo,
+    b"header:": read_yaml,
+    b"---\nheader:": read_yaml,
     b"header {": read_gazebo,
     b"<Rob ": read_rsi,
 }
