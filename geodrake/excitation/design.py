@@ -230,7 +230,7 @@ def random_excitation(
     given = DesignOptions() if options is None else instance(options, "options", DesignOptions)
     objective = _objective_of(what, "e_optimality", "geometric")
     problem, postures = _prepared(objective, limits, trajectory, given)
-    rng = np.random.default_rng(integer(seed, "seed"))
+    rng = np.random.default_rng(integer(seed, "seed", lower=0))
     return problem.trajectory(random_guess(problem, postures, rng, Budget.of(given.seconds)))
 
 

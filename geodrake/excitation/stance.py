@@ -28,7 +28,7 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.tree import RigidBody
 from scipy.special import logsumexp
 
-from geodrake.boundary.arguments import instance, real_array
+from geodrake.boundary.arguments import instance, one_or_each, real_array
 from geodrake.boundary.showing import Short
 from geodrake.effects import Effect, FittedEffect
 from geodrake.errors import ArgumentError
@@ -250,7 +250,7 @@ class Stance(Short):
 
     def noise(self, noise: ArrayLike) -> Array:
         """Return deviations (nv,) of free joints' efforts in the posture, of those of motors."""
-        given = np.broadcast_to(real_array(noise, "noise"), (len(self.motors),))
+        given = one_or_each(noise, "noise", len(self.motors), strict=True)
         G = self._ratios(self.model.coordinates.jacobian(self.posture[None]))[0]
         return np.sqrt(np.square(given[:, None] * G).sum(axis=0))
 
