@@ -13,7 +13,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame
 from scipy.spatial import ConvexHull, QhullError
 
-from geodrake.boundary.arguments import number, real_array
+from geodrake.boundary.arguments import instance, number, real_array
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.excitation.collision_geometry import Solid, corners_of, solids_of_file
@@ -44,6 +44,7 @@ class Foot(Short):
     radius: float = 0.0
 
     def __post_init__(self) -> None:
+        instance(self.frame, "frame", str)
         object.__setattr__(self, "points", real_array(self.points, "points", ("k", 3)))
         count = len(np.asarray(self.points))
         if count not in (1, *range(3, 10_000)):

@@ -74,7 +74,7 @@ class ExecutableMotion(Short, abc.ABC):
         """Return the efforts (N, ·) that a model predicts by joint at times (N,), N·m or N."""
         motion = self.motion(times)
         if self.stance is None:
-            return model.effort(motion, sign_width=sign_width)
+            return instance(model, "model", RobotModel).effort(motion, sign_width=sign_width)
         return self.stance.efforts(motion, sign_width)
 
     def to_drake(self) -> BsplineTrajectory:
