@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -11,7 +10,7 @@ import numpy as np
 
 from geodrake.diagnosis.log_model import Choice, Fit, LogModel
 from geodrake.diagnosis.neighbourhood import Dropped, Neighbourhood
-from geodrake.diagnosis.terms import Term, Terms, odds_against
+from geodrake.diagnosis.terms import Term, Terms
 from geodrake.diagnosis.unknown_efforts import UNKNOWN
 
 _MOST = 14
@@ -59,10 +58,12 @@ def neighbours(
     for move in best[: most // 2]:
         changed = set(move.choice.terms) ^ set(fit.terms)
         if any(term.joint is None for term in changed):  # it may spare bodies their way
-            found += _other_widths(model, move.choice)
-    found += _other_widths(model, fit.choice)
+            found += other_widths(model, move.choice)
+    found += other_widths(model, fit.choice)
     for choice in finder.sparing():
-        found += [choice, *_other_widths(model, choice)]
+        found += [choice, *other_widths(model, choice)]
+    for choice in finder.unspared():
+        found += [each for each in other_widths(model, choice) if each.width > fit.choice.width]
     was, base = fit.choice, finder.base
     for delay, gain in finder.around.delays():
         late = replace(was, delay=delay)
@@ -100,7 +101,8 @@ def alone(model: LogModel, fit: Fit) -> Terms:
     return tuple(best)
 
 
-def _other_widths(model: LogModel, choice: Choice) -> list[Choice]:
+def other_widths(model: LogModel, choice: Choice) -> list[Choice]:
+    """Return an explanation with each other width of the bodies."""
     others = [width for width in model.widths if width != choice.width]
     return [replace(choice, width=width) for width in others]
 
@@ -170,14 +172,11 @@ class _Finder:
     ) -> list[Move]:
         """Return moves to packages beside the rest, those that promise most first."""
         loss = 0.0 if dropped is None else dropped.loss
-        hope = _HOPE - loss - self.base + odds_against(rest)
-        offers, there = self._offers(rest, packages, dropped)[:most], Counter(t.name for t in rest)
         moves = [
             self._move((*rest, *come), gain + loss, come)
-            for gain, come in offers
-            if gain - sum(term.price(there[term.name]) for term in come) > hope
+            for gain, come in self._offers(rest, packages, dropped)[:most]
         ]
-        return sorted(moves, key=lambda move: -move.gain)
+        return sorted((m for m in moves if m.gain > _HOPE), key=lambda move: -move.gain)
 
     def added(self) -> Iterator[Move]:
         """Add one term, the best at every joint together, or one kind at all joints together."""
@@ -198,19 +197,27 @@ class _Finder:
                 yield Move(self._choice((*present, *terms)), sum(found))
 
     def hopeful(self, most: int) -> list[Choice]:
-        """Add one effect of a joint that would gain if it left white noise, the best first."""
-        present, joints = self.fit.terms, self.model.dataset.joints
-        offered = [
-            (term,)
-            for term in self.terms
-            if term.joint in joints and term not in present and self.model.felt_by[term] >= 0
-        ]
-        possible = [t for (t,) in self.model.compatibility.beside(present, offered)] if most else []
-        choices = [self._choice((*present, term)) for term in possible]
-        odds = np.array([self.model.odds_against(choice) for choice in choices])
-        hopes = self.around.hopes(possible) + self.base - odds
-        order = np.argsort(-hopes, kind="stable")[:most]
-        return [choices[k] for k in order if hopes[k] > 0.0]
+        """Add one effect of a joint that would gain if it left white noise, the best first.
+
+        It takes the place of those that it contains.
+        """
+        present, joints, offered = self.fit.terms, self.model.dataset.joints, dict[Terms, Terms]()
+        for term in self.terms if most else ():
+            if term.joint in joints and term not in present and self.model.felt_by[term] >= 0:
+                gone = tuple(other for other in present if other.key in term.contains)
+                offered[gone] = (*offered.get(gone, ()), term)
+        found = list[tuple[float, Choice]]()
+        for gone, come in offered.items():
+            rest = tuple(term for term in present if term not in gone)
+            dropped = self.around.dropped(gone) if gone else None
+            loss = 0.0 if dropped is None else dropped.loss
+            possible = [t for (t,) in self.model.compatibility.beside(rest, [(t,) for t in come])]
+            hopes = self.around.hopes(possible, dropped) + self.base + loss
+            choices = [self._choice((*rest, term)) for term in possible]
+            odds = [self.model.odds_against(choice) for choice in choices]
+            found += zip((hopes - odds).tolist(), choices, strict=True)
+        found.sort(key=lambda each: -each[0])
+        return [choice for hope, choice in found[:most] if hope > 0.0]
 
     def rebuilt(self, joints: Collection[str]) -> Iterator[Move]:
         """Choose the own effects of some joints anew: alone, as pairs, and beside simple ones."""
@@ -339,14 +346,25 @@ class _Finder:
             around = Neighbourhood(model, model.unbounded(held, shares[: len(model.rows)]))
         kinds = dict[object, list[Terms]]()
         for term in self.terms:
-            whole = term.effect is not None and term.effect.places == "robot"
-            if whole or (term.is_body and term.is_whole and term.where[0] in last):
+            if _spares_bodies(term) and (not term.is_body or term.where[0] in last):
                 kinds.setdefault(term.effect, []).append((term,))
         for offered in kinds.values():
             possible = model.compatibility.beside(present, offered)
             gains = around.promises(possible)
             if np.isfinite(gains).any():
                 yield self._choice((*present, *possible[int(np.argmax(gains))]))
+
+    def unspared(self) -> Iterator[Choice]:
+        """Drop a payload, or another effect of the whole robot, which bodies may take in."""
+        for term in self.fit.terms:
+            rest = tuple(other for other in self.fit.terms if other is not term)
+            if _spares_bodies(term) and self.model.are_compatible(rest):
+                yield self._choice(rest)
+
+
+def _spares_bodies(term: Term) -> bool:
+    """Return whether a term is a payload, or another effect of the whole robot."""
+    return term.is_whole or (term.effect is not None and term.effect.places == "robot")
 
 
 def is_common(term: Term) -> bool:

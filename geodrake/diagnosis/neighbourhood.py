@@ -146,12 +146,15 @@ class Neighbourhood:
         samples = self._model.of_joints(self._samples())
         return np.where(at >= 0, self._quieter(gains, falls, at, samples), gains)
 
-    def hopes(self, terms: Sequence[Term]) -> Array:
+    def hopes(self, terms: Sequence[Term], dropped: Dropped | None = None) -> Array:
         """Return gains (m,) of effects that one joint feels, if they left only white noise.
+
+        They are without `dropped.loss`, of what that joint alone feels and is left out first.
 
         What is missing makes residuals vary slowly, so that they count for few samples.
         """
-        gains, falls = self._gained([(term,) for term in terms], None)
+        gains, falls = self._gained([(term,) for term in terms], dropped)
+        falls = falls if dropped is None else falls - dropped.squares
         at = np.array([self._joint([term]) for term in terms], int)
         return self._quieter(gains, falls, at, self._model.rows)
 

@@ -1,24 +1,27 @@
 """Probabilities of findings: sums over the explanations that contain them.
 
-The explanations are the most probable one and its neighbours, each by its evidence and prior odds,
-residuals counted alike. So probabilities add up, and what was adopted is the most probable.
+The explanations are the most probable one and its neighbours, at each width of the bodies. Each is
+weighted by its evidence and prior odds, residuals counted alike. So probabilities add up, and what
+was adopted is the most probable.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.diagnosis.log_model import Fit, LogModel
-from geodrake.diagnosis.moves import neighbours
+from geodrake.diagnosis.log_model import Choice, Fit, LogModel
+from geodrake.diagnosis.moves import neighbours, other_widths
 from geodrake.diagnosis.terms import Key, Term, names_and_places
 
 Array = NDArray[np.float64]
 
 _MOST = 60
+_FAR = 25.0
+"""Neighbours whose scores are lower by more are not tried with other widths of the bodies."""
 _LEAST = 0.01
 """Rivals are told from this probability on."""
 
@@ -49,13 +52,18 @@ class Posterior:
     def __init__(self, model: LogModel, fit: Fit) -> None:
         model.level_noise(fit)
         shares = model.shares(fit)
-        others = neighbours(model, fit, most=_MOST)
-        fits = [
-            model.unbounded(fit.choice, shares, fit.noise),
-            *(model.fit(choice, shares, fit.noise) for choice in others),
-        ]
-        self._model, self._fit = model, fit
-        self._fits = [each for each in fits if each is not None]
+        own = model.unbounded(fit.choice, shares, fit.noise)
+        fits = {own.choice.key: own}
+
+        def add(choices: Iterable[Choice]) -> None:
+            new = {choice.key: choice for choice in choices if choice.key not in fits}
+            found = {key: model.fit(choice, shares, fit.noise) for key, choice in new.items()}
+            fits.update({key: each for key, each in found.items() if each is not None})
+
+        add(neighbours(model, fit, most=_MOST))
+        likely = [each.choice for each in fits.values() if each.score > own.score - _FAR]
+        add(other for choice in likely for other in other_widths(model, choice))
+        self._model, self._fit, self._fits = model, fit, [*fits.values()]
         scores = np.array([each.score for each in self._fits])
         weights = np.exp(0.5 * (scores - scores.max()))
         self._weights = weights / weights.sum()

@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
+from math import comb, log
 from operator import or_
 from typing import Any
 
@@ -42,6 +43,17 @@ _FURTHEST = 3.0
 right one. The smallest shape has no such bound."""
 
 
+@dataclass(frozen=True)
+class Price:
+    """Prior odds against an effect of one kind at a place."""
+
+    name: str
+    first: float  # twice the logarithm of the odds against it in a robot that has it nowhere
+    again: float  # the same in a robot that has it elsewhere, apart from the odds of its joints
+    joint: str = ""  # that has it, where that says something of others
+    joints: int = 0  # how many may have it; 0 where that says nothing of others
+
+
 @dataclass(frozen=True, eq=False)
 class Term:
     """Something that a model may lack at one place: an effect, or a wrong body."""
@@ -52,10 +64,8 @@ class Term:
     columns: Indices  # (k,) its columns in the dataset
     mean: Array  # (k,) prior mean of its parameters
     information: Array  # (k, k) their prior information
-    first: float  # twice the logarithm of the prior odds against it, in a robot that has it nowhere
-    # The same in a robot that has it elsewhere, apart from the odds that so many joints have it.
-    again: float
-    peers: int  # joints that may have it; 0 where it says nothing of others
+    price: Price  # its own
+    parts: tuple[Price, ...]  # of what it contains, with fewer parameters
     positive: Indices  # which of its parameters cannot be negative, nor far below a usual value
     says: frozenset[Key]  # names and places of what it contains, itself included
     # Sets of such keys, one of which must be there already; none for most.
@@ -93,12 +103,6 @@ class Term:
     def prior_distance(self) -> float:
         """Return mᵀ Λ m, the squared distance of zero from the prior mean."""
         return float(self.mean @ self.information @ self.mean)
-
-    def price(self, count: int) -> float:
-        """Twice the logarithm of the odds against it in a robot that has it at so many joints."""
-        if not count or not self.peers:
-            return self.first
-        return self.again + 2.0 * float(np.log(max(self.peers - count, 1) / (count + 1.0)))
 
     @cached_property
     def key(self) -> Key:
@@ -156,39 +160,48 @@ def terms_of(
         smallest[key] = min(_first_shape(effect), smallest.get(key, np.inf))
     load = dataset.payload * np.array([1.0, *(_REACH for _ in range(3)), *(_REACH**2,) * 6])
     sides = _square_reaches(model)
+    priced = list[tuple[Effect, list[tuple[Array, Array]], Price]]()
     for effect in effects:
-        name, columns = effect.name, dataset.effect_columns(effect)
-        odds, is_own = float(len(places[type(effect)])), effect in own
-        if body := is_body(effect):
-            held_by = places[type(effect)]
-            tips = sum(where[0] in model.load_bodies for where in held_by)
+        everywhere, is_own = places[type(effect)], effect in own
+        if is_body(effect):
+            side = sides.get(effect.where[0], 0.0)
+            priors = _load_priors(load, side, beliefs, is_own=is_own)
             last = effect.where[0] in model.load_bodies
-            priors = _load_priors(load, sides.get(effect.where[0], 0.0), beliefs, is_own=is_own)
             if not (last or is_own):
                 priors = [priors[max(len(priors) + _USUAL, 0)]]
-            odds = len(priors) * (tips + (len(held_by) - tips) / beliefs.inner)
+            tips = sum(where[0] in model.load_bodies for where in everywhere)
+            odds = len(priors) * (tips + (len(everywhere) - tips) / beliefs.inner)
             odds *= 1.0 if last else beliefs.inner
         else:
-            slabs = _slabs(effect, sizes[columns], beliefs)
-            odds *= len(slabs)
+            slabs = _slabs(effect, sizes[dataset.effect_columns(effect)], beliefs)
+            odds = float(len(everywhere) * len(slabs))
             usual = np.array([parameter.usual for parameter in effect.parameters])
             priors = [(usual, slab) for slab in slabs]
             if is_own:  # what a file states is as likely wrong as right
                 odds = 1.0 if model.information is None else odds * beliefs.fitted
-        bounded = [0] if body else [k for k, p in enumerate(effect.parameters) if p.lower == 0.0]
-        least = np.array([] if is_own else bounded, np.intp)  # what a model has may have shrunk
-        prices = _prices(effect, odds, beliefs, body=body)
         # What motors and gears do at one joint is likely at others; a spring, or an effect at a
         # pair or a body, says little about others.
-        likely = effect.places == "joint" and not body and not _is_spring(effect)
-        peers = len(places[type(effect)]) if likely else 0
+        likely = effect.places == "joint" and not is_body(effect) and not _is_spring(effect)
+        peers = len(everywhere) if likely else 0
+        if peers:  # where it is counts with all that are there
+            odds /= peers**2 if is_own else peers
+        priced.append((effect, priors, _price(effect, odds, beliefs, peers)))
+    known = {(type(effect), effect.where) for effect in own}
+    prices = {(type(e), e.where): price for e, _, price in priced}
+    for effect, priors, price in priced:
+        is_own, count = effect in own, len(effect.parameters)
+        fewer = [kind for kind in effect.contains if len(kind.parameters) < count and not is_own]
+        inside = [(kind, effect.where) for kind in fewer]
+        parts = tuple(prices[at] for at in inside if at in prices and at not in known)
+        bounded = [k for k, p in enumerate(effect.parameters) if p.lower == 0.0]
+        bounded = [0] if is_body(effect) else bounded
+        least = np.array([] if is_own else bounded, np.intp)  # what a model has may have shrunk
         says = frozenset(key_of(effect, kind) for kind in (None, *effect.contains))
         needs = tuple(frozenset((e.name, effect.where) for e in bases) for bases in effect.refines)
-        what = name, effect.where, effect, columns
         is_least = _first_shape(effect) == smallest[type(effect), effect.where]
+        what = effect.name, effect.where, effect, dataset.effect_columns(effect)
         terms += [
-            Term(*what, *prior, *prices, peers, least, says, needs, is_own, is_least)
-            for prior in priors
+            Term(*what, *p, price, parts, least, says, needs, is_own, is_least) for p in priors
         ]
     return (*terms, *_wrong_bodies(model, dataset, beliefs))
 
@@ -257,14 +270,15 @@ _ODD_SHAPE = 4.0
 """Price of an exponent that is no multiple of one half, as those of laws are."""
 
 
-def _prices(effect: Effect, odds: float, beliefs: Beliefs, *, body: bool) -> tuple[float, float]:
-    """Return the price of an effect that is nowhere else, by the odds of its place, and of more."""
+def _price(effect: Effect, odds: float, beliefs: Beliefs, peers: int) -> Price:
+    """Return the price of an effect, by the odds of its place."""
     exponent = effect.shape.get("exponent")
     odd = isinstance(exponent, float) and not (2.0 * exponent).is_integer()
     shape = beliefs.order if effect.proposer in _IN_MANY else beliefs.shape
     price = 2.0 * np.log(shape) * effect.free_shapes + _ODD_SHAPE * odd
     first = price + 2.0 * (np.log(odds) + effect.complexity * np.log(beliefs.rarer))
-    return float(first), float(price)
+    joint = effect.where[0] if peers else ""
+    return Price(effect.name, float(first), float(price), joint, peers)
 
 
 def _is_spring(effect: Effect) -> bool:
@@ -286,8 +300,9 @@ def _wrong_bodies(model: RobotModel, dataset: Dataset, beliefs: Beliefs) -> list
             at = PARAMETERS_PER_BODY * k + np.arange(PARAMETERS_PER_BODY)
             says, own = frozenset({(kind.name, (body,))}), metric[np.ix_(at, at)]
             # A last body is rarely wrong by itself: it holds something.
-            price = odds + (2.0 * np.log(beliefs.inner) if body in model.load_bodies else 0.0)
-            terms.append(Term(kind.name, (body,), None, at, zero, own, price, price, 0, none, says))
+            against = odds + (2.0 * np.log(beliefs.inner) if body in model.load_bodies else 0.0)
+            price = Price(kind.name, float(against), float(against))
+            terms.append(Term(kind.name, (body,), None, at, zero, own, price, (), none, says))
     return terms
 
 
@@ -395,14 +410,46 @@ def _is_met(ways: Ways, present: int) -> bool:
 
 
 def odds_against(terms: Iterable[Term]) -> float:
-    """Twice the logarithm of the prior odds against terms.
+    """Return twice the logarithm of the prior odds against terms.
 
-    Of a kind that says something of other joints, any number of these is as likely as any other:
-    where few have it, another one is less likely to, and where most have it, more.
+    A joint also has what its terms contain: that counts where other joints have it.
     """
-    total, seen = 0.0, dict[str, int]()
-    for term in sorted(terms, key=lambda each: -each.first):
-        count = seen.get(term.name, 0)
-        total += term.price(count)
-        seen[term.name] = count + 1
+    terms, total = tuple(terms), 0.0
+    joints, most = dict[str, set[str]](), dict[str, int]()
+    for price in sorted((term.price for term in terms), key=lambda each: -each.first):
+        if not price.joints:
+            total += price.first
+        elif price.name in joints:
+            total += price.again
+            joints[price.name].add(price.joint)
+        else:
+            total += price.first
+            joints[price.name], most[price.name] = {price.joint}, price.joints
+    for term in terms:
+        for part in term.parts:
+            if part.name in joints:
+                joints[part.name].add(part.joint)
+    return total + _odds_of_joints([(found, most[name]) for name, found in joints.items()])
+
+
+def _odds_of_joints(kinds: Sequence[tuple[set[str], int]]) -> float:
+    """Return twice the logarithm of the odds against kinds being at some joints, of so many each.
+
+    Any number of joints is as likely as any other, and so are all sets of as many. Beside a kind
+    that more joints have, another is at some of these only with a probability of one half: a motor
+    or gear that rubs in one way rubs in others.
+    """
+    total, others = 0.0, list[set[str]]()
+    for found, most in sorted(kinds, key=lambda each: -len(each[0])):
+        share = _share(most, len(found))
+        if others:
+            alike = sum(_share(len(other), len(found)) for other in others if found <= other)
+            share = 0.5 * (share + alike / len(others))
+        total -= 2.0 * log(share)
+        others.append(found)
     return total
+
+
+def _share(most: int, count: int) -> float:
+    """Return the probability of some joints, where any number of `most` is as likely as another."""
+    return 1.0 / (most * comb(most, count))

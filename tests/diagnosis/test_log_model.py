@@ -1,6 +1,7 @@
 """What the evidence of an explanation is: axioms, and dense computations of the same numbers."""
 
 from dataclasses import replace
+from itertools import combinations
 from math import comb
 
 import numpy as np
@@ -410,11 +411,52 @@ def test_springs_are_not_everywhere(problem):
 
 
 def test_any_number_of_joints_with_a_kind_is_as_likely_as_another(problem):
-    """Of n joints, so that what most have is more likely than not at those that are left."""
-    term, n = next(t for t in problem[0].terms if t.name == "coulomb_friction"), 7
-    joints = tuple(replace(term, where=(f"joint {k}",), peers=n) for k in range(n))
-    sets = [comb(n, k) * np.exp(-0.5 * odds_against(joints[:k])) for k in range(1, n + 1)]
-    np.testing.assert_allclose(sets, sets[0])
+    """Of n joints, so that what most have is more likely than not at those that are left.
+
+    What any joint may have is as likely to be there as to be nowhere.
+    """
+    kinds = everywhere(problem[0], 7)
+    sets = [comb(7, k) * np.exp(-0.5 * odds_against(kinds[0][:k])) for k in range(1, 8)]
+    np.testing.assert_allclose(sets, 1.0 / 7.0)
+
+
+def test_joints_that_have_one_kind_are_likely_to_have_another(problem):
+    """Either all joints are alike to a kind, or it is at some of those of the other kind only."""
+    first, second = everywhere(problem[0], 7)
+    sets = [(k, places) for k in range(1, 4) for places in combinations(range(7), k)]
+    odds = {
+        places: np.exp(-0.5 * (odds_against([*first[:3], *(second[k] for k in places)])))
+        for _, places in sets
+    }
+    beside = np.exp(-0.5 * odds_against(first[:3]))
+    inside = sum(p for places, p in odds.items() if max(places) < 3)
+    assert sum(odds.values()) == pytest.approx(beside * (0.5 + 0.5 * 3.0 / 7.0))
+    assert inside > 0.5 * beside
+
+
+def everywhere(model, n):
+    """Return friction at each of n joints, of two kinds."""
+    own = next(t for t in model.terms if t.name == "coulomb_friction")
+    free = replace(own.price, first=0.0, joints=n)
+    return [
+        [replace(own, name=name, price=replace(free, name=name, joint=str(k))) for k in range(n)]
+        for name in ("coulomb_friction", "viscous_friction")
+    ]
+
+
+def test_friction_that_differs_by_direction_at_a_joint_is_friction_there():
+    """Beside friction of other joints, it is as unlikely as friction here and what is more."""
+    log = effort_log("double_pendulum", 2, lambda seen: 0.0, share=0.01).log
+    terms = Search(open_case(PENDULUM, [log], candidates=True)).model.terms
+    here, there = ({t.name: t for t in terms if t.where == (j,)} for j in PENDULUM.joints)
+    more, kinds = here["asymmetric_friction"], ("coulomb_friction", "viscous_friction")
+    alone = 2.0 * np.log(len(PENDULUM.joints) ** 2 * Beliefs().rarer)
+    assert odds_against([more]) == pytest.approx(alone)
+    others, both = (
+        [there[kind] for kind in kinds],
+        [t[kind] for kind in kinds for t in (here, there)],
+    )
+    assert odds_against([more, *others]) == pytest.approx(odds_against(both) + alone)
 
 
 def test_gains_of_efforts_that_are_wrong_make_no_sample_dependent():
