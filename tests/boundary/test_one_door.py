@@ -13,7 +13,7 @@ OPENERS = frozenset(
         *(
             "File",
             "ZipFile",
-            "load_workbook",
+            "read_excel",
             "ParquetFile",
             "ParquetDataset",
             "read_table",
@@ -65,7 +65,7 @@ CHECKED = {
 """Module -> what it hands to a library by its path, after the door has checked what is there."""
 
 HELD = {
-    "logs/files/text_file.py": {"read_csv", "load_workbook", "ZipFile"},
+    "logs/files/text_file.py": {"read_csv", "read_excel", "ZipFile"},
 }
 """Module -> what it reads of a file that the door has opened, or of lines and entries of it."""
 
