@@ -143,7 +143,7 @@ class FilteredRegressor:
 
     @cached_property
     def how(self) -> tuple[float, float, bool]:
-        """What `calc_filtered` is told of the filter."""
+        """Return the period, s, the share that a filter lets through, and `held_effort`."""
         return self.period, float(-np.expm1(-self.bandwidth * self.period)), self.held_effort
 
     def skipped(self, memory: Array) -> Array:
@@ -351,7 +351,7 @@ class SampleUpdate(Short):
 
     @cached_property
     def compiled(self) -> Projecting | None:
-        """What `calc_projected` needs; None where that is not the whole update."""
+        """Return what `calc_projected` needs; None where that is not the whole update."""
         robot, others = self.manifold.robot, (self._limited is not None or self.forgetting > 0)
         if self.method == "nudge" or robot is None or others:
             return None

@@ -170,7 +170,7 @@ class _Finder:
         *,
         most: int | None = _MOST,
     ) -> list[Move]:
-        """Return moves to packages beside the rest, those that promise most first."""
+        """Return moves to packages beside the rest that may be worth a fit, the best first."""
         loss = 0.0 if dropped is None else dropped.loss
         moves = [
             self._move((*rest, *come), gain + loss, come)
@@ -182,7 +182,7 @@ class _Finder:
         """Add one term, the best at every joint together, or one kind at all joints together."""
         present = self.fit.terms
         offered = [(term,) for term in self.terms if term not in present]
-        moves = [m for m in self._moves(present, offered, most=None) if m.gain > _HOPE]
+        moves = self._moves(present, offered, most=None)
         yield from moves[:_MOST]
         best, kinds = dict[str, tuple[Term, float]](), dict[str, dict[str, tuple[Term, float]]]()
         for move in moves:
@@ -230,7 +230,7 @@ class _Finder:
             dropped = self.around.dropped(here) if here else None
             offered = self._packages(self.by_joint.get(joint, []), here, dropped)
             moves = self._moves(rest, offered, dropped)
-            yield from (move for move in moves if move.gain > _HOPE)
+            yield from moves
             if moves and moves[0].gain > 0.0:
                 every.append(moves[0])
                 gone.update(here)
@@ -300,7 +300,7 @@ class _Finder:
                 gains = self.around.gains([(t,) for t in free], dropped)
                 best = [free[k] for k in np.argsort(-gains)]
                 others += [tuple(best[:count]) for count in range(2, len(best) + 1)]
-        yield from (move for move in self._moves(rest, others, dropped) if move.gain > _HOPE)
+        yield from self._moves(rest, others, dropped)
 
     def _without(self, rest: Terms, dropped: Dropped) -> Iterator[Move]:
         """Drop what is not in the rest, if that may be without it."""

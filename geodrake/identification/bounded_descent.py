@@ -58,7 +58,7 @@ def descended(
 
 
 def bounded_step(H: Array, pull: Array, lower: Array, upper: Array) -> Array:
-    """Return a step within bounds that lowers xᵀ H x / 2 + pullᵀ x, what meets a bound stays there.
+    """Return a step within bounds that lowers xᵀ H x / 2 + pullᵀ x; what meets a bound stays there.
 
     What a bound holds from the beginning does not move.
     """

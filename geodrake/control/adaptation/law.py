@@ -116,7 +116,7 @@ class UpdateLaw(abc.ABC):
 
     @property
     def compiled(self) -> Steps | None:
-        """What `calc_limited_step` needs, where that is the whole step but for γ; else None."""
+        """Return what `calc_limited_step` needs; None where a step is more than that and γ."""
         return None
 
     def calc_contains(self, parameters: Array) -> bool:
@@ -197,7 +197,7 @@ class AdaptationLaw(UpdateLaw):
 
     @cached_property
     def compiled(self) -> Steps | None:
-        """The factors of a robot's bodies and lower bounds, and no limits."""
+        """Return the factors of a robot's bodies and lower bounds, and no limits."""
         robot = self.manifold.robot if isinstance(self.manifold, Product) else None
         if robot is None or self.integrator != "geodesic" or self.leakage > 0:
             return None

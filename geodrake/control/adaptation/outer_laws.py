@@ -169,7 +169,7 @@ class ProjectedLaw(_OuterLaw):
 
     @cached_property
     def compiled(self) -> Steps | None:
-        """The steps of the law, within limits of a polyhedron."""
+        """Return the steps of the law, within limits of a polyhedron."""
         if self.law.compiled is None or not isinstance(self._set, LinearSet):
             return None
         G, g = self._set.rows
