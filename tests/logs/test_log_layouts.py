@@ -1,13 +1,10 @@
 """Logs as robots' own loggers and other people's scripts write them, read without a mapping."""
 
-import json
-import re
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pandas
 import pytest
-import yaml
 
 from geodrake.errors import LogError
 from geodrake.logs.files import read_log, read_mapping
@@ -48,55 +45,6 @@ def check(log, joints, q, v, tau):
         assert truth is None or np.allclose(found, truth, atol=1e-12)
 
 
-LAYOUTS = {
-    "record.py of Universal Robots' RTDE client": (
-        *(UR, " ", "timestamp", "{}_{}", 0),
-        "target_q q+1 target_qd v+1 target_moment tau+1 actual_q q actual_qd v "
-        "actual_current tau/10 actual_TCP_pose 0 actual_TCP_speed 0 actual_TCP_force 0",
-    ),
-    "logToCSV of libfranka": (
-        *(PANDA, ",", "time", "{}[{}]", 0),
-        "q_d q+1 dq_d v+1 q q dq v tau_J_d tau+1 tau_J tau dtau_J tau+1 tau_ext_hat_filtered tau+1",
-    ),
-    "KUKA in degrees": (IIWA, "\t", "Time", "{}{}", 1, "AxisPos_deg deg AxisTorque_Nm tau"),
-    "KUKA by LCM": (
-        *(IIWA, "\t", "Time", "{}[{}]", 0),
-        "joint_position_measured q joint_position_commanded q+1 joint_position_ipo q+1 "
-        "joint_torque_measured tau joint_torque_commanded tau+1 joint_torque_external tau+1",
-    ),
-    "KUKA's Sunrise": (
-        *(IIWA, "\t", "Time", "{}_LBR_iiwa_7_R800_1[{}]", 0),
-        "axisQMsr q axisTauMsr tau axisTauExtMsr tau+1",
-    ),
-}
-"""Logger -> joints, separator, column of time, form of names, first number, and blocks of them."""
-
-
-@pytest.mark.parametrize("logger", LAYOUTS)
-def test_loggers_of_robots(tmp_path, logger):
-    joints, separator, clock, form, first, blocks = LAYOUTS[logger]
-    time, q, v, tau = motion(joints)
-    values = {"q": q, "v": v, "tau": tau, "tau/10": tau / 10, "deg": np.rad2deg(q), "0": 0 * q}
-    values |= {f"{name}+1": values[name] + 1.0 for name in ("q", "v", "tau")}
-    said = blocks.split()
-    names = [clock, *(n for block in said[::2] for n in indexed(block, len(joints), form, first))]
-    if "deg" in said:  # the unit stands behind the number
-        names = [re.sub(r"_(deg|Nm)(\d)", r"\2 [\1]", name) for name in names]
-    columns = [time + 5000.0, *(values[block] for block in said[1::2])]
-    path = write(tmp_path / "robot_data.csv", [*names, "mode"], [*columns, 7 + 0 * time], separator)
-    gains = dict.fromkeys(joints, 10.0) if "tau/10" in said else {}
-    log = read_log(path, joints=joints, reading=Reading(gains=gains))
-    check(log, joints, q, v if "v" in said else None, tau)
-    assert np.allclose(log.time, time + 5000.0)
-    noted = " ".join(log.notes)
-    assert ("position is in deg" in noted) == ("deg" in said)
-    if "tau/10" in said:
-        for words in ("actual_q_0 … actual_q_5 used", "target_q_0", "desired", "model's order"):
-            assert words in noted
-        assert "motor currents" in " ".join(read_log(path, joints=UR).notes)
-        assert "motor currents" not in noted
-
-
 def test_stamps_of_ros_and_arrays_of_joint_states(tmp_path):
     time, q, v, tau = motion(UR)
     seconds, rest = np.divmod(np.round(1e9 * time).astype(int), 10**9)
@@ -127,32 +75,6 @@ def test_joints_have_the_files_names_without_a_model(tmp_path):
     assert "columns ignored: pos_gripper, mode" in log.notes
     numbered = write(tmp_path / "n.csv", ["t", "q1", "q2", "tau1", "tau2"], [time, q, tau])
     assert read_log(numbered).joints == ("joint_1", "joint_2")
-
-
-@pytest.mark.parametrize(
-    ("separator", "head"),
-    [(",", "# rig 7\n# 24.11.\n\n"), (";", ""), ("\t", ""), ("   ", ""), (",", "% of Octave\n")],
-)
-def test_separators_and_comments(tmp_path, separator, head):
-    time, q, _, tau = motion(("a", "b"))
-    names = ["time", "a.position", "b.position", "a.effort", "b.effort"]
-    path = write(tmp_path / "log.txt", names, [time, q, tau], separator, head)
-    check(read_log(path), ("a", "b"), q, None, tau)
-
-
-def test_names_in_a_comment(tmp_path):
-    time, q, _, tau = motion(("a", "b"))
-    path = tmp_path / "log.txt"
-    np.savetxt(path, np.column_stack([time, q, tau]), header="t q1 q2 tau1 tau2")
-    check(read_log(path, joints=("a", "b")), ("a", "b"), q, None, tau)
-
-
-def test_commas_within_lists_are_no_decimal_commas(tmp_path):
-    rows = [f"{k / 100};[{k}.5, 2.25];[0.1, {k}]" for k in range(40)]
-    (tmp_path / "log.csv").write_text("time;position;effort\n" + "\n".join(rows))
-    log = read_log(tmp_path / "log.csv", joints=["a", "b"])
-    np.testing.assert_array_equal(log.position[:, 0], np.arange(40) + 0.5)
-    np.testing.assert_array_equal(log.effort[:, 1], np.arange(40))
 
 
 def test_no_header_and_no_time(tmp_path):
@@ -386,29 +308,6 @@ def test_the_proposal_of_a_failed_reading_reads_the_log(tmp_path):
     check(log, ("shoulder", "elbow"), q, None, tau)
 
 
-def test_a_line_of_units_below_the_header(tmp_path):
-    time, q, _, tau = motion(("a",))
-    table = np.column_stack([1e3 * time, np.rad2deg(q), tau])
-    lines = [
-        "Time,A Position,A Torque",
-        "[ms],[°],[N·m]",
-        *(",".join(map(repr, r)) for r in table.tolist()),
-    ]
-    (tmp_path / "log.csv").write_text("\n".join(lines), encoding="utf-8")
-    log = read_log(tmp_path / "log.csv", joints=("a",))
-    check(log, ("a",), q, None, tau)
-    assert np.allclose(log.time, time)
-
-
-def test_matrices_in_archives(tmp_path):
-    (time, q, v, tau), path = motion(PANDA), tmp_path / "log.npz"
-    np.savez(path, t=time, q=q, dq=v, tau=tau, O_T_EE=np.zeros((3, 4, 4)))
-    check(read_log(path, joints=PANDA), PANDA, q, v, tau)
-    np.savez(path, t=time, q=q[:50], dq=v, tau=tau)
-    with pytest.raises(LogError, match=r"'q' of log .* has 50 rows, but others have 200"):
-        read_log(path, joints=PANDA)
-
-
 DATES = {
     "Z": "{:%Y-%m-%dT%H:%M:%S.%f}Z",
     "no zone, nanoseconds": "{:%Y-%m-%d %H:%M:%S.%f}000",
@@ -555,77 +454,3 @@ def test_targets_that_are_called_as_torques_may_be(tmp_path):
     log = read_log(write(tmp_path / "both.csv", names, [time, q, q + 0.01, tau]))
     np.testing.assert_allclose(log.effort, tau)
     assert set(log.effort_kinds.values()) == {"current"}
-
-
-@pytest.mark.parametrize("form", ["{}.{}", "id{}_{}"])
-def test_moteus_logs_turns(tmp_path, form):
-    time, q, v, tau = motion(PANDA)
-    told = {"position": q / (2 * np.pi), "velocity": v / (2 * np.pi), "torque": tau}
-    registers = {name: np.zeros_like(q) for name in ("mode", "fault", "q_current", "d_current")}
-    for more, factor in ((registers, 1.0), ({}, 1 / (2 * np.pi))):  # others may be in rad
-        each = told | more
-        names = [form.format(k, name) for name in each for k in range(1, 8)]
-        path = write(tmp_path / "log.csv", ["time", *names], [time, *each.values()])
-        log = read_log(path)
-        check(log, log.joints, factor * q, factor * v, tau)
-
-
-@pytest.mark.parametrize(
-    ("position", "effort"),
-    [
-        ("AXIS_ACT_A{}", "TORQUE_AXIS_ACT_A{}"),
-        ("$AXIS_ACT.A{}", "$TORQUE_AXIS_ACT[{}]"),
-        ("AXIS_ACT_A{}", "CURR_ACT_A{}"),
-    ],
-)
-def test_variables_of_a_kuka(tmp_path, position, effort):
-    time, q, _, tau = motion(IIWA)
-    names = [form.format(k) for form in (position, effort) for k in range(1, 8)]
-    log = read_log(
-        write(tmp_path / "log.csv", ["TIME", *names], [time, np.degrees(q), tau]), joints=IIWA
-    )
-    check(log, IIWA, q, None, tau)
-    assert any("position is in deg" in note for note in log.notes)
-
-
-@pytest.mark.parametrize("index", [True, False])
-def test_frames_that_pandas_wrote_to_hdf5(tmp_path, index):
-    h5py = pytest.importorskip("h5py")
-    time, q, _, tau = motion(PANDA)
-    names = [f"{kind}{k}" for kind in ("q", "tau") for k in range(7)]
-    values = np.hstack([q, tau]) if index else np.hstack([time[:, None], q, tau])
-    with h5py.File(tmp_path / "log.h5", "w") as file:
-        group = file.create_group("df")
-        group["axis0"] = group["block0_items"] = np.array([*["time"] * (not index), *names], "S")
-        group["axis1"], group["block0_values"] = time if index else np.arange(ROWS), values
-    check(read_log(tmp_path / "log.h5", joints=PANDA), PANDA, q, None, tau)
-    with h5py.File(tmp_path / "table.h5", "w") as file:
-        kind = np.dtype([("index", int), ("values_block_0", float, 14)])
-        file.create_group("df")["table"] = np.zeros(ROWS, kind)
-    with pytest.raises(LogError, match="named in pickles"):
-        read_log(tmp_path / "table.h5", joints=PANDA)
-
-
-@pytest.mark.parametrize("shape", ["records", "lists", "inside"])
-def test_records_in_yaml(tmp_path, shape):
-    time, q, _, tau = motion(UR)
-    rows = [
-        {"time": t, "name": [*UR], "position": x.tolist(), "effort": e.tolist()}
-        if shape != "records"
-        else {
-            "time": t,
-            "joints": {j: {"position": x[k], "effort": e[k]} for k, j in enumerate(UR)},
-        }
-        for t, x, e in zip(time.tolist(), q.round(6), tau.round(6), strict=True)
-    ]
-    content = {"samples": rows} if shape == "inside" else rows
-    text = yaml.safe_dump(json.loads(json.dumps(content)))
-    (tmp_path / "log.yaml").write_text(text)
-    check(read_log(tmp_path / "log.yaml", joints=UR), UR, q.round(6), None, tau.round(6))
-
-
-@pytest.mark.parametrize("text", ["directives:\n- add_model: {name: !Rpy 1}\n", "a: [1, 2]\n"])
-def test_a_model_in_yaml_is_no_log(tmp_path, text):
-    (tmp_path / "model.yaml").write_text(text)
-    with pytest.raises(LogError, match="Is it the model"):
-        read_log(tmp_path / "model.yaml")

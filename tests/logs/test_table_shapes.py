@@ -8,6 +8,7 @@ import h5py
 import numpy as np
 import pandas
 import pytest
+import yaml
 from scipy.io import savemat
 
 from geodrake.errors import LogError
@@ -20,6 +21,7 @@ JOINTS = ("base", "elbow")
 ROWS = 60
 TIME = 0.01 * np.arange(ROWS)
 POSITION = np.column_stack([np.sin(3 * TIME), np.cos(2 * TIME)])
+VELOCITY = np.column_stack([3 * np.cos(3 * TIME), -2 * np.sin(2 * TIME)])
 EFFORT = np.column_stack([4 * TIME, 1 - TIME])
 PLAIN = pandas.DataFrame(
     np.column_stack([TIME, POSITION, EFFORT]),
@@ -33,6 +35,12 @@ REVERSED = [
     for t, q, tau in zip(TIME, TURNED["q"].tolist(), TURNED["tau"].tolist(), strict=True)
 ]
 """Time -> joints from the last to the first with position and effort."""
+LIST_RECORDS = [
+    dict(zip(("name", "position", "effort"), map(list, zip(*each, strict=True)), strict=True))
+    | {"time": float(t)}
+    for t, each in REVERSED
+]
+UNNAMED = [{"time": r["time"], "q": r["position"], "tau": r["effort"]} for r in LIST_RECORDS]
 
 TEXTS = [str(tuple(row)).replace(",", "") for row in EFFORT.tolist()]
 IN_CELLS = pandas.DataFrame(
@@ -111,6 +119,79 @@ def echo_of_ros1():
     return pandas.concat([head, echo_of_ros2().iloc[:, 3:]], axis=1)
 
 
+def numbered(blocks, form="{}_{}", *, clock="time", first=0, separator=","):
+    """Columns of two joints for each block, behind each of which is said what it holds."""
+    deg = np.rad2deg(POSITION)
+    known = {"q": POSITION, "v": VELOCITY, "tau": EFFORT, "deg": deg, "turns": deg / 360}
+    columns = {clock: TIME}
+    for name, said in zip(blocks.split()[::2], blocks.split()[1::2], strict=True):
+        quantity, _, more = said.partition("+")
+        values = known.get(quantity, 0.0 * TIME[:, None] + [7.0, 7.0]) + float(more or 0)
+        columns |= {form.format(name, first + k): values[:, k] for k in (0, 1)}
+    return table(pandas.DataFrame(columns | {"mode": 7}), sep=separator)
+
+
+def logger(clock, position, effort, joints=(1, 2), factor=1.0, *, units=""):
+    """Columns by names with a place for the joint, with a line of units or none."""
+    names = [clock, *map(position.format, joints), *map(effort.format, joints)]
+    columns = PLAIN.set_axis(names, axis=1)
+    columns[names[1:3]] *= factor
+    head, *rows = columns.to_csv(index=False).splitlines()
+    return text("\n".join([head, *[units] * bool(units), *rows]))
+
+
+def odd_text(head, *, times=1, factor=1.0, fortran=False, end=""):
+    """Rows behind a head as programs of all kinds write it, in the encoding of Windows."""
+    mark = next((mark for mark in ";," if mark in head), "  ")
+    numbers = np.repeat(PLAIN.to_numpy() * [factor, 1, 1, 1, 1], times, axis=0)
+    form = "{:.17e}" if fortran else "{!r}"
+    rows = (mark.join(map(form.format, row)) + end for row in numbers.tolist())
+    content = "\n".join([head, *rows])
+    return lambda path: path.write_bytes(
+        (content.replace("e", "D") if fortran and "e" not in head else content).encode("cp1252")
+    )
+
+
+def tables_with_keys(kind, times):
+    """Lines of degrees as TwinCAT or LabVIEW writes them, of (signals, N) times."""
+    is_pair = "pairs" in kind
+    names = [f"{what} J{k}" for what in ("Angle", "Torque") for k in (1, 2)]
+    said = {"X_Value" if kind == "LabVIEW" else "Name": names, "SymbolComment": ["-"] * 4}
+    said |= {"SampleTime[ms]": ["10"] * 4, "Data-Type": ["REAL64"] * 4}
+    said["Unit"] = ["deg", "deg", "Nm", "Nm"]
+    values = np.vstack([np.rad2deg(POSITION.T), EFFORT.T])
+    both = np.stack([times, values], 1).reshape(8, -1) if is_pair else [times[0], *values]
+    head = [
+        "\t".join(each for cell in cells for each in (name, cell))
+        if is_pair
+        else "\t".join([name, *cells])
+        for name, cells in said.items()
+    ]
+    if kind == "LabVIEW":
+        head.append(f"{head.pop(0)}\tComment")
+    rows = ("\t".join(map(repr, r)) for r in np.transpose(both).tolist())
+    return text("\n".join(["a title", "File\tC:\\arm", "", *head, "", *rows]))
+
+
+def echoed(*more):
+    """A document of YAML for each message of ROS, of which the last may be cut off."""
+    messages = [
+        f"header:\n  stamp:\n    sec: 1700000000\n    nanosec: {round(1e9 * t)}\n"
+        f"  frame_id: ''\nname:\n- elbow\n- base\nposition: {q[::-1].tolist()}\n"
+        f"velocity: []\neffort: {tau[::-1].tolist()}\n"
+        for t, q, tau in zip(TIME, POSITION, EFFORT, strict=True)
+    ]
+    return text("---\n".join([*messages, *(more or [messages[0][:90]]), *len(more) * messages]))
+
+
+def frame_of_pandas(index):
+    """A frame in HDF5, whose index is time or its rows."""
+    names = [*["time"] * (not index), "q0", "q1", "tau0", "tau1"]
+    values = PLAIN.to_numpy()[:, index:]
+    return in_hdf5({"df/axis0": np.array(names, "S"), "df/block0_items": np.array(names, "S"),
+        "df/axis1": TIME if index else np.arange(ROWS), "df/block0_values": values})  # fmt: skip
+
+
 IN_GERMAN = pandas.DataFrame(
     {
         "Zeit [ms]": 1e3 * TIME,
@@ -159,17 +240,12 @@ SHAPES = {
     "names_once.h5": in_hdf5({**TURNED, "joint_names": list(JOINTS[::-1])}),
     "named_motors.jsonl": text("\n".join(json.dumps({"time": t, "joints": [
         {"name": n, "position": p, "torque": e} for n, p, e in each]}) for t, each in REVERSED)),
-    "message.json": text(json.dumps([{"topic": "/states", "timestamp": t, "message": {
-        "name": JOINTS[::-1], "position": [p for _, p, _ in each],
-        "effort": [e for _, _, e in each]}} for t, each in REVERSED])),
-    "names_beside.json": text(json.dumps({"info": {"joint_names": JOINTS[::-1]}, "data": [
-        {"time": t, "q": [p for _, p, _ in each], "tau": [e for _, _, e in each]}
-        for t, each in REVERSED]})),
+    "message.json": text(json.dumps([{"topic": "/states", "timestamp": each["time"], "message":
+        {k: each[k] for k in ("name", "position", "effort")}} for each in LIST_RECORDS])),
+    "names_beside.json": text(json.dumps({"info": {"joint_names": JOINTS[::-1]}, "data": UNNAMED})),
     "labels.csv": table(NAMED.rename(columns={"name": "labels"})),
     "labels.npz": lambda path: np.savez(path, labels=JOINTS[::-1], **TURNED),
-    "keys_beside.json": text(json.dumps({"keys": JOINTS[::-1], "data": [
-        {"time": t, "q": [p for _, p, _ in each], "tau": [e for _, _, e in each]}
-        for t, each in REVERSED]})),
+    "keys_beside.json": text(json.dumps({"keys": JOINTS[::-1], "data": UNNAMED})),
     "names_in_attributes.h5": in_hdf5({f"arm/{name}": x for name, x in TURNED.items()},
         {"arm/q": {"joint_names": JOINTS[::-1]}}),
     "names_of_a_group.h5": in_hdf5({f"arm/{name}": x for name, x in TURNED.items()},
@@ -277,8 +353,78 @@ SHAPES = {
         [["Date", *PLAIN]]),
     **{f"{name}.csv": table(PLAIN, sep=mark, decimal=",")
        for name, mark in {"semicolons": ";", "tabs": "\t", "bars": "|", "blanks": " "}.items()},
+    **{f"{name}.csv": text(head + PLAIN.to_csv(index=False))
+       for name, head in {"comments": "# rig 7\n# 24.11.\n\n", "Octave": "% of Octave\n"}.items()},
+    "savetxt.txt": lambda path: np.savetxt(path, PLAIN, header="t q1 q2 tau1 tau2"),
+    "lists_and_semicolons.csv": table(IN_CELLS, sep=";"),
+    "RTDE.csv": numbered("target_q q+1 target_qd v+1 target_moment tau+1 actual_q q actual_qd v "
+        "actual_current tau actual_TCP_pose 0 actual_TCP_force 0",
+        clock="timestamp", separator=" "),
+    "libfranka.csv": numbered("q_d q+1 dq_d v+1 q q dq v tau_J_d tau+1 tau_J tau dtau_J tau+1 "
+        "tau_ext_hat_filtered tau+1", "{}[{}]"),
+    "iiwa_lcm.csv": numbered("joint_position_measured q joint_position_commanded q+1 "
+        "joint_position_ipo q+1 joint_torque_measured tau joint_torque_commanded tau+1 "
+        "joint_torque_external tau+1", "{}[{}]", clock="Time", separator="\t"),
+    "Sunrise.csv": numbered("axisQMsr q axisTauMsr tau axisTauExtMsr tau+1",
+        "{}_LBR_iiwa_7_R800_1[{}]", clock="Time", separator="\t"),
+    "moteus.csv": numbered("position turns torque tau mode 0 fault 0 q_current 0 d_current 0",
+        "{1}.{0}", first=1),
+    "moteus_ids.csv": numbered("position turns torque tau mode 0 fault 0 q_current 0 d_current 0",
+        "id{1}_{0}", first=1),
+    "no_moteus.csv": numbered("position q velocity v torque tau", "{1}.{0}", first=1),
+    "AxisPos.csv": logger("Time", "AxisPos{} [deg]", "AxisTorque{} [Nm]", factor=180 / np.pi),
+    **{f"KUKA {k}.csv": logger("TIME", q, e, factor=180 / np.pi) for k, (q, e) in enumerate((
+        ("AXIS_ACT_A{}", "TORQUE_AXIS_ACT_A{}"), ("AXIS_ACT_A{}", "CURR_ACT_A{}"),
+        ("$AXIS_ACT.A{}", "$TORQUE_AXIS_ACT[{}]")))},
+    "Isaac.csv": logger("sim_time", "robot/joint_pos/{}", "robot/applied_torque/{}", JOINTS),
+    "ODrive.csv": logger("t", "axis{}.encoder.pos_estimate",
+        "axis{}.motor.current_control.Iq_measured", (0, 1), 0.5 / np.pi),
+    "servo_stats.csv": logger("timestamp", "servo_stats.{}.position", "servo_stats.{}.torque_Nm",
+        factor=0.5 / np.pi),
+    "German.csv": logger("Zeit", "Winkel Achse {}", "Moment Achse {}", factor=180 / np.pi,
+        units="s,°,°,Nm,Nm"),
+    "Siemens.csv": logger("Zeit", "Achse {}.Lageistwert", "Achse {}.Momentenistwert"),
+    "CODESYS.csv": logger("Time", "PLC_PRG.Axis{}.fActPosition", "PLC_PRG.Axis{}.fActTorque"),
+    "Elmo.csv": logger("Time [sec]", "Axis0{}.Position", "Axis0{}.Active Current [A]"),
+    "Damiao.csv": logger("timestamp", "m{}_pos", "m{}_tor"),
+    "brackets_of_units.csv": logger("Time", "J{} Position", "J{} Torque", factor=180 / np.pi,
+        units="[s],[°],[°],[N·m],[N·m]"),
+    "title.csv": odd_text("Measurement of arm;;;;;\nTime;q1;q2;tau1;tau2;\ns;rad;rad;Nm;Nm;",
+        end=";"),
+    "words_in_a_comment.csv": odd_text("# time [s]  q1 [rad]  q2 [rad]  tau1 [Nm]  tau2 (Nm)"),
+    "words.csv": odd_text("time [s]  q1 [rad]  q2 [rad]  tau1 [Nm]  tau2 (Nm)"),
+    "Windows.csv": odd_text("# Prüfstand, µ\nZeit;Winkel 1;Winkel 2;Drehmoment 1;Drehmoment 2"),
+    "Fortran.csv": odd_text("t q1 q2 tau1 tau2", fortran=True),
+    "twice.csv": odd_text("time,q1,q2,tau1,tau2", times=2),
+    "factors.csv": odd_text("t [0.1 s];q1 [1e0rad];q2 [1.0 rad];tau1 [1 Nm];tau2 [Nm]",
+        factor=10.0),
+    "TwinCAT.csv": tables_with_keys("TwinCAT", np.tile(1000.0 * TIME, (4, 1))),
+    "TwinCAT_in_pairs.csv": tables_with_keys("in pairs", np.tile(1000.0 * TIME, (4, 1))),
+    "LabVIEW.csv": tables_with_keys("LabVIEW", np.tile(TIME, (4, 1))),
+    "simulink_labels.mat": lambda path: savemat(path, {"out": {"time": TIME, "signals": np.array(
+        [{"values": x, "label": n} for n, x in (("q", POSITION), ("tau", EFFORT))], object)}}),
+    **dict.fromkeys(("echo.txt", "echo.yaml", "echo"), echoed()),
+    "rsi.xml": text("\n".join(f'<Rob Type="KUKA"><RIst X="1.0" Y="2.0"/><AIPos A1="{a!r}" '
+        f'A2="{b!r}"/><MATorque A1="{c!r}" A2="{d!r}"/><IPOC>{4208163 + round(1000 * t)}</IPOC>'
+        "</Rob>" for t, a, b, c, d in PLAIN.iloc[:, [0, 1, 2, 3, 4]].to_numpy().tolist())),
+    "matrices.npz": lambda path: np.savez(path, t=TIME, q=POSITION, dq=VELOCITY, tau=EFFORT,
+        O_T_EE=np.zeros((3, 4, 4))),
+    "frame.h5": frame_of_pandas(False), "indexed.h5": frame_of_pandas(True),
+    "lists.yaml": text(yaml.safe_dump(LIST_RECORDS)),
+    "inside.yaml": text(yaml.safe_dump({"samples": LIST_RECORDS})),
+    "records.yaml": text(yaml.safe_dump([{"time": float(t), "joints": {n: {"position": p,
+        "effort": e} for n, p, e in each}} for t, each in REVERSED])),
 }  # fmt: skip
 """A file of each shape, and what writes it."""
+MOVING = ("RTDE.csv", "libfranka.csv", "no_moteus.csv", "matrices.npz")
+"""Those that have velocities."""
+CURRENTS = ("RTDE.csv", "KUKA 1.csv", "ODrive.csv", "Elmo.csv")
+SAYING = {
+    "RTDE.csv": ("actual_q_0 … actual_q_1 used", "target_q_0", "desired", "model's order"),
+    **dict.fromkeys(("AxisPos.csv", "KUKA 0.csv", "brackets_of_units.csv"), ("is in deg",)),
+    "twice.csv": ("repeated time stamp",),
+}
+"""What notes say of some."""
 
 
 def written(folder, name):
@@ -308,7 +454,13 @@ def test_a_table_of_any_shape_is_the_same_log(tmp_path, name):
     np.testing.assert_allclose(log.time - log.time[0], TIME, atol=1e-6)
     np.testing.assert_allclose(log.position, POSITION, atol=1e-12)
     np.testing.assert_allclose(log.effort, EFFORT, atol=1e-12)
-    assert "thousands" not in " ".join(log.notes)
+    if name in MOVING:
+        np.testing.assert_allclose(log.velocity, VELOCITY, atol=1e-12)
+    assert name not in CURRENTS or set(log.effort_kinds.values()) == {"current"}
+    noted = " ".join(log.notes)
+    assert "thousands" not in noted
+    for words in SAYING.get(name, ()):
+        assert words in noted
 
 
 def test_a_last_row_that_is_cut_off_is_left_out(tmp_path):
@@ -539,10 +691,26 @@ def test_many_lines_are_read_by_arrow_as_without_it(tmp_path, monkeypatch, odd):
         ("a.jsonl", "[1]\n[2]", "neither a JSON object nor a list of records"),
         ("deep.json", '{"a":' * 5000 + "1" + "}" * 5000, "maximum recursion depth exceeded"),
         ("a.h5", "no archive", "not a readable HDF5 file"),
+        ("a.xml", "<Rob ", "not a readable XML of a robot"),
+        ("a.xml", "<robot/>", "Is it the model"),
+        ("a.yaml", "directives:\n- add_model: {name: !Rpy 1}\n", "Is it the model"),
+        ("a.yaml", "a: [1, 2]\n", "Is it the model"),
+        ("a.yaml", echoed("position: ["), r"not a readable YAML file.*Remove the last message"),
+        (
+            "pairs.csv",
+            tables_with_keys("in pairs", 1000.0 * TIME + np.arange(4.0)[:, None]),
+            "4 different columns of time",
+        ),
+        ("a.h5", in_hdf5({"df/table": np.zeros(9, [("values_block_0", float, 14)])}), "in pickles"),
+        (
+            "a.npz",
+            lambda path: np.savez(path, t=TIME, q=POSITION[:50], tau=EFFORT),
+            r"'q' of log .* has 50 rows, but others have 60",
+        ),
     ],
 )
 def test_files_that_are_none_of_their_kind(tmp_path, name, content, words):
-    (tmp_path / name).write_text(content)
+    (content if callable(content) else text(content))(tmp_path / name)
     with pytest.raises(LogError, match=words):
         read_log(tmp_path / name)
 
@@ -716,85 +884,6 @@ def test_days_of_spreadsheets_are_time(tmp_path, program, day, name):
     assert f"time is in days as in {program}," in " ".join(log.notes)
 
 
-LOGGERS = {
-    "Isaac": ("sim_time", 1.0, "robot/joint_pos/{}", "robot/applied_torque/{}", JOINTS),
-    "ODrive": (
-        *("t", 0.5 / np.pi, "axis{}.encoder.pos_estimate"),
-        *("axis{}.motor.current_control.Iq_measured", (0, 1)),
-    ),
-    "moteus": (
-        *("timestamp", 0.5 / np.pi, "servo_stats.{}.position", "servo_stats.{}.torque_Nm"),
-        (1, 2),
-    ),
-    "in German": ("Zeit", 180.0 / np.pi, "Winkel Achse {}", "Moment Achse {}", (1, 2)),
-    "Siemens": ("Zeit", 1.0, "Achse {}.Lageistwert", "Achse {}.Momentenistwert", (1, 2)),
-    "CODESYS": ("Time", 1.0, "PLC_PRG.Axis{}.fActPosition", "PLC_PRG.Axis{}.fActTorque", (1, 2)),
-    "Elmo": ("Time [sec]", 1.0, "Axis0{}.Position", "Axis0{}.Active Current [A]", (1, 2)),
-    "Damiao": ("timestamp", 1.0, "m{}_pos", "m{}_tor", (1, 2)),
-}
-
-
-@pytest.mark.parametrize("logger", LOGGERS)
-def test_names_of_loggers(tmp_path, logger):
-    clock, factor, position, effort, joints = LOGGERS[logger]
-    names = [clock, *map(position.format, joints), *map(effort.format, joints)]
-    table = PLAIN.set_axis(names, axis=1)
-    table[names[1:3]] *= factor
-    lines = table.to_csv(index=False).splitlines()
-    lines[1:1] = ["s,°,°,Nm,Nm"] * (logger == "in German")
-    (tmp_path / "log.csv").write_text("\n".join(lines))
-    log = read_log(tmp_path / "log.csv", joints=JOINTS)
-    np.testing.assert_allclose(log.time, TIME)
-    np.testing.assert_allclose(log.position, POSITION)
-    np.testing.assert_allclose(log.effort, EFFORT)
-    assert set(log.effort_kinds.values()) == ({"current"} if "urrent" in effort else set())
-
-
-KEYED = {"TwinCAT": "Name", "TwinCAT in pairs": "Name", "LabVIEW": "X_Value"}
-
-
-def keyed_table(kind, times):
-    """Lines of degrees as TwinCAT or LabVIEW writes them, of (signals, N) times."""
-    key, is_pair = KEYED[kind], "pairs" in kind
-    names = [f"{what} J{k}" for what in ("Angle", "Torque") for k in (1, 2)]
-    said = {key: names, "SymbolComment": ["-"] * 4, "SampleTime[ms]": ["10"] * 4}
-    said |= {"Data-Type": ["REAL64"] * 4, "Unit": ["deg", "deg", "Nm", "Nm"]}
-    values = np.vstack([np.rad2deg(POSITION.T), EFFORT.T])
-    both = (
-        np.stack([times, values], 1).reshape(8, -1) if is_pair else np.vstack([times[:1], values])
-    )
-    head = [
-        "\t".join(each for cell in cells for each in (name, cell))
-        if is_pair
-        else "\t".join([name, *cells])
-        for name, cells in said.items()
-    ]
-    if kind == "LabVIEW":
-        head.append(f"{head.pop(0)}\tComment")
-    return [
-        "a title",
-        "File\tC:\\arm",
-        "",
-        *head,
-        "",
-        *("\t".join(map(repr, r)) for r in both.T.tolist()),
-    ]
-
-
-@pytest.mark.parametrize("kind", KEYED)
-def test_rows_above_the_numbers_that_begin_with_what_they_say(tmp_path, kind):
-    path, clock = tmp_path / "log.csv", TIME if kind == "LabVIEW" else 1000.0 * TIME
-    path.write_text("\n".join(keyed_table(kind, np.tile(clock, (4, 1)))))
-    log = read_log(path, joints=JOINTS)
-    np.testing.assert_allclose(log.time, TIME)
-    np.testing.assert_allclose(log.position, POSITION)
-    np.testing.assert_allclose(log.effort, EFFORT)
-    if "pairs" in kind:
-        path.write_text("\n".join(keyed_table(kind, clock + np.arange(4.0)[:, None])))
-        with pytest.raises(LogError, match="4 different columns of time"):
-            read_log(path, joints=JOINTS)
-
-
 @pytest.mark.parametrize("first", ["time", "kind"])
 def test_rows_with_few_cells_at_the_beginning_are_none_with_keys(tmp_path, first):
     sparse = PLAIN.assign(kind="state")[[first, *PLAIN.columns.drop(first, errors="ignore")]]
@@ -802,16 +891,6 @@ def test_rows_with_few_cells_at_the_beginning_are_none_with_keys(tmp_path, first
     log = read_log(csv_of(tmp_path, sparse))
     assert len(log) == ROWS
     assert np.isnan(log.effort[:10, 0]).all()
-
-
-def test_signals_of_simulink_have_labels(tmp_path):
-    signals = [
-        {"values": values, "label": name} for name, values in (("q", POSITION), ("tau", EFFORT))
-    ]
-    savemat(tmp_path / "run.mat", {"out": {"time": TIME, "signals": np.array(signals, object)}})
-    log = read_log(tmp_path / "run.mat", joints=JOINTS)
-    np.testing.assert_array_equal(log.position, POSITION)
-    np.testing.assert_array_equal(log.effort, EFFORT)
 
 
 def test_rows_of_a_joint_in_units_of_which_one_is_not_known(tmp_path):
@@ -850,31 +929,6 @@ def test_cells_with_units_are_refused_with_where_these_belong(tmp_path):
         read_log(path)
 
 
-def test_durations_with_their_unit_are_time(tmp_path):
-    PLAIN.assign(time=[f"{t:g} sec" for t in TIME]).to_csv(tmp_path / "log.csv", index=False)
-    np.testing.assert_allclose(read_log(tmp_path / "log.csv", joints=JOINTS).time, TIME)
-
-
-@pytest.mark.parametrize("name", ["echo.txt", "echo.yaml", "echo"])
-def test_what_topic_echo_wrote(tmp_path, name):
-    """A document of YAML for each message, of which the last may be cut off."""
-    messages = [
-        f"header:\n  stamp:\n    sec: 1700000000\n    nanosec: {round(1e9 * t)}\n"
-        f"  frame_id: ''\nname:\n- elbow\n- base\nposition: {q[::-1].tolist()}\n"
-        f"velocity: []\neffort: {tau[::-1].tolist()}\n"
-        for t, q, tau in zip(TIME, POSITION, EFFORT, strict=True)
-    ]
-    path = tmp_path / name
-    path.write_text("---\n".join([*messages, messages[0][:90]]))
-    log = read_log(path, joints=JOINTS)
-    np.testing.assert_allclose(log.time - log.time[0], TIME, atol=1e-6)
-    np.testing.assert_allclose(log.position, POSITION)
-    np.testing.assert_allclose(log.effort, EFFORT)
-    path.write_text("---\n".join([*messages, "position: [", *messages]))
-    with pytest.raises(LogError, match=r"not a readable YAML file.*Remove the last message"):
-        read_log(path, joints=JOINTS)
-
-
 def test_a_column_that_may_be_time_by_its_values_is_proposed(tmp_path):
     path, columns = tmp_path / "log.csv", PLAIN.assign(row=np.arange(ROWS), time=1000.0 * TIME)
     columns = columns[["row", *PLAIN]].rename(columns={"time": "Count"})
@@ -888,56 +942,6 @@ def test_a_column_that_may_be_time_by_its_values_is_proposed(tmp_path):
     with pytest.raises(LogError, match="no column 'time'") as error:
         read_log(path, joints=JOINTS)
     assert "rises" not in str(error.value)
-
-
-ODD_TEXTS = {
-    "a title and units": "Measurement of arm;;;;;\nTime;q1;q2;tau1;tau2;\ns;rad;rad;Nm;Nm;\n",
-    "words with units in a comment": "# time [s]  q1 [rad]  q2 [rad]  tau1 [Nm]  tau2 (Nm)\n",
-    "words with units": "time [s]  q1 [rad]  q2 [rad]  tau1 [Nm]  tau2 (Nm)\n",
-    "Windows": "# Prüfstand, µ\nZeit;Winkel 1;Winkel 2;Drehmoment 1;Drehmoment 2\n",
-    "Fortran": "t q1 q2 tau1 tau2\n",
-    "rows twice": "time,q1,q2,tau1,tau2\n",
-    "factors of units": "t [0.1 s];q1 [1e0rad];q2 [1.0 rad];tau1 [1 Nm];tau2 [Nm]\n",
-}
-
-
-@pytest.mark.parametrize("kind", ODD_TEXTS)
-def test_odd_texts(tmp_path, kind):
-    head, is_twice = ODD_TEXTS[kind], kind == "rows twice"
-    mark = next((mark for mark in ";," if mark in head), "  ")
-    numbers = PLAIN.to_numpy() * [10.0 if "factors" in kind else 1.0, 1.0, 1.0, 1.0, 1.0]
-    rows = [[*map(repr, row)] for row in np.repeat(numbers, 1 + is_twice, axis=0).tolist()]
-    if kind == "Fortran":
-        rows = [[f"{float(x):.17e}".replace("e", "D") for x in row] for row in rows]
-    lines = [mark.join(row) + mark * ("title" in kind) for row in rows]
-    (tmp_path / "log.csv").write_bytes((head + "\n".join(lines)).encode("cp1252"))
-    log = read_log(tmp_path / "log.csv", joints=JOINTS)
-    np.testing.assert_allclose(log.time, TIME)
-    np.testing.assert_allclose(log.position, POSITION)
-    np.testing.assert_allclose(log.effort, EFFORT)
-    assert ("repeated time stamp" in " ".join(log.notes)) == is_twice
-
-
-def test_messages_of_a_kuka(tmp_path):
-    """Elements of XML in a file, whose clock counts ms; what is no such file is refused."""
-    messages = [
-        f'<Rob Type="KUKA"><RIst X="1.0" Y="2.0"/><AIPos A1="{a!r}" A2="{b!r}"/>'
-        f'<MATorque A1="{c!r}" A2="{d!r}"/><IPOC>{4208163 + round(1000 * t)}</IPOC></Rob>'
-        for t, a, b, c, d in PLAIN[[PLAIN.columns[k] for k in (0, 1, 2, 3, 4)]].to_numpy().tolist()
-    ]
-    path = tmp_path / "rsi.xml"
-    path.write_text("\n".join(messages))
-    log = read_log(path, joints=JOINTS)
-    np.testing.assert_allclose(log.time - log.time[0], TIME, atol=1e-6)
-    np.testing.assert_allclose(log.position, POSITION)
-    np.testing.assert_allclose(log.effort, EFFORT)
-    for text, words in (
-        ("<Rob ", "not a readable XML of a robot"),
-        ("<robot/>", "Is it the model"),
-    ):
-        path.write_text(text)
-        with pytest.raises(LogError, match=words):
-            read_log(path)
 
 
 def test_what_columns_of_words_hold_is_said_where_nothing_else_is_of_joints(tmp_path):
