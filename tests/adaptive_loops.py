@@ -19,12 +19,7 @@ from geodrake.control import (
     parameter_manifold,
 )
 from geodrake.effects import FittedEffect, ViscousFriction
-from geodrake.inertia import (
-    from_pseudo_inertia,
-    is_physical,
-    pseudo_inertia,
-    to_spatial_inertia,
-)
+from geodrake.inertia import from_pseudo_inertia, is_physical, pseudo_inertia, to_spatial_inertia
 from geodrake.model import load_description
 
 MODELS = Path(__file__).parents[1] / "models"

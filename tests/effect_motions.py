@@ -5,12 +5,7 @@ from functools import cache
 import numpy as np
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import (
-    FixedOffsetFrame,
-    RevoluteJoint,
-    SpatialInertia,
-    UnitInertia,
-)
+from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, SpatialInertia, UnitInertia
 
 from geodrake import effects
 from geodrake.effects import RobotMotion

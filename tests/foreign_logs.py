@@ -108,10 +108,7 @@ def controller_state(
                 numbers["reference" if "reference" in points else "desired"][0] = log.command[k]
             state = [Point(q, v, none, effort, now) for q, v, effort in numbers.values()]
             bodies = [[], *(Bodies([], [], [], now) for _ in more)] if more else []
-            yield (
-                since + EPOCH,
-                State(header(since + EPOCH), list(log.joints), *state, *bodies),
-            )
+            yield (since + EPOCH, State(header(since + EPOCH), list(log.joints), *state, *bodies))
 
     topics = {"/arm_controller/state": messages()}
     return write_rosbag2(folder / "controller", topics, store, storage=storage)

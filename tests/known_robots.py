@@ -18,10 +18,7 @@ ARMS = (
     "reference/ur10e.urdf",
     "robots/panda_description/urdf/panda.urdf",
 )
-HUMANOIDS = (
-    "reference/atlas_v5.urdf",
-    "robots/g1_description/urdf/g1_29dof_rev_1_0.urdf",
-)
+HUMANOIDS = ("reference/atlas_v5.urdf", "robots/g1_description/urdf/g1_29dof_rev_1_0.urdf")
 PINOCCHIO_ORDER = [0, 1, 2, 3, 4, 6, 9, 5, 8, 7]  # its [m, h, Ixx, Ixy, Iyy, Ixz, Iyz, Izz]
 
 

@@ -102,16 +102,7 @@ class Recording:
 
 
 def effort_log(
-    name,
-    seed,
-    hidden=None,
-    *,
-    off=0.0,
-    duration=24.0,
-    share=0.03,
-    rate=250.0,
-    colour=0.0,
-    **motion,
+    name, seed, hidden=None, *, off=0.0, duration=24.0, share=0.03, rate=250.0, colour=0.0, **motion
 ):
     """A log of a robot's inverse dynamics and a hidden effort, with noise.
 

@@ -3,11 +3,7 @@
 from pathlib import Path
 
 from pydrake.math import RigidTransform
-from pydrake.multibody.parsing import (
-    LoadModelDirectivesFromString,
-    Parser,
-    ProcessModelDirectives,
-)
+from pydrake.multibody.parsing import LoadModelDirectivesFromString, Parser, ProcessModelDirectives
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
 

@@ -25,13 +25,7 @@ from diagrams.benchmarks.hidden.bars import (
     smallest_lines,
     told,
 )
-from diagrams.benchmarks.hidden.logs import (
-    COVERAGE,
-    SMALLEST,
-    Draw,
-    all_draws,
-    study_draws,
-)
+from diagrams.benchmarks.hidden.logs import COVERAGE, SMALLEST, Draw, all_draws, study_draws
 from diagrams.benchmarks.hidden.scoring import coverage_of, score_draw, smallest_of
 from diagrams.harness import positive_number, run_draws, script_parser, show, whole_number, write
 

@@ -88,10 +88,7 @@ def arm_spec(urdf: Path, step: float) -> mujoco.MjSpec:
         joint.solref_friction, joint.solimp_friction = [2.0 * step, 1.0], _STIFF
         servo = spec.add_actuator(name=joint.name, target=joint.name)
         servo.trntype = mujoco.mjtTrn.mjTRN_JOINT
-        servo.gaintype, servo.biastype = (
-            mujoco.mjtGain.mjGAIN_FIXED,
-            mujoco.mjtBias.mjBIAS_AFFINE,
-        )
+        servo.gaintype, servo.biastype = (mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE)
         spec.add_sensor(
             name=f"{joint.name}_pos",
             type=mujoco.mjtSensor.mjSENS_JOINTPOS,

@@ -30,10 +30,7 @@ from geodrake.identification.identify import build_problem
 from geodrake.identification.newton import solve_newton
 from geodrake.identification.problem import whitened_factor
 from geodrake.identification.regularizer import Entropic
-from geodrake.inertia import (
-    inertial_parameters,
-    pseudo_inertia,
-)
+from geodrake.inertia import inertial_parameters, pseudo_inertia
 from geodrake.inertia.parameters import pseudo_inertia_basis
 from geodrake.inertia.positive_definite import distance
 from geodrake.robot import KinematicTree, inverse_dynamics_regressor

@@ -15,11 +15,7 @@ import numpy as np
 
 from diagrams.harness import MODELS, medians, script_parser, tell
 from geodrake.inertia import inertial_parameters
-from geodrake.robot import (
-    KinematicTree,
-    inverse_dynamics,
-    inverse_dynamics_regressor,
-)
+from geodrake.robot import KinematicTree, inverse_dynamics, inverse_dynamics_regressor
 from geodrake.robot.plant import load_plant
 from geodrake.robot.regressor import regressor_pieces
 

@@ -38,14 +38,7 @@ from diagrams.benchmarks.hidden.robots import (
     robot_file,
     robot_names,
 )
-from diagrams.harness import (
-    positive_number,
-    run_draws,
-    script_parser,
-    show_values,
-    sines,
-    write,
-)
+from diagrams.harness import positive_number, run_draws, script_parser, show_values, sines, write
 from geodrake.control.rollout import commanded_motions, roll_out
 from geodrake.diagnosis import Explanation, explain
 from geodrake.effects import FittedEffect, make_effect
@@ -355,11 +348,7 @@ def limited_model(name: str, joints: Sequence[str], limits: Array) -> RobotModel
 
 
 ARMATURE = "rotor_inertia"
-HIDDEN = {
-    "coulomb_friction": "coulomb",
-    "viscous_friction": "viscous",
-    ARMATURE: "inertia",
-}
+HIDDEN = {"coulomb_friction": "coulomb", "viscous_friction": "viscous", ARMATURE: "inertia"}
 """Effects that every joint has, and the parameter of each that is reported."""
 
 _NOTABLE = 0.05  # of a joint's torque, above which a hidden effect is to be named

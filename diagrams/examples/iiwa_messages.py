@@ -16,13 +16,7 @@ from pydrake.lcm import DrakeLcmInterface
 from pydrake.manipulation import IiwaCommandReceiver, IiwaControlMode, IiwaStatusSender
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.controllers import InverseDynamics
-from pydrake.systems.framework import (
-    BasicVector,
-    Context,
-    DiagramBuilder,
-    LeafSystem,
-    OutputPort,
-)
+from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, LeafSystem, OutputPort
 from pydrake.systems.lcm import LcmPublisherSystem, LcmSubscriberSystem
 from pydrake.systems.primitives import Adder, Demultiplexer
 
@@ -87,9 +81,7 @@ class CommandWriter(LeafSystem):
         self._effort = self.DeclareVectorInputPort("effort", BasicVector(joints))
         self._state = self.DeclareVectorInputPort("state", BasicVector(2 * joints))
         self.DeclareAbstractOutputPort(
-            "lcmt_iiwa_command",
-            lambda: AbstractValue.Make(lcmt_iiwa_command()),
-            self._calc_command,
+            "lcmt_iiwa_command", lambda: AbstractValue.Make(lcmt_iiwa_command()), self._calc_command
         )
 
     def _calc_command(self, context: Context, output: AbstractValue) -> None:
@@ -204,9 +196,5 @@ def _publisher(
     channel: str, kind: type, period: float, lcm: DrakeLcmInterface, *, of_drake: bool = False
 ) -> Any:
     return LcmPublisherSystem.Make(
-        channel=channel,
-        lcm_type=kind,
-        lcm=lcm,
-        publish_period=period,
-        use_cpp_serializer=of_drake,
+        channel=channel, lcm_type=kind, lcm=lcm, publish_period=period, use_cpp_serializer=of_drake
     )

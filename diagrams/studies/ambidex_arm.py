@@ -55,14 +55,7 @@ from geodrake.report import style
 from geodrake.report.ellipsoids import EllipsoidSet, ellipsoid_figure
 from geodrake.robot import zero_moment_point
 
-NAMES = (
-    "euclidean",
-    "point_mass_euclidean",
-    "point_mass_kl",
-    "pullback",
-    "entropic",
-    "riemannian",
-)
+NAMES = ("euclidean", "point_mass_euclidean", "point_mass_kl", "pullback", "entropic", "riemannian")
 """In the order of the figures."""
 
 

@@ -41,10 +41,7 @@ from geodrake.excitation.objective import NORMALIZATIONS
 from geodrake.inertia import perturb
 from geodrake.logs import Motion
 from geodrake.model import RobotModel, load_description
-from geodrake.robot import (
-    BaseParameters,
-    inverse_dynamics_regressor,
-)
+from geodrake.robot import BaseParameters, inverse_dynamics_regressor
 from geodrake.robot.base_parameters import pushforward_metric
 
 Array = NDArray[np.float64]

@@ -160,8 +160,7 @@ def grid_draws(options: argparse.Namespace) -> list[Draw]:
     known |= dict.fromkeys((ACCELERATION, FILTERED), COMPARED[1:]) if options.controllers else {}
     return [
         Draw(
-            *(GRID_PART, law, speed, SIGMAS[-1], k, (wam.AMPLITUDE,)),
-            **{"controller": controller},
+            *(GRID_PART, law, speed, SIGMAS[-1], k, (wam.AMPLITUDE,)), **{"controller": controller}
         )
         for controller, own in known.items()
         for law, speed, k in product(own, laws.GRID, range(options.draws))

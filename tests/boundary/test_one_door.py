@@ -64,9 +64,7 @@ CHECKED = {
 }
 """Module -> what it hands to a library by its path, after the door has checked what is there."""
 
-HELD = {
-    "logs/files/text_file.py": {"read_csv", "read_excel", "ZipFile"},
-}
+HELD = {"logs/files/text_file.py": {"read_csv", "read_excel", "ZipFile"}}
 """Module -> what it reads of a file that the door has opened, or of lines and entries of it."""
 
 OWN = {

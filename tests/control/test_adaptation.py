@@ -10,39 +10,32 @@ from hypothesis import strategies as st
 from random_points import CONSTRAINED, HULL, PRODUCT, random_inertia, random_point
 from scipy.optimize import minimize
 
+from geodrake.control import (
+    ControlModel,
+    PartialLaw,
+    PassivityBasedAdaptiveController,
+    euclidean_adaptation,
+    natural_adaptation,
+    parameter_manifold,
+    pullback_adaptation,
+)
 from geodrake.control.adaptation import (
     AdaptationLaw,
     FunctionSet,
     LinearSet,
-    PartialLaw,
     ProjectedLaw,
     adapted_parameters,
     body_limits,
     center_of_mass_box,
-    euclidean_adaptation,
     inside_ellipsoid,
     intersection,
     mass_limits,
-    natural_adaptation,
     parameter_limits,
-    parameter_manifold,
-    pullback_adaptation,
 )
-from geodrake.control.regressor import ControlModel
-from geodrake.control.systems import PassivityBasedAdaptiveController
 from geodrake.effects import CoulombFriction, EffortOffset, FittedEffect, Payload, ViscousFriction
 from geodrake.errors import ArgumentError, ConvergenceError
-from geodrake.inertia import (
-    is_physical,
-    pseudo_inertia,
-)
-from geodrake.manifolds import (
-    PhysicalInertia,
-    Polyhedron,
-    Positive,
-    Product,
-)
-from geodrake.manifolds.projections import bregman_projection
+from geodrake.inertia import is_physical, pseudo_inertia
+from geodrake.manifolds import PhysicalInertia, Polyhedron, Positive, Product, bregman_projection
 
 SIZE = PRODUCT.dimension
 BODIES = Product((PhysicalInertia(), PhysicalInertia(), Positive(2)))

@@ -30,21 +30,19 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from diagrams.benchmarks.adaptive_soak import distances
 from diagrams.studies.adaptive.faults import Episode, moments
-from geodrake.control.adaptation import (
+from geodrake.control import (
+    AdaptiveComputedTorqueController,
+    ControlModel,
+    FixedGains,
     PartialLaw,
+    PassivityBasedAdaptiveController,
+    PredictionError,
     euclidean_adaptation,
     natural_adaptation,
     parameter_manifold,
 )
 from geodrake.control.adaptation.outer_laws import limited
-from geodrake.control.regressor import ControlModel
-from geodrake.control.systems import (
-    AdaptiveComputedTorqueController,
-    FixedGains,
-    PassivityBasedAdaptiveController,
-    PredictionError,
-    Safeguards,
-)
+from geodrake.control.systems import Safeguards
 from geodrake.control.systems.safeguards import Watch
 from geodrake.effects import FittedEffect, JointEffect, Parameter
 from geodrake.errors import ArgumentError

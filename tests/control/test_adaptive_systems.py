@@ -27,24 +27,20 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
 
 from diagrams.studies.adaptive.faults import moments
-from geodrake.control.adaptation import (
+from geodrake.control import (
+    FixedGains,
     PartialLaw,
-    ProjectedLaw,
-    adapted_parameters,
+    PassivityBasedAdaptiveController,
+    PredictionError,
+    VaryingGains,
+    add_adaptive_loop,
     euclidean_adaptation,
-    mass_limits,
     natural_adaptation,
     pullback_adaptation,
 )
-from geodrake.control.loops import add_adaptive_loop
+from geodrake.control.adaptation import ProjectedLaw, adapted_parameters, mass_limits
 from geodrake.control.online_estimation import FilteredRegressor
-from geodrake.control.systems import (
-    FixedGains,
-    PassivityBasedAdaptiveController,
-    PredictionError,
-    Safeguards,
-    VaryingGains,
-)
+from geodrake.control.systems import Safeguards
 from geodrake.errors import ArgumentError
 from geodrake.manifolds import PhysicalInertia
 

@@ -23,13 +23,11 @@ from geodrake.effects import (
 )
 from geodrake.errors import ArgumentError, LogError
 from geodrake.identification.logs.case import open_case
-from geodrake.logs.motion import JointLog
-from geodrake.model import EffortSignal
-from geodrake.model.saved_model import load_model
-from geodrake.report import page_of, render
+from geodrake.logs import JointLog
+from geodrake.model import EffortSignal, load_model
+from geodrake.report import About, page_of, render
 from geodrake.report.json_output import record
 from geodrake.report.motion_errors import motion_values
-from geodrake.report.page import About
 from geodrake.report.views import numbers_of
 from geodrake.robot import gears
 from geodrake.robot.transmission.statements import Drive

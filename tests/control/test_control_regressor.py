@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from known_robots import description, moving_joints, plant_of
 from random_plants import JOINTS, random_plant
 
-from geodrake.control.regressor import ControlModel
+from geodrake.control import ControlModel
 from geodrake.control.rigid_bodies import RigidSample
 from geodrake.effects import (
     AerodynamicDrag,
@@ -32,10 +32,9 @@ from geodrake.effects import (
     ViscousFriction,
 )
 from geodrake.inertia import inertial_parameters
-from geodrake.logs.motion import Motion
-from geodrake.model.robot_model import load_description
-from geodrake.robot.kinematics import KinematicTree
-from geodrake.robot.regressor import inverse_dynamics_regressor
+from geodrake.logs import Motion
+from geodrake.model import load_description
+from geodrake.robot import KinematicTree, inverse_dynamics_regressor
 
 MODELS = Path(__file__).parents[2] / "models"
 KINDS = sorted(set(JOINTS) - {"none"})

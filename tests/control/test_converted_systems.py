@@ -7,7 +7,7 @@ from pydrake.autodiffutils import AutoDiffXd, InitializeAutoDiff
 from pydrake.systems.analysis import Simulator
 
 from geodrake import effects
-from geodrake.control.systems import (
+from geodrake.control import (
     DelayedEffort,
     EffectForce,
     FixedGains,
@@ -17,7 +17,7 @@ from geodrake.control.systems import (
     VaryingGains,
 )
 from geodrake.errors import ArgumentError
-from geodrake.logs.motion import JointLog
+from geodrake.logs import JointLog
 from geodrake.model.simulation.scalar_system import scalars
 
 SPRING = [(effects.JointElasticity("elbow"), [1e-3]), (effects.RotorInertia("elbow"), [0.3])]

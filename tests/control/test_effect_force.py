@@ -5,34 +5,24 @@ import dataclasses
 import numpy as np
 import pytest
 from link_chains import LINK, arm
-from pydrake.autodiffutils import (
-    AutoDiffXd,
-    ExtractGradient,
-    ExtractValue,
-    InitializeAutoDiff,
-)
+from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.math import RollPitchYaw
-from pydrake.multibody.tree import (
-    SpatialInertia,
-    UnitInertia,
-    default_model_instance,
-)
+from pydrake.multibody.tree import SpatialInertia, UnitInertia, default_model_instance
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import FirstOrderTaylorApproximation, LogVectorOutput, Sine
 from scipy.integrate import solve_ivp
 
 from geodrake import effects
-from geodrake.control.systems import DelayedEffort, EffectForce
+from geodrake.control import DelayedEffort, EffectForce
 from geodrake.effects import JointEffect, Parameter
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import from_spatial_inertia, inertial_parameters
 from geodrake.logs.temperatures import Temperatures
 from geodrake.model.simulation.scalar_system import scalars
-from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot import KinematicTree, inverse_dynamics_regressor
 from geodrake.robot.plant import set_inertial_parameters
-from geodrake.robot.regressor import inverse_dynamics_regressor
 
 TOOL = SpatialInertia(0.7, [0.01, 0.02, 0.05], UnitInertia.SolidBox(0.2, 0.3, 0.4))
 

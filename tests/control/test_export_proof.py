@@ -24,7 +24,7 @@ from geodrake.effects import (
     ViscousFriction,
 )
 from geodrake.inertia import from_mass_com_inertia
-from geodrake.model.saved_model import load_model
+from geodrake.model import load_model
 
 MJCF = """<mujoco><worldbody><body name="one"><joint name="shoulder" axis="0 1 0"/>
   <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>

@@ -40,10 +40,9 @@ from geodrake.effects import (
 )
 from geodrake.errors import ModelError
 from geodrake.inertia import from_mass_com_inertia
-from geodrake.logs.motion import Motion
-from geodrake.model import EffortSignal, holding, save_model
+from geodrake.logs import Motion
+from geodrake.model import EffortSignal, holding, load_model, save_model
 from geodrake.model.logged_joints import reading_for
-from geodrake.model.saved_model import load_model
 from geodrake.robot import joint_names
 from geodrake.robot.plant import load_plant
 
@@ -315,8 +314,7 @@ def test_nothing_else_in_the_file_changes(kind, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("kind", "values"),
-    [(LoadDependentFriction, [0.1]), (AsymmetricFriction, [0.3, 0.5, 0.1, 0.2])],
+    ("kind", "values"), [(LoadDependentFriction, [0.1]), (AsymmetricFriction, [0.3, 0.5, 0.1, 0.2])]
 )
 def test_what_a_format_lacks_is_fitted_into_what_it_holds(kind, values, tmp_path):
     model = loaded(tmp_path, "urdf")

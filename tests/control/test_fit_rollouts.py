@@ -6,43 +6,24 @@ import json
 import numpy as np
 import pytest
 from flexible_arm import arm_log, soft_arm
-from two_masses import (
-    FRICTION,
-    GAP,
-    ROTOR,
-    STIFFNESS,
-    followed,
-    having,
-    loose,
-    springy,
-    swung,
-)
+from two_masses import FRICTION, GAP, ROTOR, STIFFNESS, followed, having, loose, springy, swung
 from typer.testing import CliRunner
 
 from geodrake import effects, load_model, save_model
 from geodrake.cli.app import app
-from geodrake.control.rollout import (
-    FittedValue,
-    RolloutFit,
-    fit_rollouts,
-    roll_out,
-)
+from geodrake.control import fit_rollouts, roll_out
+from geodrake.control.rollout import FittedValue, RolloutFit
 from geodrake.control.rollout.fit_rollouts import better_model, held_out
 from geodrake.control.rollout.linearized_motion import LinearizedMotion
 from geodrake.control.rollout.motion_search import blinds
 from geodrake.control.rollout.passages import chosen_passages
-from geodrake.control.rollout.rollout_values import (
-    rollout_values,
-    values_at,
-    with_values,
-)
+from geodrake.control.rollout.rollout_values import rollout_values, values_at, with_values
 from geodrake.control.rollout.simulation import simulations
 from geodrake.errors import ArgumentError, LogError, ModelError
 from geodrake.identification.logs.case import open_case
-from geodrake.logs.files import write_log
+from geodrake.logs import write_log
 from geodrake.model import EffortSignal
-from geodrake.report import page_of, render
-from geodrake.report.page import About
+from geodrake.report import About, page_of, render
 from geodrake.report.views import numbers_of
 from geodrake.report.words import rollout_fit_words
 

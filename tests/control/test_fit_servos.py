@@ -7,7 +7,7 @@ import pytest
 from servo_logs import LATE, PENDULUM, TRUTH, servo_log
 
 from geodrake import load_model
-from geodrake.control.rollout import fit_rollouts
+from geodrake.control import fit_rollouts
 from geodrake.control.rollout.results import Rollout, Window
 from geodrake.effects import CoulombFriction, RotorInertia, ViscousFriction
 from geodrake.errors import LogError

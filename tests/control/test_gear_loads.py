@@ -21,7 +21,7 @@ from geodrake.errors import ArgumentError, ModelError
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.joint_motions import motions_of
 from geodrake.identification.logs.signal_calibration import signals_as_efforts
-from geodrake.logs.motion import JointLog, Motion
+from geodrake.logs import JointLog, Motion
 from geodrake.logs.preparation import prepare_logs
 from geodrake.model import EffortSignal
 from geodrake.model.admissible import check_effect

@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
+from geodrake.control import SampleUpdate
 from geodrake.control.adaptation import LinearSet, mass_limits
-from geodrake.control.online_estimation import FilteredRegressor, SampleUpdate, slab_step
+from geodrake.control.online_estimation import FilteredRegressor, slab_step
 from geodrake.manifolds import (
     ConstrainedInertia,
     Free,

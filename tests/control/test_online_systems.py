@@ -28,21 +28,22 @@ from adaptive_loops import (
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 
-from geodrake.control.online_estimation import FilteredRegressor, SampleUpdate
-from geodrake.control.regressor import ControlModel
-from geodrake.control.systems import (
+from geodrake.control import (
     BregmanProjectionEstimator,
+    ControlModel,
     DelayedEffort,
     EffectForce,
     LogSource,
     ModelResidual,
     PassivityBasedAdaptiveController,
     PredictionError,
+    SampleUpdate,
 )
+from geodrake.control.online_estimation import FilteredRegressor
 from geodrake.effects import JointElasticity
 from geodrake.errors import ArgumentError, LogError
-from geodrake.logs.motion import JointLog
-from geodrake.model.robot_model import load_description
+from geodrake.logs import JointLog
+from geodrake.model import load_description
 
 STEP = 2e-3
 QUANTITIES = ("time", "position", "velocity", "effort")

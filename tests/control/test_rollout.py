@@ -11,10 +11,10 @@ from typer.testing import CliRunner
 
 from geodrake import load_model, save_model
 from geodrake.cli.app import app
-from geodrake.control.rollout import roll_out
+from geodrake.control import roll_out
 from geodrake.effects import CoulombFriction, FittedEffect, ViscousFriction
 from geodrake.errors import ArgumentError, LogError
-from geodrake.logs.files import read_log, write_log
+from geodrake.logs import read_log, write_log
 
 pytest.importorskip("pinocchio")
 

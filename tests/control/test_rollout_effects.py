@@ -7,23 +7,14 @@ import pytest
 from scipy.integrate import solve_ivp
 from two_masses import INERTIA, WEIGHT
 
-from geodrake.control import EffectForce
-from geodrake.control.rollout import roll_out
-from geodrake.effects import (
-    Contact,
-    CoulombFriction,
-    FittedEffect,
-    FrictionDrift,
-    Hysteresis,
-    ThermalFriction,
-    ViscousFriction,
-)
+from geodrake import effects
+from geodrake.control import EffectForce, roll_out
 from geodrake.effects.robot_motion import log_number
 from geodrake.errors import ArgumentError
-from geodrake.logs.motion import JointLog
+from geodrake.logs import JointLog
 
 FIRST_STAMP, RATE = 100.0, 250.0
-LOSS = (ViscousFriction("hinge"), [0.1])
+LOSS = (effects.ViscousFriction("hinge"), [0.1])
 
 
 def drive(t):
@@ -51,7 +42,7 @@ def swung(name, needed, rate=lambda t, v, z: 0.0, *, start=(0.1, 0.0, 0.0), seco
 
 def departure(model, *logs, having=(), most=2):
     """Departure of the pendulum with these effects beside its loss."""
-    fitted = (FittedEffect(effect, np.array(values)) for effect, values in (LOSS, *having))
+    fitted = (effects.FittedEffect(effect, np.array(values)) for effect, values in (LOSS, *having))
     robot = dataclasses.replace(model, effects=tuple(fitted))
     return roll_out(robot, logs, most=most, bandwidth=8.0).relative
 
@@ -61,8 +52,8 @@ def test_drift_is_that_of_the_logs_time(pendulum):
         return 0.1 * v + np.exp(-t / 6.0) * (np.tanh(v / 0.02) + 0.6 * v)
 
     log, sizes = swung("warming", needed), [1.0, 0.6]
-    right = departure(pendulum, log, having=[(FrictionDrift("hinge", 6.0), sizes)])
-    always_cold = departure(pendulum, log, having=[(FrictionDrift("hinge", 1e6), sizes)])
+    right = departure(pendulum, log, having=[(effects.FrictionDrift("hinge", 6.0), sizes)])
+    always_cold = departure(pendulum, log, having=[(effects.FrictionDrift("hinge", 1e6), sizes)])
     assert right < 1e-3
     assert min(always_cold, departure(pendulum, log)) > 100 * right
 
@@ -75,8 +66,8 @@ def test_friction_of_a_hinge_is_that_of_the_temperatures_in_the_log(pendulum):
         change = -0.03 * np.tanh(v / 0.02) - 0.02 * v
         return 0.5 * np.tanh(v / 0.02) + 0.1 * v + (temperature(t) - 30.0) * change
 
-    warm = (ThermalFriction("hinge", 30.0), [-0.03, -0.02])
-    having = (CoulombFriction("hinge"), [0.5]), warm
+    warm = (effects.ThermalFriction("hinge", 30.0), [-0.03, -0.02])
+    having = (effects.CoulombFriction("hinge"), [0.5]), warm
     log = swung("heating", needed, seconds=14.0)
     readings = np.round(temperature(log.time - FIRST_STAMP), 1)[:, None]
     read = dataclasses.replace(log, temperature=readings)
@@ -98,7 +89,7 @@ def test_contact_acts_in_its_log_and_at_its_time(pendulum):
 
     def departs(log, later=0.0):
         span = start + later, end + later
-        contact = Contact("rod", *span, 0.02, log_number(log), 0.0, 0.0, -0.6)
+        contact = effects.Contact("rod", *span, 0.02, log_number(log), 0.0, 0.0, -0.6)
         return departure(pendulum, *logs, having=[(contact, [push, *np.zeros(5)])], most=4)
 
     right = departs("second")
@@ -107,7 +98,7 @@ def test_contact_acts_in_its_log_and_at_its_time(pendulum):
 
 
 @dataclasses.dataclass(frozen=True)
-class Unbent(Hysteresis):
+class Unbent(effects.Hysteresis):
     """Bristles that start unbent wherever a simulation does."""
 
     def states_along(self, motion):
@@ -124,14 +115,14 @@ def test_bristles_start_as_bent_as_the_motion_left_them(pendulum):
     )
     bent, unbent = (
         departure(pendulum, log, having=[(kind("hinge", angle), [size])])
-        for kind in (Hysteresis, Unbent)
+        for kind in (effects.Hysteresis, Unbent)
     )
     assert bent < 1e-3
     assert unbent > 100 * bent
 
 
 def test_states_of_bristles_are_those_of_the_system(pendulum):
-    bristles = Hysteresis("hinge", 0.4)
+    bristles = effects.Hysteresis("hinge", 0.4)
     system = EffectForce(pendulum.plant, [(bristles, [2.0])])
     context = system.CreateDefaultContext()
     system.GetInputPort("state").FixValue(context, np.zeros(2))
@@ -139,7 +130,7 @@ def test_states_of_bristles_are_those_of_the_system(pendulum):
     assert port.Eval(context) == 0.0
     system.set_hidden_states(context, {bristles: [-0.7]})
     np.testing.assert_allclose(port.Eval(context), 0.7 * 2.0)
-    other = Hysteresis("hinge", 0.1)
+    other = effects.Hysteresis("hinge", 0.1)
     for states in ({bristles: [0.1, 0.2]}, {bristles: 0.1}, {other: [0.1]}, {LOSS[0]: []}):
         with pytest.raises(ArgumentError, match=r"hidden state here|the state of hysteresis"):
             system.set_hidden_states(context, states)

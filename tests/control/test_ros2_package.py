@@ -18,7 +18,7 @@ from geodrake.control.export_proof.ros2 import SIGN_WIDTH
 from geodrake.effects import CoulombFriction, FittedEffect, Payload, ViscousFriction
 from geodrake.errors import ModelError
 from geodrake.inertia import from_mass_com_inertia
-from geodrake.logs.motion import Motion
+from geodrake.logs import Motion
 
 STUBS = Path(__file__).parent / "ros2_stubs"
 PAYLOAD = from_mass_com_inertia(2.5, np.array([0.0, 0.0, 0.1]), 0.01 * np.eye(3))

@@ -19,9 +19,8 @@ from geodrake.control import (
 from geodrake.effects import FittedEffect
 from geodrake.errors import ArgumentError
 from geodrake.model import load_model
-from geodrake.report.adaptation_view import AdaptationView
-from geodrake.robot import RobotInstance, RobotPorts, take_out_stated
-from geodrake.robot.transmission import gears
+from geodrake.report import AdaptationView
+from geodrake.robot import RobotInstance, RobotPorts, gears, take_out_stated
 from geodrake.robot.transmission.statements import Drive
 
 ACTING = [

@@ -9,9 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import (
-    TrajectorySource,
-)
+from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 from scipy.integrate import solve_ivp
 from two_masses import FRICTION, INERTIA, ROTOR, WEIGHT, having

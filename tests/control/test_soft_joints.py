@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from link_chains import LINK, MOTOR, arm
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import (
-    RevoluteJoint,
-)
+from pydrake.multibody.tree import RevoluteJoint
 from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import FirstOrderTaylorApproximation, LogVectorOutput, Sine
@@ -16,8 +14,7 @@ from scipy.integrate import solve_ivp
 from two_masses import FRICTION, INERTIA, ROTOR, WEIGHT, having, swung
 
 from geodrake import effects, load_model
-from geodrake.control.rollout import roll_out
-from geodrake.control.systems import EffectForce
+from geodrake.control import EffectForce, roll_out
 from geodrake.effects.deflection import Deflection, DeflectionEffect
 from geodrake.errors import ArgumentError
 from geodrake.robot.robot_instance import add_generalized_force

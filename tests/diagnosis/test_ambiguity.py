@@ -14,7 +14,7 @@ from geodrake.effects import catalogue
 from geodrake.excitation import motion_limits
 from geodrake.excitation.tell_apart import placed_rivals, separation_of
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable, JointError
-from geodrake.model.saved_model import load_model
+from geodrake.model import load_model
 from geodrake.report import page_of, show_page
 
 PREFIX = "geodrake excite MODEL --tell-apart "

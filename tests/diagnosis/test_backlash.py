@@ -17,11 +17,10 @@ from scipy.integrate import solve_ivp
 from diagrams.benchmarks.servo_gains import make_servo_log, servo_draws, servo_file
 from geodrake import load_model
 from geodrake.diagnosis import explain
-from geodrake.effects import Backlash, FittedEffect
+from geodrake.effects import Backlash, EffortScale, FittedEffect
 from geodrake.effects.motor_and_transmission import link_lag
-from geodrake.effects.sensors import EffortScale
 from geodrake.identification.logs.log_slices import Layout
-from geodrake.logs.motion import Motion
+from geodrake.logs import Motion
 
 MODEL = load_model(PENDULUM)
 RATES = 2 * np.pi * np.array([0.31, 0.53, 0.83])

@@ -9,12 +9,12 @@ import pytest
 from closed_loops import four_bar, four_bar_sdf, gripper, leg
 
 from geodrake import load_model, save_model
-from geodrake.control.rollout import roll_out
-from geodrake.diagnosis import explain
+from geodrake.control import roll_out
+from geodrake.diagnosis import compare, explain
 from geodrake.errors import LogError
-from geodrake.identification.logs.compare import compare
 from geodrake.logs import JointLog, read_log
-from geodrake.model.logged_joints import log_of_model, model_of_logs, reading_for
+from geodrake.model import model_of_logs
+from geodrake.model.logged_joints import log_of_model, reading_for
 from geodrake.robot import joint_names
 
 STEP, RATE = 5e-4, 200.0

@@ -15,12 +15,12 @@ from geodrake.diagnosis.columns import ColumnFinding
 from geodrake.diagnosis.columns.kinds import words_of
 from geodrake.diagnosis.columns.limits import likely_limits
 from geodrake.errors import ArgumentError
-from geodrake.logs.motion import JointLog
-from geodrake.model.effort_signal import EffortSignal, MotorLimit
-from geodrake.model.saved_model import save_model
+from geodrake.logs import JointLog
+from geodrake.model import EffortSignal, save_model
+from geodrake.model.effort_signal import MotorLimit
 from geodrake.model.signal_efforts import in_efforts
+from geodrake.report import Units
 from geodrake.report.explaining import gains_section, limits_section
-from geodrake.report.numbers import Units
 
 MODELS = Path(__file__).parents[2] / "models"
 

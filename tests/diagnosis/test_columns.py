@@ -19,8 +19,7 @@ from diagrams.benchmarks.column_errors import DURATION, WrongLog, make_log
 from diagrams.benchmarks.hidden.robots import make_engine, robot_file
 from geodrake import load_model
 from geodrake.cli.command import unchecked_words
-from geodrake.diagnosis import check_columns, corrected
-from geodrake.diagnosis.beliefs import Beliefs
+from geodrake.diagnosis import Beliefs, check_columns, corrected
 from geodrake.diagnosis.columns import ColumnFinding
 from geodrake.diagnosis.columns.assignment import Assignment
 from geodrake.diagnosis.columns.evidence import ColumnModel
@@ -28,8 +27,7 @@ from geodrake.diagnosis.columns.samples import column_samples
 from geodrake.effects import FittedEffect, JointElasticity
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import prepared_as_measured
-from geodrake.logs.files import read_log
-from geodrake.logs.motion import JointLog
+from geodrake.logs import JointLog, read_log
 
 MODELS = Path(__file__).parents[2] / "models"
 JOINTS = ("shoulder", "elbow")

@@ -27,7 +27,7 @@ from geodrake.effects.robot_motion import log_number
 from geodrake.identification.logs.bandwidth import prepare_for_model
 from geodrake.logs.filtering import design_filter
 from geodrake.logs.folds import assign_folds, validation_blocks
-from geodrake.model.saved_model import save_model
+from geodrake.model import save_model
 
 ARM = load_model(MODELS / "arm6.urdf")
 PENDULUM = load_model(MODELS / "double_pendulum.urdf")

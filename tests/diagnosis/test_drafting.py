@@ -13,14 +13,14 @@ from pydrake.systems.framework import DiagramBuilder
 
 from geodrake import load_model
 from geodrake.boundary.escaping import printable
-from geodrake.control.systems import EffectForce
-from geodrake.diagnosis.drafting import Draft, draft_effects, source_of
+from geodrake.control import EffectForce
+from geodrake.diagnosis import draft_effects, explain, source_of
+from geodrake.diagnosis.drafting import Draft
 from geodrake.diagnosis.drafting.formula import Factor, Formula, FormulaTerm
 from geodrake.diagnosis.drafting.results import DraftedEffect
-from geodrake.diagnosis.explain import explain
 from geodrake.effects import load_effect_file
 from geodrake.identification.logs.model_errors import ErrorTable, JointError
-from geodrake.logs.motion import Motion
+from geodrake.logs import Motion
 
 pytest.importorskip("pinocchio")
 

@@ -18,7 +18,7 @@ from geodrake.diagnosis.refinements import common_delay
 from geodrake.diagnosis.search import Search, searched
 from geodrake.identification.logs.bandwidth import prepare_for_model
 from geodrake.identification.logs.case import open_case
-from geodrake.logs.motion import JointLog
+from geodrake.logs import JointLog
 
 DRY, WET = np.array([0.3, 0.15]), np.array([0.2, 0.1])
 

@@ -18,7 +18,7 @@ from geodrake.diagnosis import Beliefs, add, compare, diagnose, explain
 from geodrake.effects import CoulombFriction, FittedEffect, ViscousFriction
 from geodrake.errors import ArgumentError, LogError
 from geodrake.inertia import is_physical
-from geodrake.logs.files import write_log
+from geodrake.logs import write_log
 from geodrake.logs.filtering import design_filter
 from geodrake.report import page_of
 from geodrake.report.words import failing_words

@@ -11,10 +11,10 @@ from pinocchio_logs import MODELS, effort_log
 from scipy.special import erf
 
 from geodrake import load_model, save_model
-from geodrake.control.regressor import ControlModel
+from geodrake.control import ControlModel
 from geodrake.diagnosis import add, compare, explain
 from geodrake.effects import CoulombFriction, FittedEffect
-from geodrake.logs.motion import Motion
+from geodrake.logs import Motion
 
 HEIGHT = np.array([0.1, 0.04])  # N·m
 

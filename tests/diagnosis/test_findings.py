@@ -11,6 +11,7 @@ import pinocchio as pin
 from pinocchio_logs import MODELS, effort_log
 
 from geodrake import load_model
+from geodrake.diagnosis import Diagnosis
 from geodrake.diagnosis.findings import (
     INERTIA,
     Unnamed,
@@ -21,7 +22,6 @@ from geodrake.diagnosis.findings import (
 )
 from geodrake.diagnosis.notes import unnamed_notes
 from geodrake.diagnosis.posterior import Posterior
-from geodrake.diagnosis.results import Diagnosis
 from geodrake.diagnosis.search import searched
 from geodrake.effects import StribeckFriction
 from geodrake.identification.logs.case import open_case

@@ -18,8 +18,8 @@ from scipy.interpolate import make_interp_spline
 from geodrake import load_model
 from geodrake.diagnosis import add
 from geodrake.effects import CoulombFriction, FittedEffect, JointElasticity, ViscousFriction
-from geodrake.logs.motion import JointLog, Motion
-from geodrake.model.saved_model import save_model
+from geodrake.logs import JointLog, Motion
+from geodrake.model import save_model
 
 ARM = load_model(MODELS / "arm6.urdf")
 DRY = np.array([4.0, 5.0, 3.0, 0.15, 0.15, 0.08])  # N·m

@@ -75,9 +75,7 @@ def random_problem(dry=0.4, ball=0.0, folds=1):
         of_folds = effort[j].reshape(folds, -1)
         sums = np.stack([of_folds.sum(1), np.square(of_folds).sum(1)], 1)
         factors = rows.reshape(folds, ROWS // folds, -1)
-        joints.append(
-            JointData(felt, factors, n, ((),) * folds, none, n, sums, peaks),
-        )
+        joints.append(JointData(felt, factors, n, ((),) * folds, none, n, sums, peaks))
     dataset = Dataset(
         JOINTS, PENDULUM.bodies, EFFECTS, np.zeros((1, 2)), tuple(map(str, range(folds))), ("log",),
         tuple(joints), effort.std(1), np.full(2, 0.1), 5.0, np.zeros(2),

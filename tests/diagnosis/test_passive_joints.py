@@ -13,7 +13,8 @@ from geodrake.errors import LogError
 from geodrake.identification import IdentificationSettings, identify_model
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.log_fits import LogFits, log_unknowns
-from geodrake.logs.files import Reading, read_log, read_mapping, write_log
+from geodrake.logs import Reading, read_log, write_log
+from geodrake.logs.files import read_mapping
 from geodrake.model.logged_joints import reading_for
 
 

@@ -28,7 +28,8 @@ from geodrake.diagnosis import add, diagnose, explain
 from geodrake.effects import JointEffect, Parameter, Proposer
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.bandwidth import prepare_for_model
-from geodrake.logs.motion import USUAL_GAIN_DEVIATION, Motion
+from geodrake.logs import Motion
+from geodrake.logs.motion import USUAL_GAIN_DEVIATION
 from geodrake.model.export import reasons
 from geodrake.model.file_terms import Damping
 
@@ -91,8 +92,7 @@ def dragged(joint, point, drag):
 def lighter(joint, factor):
     """Effort that a robot saves with one body of a share of its mass and inertia."""
     return lambda seen: seen.with_body(
-        joint,
-        lambda own: pin.Inertia(factor * own.mass, own.lever, factor * np.array(own.inertia)),
+        joint, lambda own: pin.Inertia(factor * own.mass, own.lever, factor * np.array(own.inertia))
     )
 
 
@@ -226,10 +226,7 @@ ROWS = {
     "drives that compensate too much": Planted(
         PENDULUM,
         driven,
-        {
-            "friction_overcompensation": (BOTH, {"excess": 0.25}),
-            WET: (BOTH, {"viscous": 0.4}),
-        },
+        {"friction_overcompensation": (BOTH, {"excess": 0.25}), WET: (BOTH, {"viscous": 0.4})},
         SHORT,
     ),
     "an offset of what is warm, beside a sensor that fails": Planted(

@@ -10,14 +10,12 @@ from measurements import DATA, REFERENCE
 from geodrake import load_model
 from geodrake.diagnosis import compare, explain
 from geodrake.inertia import is_physical
-from geodrake.model.saved_model import save_model
+from geodrake.model import save_model
 
 MODELS = Path(__file__).parents[2] / "models"
 
 pytestmark = pytest.mark.measurements(
-    "data/ur10e_*.csv",
-    "data/double_pendulum_c1_*.csv",
-    "reference/ur10e.urdf",
+    "data/ur10e_*.csv", "data/double_pendulum_c1_*.csv", "reference/ur10e.urdf"
 )
 
 

@@ -10,8 +10,8 @@ from pinocchio_logs import effort_log
 from scipy.signal import lfilter
 
 from geodrake.diagnosis import explain
-from geodrake.logs.files import write_log
-from geodrake.model.saved_model import load_model
+from geodrake.logs import write_log
+from geodrake.model import load_model
 
 PENDULUM = MODELS / "double_pendulum.urdf"
 WORDS = "its direction of motion times the position of "

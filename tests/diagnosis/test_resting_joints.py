@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 
 from geodrake import load_model
-from geodrake.diagnosis import add, explain
+from geodrake.diagnosis import add, compare, explain
 from geodrake.errors import ArgumentError
-from geodrake.identification.logs.compare import compare
-from geodrake.identification.models import identify_model
-from geodrake.identification.models.results import IdentificationSettings
+from geodrake.identification import IdentificationSettings, identify_model
 from geodrake.logs import JointLog
 
 pinocchio = pytest.importorskip("pinocchio")

@@ -12,7 +12,7 @@ from rich.console import Console
 from geodrake.diagnosis import add, diagnose, explain
 from geodrake.diagnosis.ambiguity import distinguishing_commands
 from geodrake.diagnosis.results import FittedRival
-from geodrake.model.saved_model import load_model
+from geodrake.model import load_model
 from geodrake.report import page_of, render, show_page
 from geodrake.report.views import numbers_of
 

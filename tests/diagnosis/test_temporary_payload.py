@@ -23,10 +23,10 @@ from geodrake.effects.robot_motion import log_number
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import open_case
 from geodrake.inertia import from_mass_com_inertia
+from geodrake.model import save_model
 from geodrake.model.export import export_model
-from geodrake.model.saved_model import save_model
+from geodrake.report import Units
 from geodrake.report.json_output import to_json
-from geodrake.report.numbers import Units
 from geodrake.report.views import numbers_of
 from geodrake.report.words import finding
 

@@ -5,11 +5,7 @@ import pytest
 from drake import lcmt_iiwa_command, lcmt_iiwa_status
 from pydrake.lcm import DrakeLcmParams
 from pydrake.manipulation import ApplyDriverConfigs, IiwaDriver
-from pydrake.multibody.parsing import (
-    LoadModelDirectivesFromString,
-    Parser,
-    ProcessModelDirectives,
-)
+from pydrake.multibody.parsing import LoadModelDirectivesFromString, Parser, ProcessModelDirectives
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder

@@ -27,7 +27,7 @@ from geodrake.excitation import (
 )
 from geodrake.excitation.problem import make_problem
 from geodrake.excitation.starts import at_rest
-from geodrake.logs.motion import Motion
+from geodrake.logs import Motion
 from geodrake.model import load_model
 
 BIPED = MODELS / "biped.urdf"
@@ -58,11 +58,7 @@ def balanced(stance):
 def designed(*feet):
     stance = standing(*feet)
     options = DesignOptions(
-        samples=60,
-        stance=stance,
-        iterations=3,
-        seconds=600.0,
-        stand=balanced(stance),
+        samples=60, stance=stance, iterations=3, seconds=600.0, stand=balanced(stance)
     )
     target = stance.target(noise=1.0)
     return design_excitation(

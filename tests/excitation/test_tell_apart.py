@@ -10,18 +10,9 @@ from hypothesis import strategies as st
 from scipy.linalg import block_diag, sqrtm
 from scipy.optimize import lsq_linear
 
-from geodrake.effects import (
-    CoulombFriction,
-    FittedEffect,
-    NonlinearViscousFriction,
-    ViscousFriction,
-)
+from geodrake import effects
 from geodrake.errors import ArgumentError
-from geodrake.excitation import (
-    make_rival,
-    make_separation,
-    motion_limits,
-)
+from geodrake.excitation import make_rival, make_separation, motion_limits
 from geodrake.identification.logs.criteria import SPREAD
 from geodrake.identification.logs.unknowns import pullback_information
 from geodrake.logs import Motion
@@ -59,7 +50,7 @@ class TestSeparation:
     def test_is_what_two_fits_leave(self, seed):
         """Every pair, against a bounded least-squares fit of its stacked rows."""
         names = ("coulomb_friction", "load_dependent_friction")
-        known = FittedEffect(ViscousFriction("joint_1"), np.array([0.7]))
+        known = effects.FittedEffect(effects.ViscousFriction("joint_1"), np.array([0.7]))
         model = arm(seed, effects=[known])
         motion = motion_of(model, seed)
         separation = separation_of(model, names, noise=NOISE, sign_width=WIDTH)
@@ -106,7 +97,9 @@ class TestSeparation:
     )
     def test_gradient(self, names):
         """Against central differences, sample by sample along random directions."""
-        model = arm(5, effects=[FittedEffect(CoulombFriction("joint_0"), np.array([0.8]))])
+        model = arm(
+            5, effects=[effects.FittedEffect(effects.CoulombFriction("joint_0"), np.array([0.8]))]
+        )
         if "coulomb_friction" in names:
             model = replace(model, effects=())
         separation = separation_of(model, names, noise=NOISE, sign_width=2.0 * WIDTH)
@@ -125,7 +118,7 @@ class TestSeparation:
 
     def test_an_effect_of_known_size_sets_that_of_its_rival(self):
         """The rival is as large as it must be to be taken for it."""
-        fitted = FittedEffect(CoulombFriction("elbow"), np.array([0.3]))
+        fitted = effects.FittedEffect(effects.CoulombFriction("elbow"), np.array([0.3]))
         model = pendulum(fitted)
         limits = motion_limits(model)
         rivals = [
@@ -161,10 +154,10 @@ class TestRivals:
         limits = motion_limits(pendulum())
         tried = make_rival("nonlinear_viscous_friction", pendulum(), limits)
         assert len(tried.alternatives) == len(
-            tuple(NonlinearViscousFriction.candidates("elbow", 1.0))
+            tuple(effects.NonlinearViscousFriction.candidates("elbow", 1.0))
         )
-        own = NonlinearViscousFriction("elbow", exponent=2.2)
-        model = pendulum(FittedEffect(own, np.array([1.0])))
+        own = effects.NonlinearViscousFriction("elbow", exponent=2.2)
+        model = pendulum(effects.FittedEffect(own, np.array([1.0])))
         known = make_rival("nonlinear_viscous_friction", model, limits, where=["elbow"])
         assert known.effects == (own,)
         said = make_rival(

@@ -371,17 +371,11 @@ ROBOT = "robots:\n- {name: a, logs: 'a/*.csv'}\n"
         (f"to: x\n{TYPES}robots:\n- {{name: a}}\n", "robots[0] lacks its logs"),
         (f"to: x\n{TYPES}robots:\n- {{name: a, logs: []}}\n", "robot 'a' has no logs"),
         (f"to: x\n{TYPES}robots:\n- {{name: a, logs: b, dates: '%Y%Y%m%d'}}\n", "invalid pattern"),
-        (
-            f"to: x\n{TYPES}robots:\n- {{name: a, logs: b, log: c}}\n",
-            "(was logs meant?)",
-        ),
+        (f"to: x\n{TYPES}robots:\n- {{name: a, logs: b, log: c}}\n", "(was logs meant?)"),
         ("to: x\ntypes:\n  ../a: {model: m}\n" + ROBOT, "a name that a folder cannot have"),
         ("to: x\ntypes:\n  a: {model: m, blocks: 1}\n" + ROBOT, "blocks must be"),
         ("to: x\ntypes:\n  a: {model: m, payload: 0}\n" + ROBOT, "payload of type 'a' must be"),
-        (
-            "to: x\ntypes:\n  a: {model: m, floating: 3}\n" + ROBOT,
-            "floating = 3: expected true",
-        ),
+        ("to: x\ntypes:\n  a: {model: m, floating: 3}\n" + ROBOT, "floating = 3: expected true"),
         (
             f"to: x\n{TYPES}robots:\n- {{name: a, logs: b, payloads: [{{body: h, mass: -1}}]}}\n",
             "mass of -1 kg",

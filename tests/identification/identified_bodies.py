@@ -8,11 +8,7 @@ from scipy.linalg import block_diag, eigh
 
 from geodrake.identification import FitProblem
 from geodrake.identification.problem import LinearConstraints, whitened_factor
-from geodrake.inertia import (
-    Ellipsoid,
-    from_mass_com_inertia,
-    pseudo_inertia,
-)
+from geodrake.inertia import Ellipsoid, from_mass_com_inertia, pseudo_inertia
 from geodrake.inertia.parameters import from_dual
 
 THREE = from_mass_com_inertia(

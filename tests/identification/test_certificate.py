@@ -10,9 +10,8 @@ from identified_bodies import THREE as PRIOR
 from identified_bodies import constrained, cost, entropic_fit, random_data
 
 from geodrake.errors import IdentificationError
-from geodrake.identification import BodyConstraints, conic_fit, identify
+from geodrake.identification import REGULARIZERS, BodyConstraints, conic_fit, identify
 from geodrake.identification.conic_fit import build_fit, certified
-from geodrake.identification.identify import REGULARIZERS
 from geodrake.identification.newton import solve_newton
 
 

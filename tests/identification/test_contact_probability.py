@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from quadruped import FEET, quadruped
 
+from geodrake.diagnosis import compare
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.excitation import (
     DesignOptions,
@@ -17,10 +18,9 @@ from geodrake.excitation import (
     placing,
     random_excitation,
 )
-from geodrake.identification.logs.compare import compare
+from geodrake.model import load_description
 from geodrake.model.contact_probability import FrameSigns, touching_probability
 from geodrake.model.floating_logs import contact_frames, with_base
-from geodrake.model.robot_model import load_description
 
 RATE, WEIGHT = 200.0, 150.0
 
@@ -103,10 +103,7 @@ def on_steps(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(placing, "_LEVEL", 0.2)  # a plane is all that stances know
         stance = make_stance(
-            model,
-            [Foot(foot, np.zeros((1, 3))) for foot in FEET],
-            posture=posture,
-            limits=limits,
+            model, [Foot(foot, np.zeros((1, 3))) for foot in FEET], posture=posture, limits=limits
         )
     target = make_target(stance.model, noise=1.0)
     options = DesignOptions(stance=stance)

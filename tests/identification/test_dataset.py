@@ -26,10 +26,10 @@ from geodrake.identification.logs.bandwidth import coherent_bandwidth, prepare_f
 from geodrake.identification.logs.log_slices import RowCache
 from geodrake.identification.logs.noise import filtered_below, known_noise
 from geodrake.identification.logs.reduce import reduce_logs
+from geodrake.logs import JointLog
 from geodrake.logs.folds import validation_blocks
-from geodrake.logs.motion import JointLog
 from geodrake.logs.preparation import prepare_logs
-from geodrake.robot.regressor import inverse_dynamics_regressor
+from geodrake.robot import inverse_dynamics_regressor
 
 
 def noise_floor(*arguments, **options):

@@ -12,7 +12,7 @@ from geodrake.errors import LogError
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.effort_gains import _GeodesicBodies
 from geodrake.identification.logs.signal_calibration import calibrate_efforts, calibrated
-from geodrake.logs.files import read_log
+from geodrake.logs import read_log
 from geodrake.model import EffortSignal
 from geodrake.model.logged_joints import log_of_model
 

@@ -6,14 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pinocchio as pin
 import pytest
-from foreign_logs import (
-    EPOCH,
-    joint_states,
-    nanoseconds,
-    ros2_header,
-    ros2_store,
-    write_rosbag2,
-)
+from foreign_logs import EPOCH, joint_states, nanoseconds, ros2_header, ros2_store, write_rosbag2
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import JacobianWrtVariable
@@ -22,32 +15,27 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from geodrake.cli.app import app
-from geodrake.control.rollout import roll_out
-from geodrake.diagnosis import explain
-from geodrake.effects import Role
+from geodrake.control import roll_out
+from geodrake.diagnosis import compare, explain
+from geodrake.effects import JointElasticity, Role, WrenchOffset
 from geodrake.effects.body_motion import RobotBodies
-from geodrake.effects.motor_and_transmission import JointElasticity
-from geodrake.effects.sensors import WrenchOffset
 from geodrake.errors import LogError
-from geodrake.excitation.identifiable import log_identifiability
+from geodrake.excitation import log_identifiability
 from geodrake.identification.logs.candidate_effects import candidate_effects
 from geodrake.identification.logs.case import open_case
-from geodrake.identification.logs.compare import compare
 from geodrake.identification.logs.contact_rows import contact_rows, rows_without
 from geodrake.identification.logs.noise import known_noise
 from geodrake.identification.logs.reduce import reduce_logs
-from geodrake.logs import read_log
+from geodrake.logs import JointLog, read_log
 from geodrake.logs.files.messages import BaseMessages, base_sources
 from geodrake.logs.floating import ContactFlags
 from geodrake.logs.folds import validation_blocks
-from geodrake.logs.motion import JointLog
 from geodrake.logs.preparation import prepare_logs
 from geodrake.logs.unit_hints import effort_sign_hint
+from geodrake.model import Given, load_description
 from geodrake.model.floating_logs import contact_frames, contact_jacobians, on_soles, with_base
 from geodrake.model.logged_joints import log_of_model, reading_for
-from geodrake.model.robot_model import load_description
-from geodrake.robot.files import Given
-from geodrake.robot.regressor import inverse_dynamics_regressor
+from geodrake.robot import inverse_dynamics_regressor
 from geodrake.robot.shapes import collision_balls
 
 RATE = 100.0

@@ -14,14 +14,10 @@ from geodrake.errors import ArgumentError, ConvergenceError
 from geodrake.identification import geodesic_least_squares
 from geodrake.identification.coordinates import SYMMETRIC_BASIS
 from geodrake.identification.geodesic_least_squares import project, spectral
-from geodrake.inertia import (
-    from_pseudo_inertia,
-    is_physical,
-    pseudo_inertia,
-)
+from geodrake.inertia import from_pseudo_inertia, is_physical, pseudo_inertia
 from geodrake.inertia.parameters import dual
 from geodrake.inertia.positive_definite import distance
-from geodrake.model.robot_model import load_description
+from geodrake.model import load_description
 from geodrake.robot import inverse_dynamics_regressor
 
 ROOTS = np.linalg.cholesky(pseudo_inertia(PRIOR))

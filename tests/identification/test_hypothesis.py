@@ -29,8 +29,8 @@ from geodrake.identification.logs.model_fit import fit_model, model_unknowns
 from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.identification.logs.unknowns import effect_prior, fit_problem
 from geodrake.inertia import is_physical
+from geodrake.logs import KnownPayload
 from geodrake.logs.folds import validation_blocks
-from geodrake.logs.known_payload import KnownPayload
 from geodrake.logs.preparation import prepare_logs
 
 WEIGHTS = np.array([30.0, 70.0])

@@ -217,10 +217,7 @@ def test_bounds_on_mass_and_centre_of_mass_hold(regularizer):
 
 
 CONSTRAINTS = {
-    "mass shape": (
-        {"mass_bounds": [[0, 1]]},
-        r"mass_bounds must be \(3, 2\) .* \(1, 2\)",
-    ),
+    "mass shape": ({"mass_bounds": [[0, 1]]}, r"mass_bounds must be \(3, 2\) .* \(1, 2\)"),
     "mass order": (
         {"mass_bounds": [[2, 1]] * 3},
         r"mass_bounds has lower values above .* at \[\[0\]",

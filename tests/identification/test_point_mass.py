@@ -7,12 +7,7 @@ from identified_bodies import random_data
 from scipy.optimize import minimize, nnls
 
 from geodrake.errors import ArgumentError
-from geodrake.identification import (
-    PointMasses,
-    PointMassEuclidean,
-    PointMassKL,
-    identify,
-)
+from geodrake.identification import PointMasses, PointMassEuclidean, PointMassKL, identify
 from geodrake.inertia import Ellipsoid, is_physical, pseudo_inertia
 
 POINTS = PointMasses.of_bodies(PRIOR, [40, 25])
@@ -102,10 +97,7 @@ def test_bad_points_are_refused():
             lambda: PointMasses(POINTS.positions, (first, first)),
             r"masses\[1\] must be \(25,\) .* \(40,\)",
         ),
-        (
-            lambda: PointMasses(POINTS.positions, (first,)),
-            "Masses are needed for each of the 2",
-        ),
+        (lambda: PointMasses(POINTS.positions, (first,)), "Masses are needed for each of the 2"),
         (
             lambda: identify(
                 *data(6), PRIOR * [[1.0], [1.1]], regularizer=PointMassKL(POINTS), gamma=1.0

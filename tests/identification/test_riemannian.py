@@ -12,12 +12,7 @@ from scipy.optimize import minimize
 from geodrake.identification import Riemannian, identify
 from geodrake.identification.coordinates import SYMMETRIC_BASIS
 from geodrake.identification.riemannian import half_squared_logs, log_derivatives
-from geodrake.inertia import (
-    from_mass_com_inertia,
-    is_physical,
-    pseudo_inertia,
-    pullback_metric,
-)
+from geodrake.inertia import from_mass_com_inertia, is_physical, pseudo_inertia, pullback_metric
 
 PRIOR_AND_FRICTION = np.append(PRIOR.ravel(), 0.0)
 

@@ -5,8 +5,7 @@ import pytest
 from identified_bodies import THREE as PRIOR
 from scipy.optimize import minimize_scalar
 
-from geodrake.identification import identify
-from geodrake.identification.identify import REGULARIZERS
+from geodrake.identification import REGULARIZERS, identify
 
 FORMS = {
     "euclidean": lambda x, x0: (x - x0) ** 2,

@@ -11,10 +11,7 @@ from diagrams.benchmarks.servo_gains import HIDDEN, ServoDraw, score_servo
 from geodrake import load_model
 from geodrake.control import PositionServo, roll_out
 from geodrake.control.export_proof import export_to
-from geodrake.control.systems.position_servo import (
-    ServoError,
-    integral_rate,
-)
+from geodrake.control.systems.position_servo import ServoError, integral_rate
 from geodrake.control.systems.position_servo import servo_effort as effort_of
 from geodrake.effects import CoulombFriction, FittedEffect, RotorInertia, ViscousFriction
 from geodrake.effects.of_files import SquaredLoadFriction
@@ -31,13 +28,11 @@ from geodrake.identification.logs.signal_calibration import (
     gain_words,
     signals_as_efforts,
 )
-from geodrake.logs.known_payload import KnownPayload
-from geodrake.logs.motion import JointLog, Motion
+from geodrake.logs import JointLog, KnownPayload, Motion
 from geodrake.logs.preparation import prepare_logs
-from geodrake.model import EffortSignal
+from geodrake.model import EffortSignal, save_model
+from geodrake.model import load_model as load_saved
 from geodrake.model.carried_payloads import carrying
-from geodrake.model.saved_model import load_model as load_saved
-from geodrake.model.saved_model import save_model
 from geodrake.model.signal_efforts import (
     ServoGains,
     error_integral,
@@ -46,8 +41,8 @@ from geodrake.model.signal_efforts import (
     runs_between_gaps,
     servo_effort,
 )
+from geodrake.report import Units
 from geodrake.report.explaining import signals_table
-from geodrake.report.numbers import Units
 
 INTEGRAL = 90.0
 

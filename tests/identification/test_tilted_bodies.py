@@ -10,7 +10,7 @@ from pinocchio_logs import MODELS, perturbed, robot
 from geodrake import load_model
 from geodrake.effects import GravityTilt
 from geodrake.identification.logs.log_slices import INERTIA, Layout
-from geodrake.logs.motion import Motion
+from geodrake.logs import Motion
 
 ARM = load_model(MODELS / "arm6.urdf")
 NV = len(ARM.joints)

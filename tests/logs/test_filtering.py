@@ -6,12 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from geodrake.errors import ArgumentError, LogError
-from geodrake.logs.filtering import (
-    choose_bandwidth,
-    design_filter,
-    differentiate,
-    resample,
-)
+from geodrake.logs.filtering import choose_bandwidth, design_filter, differentiate, resample
 
 PERIOD = 0.002
 BANDWIDTH = 10.0

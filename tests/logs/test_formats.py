@@ -12,8 +12,7 @@ import pytest
 from foreign_logs import FORMATS, joint_states, lerobot, ros2_header, ros2_store, write_rosbag2
 
 from geodrake.errors import ArgumentError, LogError
-from geodrake.logs import JointLog, log_of_frame, read_log
-from geodrake.logs.files import Reading
+from geodrake.logs import JointLog, Reading, log_of_frame, read_log
 
 JOINTS = ("shoulder", "elbow")
 

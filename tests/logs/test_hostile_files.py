@@ -12,15 +12,13 @@ import pytest
 from foreign_logs import blank, lerobot, rosbag2_mcap, rosbag2_sqlite3
 from pendulum_logs import PENDULUM, pendulum_log
 
+from geodrake.diagnosis import compare
 from geodrake.errors import LogError
-from geodrake.identification.logs.compare import compare
-from geodrake.logs import JointLog
-from geodrake.logs.files import log_of_frame, read_log
+from geodrake.logs import JointLog, log_of_frame, read_log
 from geodrake.logs.files.table import check_room
 from geodrake.logs.inspection import inspect_log
 from geodrake.logs.unit_hints import effort_unit_hint
-from geodrake.model.logged_joints import model_of_logs
-from geodrake.model.saved_model import load_model
+from geodrake.model import load_model, model_of_logs
 
 
 def columns(rows):

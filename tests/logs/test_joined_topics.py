@@ -15,8 +15,7 @@ from foreign_logs import (
 )
 
 from geodrake.errors import LogError
-from geodrake.logs import JointLog, read_log
-from geodrake.logs.files import Reading
+from geodrake.logs import JointLog, Reading, read_log
 
 JOINTS = ("shoulder", "elbow")
 TOLD = "/position_controller/commands"

@@ -10,7 +10,7 @@ from geodrake import load_model
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.servo_motion import PARAMETERS
 from geodrake.identification.logs.signal_calibration import calibrate_efforts, with_servo_motions
-from geodrake.logs.files import Reading, read_log
+from geodrake.logs import Reading, read_log
 from geodrake.logs.motors import known_motors, motor_named, motor_of_robot
 
 

@@ -19,15 +19,13 @@ from typer.testing import CliRunner
 
 from geodrake import load_model
 from geodrake.cli.app import app
-from geodrake.control.rollout import roll_out
+from geodrake.control import roll_out
 from geodrake.diagnosis import compare
 from geodrake.effects import EffortDelay, FittedEffect
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.signal_calibration import calibrated
-from geodrake.logs.files import write_log
-from geodrake.logs.known_payload import KnownPayload
-from geodrake.logs.motion import JointLog
+from geodrake.logs import JointLog, KnownPayload, write_log
 from geodrake.model.carried_payloads import joints_with_known_gain
 
 ARM, PENDULUM = "arm6", "double_pendulum"

@@ -12,8 +12,7 @@ from hypothesis.extra.numpy import arrays
 from odd_names import IN_XML
 
 from geodrake.errors import LogError, OutputError
-from geodrake.logs.files import Reading, read_log, write_log
-from geodrake.logs.motion import JointLog
+from geodrake.logs import JointLog, Reading, read_log, write_log
 
 HEADER = "time,a.position,b.position,a.effort,b.effort"
 ROWS = [f"{0.01 * k:.2f},{k},{-k},0.5,1.5" for k in range(12)]

@@ -7,8 +7,8 @@ import pandas
 import pytest
 
 from geodrake.errors import LogError
-from geodrake.logs.files import read_log, read_mapping
-from geodrake.logs.files.reading import Reading
+from geodrake.logs import Reading, read_log
+from geodrake.logs.files import read_mapping
 
 UR = tuple(
     f"{name}_joint"

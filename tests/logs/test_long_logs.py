@@ -10,11 +10,9 @@ from pendulum_logs import JOINTS, PENDULUM
 from geodrake.diagnosis import compare
 from geodrake.errors import LogError
 from geodrake.identification.logs import noise, reduce
-from geodrake.logs import smoothing, uniform_log
-from geodrake.logs.files import read_log, write_log
-from geodrake.logs.motion import JointLog
+from geodrake.logs import JointLog, read_log, smoothing, uniform_log, write_log
 from geodrake.logs.preparation import prepare_logs
-from geodrake.model.saved_model import load_model
+from geodrake.model import load_model
 
 
 def long_log(samples, *, velocity=False, seed=0):

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from measurements import DATA
 
 from geodrake.errors import ArgumentError, LogError
-from geodrake.logs.files import read_log
+from geodrake.logs import JointLog, Motion, read_log
 from geodrake.logs.filtering import design_filter
 from geodrake.logs.folds import validation_blocks
-from geodrake.logs.motion import JointLog, Motion, Trajectory, check_joints
+from geodrake.logs.motion import Trajectory, check_joints
 from geodrake.logs.preparation import motion_bandwidth_of, prepare_logs
 from geodrake.logs.smoothing import Piece, Stretch
 from geodrake.logs.uniform_log import make_uniform

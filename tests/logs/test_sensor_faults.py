@@ -8,9 +8,8 @@ import pytest
 from measurements import DATA
 
 from geodrake.errors import ArgumentError, LogError
-from geodrake.logs.files import read_log
+from geodrake.logs import JointLog, read_log
 from geodrake.logs.log_checks import check_repeated
-from geodrake.logs.motion import JointLog
 from geodrake.logs.sensor_faults import LARGEST, without_faults
 from geodrake.logs.uniform_log import make_uniform
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from geodrake.errors import ArgumentError, LogError
-from geodrake.logs import JointLog, log_of_frame, read_log, write_log
+from geodrake.logs import JointLog, Reading, log_of_frame, read_log, write_log
 from geodrake.logs.files import read_mapping
-from geodrake.logs.files.reading import ColumnMapping, MappedColumn, Reading, parsed_gain
+from geodrake.logs.files.reading import ColumnMapping, MappedColumn, parsed_gain
 from geodrake.logs.inspection import inspect_log, mapping_text
 from geodrake.logs.log_checks import check_commands, check_saturation
 from geodrake.logs.uniform_log import make_uniform

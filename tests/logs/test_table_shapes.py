@@ -12,7 +12,8 @@ import yaml
 from scipy.io import savemat
 
 from geodrake.errors import LogError
-from geodrake.logs.files import Reading, read_log, read_mapping, text_file
+from geodrake.logs import Reading, read_log
+from geodrake.logs.files import read_mapping, text_file
 from geodrake.logs.files.grouped_arrays import one_after_another
 from geodrake.logs.files.reading import ColumnMapping, MappedColumn
 from geodrake.logs.files.table import LogTable

@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from geodrake.diagnosis.columns.corrections import corrected
+from geodrake.diagnosis import corrected
 from geodrake.diagnosis.columns.finding import ColumnFinding
-from geodrake.logs import JointLog, log_of_frame, read_log, write_log
-from geodrake.logs.files.reading import ColumnMapping, MappedColumn, Reading
+from geodrake.logs import JointLog, Reading, log_of_frame, read_log, write_log
+from geodrake.logs.files.reading import ColumnMapping, MappedColumn
 from geodrake.logs.preparation import prepare_logs
 from geodrake.logs.temperatures import Temperatures
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from geodrake.errors import LogError
-from geodrake.logs.motion import JointLog
+from geodrake.logs import JointLog
 from geodrake.logs.uniform_log import make_uniform
 from geodrake.logs.unit_hints import (
     effort_sign_hint,

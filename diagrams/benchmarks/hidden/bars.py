@@ -160,8 +160,7 @@ def bars(rows: Sequence[Row]) -> list[Line]:
             0.95,
         ),
         share(
-            "… with inertia 20 % off, too",
-            _get([r for r in slow if r["prior"] == OFF], "in_set"),
+            "… with inertia 20 % off, too", _get([r for r in slow if r["prior"] == OFF], "in_set")
         ),
         median(
             "seconds for one log of 24 s, median",

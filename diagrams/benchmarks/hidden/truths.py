@@ -14,14 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from diagrams.benchmarks.hidden.robots import (
-    GRAVITY,
-    SLOW,
-    Engine,
-    congruent,
-    make_motion,
-    pseudo,
-)
+from diagrams.benchmarks.hidden.robots import GRAVITY, SLOW, Engine, congruent, make_motion, pseudo
 from geodrake.effects import catalogue
 
 Array = NDArray[np.float64]
@@ -523,15 +516,7 @@ _ALL = (
     Truth("rotor_inertia", JOINT, joint_law(lambda own, other: own.a, inertia=1.0)),
     Truth("coupled_rotor_inertia", PAIR, coupled_rotor, ("rotor_inertia",), alone=True),
     Truth("joint_elasticity", JOINT, soft_gear, unit=1e-4, alone=True),
-    Truth(
-        "backlash",
-        JOINT,
-        loose_gear,
-        unit=1e-3,
-        largest=0.02,
-        alone=True,
-        reverses=True,
-    ),
+    Truth("backlash", JOINT, loose_gear, unit=1e-3, largest=0.02, alone=True, reverses=True),
     Truth("payload", BODY, payload),
     Truth("wrong_inertia", BODY, wrong_body, unit=0.5, largest=2.0, alone=True),
     Truth("gravity_tilt", ROBOT, tilt, unit=0.05, largest=0.2, alone=True),
@@ -546,10 +531,7 @@ TRUTHS = {truth.name: truth for truth in _ALL if truth.name in _KNOWN}
 
 KINDS = {
     "wrench that turns with its body": (Truth("contact", BODY, jet), {}),
-    "friction that fades to nothing": (
-        Truth("friction_drift", JOINT, running_in, (DRY, WET)),
-        {},
-    ),
+    "friction that fades to nothing": (Truth("friction_drift", JOINT, running_in, (DRY, WET)), {}),
     "delay in slow motion, coloured noise": (
         TRUTHS["effort_delay"],
         {"motion": SLOW, "colour": COLOURED},
