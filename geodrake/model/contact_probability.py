@@ -41,15 +41,13 @@ class FrameSigns:
     """Signs of contact of c frames at N instants; NaN where unknown.
 
     Attributes:
-        heights: (N, c) over the ground, m.
-        speeds: (N, c) of the points that may touch, m/s.
         loads: (N, c) largest component of the force on them that the joints of their limbs tell,
             over its deviation in the air.
     """
 
     time: Array
-    heights: Array
-    speeds: Array
+    heights: Array  # (N, c) over the ground, m
+    speeds: Array  # (N, c) of the points that may touch, m/s
     loads: Array
 
 

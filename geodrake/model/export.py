@@ -76,7 +76,6 @@ def check_export(model: RobotModel, path: Path) -> None:
             f"Cannot write --export {path}: {model.path.name} is {_FORMATS[kind]}, so its "
             "copy is too.",
             advice=f"Name it {path.stem}{_SUFFIXES[kind][0]}.",
-            path=path,
         )
     moving = {part.scoped_name for body in lumped_bodies(model.plant) for part in body.members}
     _check_in_itself(model, read_description(model.path, model.given), moving)
@@ -91,7 +90,6 @@ def _check_in_itself(model: RobotModel, description: ModelDescription, links: Se
             f"{model.path} includes {files}, which has {', '.join(inside)}: a copy of the first "
             f"cannot hold the inertia of {first}.",
             advice="Give the included file, or copy what it has into the model.",
-            links=tuple(inside),
         )
 
 
@@ -255,7 +253,6 @@ def _check(content: bytes, path: Path, written: Mapping[str, Array]) -> None:
                 f"The inertia of {name.rpartition('::')[2]} cannot be changed in {path}, as "
                 "geodrake does not understand how it is written.",
                 advice="Expand entities and includes in the file first.",
-                link=name,
             )
 
 
@@ -280,6 +277,5 @@ def file_kind(model: RobotModel) -> str:
             f"{model.path} combines several model files, so there is no single file to write "
             "inertias to.",
             advice="Save the model with --save instead.",
-            path=model.path,
         )
     return read_description(model.path, model.given).texts[0].kind

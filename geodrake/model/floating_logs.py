@@ -152,8 +152,7 @@ def _orientation(log: JointLog, gravity: Array) -> tuple[Rotation, NDArray[np.bo
         )
     if not known.any():
         raise LogError(
-            f"Log {log.name!r} has no row with the orientation of the base.",
-            advice=_ADVICE,
+            f"Log {log.name!r} has no row with the orientation of the base.", advice=_ADVICE
         )
     pitch = np.abs(np.arcsin(np.clip(turn[known].as_matrix()[:, 2, 0], -1.0, 1.0)))
     if pitch.max() > _UPRIGHT:
@@ -304,22 +303,14 @@ _UNLIKE = 0.2  # of the weight, by which mean forces at feet may differ from it
 
 @dataclass(frozen=True)
 class ContactFrame:
-    """A link that may touch the ground, by a ball or a point.
-
-    Attributes:
-        body: Name of the body that the link L is welded to.
-        origin: (3,) p_BoLo_B, m.
-        rotation: (3, 3) R_BL.
-        center: (3,) p_BoCo_B of the center of the ball, m.
-        radius: Radius of the ball, m.
-    """
+    """A link that may touch the ground, by a ball or a point."""
 
     name: str
-    body: str
-    origin: Array
-    rotation: Array
-    center: Array
-    radius: float
+    body: str  # name of the body that the link L is welded to
+    origin: Array  # (3,) p_BoLo_B, m
+    rotation: Array  # (3, 3) R_BL
+    center: Array  # (3,) p_BoCo_B of the center of the ball, m
+    radius: float  # radius of the ball, m
 
     def height(self, bodies: RobotBodies) -> Array:
         """Return heights (N,) of the lowest point of the ball over the world's origin, m."""

@@ -108,14 +108,12 @@ def _check_names(model: RobotModel, held: Mapping[str, float]) -> None:
             raise ModelError(
                 f"Joint {joint!r} is already fixed at {model.held[joint]:g}.",
                 advice="Load the model file again to fix it elsewhere.",
-                joint=joint,
             )
         for drive in model.transmission:
             if joint in drive.joints and joint in model.joints_behind:
                 raise ModelError(
                     f"Joint {joint!r} cannot be fixed, as it follows {', '.join(drive.actuators)}.",
                     advice=f"Fix {', '.join(drive.actuators)}.",
-                    joint=joint,
                 )
 
 

@@ -169,7 +169,6 @@ def log_of_model(log: JointLog, model: RobotModel) -> JointLog:
                 advice="Log its effort, or its current, voltage, duty cycle or command; or fix "
                 f"the joint: --lock {joint}=POSITION; or if it has no motor: --passive "
                 f"{joint}.",
-                joint=joint,
             )
     check_joints(log.name, moving, model.joints)
     return _with_followers(log, model).select(model.joints)
@@ -206,7 +205,6 @@ def _of_loop(log: JointLog, drive: Drive, loop: LoopTransmission) -> tuple[Array
                 f"to {', '.join(drive.actuators)} in the closed loop of {loop.name}.",
                 advice=f"Log its effort too; or if {joint} has no motor, remove it from the "
                 "model file.",
-                joint=joint,
             )
     efforts, notes = np.zeros_like(log.effort), list[str]()
     seen = [joint for joint in others if joint in places_of]
@@ -268,7 +266,6 @@ def _check_sides(model: RobotModel, logs: Sequence[JointLog], silent: Sequence[s
                     f"{', '.join(missing)}, which moves the others.",
                     advice=f"Log {', '.join(missing)}; or give {there[0]} a motor in the model "
                     "file: an actuator, or an effort limit of the joint.",
-                    joint=missing[0],
                 )
             if missing and there:
                 raise LogError(
@@ -319,7 +316,6 @@ def _place(model: RobotModel, logs: Sequence[JointLog], joint: str) -> float:
             f"Log {moves[0]!r} has positions but no efforts of {joint}, which moves.",
             advice=f"Log its effort too; or if it has no motor: --passive {joint}; or fix it: "
             f"--lock {joint}=POSITION.",
-            joint=joint,
         )
     if not places:
         return float(np.clip(model.default_position(joint), low, high))
@@ -330,6 +326,5 @@ def _place(model: RobotModel, logs: Sequence[JointLog], joint: str) -> float:
             f"{places[lowest]:.4g} in {lowest!r}, {places[highest]:.4g} in {highest!r}.",
             advice=f"Set its position, such as --lock {joint}={places[lowest]:.4g}, or use logs "
             "in which it does not change.",
-            joint=joint,
         )
     return float(np.clip(np.mean(list(places.values())), low, high))

@@ -212,7 +212,6 @@ def check_loops(text: MjcfText, plant: MultibodyPlant, held: Places, q: Array, v
                 f"{text.path}: geodrake closes its loops differently from MuJoCo: the gap is "
                 f"up to {np.abs(apart).max():.3g} m or rad.",
                 advice=BUG,
-                path=text.path,
             )
 
 

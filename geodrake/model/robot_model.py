@@ -604,9 +604,7 @@ def _check_against_mujoco(model: RobotModel, text: MjcfText, held: Mapping[str, 
         what = f"joint {joint}, or what it moves,"
         off = f": efforts differ by up to {errors.max():.3g}, of {largest:.3g}"
     raise ModelError(
-        f"{model.path}: geodrake reads {what} differently from MuJoCo{off}.",
-        advice=BUG,
-        path=model.path,
+        f"{model.path}: geodrake reads {what} differently from MuJoCo{off}.", advice=BUG
     )
 
 

@@ -164,7 +164,6 @@ def load_model(
                 f"{path} is a saved model, which cannot take a transmission: it has its own, "
                 "or none.",
                 advice="Use --transmission with the model file.",
-                path=path,
             )
         return holding(_read(path, extra, given), lock or {})
     drives, notes = _transmission(path, transmission, given)
@@ -186,7 +185,6 @@ def _transmission(
             raise ModelError(
                 f"{path} has no transmissions of motors.",
                 advice="Write a transmission file: --transmission FILE.yaml.",
-                path=path,
             )
         return drives_of([(f"part {k} of {path}", part) for k, part in enumerate(parts)]), []
     if given is None:
@@ -231,7 +229,7 @@ def saved_text(model: RobotModel, path: str | Path) -> str:
     except UnicodeEncodeError:
         problem, advice = f"the path of its file {base} is not UTF-8", "Rename it, or its folder."
     if problem:
-        raise OutputError(f"Cannot save the model: {problem}.", advice=advice, path=base)
+        raise OutputError(f"Cannot save the model: {problem}.", advice=advice)
     own = [drive for drive in model.transmission if not drive.is_loop]
     saved = SavedModel(
         base_model=os.path.relpath(base, folder),
@@ -295,12 +293,11 @@ def _read(path: Path, extra: Sequence[type[Effect]], given: Given) -> RobotModel
     except (ArgumentError, yaml.YAMLError, ValueError, RecursionError) as error:
         problem = error.problem if isinstance(error, ArgumentError) else f"{one_line(error)}."
         problem = f"{path} is not a geodrake model: {problem}"
-        raise ModelError(problem, advice=again, path=path) from error
+        raise ModelError(problem, advice=again) from error
     if saved.format != FORMAT:
         raise ModelError(
             f"{path} has format {saved.format!r}; this version of geodrake reads {FORMAT!r}.",
             advice="Use the version that saved it, or save the model again.",
-            path=path,
         )
     _check_effects(path, saved, extra)
     base, given = _base_of_saved(path, saved), _given_with(path, saved, given)
@@ -315,7 +312,6 @@ def _read(path: Path, extra: Sequence[type[Effect]], given: Given) -> RobotModel
         raise ModelError(
             f"{path} does not match its base model {base}, or is corrupt: {error}",
             advice="Fit and save the model again.",
-            path=path,
         ) from error
     return loaded
 
@@ -328,7 +324,6 @@ def _given_with(path: Path, saved: SavedModel, given: Given) -> Given:
         raise ModelError(
             f"{path} is a saved model, which cannot take {what}: it has its own.",
             advice=f"Use them with the model file {saved.base_model}.",
-            path=path,
         )
     remembered = {name: folder / where for name, where in saved.packages.items()}
     there = {name: where for name, where in remembered.items() if where.is_dir()}
@@ -354,7 +349,6 @@ def _check_effects(path: Path, saved: SavedModel, extra: Sequence[type[Effect]])
                 f"{path} has the effect {effect.name!r}{own}, which is unknown.",
                 advice=f"{how} (from Python: load_model(path, extra=…))."
                 + (f" Or was {', '.join(near)} meant?" if near and not effect.file else ""),
-                path=path,
             ) from error
 
 
@@ -383,7 +377,6 @@ def _base_of_saved(path: Path, saved: SavedModel) -> Path:
         raise ModelError(
             f"{path} is based on {relative!r}, which is itself a saved model.",
             advice="Set base_model to the URDF, SDF, MJCF or directives file.",
-            base=base,
         )
     return base
 

@@ -156,19 +156,16 @@ class Language:
     """A programming language of formulas, and the parts of a file in it.
 
     Attributes:
-        comment: Mark of a line of a comment.
-        statement: A name and an expression.
-        module: What stands before the names of mathematical functions.
         own: Operations that are written in a way of their own, as formats of their operands.
     """
 
     suffix: str
     template: str
-    comment: str
-    statement: str
+    comment: str  # mark of a line of a comment
+    statement: str  # A name and an expression
     result: str
     string: Callable[[str], str]
-    module: str
+    module: str  # what stands before the names of mathematical functions
     own: Mapping[str, str]
 
     def operation(self, name: str, operands: tuple[str, ...]) -> str:

@@ -167,7 +167,6 @@ def _opened(joint: Joint, name: str, actuators: list[JointActuator]) -> Closure:
             f"Joint {name!r} of type {kind} closes a kinematic loop.",
             advice="Loops can close at revolute, prismatic, ball or fixed joints: open the "
             "loop at another joint.",
-            joint=name,
         )
     slides, driven = isinstance(joint, PrismaticJoint), _is_driven(actuators)
     one, two = (b.scoped_name().get_full() for b in (joint.parent_body(), joint.child_body()))
@@ -253,7 +252,6 @@ def chosen_robot(plant: MultibodyPlant, name: str, path: object) -> OneRobot:
         raise ModelError(
             f"{path} has no robot {name!r}.",
             advice=f"It has {', '.join(robot.name for robot in robots) or 'none that moves'}.",
-            path=path,
         )
     return found
 
@@ -278,13 +276,11 @@ def checked_held(
             raise ModelError(
                 f"{path} has no joint {name!r} that can be fixed.",
                 advice=f"Joints are: {', '.join(joints)}.",
-                joint=name,
             )
         if name in leaders:
             raise ModelError(
                 f"Joint {name!r} cannot be fixed, as it follows {leaders[name]!r}.",
                 advice=f"Hold {leaders[name]!r}.",
-                joint=name,
             )
         joint = joints[name]
         low, high = joint.position_lower_limits()[0], joint.position_upper_limits()[0]
@@ -292,7 +288,6 @@ def checked_held(
             raise ModelError(
                 f"Joint {name!r} cannot be fixed at {value:g}: its limits are {low:g} … {high:g}.",
                 advice="Fix it within them, or correct the limits.",
-                joint=name,
             )
         places[scoped(joint)] = value
     leading = ((own, tie) for own, tie in followers.items() if tie.leader in places)

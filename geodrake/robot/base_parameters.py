@@ -176,7 +176,6 @@ def pushforward_metric(
         raise ArgumentError(
             f"The prior of bodies {wrong} is not physical, or a further metric is not positive.",
             advice="The metric needs physically valid parameters.",
-            bodies=wrong,
         )
     # H₀⁻¹ = W Wᵀ with W = B G₀^(-½); g⁻¹ is twice the inverse of the Hessian. A QR of W keeps the
     # digits that the product would lose.

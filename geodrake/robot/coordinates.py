@@ -67,18 +67,15 @@ class RobotCoordinates(JointlyEvaluated):
     Its joints have as many positions as velocities, so that both are in the same places.
 
     Attributes:
-        names: Names of the robot's nv velocities.
         kept: (2, ·) where joints without a drive are in the robot's q and v, and in the tree's.
-        size: Number of the tree's velocities.
-        single: Velocities of the tree's joints of one degree of freedom.
         leads: Velocity of each of the tree's joints that follow others -> what it follows.
     """
 
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # names of the robot's nv velocities
     places: tuple[Places, ...]
     kept: Indices
-    size: int
-    single: frozenset[int]
+    size: int  # number of the tree's velocities
+    single: frozenset[int]  # velocities of the tree's joints of one degree of freedom
     leads: Mapping[int, Following]
 
     @classmethod
@@ -95,7 +92,6 @@ class RobotCoordinates(JointlyEvaluated):
                     f"Joint {joint.name()!r} has {joint.num_positions()} positions for "
                     f"{joint.num_velocities()} velocities.",
                     advice="Load the model from its file: a free base is on six joints there.",
-                    joint=joint.name(),
                 )
         joints, leads = joint_names(plant), leads_of(plant, followers)
         single = frozenset(int(joint.velocity_start()) for joint in single_joints(plant))
@@ -409,7 +405,6 @@ def _check(drives: Sequence[Drive], by_name: Mapping[str, int]) -> None:
                 f"The transmission has joint {joint!r}, which is not an independent joint of "
                 "the robot.",
                 advice=f"Independent joints are {', '.join(by_name)}.",
-                joint=joint,
             )
     for what, names in (("joint", joints), ("actuator", actuators)):
         for name in names:

@@ -62,17 +62,11 @@ _ALONG = 3  # what the wrench on B does by moving along with q, which joints inb
 
 @dataclass(frozen=True, eq=False)
 class EffortSlopes:
-    """Derivatives [:, i, j] of the effort of velocity i; NaN for j of joints of several degrees.
+    """Derivatives [:, i, j] of the effort of velocity i; NaN for j of joints of several degrees."""
 
-    Attributes:
-        position: (N, nv, nv) ∂τ_i/∂q_j.
-        velocity: (N, nv, nv) ∂τ_i/∂v_j.
-        acceleration: (N, nv, nv) ∂τ_i/∂v̇_j = M_ij.
-    """
-
-    position: Array
-    velocity: Array
-    acceleration: Array
+    position: Array  # (N, nv, nv) ∂τ_i/∂q_j
+    velocity: Array  # (N, nv, nv) ∂τ_i/∂v_j
+    acceleration: Array  # (N, nv, nv) ∂τ_i/∂v̇_j = M_ij
 
 
 def effort_slopes(

@@ -61,24 +61,15 @@ class FrameMotion:
 
     For a joint, that is frame M in frame F; for a mobilizer, the frame of the outboard body B,
     displaced to Mo, in the frame of the inboard body P.
-
-    Attributes:
-        features: The f functions of the positions that the rotation is linear in.
-        rotation: (9, f) matrix C with vec(R) = C features(q), row after row.
-        offset: (3,) position of Mo at q = 0, m.
-        ratio: Factor of the angle's position, 1 unless the joint follows another one.
-        translation: (3, nq_j) matrix T: the position of Mo is offset + T q, m.
-        angular: (3, nv_j) matrix S: the angular velocity is S v, rad/s.
-        linear: (3, nv_j) matrix S: the velocity of Mo is S v, m/s.
     """
 
-    features: Features
-    rotation: Array
-    translation: Array
-    angular: Array
-    linear: Array
-    offset: Array = field(default_factory=lambda: np.zeros(3))
-    ratio: float = 1.0
+    features: Features  # the f functions of the positions that the rotation is linear in
+    rotation: Array  # (9, f) matrix C with vec(R) = C features(q), row after row
+    translation: Array  # (3, nq_j) matrix T: the position of Mo is offset + T q, m
+    angular: Array  # (3, nv_j) matrix S: the angular velocity is S v, rad/s
+    linear: Array  # (3, nv_j) matrix S: the velocity of Mo is S v, m/s
+    offset: Array = field(default_factory=lambda: np.zeros(3))  # (3,) position of Mo at q = 0, m
+    ratio: float = 1.0  # factor of the angle's position, 1 unless the joint follows another one
 
     def following(self, ratio: float, offset: float) -> FrameMotion:
         """Return the motion of a joint of one position ratio q + offset, as one of q."""
@@ -149,7 +140,6 @@ def joint_motions(joint: Joint, sign: float) -> list[FrameMotion]:
                 f"Joint {joint.name()!r} has the unsupported type {type(joint).__name__}.",
                 advice="Use a revolute, prismatic, screw, universal, planar, ball or floating "
                 "joint, or weld it.",
-                joint=joint.name(),
             )
     return motions
 
@@ -234,19 +224,12 @@ def joint_names(plant: MultibodyPlant) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Follower:
-    """A joint θ with one degree of freedom that follows another one by a constant ratio.
+    """A joint θ with one degree of freedom that follows another one by a constant ratio."""
 
-    Attributes:
-        joint: Scoped name of the joint.
-        leader: Scoped name of the joint that it follows.
-        ratio: r in θ = r θ_leader + θ₀.
-        offset: θ₀, rad or m.
-    """
-
-    joint: str
-    leader: str
-    ratio: float
-    offset: float
+    joint: str  # scoped name of the joint
+    leader: str  # scoped name of the joint that it follows
+    ratio: float  # r in θ = r θ_leader + θ₀
+    offset: float  # θ₀, rad or m
 
 
 class Following(NamedTuple):
@@ -262,15 +245,10 @@ class Following(NamedTuple):
 
 
 class Tie(NamedTuple):
-    """That a joint θ of one degree of freedom follows another one, θ = Σ cₖ θ_leaderᵏ.
+    """That a joint θ of one degree of freedom follows another one, θ = Σ cₖ θ_leaderᵏ."""
 
-    Attributes:
-        leader: Scoped name of the joint that it follows.
-        coefficients: c₀, c₁, …
-    """
-
-    leader: str
-    coefficients: tuple[float, ...]
+    leader: str  # scoped name of the joint that it follows
+    coefficients: tuple[float, ...]  # c₀, c₁, …
 
     def at(self, place: float) -> float:
         """Return the position where the leader is at one."""

@@ -216,5 +216,4 @@ def _partial_gravity(name: str) -> ModelError:
     return ModelError(
         f"Gravity acts on one part of a connected robot but not on another, at body {name!r}.",
         advice="Enable or disable gravity for all connected model instances.",
-        body=name,
     )

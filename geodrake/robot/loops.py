@@ -63,19 +63,17 @@ class LoopJoints:
     """Facts about joints in closed loops.
 
     Attributes:
-        bent: Joints that follow others by a ratio that changes.
         sprung: Names of joints with springs, the stiffest first: where motors do not determine how
             a loop moves, these are free beside them, as they hardly move.
-        first: Names of joints that are to be free before all others.
         start: Joint -> where it is on the way to the loops' posture, rad or m; otherwise as the
             plant has it.
     """
 
     followers: tuple[Follower, ...] = ()
-    bent: tuple[Followers, ...] = ()
+    bent: tuple[Followers, ...] = ()  # joints that follow others by a ratio that changes
     driven: Collection[str] = ()
     sprung: Sequence[str] = ()
-    first: Collection[str] = ()
+    first: Collection[str] = ()  # names of joints that are to be free before all others
     start: Mapping[str, float] = field(default_factory=dict)
 
 

@@ -86,9 +86,7 @@ def wavefront_text(surface: Surface) -> str:
 
 
 def _unreadable(path: Path, reason: str) -> ModelError:
-    return ModelError(
-        f"Mesh {path} cannot be read: {reason}.", advice="Correct the file.", path=path
-    )
+    return ModelError(f"Mesh {path} cannot be read: {reason}.", advice="Correct the file.")
 
 
 def _normals(vertices: Array, faces: Faces) -> tuple[Array, Faces]:

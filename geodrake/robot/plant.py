@@ -65,58 +65,35 @@ _SAME = 1e-9  # of the largest of a body's parameters: what text and Drake may c
 
 @dataclass(frozen=True, eq=False)
 class BuiltPlant:
-    """A plant of rigid bodies, and the elements that were left out.
-
-    Attributes:
-        lengths: Damping and reflected inertia of its joints.
-        opened: Joints that closed its loops.
-    """
+    """A plant of rigid bodies, and the elements that were left out."""
 
     plant: MultibodyPlant
-    lengths: list[StatedLength]
+    lengths: list[StatedLength]  # damping and reflected inertia of its joints
     notes: tuple[str, ...]
-    opened: tuple[Closure, ...]
+    opened: tuple[Closure, ...]  # joints that closed its loops
 
 
 @dataclass(frozen=True)
 class LoadedPlant:
-    """A robot read from a model file.
+    """A robot read from a model file."""
 
-    Attributes:
-        plant: Finalized, continuous in time, without damping, friction and rotor inertia.
-        repairs: Bodies whose inertia no body can have, with what they got instead.
-        changes: Sentences on all inertias that are not those of the file, repairs first.
-        notes: Sentences on what else of the file was read in a way worth knowing.
-        terms: What the file states beside rigid bodies, which the plant does not have.
-        left_out: Sentences on what of the file bears on efforts, and is in none of these.
-        loops: Closed loops, whose joints are among the plant's own.
-        closing: Joints that close loops and are not in the plant.
-        held: Joint that does not move, though it does in the file -> where it is held, rad or m.
-        places: The same by scoped names, those that follow held ones included.
-        joints: Names of all joints of one degree of freedom of the file, held ones and followers
-            included.
-        bent: Joints that follow others by a ratio that changes, and are among the plant's own.
-        geared: Joints of which the file states motors that move otherwise than they do.
-        mjcf: The text, where it is of an MJCF all of whose inertias are known.
-    """
-
-    plant: MultibodyPlant
+    plant: MultibodyPlant  # finalized, continuous in time, without damping, friction and rotors
     path: Path
-    repairs: tuple[Repair, ...]
-    changes: tuple[str, ...]
-    notes: tuple[str, ...]
-    terms: FileTerms
-    left_out: tuple[str, ...]
-    loops: tuple[LoopTransmission, ...]
-    closing: tuple[CutJoint, ...]
-    held: Mapping[str, float]
-    places: Mapping[str, float]
+    repairs: tuple[Repair, ...]  # bodies whose inertia no body can have, with what they got instead
+    changes: tuple[str, ...]  # sentences on inertias that are not those of the file, repairs first
+    notes: tuple[str, ...]  # sentences on what else of the file was read in a way worth knowing
+    terms: FileTerms  # what the file states beside rigid bodies, which the plant does not have
+    left_out: tuple[str, ...]  # sentences on what bears on efforts, and is in none of these
+    loops: tuple[LoopTransmission, ...]  # closed loops, whose joints are among the plant's own
+    closing: tuple[CutJoint, ...]  # joints that close loops and are not in the plant
+    held: Mapping[str, float]  # joint that does not move, though it does in the file -> where
+    places: Mapping[str, float]  # the same by scoped names, those that follow held ones included
     given: Given
     followers: tuple[Follower, ...]
-    joints: tuple[str, ...]
-    bent: tuple[Followers, ...]
-    geared: tuple[str, ...]
-    mjcf: MjcfText | None
+    joints: tuple[str, ...]  # all of one degree of freedom of the file, held ones and followers too
+    bent: tuple[Followers, ...]  # joints that follow by ratios that change, among the plant's own
+    geared: tuple[str, ...]  # joints of which the file states motors that move otherwise
+    mjcf: MjcfText | None  # the text, where it is of an MJCF all of whose inertias are known
 
 
 def load_plant(
@@ -172,12 +149,18 @@ def load_plant(
     others = plant.num_constraints() or plant.num_force_elements() > 1  # than gravity
     left_out = ["Constraints and springs that only Drake reads are ignored."] if others else []
     left_out += [*terms.left_out, *(terms.of_bases if floating else ()), *apart, *loops.left_out]
-    notes = [*origin, *terms.notes, *built.notes, *_follower_notes(arrangement), *loops.notes]
+    ties = followers_of(arrangement.followers)
+    pairs = ", ".join(f"{_last(f.joint)} follows {_last(f.leader)}" for f in ties)
+    follow = [f"{pairs}, and is not independent."] if pairs else []
+    notes = [*origin, *terms.notes, *built.notes, *follow, *loops.notes]
     lines = [message.partition("\n")[0].rpartition("warning: ")[2] for message in messages]
     of_drake = [f"Drake: {line}" for line in lines if "inertia" in line or "mass" in line]
     moving = {loop.joints[k] for loop in loops.loops for k in loop.cut}
     cuts = (each.cut for each in [*terms.closures, *built.opened])
     closing = tuple(cut for cut in cuts if cut is not None and cut.name in moving)
+    (text, *others), whole = description.texts, None
+    if isinstance(text, MjcfText) and text.reference is not None and not others:
+        whole = text
     return LoadedPlant(
         plant,
         path,
@@ -191,20 +174,13 @@ def load_plant(
         held={**loops.held, **held},
         places=arrangement.places,
         given=given,
-        followers=followers_of(arrangement.followers),
+        followers=ties,
         joints=(*arrangement.joints, *(cut.name for cut in closing)),
         bent=tuple(part for part in _bent(arrangement.followers) if part not in loops.taken),
         # Gears of MJCF's actuators do not count: most scale efforts and are no gears.
         geared=tuple(joint for is_alike, joint in _motors(description) if not is_alike),
-        mjcf=_whole_mjcf(description),
+        mjcf=whole,
     )
-
-
-def _whole_mjcf(description: ModelDescription) -> MjcfText | None:
-    """Return the text of an MJCF that is all of a file, if all inertias of it are known."""
-    text, *others = description.texts
-    is_whole = isinstance(text, MjcfText) and text.reference is not None and not others
-    return text if is_whole else None  # type: ignore[return-value]
 
 
 def _once(sentences: Iterable[str]) -> tuple[str, ...]:
@@ -246,7 +222,6 @@ def _draft(
         raise ModelError(
             f"{of_base[0]!r} is a coordinate of the free base, and cannot be fixed alone.",
             advice="Omit `floating` for a fixed base.",
-            joint=of_base[0],
         )
     first = (*held, *given.leading)
     loops = _loops(description, draft, followers, LoopJoints(first=first))
@@ -260,7 +235,7 @@ def _draft(
             if still:
                 what = f"No joint of {description.path} moves: constraints fix {', '.join(still)}."
                 advice = "Correct the constraints; one too many locks a linkage."
-            raise ModelError(what, advice=advice, path=description.path)
+            raise ModelError(what, advice=advice)
         arrangement = replace(
             arrangement,
             held=poses_of(draft.plant, places, places),
@@ -302,7 +277,6 @@ def _loops(
         raise ModelError(
             f"{description.path}: {found.left_out[0]}",
             advice="Use loop joints that rotate about or slide along one axis.",
-            path=description.path,
         )
     return found
 
@@ -311,13 +285,6 @@ def _single_joints(plant: MultibodyPlant) -> dict[str, Joint]:
     """Return the joints of one degree of freedom by name, in the order of their velocities."""
     names = joint_names(plant)
     return {names[joint.velocity_start()]: joint for joint in single_joints(plant)}
-
-
-def _follower_notes(arrangement: Arrangement) -> list[str]:
-    """Return which joints follow others, in words."""
-    ties = followers_of(arrangement.followers)
-    pairs = ", ".join(f"{_last(f.joint)} follows {_last(f.leader)}" for f in ties)
-    return [f"{pairs}, and is not independent."] if pairs else []
 
 
 def _ignored(description: ModelDescription, arrangement: Arrangement) -> list[str]:
@@ -357,14 +324,10 @@ def _build(
     with drake_errors(description.path):
         lengths = list[StatedLength]()
         for joint in joints_of(plant):
-            damping = joint.default_damping_vector().tolist()
-            names = (
-                [scoped(joint)]
-                if len(damping) == 1
-                else [f"{scoped(joint)}[{k}]" for k in range(len(damping))]
-            )
-            each = zip(names, damping, strict=True)
-            lengths += [StatedLength({n: 1.0}, damping=(c, 0.0, 0.0)) for n, c in each if c]
+            damping, own = joint.default_damping_vector().tolist(), scoped(joint)
+            for k, c in enumerate(damping):
+                name = own if len(damping) == 1 else f"{own}[{k}]"
+                lengths += [StatedLength({name: 1.0}, damping=(c, 0.0, 0.0))] if c else []
         for actuator in _actuators(plant):
             rotor = actuator.default_reflected_inertia()
             lengths.append(StatedLength({scoped(actuator.joint()): 1.0}, armature=rotor))
@@ -387,7 +350,6 @@ def _build(
             f"No joint of {description.path} moves: "
             + (f"its {links} links are welded to the world." if links else "it has no links."),
             advice="Give a model with moving joints, or load it as a floating base.",
-            path=description.path,
         )
     return BuiltPlant(plant, lengths, tuple(notes), opened)
 
@@ -414,7 +376,6 @@ def _check_inertias(plant: MultibodyPlant, phi: ArrayLike, path: Path) -> None:
             f"they are {wanted[wrong[0]].tolist()}, but Drake makes them "
             f"{there[wrong[0]].tolist()}.",
             advice="Use the model's plant, and its create_context() in a simulation.",
-            body=body,
         )
 
 
@@ -427,13 +388,11 @@ def _root_notes(plant: MultibodyPlant, arrangement: Arrangement) -> list[str]:
         return [] if own else ["The file attaches the robot to the world, so it cannot float."]
     if not own[1:]:
         return []
-    names = ", ".join(body.name() for body in own)
-    robots = [robot.name for robot in robots_of(plant)]
-    choice = f" Robots in the file are {', '.join(robots)}; choose one by name."
-    return [
-        f"{names} are not attached to anything; each is welded to the world."
-        + (choice if robots[1:] else "")
-    ]
+    names, robots = ", ".join(body.name() for body in own), [r.name for r in robots_of(plant)]
+    note = f"{names} are not attached to anything; each is welded to the world."
+    if robots[1:]:
+        note += f" Robots in the file are {', '.join(robots)}; choose one by name."
+    return [note]
 
 
 def arrange_as(plant: MultibodyPlant, other: MultibodyPlant) -> None:

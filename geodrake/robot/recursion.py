@@ -66,24 +66,18 @@ class Mobilizer:
     """One joint of the tree and the body B that it moves; P is the body on its inboard side.
 
     Attributes:
-        parent: Index of the inboard mobilizer in the tree, -1 for the world.
-        body: Index of B among the lumped bodies, negative for a massless frame within a joint.
-        positions: Where the mobilizer's positions are in q.
-        velocities: Where its velocities are in v.
         dofs: Indices in v of all velocities that move B, the mobilizer's own ones last.
-        motion: Motion of the frame B, displaced to Mo, in P.
         p_MoBo_B: (3,) position of Bo from the joint's Mo, m.
-        gravity: Whether gravity acts on B.
     """
 
-    parent: int
-    body: int
-    positions: slice
-    velocities: slice
+    parent: int  # index of the inboard mobilizer in the tree, -1 for the world
+    body: int  # index of B among the lumped bodies, negative for a massless frame within a joint
+    positions: slice  # where the mobilizer's positions are in q
+    velocities: slice  # where its velocities are in v
     dofs: tuple[int, ...]
-    motion: FrameMotion
+    motion: FrameMotion  # motion of the frame B, displaced to Mo, in P
     p_MoBo_B: Array  # noqa: N815
-    gravity: bool
+    gravity: bool  # whether gravity acts on B
 
 
 MOBILIZER = np.dtype(

@@ -46,7 +46,6 @@ def triangular_factor(blocks: Iterable[ArrayLike]) -> Array:
             raise ArgumentError(
                 f"Block {number} has values that are not finite, or overflow.",
                 advice="Remove such rows, or scale the columns.",
-                block=number,
             )
     if factor is None:
         raise ArgumentError("There are no rows to factor.", advice="Pass at least one block.")

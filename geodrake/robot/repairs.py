@@ -72,9 +72,9 @@ def repair_inertias(
         all(member.scoped_name in description.terms.between for member in body.members)
         for body in lumps
     ]
-    spare_mass = _spare_mass(
-        [phi for phi, is_between in zip(usable, between, strict=True) if not is_between]
-    )
+    whole = [phi for phi, is_between in zip(usable, between, strict=True) if not is_between]
+    total, massless = sum(phi[0] for phi in whole), sum(not _counts(phi) for phi in whole)
+    spare_mass = float(MASS_PER_TOTAL * total / max(massless, 1)) if total > 0 else 1.0
     repairs, notes, changed = [], [], False
     for body, members, phi, is_between in zip(lumps, stated, usable, between, strict=True):
         after = phi
@@ -125,12 +125,6 @@ def nearest_physical(phi: Array, *, points: Array, spare_mass: float) -> Array:
     matrix[:3, 3] = matrix[3, :3] = mass * com
     matrix[3, 3] = mass
     return from_pseudo_inertia(matrix)
-
-
-def _spare_mass(usable: list[Array]) -> float:
-    """Mass for each body without one, kg: together a small share of the robot's."""
-    total, massless = sum(phi[0] for phi in usable), sum(not _counts(phi) for phi in usable)
-    return float(MASS_PER_TOTAL * total / max(massless, 1)) if total > 0 else 1.0
 
 
 def _counts(phi: Array) -> NDArray[np.bool_]:
@@ -205,5 +199,4 @@ def _write(description: ModelDescription, body: LumpedBody, phi: Array) -> None:
                 f"{body.name} has an inertia that is not physical, in a file that "
                 f"{description.path} includes.",
                 advice="Correct the included file, or load it on its own.",
-                body=body.name,
             )

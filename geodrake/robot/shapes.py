@@ -43,7 +43,7 @@ from geodrake.robot.files.checks import drop
 from geodrake.robot.files.description import drake_errors, drake_messages, read_description
 from geodrake.robot.files.given import Given
 from geodrake.robot.files.includes import Includes
-from geodrake.robot.files.mjcf_source import compiled, load_mujoco
+from geodrake.robot.files.mjcf_source import CompiledMjcf, load_mujoco
 from geodrake.robot.files.mjcf_terms import pose_of
 from geodrake.robot.files.texts import DRAKES_SPRINGS
 from geodrake.robot.files.xacro_file import read_expanded
@@ -70,15 +70,10 @@ class LinkShape:
 
 @dataclass(frozen=True, eq=False)
 class MjcfGeom(LinkShape):
-    """A geom of a body.
+    """A geom of a body."""
 
-    Attributes:
-        name: Its name, or its number.
-        shown: Whether MuJoCo shows its group unasked.
-    """
-
-    name: str
-    shown: bool
+    name: str  # its name, or its number
+    shown: bool  # whether MuJoCo shows its group unasked
     collides: bool
 
 
@@ -100,12 +95,11 @@ def mjcf_geoms(
         return None
     Includes(path, given.packages).insert_elements(root)
     scope = root.get("model") or path.stem
-    source = compiled(root, path, geoms=True)
+    source = CompiledMjcf(root, path, geoms=True)
     if hulls and source.touching:
         raise ModelError(
             f"{path} cannot be read with its collision geometry: {' '.join(source.lost)}",
             advice=SHAPES_ADVICE,
-            path=path,
         )
     m, plane = source.model, load_mujoco().mjtGeom.mjGEOM_PLANE
     found = dict[str, list[MjcfGeom]]()

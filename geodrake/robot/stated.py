@@ -84,18 +84,14 @@ class StatedLength:
     Attributes:
         shares: Joint -> cᵢ; of one that moves by several velocities, all of them alike, or
             `joint[k]` for one of them.
-        damping: d₁, d₂, d₃.
-        friction: F.
-        armature: I.
-        name: That of a tendon.
     """
 
     shares: Mapping[str, float]
     spring: Spring = _NO_SPRING
-    damping: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    friction: float = 0.0
-    armature: float = 0.0
-    name: str = ""
+    damping: tuple[float, float, float] = (0.0, 0.0, 0.0)  # d₁, d₂, d₃
+    friction: float = 0.0  # F
+    armature: float = 0.0  # I
+    name: str = ""  # that of a tendon
 
     def each(self, joints: Collection[str]) -> list[StatedLength]:
         """Return it for each velocity of a joint that has several."""
@@ -123,18 +119,19 @@ CLOSING = (*CUT, "ball", "fixed")
 
 @dataclass(frozen=True)
 class CutJoint:
-    """A joint that closes a loop and is not in the tree.
-
-    Attributes:
-        axis: (3,) its axis in the first frame of its closure.
-        driven: Whether a motor with a limit drives it.
-    """
+    """A joint that closes a loop and is not in the tree."""
 
     name: str
     scoped_name: str
-    axis: Array
+    axis: Array  # (3,) its axis in the first frame of its closure
     slides: bool
-    driven: bool
+    driven: bool  # whether a motor with a limit drives it
+
+    @classmethod
+    def of(cls, name: str, axis: Array, kind: str, driven: bool = False) -> CutJoint:
+        """Return that of a scoped name, along an axis (3,) of any length, of a kind in `CUT`."""
+        size, short = float(np.linalg.norm(axis)), name.rpartition("::")[2]
+        return cls(short, name, axis / (size or np.nan), kind == "prismatic", driven)
 
 
 @dataclass(frozen=True)
@@ -142,18 +139,14 @@ class Closure:
     """Two frames of a robot's bodies that are one, or whose origins are.
 
     Attributes:
-        name: What closes the loop, in words.
-        bodies: Scoped names of the bodies, or `WORLD`.
-        poses: Poses of the frames in them.
-        turns: Whether the frames turn together; else only the origins are one.
         radius: Of a ball about the second frame's origin that rolls on the world's x-y plane, m,
             and where the frames are one at first; 0 where nothing rolls.
     """
 
-    name: str
-    bodies: tuple[str, str]
-    poses: tuple[RigidTransform, RigidTransform]
-    turns: bool
+    name: str  # what closes the loop, in words
+    bodies: tuple[str, str]  # scoped names of the bodies, or `WORLD`
+    poses: tuple[RigidTransform, RigidTransform]  # poses of the frames in them
+    turns: bool  # whether the frames turn together; else only the origins are one
     cut: CutJoint | None = None
     radius: float = 0.0
 
@@ -175,40 +168,27 @@ class InMedium:
     """A body in a medium, as the box with its inertia, or an ellipsoid.
 
     Attributes:
-        body: Scoped name of the body.
-        size: (3,) edges, or semi-axes, m.
-        X_BP: Pose of the middle and the axes in the body.
-        density: Of the medium, kg/m³.
-        viscosity: Of the medium, Pa·s.
-        wind: (3,) its velocity in the world, m/s.
         coefficients: (11,) of an ellipsoid, as `EllipsoidDrag` has them; none of a box.
     """
 
-    body: str
-    size: Array
-    X_BP: RigidTransform
-    density: float
-    viscosity: float
-    wind: Array
+    body: str  # scoped name of the body
+    size: Array  # (3,) edges, or semi-axes, m
+    X_BP: RigidTransform  # pose of the middle and the axes in the body
+    density: float  # of the medium, kg/m³
+    viscosity: float  # of the medium, Pa·s
+    wind: Array  # (3,) its velocity in the world, m/s
     coefficients: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
 class StatedStrut:
-    """A spring and a damper between two points.
+    """A spring and a damper between two points."""
 
-    Attributes:
-        bodies: Scoped names of two bodies.
-        points: Positions (3,) in their frames, m.
-        length: At rest, m.
-        damping: N·s/m.
-    """
-
-    bodies: tuple[str, str]
-    points: tuple[Array, Array]
+    bodies: tuple[str, str]  # scoped names of two bodies
+    points: tuple[Array, Array]  # positions (3,) in their frames, m
     stiffness: float
-    length: float
-    damping: float
+    length: float  # at rest, m
+    damping: float  # N·s/m
 
 
 @dataclass(eq=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -344,32 +345,18 @@ class EffectForce(LeafSystem):
         builder: DiagramBuilder,
         plant: MultibodyPlant | RobotInstance | PlantMotion,
         effects: Iterable[EffectWithValues],
-        *,
-        sign_width: ArrayLike = 1e-2,
-        phi: ArrayLike | None = None,
-        log: str | None = None,
-        temperatures: Temperatures | None = None,
-        spring_damping: float = SPRING_DAMPING,
+        **options: Any,
     ) -> EffectForce:
         """Add the system and connect it to a plant's state and generalized force ports.
 
         `RobotModel.add_to_builder` does this with a plant that has the model's inertias.
 
         `applied_effort` is left to be connected. Generalized forces that act on the plant already
-        stay. Where joints are soft, what is measured is the port `motor_state`. Arguments are those
-        of the constructor, with a plant that was added to the builder.
+        stay. Where joints are soft, what is measured is the port `motor_state`. The plant was added
+        to the builder; options are those of the constructor.
         """
         instance(builder, "builder", DiagramBuilder)
-        made = EffectForce(
-            plant,
-            effects,
-            sign_width=sign_width,
-            phi=phi,
-            log=log,
-            temperatures=temperatures,
-            spring_damping=spring_damping,
-        )
-        system = builder.AddSystem(made)
+        system = builder.AddSystem(EffectForce(plant, effects, **options))
         whole = system.law.plant.plant
         builder.Connect(whole.get_state_output_port(), system.GetInputPort("state"))
         add_generalized_force(builder, whole, system.GetOutputPort("generalized_force"))

@@ -41,19 +41,12 @@ _POSTURES = 32  # in which the weight of a link is looked for
 
 @dataclass(frozen=True)
 class Coupling:
-    """Spring and damper, or gap, between a motor and its link.
+    """Spring and damper, or gap, between a motor and its link."""
 
-    Attributes:
-        stiffness: Beyond the dead band, N·m/rad or N/m.
-        play: Half width of the dead band, rad or m; 0 for none.
-        damping: N·m·s/rad or N·s/m.
-        ramp: Way beyond the dead band over which the damping comes on, rad or m.
-    """
-
-    stiffness: float
-    play: float
-    damping: float
-    ramp: float
+    stiffness: float  # beyond the dead band, N·m/rad or N/m
+    play: float  # half width of the dead band, rad or m; 0 for none
+    damping: float  # N·m·s/rad or N·s/m
+    ramp: float  # way beyond the dead band over which the damping comes on, rad or m
 
     def torque(self, lag: float, rate: float) -> float:
         """Return the torque on the link, N·m or N.
@@ -79,23 +72,17 @@ class SoftJoints:
     """The m joints of a plant whose links are not where their motors are.
 
     Attributes:
-        velocities: (m,) their velocities.
-        positions: (m,) their positions.
         effects: Of each, what gives way, and where its parameters are among those of all effects.
-        link_inertia: (m,) 1 / (M⁻¹)_jj in the default posture, kg·m² or kg.
-        motor_inertia: (m,) that of the motors, kg·m² or kg.
-        usual_load: (m,) efforts that sides of dead bands are made for, N·m or N.
-        damping: Of springs that do not say it, as a share of the critical one.
     """
 
     names: tuple[str, ...]
-    velocities: NDArray[np.intp]
-    positions: NDArray[np.intp]
+    velocities: NDArray[np.intp]  # (m,) their velocities
+    positions: NDArray[np.intp]  # (m,) their positions
     effects: tuple[tuple[tuple[DeflectionEffect, slice], ...], ...]
-    link_inertia: Array
-    motor_inertia: Array
-    usual_load: Array
-    damping: float
+    link_inertia: Array  # (m,) 1 / (M⁻¹)_jj in the default posture, kg·m² or kg
+    motor_inertia: Array  # (m,) that of the motors, kg·m² or kg
+    usual_load: Array  # (m,) efforts that sides of dead bands are made for, N·m or N
+    damping: float  # of springs that do not say it, as a share of the critical one
 
     def __len__(self) -> int:
         """Return their number."""
@@ -182,17 +169,11 @@ EffectWithValues = FittedEffect | tuple[Effect, ArrayLike]
 
 
 class Response(NamedTuple):
-    """Response of effects at a state.
+    """Response of effects at a state."""
 
-    Attributes:
-        effort: (nv,) effort that they need: taken away from the plant, N·m or N.
-        motor_acceleration: (m,) accelerations of the motors of soft joints.
-        acceleration: (nv,) those of links, where they are known.
-    """
-
-    effort: Array
-    motor_acceleration: Array
-    acceleration: Array
+    effort: Array  # (nv,) effort that they need: taken away from the plant, N·m or N
+    motor_acceleration: Array  # (m,) accelerations of the motors of soft joints
+    acceleration: Array  # (nv,) those of links, where they are known
 
 
 class ForceLaw:

@@ -185,35 +185,25 @@ class PlantState:
     """State of a plant and of its motors.
 
     Attributes:
-        q: (nq,) positions of the links.
-        v: (nv,) their velocities.
-        time: Time since the log began, s.
-        hidden: (h,) hidden states of effects.
         lag: (m,) positions of the motors of soft joints less those of their links, rad or m.
-        speed: (m,) velocities of these motors.
     """
 
-    q: Array
-    v: Array
-    time: float
-    hidden: Array
+    q: Array  # (nq,) positions of the links
+    v: Array  # (nv,) their velocities
+    time: float  # time since the log began, s
+    hidden: Array  # (h,) hidden states of effects
     lag: Array = field(default_factory=lambda: np.zeros(0))
-    speed: Array = field(default_factory=lambda: np.zeros(0))
+    speed: Array = field(default_factory=lambda: np.zeros(0))  # (m,) velocities of these motors
 
 
 @dataclass(frozen=True, eq=False)
 class Terms:
-    """Effects of a plant that are evaluated together.
-
-    Attributes:
-        places: (k,) where their parameters are among those of all effects.
-        hidden: Effect -> where its hidden states are among those of all effects.
-    """
+    """Effects of a plant that are evaluated together."""
 
     plant: PlantMotion
     effects: tuple[Effect, ...]
-    places: NDArray[np.intp]
-    hidden: dict[Effect, slice]
+    places: NDArray[np.intp]  # (k,) where their parameters are among those of all effects
+    hidden: dict[Effect, slice]  # effect -> where its hidden states are among those of all effects
 
     @cached_property
     def columns(self) -> EffectColumns:

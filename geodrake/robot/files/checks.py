@@ -251,13 +251,11 @@ def check_poses(plant: MultibodyPlant, path: Path) -> None:
                     f"{path} puts the joint {joint.name()!r} {pose.translation().tolist()} m away, "
                     f"turned by {pose.rotation().matrix().ravel().tolist()}.",
                     advice="Correct the pose there.",
-                    path=path,
                 )
     if not np.isfinite(plant.GetDefaultPositions()).all():
         raise ModelError(
             f"{path} has default positions that are not numbers.",
             advice="Correct default_joint_positions, or default_free_body_pose.",
-            path=path,
         )
 
 

@@ -146,14 +146,12 @@ def read_description(path: Path, given: Given | None = None) -> ModelDescription
         raise ModelError(
             f"{path} is not a xacro file, so argument {next(iter(given.xacro))!r} cannot be used.",
             advice="Omit it.",
-            path=path,
         )
     count = sum(len(text.links) for text in found.texts)
     if count > _MOST_LINKS:
         raise ModelError(
             f"{path} has {count} links; geodrake reads up to {_MOST_LINKS}.",
             advice="Remove links that do not move with the robot.",
-            path=path,
         )
     return found
 
@@ -173,7 +171,6 @@ def model_text_of(
         raise ModelError(
             f"{path} is not a robot description: its root element is <{root.tag}>.",
             advice=SUPPORTED_FORMATS,
-            path=path,
         )
     return kinds[root.tag](root, path, scope, (given or Given()).packages)
 
@@ -185,9 +182,7 @@ def _read_directives(path: Path, given: Given) -> ModelDescription:
         directives = FlattenModelDirectives(loaded, includes.packages)
     models = [d.add_model for d in directives.directives if d.add_model]
     if not models:
-        raise ModelError(
-            f"The directives {path} do not add a model.", advice=SUPPORTED_FORMATS, path=path
-        )
+        raise ModelError(f"The directives {path} do not add a model.", advice=SUPPORTED_FORMATS)
     texts = list[ModelText]()
     for model, file in zip(models, files, strict=True):
         texts.append(read_model_text(includes.checked(file), given, model.name))
@@ -249,9 +244,7 @@ def drake_errors(
             text, at = int(found[1] or 0), int(found[2]) - 1
             place = places[text][at] if text < len(places) and at < len(places[text]) else ""
         raise ModelError(
-            f"Drake cannot read {place or path}{how}: {reason}.",
-            advice=advice,
-            path=path,
+            f"Drake cannot read {place or path}{how}: {reason}.", advice=advice
         ) from error
 
 

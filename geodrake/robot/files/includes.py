@@ -70,9 +70,7 @@ class Includes:
             if self.packages.Contains(name):
                 return Path(self.packages.GetPath(name)) / inner
         raise ModelError(
-            f"{self.path} includes {url}, which does not exist.",
-            advice=PACKAGE_ADVICE,
-            path=self.path,
+            f"{self.path} includes {url}, which does not exist.", advice=PACKAGE_ADVICE
         )
 
     def checked(self, file: Path) -> Path:
@@ -107,7 +105,8 @@ class Includes:
                     included = parse_xml(file)
                     self.insert(included, file.parent, below)
                     model, version = included.find("model"), _version(included)
-                    alike = _means_the_same(version, _version(root))
+                    versions = version, _version(root)
+                    alike = versions[0] == versions[1] or min(versions) >= _LIKE_LATER
                     if model is not None and alike and include.find(_CHANGES) is None:
                         found[version] = model
                     else:
@@ -116,10 +115,10 @@ class Includes:
                 if found:
                     self._replace(parent, include, found[max(found)])
                 elif any(map(_has_forces, others)):
-                    where, what = place_of(include) or self.path, "URDF, or SDF of an older version"
                     self.unread.append(
-                        f"{where}: dry friction, springs, followers and links without gravity of "
-                        f"{url}, an included {what}, are ignored."
+                        f"{place_of(include, self.path)}: dry friction, springs, followers and "
+                        f"links without gravity of {url}, an included URDF, or SDF of an older "
+                        "version, are ignored."
                     )
 
     def name_by_urls(self, root: Element) -> None:
@@ -135,10 +134,14 @@ class Includes:
         for world in root.iter("world"):
             for include in world.findall("include"):
                 url = include.findtext("uri", "").strip()
-                if self._leads_nowhere(url, folder):
+                try:
+                    self.resolve(url, folder)
+                except ModelError:
                     world.remove(include)
-                    where = place_of(include) or self.path
-                    said = self.absent if _SCENERY.search(_last_name(url)) else self.missing
+                    parts = [part for part in url.split("/") if part and not part.isdecimal()]
+                    scenery = _SCENERY.search(parts[-1]) if parts else None  # before its version
+                    where = place_of(include, self.path)
+                    said = self.absent if scenery else self.missing
                     said.append(f"{where}: {url} is not found, and is omitted from the world.")
 
     def _replace(self, parent: Element, include: Element, model: Element) -> None:
@@ -158,13 +161,6 @@ class Includes:
         at = list(parent).index(include)
         parent[at : at + 1] = _merged(model) if merges else [model]
 
-    def _leads_nowhere(self, url: str, folder: Path) -> bool:
-        try:
-            self.resolve(url, folder)
-        except ModelError:
-            return True
-        return False
-
     def insert_elements(self, root: Element, chain: tuple[Path, ...] = ()) -> None:
         """Replace an MJCF's includes with the contents of the files that they name.
 
@@ -182,16 +178,8 @@ class Includes:
 
     def _endless(self, reason: str) -> ModelError:
         return ModelError(
-            f"{self.path} cannot be read: {reason}.",
-            advice="Remove the circular include.",
-            path=self.path,
+            f"{self.path} cannot be read: {reason}.", advice="Remove the circular include."
         )
-
-
-def _last_name(url: str) -> str:
-    """Return the last part of a URL that is not a version of a model."""
-    parts = [part for part in url.split("/") if part and not part.isdecimal()]
-    return parts[-1] if parts else ""
 
 
 def _models_of(place: Path, by_url: bool) -> list[Path]:
@@ -211,11 +199,6 @@ def _models_of(place: Path, by_url: bool) -> list[Path]:
 def _version(root: Element) -> tuple[int, ...]:
     """Return the version of SDF that a file has."""
     return tuple(int(word) for word in re.findall(r"\d{1,9}", root.get("version", "")))
-
-
-def _means_the_same(one: tuple[int, ...], other: tuple[int, ...]) -> bool:
-    """Return whether models of two SDF versions may be in one file."""
-    return one == other or min(one, other) >= _LIKE_LATER
 
 
 def _has_forces(root: Element) -> bool:
@@ -303,9 +286,7 @@ def folder_of_package(name: str, path: Path, folders: Mapping[str, Path]) -> Pat
     add_packages(packages, path, [name], folders)
     if not packages.Contains(name):
         raise ModelError(
-            f"{path} refers to package {name!r}, which was not found.",
-            advice=PACKAGE_ADVICE,
-            path=path,
+            f"{path} refers to package {name!r}, which was not found.", advice=PACKAGE_ADVICE
         )
     return Path(packages.GetPath(name))
 

@@ -25,7 +25,7 @@ from geodrake.robot.files.checks import (
     words,
 )
 from geodrake.robot.files.includes import Includes
-from geodrake.robot.files.mjcf_source import CompiledMjcf, compiled, load_mujoco, unused
+from geodrake.robot.files.mjcf_source import CompiledMjcf, load_mujoco, unused
 from geodrake.robot.files.mjcf_terms import MjcfTerms, actuator_shares, pose_of
 from geodrake.robot.files.model_edits import MOTORS
 from geodrake.robot.files.texts import ModelText
@@ -43,6 +43,7 @@ class MjcfText(ModelText):
         reference: MuJoCo's model without what is left out, which robots are compared with; None
             where inertias are lost.
         closing: Numbers of MuJoCo's constraints that close loops.
+        degrees: Whether angles in the file are in degrees, as by default.
         timestep: Step of the simulation, s; MuJoCo's own where the file states none that can be.
         actuator_defaults: Whether actuators without a class have defaults other than MuJoCo's.
     """
@@ -55,13 +56,16 @@ class MjcfText(ModelText):
         Includes(self.path, self.folders).insert_elements(root)
         check_numbers(root, self.numeric, self.path)
         check_limits(root, self.path)
-        self.degrees = turns_in_degrees(root)
-        self.timestep = _timestep(root)
+        angles = [compiler.get("angle") for compiler in root.findall("compiler")]
+        self.degrees = next(filter(None, reversed(angles)), "degree") == "degree"
+        steps = [option.get("timestep") for option in root.findall("option")]
+        step = float(numbers(next(filter(None, reversed(steps)), ""), 1)[0])
+        self.timestep = step if step > 0.0 and np.isfinite(step) else 0.002
         self.actuator_defaults = any(
             child.tag in MOTORS for main in root.findall("default") for child in main
         )
         scope = self.scope or root.get("model") or self.path.stem
-        source = compiled(root, self.path)
+        source = CompiledMjcf(root, self.path)
         read = MjcfTerms(source, scope)
         name = root.get("model") or scope
         self.root = plain_tree(source, name)
@@ -82,18 +86,6 @@ class MjcfText(ModelText):
         mass, com = numbers(inertial.get("mass", ""), 1)[0], numbers(inertial.get("pos", ""), 3)
         moments = symmetric(inertial.get("fullinertia", "").split())
         return inertial_parameters_of(mass, com, np.eye(3), moments)
-
-
-def _timestep(root: Element) -> float:
-    stated = [option.get("timestep") for option in root.findall("option")]
-    step = float(numbers(next(filter(None, reversed(stated)), ""), 1)[0])
-    return step if step > 0.0 and np.isfinite(step) else 0.002
-
-
-def turns_in_degrees(root: Element) -> bool:
-    """Return whether angles in an MJCF file are in degrees, as by default."""
-    compilers = [compiler.get("angle") for compiler in root.findall("compiler")]
-    return next((angle for angle in reversed(compilers) if angle), "degree") == "degree"
 
 
 def plain_tree(source: CompiledMjcf, name: str) -> Element:

@@ -16,7 +16,6 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
@@ -81,13 +80,14 @@ def quiet_mujoco() -> Iterator[list[str]]:
     said += (str(each.message) for each in raised)
 
 
-@dataclass(eq=False)
 class CompiledMjcf:
-    """A file as compiled by MuJoCo.
+    """A file with resolved includes as compiled by MuJoCo.
 
     Attributes:
+        model: MuJoCo's model.
         elements: Names of bodies -> their elements in the file; without those made by MuJoCo.
         groups: Tendons, actuators, equalities and joints of the file itself, in order.
+        said: MuJoCo's warnings.
         notes: Sentences on ball joints that are three hinges.
         left_out: Sentences on what such joints are without, and on plugins.
         unknown: Names of bodies whose inertia follows from meshes that are not there alone.
@@ -95,58 +95,43 @@ class CompiledMjcf:
         touching: Names of bodies of whose meshes that are not there some touch others.
     """
 
-    model: Any
-    elements: dict[str, Element]
-    groups: Mapping[str, Sequence[Element]] = field(default_factory=dict)
-    said: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    left_out: list[str] = field(default_factory=list)
-    unknown: set[str] = field(default_factory=set)
-    lost: list[str] = field(default_factory=list)
-    touching: list[str] = field(default_factory=list)
-
-
-def compiled(root: Element, path: Path, *, geoms: bool = False) -> CompiledMjcf:
-    """Return MuJoCo's model of a file with resolved includes.
-
-    Args:
-        geoms: Keep geoms that have no part in inertias, for pictures and collisions.
-    """
-    return _Compiler(path, geoms).read(root)
-
-
-@dataclass
-class _Compiler:
-    path: Path
-    geoms: bool
-    models: dict[str, bytes] = field(default_factory=dict)
-    meshes: dict[str, Path] = field(default_factory=dict)
-    plugins: list[str] = field(default_factory=list)
-
-    def read(self, root: Element) -> CompiledMjcf:
-        self._prepare(root, self.path, "", (self.path.resolve(),))
-        bodies = {e.get("name", ""): e for w in root.findall("worldbody") for e in w.iter("body")}
+    def __init__(self, root: Element, path: Path, *, geoms: bool = False) -> None:
+        """Compile a file; with geoms that have no part in inertias, for pictures and collisions."""
+        self.path, self.geoms = path, geoms
+        self.models, self.meshes = dict[str, bytes](), dict[str, Path]()
+        self.notes, self.left_out, self.lost = list[str](), list[str](), list[str]()
+        self.unknown, self.touching = set[str](), list[str]()
+        self._prepare(root, path, "", (path.resolve(),))
+        worlds = root.findall("worldbody")
+        self.elements = {e.get("name", ""): e for world in worlds for e in world.iter("body")}
         text, places = numbered_text(root)
-        groups = {
+        self.groups = {
             group: [element for each in root.findall(group) for element in each]
             for group in ("tendon", "actuator", "equality")
         }
-        groups["joint"] = [e for body in bodies.values() for e in own_joints(body)]
-        found = CompiledMjcf(None, bodies, groups)
+        self.groups["joint"] = [e for body in self.elements.values() for e in own_joints(body)]
+        plugins, self.left_out = self.left_out, list[str]()
         with self._refusals(places), quiet_mujoco() as said:
             spec = load_mujoco().MjSpec.from_string(text, include=self.models or None)
             spec.compiler.usethread = False
-            _name_joints(spec)
-            self._take_meshes(spec, found)
-            found.model = spec.compile()
-            if _split_balls(spec, found):
-                found.model = spec.compile()
-        self._check_finite(found.model)
+            free = unused({joint.name for joint in spec.joints})
+            for body in spec.bodies:  # whose joints MuJoCo may have made
+                for i, joint in enumerate(body.joints):
+                    joint.name = joint.name or free(f"{body.name}_joint_{i}")
+            self._take_meshes(spec)
+            self.model: Any = spec.compile()
+            if self._split_balls(spec):
+                self.model = spec.compile()
+        m = self.model
+        tables = m.body_mass, m.body_ipos, m.body_inertia, m.body_iquat, m.body_pos, m.body_quat
+        for at in range(m.nbody):
+            if not all(np.isfinite(table[at]).all() for table in tables):
+                what = f"{path}: body {m.body(at).name!r} has a value that is not a number."
+                raise _wrong(what)
         words = list(dict.fromkeys(" ".join(each.split()) for each in said))
         whole = [w for w in words if not any(o != w and o.startswith(w) for o in words)]
-        found.said += (f"MuJoCo: {each}" for each in whole)
-        found.left_out += self.plugins
-        return found
+        self.said = [f"MuJoCo: {each}" for each in whole]
+        self.left_out += plugins
 
     def _prepare(self, root: Element, path: Path, prefix: str, chain: tuple[Path, ...]) -> float:
         """Remove elements without effect on dynamics; return the number of bodies."""
@@ -184,8 +169,8 @@ class _Compiler:
                 for key in set(plugin.attrib) - _OF_ACTUATORS:
                     del plugin.attrib[key]
         for plugin in root.iter("plugin"):
-            name, where = plugin.get("plugin") or plugin.get("instance"), place_of(plugin)
-            self.plugins.append(f"{where or self.path}: the plugin {name} is ignored.")
+            name = plugin.get("plugin") or plugin.get("instance")
+            self.left_out.append(f"{place_of(plugin, self.path)}: the plugin {name} is ignored.")
         drop(root, "plugin")
 
     def _attach(self, element: Element, path: Path, chain: tuple[Path, ...]) -> float:
@@ -193,14 +178,13 @@ class _Compiler:
         file = path.parent / element.get("file", "")
         data = parse_xml(file)
         if data.tag != "mujoco":
-            where = place_of(element) or path
             what = f"attaches {file}, whose root element is <{data.tag}> instead of <mujoco>"
-            raise _wrong(f"{where} {what}.", path)
+            raise _wrong(f"{place_of(element, path)} {what}.")
         if file.resolve() in chain or len(chain) > _DEEPEST:
-            raise _wrong(f"{path} cannot be read: {file} attaches itself.", path)
+            raise _wrong(f"{path} cannot be read: {file} attaches itself.")
         Includes(file, {}).insert_elements(data)
         if len(self.models) >= _MOST_MODELS:
-            raise _wrong(f"{path} attaches more than {_MOST_MODELS} models.", path)
+            raise _wrong(f"{path} attaches more than {_MOST_MODELS} models.")
         name = element.get("name") or data.get("model") or file.stem
         element.set("name", name)
         key = f"model_{len(self.models)}.xml"
@@ -221,7 +205,7 @@ class _Compiler:
         self.meshes[key] = path.parent / folders[0] / place
         element.set("file", key)
 
-    def _take_meshes(self, spec: Any, found: CompiledMjcf) -> None:
+    def _take_meshes(self, spec: Any) -> None:
         """Load the existing meshes, and note the consequences of missing ones."""
         used = {geom.meshname for geom in spec.geoms if geom.meshname}
         assets, absent = dict[str, bytes](), dict[str, Path]()
@@ -236,17 +220,7 @@ class _Compiler:
                     assets[mesh.file] = read_regular(file, "mesh", ModelError, largest=LARGEST_FILE)
         spec.assets = assets
         if absent:
-            _take_out(spec, absent, found, shown=self.geoms)
-
-    def _check_finite(self, model: Any) -> None:
-        for at in range(model.nbody):
-            tables = (model.body_mass, model.body_ipos, model.body_inertia, model.body_iquat)
-            places = (model.body_pos, model.body_quat)
-            if not all(np.isfinite(table[at]).all() for table in (*tables, *places)):
-                name = model.body(at).name
-                raise _wrong(
-                    f"{self.path}: body {name!r} has a value that is not a number.", self.path
-                )
+            self._take_out(spec, absent)
 
     @contextmanager
     def _refusals(self, places: Sequence[str]) -> Iterator[None]:
@@ -263,48 +237,71 @@ class _Compiler:
             for key, file in self.meshes.items():
                 words = words.replace(key, str(file))
             words = _LINE.sub("", words).removeprefix("XML Error: ").removeprefix("Error: ")
-            raise _wrong(
-                f"MuJoCo refuses {place or self.path}: {words.rstrip('.')}.", self.path
-            ) from error
+            what = f"MuJoCo refuses {place or self.path}: {words.rstrip('.')}."
+            raise _wrong(what) from error
+
+    def _take_out(self, spec: Any, absent: dict[str, Path]) -> None:
+        """Remove missing meshes and their geoms, with notes on inertias, and on shapes if shown."""
+        always = load_mujoco().mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+        by_geoms, heavy, seen = spec.compiler.inertiafromgeom == always, list[str](), list[str]()
+        low, high = spec.compiler.inertiagrouprange
+
+        def weighs(geom: Any) -> bool:
+            return bool(geom.mass != 0.0 and geom.density != 0.0 and low <= geom.group <= high)
+
+        for body in spec.bodies:
+            gone = [geom for geom in body.geoms if geom.meshname in absent]
+            if any(geom.contype or geom.conaffinity for geom in gone):
+                self.touching.append(body.name)
+            weighing = any(map(weighs, gone))
+            for geom in gone:
+                spec.delete(geom)
+            stated = body.explicitinertial or body.name == "world"
+            if gone:
+                follows = weighing and body.name != "world" and (by_geoms or not stated)
+                (heavy if follows else seen).append(body.name)
+            if gone and not stated and not any(map(weighs, body.geoms)):
+                self.unknown.add(body.name)
+                body.explicitinertial = True
+                body.mass, body.inertia, body.ipos = 1.0, [1.0, 1.0, 1.0], [0.0, 0.0, 0.0]
+        for mesh in list(spec.meshes):
+            if mesh.name in absent:
+                spec.delete(mesh)
+        where = ", ".join(dict.fromkeys(str(file.parent) for file in absent.values()))
+        gone_ones = f"meshes that are missing or not .obj, .stl or .msh (in {where})"
+        if heavy:
+            self.lost.append(f"The inertia of {', '.join(heavy)} is computed without {gone_ones}.")
+        if seen and self.geoms:
+            self.lost.append(f"Some shapes of {', '.join(seen)} are {gone_ones}.")
+
+    def _split_balls(self, spec: Any) -> bool:
+        """Replace ball joints of closed loops by three hinges; return whether there were any."""
+        m, free = self.model, unused({joint.name for joint in spec.joints})
+        balls, hinge = _balls(m), load_mujoco().mjtJoint.mjJNT_HINGE
+        for joint, axis in balls.items():
+            name, body = m.joint(joint).name, m.body(int(m.jnt_bodyid[joint])).name
+            old = next(each for each in spec.joints if each.name == name)
+            across = np.linalg.svd(axis[None])[2][1:]
+            names = [free(f"{name}{suffix}") for suffix in _SUFFIXES]
+            numbers = {key: np.array(getattr(old, key), float) for key in (*_OF_BALLS, "stiffness")}
+            place, holder = np.array(old.pos), next(b for b in spec.bodies if b.name == body)
+            spec.delete(old)
+            for own, direction in zip(names, (*across, axis), strict=True):
+                made = holder.add_joint(name=own, type=hinge, axis=direction, pos=place)
+                for key in _OF_BALLS:
+                    setattr(made, key, numbers[key] if numbers[key].ndim else float(numbers[key]))
+            self.notes.append(
+                f"Ball joint {name} of a closed loop is read as the hinges {', '.join(names)}."
+            )
+            for key in (key for key, value in numbers.items() if value.any()):
+                how = "is that of each hinge, which is approximate"
+                how = how if key in _OF_BALLS else "is ignored"
+                self.left_out.append(f"The {key} of ball joint {name} of a closed loop {how}.")
+        return bool(balls)
 
 
-def _take_out(spec: Any, absent: dict[str, Path], found: CompiledMjcf, *, shown: bool) -> None:
-    """Remove missing meshes and their geoms, with notes on inertias, and on shapes if shown."""
-    always = load_mujoco().mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
-    by_geoms, heavy, seen = spec.compiler.inertiafromgeom == always, list[str](), list[str]()
-    low, high = spec.compiler.inertiagrouprange
-
-    def weighs(geom: Any) -> bool:
-        return bool(geom.mass != 0.0 and geom.density != 0.0 and low <= geom.group <= high)
-
-    for body in spec.bodies:
-        gone = [geom for geom in body.geoms if geom.meshname in absent]
-        if any(geom.contype or geom.conaffinity for geom in gone):
-            found.touching.append(body.name)
-        weighing = any(map(weighs, gone))
-        for geom in gone:
-            spec.delete(geom)
-        stated = body.explicitinertial or body.name == "world"
-        if gone:
-            follows = weighing and body.name != "world" and (by_geoms or not stated)
-            (heavy if follows else seen).append(body.name)
-        if gone and not stated and not any(map(weighs, body.geoms)):
-            found.unknown.add(body.name)
-            body.explicitinertial = True
-            body.mass, body.inertia, body.ipos = 1.0, [1.0, 1.0, 1.0], [0.0, 0.0, 0.0]
-    for mesh in list(spec.meshes):
-        if mesh.name in absent:
-            spec.delete(mesh)
-    where = ", ".join(dict.fromkeys(str(file.parent) for file in absent.values()))
-    gone_ones = f"meshes that are missing or not .obj, .stl or .msh (in {where})"
-    if heavy:
-        found.lost.append(f"The inertia of {', '.join(heavy)} is computed without {gone_ones}.")
-    if seen and shown:
-        found.lost.append(f"Some shapes of {', '.join(seen)} are {gone_ones}.")
-
-
-def _wrong(words: str, path: Path) -> ModelError:
-    return ModelError(words, advice="Correct the file there.", path=path)
+def _wrong(words: str) -> ModelError:
+    return ModelError(words, advice="Correct the file there.")
 
 
 def _take_folders(root: Element) -> tuple[str, str]:
@@ -358,14 +355,6 @@ def _name_bodies(root: Element, prefix: str) -> None:
                 joint.set("name", joints(f"{body.get('name')}_joint_{i}"))
 
 
-def _name_joints(spec: Any) -> None:
-    """Give names to joints that MuJoCo made."""
-    free = unused({joint.name for joint in spec.joints})
-    for body in spec.bodies:
-        for i, joint in enumerate(body.joints):
-            joint.name = joint.name or free(f"{body.name}_joint_{i}")
-
-
 def own_frames(body: Element) -> Iterator[Element]:
     """Yield the frames and replicates of a body, those in frames included."""
     for child in body:
@@ -415,32 +404,6 @@ def _bodies_of(root: Element, path: Path, sizes: Mapping[str, float]) -> float:
             raise wrong_at(element, path, f"{what}; geodrake reads up to {_MOST_MADE}.")
         found += [(child, made) for child in element]
     return total
-
-
-def _split_balls(spec: Any, found: CompiledMjcf) -> bool:
-    """Replace ball joints of closed loops by three hinges; return whether there were any."""
-    m, free = found.model, unused({joint.name for joint in spec.joints})
-    balls, hinge = _balls(m), load_mujoco().mjtJoint.mjJNT_HINGE
-    for joint, axis in balls.items():
-        name, body = m.joint(joint).name, m.body(int(m.jnt_bodyid[joint])).name
-        old = next(each for each in spec.joints if each.name == name)
-        across = np.linalg.svd(axis[None])[2][1:]
-        names = [free(f"{name}{suffix}") for suffix in _SUFFIXES]
-        numbers = {key: np.array(getattr(old, key), float) for key in (*_OF_BALLS, "stiffness")}
-        place, holder = np.array(old.pos), next(b for b in spec.bodies if b.name == body)
-        spec.delete(old)
-        for own, direction in zip(names, (*across, axis), strict=True):
-            made = holder.add_joint(name=own, type=hinge, axis=direction, pos=place)
-            for key in _OF_BALLS:
-                setattr(made, key, numbers[key] if numbers[key].ndim else float(numbers[key]))
-        found.notes.append(
-            f"Ball joint {name} of a closed loop is read as the hinges {', '.join(names)}."
-        )
-        for key in (key for key, value in numbers.items() if value.any()):
-            how = "is that of each hinge, which is approximate"
-            how = how if key in _OF_BALLS else "is ignored"
-            found.left_out.append(f"The {key} of ball joint {name} of a closed loop {how}.")
-    return bool(balls)
 
 
 def _balls(m: Any) -> dict[int, Array]:

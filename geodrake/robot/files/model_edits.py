@@ -17,15 +17,12 @@ from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
-from pydrake.math import RigidTransform
 
 from geodrake.boundary.escaping import printable
 from geodrake.errors import ModelError
-from geodrake.inertia import Array, change_frame, to_mass_com_inertia
+from geodrake.inertia import Array, to_mass_com_inertia
 from geodrake.robot.files.checks import UPPER, numbers, rotation, tensor_words, words
-from geodrake.robot.files.includes import Includes
-from geodrake.robot.files.mjcf_source import compiled, own_frames, own_joints
-from geodrake.robot.files.mjcf_terms import pose_of
+from geodrake.robot.files.mjcf_source import own_frames, own_joints
 from geodrake.robot.files.xml_text import (
     SUPPORTED_FORMATS,
     LocatedElement,
@@ -67,7 +64,6 @@ _PASSIVE: Mapping[str, tuple[str, ...]] = {
 }
 """Tag of an MJCF -> attributes of forces that are no joint's own."""
 _MJCF_ASSETS = {"mesh": "meshdir", "hfield": "meshdir", "skin": "meshdir", "texture": "texturedir"}
-_PROBE = "geodrake_frame_"
 _MJCF_FILES = ("file", "fileright", "fileleft", "fileup", "filedown", "fileback")
 
 
@@ -103,16 +99,15 @@ class EditedFile:
         """Change inertial parameters (10,), of mass above zero, of links by their scoped names.
 
         Numbers inside of `inertial` elements change, and what those lack is added; orientations of
-        inertial frames stay, but in MJCF, where a full inertia has none.
+        inertial frames stay, but in MJCF, where a full inertia has none, and is in no <frame>.
         """
         there = self.links
         check_in_itself(inertias, there, self.path)
-        framed = _inertials_in_frames(self.root, self.path)
         for name, phi in inertias.items():
-            holder, X_BF = framed.get(there[name], (there[name], RigidTransform()))
-            X_FB = X_BF.inverse()
-            own = change_frame(phi, X_FB.rotation().matrix(), X_FB.translation())
-            self._format.put_inertia(holder, phi if holder is there[name] else own)
+            for frame in own_frames(there[name]):
+                for inertial in frame.findall("inertial"):
+                    frame.remove(inertial)
+            self._format.put_inertia(there[name], phi)
 
     def set_joint_numbers(self, changes: Mapping[str, Change]) -> None:
         """Change numbers of joints by their scoped names."""
@@ -188,32 +183,6 @@ class EditedFile:
     def add_comments(self, sentences: Sequence[str]) -> None:
         """Put comments before all else."""
         self.root[:0] = [Comment(comment_words(sentence)) for sentence in sentences]
-
-
-def _inertials_in_frames(
-    root: Element, path: Path
-) -> dict[Element, tuple[Element, RigidTransform]]:
-    """Body of an MJCF with its inertia in a <frame> -> that frame, and its pose in the body."""
-    holders = {
-        frame: body
-        for body in root.iter("body")
-        for frame in own_frames(body)
-        if frame.find("inertial") is not None
-    }
-    if root.tag != "mujoco" or not holders:
-        return {}
-    probed, names = deepcopy(root), dict[Element, str]()
-    for k, (frame, twin) in enumerate(zip(root.iter("frame"), probed.iter("frame"), strict=True)):
-        if frame in holders:  # MuJoCo tells where a body there is
-            names[frame] = f"{_PROBE}{k}"
-            SubElement(twin, "body", name=names[frame], pos="0 0 0")
-    Includes(path, {}).insert_elements(probed)
-    m = compiled(probed, path).model
-    at = {frame: int(m.body(name).id) for frame, name in names.items()}
-    return {
-        body: (frame, pose_of(m.body_pos[at[frame]], m.body_quat[at[frame]]))
-        for frame, body in holders.items()
-    }
 
 
 def put_inertia(root: Element, link: Element, phi: Array) -> None:
@@ -467,29 +436,30 @@ _FORMATS: Mapping[str, _Format] = {
 
 
 _SPACE = re.compile(rb"\s*?(\r?\n[ \t]*)(?=\S)")
+_END = re.compile(rb"</[^>]*>")
 _LAST_SPACE = re.compile(rb"\r?\n[ \t]*\Z")
 _ATTRIBUTE = re.compile(rb"""(\s+)([^\s=/>]+)\s*=\s*("[^"]*"|'[^']*')""")
 _START = re.compile(rb"(<[^\s/>]+)((?:" + _ATTRIBUTE.pattern + rb")*)\s*(/?>)")
 
 
 def edited(data: bytes, path: Path, root: Element) -> bytes:
-    """Return the bytes of a file with changed elements.
+    """Return the bytes of a file with changed attributes and texts, and elements added or removed.
 
-    Those are attributes, texts and new elements before or after all others; none may be missing.
+    New ones are before or after all others; those that are removed have none within them.
     """
     if data[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\x00" in data[:4]:
         raise ModelError(
             f"{path} is encoded in UTF-16 or UTF-32, which geodrake cannot edit.",
             advice="Save it in UTF-8.",
         )
+    there = {each.start: each for each in root.iter() if isinstance(each, LocatedElement)}
     edits = list[tuple[int, int, bytes]]()
-    for element, old in zip(
-        (each for each in root.iter() if isinstance(each, LocatedElement)),
-        parse_xml_bytes(data, path).iter(),
-        strict=True,
-    ):
-        if isinstance(old, LocatedElement):
-            edits += _edits_of(element, old, data)
+    for old in parse_xml_bytes(data, path).iter():
+        if isinstance(old, LocatedElement) and old.start in there:
+            edits += _edits_of(there[old.start], old, data)
+        elif isinstance(old, LocatedElement):
+            end = _END.match(data, old.end)
+            edits.append((old.start, end.end() if end else old.end, b""))
     for low, high, text in sorted(edits, key=lambda edit: edit[:2], reverse=True):
         data = data[:low] + text + data[high:]
     return data
@@ -578,5 +548,4 @@ def check_in_itself(names: Iterable[str], there: Container[str], path: Path) -> 
         raise ModelError(
             f"{', '.join(name.rpartition('::')[2] for name in missing)} is not in {path} itself.",
             advice="Copy included files into the model.",
-            missing=missing,
         )

@@ -55,7 +55,6 @@ def robot_file(path: str | os.PathLike[str], given: Given) -> RobotFile:
             f"Robot {path} cannot be downloaded ({_repository(module).url}): {reason}.",
             advice="Check the network; it is needed only once, as the files are kept in "
             f"{_folder(module)}.",
-            path=path,
         ) from error
     plain = getattr(robot, "URDF_PATH", None) or getattr(robot, "MJCF_PATH", None)
     file = Path(plain or robot.XACRO_PATH)
@@ -99,7 +98,7 @@ def _descriptions(path: Path) -> list[str]:
         package: Any = importlib.import_module("robot_descriptions")
     except ImportError as error:
         advice = 'Check the path; names of robots need pip install "geodrake[robots]".'
-        raise ModelError(f"{gone}.", advice=advice, path=path) from error
+        raise ModelError(f"{gone}.", advice=advice) from error
     name = str(path).lower().replace("-", "_").removesuffix(_END)
     found = [each for each in (f"{name}{_END}", f"{name}_mj{_END}") if each in package.DESCRIPTIONS]
     if not found:
@@ -108,7 +107,6 @@ def _descriptions(path: Path) -> list[str]:
         raise ModelError(
             f"{gone}, and robot_descriptions has no robot of that name.",
             advice=f"Check the path; the nearest robot names are {nearest}.",
-            path=path,
         )
     return found[:1] if str(path).endswith(_END) else found
 

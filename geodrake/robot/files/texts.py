@@ -102,7 +102,7 @@ def unread(root: Element, table: Mapping[str, Collection[str]], path: Path) -> I
     for element in root.iter():
         for child in element if element.tag in table else ():
             yield from _of(child, table[element.tag], path)
-        where = place_of(element) or path
+        where = place_of(element, path)
         if element.tag == "plugin":
             file, name = element.get("filename", "").strip(), element.get("name", "").strip()
             name = name if "::" in name or not file else file  # others name it as they like
@@ -126,7 +126,7 @@ def _of(element: Element, tags: Collection[str], path: Path) -> Iterator[str]:
     stated = [word.strip() for word in words if not is_off(word)]
     if stated:
         value = " ".join(" ".join(stated).split())[:80]
-        yield f"{place_of(element) or path}: <{element.tag}> {value} is ignored."
+        yield f"{place_of(element, path)}: <{element.tag}> {value} is ignored."
 
 
 _BALL = "drake:ball_constraint"
@@ -269,8 +269,8 @@ class ModelText(abc.ABC):
     def _drop_loops(self) -> None:
         tags = {f"{prefix}{tag}" for tag in _LOOPS for prefix in ("drake:", "")}
         for element in (each for each in self.root.iter() if each.tag in tags):
-            where, what = place_of(element) or self.path, f"<{element.tag}> is ignored"
-            self.terms.left_out.append(f"{where}: {what}: the robot is read as an open tree.")
+            what = f"{place_of(element, self.path)}: <{element.tag}> is ignored"
+            self.terms.left_out.append(f"{what}: the robot is read as an open tree.")
         drop(self.root, *tags)
 
     def _take_weightless(self, off: Collection[str]) -> None:
@@ -388,8 +388,8 @@ class SdfText(ModelText):
                 joint.set("type", "universal")
             elif joint.get("type") == "gearbox":
                 parent.remove(joint)
-                what = f"<joint> {joint.get('name')} of the type gearbox is ignored."
-                terms.left_out.append(f"{place_of(joint) or self.path}: {what}")
+                what = f"{place_of(joint, self.path)}: <joint> {joint.get('name')}"
+                terms.left_out.append(f"{what} of the type gearbox is ignored.")
         with_plugins = deepcopy(self.root)
         for link in self.root.iter("link"):
             inertial = link.find("inertial")
@@ -423,9 +423,7 @@ class SdfText(ModelText):
         nowhere = [*includes.missing, *includes.absent]
         if nowhere and not self._links:
             raise ModelError(
-                f"{self.path} has no model that can be found: {nowhere[0]}",
-                advice=PACKAGE_ADVICE,
-                path=self.path,
+                f"{self.path} has no model that can be found: {nowhere[0]}", advice=PACKAGE_ADVICE
             )
         of_links = {name: link.findtext("gravity") for name, link in self._links.items()}
         self._take_weightless(
@@ -471,7 +469,7 @@ class UrdfText(ModelText):
         for inertia in root.iterfind("link/inertial/inertia"):
             if lacks := [key for key in TENSOR if key not in inertia.attrib]:
                 what = f"<inertia> lacks {', '.join(lacks)}, which count as 0."
-                terms.notes.append(f"{place_of(inertia) or self.path}: {what}")
+                terms.notes.append(f"{place_of(inertia, self.path)}: {what}")
         gazebo = root.findall("gazebo")
         drop(root, "visual", "collision", "gazebo", "material", "drake:collision_filter_group")
         self._transmissions = [deepcopy(e) for e in root.iter("transmission")]
@@ -549,7 +547,7 @@ class UrdfText(ModelText):
         if pose is None or is_off(pose.text or ""):
             return
         X, words = _matrix(*sdf_pose(pose)), " ".join((pose.text or "").split())[:80]
-        where = place_of(pose) or self.path
+        where = place_of(pose, self.path)
         roots = [e.get("name", "") for e in self.root.findall("link")]
         roots = [link for link in roots if link not in self._holding]
         if "world" in roots or pose.get("relative_to") or not np.isfinite(X).all():
@@ -564,60 +562,48 @@ class UrdfText(ModelText):
         """Read SDF's joints in <gazebo>, which close loops, or hold the base."""
         for joint in [joint for element in elements for joint in element.findall("joint")]:
             name, kind = joint.get("name", ""), joint.get("type", "")
-            ends = [joint.findtext(tag, "").strip() for tag in ("parent", "child")]
-            one, two = (f"{scope}::{end}" for end in ends)
-            if (kind, ends[0]) == ("fixed", "world") and one not in self._links:
+            parent, child = (joint.findtext(tag, "").strip() for tag in ("parent", "child"))
+            if (kind, parent) == ("fixed", "world") and f"{scope}::{parent}" not in self._links:
                 continue
             stated, axis = joint.find("pose"), joint.find("axis")
             place = (np.zeros(3), np.zeros(3)) if stated is None else sdf_pose(stated)
-            X_CJ, X_RC = _matrix(*place), self._pose(ends[1])
+            X_CJ, X_RC = _matrix(*place), self._pose(child)
             turn = numbers(joint.findtext("axis/xyz", "0 0 1"), 3)
             if axis is not None and not is_off(axis.findtext("use_parent_model_frame", "")):
                 turn = (X_RC @ X_CJ)[:3, :3].T @ turn
-            readable = kind in CLOSING and {one, two} <= self._links.keys() and bool(turn.any())
-            readable = readable and (stated is None or stated.get("relative_to") is None)
-            if not (readable and np.isfinite([*X_CJ.ravel(), *turn]).all()):
-                where = place_of(joint) or self.path
+            X_PJ: Array = np.linalg.solve(self._pose(parent), X_RC @ X_CJ)
+            cut = CutJoint.of(
+                f"{scope}::{name}", turn, kind, number(joint, "axis/limit/effort") > 0
+            )
+            apart = stated is not None and stated.get("relative_to") is not None
+            if apart or not self._close(scope, cut, kind, {parent: X_PJ, child: X_CJ}):
+                where = place_of(joint, self.path)
                 self.terms.left_out.append(f"{where}: <joint> {name} of <gazebo> is ignored.")
-                continue
-            driven = number(joint, "axis/limit/effort") > 0.0
-            X_PJ = np.asarray(np.linalg.solve(self._pose(ends[0]), X_RC @ X_CJ))
-            self._close(f"{scope}::{name}", kind, (one, two), (X_PJ, X_CJ), turn, driven=driven)
-            self._take_axes([f"{scope}::{name}"], joint, damping=True)
+            else:
+                self._take_axes([cut.scoped_name], joint, damping=True)
 
     def _take_loop_joints(self, scope: str) -> None:
         """Read joints between two links that both have a joint already, as Drake once did."""
         for joint in self.root.findall("loop_joint"):
             self.root.remove(joint)
             name, kind = joint.get("name", ""), joint.get("type") or "continuous"
-            ends = [joint.find(tag) for tag in ("link1", "link2")]
-            links = ["" if end is None else f"{scope}::{end.get('link')}" for end in ends]
-            places = [np.asarray(_matrix(*_at(end))) for end in ends if end is not None]
-            axis, stated = np.array([1.0, 0.0, 0.0]), joint.find("axis")
-            if stated is not None:
-                axis = numbers(stated.get("xyz", ""), 3)
-            one, two = links
-            known = kind in CLOSING and {one, two} <= self._links.keys() and bool(axis.any())
-            if not known or not np.isfinite([*np.ravel(places), *axis]).all():
+            found = [end for tag in ("link1", "link2") for end in joint.findall(tag)]
+            ends = {end.get("link", ""): _matrix(*_at(end)) for end in found}
+            axis = joint.find("axis")
+            turn = numbers("1 0 0" if axis is None else axis.get("xyz", ""), 3)
+            if not self._close(scope, CutJoint.of(f"{scope}::{name}", turn, kind), kind, ends):
                 what = f"<loop_joint> {name} of the type {kind} does not join two links"
                 raise wrong_at(joint, self.path, f"{what}, or has what is no number.")
-            self._close(f"{scope}::{name}", kind, (one, two), (places[0], places[1]), axis)
 
-    def _close(
-        self,
-        name: str,
-        kind: str,
-        links: tuple[str, str],
-        places: tuple[Array, Array],
-        axis: Array,
-        *,
-        driven: bool = False,
-    ) -> None:
-        """Add what a joint closes, by scoped names, between frames at places (4, 4) in links."""
-        turn, short = axis / np.linalg.norm(axis), name.rpartition("::")[2]
-        cut = CutJoint(short, name, turn, kind == "prismatic", driven)
-        poses = RigidTransform(places[0]), RigidTransform(places[1])
-        self.terms.closures.append(Closure.by_joint(cut, kind, links, poses))
+    def _close(self, scope: str, cut: CutJoint, kind: str, ends: Mapping[str, Array]) -> bool:
+        """Add what a joint of a kind closes between poses (4, 4) in links; False if it cannot."""
+        links = [f"{scope}::{name}" for name in ends]
+        known = kind in CLOSING and len(links) == 2 and self._links.keys() >= {*links}
+        if not known or not np.isfinite([*np.ravel([*ends.values()]), *cut.axis]).all():
+            return False
+        (one, first), (two, second) = zip(links, map(RigidTransform, ends.values()), strict=True)
+        self.terms.closures.append(Closure.by_joint(cut, kind, (one, two), (first, second)))
+        return True
 
     def _take_gazebo(self, scope: str, elements: list[Element], joints: set[str | None]) -> None:
         """Take springs of joints, and links without gravity."""
@@ -628,13 +614,9 @@ class UrdfText(ModelText):
             if element.get("reference") in joints and stated.strip():
                 self._take_spring(name, element, "springStiffness", "springReference")
             elif not is_off(stated):
-                said = wrong_at(
-                    element,
-                    self.path,
-                    f"<springStiffness> {stated.strip()[:50]} of {element.get('reference')}, "
-                    "which is not a joint, is ignored.",
-                )
-                self.terms.left_out.append(said.problem)
+                what = f"{place_of(element, self.path)}: <springStiffness> {stated.strip()[:50]}"
+                not_there = f"of {element.get('reference')}, which is not a joint, is ignored."
+                self.terms.left_out.append(f"{what} {not_there}")
             falls = [is_off(each.text or "") for each in element.findall("gravity")]
             falls += [not is_off(each.text or "") for each in element.findall("turnGravityOff")]
             if any(falls) and name in self._links:
@@ -682,7 +664,7 @@ def _motors(element: Element, path: Path) -> Iterator[Statement]:
     if kind not in _KINDS:
         return
     what = f"{path}: the transmission {element.get('name', '')!r}"
-    joints, actuators = (_in_roles(element, tag) for tag in ("joint", "actuator"))
+    joints, actuators = (sorted(element.findall(x), key=_role) for x in ("joint", "actuator"))
     count = 1 if kind == "SimpleTransmission" else 2
     if len(joints) != count or len(actuators) != count:
         raise ModelError(
@@ -690,11 +672,11 @@ def _motors(element: Element, path: Path) -> Iterator[Statement]:
             advice="Correct it there, or write a transmission file.",
         )
     names = [[e.get("name", "") for e in group] for group in (joints, actuators)]
-    nj, na = ([_reduction(e, what) for e in group] for group in (joints, actuators))
-    shifts = [_value(e, ("offset",), 0.0, what) for e in joints]
+    nj, na = ([_value(e, what) for e in group] for group in (joints, actuators))
+    shifts = [_value(e, what, ("offset",), 0.0) for e in joints]
     (j1, *j2), (a1, *a2) = names
     if kind == "SimpleTransmission":
-        own = _reduction(element, what)  # of older files
+        own = _value(element, what)  # of older files
         yield Gear(a1, j1, na[0] * nj[0] * own, shifts[0])
         return
     if kind == "DifferentialTransmission":
@@ -707,22 +689,19 @@ def _motors(element: Element, path: Path) -> Iterator[Statement]:
     yield Coupled({j1: first, j2[0]: second}, dict(zip(names[0], shifts, strict=True)))
 
 
-def _in_roles(element: Element, tag: str) -> list[Element]:
-    """Return its joints or actuators in the order of their roles, such as joint1 and joint2."""
-    found = element.findall(tag)
-    return sorted(found, key=lambda e: (e.get("role") or e.findtext("role") or "").strip())
+def _role(element: Element) -> str:
+    """Return the role of a joint or an actuator in a transmission, such as joint1."""
+    return (element.get("role") or element.findtext("role") or "").strip()
 
 
-def _reduction(element: Element, what: str) -> float:
-    value = _value(element, _REDUCTIONS, 1.0, what)
-    if not value:
-        raise ModelError(f"{what} has a reduction of 0.", advice="Correct it there.")
-    return value
-
-
-def _value(element: Element, tags: Sequence[str], default: float, what: str) -> float:
+def _value(
+    element: Element, what: str, tags: Sequence[str] = _REDUCTIONS, default: float = 1.0
+) -> float:
+    """Return the number in the first of some children that is there, by default the reduction."""
     text = next((t for tag in tags if (t := element.findtext(tag)) is not None), None)
     value = default if text is None else float(numbers(text.strip() or "none", 1)[0])
     if not np.isfinite(value):
         raise ModelError(f"{what} has {text!r:.52}, which is not a number.", advice="Correct it.")
+    if default and not value:
+        raise ModelError(f"{what} has a reduction of 0.", advice="Correct it there.")
     return value

@@ -89,7 +89,6 @@ def _expanded(path: Path, given: Given, read: dict[Path, bytes | None]) -> bytes
             f"{path} is a xacro file, but the package xacro is not installed.",
             advice='Install it: pip install "geodrake[robots]"; or expand the file first: '
             "xacro robot.urdf.xacro > robot.urdf.",
-            path=path,
         )
 
     count = 0
@@ -101,7 +100,6 @@ def _expanded(path: Path, given: Given, read: dict[Path, bytes | None]) -> bytes
             raise ModelError(
                 f"{path} reads more than {_MOST_FILES} files, or an endless one.",
                 advice="Correct the file.",
-                path=path,
             )
         place = Path(name).absolute()
         read[place] = _digest(place)
@@ -127,7 +125,6 @@ def _expanded(path: Path, given: Given, read: dict[Path, bytes | None]) -> bytes
                 f"{path} is a xacro file with an expression that is not evaluated by "
                 f"default: {error}.",
                 advice="Remove it or, if you trust the author of the file, use --trust-xacro.",
-                path=path,
             ) from error
         except Exception as error:
             inner: Any = error
@@ -146,7 +143,6 @@ def _expanded(path: Path, given: Given, read: dict[Path, bytes | None]) -> bytes
                 advice=f"Give it: --xacro-arg {missing[1]}:=VALUE."
                 if missing
                 else "Correct the file, or give its arguments with --xacro-arg.",
-                path=path,
             ) from error
 
 
@@ -259,7 +255,7 @@ class _Limited(ast.NodeTransformer):
             raise self._wrong(f"has an expression that makes more than {most:,} {what}")
 
     def _wrong(self, what: str) -> ModelError:
-        return ModelError(f"{self.path} {what}.", advice="Correct the file.", path=self.path)
+        return ModelError(f"{self.path} {what}.", advice="Correct the file.")
 
 
 def _limit_expressions(xacro: Any, limited: _Limited) -> None:

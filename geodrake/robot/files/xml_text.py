@@ -19,30 +19,24 @@ _MOST_ATTRIBUTES = 100  # of one element; Drake's time grows with their square
 
 
 class LocatedElement(Element):
-    """An element that knows where it was read.
-
-    Attributes:
-        line: The line of the file, from one.
-        start: Where its start tag begins, in bytes from the start of the file.
-        end: Where its end tag begins.
-    """
+    """An element that knows where it was read."""
 
     path: Path
-    line: int
-    start: int
-    end: int
+    line: int  # the line of the file, from one
+    start: int  # where its start tag begins, in bytes from the start of the file
+    end: int  # where its end tag begins
 
 
-def place_of(element: Element) -> str:
-    """Return the file and line where an element was read."""
-    return f"{element.path}, line {element.line}" if isinstance(element, LocatedElement) else ""
+def place_of(element: Element, path: Path | str = "") -> str:
+    """Return the file and line where an element was read; a path if that is not known."""
+    if isinstance(element, LocatedElement):
+        return f"{element.path}, line {element.line}"
+    return str(path)
 
 
 def wrong_at(element: Element, path: Path, what: str) -> ModelError:
     """Return an error with the file, the place of an element, and what is wrong."""
-    return ModelError(
-        f"{place_of(element) or path}: {what}", advice="Correct the file there.", path=path
-    )
+    return ModelError(f"{place_of(element, path)}: {what}", advice="Correct the file there.")
 
 
 def parse_xml(path: Path) -> Element:
@@ -61,7 +55,6 @@ def parse_xml_bytes(data: bytes, path: Path) -> Element:
         raise ModelError(
             f"{path} is not a robot description: it is not valid XML ({error}).",
             advice=SUPPORTED_FORMATS,
-            path=path,
         ) from error
     prefixes = [  # that a program gave to Drake's namespace when it wrote the file
         key.removeprefix("xmlns:")
@@ -100,7 +93,6 @@ def _read(data: bytes, path: Path) -> Element:
                 raise ModelError(
                     f"{path}, line {parser.CurrentLineNumber}: more than {most} {what}.",
                     advice="Check how the file was generated.",
-                    path=path,
                 )
         builder.start(tag, attributes)
 

@@ -69,20 +69,15 @@ class LoopRecords(NamedTuple):
     """A loop of k joints for compiled code.
 
     Attributes:
-        tree: Its mobilizers, whose bodies have their numbers.
-        couplings: (·, k, ·) coefficients of polynomials in each joint whose sums are zero.
-        free: Numbers of the n joints that are free.
-        following: Numbers of those that follow.
-        reference: (k,) the posture of the file.
         units: (k + 1,) how far joints go that move as far as a radian, and the size of the loop, m.
     """
 
-    tree: TreeRecords
+    tree: TreeRecords  # its mobilizers, whose bodies have their numbers
     closures: NDArray[np.void]
-    couplings: Array
-    free: Indices
-    following: Indices
-    reference: Array
+    couplings: Array  # (·, k, ·) coefficients of polynomials in each joint whose sums are zero
+    free: Indices  # numbers of the n joints that are free
+    following: Indices  # numbers of those that follow
+    reference: Array  # (k,) the posture of the file
     units: Array
 
 
@@ -509,7 +504,6 @@ class LoopTransmission(JointlyEvaluated, Short):
                 advice=f"Fix {', '.join(f'{n} at {x}' for n, x in closes.items())}."
                 if reached[0] == 1.0
                 else "Fix its joints elsewhere.",
-                joint=next(iter(far), ""),
             )
         return {names[at]: places[names[at]] for at in self.shown}
 

@@ -64,15 +64,10 @@ def _at(motion: FrameMotion, x: float) -> FrameMotion:
 
 @dataclass(frozen=True, eq=False)
 class Curves(JointlyEvaluated, Short):
-    """θ_i = f_i(q) of one actuator and k joints.
+    """θ_i = f_i(q) of one actuator and k joints."""
 
-    Attributes:
-        laws: f_i and their derivatives.
-        ends: Between which q they are known.
-    """
-
-    laws: tuple[Law, ...]
-    ends: tuple[float, float] = _EVERYWHERE
+    laws: tuple[Law, ...]  # f_i and their derivatives
+    ends: tuple[float, float] = _EVERYWHERE  # between which q they are known
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -499,7 +494,6 @@ def read_transmission(path: str | Path) -> tuple[Drive, ...]:
         raise ModelError(
             f"{path} is not a transmission file: {error.problem}",
             advice=error.advice or "Correct the file there.",
-            path=path,
         ) from error
 
 
