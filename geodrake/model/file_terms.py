@@ -1,41 +1,23 @@
 """Effects that model files, simulators and servos define differently from geodrake."""
 
-from geodrake.effects import CoulombFriction as DryFriction
-from geodrake.effects import CoupledFriction as CoupledDry
-from geodrake.effects import CoupledRotorInertia as CoupledRotor
-from geodrake.effects import EffortDelay as Delay
-from geodrake.effects import EffortOffset as Offset
-from geodrake.effects import GravityTilt as Tilt
-from geodrake.effects import JointSpring as Spring
-from geodrake.effects import NonlinearViscousFriction as Drag
-from geodrake.effects import RotorInertia as Rotor
-from geodrake.effects import StribeckFriction as StaticFriction
-from geodrake.effects import ViscousFriction as Damping
-from geodrake.effects.of_files import CarriedWeight as Carried
-from geodrake.effects.of_files import EllipsoidDrag as Ellipsoid
-from geodrake.effects.of_files import JointCoupling as Coupling
-from geodrake.effects.of_files import MediumDrag as Medium
-from geodrake.effects.of_files import PolynomialSpring as Polynomial
-from geodrake.effects.of_files import SquaredLoadFriction as LoadFriction
-from geodrake.effects.of_files import Strut as StrutEffect
+from geodrake import effects
+from geodrake.effects import of_files
 
-__all__ = [
-    "Carried",
-    "CoupledDry",
-    "CoupledRotor",
-    "Coupling",
-    "Damping",
-    "Delay",
-    "Drag",
-    "DryFriction",
-    "Ellipsoid",
-    "LoadFriction",
-    "Medium",
-    "Offset",
-    "Polynomial",
-    "Rotor",
-    "Spring",
-    "StaticFriction",
-    "StrutEffect",
-    "Tilt",
-]
+Carried = of_files.CarriedWeight
+CoupledDry = effects.CoupledFriction
+CoupledRotor = effects.CoupledRotorInertia
+Coupling = of_files.JointCoupling
+Damping = effects.ViscousFriction
+Delay = effects.EffortDelay
+Drag = effects.NonlinearViscousFriction
+DryFriction = effects.CoulombFriction
+Ellipsoid = of_files.EllipsoidDrag
+LoadFriction = of_files.SquaredLoadFriction
+Medium = of_files.MediumDrag
+Offset = effects.EffortOffset
+Polynomial = of_files.PolynomialSpring
+Rotor = effects.RotorInertia
+Spring = effects.JointSpring
+StaticFriction = effects.StribeckFriction
+StrutEffect = of_files.Strut
+Tilt = effects.GravityTilt

@@ -200,11 +200,7 @@ def _checked(quaternion: Array, force: Array | None, gravity: Array, name: str) 
 
 
 def _readings(quaternion: Array, off: Callable[[Rotation], float]) -> tuple[float, str, float]:
-    """Return how far off an orientation (N, 4) is, and the best other way to read it, and its own.
-
-    Args:
-        off: How far off a rotation of the body is.
-    """
+    """Return how far `off` an orientation (N, 4) is, the best other way to read it, and its own."""
     turn = Rotation.from_quat(quaternion[:, [1, 2, 3, 0]])
     others = {
         "its columns are x, y, z, w": off(Rotation.from_quat(quaternion)),
@@ -342,9 +338,8 @@ def _put_point_jacobian(
 ) -> None:
     """Write the k-th Jacobian of all, of points that are at (N, 3) from a body's origin, in W.
 
-    Args:
-        own: (N, 3, nv) Jacobians of the body's turning, and of its origin.
-        dofs: Velocities that move it; the others' columns stay.
+    Those of the body's turning and of its origin are its `own` (N, 3, nv). Columns of velocities
+    other than `dofs`, which move it, stay.
     """
     angular, linear = own
     for n in range(len(arm)):

@@ -155,9 +155,6 @@ def log_of_model(log: JointLog, model: RobotModel) -> JointLog:
     """Return the log with joints in the model's order, without held and following ones.
 
     The effort of a joint that follows another one is added to the other one's.
-
-    Args:
-        log: A log of the model's joints, and perhaps of those that it holds and that follow.
     """
     log = with_base(log, model)
     aside = set(model.known_joints).difference(model.joints)

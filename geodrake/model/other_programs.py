@@ -81,8 +81,7 @@ class OtherProgram:
     def state(self, q: Array, v: Array, size: int) -> tuple[Array, Array, Array]:
         """Return its positions, T and the bias of its accelerations, of a joint of the plant.
 
-        Args:
-            q: (1,), (3,) or, of a free base, (6,) positions of the joint.
+        That has 1, 3 or, of a free base, 6 positions and velocities.
         """
         if len(q) == 6 and self.free is not None:
             rpy = RollPitchYaw(q[:2:-1])

@@ -176,8 +176,7 @@ def error_integral(time: Array, error: Array) -> Array:
 def limited_integral(time: Array, error: Array, effort: Array, gain: float, limit: float) -> Array:
     """Return `error_integral`, that stays where the servo is at its limit and would go beyond.
 
-    Args:
-        effort: Effort without what the integral adds from the first row on.
+    The `effort` is without what the integral adds from the first row on.
     """
     known = np.isfinite(error) & np.isfinite(time) & np.isfinite(effort)
     if np.count_nonzero(known) < 2:

@@ -37,11 +37,7 @@ Term = Callable[[str, tuple[str, ...]], str]
 def straight_line(
     results: Sequence[Operand], write: Term, number: Callable[[float], str]
 ) -> tuple[list[tuple[str, str]], list[str]]:
-    """Return names and expressions of statements in their order, and expressions of the results.
-
-    Args:
-        write: Writes an operation; of an input, its operands are its name and place.
-    """
+    """Return names and expressions of statements in their order, and expressions of the results."""
     symbols = [*in_order(results)]
     uses = Counter(x for x in (*results, *(x for s in symbols for x in s.operands)))
     written: dict[Operand, str] = {}

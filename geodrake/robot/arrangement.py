@@ -299,9 +299,7 @@ def poses_of(
 ) -> dict[str, RigidTransform]:
     """Return scoped joint name -> pose of the joint's frame M in its frame F.
 
-    Args:
-        places: Scoped names of joints of one degree of freedom -> their positions, rad or m; the
-            others stand where they do by default.
+    Joints of one degree of freedom are at `places`, rad or m, the others as by default.
     """
     context, places = plant.CreateDefaultContext(), places or {}
     q, own = np.array(plant.GetPositions(context)), {scoped(j): j for j in moving_joints(plant)}
@@ -318,11 +316,9 @@ def poses_of(
 def weld_joints(
     plant: MultibodyPlant, poses: Mapping[str, RigidTransform], *, aside: bool = False
 ) -> None:
-    """Put welds in the place of joints, of the same name, in a plant that is not finalized.
+    """Put welds of poses X_FM in the place of joints of the same name, in an unfinalized plant.
 
-    Args:
-        poses: Scoped joint name -> pose X_FM that the weld has.
-        aside: Whether they get other names, as no robot in question has them.
+    Those of other robots than the one in question are `aside`, and get other names.
     """
     for joint in moving_joints(plant):
         if scoped(joint) in poses:
@@ -333,11 +329,7 @@ def weld_joints(
 
 
 def welds_of(plant: MultibodyPlant, *, aside: bool = False) -> dict[str, RigidTransform]:
-    """Return scoped names of the welded joints of a plant -> their poses X_FM; see `weld_joints`.
-
-    Args:
-        aside: Those of other robots than the one in question.
-    """
+    """Return scoped names of welded joints of a plant -> their poses X_FM; see `weld_joints`."""
     welds = {scoped(j): j.X_FM() for j in joints_of(plant) if isinstance(j, WeldJoint)}
     wanted = (name for name in welds if name.endswith(_ASIDE) is aside)
     return {name.removesuffix(_ASIDE): welds[name] for name in wanted}

@@ -105,14 +105,12 @@ def load_plant(
     phi: ArrayLike | None = None,
     into: MultibodyPlant | None = None,
 ) -> LoadedPlant:
-    """Read a robot from a URDF, SDF, MJCF or Drake directives file.
+    """Read a robot from a model file, or of a name, as `geodrake.load_model` does.
 
     Geometry does not matter and is not loaded, so meshes and packages may be missing. Closed
     loops are open in the plant, and closed by `loops`; joints that follow others are `followers`.
 
     Args:
-        path: The model file; the root element, not the suffix, decides between the XML formats.
-            Or the name of a robot of robot_descriptions (`geodrake.robot.files.named_robots`).
         floating: Leave bodies free that the file does not attach to the world, on six joints each
             (`geodrake.robot.arrangement`); otherwise each root is welded to the world where the
             file puts it.
@@ -122,10 +120,6 @@ def load_plant(
             body has all of it.
         into: An empty plant to load the robot into, which is finalized; by default a new one,
             continuous in time.
-
-    Raises:
-        ModelError: The file cannot be read, is no robot description, or nothing moves in it; a
-            joint cannot be held; or Drake refuses the inertial parameters that are given.
     """
     given = Given() if given is None else instance(given, "given", Given)
     path, given, origin = robot_file(path, given)
@@ -396,11 +390,7 @@ def _root_notes(plant: MultibodyPlant, arrangement: Arrangement) -> list[str]:
 
 
 def arrange_as(plant: MultibodyPlant, other: MultibodyPlant) -> None:
-    """Weld moving parts of a plant as in another one of the same file.
-
-    Args:
-        plant: A plant that is not finalized, such as one with geometry; changed.
-    """
+    """Weld moving parts of a plant that is not finalized as in another one of the same file."""
     open_loops(plant)
     weld_joints(plant, welds_of(other))
     weld_joints(plant, welds_of(other, aside=True), aside=True)

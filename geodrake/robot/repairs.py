@@ -62,8 +62,7 @@ def repair_inertias(
 ) -> tuple[tuple[Repair, ...], tuple[str, ...], bool]:
     """Put usable inertias into a description, of which a plant was made without those set aside.
 
-    Returns:
-        The repairs, notes on welded links that were left out, and whether the text changed.
+    Return the repairs, notes on welded links that were left out, and whether the text changed.
     """
     lumps, links = lumped_bodies(plant), stated_inertias(description, plant)
     stated = [_stated_parameters(links, body) for body in lumps]

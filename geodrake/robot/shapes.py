@@ -82,11 +82,8 @@ def mjcf_geoms(
 ) -> tuple[Mapping[str, tuple[MjcfGeom, ...]], tuple[str, ...]] | None:
     """Return the geoms of each body by its scoped name, and sentences on meshes that are lost.
 
-    Of other files, that is None.
-
-    Args:
-        hulls: For collisions and not for pictures: meshes are convex hulls of all of their points,
-            and what the file puts into the world is there, planes included.
+    Of other files, that is None. For collisions and not for pictures, meshes are convex hulls of
+    all of their points, and what the file puts into the world is there, planes included.
     """
     if path.suffix.lower() in (".yaml", ".yml"):
         return None
@@ -271,8 +268,7 @@ def scene_of(
 ) -> tuple[MultibodyPlant, SceneGraph]:
     """Return a plant of a file with the geometry of its links.
 
-    Args:
-        prepare: Makes geometry of a URDF or SDF such that Drake reads it (`move_meshes`).
+    Before, geometry of a URDF or SDF is prepared such that Drake reads it (`move_meshes`).
     """
     plant, scene = AddMultibodyPlantSceneGraph(DiagramBuilder(), 1e-3)
     parser, description = Parser(plant), read_description(path, given)

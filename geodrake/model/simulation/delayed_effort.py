@@ -35,11 +35,7 @@ class DelayedEffort(LeafSystem):
     """
 
     def __init__(self, delays: ArrayLike, *, period: float = 1e-3) -> None:
-        """Construct the system of delays (n,), s, each zero or at least a sampling period, s.
-
-        Raises:
-            ArgumentError: A delay is negative, or not zero but below the period.
-        """
+        """Construct the system of delays (n,), s, each zero or at least a sampling period, s."""
         LeafSystem.__init__(self, converter=self._converter)
         delays = np.atleast_1d(real_array(delays, "delays")).copy()
         positive(period, "period")

@@ -209,11 +209,7 @@ class EffectForce(LeafSystem):
         context.get_mutable_numeric_parameter(_PHI).SetFromVector(phi.ravel())
 
     def set_hidden_states(self, context: Context, states: Mapping[Effect, ArrayLike]) -> None:
-        """Set hidden states (s,), such as `Effect.states_along` leaves them; others keep theirs.
-
-        Raises:
-            ArgumentError: An effect has no hidden states here, or not as many.
-        """
+        """Set hidden states (s,), such as `Effect.states_along` leaves; others keep theirs."""
         check_context(self, context)
         whole = np.array(context.get_continuous_state_vector().CopyToVector())
         for effect, values in states.items():
@@ -274,8 +270,7 @@ class EffectForce(LeafSystem):
     def state_port(self, builder: DiagramBuilder, joints: Sequence[str]) -> OutputPort:
         """Return an output (2 n) of measured positions and then velocities of all joints in order.
 
-        Raises:
-            ArgumentError: They are not the robot's joints, or one has several degrees of freedom.
+        Each has one degree of freedom.
         """
         robot = self.law.plant.robot
         if not self.law.soft:

@@ -49,11 +49,7 @@ class Coupling:
     ramp: float  # way beyond the dead band over which the damping comes on, rad or m
 
     def torque(self, lag: float, rate: float) -> float:
-        """Return the torque on the link, N·m or N.
-
-        Args:
-            lag: Position of the motor less that of the link, rad or m.
-        """
+        """Return the torque on the link, N·m or N, of the motor's position less its, and a rate."""
         if self.play == 0.0:
             return self.stiffness * lag + self.damping * rate
         side = 1.0 if lag > 0.0 else -1.0
@@ -334,15 +330,12 @@ class ForceLaw:
         return replace(state, q=q, v=v)
 
     def response(self, state: PlantState, u: Array, parameters: Parameters) -> Response:
-        """Return the efforts of effects, and the accelerations of elastic joints' motors.
+        """Return the efforts of effects, and accelerations of elastic joints' motors, at u (nv,).
 
         With x = (q̈, θ̈ of the soft joints), q̈ = L x of the links, and A x the accelerations of all
         motors, rigid or soft, the equations of motion are linear in x:
 
             Aᵀ (B A x + f_m − u) + Lᵀ (M L x + h + M_l L x + f_l) = (L − A)ᵀ τ.
-
-        Args:
-            u: (nv,) efforts that act on motors, N·m or N.
         """
         A, L, unit, nv = self.of_motors, self.of_links, self.soft_unit, len(u)
         motor, load = self.at_motors(state), 0.0 * u

@@ -189,8 +189,7 @@ class _Differenced:
     ) -> Scalars:
         """Return the values (n,) of a function of the source's Context, with derivatives.
 
-        Args:
-            inputs: Indices of the inputs that matter; all if None.
+        Inputs are the indices of those that matter; all if None.
         """
         chosen = range(self.num_input_ports()) if inputs is None else inputs
         known = [i for i in chosen if self.get_input_port(i).HasValue(context)]

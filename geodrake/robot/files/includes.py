@@ -53,11 +53,7 @@ class Includes:
         self.absent, self.missing, self.unread = list[str](), list[str](), list[str]()
 
     def resolve(self, url: str, folder: Path) -> Path:
-        """Return where a URL, or a path relative to a folder, leads; a file need not be there.
-
-        Args:
-            url: A `package://`, `model://` or `file://` URL, or a path.
-        """
+        """Return where a URL, or a path relative to a folder, leads; a file need not be there."""
         scheme, _, rest = url.rpartition("://")
         if not scheme:
             return folder / rest

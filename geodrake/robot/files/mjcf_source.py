@@ -387,8 +387,7 @@ def unused(taken: set[str | None]) -> Callable[[str], str]:
 def _bodies_of(root: Element, path: Path, sizes: Mapping[str, float]) -> float:
     """Return the number of bodies that MuJoCo makes of a file; raise if it is too large.
 
-    Args:
-        sizes: Name of a model that may be attached -> how many bodies it has.
+    Models that may be attached have `sizes`.
     """
     found, total = [(root, 1.0)], 0.0  # elements, and how many are made of what is around each
     while found:

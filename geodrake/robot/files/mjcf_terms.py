@@ -467,8 +467,7 @@ class MjcfTerms:
     def _tie(self, own: int, leader: int, *coefficients: float) -> bool:
         """Have a joint follow another one, or if the ratio is constant that one the first.
 
-        Returns:
-            Whether neither follows something already, or is followed by the other.
+        False if both follow something already, or each other.
         """
         ways = [(own, leader, coefficients)]
         if len(coefficients) == 2 and coefficients[1]:

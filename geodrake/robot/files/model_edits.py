@@ -215,11 +215,7 @@ def _references(root: Element) -> Iterator[tuple[Element, str]]:
 
 
 def sdf_models(parent: Element, scope: str = "", first: str = "") -> Iterator[tuple[str, Element]]:
-    """Yield models within models and worlds, with their scoped names.
-
-    Args:
-        first: Name of the models of a file; nothing for their own.
-    """
+    """Yield models within models and worlds, with their scoped names; of a file's, `first`."""
     for model in [*parent.findall("model"), *parent.findall("world/model")]:
         own = model.get("name", "")
         name = f"{scope}::{own}" if scope else first or own

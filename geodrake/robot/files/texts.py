@@ -316,11 +316,7 @@ class ModelText(abc.ABC):
     def _take_more_mimics(
         self, scope: str, plugins: Sequence[Element], joints: Sequence[Element] = ()
     ) -> None:
-        """Read leaders of joints whose own element has none, of Gazebo's plugins and ros2_control.
-
-        Args:
-            joints: Those in <ros2_control>.
-        """
+        """Read leaders of joints without one of their own, of Gazebo's plugins and ros2_control."""
         already = set(self.terms.followers)
         found = [{each.tag: each.text or "" for each in plugin} for plugin in plugins]
         for joint in joints:
@@ -333,11 +329,7 @@ class ModelText(abc.ABC):
                 self._follow(f"{scope}::{own}", f"{scope}::{leader}", stated)
 
     def _follow(self, name: str, leader: str, stated: Mapping[str, str]) -> None:
-        """Have a joint follow another one; fixed where that never moves.
-
-        Args:
-            stated: `multiplier`, `offset` and, in SDF, `reference`.
-        """
+        """Have a joint follow another one; fixed where that never moves."""
         if name in self._still:
             return
         ratio, offset, start = (
@@ -571,7 +563,7 @@ class UrdfText(ModelText):
             turn = numbers(joint.findtext("axis/xyz", "0 0 1"), 3)
             if axis is not None and not is_off(axis.findtext("use_parent_model_frame", "")):
                 turn = (X_RC @ X_CJ)[:3, :3].T @ turn
-            X_PJ: Array = np.linalg.solve(self._pose(parent), X_RC @ X_CJ)
+            X_PJ = np.asarray(np.linalg.solve(self._pose(parent), X_RC @ X_CJ), float)
             cut = CutJoint.of(
                 f"{scope}::{name}", turn, kind, number(joint, "axis/limit/effort") > 0
             )

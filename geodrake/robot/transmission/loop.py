@@ -328,16 +328,6 @@ def _go(loop: Any, wanted: Array, x: Array, rooms: Any) -> float:
 
 
 @compiled
-def calc_misses(loop: LoopRecords, x: Array, out: Array) -> None:
-    """Write by how much closures miss, and J, into out (m, 1 + k), at x (1, k)."""
-    room, _, c, J, _ = _rooms(loop)
-    _find_misses(loop, x, room, c, J)
-    _copy(c, out[:, 0])
-    for j in range(len(J)):
-        _copy(J[j], out[j, 1:])
-
-
-@compiled
 def calc_loop(loop: LoopRecords, wanted: Array, theta: Array, G: Array, reached: Array) -> None:
     """Write postures θ (N, k) of a loop with its free joints where wanted (N, n), and G (N, k, n).
 
@@ -402,9 +392,10 @@ _SMALLER, _MOST_TRIALS = 0.8, 15  # ranges of several free joints
 def miss(loop: LoopRecords, x: Array) -> tuple[Array, Array]:
     """Return by how much closures miss (m,) at x (k,), and their slopes (m, k) in joints' units."""
     rows = len(loop.couplings) + sum(6 if turns else 3 for turns in loop.closures["turns"])
-    out = np.zeros((rows, 1 + len(x)))
-    calc_misses(loop, contiguous(x[None]), out)
-    return out[:, 0], out[:, 1:] * loop.units[:-1]
+    c, J, shape = np.zeros(rows), np.zeros((rows, len(x))), (1, len(loop.tree[0]))
+    room = np.zeros((*shape, 4, 4)), *np.zeros((2, *shape, 3, len(x)))
+    _find_misses(loop, contiguous(x[None]), room, c, J)
+    return c, J * loop.units[:-1]
 
 
 def solved(loop: LoopRecords, q: Array) -> tuple[Array, Array, Array]:
@@ -514,7 +505,18 @@ class LoopTransmission(JointlyEvaluated, Short):
 
     def of_all(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
         """Return positions (N, k) of all k joints by Newton's method, G and Ġ (N, k, n)."""
-        theta, G = self._closed(self._q(q))
+        q = self._q(q)
+        theta, G, reached = solved(self.records, q)
+        if (open_ := reached < 1.0).any():
+            at = int(np.argmax(open_))
+            there = self.reference[self.free]
+            end = there + reached[at] * (q[at] - there)
+            raise ArgumentError(
+                f"The closed loop of {self.name} does not close at "
+                f"{_places(self.actuators, q[at])}: coming from the posture of the file, it "
+                f"ends at {_places(self.actuators, end)}.",
+                advice="Check its lengths and zero positions, and that the log is of this robot.",
+            )
         rate = np.zeros_like(G)
         if v is not None:
             calc_loop_rates(self.records, theta, G, contiguous(v), rate)
@@ -551,20 +553,6 @@ class LoopTransmission(JointlyEvaluated, Short):
                     break
                 ends = [there + _SMALLER * (end - there) for end in near]
         return ends[0], ends[1]
-
-    def _closed(self, q: Array) -> tuple[Array, Array]:
-        """Return positions and G."""
-        theta, G, reached = solved(self.records, q)
-        if (open_ := reached < 1.0).any():
-            at = int(np.argmax(open_))
-            end = self.reference[self.free] + reached[at] * (q[at] - self.reference[self.free])
-            raise ArgumentError(
-                f"The closed loop of {self.name} does not close at "
-                f"{_places(self.actuators, q[at])}: coming from the posture of the file, it "
-                f"ends at {_places(self.actuators, end)}.",
-                advice="Check its lengths and zero positions, and that the log is of this robot.",
-            )
-        return theta, G
 
 
 def _places(names: Sequence[str], values: ArrayLike) -> str:
