@@ -1,9 +1,12 @@
-"""Adaptive controllers in Drake diagrams: guarantees, the life of a system, and prediction."""
+"""Adaptive controllers in Drake diagrams: guarantees, the life of a system, and faults."""
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from adaptive_loops import (
     CONTROL,
+    DAMPING,
     MANIFOLD,
     MODEL,
     MODELS,
@@ -13,8 +16,10 @@ from adaptive_loops import (
     SlowSensor,
     check_estimates,
     computed,
+    infinite,
     motion,
     natural,
+    noisy,
     nothing,
     passive,
     pendulum_plant,
@@ -22,12 +27,18 @@ from adaptive_loops import (
     run,
     tracking_error,
 )
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
+from pydrake.trajectories import PiecewisePolynomial
 
-from diagrams.studies.adaptive.faults import moments
+from diagrams.benchmarks.adaptive_soak import distances
+from diagrams.studies.adaptive.faults import Episode, moments
 from geodrake.control import (
+    AdaptiveComputedTorqueController,
+    ControlModel,
     FixedGains,
     PartialLaw,
     PassivityBasedAdaptiveController,
@@ -36,12 +47,17 @@ from geodrake.control import (
     add_adaptive_loop,
     euclidean_adaptation,
     natural_adaptation,
+    parameter_manifold,
     pullback_adaptation,
 )
 from geodrake.control.adaptation import ProjectedLaw, adapted_parameters, mass_limits
+from geodrake.control.adaptation.outer_laws import limited
 from geodrake.control.online_estimation import FilteredRegressor
 from geodrake.control.systems import Safeguards
+from geodrake.control.systems.safeguards import Watch
+from geodrake.effects import FittedEffect, JointEffect, Parameter
 from geodrake.errors import ArgumentError
+from geodrake.inertia import change_frame, is_physical
 from geodrake.manifolds import PhysicalInertia
 
 FILTERED = PredictionError(1.0, alone=True)
@@ -334,3 +350,269 @@ def test_prediction_goes_on_where_efforts_are_at_their_limits():
             assert (np.abs(system.GetOutputPort("actuation").Eval(context)) <= 0.05).all()
         moved.append(np.abs(system.parameters(context) - WRONG).max())
     assert moved[0] == 0.0 < moved[1]
+
+
+LIMITS = np.array([8.0, 4.0])
+STRONG = Safeguards(LIMITS)
+"""What is known of any robot: masses and friction within a factor of twenty."""
+
+GAMMA = {"varying": 0.02, "fixed": 0.02, "filtered": 0.02, "accelerated": 0.2}
+
+
+def controller(kind, **options):
+    """A controller of one of the kinds, with effort limits above what the motion needs."""
+    options = {"time_step": 2e-3, "safeguards": STRONG, **options}
+    if kind in ("varying", "fixed"):
+        gains = {"gains": FixedGains([6.0, 3.0], [6.0, 7.0])} if kind == "fixed" else {}
+        return passive(natural(GAMMA[kind]), **gains, **options)
+    prediction = FILTERED if kind == "filtered" else None
+    return computed(natural(GAMMA[kind]), rate=15.0, prediction=prediction, **options)
+
+
+def check(logs):
+    """Everything is finite, within the limits, and every estimate physical."""
+    check_estimates(logs)
+    assert (logs["parameters"][:, CONTROL.num_inertial :] > 0).all()
+    assert (np.abs(logs["actuation"]) <= LIMITS + 1e-9).all()
+
+
+@pytest.mark.parametrize(("kind", "fault"), [("varying", nothing), ("fixed", infinite)])
+def test_a_sensor_that_fails_for_a_while(kind, fault):
+    sensor = FaultySensor(4, fault, 0.8, 1.0)
+    time, logs = run(controller(kind), 1.6, sensor=sensor)
+    check(logs)
+    error = tracking_error(logs)
+    assert error[time <= 1.2].max() < 0.4
+    assert error[-20:].max() < max(0.08, 0.5 * error.max())
+    during = logs["parameters"][(time > 0.802) & (time < 0.999)]
+    np.testing.assert_array_equal(during, np.broadcast_to(during[0], during.shape))
+    assert np.abs(logs["parameters"][-1] - during[0]).max() > 1e-5  # and goes on after it
+
+
+def test_the_dead_zone_keeps_noise_from_moving_the_estimate():
+    rest = PiecewisePolynomial(np.array([[0.7], [-0.4]]))
+    moved = []
+    for dead_zone in (0.0, 0.6):
+        guards = Safeguards(LIMITS, dead_zone=dead_zone)
+        system = controller("varying", safeguards=guards, parameters=TRUTH)
+        sensor = FaultySensor(4, noisy(1e-4, 0.05))
+        _, logs = run(system, 1.0, sensor=sensor, size=rest)
+        check(logs)
+        moved.append(np.abs(logs["parameters"][-1] - TRUTH).max())
+    assert moved[1] == 0.0 < moved[0]
+
+
+@pytest.mark.parametrize(("kind", "factor"), [("fixed", 0.1), ("varying", 10.0)])
+def test_a_start_with_ten_times_wrong_masses(kind, factor):
+    start = TRUTH.copy()
+    start[: CONTROL.num_inertial] *= factor
+    _, logs = run(controller(kind, parameters=start), 1.5)
+    check(logs)
+    error = tracking_error(logs)
+    assert error.max() < 0.7
+    assert error[-20:].max() < min(0.5, max(0.05, 0.8 * error.max()))
+
+
+@dataclass(frozen=True)
+class Exponential(JointEffect):
+    """An effect that sees more than its own sample, and overflows."""
+
+    name = "exponential"
+    parameters = (Parameter("size", "N·m", lower=0.0),)
+
+    def columns(self, joint):
+        return [np.cumsum(np.exp(joint.v))]
+
+
+@pytest.mark.parametrize("time_step", [0.0, 1e-3])
+def test_effects_that_overflow(time_step):
+    """The last actuation is held, or none is applied."""
+    fitted = (FittedEffect(Exponential(MODEL.joints[0]), np.array([0.1])),)
+    model = replace(MODEL, effects=fitted)
+    control, law = ControlModel.of(model), natural_adaptation(parameter_manifold(model))
+    for system in (
+        PassivityBasedAdaptiveController(control, law, time_step=time_step, truth=control.prior),
+        AdaptiveComputedTorqueController(
+            control, law, time_step=time_step, prediction=FILTERED if time_step else None
+        ),
+    ):
+        context = system.CreateDefaultContext()
+        system.GetInputPort("estimated_state").FixValue(context, [0.0, 0.0, 1e4, 0.0])
+        system.GetInputPort("desired_state").FixValue(context, [0.0, 0.0, 1e4, 0.0])
+        system.GetInputPort("desired_acceleration").FixValue(context, np.zeros(2))
+        if time_step > 0:
+            context.SetDiscreteState(system.EvalUniquePeriodicDiscreteUpdate(context))
+        else:
+            rate = system.EvalTimeDerivatives(context).CopyToVector()
+            np.testing.assert_array_equal(rate, 0.0)
+        np.testing.assert_array_equal(system.GetOutputPort("actuation").Eval(context), 0.0)
+        np.testing.assert_array_equal(system.parameters(context), control.prior)
+        if system.HasOutputPort("lyapunov"):
+            assert np.isfinite(system.GetOutputPort("lyapunov").Eval(context)).all()
+
+
+ANY = st.one_of(
+    st.floats(-3, 3),
+    st.sampled_from([np.nan, np.inf, -np.inf, 1e12, -1e100, 1e154, -1e300, 5e-324]),
+)
+MESSAGE = st.lists(ANY, min_size=8, max_size=8)
+
+
+@settings(max_examples=25)
+@given(
+    st.sampled_from(list(GAMMA)),
+    st.sampled_from([0.0, 1e-3, 0.1]),
+    st.booleans(),
+    st.lists(MESSAGE, min_size=1, max_size=4),
+)
+def test_whatever_comes_in_numbers_come_out(kind, time_step, limited, messages):
+    """Any input, alone or after another, leaves actuation finite and the estimate physical."""
+    if kind == "filtered" and time_step == 0:
+        return
+    guards = STRONG if limited else Safeguards()
+    system = controller(kind, time_step=time_step, safeguards=guards)
+    context = system.CreateDefaultContext()
+    for message in messages:
+        values = np.array(message)
+        system.GetInputPort("estimated_state").FixValue(context, values[:4])
+        system.GetInputPort("desired_state").FixValue(context, values[4:])
+        system.GetInputPort("desired_acceleration").FixValue(context, values[2:4])
+        if kind == "accelerated":
+            system.GetInputPort("acceleration").FixValue(context, values[5:7])
+        if time_step > 0:
+            state = system.EvalUniquePeriodicDiscreteUpdate(context)
+            context.SetDiscreteState(state)
+        else:
+            rate = system.EvalTimeDerivatives(context).CopyToVector()
+            assert np.isfinite(rate).all()
+        assert np.isfinite(system.GetOutputPort("actuation").Eval(context)).all()
+        assert np.isfinite(system.GetOutputPort("lyapunov").Eval(context)).all()
+        p = system.GetOutputPort("parameters").Eval(context)
+        assert is_physical(p[: CONTROL.num_inertial].reshape(-1, 10)).all()
+
+
+# A second of faults
+
+
+BEGIN, STOP = 1.0, 2.0  # of a fault, s
+USUAL = 0.1  # rad, error of a joint under a sound sensor
+PATIENCE, GROWTH = 3.5, 3.0  # s until tracking is as before, and times the estimate's distance
+
+
+def interrupted(kind, law, model):
+    """A interrupted of one of both kinds, and the distance of its estimates from the truth."""
+    control, manifold = ControlModel.of(model), parameter_manifold(model)
+    options = {
+        "time_step": 2e-3,
+        "parameters": perturbed(0.1, 0, control.prior, control),
+        "safeguards": STRONG,
+    }
+    chosen = euclidean_adaptation(len(control.prior), 50.0)
+    if law == "natural":
+        chosen = natural_adaptation(manifold, 0.02)
+    if kind == "passivity":
+        return PassivityBasedAdaptiveController(control, chosen, **options)
+    prediction = PredictionError(1.0, alone=True, memory=1.0)
+    return AdaptiveComputedTorqueController(
+        control, chosen, rate=15.0, prediction=prediction, **options
+    )
+
+
+@pytest.mark.parametrize(
+    ("kind", "law", "friction", "fault"),
+    [
+        ("passivity", "natural", True, "noise"),
+        ("passivity", "natural", True, "dropped"),
+        ("computed torque", "natural", True, "stuck"),
+        ("computed torque", "euclidean", True, "turns"),
+        ("computed torque", "natural", False, "reversed joint"),
+    ],
+)
+def test_a_second_of_faults_ruins_no_estimate(kind, law, friction, fault):
+    """Of all kinds and faults; hours of them, with other seeds, are in the benchmark of soaking."""
+    model = MODEL if friction else replace(MODEL, effects=())
+    system = interrupted(kind, law, model)
+    episode, end = Episode(fault, BEGIN, STOP), STOP + PATIENCE + 0.5
+    path = motion(duration=end + 1.0)
+    plant = pendulum_plant(damping=DAMPING if friction else 0.0)
+    found = list(moments(system, plant, path, [episode], limits=LIMITS, end=end, seed=0))
+    time = np.array([moment.time for moment in found])
+    estimates = np.array([moment.parameters for moment in found])
+    error = np.array([np.abs(moment.error).max() for moment in found])
+    off = np.linalg.norm(estimates - system.control.prior, axis=1)
+    if law == "natural":
+        off = distances(system.control, estimates)  # which are geodesic
+    assert off[-1] <= GROWTH * off[time <= BEGIN][-1]
+    assert error[time >= STOP + PATIENCE].max() < max(USUAL, 2.0 * error[time <= BEGIN].max())
+    phi = estimates[:, : system.control.num_inertial].reshape(len(found), -1, 10)
+    if law == "natural":
+        assert is_physical(phi).all()
+        masses = phi[:, :, 0] / system.control.phi(system.control.prior)[:, 0]
+        assert masses.max() < 20.0
+
+
+@pytest.mark.parametrize(
+    ("sample", "wrong"), [(0, [0.0, 0.0]), (500, [2.0 * np.pi, 0.0]), (500, [0.0, 1e3])]
+)
+def test_good_sensors_are_believed_outliers_are_not_and_stuck_encoders_within_their_drift(
+    sample, wrong
+):
+    t, told = 2e-3 * np.arange(1250), []
+    states = np.stack([np.sin(3.0 * t), 3.0 * np.cos(3.0 * t)], axis=1)
+    states += [1e-3, 0.05] * np.random.default_rng(0).normal(size=states.shape)
+    states[sample] += wrong
+    states[1100:, 0] = states[1100, 0]
+    watch = Watch(1, 2e-3, 0.05, 0.02, 1.0)
+    memory = watch.start()
+    for state in states:
+        seen, memory = watch.look(memory, state, np.zeros(2), np.zeros(1))
+        told.append((bool(seen.q == state[:1]), seen.trusted))
+    told, first = np.array(told), 1100 + int(np.argmin(np.array(told)[1100:, 0]))
+    assert told[:first, 0].sum() == first - (sample > 0) and told[sample, 0] == (sample == 0)
+    assert (~told[500:1000, 1]).sum() == (500 if sample else 0)
+    assert np.abs(states[1100:first, 1]).sum() * 2e-3 < 2 * 0.02 and not told[first:, 1].any()
+
+
+def test_what_was_learned_just_before_an_interruption_is_not_believed():
+    """A jump of the desired motion takes efforts to their limits."""
+    system = interrupted("passivity", "natural", MODEL)
+    context, p = system.CreateDefaultContext(), []
+    steady, jump = np.array([0.3, -0.2, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
+    system.GetInputPort("estimated_state").FixValue(context, steady)
+    system.GetInputPort("desired_acceleration").FixValue(context, np.zeros(2))
+    rng = np.random.default_rng(0)
+    for k in range(1800):
+        wanted = steady + jump * (1e-3 * np.sin(0.01 * k) + 2.0 * (k == 1000))
+        system.GetInputPort("estimated_state").FixValue(context, steady + 1e-6 * rng.random(4))
+        system.GetInputPort("desired_state").FixValue(context, wanted)
+        context.SetDiscreteState(system.EvalUniquePeriodicDiscreteUpdate(context))
+        p.append(system.parameters(context))
+    then = [k for k in range(750, 876) if np.array_equal(p[k], p[1000])]
+    assert then and not np.array_equal(p[999], p[1000])
+    assert np.ptp(p[1000:1500], axis=0).max() == 0.0 and not np.array_equal(p[1600], p[1000])
+
+
+def test_no_frame_matters_to_limits_about_a_model():
+    turned = np.array([[0.0, -0.6, 0.8], [0.0, 0.8, 0.6], [-1.0, 0.0, 0.0]])
+    link, law = CONTROL.phi(TRUTH)[0], natural_adaptation(PhysicalInertia())
+    for phi in (link, change_frame(link, turned, np.array([0.3, -0.2, 0.5]))):
+        held = np.concatenate([phi, [1.0]])
+        partial = limited(PartialLaw(law, np.arange(11) < 10), held[None], 10.0)
+        limits = partial.law.constraints
+        np.testing.assert_allclose([limits.lower, limits.upper], [[0.4], [40.0]])
+        np.testing.assert_allclose(limits.matrix @ phi, 4.0)
+
+
+def test_leakage_takes_the_estimate_to_the_model():
+    """D(p₀‖p̂) falls by σ (D(p₀‖p̂) + D(p̂‖p₀)) h in a step of h, beside what b does."""
+    p, b, h = perturbed(0.2), 1e-9 * np.ones(len(TRUTH)), 1e-4
+    law = replace(natural(0.3), leakage=2.0, toward=TRUTH)
+    before = MANIFOLD.divergence(TRUTH, p)
+    symmetric = before + MANIFOLD.divergence(p, TRUTH)
+    for moved in (law, limited(law, [TRUTH, p], 5.0)):
+        fallen = before - MANIFOLD.divergence(TRUTH, moved.step(p, b, h))
+        np.testing.assert_allclose(fallen, 2.0 * h * symmetric, rtol=1e-2)
+        np.testing.assert_array_equal(moved.step(p, 0.0 * b, h), natural().step(p, 0.0 * b, h))
+    for toward in (None, -TRUTH, TRUTH[:3]):
+        with pytest.raises(ArgumentError):
+            replace(law, toward=toward)
