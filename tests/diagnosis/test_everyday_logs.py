@@ -1,24 +1,28 @@
-"""Logs as robots are driven every day: joints in turn, efforts a little late, large offsets."""
+"""Everyday logs: joints in turn, friction that fades, values that the file states."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
-import pytest
-
-pytest.importorskip("pinocchio")
-
 import pinocchio as pin
+import pytest
 from pendulum_logs import JOINTS, PENDULUM, body_effort, pendulum_log
 from pinocchio_logs import MODELS, effort_log, robot
+from scipy.special import erf
 
-from geodrake import load_model
-from geodrake.diagnosis import explain
+from geodrake import load_model, save_model
+from geodrake.control import ControlModel
+from geodrake.diagnosis import add, compare, explain
 from geodrake.diagnosis.moves import neighbours
 from geodrake.diagnosis.refinements import common_delay
 from geodrake.diagnosis.search import Search, searched
+from geodrake.effects import CoulombFriction, FittedEffect
 from geodrake.identification.logs.bandwidth import prepare_for_model
 from geodrake.identification.logs.case import open_case
-from geodrake.logs import JointLog
+from geodrake.logs import JointLog, Motion
+
+pytest.importorskip("pinocchio")
+
 
 DRY, WET = np.array([0.3, 0.15]), np.array([0.2, 0.1])
 
@@ -197,3 +201,152 @@ def test_a_common_delay_is_that_of_the_joints_that_know_it_best():
     assert common_delay(delays, np.full(3, np.inf)) == pytest.approx(4.5e-3)
     assert common_delay(np.full(3, 4e-3), deviations) is None
     assert common_delay(np.zeros(3), deviations) is None
+
+
+OWN_DRY, OWN_WET = np.array([0.5, 0.3]), np.array([0.3, 0.2])
+SHOULDER, ELBOW = JOINTS
+
+
+def file_with(folder, dry, wet):
+    """The pendulum, whose file states dry (2,) and viscous friction (2,)."""
+    stated = iter(zip(dry, wet, strict=True))
+
+    def with_dynamics(found):
+        F, c = next(stated)
+        return f'{found[0]}<dynamics friction="{F}" damping="{c}"/>'
+
+    text = (MODELS / "double_pendulum.urdf").read_text(encoding="utf-8")
+    path = folder / "pendulum.urdf"
+    path.write_text(re.sub(r'<axis xyz="[^"]*" ?/>', with_dynamics, text), encoding="utf-8")
+    return load_model(path)
+
+
+def recorded(seed, dry=OWN_DRY, wet=OWN_WET):
+    """A log with dry friction F v / √(v² + ε²) and viscous friction."""
+
+    def friction(seen):
+        return dry * seen.v / np.hypot(seen.v, 5e-3) + wet * seen.v
+
+    return effort_log("double_pendulum", seed, friction, share=0.02, rate=100.0).log
+
+
+def test_wrong_values_of_a_file_are_named_where_they_are(tmp_path):
+    found = explain(file_with(tmp_path, OWN_DRY * [0.6, 1.0], OWN_WET * [1.0, 1.6]), [recorded(0)])
+    steps = {step.effect: step for step in found.steps}
+    assert {effect: step.where for effect, step in steps.items()} == {
+        "coulomb_friction": (SHOULDER,),
+        "viscous_friction": (ELBOW,),
+    }
+    coulomb = steps["coulomb_friction"].parameters[SHOULDER]["coulomb"]
+    viscous = steps["viscous_friction"].parameters[ELBOW]["viscous"]
+    assert (coulomb, viscous) == pytest.approx((OWN_DRY[0], OWN_WET[1]), rel=0.1)
+    assert found.verdict in ("explained", "undecided")
+    assert any("with other values" in note for note in found.notes)
+
+
+def test_right_values_of_a_file_are_no_steps(tmp_path):
+    assert not explain(file_with(tmp_path, OWN_DRY, OWN_WET), [recorded(4)]).steps
+
+
+def test_friction_that_is_another_than_when_it_was_fitted_has_its_own_name():
+    fitted = explain(load_model(MODELS / "double_pendulum.urdf"), [recorded(6)]).model
+    (step,) = explain(fitted, [recorded(7, dry=OWN_DRY * [1.0, 1.6])]).steps
+    assert (step.effect, step.where) == ("coulomb_friction", (ELBOW,))
+    assert step.parameters[ELBOW]["coulomb"] == pytest.approx(1.6 * OWN_DRY[1], rel=0.05)
+    assert not explain(fitted, [recorded(8)]).steps
+
+
+pytest.importorskip("pinocchio")
+
+
+HEIGHT = np.array([0.1, 0.04])  # N·m
+
+
+def rubbing(seed, speed):
+    """A slow log of a pendulum whose dry friction has its full height above a speed, rad/s."""
+
+    def hidden(seen):
+        return HEIGHT * erf(seen.v / speed)
+
+    return effort_log("double_pendulum", seed, hidden, share=0.01, pace=0.1)
+
+
+@pytest.fixture(scope="module")
+def faded(model):
+    return explain(model, [rubbing(1, 0.02).log])
+
+
+def test_gradual_friction_is_dry_friction_alone_with_a_speed_that_is_told(faded):
+    (step,) = faded.steps
+    assert (step.effect, set(step.where)) == ("coulomb_friction", {"shoulder", "elbow"})
+    for joint, height in zip(faded.model.joints, HEIGHT, strict=True):
+        assert step.parameters[joint]["coulomb"] == pytest.approx(height, rel=0.03)
+    # tanh(v / w) is nearest to erf(v / ε) for a w that is a little smaller than ε.
+    assert np.all(faded.model.fading_speed > 0.01)
+    assert np.all(faded.model.fading_speed < 0.025)
+    assert sum("dry friction of" in note and "fades below" in note for note in faded.notes) == 2
+
+
+def test_it_holds_on_another_log(faded, tmp_path):
+    other = [rubbing(2, 0.02).log]
+    save_model(faded.model, tmp_path / "faded.yaml")
+    again = compare(load_model(tmp_path / "faded.yaml"), other).errors.nrms
+    jumping = compare(replace(faded.model, fading_speed=None), other).errors.nrms
+    assert again < 0.5 * jumping
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_another_log_needs_nothing_more(faded, seed):
+    found = explain(faded.model, [rubbing(seed, 0.02).log])
+    assert found.steps == ()
+    np.testing.assert_array_equal(found.model.fading_speed, faded.model.fading_speed)
+    assert found.end.nrms < 0.02
+
+
+def test_one_effect_alone_is_not_said_to_fade(model):
+    # What the others are is not known yet: at low speeds the error may be theirs.
+    assert add("coulomb_friction", model, [rubbing(1, 0.02).log]).model.fading_speed is None
+
+
+def test_speed_of_a_joint_that_this_log_does_not_show_is_kept(model):
+    known = replace(model, fading_speed=np.array([0.0, 2e-4]))
+    log = effort_log(
+        "double_pendulum",
+        1,
+        lambda seen: {0: HEIGHT[0] * erf(seen.v[:, 0] / 0.02)},
+        share=0.01,
+        pace=0.1,
+    ).log
+    found = explain(known, [log])
+    assert {step.effect: step.where for step in found.steps} == {"coulomb_friction": ("shoulder",)}
+    assert 0.01 < found.model.fading_speed[0] < 0.025
+    assert found.model.fading_speed[1] == 2e-4
+    assert [note for note in found.notes if "elbow" in note and "fades below" in note] == []
+
+
+def test_controllers_know_it(model):
+    fitted = replace(
+        model,
+        fading_speed=np.array([0.05, 0.0]),
+        effects=tuple(
+            FittedEffect(CoulombFriction(joint), np.ones(1), np.ones(1)) for joint in model.joints
+        ),
+    )
+    control, still = ControlModel.of(fitted, sign_width=1e-2), np.zeros(2)
+    slow = np.array([0.02, 0.02])
+    regressor = control.at(still, slow, slow, still).regressor
+    motion = Motion(still[None], slow[None], still[None])
+    expected = fitted.effort(motion, sign_width=1e-2)[0]
+    np.testing.assert_allclose(regressor @ control.prior, expected, rtol=1e-9)
+
+
+def test_what_is_more_at_low_speeds_is_stribeck_friction_where_directions_fade_below(model):
+    """Its curve in another formula: it is not taken for what no log tells of reversals."""
+
+    def hidden(seen):
+        height = 0.075 + 0.08 / (1.0 + (seen.v / 0.03) ** 2)
+        return height * np.tanh(seen.v / 0.012) * [1.0, 0.0]
+
+    found = explain(model, [effort_log("double_pendulum", 2, hidden, share=0.02, pace=0.1).log])
+    assert {step.effect for step in found.steps} == {"coulomb_friction", "stribeck_friction"}
+    assert found.verdict == "explained"

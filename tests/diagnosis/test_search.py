@@ -1,15 +1,21 @@
-"""What a diagnosis finds, prefers, calls a tie and lets go, on short logs of small robots."""
+"""Candidates and their search: choices, ties, shapes, pairs of joints, and orders of waves."""
 
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 import pytest
 from chain_logs import chain_log
 from excitation_robots import arm
 from pendulum_logs import JOINTS, PENDULUM, friction, pendulum_log
+from scipy.signal import lfilter
+from scipy.stats import chi2
 
 from geodrake import load_model
 from geodrake.diagnosis import add, diagnose, explain
+from geodrake.diagnosis.coupled import coupled_joints, other_pairs
+from geodrake.diagnosis.position_spectrum import highest_peak
+from geodrake.diagnosis.residuals import full_motion, joint_residuals
 from geodrake.effects import (
     CoulombFriction,
     EffortOffset,
@@ -18,6 +24,12 @@ from geodrake.effects import (
     JointSpring,
     Parameter,
 )
+from geodrake.errors import ArgumentError
+from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.evidence import effective_samples
+from geodrake.identification.logs.hypothesis import first_hypothesis
+from geodrake.identification.logs.model_fit import model_unknowns
+from geodrake.logs.filtering import design_filter
 
 MODEL = load_model(PENDULUM)
 BANDWIDTH = 6.0
@@ -168,3 +180,169 @@ class TestShapes:
         assert values["exponent"] == 1.0
         assert values["stribeck_velocity"] == pytest.approx(speed, rel=0.2 if speed != 0.2 else 0.1)
         assert found.verdict == "explained"
+
+
+NAMES = ("coupled_friction", "coupled_rotor_inertia")
+CHAIN = arm(joints="RRRR")
+APART = (("joint_0", "joint_2"), ("joint_0", "joint_3"), ("joint_1", "joint_3"))
+SECOND_AND_LAST = APART[-1]
+
+
+def wrong(off=0.2):
+    """The chain with bodies that weigh by a share `off` more or less."""
+    factors = np.exp(off * np.random.default_rng(0).normal(size=(4, 1)))
+    return replace(CHAIN, phi=factors * CHAIN.phi)
+
+
+def diagnosed_arm(hidden, *, off=0.2):
+    """Candidates of a log with a hidden effort, and those that couple joints of `APART`."""
+    log = chain_log(CHAIN, 1, hidden, seconds=16.0)
+    candidates = diagnose(wrong(off), [log], bandwidth=6.0).candidates
+    return candidates, [c for c in candidates if c.effect in NAMES and c.where in APART]
+
+
+def sign(v):
+    return v / np.hypot(v, 5e-3)
+
+
+def shared(i, j, sense, law):
+    """Effort of an actuator that turns with v_i ± v_j, from its power: Jᵀ of the speed's slope."""
+
+    def hidden(q, v, vd, load):
+        slope = np.eye(4)[i] + sense * np.eye(4)[j]
+        return np.outer(law(v @ slope, vd @ slope), slope)
+
+    return hidden
+
+
+class TestCandidates:
+    def test_friction_of_a_pair_and_no_other(self):
+        (first, *_), apart = diagnosed_arm(shared(0, 2, 1, lambda w, _: 0.5 * (sign(w) + 0.4 * w)))
+        assert (first.effect, first.where) == ("coupled_friction", ("joint_0", "joint_2"))
+        assert apart == [first]
+
+    def test_not_at_one_joint_alone(self):
+        """Friction that follows another joint's speed too, but is not felt there."""
+        belt = shared(1, 3, 1, lambda w, _: 0.3 * sign(w))
+        _, apart = diagnosed_arm(lambda *motion: belt(*motion) * np.eye(4)[3])
+        assert apart == []
+
+    def test_not_friction_of_both_joints(self):
+        def hidden(q, v, vd, load):
+            return [0.0, 0.5, 0.0, 0.3] * sign(v) * (1.0 + 1.5 * np.exp(-np.abs(v) / 0.1))
+
+        (first, *_), apart = diagnosed_arm(hidden)
+        assert set(first.where) == set(SECOND_AND_LAST)
+        assert apart == []
+
+
+def test_chance_is_as_small_as_told(colour=0.8):
+    """Noise in the place of residuals: as many false alarms at most as are admitted."""
+    case = open_case(CHAIN, [chain_log(CHAIN, 4)], candidates=False, bandwidth=6.0)
+    hypothesis = first_hypothesis(case.dataset, model_unknowns(case.dataset, CHAIN))
+    joints, motion = joint_residuals(case, hypothesis), full_motion(case)
+    rng, least = np.random.default_rng(5), []
+    for _ in range(100):
+        noise = [lfilter([1.0], [1.0, -colour], rng.normal(size=len(j.v))) for j in joints]
+        looked_at = [
+            replace(joint, residual=own, effective=effective_samples([own]))
+            for joint, own in zip(joints, noise, strict=True)
+        ]
+        by_name = dict.fromkeys(NAMES, 1.0)
+        for proposal in coupled_joints(case, looked_at, motion):
+            name = proposal.effects[0].name
+            by_name[name] = min(by_name[name], proposal.alarm)
+        least.append(list(by_name.values()))
+    assert np.all(np.mean(np.array(least) < 0.1, axis=0) <= 0.1)
+
+
+def test_pairs_are_of_one_type_and_do_not_follow_each_other():
+    robot = arm(joints="RRPRP")
+    turning = {("joint_0", "joint_3"), ("joint_1", "joint_3")}
+    assert set(other_pairs(robot, robot.joints)) == turning | {("joint_2", "joint_4")}
+    assert set(other_pairs(robot, robot.joints[:4])) == turning
+    robot = arm(joints="RRRRRRR")
+    both = [*robot.joint_pairs, *other_pairs(robot, robot.joints)]
+    assert sorted(both) == sorted(combinations(robot.joints, 2))
+
+
+def test_a_pair_is_added_by_name():
+    belt = shared(1, 3, -1, lambda w, _: 0.8 * sign(w) + 0.3 * w)
+    log, way = chain_log(CHAIN, 2, belt), {"bandwidth": 6.0}
+    (step,) = add("coupled_friction", wrong(), [log], where=SECOND_AND_LAST, **way).steps
+    assert step.where == SECOND_AND_LAST
+    values = step.parameters["joint_1 & joint_3"]
+    assert values["sign"] == -1
+    assert values["coulomb"] == pytest.approx(0.8, rel=0.03)
+    assert values["viscous"] == pytest.approx(0.3, rel=0.05)
+    with pytest.raises(ArgumentError, match="cannot be added at joint_3"):
+        add("coupled_friction", CHAIN, [log], where=["joint_3"], **way)
+
+
+PERIOD, WAVES_BELOW = 0.004, 12.0
+LOW_PASS = design_filter(PERIOD, WAVES_BELOW)
+
+
+def motion(rng, seconds=40.0, reach=1.2):
+    """Positions and velocities of a smooth random motion, at the log's rate."""
+    time = np.arange(0.0, seconds, PERIOD)[:, None]
+    rate = 2 * np.pi * rng.uniform(0.05, 0.6, 6)
+    phase, size = rng.uniform(0, 2 * np.pi, 6), rng.uniform(0.3, 1.0, 6)
+    angle = rate * time + phase
+    q, v = (size * np.sin(angle)).sum(1), (size * rate * np.cos(angle)).sum(1)
+    return reach * q / np.abs(q).max(), reach * v / np.abs(q).max()
+
+
+def peak_of(q, v, effort):
+    """The peak of an effort that was logged along a motion."""
+    at = LOW_PASS.output_indices(len(q))
+    residual = LOW_PASS.apply(effort)
+    return highest_peak(
+        (q[at], v[at]),
+        residual,
+        effective=effective_samples([residual]),
+        gain=LOW_PASS.response,
+        bandwidth=LOW_PASS.bandwidth,
+    )
+
+
+def alarm(peak):
+    return peak.tried * chi2.sf(peak.height, 2)
+
+
+@pytest.mark.parametrize(("order", "seed"), [(9.0, 1), (16.5, 2), (60.0, 3), (101.3, 1)])
+def test_order_is_found(order, seed):
+    rng = np.random.default_rng(seed)
+    q, v = motion(rng)
+    effort = 0.5 * np.cos(order * q + 1.0) + 0.6 * rng.normal(size=len(q))
+    peak = peak_of(q, v, effort)
+    assert alarm(peak) < 1e-6
+    assert peak.order == pytest.approx(order, abs=0.25 * peak.resolution)
+    assert peak.resolution == pytest.approx(2 * np.pi / np.ptp(q), rel=0.05)
+
+
+def test_share_is_that_of_the_waves():
+    rng = np.random.default_rng(4)
+    q, v = motion(rng)
+    wave, noise = np.cos(20.0 * q), rng.normal(size=len(q))
+    power = [np.square(LOW_PASS.apply(part)).mean() for part in (wave, noise)]
+    assert peak_of(q, v, wave + noise).share == pytest.approx(power[0] / sum(power), abs=0.07)
+
+
+@pytest.mark.parametrize(("colour", "most"), [(0.0, 0.01), (0.99, 0.06)])
+def test_noise_rarely_looks_like_waves(colour, most):
+    """The threshold is 0.001; what is left is for the held-out evidence to refuse."""
+    alarms = []
+    for seed in range(150):
+        rng = np.random.default_rng(seed)
+        q, v = motion(rng, seconds=20.0)
+        noise = lfilter([1.0], [1.0, -colour], rng.normal(size=len(q)))
+        alarms.append(alarm(peak_of(q, v, noise)))
+    assert np.mean(np.array(alarms) < 1e-3) <= most
+
+
+def test_motions_that_show_nothing():
+    still, q = np.zeros(500), np.linspace(0.0, 200.0, 500)  # so fast that no wave passes the filter
+    way = {"effective": 10.0, "gain": LOW_PASS.response, "bandwidth": WAVES_BELOW}
+    assert highest_peak((still, still), still, **way) is None
+    assert highest_peak((1e-3 * q, q + 1.0), q, **way) is None

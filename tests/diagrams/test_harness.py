@@ -1,9 +1,13 @@
-"""What scripts share: options, draws that are kept, charts."""
+"""The frame of scripts, and the page of benchmarks."""
 
+import json
 import math
+import re
 
 import pytest
+from scripts import SCRIPTS
 
+from diagrams import benchmarks_page
 from diagrams.harness import run_draws, script_parser, write
 
 
@@ -27,3 +31,52 @@ def test_draws_of_two_processes_are_kept_and_not_done_again(tmp_path):
         file.write('{"key": {"versi')
     assert run_draws(parser, options, math.isqrt, [3, 4]) == [6, 24]
     assert run_draws(parser, options, math.isqrt, [4], plan="another") == [2]
+
+
+RUNS = json.loads(benchmarks_page.FIGURES.read_text(encoding="utf-8"))
+TEMPLATE = (benchmarks_page.HERE / "benchmarks.md.jinja").read_text(encoding="utf-8")
+
+
+def test_page_is_what_the_command_makes():
+    assert benchmarks_page.PAGE.read_text(encoding="utf-8") == benchmarks_page.made_page(RUNS)
+
+
+def test_every_figure_is_on_the_page_and_of_a_script():
+    whole = TEMPLATE.replace("r.", "real_robots.")
+    for name, run in RUNS.items():
+        script = re.fullmatch(r"python -m (diagrams\.\w+\.\w+)( .*)?", run["command"])
+        assert script[1] in SCRIPTS.values()
+        assert re.fullmatch(r"\d{4}-\d\d-\d\d", run["measured"])
+        for figure in run["figures"]:
+            assert re.search(rf"\b{name}\.{figure}\b", whole), f"{name}.{figure}"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.9284, "0.93"),
+        (0.05, "0.050"),
+        (5.43e-5, "5.4e-5"),
+        (49.96, "50"),
+        (23214.0, "23,000"),
+        (9150, "9,150"),
+        (0.0, "0"),
+        ("UR10e", "UR10e"),
+    ],
+)
+def test_numbers_have_two_digits_and_counts_all(value, text):
+    assert benchmarks_page.shown(value) == text
+
+
+def test_figures_are_read_from_what_a_script_writes():
+    lines = [{"figure": "named", "value": 0.95, "logs": 20, "kind": k} for k in "ab"]
+    figures = {
+        "named": "it.lines | where('figure', 'named', 'kind', 'b') | first | hits",
+        "middle": "it.times | median",
+    }
+    run = {"command": "x", "from": figures}
+    found = benchmarks_page.read(run, {"lines": lines, "times": [3.0, 1.0, 2.0]})
+    assert found["figures"] == {"named": 19, "middle": 2.0}
+    with pytest.raises(SystemExit, match="x wrote no middle"):
+        benchmarks_page.read(run, {"lines": lines})
+    assert benchmarks_page.of(19, 20).startswith("19 of 20 (76–99 %)")

@@ -1,12 +1,14 @@
-"""The effects: equations, serial form, names, and a user's own."""
+"""Effects: axioms for all of them, their equations, columns, and effects of a user."""
 
 import dataclasses
 import textwrap
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from effect_motions import JOINTS, hand_robot, instances, random_motion
+from excitation_robots import MODELS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -15,8 +17,10 @@ from pydrake.math import RotationMatrix
 from pydrake.multibody.tree import JacobianWrtVariable
 
 import geodrake.effects
-from geodrake import effects
-from geodrake.effects import RobotMotion, sensors
+from geodrake import effects, load_model
+from geodrake.effects import BodyEffect, JointEffect, JointMotion, Parameter, RobotMotion, sensors
+from geodrake.effects.body_motion import RobotBodies
+from geodrake.effects.effect_columns import EffectColumns, dependencies
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.manifolds import PhysicalInertia
 
@@ -507,3 +511,126 @@ class TestUsersEffect:
             ArgumentError, match=r"drag cannot be constructed from its place 'hand' alone"
         ):
             Drag.candidates("hand")
+
+
+GAIN = (Parameter("gain", "N·m"),)
+EVERY = tuple(instances())
+
+
+def trial(v, vd, load):
+    """The hand's columns are like those of gravity and of accelerations."""
+    motion = random_motion(len(v), width=0.1)
+    columns = motion.body_columns("hand") * (1.0 + vd[:, :, None])
+    return replace(motion, v=v, vd=vd, load=load, body_columns={"hand": columns}.__getitem__)
+
+
+@dataclass(frozen=True)
+class Flywheel(JointEffect):
+    name = "flywheel"
+    parameters = GAIN
+
+    def columns(self, joint):
+        return [joint.vd * np.sin(joint.q)]
+
+
+@dataclass(frozen=True)
+class ByName(JointEffect):
+    """An effect that is another one at every joint, and sees its own sample only."""
+
+    name = "by_name"
+    parameters = GAIN
+
+    def columns(self, joint):
+        return [{"shoulder": 1.0, "elbow": -2.0}[self.joint] * joint.q]
+
+
+@dataclass(frozen=True)
+class Weight(BodyEffect):
+    name = "weight"
+    parameters = GAIN
+
+    def rows(self, motion):
+        return {j: motion.body_columns(self.body)[:, i, :1] for i, j in enumerate(motion.joints)}
+
+
+@dataclass(frozen=True)
+class Pressed(effects.CoulombFriction):
+    """A user's effect that inherits what another one declares."""
+
+    name = "pressed"
+
+    def columns(self, joint):
+        return [joint.load * joint.sign_v]
+
+
+@dataclass(frozen=True)
+class Declared(Flywheel):
+    name = "declared"
+    depends_on = frozenset({"q", "vd", "time"})
+
+
+@pytest.mark.parametrize(
+    ("effect", "found"),
+    [
+        (Flywheel("elbow"), {"q", "v", "vd"}),
+        (Declared("elbow"), {"q", "vd", "time"}),
+        (ByName("elbow"), {"q", "v"}),
+        (Weight("hand"), {"q", "v", "vd", "bodies", "time"}),
+        (Pressed("elbow"), {"q", "v", "load"}),
+        (effects.RotorInertia("elbow"), {"vd"}),
+    ],
+    ids=lambda value: getattr(value, "name", ""),
+)
+def test_users_effects_are_tried(effect, found):
+    assert dependencies(effect, trial, len(JOINTS)) == found
+
+
+USERS = (Flywheel("elbow"), Flywheel("wrist"), ByName("elbow"), ByName("shoulder"), Weight("hand"))
+SETS = {"all": EVERY, "users": USERS, "both": (*EVERY, *USERS), "none": ()}
+
+
+def sample_of(motion):
+    """Motion of all joints at the one sample of a motion."""
+    sign_v = motion.direction(motion.v, motion.sign_width)
+    return JointMotion(*(x[0] for x in (motion.q, motion.v, motion.vd, motion.load, sign_v)))
+
+
+@pytest.mark.parametrize("some", SETS.values(), ids=SETS)
+@pytest.mark.parametrize("tried", [trial, None])
+def test_one_sample_is_a_motion_of_one_sample(some, tried):
+    columns, motion = EffectColumns(JOINTS, some, tried), random_motion(1, width=0.1)
+    expected = [effect.regressor(motion)[0] for effect in some]
+    found = columns.at(sample_of(motion), lambda joints: motion)
+    assert found.shape == (3, columns.count)
+    np.testing.assert_array_equal(found, np.concatenate([np.zeros((3, 0)), *expected], axis=1))
+    mu = np.random.default_rng(2).normal(size=columns.count)
+    np.testing.assert_allclose(columns.effort(motion, mu)[0], found @ mu, atol=1e-12)
+
+
+@pytest.mark.parametrize("robot", ["arm6", "double_pendulum", "ambidex_like"])
+def test_poses_jacobians_and_weights(robot):
+    model = load_model(MODELS / f"{robot}.urdf")
+    plant, of_v, point = model.plant, JacobianWrtVariable.kV, np.array([0.1, -0.2, 0.3])
+    q = np.random.default_rng(1).normal(size=(3, plant.num_positions()))
+    bodies = RobotBodies(model.tree, q, model.phi)
+    context, world = plant.CreateDefaultContext(), plant.world_frame()
+    weights = bodies.gravity_efforts(bodies.gravity[:, None])[..., 0]
+    for i in range(len(q)):
+        plant.SetPositions(context, q[i])
+        held = -plant.CalcGravityGeneralizedForces(context)
+        np.testing.assert_allclose(weights[i], held, atol=1e-9 * np.abs(held).max())
+        for name in bodies.tree.bodies:
+            motion, frame = bodies.motion(name), plant.GetFrameByName(name)
+            X_WB = frame.CalcPoseInWorld(context)
+            np.testing.assert_allclose(motion.rotation[i], X_WB.rotation().matrix(), atol=1e-12)
+            np.testing.assert_allclose(motion.position[i], X_WB.translation(), atol=1e-12)
+            for at, linear in ((np.zeros(3), motion.linear), (point, motion.jacobian_at(point))):
+                J = plant.CalcJacobianSpatialVelocity(context, of_v, frame, at, world, world)
+                np.testing.assert_allclose(np.vstack([motion.angular[i], linear[i]]), J, atol=1e-12)
+            assert set(np.flatnonzero(np.abs(J).max(0)).tolist()) <= set(motion.dofs)
+    for name in bodies.tree.bodies:
+        welded = [b.index() for b in plant.GetBodiesWeldedTo(plant.GetBodyByName(name))]
+        inertia = plant.CalcSpatialInertia(context, plant.GetFrameByName(name), welded)
+        np.testing.assert_allclose(bodies.mass_center(name), inertia.get_com(), atol=1e-12)
+    with pytest.raises(ArgumentError, match="no moving body 'moon'"):
+        bodies.motion("moon")

@@ -1,4 +1,4 @@
-"""A small fleet from its file to its findings: stopped, started again, and with what is wrong."""
+"""A small fleet from its file to its findings, stopped and started again, and its workers."""
 
 import io
 import os
@@ -10,10 +10,12 @@ import time
 import zipfile
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import fsspec
 import numpy as np
 import pytest
+from distributed import KilledWorker, LocalCluster
 from processes import limited
 from small_fleet import (
     DRY,
@@ -31,7 +33,7 @@ from small_fleet import (
 )
 
 from geodrake.effects import CoulombFriction, FittedEffect, StribeckFriction
-from geodrake.errors import ArgumentError, FleetError
+from geodrake.errors import ArgumentError, FleetError, LogError
 from geodrake.fleet import FleetWork, read_fleet, run_fleet
 from geodrake.fleet.digest import read_digest_of
 from geodrake.fleet.fleet_logs import DIGESTS, digest_task, find_tasks, read_records
@@ -46,6 +48,7 @@ from geodrake.fleet.log_places import (
     local_log,
 )
 from geodrake.fleet.settings import read_settings
+from geodrake.fleet.workers import Workers, workers
 from geodrake.logs import write_log
 from geodrake.model import load_model, save_model
 from geodrake.report.json_output import to_json
@@ -555,3 +558,65 @@ def test_digests_that_go_while_their_history_is_used_are_said(task, gone):
         (task.folder / DIGESTS / record.digest).unlink()
     with pytest.raises(FleetError, match="of robot carrier changed while"):
         kept.read()
+
+
+@pytest.fixture
+def cluster():
+    """A scheduler with a worker, both in this process."""
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as cluster:
+        yield cluster
+
+
+def refuse_three(piece):
+    if piece == 3:
+        raise LogError(f"Log {piece} is none.", advice="Correct it.")
+    return -piece
+
+
+def test_all_work_comes_back(cluster):
+    told = []
+    with workers(20, scheduler=cluster.scheduler_address, told=told.append) as team:
+        done = dict(team.each(abs, [-k for k in range(20)]))
+        assert done == {k: k for k in range(20)}
+        with pytest.raises(LogError, match=r"Log 3 is none\. Correct it\."):
+            list(team.each(refuse_three, range(9)))
+    assert "Dashboard" in told[0]
+
+
+def test_a_scheduler_that_is_lost_is_told(cluster, capfd):
+    with (
+        workers(50, scheduler=cluster.scheduler_address) as team,
+        pytest.raises(FleetError, match="no longer responds"),
+    ):
+        for _ in team.each(abs, range(50)):
+            cluster.close()
+    assert "Traceback" not in capfd.readouterr().err
+
+
+def die_of_thirty(piece):
+    if piece == 30:
+        raise KilledWorker("die_of_thirty", SimpleNamespace(address="here"), 3)
+    return -piece
+
+
+def test_work_that_kills_its_workers_takes_no_other_with_it(cluster):
+    """Though many pieces go to a worker in one packet."""
+    with workers(100, scheduler=cluster.scheduler_address) as team:
+        done = dict(team.each(die_of_thirty, range(100)))
+    assert done == {k: None if k == 30 else -k for k in range(100)}
+
+
+class OneDies(Workers):
+    """Several at a time, of which the second piece of work kills its workers."""
+
+    def each(self, work, pieces):
+        done = [(at, None if at == 1 else work(piece)) for at, piece in enumerate(pieces)]
+        return reversed(done)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 4, 10])
+def test_results_are_in_order_also_of_work_that_kills(count):
+    pieces = [-k for k in range(count)]
+    assert OneDies().in_order(abs, pieces) == list(range(count))

@@ -1,15 +1,31 @@
-"""Representations of inertial parameters, and what a body's moments must obey, against Drake."""
+"""Inertial parameters and ellipsoids are those of Drake."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydrake.geometry.optimization import Hyperellipsoid
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.tree import SpatialInertia, UnitInertia
 from random_points import random_rotation
 
 from geodrake import inertia
-from geodrake.inertia import parameters
+from geodrake.errors import ArgumentError
+from geodrake.inertia import (
+    Ellipsoid,
+    change_frame,
+    equivalent_ellipsoid,
+    from_mass_com_inertia,
+    from_spatial_inertia,
+    is_physical,
+    is_realizable,
+    parameters,
+    perturb,
+    pseudo_inertia,
+    riemannian_distance,
+)
+from geodrake.inertia.ellipsoids import ellipsoid_of_quadric, realizability_row
+from geodrake.inertia.parameters import from_point_masses
 
 SEEDS = st.integers(0, 2**32 - 1)
 EXAMPLES = settings(max_examples=20)
@@ -102,3 +118,128 @@ def test_dual_matrix():
     trace = np.einsum("...ij,...ji->...", inertia.pseudo_inertia(phi), X)
     np.testing.assert_allclose(trace, (a * phi).sum(-1), rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(parameters.from_dual(X), a, atol=1e-13)
+
+
+def random_ellipsoid(rng):
+    return Ellipsoid(rng.normal(0, 0.3, 3), rng.uniform(0.05, 0.5, 3), random_rotation(rng))
+
+
+@EXAMPLES
+@given(SEEDS)
+def test_ellipsoids_are_drakes(seed):
+    rng = np.random.default_rng(seed)
+    ellipsoid, mass = random_ellipsoid(rng), rng.uniform(0.1, 10.0)
+    A = np.diag(1 / ellipsoid.semi_axes) @ ellipsoid.rotation.T
+    theirs = Hyperellipsoid(A, ellipsoid.center)
+    np.testing.assert_allclose(ellipsoid.volume, theirs.CalcVolume(), rtol=1e-12)
+    points = ellipsoid.center + rng.normal(0, 0.3, (50, 3))
+    inside = ellipsoid.contains(points)
+    np.testing.assert_array_equal(inside, [theirs.PointInSet(point) for point in points])
+    lifted = np.column_stack([points, np.ones(50)])
+    level = np.einsum("ki,ij,kj->k", lifted, ellipsoid.quadric, lifted)
+    np.testing.assert_array_equal(level >= 0, inside)
+    solid = SpatialInertia.SolidEllipsoidWithMass(mass, *ellipsoid.semi_axes)
+    expected = change_frame(from_spatial_inertia(solid), ellipsoid.rotation, ellipsoid.center)
+    np.testing.assert_allclose(ellipsoid.uniform_body(mass), expected, rtol=1e-12, atol=1e-13)
+
+
+@EXAMPLES
+@given(SEEDS)
+def test_ellipsoids_come_back_from_their_quadrics_and_bodies(seed):
+    rng = np.random.default_rng(seed)
+    one, two = random_ellipsoid(rng), random_ellipsoid(rng)
+    both = Ellipsoid(
+        np.stack([one.center, two.center]),
+        np.stack([one.semi_axes, two.semi_axes]),
+        np.stack([one.rotation, two.rotation]),
+    )
+    bodies = both.uniform_body([1.0, 2.0])
+    for again in (ellipsoid_of_quadric(7.0 * both.quadric), equivalent_ellipsoid(bodies)):
+        np.testing.assert_allclose(again.quadric[0], one.quadric, rtol=1e-7, atol=1e-7)
+        np.testing.assert_allclose(again.quadric[1], two.quadric, rtol=1e-7, atol=1e-7)
+        np.testing.assert_allclose(again.center, both.center, atol=1e-9)
+        np.testing.assert_allclose(np.linalg.det(again.rotation), 1.0)
+    rows = realizability_row(both.quadric)
+    np.testing.assert_allclose((rows * bodies).sum(-1), [0.4, 0.8], rtol=1e-9)
+    assert is_realizable(bodies, both.quadric).all()
+    # One shape at two places, and one ellipsoid of two masses.
+    places = Ellipsoid(both.center, one.semi_axes, one.rotation)
+    assert places.rotation.shape == (2, 3, 3)
+    assert places.uniform_body(1.0).shape == one.uniform_body([1.0, 2.0]).shape == (2, 10)
+
+
+@EXAMPLES
+@given(SEEDS)
+def test_mass_inside_is_realizable(seed):
+    rng = np.random.default_rng(seed)
+    ellipsoid = random_ellipsoid(rng)
+    points = ellipsoid.random_points(rng, (12,))
+    assert ellipsoid.contains(points).all()
+    phi = from_point_masses(rng.uniform(0.1, 1.0, 12), points)
+    assert is_realizable(phi, ellipsoid.quadric)
+    # [Lee2019] Eq. (3.5.46): the average of the quadric over the mass, so not all of it inside
+    # an ellipsoid on whose outside it is on the average.
+    assert not is_realizable(phi, ellipsoid.scaled(0.01).quadric)
+    assert not is_realizable(-phi, ellipsoid.quadric)
+
+
+def test_impossible_bodies():
+    flat = from_mass_com_inertia(1.0, np.ones(3), np.diag([1.0, 0.3, 0.3]))
+    with pytest.raises(ArgumentError, match="are not physical"):
+        equivalent_ellipsoid(flat)
+    drawn = equivalent_ellipsoid(flat, least_semi_axis=0.01)
+    assert drawn.semi_axes[0] == pytest.approx(0.01)
+    for phi, least, message in (
+        (-flat, 0.01, "are not physical"),
+        (np.full(10, np.nan), 0.01, "nan"),
+        (drawn.uniform_body(1.0), -1.0, "at least 0"),
+    ):
+        with pytest.raises(ArgumentError, match=message):
+            equivalent_ellipsoid(phi, least_semi_axis=least)
+
+
+def test_wrong_quadrics():
+    Q = Ellipsoid(np.zeros(3), np.ones(3), np.eye(3)).quadric
+    for wrong, message in (
+        (-Q, "use −Q"),
+        (Q - 2.0 * np.diag([0, 0, 0, Q[3, 3]]), "is empty"),
+        (Q + np.eye(4, k=1), "symmetric"),
+        (np.nan * Q, "finite"),
+    ):
+        with pytest.raises(ArgumentError, match=message):
+            ellipsoid_of_quadric(wrong)
+    with pytest.raises(ArgumentError, match=r"\(3, 3\)"):
+        is_realizable(np.ones(10), np.eye(3))
+
+
+class TestPerturbedBodies:
+    PHI = Ellipsoid(
+        np.array([[0.0, 0.0, 0.1], [0.2, 0.0, 0.0], [0.0, -0.1, 0.05]]),
+        np.array([[0.05, 0.06, 0.2], [0.2, 0.05, 0.05], [0.1, 0.1, 0.1]]),
+        np.eye(3)[None].repeat(3, 0),
+    ).uniform_body([4.0, 2.5, 0.5])
+
+    def drawn(self, count, seed=0, **options):
+        return perturb(self.PHI, count, rng=np.random.default_rng(seed), **options)
+
+    def test_all_are_physical_and_as_far_as_said(self):
+        made = self.drawn(100)
+        assert made.phi.shape == (100, 3, 10)
+        assert is_physical(made.phi).all()
+        np.testing.assert_allclose(made.distances, riemannian_distance(made.phi, self.PHI))
+        assert (made.distances > 0).all()
+        np.testing.assert_array_equal(self.drawn(100).phi, made.phi)
+
+    def test_only_mass_inside_of_the_support_is_added_or_taken(self):
+        own = equivalent_ellipsoid(self.PHI)
+        for support, asked in ((own, None), (own.scaled(0.1), own.scaled(0.1))):
+            change = self.drawn(100, mass_uncertainty=0.3, support=asked).phi - self.PHI
+            # Ten point masses of one sign inside of the ellipsoid are a body that fits into it.
+            body = np.sign(change[..., :1]) * change
+            assert (np.linalg.eigvalsh(pseudo_inertia(body)) > -1e-12).all()
+            assert is_realizable(body, support.quadric).all()
+
+    def test_impossible_draws_are_counted_and_replaced(self):
+        made = self.drawn(200, mass_uncertainty=0.9, point_masses=3)
+        assert made.rejected > 0
+        assert is_physical(made.phi).all()

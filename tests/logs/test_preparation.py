@@ -1,6 +1,8 @@
-"""Logs and motions, their preparation, and the folds that validation uses."""
+"""Preparation of logs: filters, smooth motion, long logs, and the folds that validation uses."""
 
+import dataclasses
 import re
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -8,17 +10,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from measurements import DATA
+from pendulum_logs import JOINTS, PENDULUM
 
+from geodrake import load_model
+from geodrake.diagnosis import check_columns, compare
 from geodrake.errors import ArgumentError, LogError
-from geodrake.logs import JointLog, Motion, read_log
-from geodrake.logs.filtering import design_filter
+from geodrake.identification.logs import noise, reduce
+from geodrake.logs import JointLog, Motion, read_log, smoothing, uniform_log, write_log
+from geodrake.logs.filtering import choose_bandwidth, design_filter, differentiate, resample
 from geodrake.logs.folds import validation_blocks
 from geodrake.logs.motion import Trajectory, check_joints
 from geodrake.logs.preparation import motion_bandwidth_of, prepare_logs
 from geodrake.logs.smoothing import Piece, Stretch
-from geodrake.logs.uniform_log import make_uniform
+from geodrake.logs.uniform_log import effort_steps, make_uniform
 
-JOINTS = ("shoulder", "elbow")
 RATES = 2 * np.pi * np.array([0.3, 0.5])
 
 
@@ -346,3 +351,295 @@ def test_measured_logs(name, low, high):
         assert not any("velocities of" in note for note in trajectory.notes)
     if name == "tx40":
         assert 7.4 < segment.time[-1] < 7.9
+
+
+SHORT = np.arange(0.0, 8.0, 0.01)
+CLOCK_RATES = np.array([1.0, 1.7, 2.9])
+
+
+def second(factors, *, clock=1.0):
+    """By velocities that are off by factors, of a log whose time is off."""
+    q, v = np.sin(CLOCK_RATES * SHORT[:, None]), CLOCK_RATES * np.cos(CLOCK_RATES * SHORT[:, None])
+    log = JointLog("log", ("a", "b", "c"), SHORT / clock, q, q, velocity=v * factors)
+    return make_uniform(log).time_scale
+
+
+@pytest.mark.parametrize("clock", [0.1, 1.0, 20.0])
+def test_velocities_tell_the_clock(clock):
+    assert second([1.0, 1.0, 1.0], clock=clock) == pytest.approx(clock, rel=1e-2)
+    assert second([1.0, -30.0, 1.0], clock=clock) == pytest.approx(clock, rel=1e-2)
+
+
+@pytest.mark.parametrize("factors", [0.0, -1.0, 1e-3, 1e4, [1.0, -1.0, 0.0], [1.0, 20.0, 90.0]])
+def test_what_no_clock_does_tells_none(factors):
+    assert np.isnan(second(factors))
+
+
+def test_velocities_that_are_far_too_small_cost_nothing():
+    q, v = np.sin(CLOCK_RATES[:2] * SHORT[:, None]), np.cos(CLOCK_RATES[:2] * SHORT[:, None])
+    log = JointLog("log", JOINTS, SHORT, q, 5.0 * q, velocity=2e-3 * v)
+    assert all(found.kind for found in check_columns(load_model(PENDULUM), [log]))
+
+
+TIME = np.arange(3000) / 250.0
+Q = np.sin(TIME[:, None] * np.array([2.0, 3.0]))
+SMOOTH = 8.0 * np.cos(TIME * 2.1) + 3.0 * np.sin(TIME * 5.3)
+
+
+def log_with(effort):
+    """A log with some efforts at its elbow, and smooth ones at its shoulder."""
+    return JointLog("steps", JOINTS, TIME, Q, np.stack([SMOOTH, effort], 1))
+
+
+@settings(max_examples=25)
+@given(
+    step=st.floats(0.06, 1.0),
+    offset=st.floats(-1.0, 1.0),
+    noise=st.sampled_from([0.0, 0.1, 0.3]),
+    seed=st.integers(0, 2**31),
+)
+def test_the_step_of_a_converter_is_found(step, offset, noise, seed):
+    """Whatever its gain and zero, while the noise before it is less than a third of a step."""
+    rng = np.random.default_rng(seed)
+    effort = step * np.rint((SMOOTH + noise * step * rng.normal(size=len(TIME))) / step) + offset
+    assert effort_steps(log_with(effort)) == pytest.approx([0.0, step])
+
+
+def test_steps_that_are_printed_with_few_digits():
+    effort = np.round(0.366 * np.rint(SMOOTH / 0.366), 2)
+    assert effort_steps(log_with(effort)) == pytest.approx([0.0, 0.366], abs=0.01)
+
+
+def test_a_note_says_step_and_noise():
+    log = log_with(0.24 * np.rint(SMOOTH / 0.24))
+    (note,) = [note for note in make_uniform(log).notes if "quantized" in note]
+    assert "elbow 0.24 (noise 0.069)" in note
+    assert "shoulder" not in note
+    plain = dataclasses.replace(log, effort=np.stack([SMOOTH, SMOOTH], 1))
+    assert not any("quantized" in note for note in make_uniform(plain).notes)
+
+
+PERIOD = 0.002
+BANDWIDTH = 10.0
+PASSBAND = 0.6  # of the bandwidth
+
+
+@pytest.fixture
+def low_pass():
+    return design_filter(PERIOD, BANDWIDTH)
+
+
+def test_kernel_is_symmetric_and_keeps_constants(low_pass):
+    assert np.array_equal(low_pass.kernel, low_pass.kernel[::-1])
+    assert low_pass.kernel.sum() == pytest.approx(1.0)
+    assert np.allclose(low_pass.apply(np.full((1000, 2), 3.0)), 3.0)
+    assert np.allclose(low_pass.smooth(np.full(1000, 3.0)), 3.0)
+
+
+@pytest.mark.parametrize("frequency", [0.3, 3.0, PASSBAND * BANDWIDTH])
+def test_passband_is_untouched_and_without_lag(low_pass, frequency):
+    time = PERIOD * np.arange(5000)
+    rate = 2 * np.pi * frequency
+    inner = slice(low_pass.halfwidth, -low_pass.halfwidth)
+    signal = np.sin(rate * time)
+    position = low_pass.smooth(signal)
+    assert np.abs(position - signal)[inner].max() < 1e-3
+    assert np.abs(low_pass.apply(signal) - signal[low_pass.output_indices(5000)]).max() < 1e-3
+    velocity = differentiate(position, PERIOD)
+    acceleration = differentiate(velocity, PERIOD)
+    assert np.abs(velocity - rate * np.cos(rate * time))[inner].max() < 1e-3 * rate
+    assert np.abs(acceleration + rate**2 * np.sin(rate * time))[inner].max() < 1e-3 * rate**2
+
+
+@pytest.mark.parametrize("share", [0.01, 0.13, 0.19, 0.25])
+def test_filtered_white_noise_is_white_after_decimation(share):
+    noise = np.random.default_rng(3).standard_normal((200_000, 1))
+    low_pass = design_filter(PERIOD, share / PERIOD)
+    filtered = low_pass.apply(noise)[:, 0]
+    assert np.std(filtered) == pytest.approx(low_pass.noise_gain, rel=0.05)
+    assert abs(np.corrcoef(filtered[1:], filtered[:-1])[0, 1]) < 0.15
+    rate = 1 / low_pass.output_period
+    assert 2 * low_pass.bandwidth - 1e-9 <= rate <= 2.1 * low_pass.bandwidth
+
+
+@given(n=st.integers(0, 1500), size=st.integers(1, 900), bandwidth=st.floats(8.0, 120.0))
+def test_chunks_are_the_whole(n, size, bandwidth):
+    low_pass = design_filter(PERIOD, bandwidth)
+    columns = np.random.default_rng(n).standard_normal((n, 3))
+    whole = low_pass.apply(columns)
+    assert len(whole) == low_pass.output_count(n) == len(low_pass.output_indices(n))
+    parts = [np.empty((0, 3))]
+    for rows, outputs in low_pass.chunks(n, size):
+        assert rows.stop - rows.start <= max(size, 2 * low_pass.halfwidth + 1)
+        parts.append(low_pass.apply(columns[rows]))
+        assert len(parts[-1]) == outputs
+    assert np.array_equal(np.concatenate(parts), whole)
+
+
+def test_what_no_filter_can_have():
+    for bandwidth in (0.0, -1.0, 126.0, np.nan):
+        with pytest.raises(ArgumentError, match="500 Hz"):
+            design_filter(PERIOD, bandwidth)
+    for period in (0.0, -0.1, np.nan):
+        with pytest.raises(ArgumentError, match="must be positive"):
+            design_filter(period, 1.0)
+    with pytest.raises(ArgumentError, match="6 samples; got 5"):
+        differentiate(np.zeros(5), PERIOD)
+    with pytest.raises(LogError, match="32 samples"):
+        choose_bandwidth([(np.zeros((20, 1)), 0.01)])
+
+
+def test_resampled_efforts_do_not_overshoot():
+    rng = np.random.default_rng(0)
+    time = np.cumsum(rng.choice([0.01, 0.012, 0.03], 300, p=[0.7, 0.28, 0.02]))
+    step = (time > 1.5).astype(float)[:, None]
+    grid = np.arange(time[0], time[-1], 0.01)
+    smooth = resample(time, np.sin(3 * time)[:, None], grid)
+    sharp = resample(time, step, grid, sharp=True)
+    assert np.abs(smooth[:, 0] - np.sin(3 * grid)).max() < 1e-4
+    assert sharp.min() == 0.0
+    assert sharp.max() == 1.0
+
+
+def _motion(highest, noise, period=0.001, seconds=40.0):
+    time = period * np.arange(int(seconds / period))
+    rng = np.random.default_rng(1)
+    rates = 2 * np.pi * highest * np.arange(1, 6) / 5
+    waves = np.sin(rates[:, None] * time + rng.uniform(0, 6, (3, 5, 1))) / rates[:, None]
+    return waves.sum(1).T + noise * rng.standard_normal((len(time), 3))
+
+
+@pytest.mark.parametrize("highest", [0.4, 2.0, 7.0])
+@pytest.mark.parametrize("noise", [0.0, 1e-6, 1e-4])
+def test_bandwidth_holds_the_motion(highest, noise):
+    chosen = choose_bandwidth([(_motion(highest, noise), 0.001)])
+    assert 3.0 * highest < chosen < 12.0 * highest
+
+
+def test_bandwidth_holds_a_gait_beside_a_slow_sway():
+    """The spectrum is low between the two, and not for noise."""
+    sway, gait = _motion(0.4, 1e-5), _motion(10.0, 0.0)
+    begins = 0.5 + 0.5 * np.tanh(2.0 * np.linspace(-20.0, 20.0, len(gait)))[:, None]
+    for pieces in ([sway, sway + gait], [sway + begins * gait]):
+        assert choose_bandwidth([(piece, 0.001) for piece in pieces]) > 12.0
+
+
+def test_bandwidth_holds_a_trot_that_positions_hardly_show_beside_a_sway():
+    """Its impacts shake the robot at all frequencies, so that nothing is as quiet as the sway."""
+    count, rng = 8000, np.random.default_rng(0)
+    rates = np.fft.rfftfreq(count, 0.005)
+    at = 0.23, 0.29, 0.41, 0.59, 0.93, 1.2, 1.5, 2.1, 2.8, 4.2, 5.0, 10.0, 100.0
+    power = 1.6, 6.6, 2.9, 14.0, 6.0, 34.0, 15.0, 290.0, 27.0, 600.0, 200.0, 450.0, 400.0
+    size = np.sqrt(np.interp(rates, at, power)) / np.maximum(rates, 0.2) ** 2
+    phases = rng.uniform(0.0, 2.0 * np.pi, (len(rates), 18))
+    position = np.fft.irfft(size[:, None] * np.exp(1j * phases), count, axis=0)
+    assert choose_bandwidth([(position, 0.005)]) > 8.0
+
+
+def long_log(samples, *, velocity=False, seed=0):
+    """Sines with dry friction, at 500 Hz with jitter."""
+    rng = np.random.default_rng(seed)
+    time = np.cumsum(rng.choice([0.002, 0.0021], samples))
+    phase = np.array([2.0, 3.3]) * time[:, None]
+    speed = np.array([2.0, 3.3]) * np.cos(phase)
+    effort = 2.0 * np.sin(phase) + 0.3 * np.sign(speed) + rng.normal(0.0, 0.02, phase.shape)
+    position = np.sin(phase) + rng.normal(0.0, 1e-5, phase.shape)
+    late = 3.3 * np.cos(3.3 * (time[:, None] - 0.004)) if velocity else None
+    measured = None if late is None else np.hstack([speed[:, :1], late])
+    return JointLog("long", JOINTS, time, position, effort, measured)
+
+
+@pytest.mark.parametrize("velocity", [False, True])
+def test_slices_are_those_of_the_whole(monkeypatch, velocity):
+    monkeypatch.setattr(smoothing, "CHUNK", 700)
+    monkeypatch.setattr(smoothing, "_KEPT", 700)
+    (stretch,) = prepare_logs([long_log(9000, velocity=velocity)], bandwidth=6.0)[0].segments
+    whole = stretch[:]
+    assert len(whole) == len(stretch)
+    for first, chunk in stretch.chunks():
+        part = whole[first : first + 700]
+        assert np.array_equal(chunk.time, part.time)
+        for signal, size in (("position", 1.0), ("velocity", 3.3), ("acceleration", 11.0)):
+            error = np.abs(getattr(chunk, signal) - getattr(part, signal)).max()
+            assert error < 1e-9 * size, signal
+        assert np.array_equal(chunk.effort, part.effort)
+    np.testing.assert_allclose(stretch.peak_speed, np.abs(whole.velocity).max(0), rtol=1e-9)
+    assert len(stretch[5:5]) == 0
+
+
+def test_what_is_kept_of_a_short_log_cannot_be_written_to():
+    (stretch,) = prepare_logs([long_log(3000)], bandwidth=6.0)[0].segments
+    part = stretch[5:50]
+    signals = (part.time, part.position, part.velocity, part.acceleration, part.effort)
+    assert not any(signal.flags.writeable for signal in signals)
+
+
+def test_trimming_does_not_depend_on_chunks(monkeypatch):
+    log = long_log(9000)
+    still = np.clip(log.time, 3.0, 15.0)
+    log = replace(log, position=np.sin(np.array([2.0, 3.3]) * (still[:, None] - 3.0)))
+    (whole,) = prepare_logs([log], bandwidth=6.0)[0].segments
+    monkeypatch.setattr(smoothing, "CHUNK", 333)
+    monkeypatch.setattr(smoothing, "_KEPT", 333)
+    (cut,) = prepare_logs([log], bandwidth=6.0)[0].segments
+    assert (cut.first, cut.stop) == (whole.first, whole.stop)
+    assert cut.first > 0
+    assert cut.stop < len(cut.piece)
+
+
+def test_choices_look_at_a_part_of_a_long_log(monkeypatch):
+    log = long_log(9000)
+    monkeypatch.setattr(uniform_log, "_PART", 1_000)
+    monkeypatch.setattr(uniform_log, "_LOOKED_AT", 2_000)
+    parts = list(uniform_log.make_uniform(log).sample_parts())
+    assert [len(part) for part in parts] == pytest.approx([250] * 8, abs=1)
+    assert parts[0].time[0] == log.time[0]
+    assert parts[-1].time[-1] > 0.85 * log.time[-1]
+
+
+def test_memory_grows_with_the_log_alone(monkeypatch, tmp_path):
+    """A sample of two joints is 40 bytes; smoothed copies and regressors would be hundreds more."""
+    for module in (smoothing, reduce):
+        monkeypatch.setattr(module, "CHUNK", 5_000)
+    monkeypatch.setattr(smoothing, "_KEPT", 5_000)
+    monkeypatch.setattr(uniform_log, "_PART", 5_000)
+    monkeypatch.setattr(noise, "_SAMPLES", 10_000)
+    model, peaks = load_model(PENDULUM), []
+    lengths = (30_000, 90_000)
+    for samples in lengths:
+        path = tmp_path / f"{samples}.npz"
+        write_log(long_log(samples), path)
+        if not peaks:
+            compare(model, [path], bandwidth=8.0)  # what is compiled and factored once
+        tracemalloc.start()
+        try:
+            compare(model, [path], bandwidth=8.0)
+            peaks.append(tracemalloc.get_traced_memory()[1])
+        finally:
+            tracemalloc.stop()
+    grown = (peaks[1] - peaks[0]) / (lengths[1] - lengths[0])
+    assert 40 < grown < 110  # and rows, steps and gaps for a moment
+
+
+def test_csv_is_read_in_stretches(monkeypatch, tmp_path):
+    monkeypatch.setattr("geodrake.logs.files.text_file._BLOCK", 300)
+    log = long_log(50)
+    path = tmp_path / "log.csv"
+    write_log(log, path)
+    assert np.array_equal(read_log(path).effort, log.effort)
+    lines = path.read_text().splitlines()
+    lines[20] = lines[20].rsplit(",", 1)[0] + ","  # an empty cell
+    lines.insert(30, "")  # and an empty line
+    path.write_text("\n".join(lines) + "\n")
+    again = read_log(path, joints=JOINTS[::-1])
+    assert again.joints == JOINTS[::-1]
+    assert np.isnan(again.effort[19, 0])
+    assert np.array_equal(again.effort[20:, ::-1], log.effort[20:])
+    lines[40] = lines[40].replace(",", ",x", 1)
+    path.write_text("\r\n".join(lines) + "\r\n")
+    with pytest.raises(LogError, match="Row 39, column"):
+        read_log(path)
+    lines[40] = "1,2"
+    path.write_text("\r".join(lines))
+    with pytest.raises(LogError, match=r"Row 39 of log .* \(line 41\) has 2 cells"):
+        read_log(path)

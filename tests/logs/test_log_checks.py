@@ -1,4 +1,4 @@
-"""Faults of sensors are found and nothing else is; logs that are there twice are refused."""
+"""Faults of sensors, joints that rest, and hints at units."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -10,8 +10,15 @@ from measurements import DATA
 from geodrake.errors import ArgumentError, LogError
 from geodrake.logs import JointLog, read_log
 from geodrake.logs.log_checks import check_repeated
+from geodrake.logs.resting import logged_ranges, resting
 from geodrake.logs.sensor_faults import LARGEST, without_faults
 from geodrake.logs.uniform_log import make_uniform
+from geodrake.logs.unit_hints import (
+    effort_sign_hint,
+    effort_unit_hint,
+    position_limit_hint,
+    position_unit_hint,
+)
 
 ROOT = Path(__file__).parents[2]
 LOGS = (ROOT / "geodrake" / "demo" / "demo.csv", *sorted(DATA.glob("*.csv")))
@@ -54,7 +61,7 @@ def in_steps(log):
     return replace(log, position=np.round(log.position, 3), effort=effort)
 
 
-def resting(log):
+def paused(log):
     """A standstill of five seconds amid the log."""
     pause = np.clip(log.time, None, 10.0) + np.clip(log.time - 15.0, 0, None)
     return replace(log, position=np.sin(pause[:, None] * [1.7, 2.9]), velocity=None)
@@ -85,7 +92,7 @@ def spinning(log):
 
 
 @pytest.mark.parametrize(
-    "happen", [knocked, in_steps, resting, saturated, switched_off, with_a_gap, spinning]
+    "happen", [knocked, in_steps, paused, saturated, switched_off, with_a_gap, spinning]
 )
 def test_what_robots_and_drives_do_is_no_fault(happen):
     log = happen(swing())
@@ -193,3 +200,126 @@ def test_halves_and_rest_are_not_there_twice():
     check_repeated([part_of(log, slice(0, 2000)), part_of(log, slice(2000, None))])
     rest = replace(log, position=np.zeros_like(log.position), effort=np.ones_like(log.effort))
     check_repeated([rest, replace(rest, name="the same rest")])
+
+
+TIME = np.arange(0.0, 20.0, 0.01)
+SWING = np.sin(TIME)
+
+
+NOISE = np.random.default_rng(1).normal(size=(3, len(TIME)))
+STILL = np.full_like(SWING, 0.1)
+WILD, ONCE = SWING.copy(), STILL.copy()
+WILD[[100, 101]], ONCE[7] = (1e308, -1e308), -1e308
+RESTING = {
+    "a flickering encoder": [(SWING, 0.7 + 1e-5 * np.rint(0.7 * NOISE[0])), (False, True)],
+    "a coarse one": [
+        (1.5e-3 * np.round(SWING / 1.5e-3), 0.7 + 1.5e-3 * np.rint(0.7 * NOISE[0])),
+        (False, True),
+    ],
+    **{
+        f"potentiometers of {n}": [
+            (SWING + n * NOISE[0], n * NOISE[1], 0.2 * SWING + n * NOISE[2]),
+            (False, True, False),
+        ]
+        for n in (1e-4, 5e-3)
+    },
+    "mrad by which a held joint yields, and a small motion": [
+        (SWING, 2e-3 * SWING, 0.02 * SWING),
+        (False, True, False),
+    ],
+    "a fifteenth of the other's motion": [(0.03 * SWING, 2e-3 * SWING), (False, False)],
+    "8 of 100 Hz": [(SWING, 0.1 * np.sin(2 * np.pi * 8.0 * TIME)), (False, False)],
+    "beside a wheel and a slide": [(3.0 * TIME, 0.1 * SWING, 0.02 * SWING), (False,) * 3],
+    "one log": [(SWING, STILL), (False, True)],
+    "nothing measured": [(SWING, np.full_like(SWING, np.nan)), (False, False)],
+    "beyond what may overflow": [(WILD, ONCE), (False, True)],
+}
+"""What the joints of a log do, and which of them rest."""
+
+
+@pytest.mark.parametrize("what", RESTING)
+def test_joints_that_rest(what):
+    positions, expected = RESTING[what]
+    low, high, noise = logged_ranges([np.column_stack(positions)])
+    slides = np.array([False, False, "slide" in what])[: len(low)]
+    assert tuple(resting(low, high, slides, noise)) == expected
+
+
+def test_all_logs_count_together():
+    logs = [np.column_stack(each) for each in ((SWING, STILL), (SWING, STILL + 0.3))]
+    low, high, noise = logged_ranges(logs)
+    assert not resting(low, high, np.zeros(2), noise).any()
+
+
+LOW, HIGH = np.array([0.2, -2.0]), np.array([1.2, 2.0])
+
+
+def log(first):
+    time = np.arange(200) * 0.01
+    position = np.stack([first, np.sin(3.0 * time)], 1)
+    return JointLog("run", ("a", "b"), time, position, np.cos(position))
+
+
+WITHIN = 0.7 + 0.4 * np.sin(np.arange(200) * 0.05)
+
+
+SPIKE = np.where(np.arange(200) == 7, 30.0, WITHIN)
+EVERYWHERE = np.full(2, np.inf)
+
+
+@pytest.mark.parametrize(
+    ("first", "low", "high", "words"),
+    [
+        (-WITHIN, LOW, HIGH, "With the opposite sign they are within"),
+        (WITHIN - np.pi, LOW, HIGH, "Shifted by +180° they are within"),
+        (np.rad2deg(WITHIN), LOW, HIGH, "Divided by 57.3 they are within"),
+        (3.0 * WITHIN, LOW, HIGH, "the same joints, zeros and units?"),
+        (WITHIN, np.deg2rad(LOW), np.deg2rad(HIGH), "Within limits 57.3 times as wide"),
+        (WITHIN, np.deg2rad(LOW), np.deg2rad(HIGH), "joints beyond: 2"),
+        (WITHIN, LOW, HIGH, None),
+        (SPIKE, LOW, HIGH, None),
+        (9.0 * WITHIN, -EVERYWHERE, EVERYWHERE, None),
+    ],
+)
+def test_positions_beyond_limits_have_a_likely_cause(first, low, high, words):
+    said = position_limit_hint(log(first), low, high)
+    assert words in said if words else said is None
+    if words and low is LOW:
+        outside = np.mean((first < 0.19) | (first > 1.21))
+        assert f"a in {100 * outside:.0f} % of the samples of log 'run'" in said
+        assert "beyond 0.2 … 1.2" in said
+
+
+@pytest.mark.parametrize("scale", [1e4, 250.0])
+def test_whole_numbers_far_from_zero_are_refused_before_anything_is_made_of_them(scale):
+    ticks = np.rint(scale * log(WITHIN).position)
+    raw = replace(log(WITHIN), position=ticks)
+    with pytest.raises(LogError, match=r"no joint reaches in rad or m\. .*mm .*rev/4096@2048"):
+        make_uniform(raw)
+    make_uniform(replace(raw, position=ticks + 0.5))
+    assert ("neither rad nor degrees" in position_unit_hint(raw)) == (scale > 3600.0)
+
+
+def test_units_of_positions_and_efforts():
+    swing = log(WITHIN)
+    swing = replace(swing, effort=100.0 * swing.effort)
+    largest = np.abs(swing.effort).max(0)
+    assert position_unit_hint(swing) is None
+    assert "degrees" in position_unit_hint(replace(swing, position=np.degrees(swing.position)))
+    assert effort_unit_hint(swing, [largest[0], np.inf]) is None
+    assert effort_unit_hint(swing, [0.0, np.inf]) is None
+    assert "30 times" in effort_unit_hint(swing, [largest[0], largest[1] / 30.0])
+    assert "1 %" in effort_unit_hint(swing, 105.0 * largest)
+
+
+@pytest.mark.parametrize("kinds", [{}, {"a": "current", "b": "current"}])
+def test_efforts_without_their_sign_are_said(kinds):
+    waves = np.sin(0.01 * np.arange(200)[:, None] * np.array([11.0, 13.0]))
+
+    def hint(efforts):
+        return effort_sign_hint(replace(log(WITHIN), effort=efforts, effort_kinds=kinds))
+
+    assert "magnitudes" in hint(np.abs(waves))
+    assert hint(waves) is None
+    assert hint(2.0 + waves) is None
+    assert hint(np.zeros_like(waves)) is None

@@ -1,0 +1,396 @@
+"""Studies and benchmarks: their robots, logs and measures."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pinocchio
+import pytest
+from commands import told
+from scripts import call
+
+from diagrams.benchmarks import tell_apart as study
+from diagrams.benchmarks.hidden import logs, robots, scoring
+from diagrams.benchmarks.hidden.robots import (
+    MuJoCoEngine,
+    PinocchioEngine,
+    congruent,
+    pseudo,
+    robot_file,
+    robot_model,
+    robot_names,
+)
+from diagrams.benchmarks.hidden.truths import OUTSIDE, TRUTHS
+from diagrams.benchmarks.tell_apart import CASES, MOTIONS, Hidden
+from diagrams.studies import ambidex_arm as draws
+from diagrams.studies import atlas_identification as atlas
+from diagrams.studies import cheetah_gallop as gallop
+from diagrams.studies import excitation_contours as contours
+from diagrams.studies import scara_excitation as scara
+from diagrams.studies.adaptive import laws
+from diagrams.studies.ambidex import arm as robot
+from diagrams.studies.cheetah import leg as cheetah
+from geodrake.excitation import ExcitationTrajectory, FreeSamples
+from geodrake.inertia import equivalent_ellipsoid
+from geodrake.logs import Motion, read_log, write_log
+from geodrake.robot import base_parameters, base_wrench_regressor, inverse_dynamics, joint_names
+from geodrake.robot.regressor import body_poses
+
+PLAN = draws.Plan(draws=1, counts=(30,), gamma=0.03, delta=0.5, hull=2.0, seed=4)
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return robot.Arm.load()
+
+
+@pytest.fixture(scope="module")
+def measured(arm):
+    return robot.measure(arm, seed=PLAN.seed, hull=PLAN.hull)
+
+
+class TestArm:
+    def test_rolling_joints_and_shared_wrist(self, arm):
+        turns = np.random.default_rng(0).uniform(-1, 1, (5, 7))
+        theta = arm.transmission.joint_positions(arm.motors(turns))
+        single = [0, 1, 2, 5]
+        np.testing.assert_allclose(theta[:, single], turns[:, [0, 1, 2, 4]], atol=1e-14)
+        for first, turn in ((3, 3), (6, 5), (8, 6)):
+            np.testing.assert_allclose(theta[:, first], theta[:, first + 1], atol=1e-14)
+            np.testing.assert_allclose(2 * theta[:, first], turns[:, turn], atol=1e-14)
+
+    def test_regressor_gives_what_drake_needs(self, arm):
+        """Drake's inverse dynamics of the ten joints, virtual work, and rotors."""
+        rng = np.random.default_rng(1)
+        q, v, vd = (30.0 * rng.uniform(-1, 1, (6, 7)) for _ in range(3))
+        torque = arm.regressor(Motion(q, v, vd)) @ arm.phi.ravel()
+        J = np.zeros((10, 7))
+        for joint, motor in zip((0, 1, 2, 5), (0, 1, 2, 4), strict=True):
+            J[joint, motor] = 1 / 30
+        J[3:5, 3] = 1 / 60
+        J[6:8, 5:] = 1 / 120
+        J[8:10, 5:] = [1 / 120, -1 / 120]
+        context = arm.plant.CreateDefaultContext()
+        for k in range(len(q)):
+            arm.plant.SetPositions(context, J @ q[k])
+            arm.plant.SetVelocities(context, J @ v[k])
+            needed = arm.plant.CalcInverseDynamics(
+                context, J @ vd[k], _no_forces(arm.plant)
+            ) - arm.plant.CalcGravityGeneralizedForces(context)
+            expected = J.T @ needed + robot.ROTOR_INERTIA * vd[k]
+            np.testing.assert_allclose(torque[k], expected, rtol=1e-10, atol=1e-12)
+
+
+def _no_forces(plant):
+    from pydrake.multibody.tree import MultibodyForces
+
+    return MultibodyForces(plant)
+
+
+class TestMeasurements:
+    def test_truth_explains_all_but_uneven_friction_and_noise(self, measured):
+        friction = np.concatenate([robot.COULOMB, robot.VISCOUS])
+        explained = measured.bodies @ measured.truth.ravel() + measured.friction @ friction
+        rest = (measured.torque - explained).std(0)
+        expected = np.hypot(robot.TORQUE_NOISE, robot.UNEVEN * robot.COULOMB)
+        np.testing.assert_allclose(rest, expected, rtol=0.15)
+        assert (rest[:2] < 0.2 * measured.torque.std(0)[:2]).all()
+
+
+class TestPriors:
+    def test_653_point_masses_have_its_parameters(self, measured):
+        rng, prior = draws.prior_of(0, PLAN, measured)
+        hulls = equivalent_ellipsoid(measured.truth).scaled(PLAN.hull)
+        points = robot.point_masses(prior, hulls, rng)
+        assert len(points.prior) == 653
+        assert (points.prior > 0).all()
+        np.testing.assert_allclose(points.parameters(), prior, rtol=1e-9, atol=1e-12)
+        for body in range(10):
+            lifted = np.column_stack([points.positions[body], np.ones(59)])
+            inside = np.einsum("ni,ij,nj->n", lifted, hulls.quadric[body], lifted)
+            assert inside.min() >= -1e-12
+
+
+MODELS = Path(__file__).parents[2] / "models"
+
+
+def test_motion_of_a_leg_tells_32_combinations_and_its_base_wrench_more():
+    """Of 60, geared rotors counted; on a fixed base the wrench is not measured."""
+    leg = cheetah.load_leg(gallop.GEARS)
+    time = np.linspace(0.0, 1.0 / gallop.STRIDE, 200, endpoint=False)
+    motion = gallop.leg_motion(time, gallop.PHASES["front_left"])
+    rows = leg.regressor(motion).reshape(-1, 60)
+    assert base_parameters(rows).rank == 32
+    base = base_wrench_regressor(leg.model.tree, motion.q, motion.v, motion.vd).reshape(-1, 60)
+    assert base_parameters(np.vstack([rows, base])).rank > 32
+
+
+def test_quantities_are_the_inverse_dynamics():
+    """Of Drake's joints, rotors among them, which turn by the gear ratio."""
+    robot, motion = gallop.whole_robot(), gallop.gallop(np.array([0.05, 0.31]))
+    assert robot.joints[6:] == gallop.ACTUATORS
+    quantities, plant = gallop.quantities(robot, motion), robot.plant
+    change = np.random.default_rng(0).normal(size=(6, 10))
+    names, order = list(robot.bodies), list(joint_names(plant))
+    phi = np.zeros((25, 10))
+    for name in gallop.LEGS:
+        phi[[k for k, body in enumerate(names) if body.startswith(name)]] = change
+    whole = np.zeros((3, 2, len(order)))
+    for part, values in zip(whole, (motion.q, motion.v, motion.vd), strict=True):
+        for k, name in enumerate(robot.joints):
+            part[:, order.index(name)] = values[:, k]
+        for name, gear in zip(gallop.ACTUATORS, 4 * gallop.GEARS, strict=True):
+            part[:, order.index(f"{name}_rotor")] = gear * part[:, order.index(name)]
+    efforts = inverse_dynamics(plant, *whole, phi)
+    R_WB = body_poses(plant, whole[0])[:, names.index("trunk"), :3, :3]
+    axes = np.broadcast_to(np.eye(3)[::-1], R_WB.shape).copy()  # of yaw, pitch and roll, here
+    axes[:, 2] = R_WB[:, :, 0]
+    moment = np.linalg.solve(axes, efforts[:, 3:6, None])[:, :, 0]
+    for wrench, name in ((moment, "body moment"), (efforts[:, :3], "body force")):
+        rows = quantities[name].rows @ change.ravel()
+        local = np.einsum("nji,nj->ni", R_WB, wrench)
+        np.testing.assert_allclose(rows.reshape(2, 3), local, atol=1e-8 * np.abs(efforts).max())
+    # At a joint: the link's effort, and that of its rotor, geared.
+    torque = (quantities["joint torque"].rows @ change.ravel()).reshape(2, 12)
+    knee, rotor = order.index("rear_left_knee"), order.index("rear_left_knee_rotor")
+    expected = efforts[:, knee] + gallop.GEARS[2] * efforts[:, rotor]
+    np.testing.assert_allclose(torque[:, 8], expected, atol=1e-8 * np.abs(efforts).max())
+
+
+class TestContours:
+    def test_one_map_in_all_coordinates_with_geometric_normalization_alone(self):
+        rows = contours.run(31, 100)["rows"]
+        largest = {}
+        for row in rows:
+            largest.setdefault(row["normalization"], []).append(row)
+        own = largest["geometric"]
+        assert max(row["shape_difference"] for row in own) < 1e-9  # decades
+        assert len({(row["best_amplitude"], row["best_offset"]) for row in own}) == 1
+        assert np.ptp([row["best_value"] for row in own]) < 1e-9 * own[0]["best_value"]
+        for name in ("none", "diagonal"):
+            assert min(row["shape_difference"] for row in largest[name]) > 0.5
+            places = {(row["best_amplitude"], row["best_offset"]) for row in largest[name]}
+            assert len(places) >= 3
+
+
+class TestScara:
+    def test_frames_are_of_one_robot(self):
+        rng, efforts = np.random.default_rng(0), []
+        motion = Motion(*rng.uniform(-2, 2, (3, 10, 2)))
+        for frame in scara.FRAMES:
+            model = scara.scara(frame, scara.payload(*scara.PRIOR))
+            efforts.append(model.effort(motion))
+        for other in efforts[1:]:
+            np.testing.assert_allclose(other, efforts[0], rtol=1e-10, atol=1e-12)
+
+    def test_expected_errors_are_those_of_drawn_noise(self):
+        rng = np.random.default_rng(1)
+        trajectory = ExcitationTrajectory(
+            FreeSamples(50), rng.uniform(-2, 2, (150, 2)), ("shoulder", "elbow")
+        )
+        target, model = scara.payload_target("3"), scara.scara("3", scara.payload(*scara.TRUTH))
+        A = target.measure(trajectory.motion(np.zeros(50))).regressor.reshape(100, -1)[
+            :, [0, 1, 2, 6]
+        ]
+        truth = model.phi[1, [0, 1, 2, 6]]
+        noise = scara.NOISE * rng.normal(size=(100, 4000))
+        m, hx, hy, izz = truth[:, None] + np.linalg.lstsq(A, noise)[0]
+        expected = scara.errors(trajectory)
+        drawn = {
+            "m": (m - 4.0).std(),
+            "px": 1e3 * (hx / m).std(),
+            "py": 1e3 * (hy / m).std(),
+            "rz": 1e3 * (np.sqrt(izz / m) - 0.08165).std(),
+        }
+        for key, value in drawn.items():
+            assert expected[key] == pytest.approx(value, rel=0.05)
+
+
+class TestOneFoot:
+    def test_motions_are_in_balance(self):
+        """By Drake's centre of mass at rest, and by the foot that stays where it is."""
+        stance, plan = atlas.standing_robot(None), atlas.Plan(None)
+        motion = atlas.sampled(stance, atlas.one_motion(0, plan=plan), 30.0)
+        plant, sole = stance.robot.plant, []
+        context = plant.CreateDefaultContext()
+        for q in stance.model.plant_positions(motion.q):
+            plant.SetPositions(context, q)
+            center = plant.CalcCenterOfMassPositionInWorld(context)
+            assert (np.abs(center[:2]) < 1.2 * np.array([0.12, 0.06])).all()
+            X = plant.EvalBodyPoseInWorld(context, plant.GetBodyByName("l_foot"))
+            sole.append(X.GetAsMatrix4())
+        assert np.ptp(sole, axis=0).max() < 1e-9
+        assert np.abs(motion.v[[0, -1]]).max() < 1e-9
+
+
+pytest.importorskip("pinocchio")
+
+
+PLAIN = {
+    "robot": "arm6",
+    "motion": robots.FAST,
+    "prior": logs.EXACT,
+    "noise": 0.01,
+    "duration": 16.0,
+    "rate": 125.0,
+}
+
+
+@pytest.fixture(params=robot_names())
+def engines(request):
+    file = robot_file(request.param)
+    return PinocchioEngine(file), MuJoCoEngine(file)
+
+
+class TestEngines:
+    def test_agree_on_other_bodies_and_gravity(self, engines):
+        rng = np.random.default_rng(0)
+        bodies = congruent(engines[0].bodies(), 0.2, rng)
+        samples = rng.normal(size=(3, 5, len(bodies)))
+        for engine in engines:
+            engine.set_bodies(bodies)
+            engine.set_gravity(np.array([1.0, -2.0, -9.0]))
+            np.testing.assert_allclose(engine.bodies(), bodies, rtol=1e-9, atol=1e-12)
+        efforts, others = (engine.efforts(*samples) for engine in engines)
+        np.testing.assert_allclose(efforts, others, rtol=1e-9, atol=1e-9 * np.abs(efforts).max())
+
+
+def test_congruent_bodies_are_physical_and_as_far_as_asked():
+    P = np.repeat(
+        pseudo(2.0, np.array([0.1, 0.0, 0.2]), np.diag([0.02, 0.03, 0.04]))[None], 4000, 0
+    )
+    found = congruent(P, 0.2, np.random.default_rng(0))
+    assert np.linalg.eigvalsh(found).min() > 0.0
+    L = np.linalg.cholesky(P[0])
+    whitened = np.linalg.solve(L, np.linalg.solve(L, found).transpose(0, 2, 1))
+    distance = np.sqrt((np.log(np.linalg.eigvalsh(whitened)) ** 2).sum(1))
+    assert np.sqrt(np.mean(distance**2)) == pytest.approx(0.2 * np.sqrt(10.0), rel=0.05)
+    assert np.log(found[:, 3, 3] / 2.0).std() == pytest.approx(0.2, rel=0.1)
+
+
+class TestLogs:
+    @pytest.mark.parametrize(
+        ("names", "together"),
+        [
+            (("joint_spring", "effort_offset"), False),
+            (("asymmetric_friction", "coulomb_friction"), False),
+            (("viscous_friction", "asymmetric_friction"), False),
+            (("joint_spring", "viscous_friction"), True),
+        ],
+    )
+    def test_what_no_log_can_tell_apart_is_not_at_one_joint(self, names, together):
+        places = []
+        for number in range(8):
+            small = {**PLAIN, "robot": "double_pendulum", "duration": 4.0, "shares": (0.1, 0.1)}
+            draw = logs.draw("two", names, number, 0, **small)
+            made = logs.make_recording(draw, robot_model("double_pendulum").bodies)
+            places.append([secret.where for secret in made.secrets])
+        assert any(first == second for first, second in places) == together
+
+    @pytest.mark.parametrize("name", [*TRUTHS, *OUTSIDE])
+    def test_effects_have_the_size_that_was_asked_for(self, name):
+        draw = logs.draw("one", (name,), 0, 0, **{**PLAIN, "duration": 5.0, "shares": (0.04,)})
+        made = logs.make_recording(draw, robot_model("arm6").bodies)
+        (secret,) = made.secrets
+        assert secret.share == pytest.approx(0.04, rel=0.1)
+        assert set(secret.where) <= {*robot_model("arm6").joints, *robot_model("arm6").bodies}
+
+
+EASY = ("load_dependent_friction", "gravity_tilt")
+
+
+class TestWhatItMustShow:
+    def test_easy_effects(self):
+        fixed = {**PLAIN, "robot": "double_pendulum", "shares": (0.12,)}
+        rows = [scoring.score_draw(logs.draw("one", (n,), 0, 0, **fixed)) for n in EASY]
+        assert all(row["first"] and row["in_set"] and not row["extra"] for row in rows)
+        assert np.median([row["over_floor"] for row in rows]) < 1.1
+
+    def test_outside_effects(self):
+        name = "brake that another joint's position tightens"
+        fixed = {**PLAIN, "robot": "double_pendulum", "shares": (0.15,)}
+        row = scoring.score_draw(logs.draw("outside", (name,), 0, 0, **fixed))
+        assert row["verdict"] == "unexplained"
+        assert row["right_joint"]
+        assert row["right_correlate"]
+
+
+def robot_log(hidden, motion, duration, *, noise=0.0):
+    model = study.known_model()
+    rows = study.simulate(study.real_robot(hidden), model, hidden, motion, duration)
+    return rows, study.record("log", model, rows, np.full(2, noise), 0)
+
+
+def held(hidden, postures):
+    """Efforts that hold the robot itself in postures, by Drake."""
+    plant = study.real_robot(hidden)
+    context, efforts = plant.CreateDefaultContext(), []
+    for q in postures:
+        plant.SetPositions(context, q)
+        efforts.append(-plant.CalcGravityGeneralizedForces(context))
+    return np.array(efforts)
+
+
+class TestRobots:
+    @pytest.mark.sampled(3)
+    @pytest.mark.parametrize("number", range(len(CASES)))
+    def test_efforts_are_those_of_another_engine(self, number):
+        """Pinocchio's inverse dynamics of the simulated motion, and the hidden effect's formula."""
+        case = CASES[number]
+        hidden = case.robot(case.size)
+        motion = MOTIONS["long shuttle"][0](np.random.default_rng(1))
+        (q, v, u), _ = robot_log(hidden, motion, 3.0)
+        model = pinocchio.buildModelFromUrdf(str(study.ROBOT))
+        data = model.createData()
+        gravity = np.array([0.0, 0.0, -9.81])
+        angles = np.array([*hidden.tilt, 0.0])
+        model.gravity.linear = gravity + np.cross(gravity, angles)
+        a = np.diff(v, axis=0) / study.STEP
+        held = u[:-1]
+        for k in range(200, len(a), 173):
+            load = pinocchio.rnea(model, data, q[k], v[k], a[k])
+            needed, _ = hidden.effort(q[k], v[k], load)
+            assert held[k] == pytest.approx(load + needed, abs=0.02)
+
+    def test_the_rivals_formulas_are_those_of_the_effects(self):
+        """Each effect with its parameters for a size is what the robot hides, where it moves."""
+        model, rng = study.known_model(), np.random.default_rng(2)
+        for case in CASES:
+            separation = study.separation_of(case)
+            pair = next(p for p in separation.pairs if p.truth == case.truth)
+            motion = study.Motion(*rng.uniform(0.3, 1.0, (3, 50, 2)))
+            motion.v[::2] *= -1.0
+            columns = separation.target.measure(motion).regressor
+            at = np.flatnonzero(pair.effects.any(axis=0))
+            effort = columns[:, :, at] @ (case.size * np.array(case.parameters))
+            hidden = case.robot(case.size)
+            expected = hidden.effort(motion.q, motion.v, model.motion(motion).load)[0]
+            expected += held(hidden, motion.q) - held(Hidden.of(2), motion.q)
+            np.testing.assert_allclose(effort, expected, rtol=1e-3, atol=1e-3)
+
+
+def test_the_command_that_diagnose_prints_designs_the_motion(tmp_path):
+    """From an ambiguous log to a motion file, with nothing but the command line."""
+    case = CASES[1]
+    motion = case.first_motion(np.random.default_rng(0))
+    _, log = robot_log(case.robot(case.size), motion, study.FIRST, noise=study.NOISE)
+    write_log(log, tmp_path / "first.csv")
+    said = told("diagnose", study.ROBOT, tmp_path / "first.csv")
+    pair = "coulomb_friction,load_dependent_friction@elbow"
+    (words,) = re.findall(rf"- geodrake (excite \S+ --tell-apart {pair})", said)
+    words = words.split()
+    file = tmp_path / "motion.csv"
+    fast = ("--seeds", 1, "--iterations", 5, "--limits", "velocity=1,acceleration=5")
+    said = told(*words, *fast, "--noise", study.NOISE, "--save", file)
+    assert "The hardest to distinguish are" in said
+    assert np.abs(read_log(file).velocity).max() <= 1.0 + 1e-6
+
+
+def test_controllers_are_compared(tmp_path):
+    table = tmp_path / "table.json"
+    call("wam_adaptation", "--quick", "--controllers", "--json", table)
+    rows = json.loads(table.read_text(encoding="utf-8"))["summary"]
+    found = {(row["controller"], row["noise"] > 0.0, row["law"]) for row in rows}
+    assert len(found) == len(rows) == 16
+    assert not any(row["lost"] for row in rows if row["law"] != laws.EUCLIDEAN)
