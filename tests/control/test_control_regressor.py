@@ -148,9 +148,7 @@ def test_the_coriolis_matrix_is_pinocchios():
     close(case.coriolis_matrix()[np.ix_(at, at)], C)
 
 
-@pytest.fixture(scope="module")
-def arm():
-    return load_description(MODELS / "arm7.urdf")
+ARM = load_description(MODELS / "arm7.urdf")
 
 
 def fitted(model, *effects, seed=0):
@@ -185,21 +183,21 @@ def motion_of(arm, seed=0):
     return np.random.default_rng(seed).normal(size=(5, len(arm.joints)))
 
 
-def test_effects_beside_inertia_are_those_of_the_model(arm):
-    model = fitted(arm, *(e for e in all_effects(arm) if e.name != "payload"))
-    load = FittedEffect(Payload(arm.bodies[-1]), 0.1 * inertial_parameters(arm.plant)[-1])
+def test_effects_beside_inertia_are_those_of_the_model():
+    model = fitted(ARM, *(e for e in all_effects(ARM) if e.name != "payload"))
+    load = FittedEffect(Payload(ARM.bodies[-1]), 0.1 * inertial_parameters(ARM.plant)[-1])
     model = replace(model, effects=(*model.effects, load))
     control = ControlModel.of(model, sign_width=0.3)
-    q, qd, _, a, r = motion_of(arm)
+    q, qd, _, a, r = motion_of(ARM)
     sample = control.at(q, qd, qd, a)
     motion = Motion(q[None], qd[None], a[None])
     close(sample.effort(control.prior), model.effort(motion, sign_width=0.3)[0])
     close(sample.covector(r), sample.regressor.T @ r)
 
 
-def test_effects_see_the_reference_velocity_or_the_measured_one(arm):
-    model = fitted(arm, *(CoulombFriction(j) for j in arm.joints))
-    q, qd, v, a, _ = motion_of(arm)
+def test_effects_see_the_reference_velocity_or_the_measured_one():
+    model = fitted(ARM, *(CoulombFriction(j) for j in ARM.joints))
+    q, qd, v, a, _ = motion_of(ARM)
     bare = ControlModel.of(replace(model, effects=())).at(q, qd, v, a)
     for measured, seen in ((False, v), (True, qd)):
         control = ControlModel.of(model, sign_width=0.5, measured_friction=measured)
@@ -208,22 +206,22 @@ def test_effects_see_the_reference_velocity_or_the_measured_one(arm):
         close(friction, mu * np.tanh(seen / 0.5), 1e-9)
 
 
-def test_mass_matrix_is_the_slope_of_the_effort_in_the_acceleration(arm):
+def test_mass_matrix_is_the_slope_of_the_effort_in_the_acceleration():
     left_out = ("load_dependent_friction", "effort_scale")
-    effects = [e for e in all_effects(arm) if e.name not in left_out]
-    control = ControlModel.of(fitted(arm, *effects))
-    q, qd, v, a, _ = motion_of(arm)
+    effects = [e for e in all_effects(ARM) if e.name not in left_out]
+    control = ControlModel.of(fitted(ARM, *effects))
+    q, qd, v, a, _ = motion_of(ARM)
     rest = control.at(q, qd, v, 0 * a).effort(control.prior)
     slopes = [control.at(q, qd, v, e).effort(control.prior) - rest for e in np.eye(len(a))]
     close(control.at(q, qd, v, a).mass_matrix(control.prior), np.transpose(slopes), 1e-10)
 
 
-def test_momentum_regressors_with_effects(arm):
+def test_momentum_regressors_with_effects():
     effects = [
-        e for e in all_effects(arm) if e.name not in ("running_mean", "load_dependent_friction")
+        e for e in all_effects(ARM) if e.name not in ("running_mean", "load_dependent_friction")
     ]
-    control = ControlModel.of(fitted(arm, *effects), sign_width=0.3)
-    q, qd, _, a, _ = motion_of(arm)
+    control = ControlModel.of(fitted(ARM, *effects), sign_width=0.3)
+    q, qd, _, a, _ = motion_of(ARM)
     h, zero = 1e-5, np.zeros_like(q)
 
     def momenta(step):

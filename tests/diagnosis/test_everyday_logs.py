@@ -27,9 +27,7 @@ pytest.importorskip("pinocchio")
 DRY, WET = np.array([0.3, 0.15]), np.array([0.2, 0.1])
 
 
-@pytest.fixture(scope="module")
-def model():
-    return load_model(PENDULUM)
+MODEL = load_model(PENDULUM)
 
 
 def places(explanation):
@@ -85,16 +83,16 @@ def test_common_effects_in_turn_are_not_taken_for_rare_ones():
     assert places(found) == {**friction, "payload": {known.bodies[-1]}}
 
 
-def test_friction_of_joints_that_move_in_turn_is_found_and_predicted(model):
+def test_friction_of_joints_that_move_in_turn_is_found_and_predicted():
     """That the elbow rubs against the shoulder, no log of joints in turn can tell."""
-    found = explain(model, [in_turn()], blocks=2)
+    found = explain(MODEL, [in_turn()], blocks=2)
     assert places(found) == {"coulomb_friction": {*JOINTS}, "viscous_friction": {*JOINTS}}
     assert found.end.nrms < 0.03
 
 
-def test_heavy_rotors_behind_noise_of_accelerations_are_found_at_a_lower_bandwidth(model):
+def test_heavy_rotors_behind_noise_of_accelerations_are_found_at_a_lower_bandwidth():
     log = in_turn(noise=(0.003, 3e-5), rotors=np.array([20.0, 5.0]))
-    found = explain(model, [log])
+    found = explain(MODEL, [log])
     assert any("noise of accelerations makes up" in note for note in found.notes)
     every = {*JOINTS}
     assert places(found) == {
@@ -106,7 +104,7 @@ def test_heavy_rotors_behind_noise_of_accelerations_are_found_at_a_lower_bandwid
     assert rotors["shoulder"]["inertia"] == pytest.approx(20.0, rel=0.02)
 
 
-def test_a_lower_bandwidth_leaves_enough_samples_of_every_log(model):
+def test_a_lower_bandwidth_leaves_enough_samples_of_every_log():
     noisy = in_turn(noise=(0.0003, 1e-4), rotors=np.array([20.0, 5.0]))
     begin = noisy.time < 6.0
     short = replace(
@@ -116,27 +114,27 @@ def test_a_lower_bandwidth_leaves_enough_samples_of_every_log(model):
         position=noisy.position[begin],
         effort=noisy.effort[begin],
     )
-    (long, kept), words = prepare_for_model(model, [noisy, short])
+    (long, kept), words = prepare_for_model(MODEL, [noisy, short])
     assert "lowered" in words
     assert min(map(sum, (long.output_counts, kept.output_counts))) >= 10
 
 
-def test_an_offset_may_be_many_times_the_deviation_of_an_effort(model):
+def test_an_offset_may_be_many_times_the_deviation_of_an_effort():
     usual = pendulum_log(3).effort.std(axis=0)[1]
     log = pendulum_log(3, lambda q, v, vd, load: np.full_like(q, 40 * usual) * [0.0, 1.0])
-    (step,) = explain(model, [log]).steps
+    (step,) = explain(MODEL, [log]).steps
     assert (step.effect, step.where) == ("effort_offset", ("elbow",))
     assert step.parameters["elbow"]["offset"] == pytest.approx(40 * usual, rel=0.01)
 
 
-def test_offset_and_symmetric_friction_are_simpler_than_asymmetric_friction(model):
+def test_offset_and_symmetric_friction_are_simpler_than_asymmetric_friction():
     """Also beside a rotor, where three effects take the place of one of two."""
 
     def hidden(q, v, vd, load):
         friction = DRY * np.tanh(v / 0.003) + WET * v + np.array([0.0, 0.08])
         return friction + np.array([0.3, 0.1]) * vd
 
-    found = explain(model, [pendulum_log(4, hidden, noise=(0.003, 0.002))])
+    found = explain(MODEL, [pendulum_log(4, hidden, noise=(0.003, 0.002))])
     assert places(found) == {
         "coulomb_friction": {*JOINTS},
         "viscous_friction": {*JOINTS},
@@ -145,13 +143,13 @@ def test_offset_and_symmetric_friction_are_simpler_than_asymmetric_friction(mode
     }
 
 
-def test_a_delay_takes_the_place_of_viscous_friction_at_all_joints(model):
+def test_a_delay_takes_the_place_of_viscous_friction_at_all_joints():
     """Friction that makes up for a delay goes when all efforts are late."""
     log = pendulum_log(3, rate=250.0)
-    seconds = Search(open_case(model, [log], candidates=True)).model.dataset.delays[1, 0]
+    seconds = Search(open_case(MODEL, [log], candidates=True)).model.dataset.delays[1, 0]
     efforts = [np.interp(log.time - seconds, log.time, each) for each in log.effort.T]
     late = replace(log, effort=np.stack(efforts, 1))
-    log_model = Search(open_case(model, [late], candidates=True)).model
+    log_model = Search(open_case(MODEL, [late], candidates=True)).model
     wet = [term for term in log_model.terms if term.name == "viscous_friction"]
     choice = log_model.choice(log_model.bare(np.ones(2)).choice, wet)
     found = neighbours(log_model, log_model.unbounded(choice, np.ones(2)))
@@ -182,12 +180,12 @@ def test_efforts_that_are_late_by_a_tenth_of_a_sample_are_not():
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_noise_of_accelerations_that_a_found_rotor_carries_is_noise(model, seed):
+def test_noise_of_accelerations_that_a_found_rotor_carries_is_noise(seed):
     """The file's light bodies carry a part of it; the rest would count as a model error."""
     rng = np.random.default_rng(seed)
     log = pendulum_log(seed, lambda q, v, vd, load: np.array([0.6, 0.2]) * vd, noise=(3e-3, 2e-3))
     noisy = replace(log, position=log.position + 3e-4 * rng.normal(size=log.position.shape))
-    case = open_case(model, [noisy], candidates=True, bandwidth=8.0)
+    case = open_case(MODEL, [noisy], candidates=True, bandwidth=8.0)
     found = searched(case)
     left = np.sqrt(found.fit.variance)
     assert {term.name for term in found.fit.terms} == {"rotor_inertia"}
@@ -272,8 +270,8 @@ def rubbing(seed, speed):
 
 
 @pytest.fixture(scope="module")
-def faded(model):
-    return explain(model, [rubbing(1, 0.02).log])
+def faded():
+    return explain(MODEL, [rubbing(1, 0.02).log])
 
 
 def test_gradual_friction_is_dry_friction_alone_with_a_speed_that_is_told(faded):
@@ -303,13 +301,13 @@ def test_another_log_needs_nothing_more(faded, seed):
     assert found.end.nrms < 0.02
 
 
-def test_one_effect_alone_is_not_said_to_fade(model):
+def test_one_effect_alone_is_not_said_to_fade():
     # What the others are is not known yet: at low speeds the error may be theirs.
-    assert add("coulomb_friction", model, [rubbing(1, 0.02).log]).model.fading_speed is None
+    assert add("coulomb_friction", MODEL, [rubbing(1, 0.02).log]).model.fading_speed is None
 
 
-def test_speed_of_a_joint_that_this_log_does_not_show_is_kept(model):
-    known = replace(model, fading_speed=np.array([0.0, 2e-4]))
+def test_speed_of_a_joint_that_this_log_does_not_show_is_kept():
+    known = replace(MODEL, fading_speed=np.array([0.0, 2e-4]))
     log = effort_log(
         "double_pendulum",
         1,
@@ -324,12 +322,12 @@ def test_speed_of_a_joint_that_this_log_does_not_show_is_kept(model):
     assert [note for note in found.notes if "elbow" in note and "fades below" in note] == []
 
 
-def test_controllers_know_it(model):
+def test_controllers_know_it():
     fitted = replace(
-        model,
+        MODEL,
         fading_speed=np.array([0.05, 0.0]),
         effects=tuple(
-            FittedEffect(CoulombFriction(joint), np.ones(1), np.ones(1)) for joint in model.joints
+            FittedEffect(CoulombFriction(joint), np.ones(1), np.ones(1)) for joint in MODEL.joints
         ),
     )
     control, still = ControlModel.of(fitted, sign_width=1e-2), np.zeros(2)
@@ -340,13 +338,13 @@ def test_controllers_know_it(model):
     np.testing.assert_allclose(regressor @ control.prior, expected, rtol=1e-9)
 
 
-def test_what_is_more_at_low_speeds_is_stribeck_friction_where_directions_fade_below(model):
+def test_what_is_more_at_low_speeds_is_stribeck_friction_where_directions_fade_below():
     """Its curve in another formula: it is not taken for what no log tells of reversals."""
 
     def hidden(seen):
         height = 0.075 + 0.08 / (1.0 + (seen.v / 0.03) ** 2)
         return height * np.tanh(seen.v / 0.012) * [1.0, 0.0]
 
-    found = explain(model, [effort_log("double_pendulum", 2, hidden, share=0.02, pace=0.1).log])
+    found = explain(MODEL, [effort_log("double_pendulum", 2, hidden, share=0.02, pace=0.1).log])
     assert {step.effect for step in found.steps} == {"coulomb_friction", "stribeck_friction"}
     assert found.verdict == "explained"

@@ -30,9 +30,7 @@ WHERE = {"coulomb_friction": JOINTS, "viscous_friction": JOINTS}
 FLOOR = NOISE * design_filter(1 / 200.0, BANDWIDTH).noise_gain
 
 
-@pytest.fixture(scope="module")
-def model():
-    return load_model(PENDULUM)
+MODEL = load_model(PENDULUM)
 
 
 @pytest.fixture(scope="module")
@@ -41,9 +39,9 @@ def logs():
 
 
 @pytest.fixture(scope="module")
-def explained(model, logs):
+def explained(logs):
     told = []
-    found = explain(model, logs, bandwidth=BANDWIDTH, progress=told.append)
+    found = explain(MODEL, logs, bandwidth=BANDWIDTH, progress=told.append)
     return found, told
 
 
@@ -94,9 +92,9 @@ def test_a_second_fit_leaves_the_bandwidth_of_the_first(fitted, logs):
     assert any("chosen from the data" in note for note in notes)
 
 
-def test_compare_measures_the_hidden_effort(model, logs):
+def test_compare_measures_the_hidden_effort(logs):
     """The error of the model as it stands is the hidden effort and the noise, filtered."""
-    found = compare(model, logs, bandwidth=BANDWIDTH)
+    found = compare(MODEL, logs, bandwidth=BANDWIDTH)
     assert [joint.joint for joint in found.errors.joints] == list(JOINTS)
     kernel = design_filter(1 / 200.0, BANDWIDTH).kernel
     hidden = []
@@ -113,13 +111,13 @@ def test_compare_measures_the_hidden_effort(model, logs):
     assert found.errors.nrms == pytest.approx(np.sqrt(np.mean(np.square(ratios))))
 
 
-def test_compare_names_where_it_fails(model):
+def test_compare_names_where_it_fails():
     """Extra effort while the elbow moves forwards only."""
 
     def hidden(q, v, vd, load):
         return np.stack([np.zeros(len(q)), 0.3 * (v[:, 1] > 0)], 1)
 
-    found = compare(model, [pendulum_log(3, hidden)], bandwidth=BANDWIDTH)
+    found = compare(MODEL, [pendulum_log(3, hidden)], bandwidth=BANDWIDTH)
     worst = found.failing[0]
     assert worst.joint == "elbow"
     assert worst.circumstance == "while moving forwards"
@@ -170,7 +168,7 @@ def test_fitted_model_predicts_new_motions_and_needs_nothing_more(fitted):
     assert found.end == found.start and found.model is fitted
 
 
-def test_delay_is_found_between_the_samples(model, logs):
+def test_delay_is_found_between_the_samples(logs):
     late = [
         replace(
             log,
@@ -178,30 +176,30 @@ def test_delay_is_found_between_the_samples(model, logs):
         )
         for log in logs
     ]
-    found = explain(model, late, bandwidth=BANDWIDTH)
+    found = explain(MODEL, late, bandwidth=BANDWIDTH)
     assert places(found) == {**WHERE, "effort_delay": ()}
     np.testing.assert_allclose(found.model.delays, 0.0123, atol=0.001)
     step = next(step for step in found.steps if step.effect == "effort_delay")
     assert step.parameters["all joints"]["delay"] == found.model.delays[0]
 
 
-def test_something_that_no_effect_explains_is_said_to_be_left(model):
+def test_something_that_no_effect_explains_is_said_to_be_left():
     """Loud coloured disturbances belong to no motion: the verdict must not be that it is noise."""
     log = pendulum_log(80)
     rng = np.random.default_rng(80)
     steps = 0.3 * rng.normal(size=(int(log.time[-1]) * 2 + 2, 2))
     wind = np.stack([np.interp(log.time * 2, np.arange(len(s)), s) for s in steps.T], 1)
     log = replace(log, effort=log.effort + wind)
-    found = explain(model, [log], bandwidth=BANDWIDTH)
+    found = explain(MODEL, [log], bandwidth=BANDWIDTH)
     assert found.verdict == "unexplained"
     assert found.end.nrms > 2.0 * found.end.floor_nrms
-    diagnosis = diagnose(model, [log], bandwidth=BANDWIDTH)
+    diagnosis = diagnose(MODEL, [log], bandwidth=BANDWIDTH)
     assert diagnosis.verdict == "unexplained"
     assert diagnosis.candidates == ()
     assert all(0.5 < joint.removable < 1.0 for joint in found.end.joints)
 
 
-def test_what_is_above_half_the_bandwidth_is_not_filtered_away(model):
+def test_what_is_above_half_the_bandwidth_is_not_filtered_away():
     """A torque that no effect explains is unexplained, though at half the bandwidth it is gone."""
 
     def oscillation(q, v, vd, load):
@@ -209,11 +207,11 @@ def test_what_is_above_half_the_bandwidth_is_not_filtered_away(model):
         return np.stack([wave, 0.5 * wave], 1)
 
     log = pendulum_log(3, oscillation)
-    assert explain(model, [log]).verdict == "unexplained"
-    assert explain(model, [log], bandwidth=2.5).verdict == "adequate"
+    assert explain(MODEL, [log]).verdict == "unexplained"
+    assert explain(MODEL, [log], bandwidth=2.5).verdict == "adequate"
 
 
-def test_a_log_too_short_for_a_lower_bandwidth(model):
+def test_a_log_too_short_for_a_lower_bandwidth():
     """Soft joints, which show at half the bandwidth, are looked for as far as samples reach."""
 
     def oscillation(q, v, vd, load):
@@ -221,14 +219,14 @@ def test_a_log_too_short_for_a_lower_bandwidth(model):
         return np.stack([wave, np.zeros_like(wave)], 1)
 
     log = pendulum_log(3, oscillation, rate=10.0, seconds=12.0)
-    assert explain(model, [log]).verdict == "unexplained"
+    assert explain(MODEL, [log]).verdict == "unexplained"
 
 
-def test_time_order_of_joints_and_files_change_nothing(model, logs, fitted, tmp_path):
+def test_time_order_of_joints_and_files_change_nothing(logs, fitted, tmp_path):
     paths = [tmp_path / "a.csv", tmp_path / "b.npz"]
     for log, path in zip(logs, paths, strict=True):
         write_log(replace(log, time=log.time + 1000.0).select(JOINTS[::-1]), path)
-    found = explain(model, paths, bandwidth=BANDWIDTH).model
+    found = explain(MODEL, paths, bandwidth=BANDWIDTH).model
     values, expected = parameters(found), parameters(fitted)
     assert values.keys() == expected.keys()
     for key, value in expected.items():
@@ -236,10 +234,10 @@ def test_time_order_of_joints_and_files_change_nothing(model, logs, fitted, tmp_
     np.testing.assert_allclose(found.phi, fitted.phi, rtol=1e-4, atol=1e-4)
 
 
-def test_diagnose_names_the_simplest_that_does(model):
+def test_diagnose_names_the_simplest_that_does():
     """Friction that differs by direction fits as well as dry and viscous friction, and is more."""
     log = pendulum_log(2, friction((0.3, 0.15), (0.3, 0.12)))
-    diagnosis = diagnose(model, [log], bandwidth=BANDWIDTH)
+    diagnosis = diagnose(MODEL, [log], bandwidth=BANDWIDTH)
     first, *others = diagnosis.candidates
     assert diagnosis.verdict == "explained"
     assert first.effect in {"coulomb_friction", "viscous_friction"}
@@ -250,17 +248,17 @@ def test_diagnose_names_the_simplest_that_does(model):
         assert candidate.error_before == pytest.approx(diagnosis.refitted.nrms, rel=0.02)
         assert candidate.error_after < candidate.error_before
         assert candidate.false_alarm_probability <= 0.01
-    found = explain(model, [log], bandwidth=BANDWIDTH)
+    found = explain(MODEL, [log], bandwidth=BANDWIDTH)
     assert places(found) == WHERE
     assert first.error_after == pytest.approx(found.steps[0].error_after, rel=0.02)
     assert found.end.nrms < 1.2 * asymmetric.error_after  # which is of the fit itself
 
 
-def test_diagnose_says_that_the_bodies_alone_are_wrong(model):
+def test_diagnose_says_that_the_bodies_alone_are_wrong():
     """A model whose lower link is 40 % too heavy: its frictions are not to blame."""
-    wrong = model.phi.copy()
+    wrong = MODEL.phi.copy()
     wrong[-1] *= 1.4
-    wrong, log = replace(model, phi=wrong), pendulum_log(64)
+    wrong, log = replace(MODEL, phi=wrong), pendulum_log(64)
     found = diagnose(wrong, [log], bandwidth=BANDWIDTH)
     (candidate,) = found.candidates
     assert (found.verdict, candidate.effect) == ("explained", "wrong_inertia")
@@ -273,17 +271,17 @@ def test_diagnose_says_that_the_bodies_alone_are_wrong(model):
     np.testing.assert_allclose(rms(added.end), FLOOR, rtol=0.15)
 
 
-def test_bodies_are_shown_before_and_after_and_judged_block_by_block(model):
-    wrong = model.phi.copy()
+def test_bodies_are_shown_before_and_after_and_judged_block_by_block():
+    wrong = MODEL.phi.copy()
     wrong[1] *= 1.4  # so that no payload can be the reason
-    found = explain(replace(model, phi=wrong), [pendulum_log(1)], bandwidth=BANDWIDTH)
+    found = explain(replace(MODEL, phi=wrong), [pendulum_log(1)], bandwidth=BANDWIDTH)
     far, near = found.bodies
-    assert far.name == model.bodies[1] and far.distance > near.distance
-    assert far.mass[0] == pytest.approx(1.4 * model.phi[1, 0])
+    assert far.name == MODEL.bodies[1] and far.distance > near.distance
+    assert far.mass[0] == pytest.approx(1.4 * MODEL.phi[1, 0])
     assert far.mass[1] == found.model.phi[1, 0]
-    assert abs(far.mass[1] - model.phi[1, 0]) < 3 * far.mass_deviation
+    assert abs(far.mass[1] - MODEL.phi[1, 0]) < 3 * far.mass_deviation
     assert far.mass_deviation < 0.5 * (far.mass[0] - far.mass[1])
-    com = model.phi[1, 1:4] / model.phi[1, 0]
+    com = MODEL.phi[1, 1:4] / MODEL.phi[1, 0]
     assert np.allclose(far.com[0], com, atol=1e-12)
     assert (np.abs(far.com[1] - com) < 3 * far.com_deviation + 1e-9).all()
     (step,) = found.steps
@@ -299,27 +297,27 @@ def test_bodies_are_shown_before_and_after_and_judged_block_by_block(model):
 
 
 @pytest.mark.parametrize(("rubbing", "share"), [(4, 1.0), (3, 0.75)])
-def test_logs_without_the_effect_do_not_agree(model, rubbing, share):
+def test_logs_without_the_effect_do_not_agree(rubbing, share):
     """Friction fitted to logs that have it makes that one worse which has none."""
     hidden = [friction((0.3, 0.2)) if i < rubbing else None for i in range(4)]
     logs = [pendulum_log(i, each) for i, each in enumerate(hidden)]
-    (step,) = add("coulomb_friction", model, logs, bandwidth=BANDWIDTH).steps
+    (step,) = add("coulomb_friction", MODEL, logs, bandwidth=BANDWIDTH).steps
     assert step.agreement == share
 
 
-def test_nothing_is_found_that_is_believed_to_be_nothing(model, logs):
+def test_nothing_is_found_that_is_believed_to_be_nothing(logs):
     """Effects of a millionth of the efforts, and bodies known to a millionth."""
     none = Beliefs(
         size=1e-6, unknown=1e-6, widths=(1e-6,), free=(1e-6,), payloads=(1e-6,), delays=1e30
     )
-    found = explain(model, logs, bandwidth=BANDWIDTH, beliefs=none)
+    found = explain(MODEL, logs, bandwidth=BANDWIDTH, beliefs=none)
     assert found.steps == ()
     assert found.verdict == "unexplained"
 
 
-def test_add_puts_an_effect_where_it_is_told(model, logs):
+def test_add_puts_an_effect_where_it_is_told(logs):
     """Once, if a place is named twice; and only the joints where it acts count."""
-    found = add("coulomb_friction", model, logs, where=["elbow", "elbow"], bandwidth=BANDWIDTH)
+    found = add("coulomb_friction", MODEL, logs, where=["elbow", "elbow"], bandwidth=BANDWIDTH)
     (step,) = found.steps
     assert (step.effect, step.where) == ("coulomb_friction", ("elbow",))
     dry = [f.effect.where for f in found.model.effects if f.effect.name == step.effect]
@@ -329,13 +327,13 @@ def test_add_puts_an_effect_where_it_is_told(model, logs):
     assert step.agreement == 1.0
 
 
-def test_uncertain_gains_of_efforts_are_a_second_deviation(model, logs):
+def test_uncertain_gains_of_efforts_are_a_second_deviation(logs):
     """Friction varies with the efforts; a shape does not. Of gains the logs say something, too."""
     shares = (0.0, 0.05, 0.2, 0.4)
     none, once, far, farther = (
         add(
             "stribeck_friction",
-            model,
+            MODEL,
             [replace(log, effort_uncertainty=share) for log in logs],
             where=["elbow"],
             bandwidth=BANDWIDTH,
@@ -355,15 +353,15 @@ def test_uncertain_gains_of_efforts_are_a_second_deviation(model, logs):
         )
 
 
-def test_add_to_all_joints_by_default(model, logs):
-    found = add("coulomb_friction", model, logs, bandwidth=BANDWIDTH)
+def test_add_to_all_joints_by_default(logs):
+    found = add("coulomb_friction", MODEL, logs, bandwidth=BANDWIDTH)
     assert found.steps[0].where == JOINTS
     more = add("viscous_friction", found.model, logs, bandwidth=BANDWIDTH)
     np.testing.assert_allclose(rms(more.end), FLOOR, rtol=0.15)
 
 
-def test_add_whatever_the_evidence(model):
-    found = add("effort_offset", model, [pendulum_log(63)], bandwidth=BANDWIDTH)
+def test_add_whatever_the_evidence():
+    found = add("effort_offset", MODEL, [pendulum_log(63)], bandwidth=BANDWIDTH)
     (step,) = found.steps
     assert step.false_alarm_probability > 0.01
     for joint in JOINTS:
@@ -386,18 +384,18 @@ def test_add_whatever_the_evidence(model):
         ("contact", None, "These logs show no contact"),
     ],
 )
-def test_add_refuses_what_cannot_be(model, logs, effect, where, words):
+def test_add_refuses_what_cannot_be(logs, effect, where, words):
     with pytest.raises(ArgumentError, match=words):
-        add(effect, model, logs[:1], where=where, bandwidth=BANDWIDTH)
+        add(effect, MODEL, logs[:1], where=where, bandwidth=BANDWIDTH)
 
 
-def test_add_refuses_what_is_there(model, logs):
+def test_add_refuses_what_is_there(logs):
     for where in (["elbow"], None):
         with pytest.raises(ArgumentError, match=r"cannot be added: the model already has it"):
-            add("coulomb_friction", with_friction(model), logs[:1], where=where)
+            add("coulomb_friction", with_friction(MODEL), logs[:1], where=where)
 
 
-def test_add_delays_of_joints(model, logs):
+def test_add_delays_of_joints(logs):
     """Each joint that is named gets its own, even where another one is later."""
     shifts = {"shoulder": 0.0, "elbow": 0.015}
 
@@ -406,7 +404,7 @@ def test_add_delays_of_joints(model, logs):
         moved = [np.interp(log.time - lag, log.time, effort) for lag, effort in lags]
         return replace(log, effort=np.stack(moved, 1))
 
-    logs, known = [late(log) for log in logs], with_friction(model)
+    logs, known = [late(log) for log in logs], with_friction(MODEL)
     found = add("effort_delay", known, logs, where=["elbow"], bandwidth=BANDWIDTH)
     (step,) = found.steps
     assert step.where == ("elbow",)
@@ -416,8 +414,8 @@ def test_add_delays_of_joints(model, logs):
     np.testing.assert_allclose(rms(found.end), FLOOR, rtol=0.2)
 
 
-def test_log_of_other_joints_is_refused(model, logs):
+def test_log_of_other_joints_is_refused(logs):
     with pytest.raises(LogError, match="knee"):
-        explain(model, [replace(logs[0], joints=("shoulder", "knee"))])
+        explain(MODEL, [replace(logs[0], joints=("shoulder", "knee"))])
     with pytest.raises(LogError, match="elbow"):
-        explain(model, [logs[0].select(["shoulder"])])
+        explain(MODEL, [logs[0].select(["shoulder"])])

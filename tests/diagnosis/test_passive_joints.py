@@ -195,13 +195,11 @@ def braked_log(seed, *, seconds=40.0):
     )
 
 
-@pytest.fixture(scope="module")
-def model():
-    return load_model(ARM)
+MODEL = load_model(ARM)
 
 
-def test_friction_of_the_joints_that_move_is_all_that_is_found(model):
-    found = explain(model, [braked_log(0, seconds=24.0)])
+def test_friction_of_the_joints_that_move_is_all_that_is_found():
+    found = explain(MODEL, [braked_log(0, seconds=24.0)])
     assert found.model.joints == ("joint_2", "joint_4")
     assert {step.effect for step in found.steps} == {"coulomb_friction", "viscous_friction"}
     values = {f.effect.name: [] for f in found.model.effects}
@@ -214,12 +212,12 @@ def test_friction_of_the_joints_that_move_is_all_that_is_found(model):
     assert all(f"joint_{k} at" in note for k in (1, 3, 5, 6, 7))
 
 
-def test_identification_holds_the_same_joints(model):
+def test_identification_holds_the_same_joints():
     settings = IdentificationSettings(gamma=100.0)
-    found = identify_model(model, [braked_log(1)], settings)
+    found = identify_model(MODEL, [braked_log(1)], settings)
     assert found.model.joints == found.prior.joints == ("joint_2", "joint_4")
-    weighed = IdentificationSettings(gamma=100.0, total_mass=float(model.phi[:, 0].sum()))
-    assert identify_model(model, [braked_log(1)], weighed).model.joints == model.joints
+    weighed = IdentificationSettings(gamma=100.0, total_mass=float(MODEL.phi[:, 0].sum()))
+    assert identify_model(MODEL, [braked_log(1)], weighed).model.joints == MODEL.joints
 
 
 @pytest.mark.parametrize(
@@ -229,15 +227,15 @@ def test_identification_holds_the_same_joints(model):
         ("coulomb_friction", "joint_5", "joint_5 is fixed by .* hardly moves"),
     ],
 )
-def test_nothing_is_added_where_nothing_moves(model, effect, place, words):
+def test_nothing_is_added_where_nothing_moves(effect, place, words):
     with pytest.raises(ArgumentError, match=words):
-        add(effect, model, [braked_log(3, seconds=20.0)], where=[place])
+        add(effect, MODEL, [braked_log(3, seconds=20.0)], where=[place])
 
 
-def test_a_joint_at_rest_counts_by_what_gravity_holds(model):
+def test_a_joint_at_rest_counts_by_what_gravity_holds():
     """Its own deviation is next to nothing, and no measure of 1 N·m."""
     log = braked_log(2)
-    errors = compare(model, [log], hold_resting=False, bandwidth=2.0).errors
+    errors = compare(MODEL, [log], hold_resting=False, bandwidth=2.0).errors
     resting = [joint for k, joint in enumerate(errors.joints) if k not in MOVING]
     moving = [errors.joints[k] for k in MOVING]
     deviation = log.effort.std(axis=0)

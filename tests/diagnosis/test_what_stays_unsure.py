@@ -311,9 +311,7 @@ def test_only_ties_count_and_each_once():
     assert commands(diagnosis()) == []
 
 
-@pytest.fixture(scope="module")
-def arm():
-    return load_model(MODELS / "arm6.urdf")
+ARM = load_model(MODELS / "arm6.urdf")
 
 
 PLACES = {
@@ -326,14 +324,14 @@ STEPS = [(cls.name, where) for cls in catalogue() for where in PLACES.get(cls.pl
 
 
 @pytest.mark.parametrize(("effect", "where"), STEPS)
-def test_every_command_is_understood(arm, effect, where):
-    limits, told = motion_limits(arm), set()
+def test_every_command_is_understood(effect, where):
+    limits, told = motion_limits(ARM), set()
     kinds = {cls.name: cls.places for cls in catalogue()}
     for cls in catalogue():
         place = where if cls.places == kinds[effect] else PLACES.get(cls.places, [()])[0]
-        found = explanation((effect, where, ((cls.name, place),)), model=arm)
+        found = explanation((effect, where, ((cls.name, place),)), model=ARM)
         for command in commands(found):
-            rivals = placed_rivals(arm, *rivals_in(command), limits)
+            rivals = placed_rivals(ARM, *rivals_in(command), limits)
             assert [rival.name for rival in rivals] == [effect, cls.name]
             told.add(cls.name)
     settled = {cls.name for cls in catalogue()} - {

@@ -47,21 +47,19 @@ def resisted(q, v, vd, load):
     return FRICTION * np.tanh(50.0 * v) + VISCOUS * v
 
 
-@pytest.fixture(scope="module")
-def model():
-    return load_model(MODELS / "arm6.urdf")
+MODEL = load_model(MODELS / "arm6.urdf")
 
 
 @pytest.fixture(scope="module")
-def logs(model):
+def logs():
     """Three logs; the first is the fastest, so that a reading of all chooses what it does."""
     reaches = {1: 2.0, 2: 0.8, 3: 0.6}
-    return [chain_log(model, k, resisted, seconds=22.0, reach=r) for k, r in reaches.items()]
+    return [chain_log(MODEL, k, resisted, seconds=22.0, reach=r) for k, r in reaches.items()]
 
 
 @pytest.fixture(scope="module")
-def settings(model, logs):
-    return make_settings(model, logs[0])
+def settings(logs):
+    return make_settings(MODEL, logs[0])
 
 
 def digested(model, log, settings, **facts):
@@ -69,8 +67,8 @@ def digested(model, log, settings, **facts):
 
 
 @pytest.fixture(scope="module")
-def digests(model, logs, settings):
-    return [digested(model, log, settings) for log in logs]
+def digests(logs, settings):
+    return [digested(MODEL, log, settings) for log in logs]
 
 
 def read_together(model, logs, settings):
@@ -81,8 +79,8 @@ def read_together(model, logs, settings):
 
 
 @pytest.fixture(scope="module")
-def together(model, logs, settings):
-    return read_together(model, logs, settings)
+def together(logs, settings):
+    return read_together(MODEL, logs, settings)
 
 
 def assert_same_normal_matrices(found, expected):
@@ -96,8 +94,8 @@ def assert_same_normal_matrices(found, expected):
         assert np.allclose(own.carried, other.carried, rtol=1e-10, atol=1e-10)
 
 
-def test_merged_digests_are_those_of_a_reading_of_all_logs(model, digests, together):
-    found = digest_dataset(merge(digests), model)
+def test_merged_digests_are_those_of_a_reading_of_all_logs(digests, together):
+    found = digest_dataset(merge(digests), MODEL)
     assert found.effects == together.effects
     assert found.folds == together.folds
     assert found.logs == together.logs
@@ -106,7 +104,7 @@ def test_merged_digests_are_those_of_a_reading_of_all_logs(model, digests, toget
     assert_same_normal_matrices(found, together)
     for name in ("effort_std", "noise_floor", "still", "gain_uncertainty", "payload"):
         assert np.allclose(getattr(found, name), getattr(together, name), rtol=1e-12), name
-    own = slice(10 * len(model.bodies), None)  # those that priors of effects are made from
+    own = slice(10 * len(MODEL.bodies), None)  # those that priors of effects are made from
     assert np.allclose(found.column_peak[own], together.column_peak[own], rtol=1e-12)
 
 
@@ -120,16 +118,16 @@ def test_merging_goes_in_any_order_and_in_steps(digests):
         assert np.all(np.abs(other - at_once) <= least)
 
 
-def test_normal_matrices_are_those_of_the_named_columns(model, settings):
+def test_normal_matrices_are_those_of_the_named_columns(settings):
     """With the robot's own parameters by the names of columns, hardly any effort is left."""
-    log = chain_log(model, 5, resisted, seconds=22.0, share=0.0)
-    digest = digested(model, log, settings)
+    log = chain_log(MODEL, 5, resisted, seconds=22.0, share=0.0)
+    digest = digested(MODEL, log, settings)
     x = np.zeros(len(digest.columns) + 1)
-    x[: model.phi.size] = model.phi.ravel()
+    x[: MODEL.phi.size] = MODEL.phi.ravel()
     for at, column in enumerate(digest.columns):
         if column.kind == "effect" and column.name in ("coulomb_friction", "viscous_friction"):
             size = FRICTION if column.name == "coulomb_friction" else VISCOUS
-            x[at] = size[model.joints.index(column.where[0])]
+            x[at] = size[MODEL.joints.index(column.where[0])]
     x[-1] = -1.0
     matrices = digest.normal_matrices()
     rms = np.sqrt(np.einsum("i,jik,k->j", x, matrices, x) / digest.samples)
@@ -145,13 +143,13 @@ def test_normal_matrices_are_those_of_the_named_columns(model, settings):
     assert np.allclose(power, sums[:, 1])
 
 
-def test_samples_are_worth_what_residuals_of_the_library_say(model, digests, logs, settings):
+def test_samples_are_worth_what_residuals_of_the_library_say(digests, logs, settings):
     for digest, log in zip(digests[:2], logs, strict=False):
-        alone = read_together(model, [log], settings)
-        known = first_hypothesis(alone, model_unknowns(alone, model)).effective
+        alone = read_together(MODEL, [log], settings)
+        known = first_hypothesis(alone, model_unknowns(alone, MODEL)).effective
         assert np.allclose(digest.effective, known, rtol=0.1)
         assert np.all(digest.effective < 0.7 * digest.samples)  # friction is missing
-    white = digested(model, chain_log(model, 7, seconds=22.0, share=0.3), settings)
+    white = digested(MODEL, chain_log(MODEL, 7, seconds=22.0, share=0.3), settings)
     assert np.median(white.effective / white.samples) > 0.7
 
 
@@ -176,33 +174,33 @@ def test_behind_a_transmission_digests_are_exact_and_have_temperatures(tmp_path)
     assert np.allclose(digest.logs[0].temperature, 21.5)
 
 
-def test_signals_of_unknown_gain_are_refused(model, logs, settings):
-    currents = replace(logs[1], effort_kinds=dict.fromkeys(model.joints, "current"))
+def test_signals_of_unknown_gain_are_refused(logs, settings):
+    currents = replace(logs[1], effort_kinds=dict.fromkeys(MODEL.joints, "current"))
     with pytest.raises(LogError, match=r"has the current of base_yaw .* identify --save"):
-        digested(model, currents, settings)
+        digested(MODEL, currents, settings)
 
 
-def test_unknown_forces_at_contacts_are_refused(model, logs, settings, monkeypatch):
+def test_unknown_forces_at_contacts_are_refused(logs, settings, monkeypatch):
     monkeypatch.setattr(Trajectory, "has_unknown_forces", True)
     with pytest.raises(LogError, match="Forces at contacts are unknown in log 'log_2'"):
-        digested(model, logs[1], settings)
+        digested(MODEL, logs[1], settings)
 
 
-def test_a_joint_that_moves_under_one_effort_is_refused(model, logs, settings):
+def test_a_joint_that_moves_under_one_effort_is_refused(logs, settings):
     effort = logs[1].effort.copy()
     effort[:, 2] = 3.0
-    with pytest.raises(LogError, match=rf"effort of {model.joints[2]} is constant .*: 3 "):
-        digested(model, replace(logs[1], effort=effort), settings)
+    with pytest.raises(LogError, match=rf"effort of {MODEL.joints[2]} is constant .*: 3 "):
+        digested(MODEL, replace(logs[1], effort=effort), settings)
 
 
-def test_known_payloads_are_taken_off(model, logs, settings, tmp_path):
-    carried = (KnownPayload(model.bodies[-1], 2.0, (0.0, 0.02, 0.1)),)
+def test_known_payloads_are_taken_off(logs, settings, tmp_path):
+    carried = (KnownPayload(MODEL.bodies[-1], 2.0, (0.0, 0.02, 0.1)),)
     log = replace(logs[1], payloads=carried)
     merged = merge(
-        [digested(model, logs[0], settings), digested(model, logs[1], settings, payloads=carried)]
+        [digested(MODEL, logs[0], settings), digested(MODEL, logs[1], settings, payloads=carried)]
     )
-    expected = read_together(model, [logs[0], log], settings)
-    found = digest_dataset(read_back(merged, tmp_path), model)
+    expected = read_together(MODEL, [logs[0], log], settings)
+    found = digest_dataset(read_back(merged, tmp_path), MODEL)
     assert found.effects == expected.effects
     assert_same_normal_matrices(found, expected)
     assert np.any(found.data[1].carried)
@@ -227,17 +225,17 @@ def test_a_file_holds_all_of_a_digest(digests, tmp_path):
         assert digest_content(found) == digest_content(digest)
 
 
-def test_the_same_log_gives_the_same_file(model, logs, settings, digests):
-    again = digested(model, logs[0], make_settings(model, logs[0]))
+def test_the_same_log_gives_the_same_file(logs, settings, digests):
+    again = digested(MODEL, logs[0], make_settings(MODEL, logs[0]))
     assert digest_content(again) == digest_content(digests[0])
 
 
-def test_a_joint_that_rests_all_the_time_has_no_samples(model, logs, settings, digests):
+def test_a_joint_that_rests_all_the_time_has_no_samples(logs, settings, digests):
     rng = np.random.default_rng(0)
     position, effort = logs[1].position.copy(), logs[1].effort.copy()
     position[:, 3] = 0.2 + 1e-7 * rng.normal(size=len(position))
     log = replace(logs[1], position=position, effort=effort)
-    digest = digested(model, log, settings)
+    digest = digested(MODEL, log, settings)
     assert digest.samples[3] == 0
     assert np.all(np.delete(digest.samples, 3) > 100)
     assert digest.joints[3].still == 1.0
@@ -246,9 +244,9 @@ def test_a_joint_that_rests_all_the_time_has_no_samples(model, logs, settings, d
     merged = merge([digests[0], digest])
     assert merged.samples[3] == digests[0].samples[3]
     assert np.allclose(merged.normal_matrices()[3], digests[0].normal_matrices()[3])
-    first = make_settings(model, log)  # also where the first log is such one
+    first = make_settings(MODEL, log)  # also where the first log is such one
     named = {(column.name, column.where) for column in first.columns}
-    assert ("stribeck_friction", (model.joints[3],)) in named
+    assert ("stribeck_friction", (MODEL.joints[3],)) in named
     assert np.all(first.still_speed > 0.0)
 
 
@@ -261,21 +259,21 @@ def test_what_motion_covers_is_that_of_the_log(digests, logs):
         assert np.allclose(said.speed[1], speed.max(axis=0), rtol=0.05)
 
 
-def test_what_does_not_add_up_is_refused(model, logs, settings, digests):
-    other = make_settings(model, logs[0], wanted=Wanted(bandwidth=5.0, blocks=3))
+def test_what_does_not_add_up_is_refused(logs, settings, digests):
+    other = make_settings(MODEL, logs[0], wanted=Wanted(bandwidth=5.0, blocks=3))
     other = replace(other, version="2")
-    stranger = digested(model, logs[1], other)
+    stranger = digested(MODEL, logs[1], other)
     with pytest.raises(DigestError, match=r"log_2 .* differ in .*bandwidth.*version of geodrake"):
         merge([digests[0], stranger])
     with pytest.raises(DigestError, match="same log"):
         merge([digests[0], digests[1], digests[0]])
-    heavier = replace(model, phi=1.1 * model.phi)
+    heavier = replace(MODEL, phi=1.1 * MODEL.phi)
     with pytest.raises(DigestError, match=r"not of model arm6\.urdf"):
         digested(heavier, logs[1], settings)
     with pytest.raises(DigestError, match="not of model"):
         digest_dataset(digests[0], heavier)
-    assert model_hash(model) == model_hash(load_model(MODELS / "arm6.urdf"))
-    assert model_hash(model) != model_hash(heavier)
+    assert model_hash(MODEL) == model_hash(load_model(MODELS / "arm6.urdf"))
+    assert model_hash(MODEL) != model_hash(heavier)
 
 
 def test_transmissions_by_other_functions_are_others():
@@ -289,14 +287,14 @@ def test_transmissions_by_other_functions_are_others():
     assert text_hash(of(np.nan)) != text_hash(of(2.0))  # where it is not known
 
 
-def test_a_log_that_cannot_bear_the_settings_is_told_so(model, logs, settings):
+def test_a_log_that_cannot_bear_the_settings_is_told_so(logs, settings):
     thinned = {name: getattr(logs[1], name)[::10] for name in ("time", "position", "effort")}
     slow = replace(logs[1], **thinned)
     wide = replace(settings, bandwidth=8.0, motion_bandwidth=24.0)
     with pytest.raises(LogError, match=r"too slow for the bandwidth of 8 Hz .* rate is 20 Hz"):
-        digested(model, slow, wide)
+        digested(MODEL, slow, wide)
     with pytest.raises(LogError, match="too short"):
-        digested(model, logs[1], replace(settings, bandwidth=0.02, motion_bandwidth=0.06))
+        digested(MODEL, logs[1], replace(settings, bandwidth=0.02, motion_bandwidth=0.06))
 
 
 @pytest.mark.parametrize(

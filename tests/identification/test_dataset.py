@@ -50,9 +50,7 @@ EFFECTS = (
 )
 
 
-@pytest.fixture(scope="module")
-def model():
-    return load_model(PENDULUM)
+MODEL = load_model(PENDULUM)
 
 
 @pytest.fixture(scope="module")
@@ -70,8 +68,8 @@ def folds(trajectories):
 
 
 @pytest.fixture(scope="module")
-def dataset(model, trajectories, folds):
-    return reduce_logs(model, trajectories, folds, effects=EFFECTS)
+def dataset(trajectories, folds):
+    return reduce_logs(MODEL, trajectories, folds, effects=EFFECTS)
 
 
 def unfiltered(model, segment, width):
@@ -121,11 +119,11 @@ def dense_rows(model, trajectories, fold, joint):
     return np.concatenate(rows)
 
 
-def test_factors_are_those_of_the_dense_columns(model, trajectories, folds, dataset):
+def test_factors_are_those_of_the_dense_columns(trajectories, folds, dataset):
     for j in range(2):
         data = dataset.data[j]
         for f, fold in enumerate(folds):
-            rows = dense_rows(model, trajectories, fold, j)
+            rows = dense_rows(MODEL, trajectories, fold, j)
             used = rows[:, [*data.columns, -1]]
             assert data.samples[f] == len(rows)
             assert len(rows) > 10
@@ -137,12 +135,12 @@ def test_factors_are_those_of_the_dense_columns(model, trajectories, folds, data
             )
 
 
-def test_every_joint_has_delays_of_its_own(model):
+def test_every_joint_has_delays_of_its_own():
     log = pendulum_log(3, noise=(0.0, 0.0))
     rate = np.array([3.0, 5.0])
     log = replace(log, effort=np.sin(rate * log.time[:, None]))
     trajectories = prepare_logs([log], bandwidth=10.0)
-    late = replace(model, effects=(FittedEffect(EffortDelay(0.007, "elbow"), np.empty(0)),))
+    late = replace(MODEL, effects=(FittedEffect(EffortDelay(0.007, "elbow"), np.empty(0)),))
     folds, delays = validation_blocks(trajectories), (0.0, [0.012, -0.02])
     dataset = reduce_logs(late, trajectories, folds, effects=(), delays=delays)
     np.testing.assert_array_equal(dataset.delays, [[0.0, 0.0], [0.012, -0.02]])
@@ -152,14 +150,14 @@ def test_every_joint_has_delays_of_its_own(model):
             np.testing.assert_allclose(rows.b, truth, atol=2e-3)
 
 
-def test_joint_at_rest_has_no_rows_of_that_time(model):
+def test_joint_at_rest_has_no_rows_of_that_time():
     """Dry friction of a joint that rests may be anything: those samples say nothing."""
     time = np.arange(8000) / 200.0
     q = multisine(time, np.random.default_rng(4))[0]
     q[:, 1] *= np.clip(np.abs(time - 20.0) - 5.0, 0.0, 1.0) ** 3  # the elbow rests from 15 to 25 s
     log = replace(pendulum_log(4), time=time, position=q)
     trajectories = prepare_logs([log], bandwidth=8.0)
-    dataset = reduce_logs(model, trajectories, validation_blocks(trajectories), effects=())
+    dataset = reduce_logs(MODEL, trajectories, validation_blocks(trajectories), effects=())
     shoulder, elbow = (
         np.concatenate([rows.time for blocks in data.rows for rows in blocks])
         for data in dataset.data
@@ -168,12 +166,12 @@ def test_joint_at_rest_has_no_rows_of_that_time(model):
     assert ((shoulder > 15.5) & (shoulder < 24.5)).sum() > 80
 
 
-def test_effort_that_never_changes_is_refused(model):
+def test_effort_that_never_changes_is_refused():
     log = pendulum_log(5, seconds=20.0)
     flat = replace(log, effort=np.column_stack([log.effort[:, 0], np.full(len(log), 3.3)]))
     trajectories = prepare_logs([flat], bandwidth=8.0)
     with pytest.raises(LogError, match=r"effort of elbow is constant in the log: 3\.3 "):
-        reduce_logs(model, trajectories, validation_blocks(trajectories), effects=())
+        reduce_logs(MODEL, trajectories, validation_blocks(trajectories), effects=())
 
 
 @pytest.mark.parametrize("bandwidth", [4.0, 15.0])
@@ -189,33 +187,33 @@ def test_noise_floor_of_white_noise(bandwidth):
     np.testing.assert_allclose(noise_floor(trajectories), expected, rtol=0.1)
 
 
-def test_noise_floor_behind_dry_friction(model):
+def test_noise_floor_behind_dry_friction():
     """Jumps of dry friction reach beyond the bandwidth: a fitted model takes them away."""
     trajectories = prepare_logs(
         [pendulum_log(11, lambda q, v, vd, load: 0.5 * np.sign(v))], bandwidth=8.0
     )
-    fitted = tuple(FittedEffect(CoulombFriction(j), np.array([0.5])) for j in model.joints)
+    fitted = tuple(FittedEffect(CoulombFriction(j), np.array([0.5])) for j in MODEL.joints)
     expected = NOISE * trajectories[0].filter.noise_gain
     without = noise_floor(trajectories)
-    found = noise_floor(trajectories, replace(model, effects=fitted), sign_width=1e-3)
+    found = noise_floor(trajectories, replace(MODEL, effects=fitted), sign_width=1e-3)
     assert np.all(found > 0.9 * expected)
     # The instants of reversal are known to a sample only, so a third of the excess stays.
     assert np.all(found - expected < 0.35 * (without - expected))
 
 
-def test_noise_floor_of_efforts_that_were_filtered_before(model):
+def test_noise_floor_of_efforts_that_were_filtered_before():
     """Above the cutoff there is nothing to see; below, noise is what a fitted model leaves."""
     log, sections = pendulum_log(12), butter(8, 10.0, fs=200.0, output="sos")
     smooth = replace(log, effort=sosfiltfilt(sections, log.effort, axis=0))
     plain, filtered = (prepare_logs([each], bandwidth=5.0) for each in (log, smooth))
     expected = NOISE * plain[0].filter.noise_gain
-    np.testing.assert_allclose(noise_floor(filtered, model, fitted=True), expected, rtol=0.25)
-    assert np.all(noise_floor(filtered, model) < 0.01 * expected)  # nothing is taken for noise yet
+    np.testing.assert_allclose(noise_floor(filtered, MODEL, fitted=True), expected, rtol=0.25)
+    assert np.all(noise_floor(filtered, MODEL) < 0.01 * expected)  # nothing is taken for noise yet
     assert filtered_below(plain[0]) == np.inf
     assert filtered_below(filtered[0]) == pytest.approx(10.0, rel=0.4)
 
 
-def test_noise_floor_is_never_more_than_a_model_leaves(model):
+def test_noise_floor_is_never_more_than_a_model_leaves():
     """Noise that grows with the frequency is larger above the bandwidth than below."""
     log = pendulum_log(13, noise=(0.0, 0.0))
     steps = np.random.default_rng(0).normal(size=log.effort.shape)
@@ -224,11 +222,11 @@ def test_noise_floor_is_never_more_than_a_model_leaves(model):
     low_pass = trajectories[0].filter
     rms = np.sqrt(np.mean(low_pass.apply(blue.effort - log.effort) ** 2, axis=0))
     assert np.all(noise_floor(trajectories) > 1.4 * rms)
-    np.testing.assert_allclose(noise_floor(trajectories, model), rms, rtol=0.2)
+    np.testing.assert_allclose(noise_floor(trajectories, MODEL), rms, rtol=0.2)
 
 
 @pytest.mark.parametrize("tacho", [None, 1e-3])
-def test_noise_floor_of_noise_in_the_motion(model, tacho):
+def test_noise_floor_of_noise_in_the_motion(tacho):
     """Encoders and tachometers alone: accelerations carry their noise into what is predicted."""
     rng = np.random.default_rng(5)
     log = pendulum_log(8, noise=(0.0, 0.0), reach=0.2)
@@ -242,7 +240,7 @@ def test_noise_floor_of_noise_in_the_motion(model, tacho):
     segment, low_pass = trajectories[0].segments[0][:], trajectories[0].filter
     predicted = body_effort(segment.position, segment.velocity, segment.acceleration)
     rms = np.sqrt(np.mean(low_pass.apply(predicted - segment.effort) ** 2, axis=0))
-    np.testing.assert_allclose(noise_floor(trajectories, model), rms, rtol=0.1)
+    np.testing.assert_allclose(noise_floor(trajectories, MODEL), rms, rtol=0.1)
     assert np.all(noise_floor(trajectories) < 0.1 * rms)
 
 
@@ -254,50 +252,50 @@ def shaken(amplitude, *, at=18.0, seconds=60.0):
     return replace(log, position=position)
 
 
-def test_vibration_that_efforts_do_not_know_lowers_the_bandwidth(model):
+def test_vibration_that_efforts_do_not_know_lowers_the_bandwidth():
     trajectories = prepare_logs([shaken(5e-3)], bandwidth=30.0)
-    limit = coherent_bandwidth(model, trajectories)
+    limit = coherent_bandwidth(MODEL, trajectories)
     assert 1.0 < limit < 18.0
-    (prepared,), words = prepare_for_model(model, [shaken(5e-3)])
+    (prepared,), words = prepare_for_model(MODEL, [shaken(5e-3)])
     assert prepared.filter.bandwidth < 18.0
-    assert coherent_bandwidth(model, [prepared]) is None
+    assert coherent_bandwidth(MODEL, [prepared]) is None
     assert words is None or "bandwidth" in words
 
 
-def test_bandwidth_of_a_short_log_is_raised_as_far_as_accelerations_are_no_noise(model):
+def test_bandwidth_of_a_short_log_is_raised_as_far_as_accelerations_are_no_noise():
     log = pendulum_log(9, seconds=15.0, rate=500.0, noise=(0.3, 1e-3))
     shaky = np.random.default_rng(0).normal(size=(len(log.time), 1)) * [0.0, 1.0]
     chosen, raised = {}, {}
     for size in (0.0, 1e-4, 1e-2):
         (found,), words = prepare_for_model(
-            model, [replace(log, position=log.position + size * shaky)]
+            MODEL, [replace(log, position=log.position + size * shaky)]
         )
         chosen[size], raised[size] = found.filter.bandwidth, "as the log is short" in (words or "")
     assert raised == {0.0: True, 1e-4: True, 1e-2: False}
     assert chosen[1e-4] < 0.5 * chosen[0.0]
 
 
-def test_a_joint_that_rests_does_not_keep_the_bandwidth_of_a_short_log(model):
+def test_a_joint_that_rests_does_not_keep_the_bandwidth_of_a_short_log():
     log = pendulum_log(9, seconds=15.0, rate=500.0, noise=(0.3, 1e-3))
     still = 0.3 + 1e-6 * np.random.default_rng(1).normal(size=len(log.time))
     resting = replace(log, position=np.column_stack([log.position[:, 0], still]))
-    assert "as the log is short" in (prepare_for_model(model, [resting])[1] or "")
+    assert "as the log is short" in (prepare_for_model(MODEL, [resting])[1] or "")
 
 
 def test_reductions_that_share_filtered_rows_are_those_that_do_not(
-    model, trajectories, folds, monkeypatch
+    trajectories, folds, monkeypatch
 ):
     monkeypatch.setattr(reduce, "CHUNK", 1111)
     cache, scale = RowCache(3_000), EffortScale("elbow")  # room for a part of the rows
-    late = replace(model, effects=(FittedEffect(EffortDelay(0.007), np.empty(0)),))
-    scaled = replace(model, effects=(FittedEffect(EFFECTS[0], np.array([0.3])),))
+    late = replace(MODEL, effects=(FittedEffect(EffortDelay(0.007), np.empty(0)),))
+    scaled = replace(MODEL, effects=(FittedEffect(EFFECTS[0], np.array([0.3])),))
     for which, effects, delays in (
-        (model, EFFECTS[:3], (0.0,)),
-        (model, EFFECTS, (0.0, 0.01)),
-        (model, EFFECTS[::-1], (0.0, -0.01)),
-        (replace(model, phi=1.1 * model.phi), EFFECTS, (0.0,)),
+        (MODEL, EFFECTS[:3], (0.0,)),
+        (MODEL, EFFECTS, (0.0, 0.01)),
+        (MODEL, EFFECTS[::-1], (0.0, -0.01)),
+        (replace(MODEL, phi=1.1 * MODEL.phi), EFFECTS, (0.0,)),
         (late, EFFECTS, (0.0, 0.01)),
-        (model, (scale, *EFFECTS[:2]), (0.0,)),
+        (MODEL, (scale, *EFFECTS[:2]), (0.0,)),
         (scaled, (scale, *EFFECTS[:2]), (0.0,)),
     ):
         options = {"effects": effects, "delays": delays}
@@ -313,7 +311,7 @@ def test_reductions_that_share_filtered_rows_are_those_that_do_not(
                     np.testing.assert_allclose(getattr(few, part), getattr(many, part), atol=1e-9)
 
 
-def test_noise_is_not_known_from_a_model_that_leaves_less(model):
+def test_noise_is_not_known_from_a_model_that_leaves_less():
     """Ripple above the motion says nothing of noise in it, nor do efforts that were filtered."""
     log, rng = pendulum_log(14), np.random.default_rng(0)
     fast = butter(6, 7.0, fs=200.0, output="sos", btype="highpass")
@@ -324,7 +322,7 @@ def test_noise_is_not_known_from_a_model_that_leaves_less(model):
         (replace(log, effort=log.effort + ripple), False),
         (replace(log, effort=sosfiltfilt(slow, log.effort, axis=0)), False),
     ):
-        _, found, of_motion = known_noise(prepare_logs([each], bandwidth=5.0), model, fitted=True)
+        _, found, of_motion = known_noise(prepare_logs([each], bandwidth=5.0), MODEL, fitted=True)
         assert found.tolist() == [known, known] and not of_motion.any()
 
 

@@ -46,17 +46,15 @@ EFFECTS = (
 )
 
 
-@pytest.fixture(scope="module")
-def model():
-    return load_model(PENDULUM)
+MODEL = load_model(PENDULUM)
 
 
 @pytest.fixture(scope="module")
-def dataset(model):
+def dataset():
     logs = [pendulum_log(seed, friction((0.2, 0.1), (0.1, 0.05))) for seed in (1, 2)]
     trajectories = prepare_logs(logs, bandwidth=6.0)
     folds = validation_blocks(trajectories, blocks=2)
-    return reduce_logs(model, trajectories, folds, effects=EFFECTS, delays=(0.0, 0.01))
+    return reduce_logs(MODEL, trajectories, folds, effects=EFFECTS, delays=(0.0, 0.01))
 
 
 def with_effects(dataset, unknowns, *effects):
@@ -111,8 +109,8 @@ def ridge_errors(dataset, unknowns, *, delay=(0, 0)):
     ("effects", "delay"),
     [((), (0, 0)), (EFFECTS[:4], (0, 1)), (EFFECTS[:4], (1, 0)), (EFFECTS[6:8], (1, 1))],
 )
-def test_held_out_errors_are_those_of_ridge_regression(dataset, model, effects, delay):
-    unknowns = with_effects(dataset, model_unknowns(dataset, model), *effects)
+def test_held_out_errors_are_those_of_ridge_regression(dataset, effects, delay):
+    unknowns = with_effects(dataset, model_unknowns(dataset, MODEL), *effects)
     cv = CrossValidation(dataset, unknowns, WEIGHTS, delay=delay)
     expected = ridge_errors(dataset, unknowns, delay=delay)
     np.testing.assert_allclose(cv.held_out.sse, expected, rtol=1e-5)
@@ -139,9 +137,9 @@ def negative(dataset):
     )
 
 
-def test_bodies_stay_physical(dataset, model):
+def test_bodies_stay_physical(dataset):
     """Where data pull bodies out, fits are those of Drake's conic solver."""
-    unknowns = model_unknowns(dataset, model, spread=3.0)
+    unknowns = model_unknowns(dataset, MODEL, spread=3.0)
     wild = CrossValidation(negative(dataset), unknowns, WEIGHTS, physical=False)
     assert not is_physical(wild.held_out.x.reshape(-1, 10)).any()
     assert not wild.is_physical
@@ -154,18 +152,18 @@ def test_bodies_stay_physical(dataset, model):
     np.testing.assert_allclose(kept.held_out.rms, found.rms, rtol=1e-6)
 
 
-def test_a_prior_that_a_likelihood_pulls_out_of_all_bodies_is_one_to_fit(dataset, model):
+def test_a_prior_that_a_likelihood_pulls_out_of_all_bodies_is_one_to_fit(dataset):
     """As that of a joint without a motor does: what the file says gives the scale."""
-    unknowns = model_unknowns(dataset, model, spread=3.0)
+    unknowns = model_unknowns(dataset, MODEL, spread=3.0)
     pulled = replace(unknowns, pull=-100.0 * unknowns.information @ unknowns.mean)
     problem = fit_problem(dataset, pulled, WEIGHTS)
     assert not is_physical(problem.prior_mean.reshape(-1, 10)).any()
     assert is_physical(solve_with_fallback(problem).x.reshape(-1, 10)).all()
 
 
-def test_bound_is_kept(dataset, model):
+def test_bound_is_kept(dataset):
     """Friction of the wrong sign is what such data would like: it stays at zero."""
-    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
+    unknowns = with_effects(dataset, model_unknowns(dataset, MODEL), *EFFECTS[:4])
     unknowns = replace(unknowns, mean=-unknowns.mean)
     negated = negative(dataset)
     cv = CrossValidation(negated, unknowns, WEIGHTS, physical=False)
@@ -177,8 +175,8 @@ def test_bound_is_kept(dataset, model):
 WEIGHT = KnownPayload("lower_link", 1.0, (0.05, 0.0, -0.2))
 
 
-def test_released_effect_is_forgotten_and_the_rest_is_not(dataset, model):
-    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:3])
+def test_released_effect_is_forgotten_and_the_rest_is_not(dataset):
+    unknowns = with_effects(dataset, model_unknowns(dataset, MODEL), *EFFECTS[:3])
     size = len(unknowns.columns)
     root = np.random.default_rng(3).normal(size=(2 * size, size))
     known = replace(unknowns, information=root.T @ root)
@@ -227,22 +225,22 @@ def reduced(model, logs, effects):
     return reduce_logs(model, trajectories, folds, effects=effects)
 
 
-def test_gains_act_on_the_efforts_of_known_payloads_too(model):
+def test_gains_act_on_the_efforts_of_known_payloads_too():
     """Against a second fit, to logs whose efforts are 1 % larger at one joint."""
     hidden = friction((0.2, 0.1), (0.1, 0.05))
     logs = [pendulum_log(1, hidden, seconds=20.0), carrying_log(2, hidden)]
     fits = []
     for gains in (1.0, [1.01, 1.0], [1.0, 1.01]):
-        data = reduced(model, with_gains(logs, gains), EFFECTS[:4])
-        unknowns = with_effects(data, model_unknowns(data, model), *EFFECTS[:4])
-        fits.append(fit_model(model, data, unknowns, WEIGHTS))
+        data = reduced(MODEL, with_gains(logs, gains), EFFECTS[:4])
+        unknowns = with_effects(data, model_unknowns(data, MODEL), *EFFECTS[:4])
+        fits.append(fit_model(MODEL, data, unknowns, WEIGHTS))
     one, *others = fits
     for shifts, other in zip(one.gain_shifts, others, strict=True):
         moved = (other.result.x - one.result.x) / 0.01
         np.testing.assert_allclose(moved, shifts, atol=5e-3 * np.abs(shifts).max())
 
 
-def test_gains_that_a_model_took_in_act_on_what_has_changed_since(model):
+def test_gains_that_a_model_took_in_act_on_what_has_changed_since():
     """A model is fitted to one log; in the next there are friction and a known weight."""
     quiet = np.full(2, 1e-4)
     before = pendulum_log(1, seconds=20.0, noise=quiet)
@@ -250,8 +248,8 @@ def test_gains_that_a_model_took_in_act_on_what_has_changed_since(model):
     found = []
     for gain in (1.0, 1.01):
         first, then = with_gains([before, after], gain)
-        data = reduced(model, [first], ())
-        fitted = fit_model(model, data, model_unknowns(data, model, spread=10.0), WEIGHTS).model
+        data = reduced(MODEL, [first], ())
+        fitted = fit_model(MODEL, data, model_unknowns(data, MODEL, spread=10.0), WEIGHTS).model
         data = reduced(fitted, [then], EFFECTS[:2])
         unknowns = with_effects(data, model_unknowns(data, fitted), *EFFECTS[:2])
         found.append(fit_model(fitted, data, unknowns, WEIGHTS))
@@ -261,22 +259,22 @@ def test_gains_that_a_model_took_in_act_on_what_has_changed_since(model):
     np.testing.assert_allclose(one.gain_shifts.sum(axis=0)[added], moved, rtol=0.02)
 
 
-def test_a_gain_that_is_fitted_moves_nothing_else(model):
+def test_a_gain_that_is_fitted_moves_nothing_else():
     logs = [pendulum_log(1, seconds=20.0), carrying_log(2)]
-    data = reduced(model, logs, (EffortScale("elbow"),))
-    unknowns = with_effects(data, model_unknowns(data, model), EffortScale("elbow"))
-    shoulder, elbow = fit_model(model, data, unknowns, WEIGHTS).gain_shifts
+    data = reduced(MODEL, logs, (EffortScale("elbow"),))
+    unknowns = with_effects(data, model_unknowns(data, MODEL), EffortScale("elbow"))
+    shoulder, elbow = fit_model(MODEL, data, unknowns, WEIGHTS).gain_shifts
     assert shoulder.any()
     assert not elbow.any()
 
 
-def test_what_is_unexplained_moves_a_parameter_by_two_deviations_at_most(dataset, model):
+def test_what_is_unexplained_moves_a_parameter_by_two_deviations_at_most(dataset):
     """By a second fit, to efforts with an error that varies with the parameter as no other does."""
-    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
+    unknowns = with_effects(dataset, model_unknowns(dataset, MODEL), *EFFECTS[:4])
     worth, mse, joint = np.zeros(2), 1e-4, 0
     worth[joint] = WEIGHTS[joint] * mse * dataset.data[joint].samples.sum()
     share = np.arange(2) == joint
-    fit = fit_model(model, dataset, unknowns, WEIGHTS, effective=worth, of_motion=share)
+    fit = fit_model(MODEL, dataset, unknowns, WEIGHTS, effective=worth, of_motion=share)
     data = dataset.data[joint]
     local = data.local(unknowns.columns)
     rows = [np.concatenate([block.A for block in fold]) for fold in data.rows]
