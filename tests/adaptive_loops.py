@@ -1,15 +1,17 @@
 """Closed loops of small robots for the tests of adaptive systems."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import PdControllerGains
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import BasicVector, DiagramBuilder, LeafSystem
 from pydrake.trajectories import PiecewisePolynomial, Trajectory
 
+from diagrams.benchmarks.adaptive_soak import DAMPING, make_robot
+from diagrams.studies.adaptive.faults import Episode, FaultySensor
 from geodrake.control import (
     AdaptiveComputedTorqueController,
     ControlModel,
@@ -18,30 +20,21 @@ from geodrake.control import (
     natural_adaptation,
     parameter_manifold,
 )
-from geodrake.effects import FittedEffect, ViscousFriction
-from geodrake.inertia import from_pseudo_inertia, is_physical, pseudo_inertia, to_spatial_inertia
-from geodrake.model import load_description
+from geodrake.inertia import from_pseudo_inertia, is_physical, pseudo_inertia
 
 MODELS = Path(__file__).parents[1] / "models"
-DAMPING = 0.3
 
 
-def pendulum_model():
-    """The double pendulum with viscous friction."""
-    model = load_description(MODELS / "double_pendulum.urdf")
-    effects = tuple(FittedEffect(ViscousFriction(j), np.array([DAMPING])) for j in model.joints)
-    return replace(model, effects=effects)
-
-
-MODEL = pendulum_model()
+MODEL = make_robot()
 CONTROL = ControlModel.of(MODEL)
 MANIFOLD = parameter_manifold(MODEL)
 TRUTH = CONTROL.prior
-EFFECTS = [(fitted.effect, fitted.parameters) for fitted in MODEL.effects]
 
 
-def pendulum_plant(time_step=0.0, *, payload=None, limits=None, reverse=False, damping=DAMPING):
-    """A finalized plant of the double pendulum, with its friction as Drake's own damping."""
+def pendulum_plant(
+    time_step=0.0, *, limits=None, reverse=False, damping=DAMPING, gains=None, finalized=True
+):
+    """A plant of the double pendulum, with its friction as Drake's own damping."""
     plant = MultibodyPlant(time_step)
     Parser(plant).AddModels(str(MODELS / "double_pendulum.urdf"))
     plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
@@ -51,12 +44,11 @@ def pendulum_plant(time_step=0.0, *, payload=None, limits=None, reverse=False, d
         if joint.num_velocities() == 1:
             joint.set_default_damping_vector([damping])
             effort = (limits or {}).get(joint.name(), np.inf)
-            plant.AddJointActuator(f"motor_{joint.name()}", joint, effort)
-    if payload is not None:
-        body = plant.GetBodyByName(MODEL.bodies[-1])
-        extra = plant.AddRigidBody("payload", to_spatial_inertia(payload))
-        plant.WeldFrames(body.body_frame(), extra.body_frame())
-    plant.Finalize()
+            actuator = plant.AddJointActuator(f"motor_{joint.name()}", joint, effort)
+            if gains is not None:
+                actuator.set_controller_gains(PdControllerGains(**gains))
+    if finalized:
+        plant.Finalize()
     return plant
 
 
@@ -155,35 +147,6 @@ def tracking_error(logs):
     return np.abs(logs["state"] - logs["desired_state"])[:, :n].max(1)
 
 
-class FaultySensor(LeafSystem):
-    """A sensor of positions and velocities that has faults.
-
-    Args:
-        size: Length of what it measures.
-        fault: Maps time, the value and the last value before `start` to what it says instead.
-        start: From when on, s.
-        stop: Until when, s.
-    """
-
-    def __init__(self, size, fault, start=0.0, stop=np.inf):
-        LeafSystem.__init__(self)
-        self._fault, self._start, self._stop = fault, start, stop
-        self._input = self.DeclareVectorInputPort("true", BasicVector(size))
-        self._last = self.DeclareDiscreteState(size)
-        self.DeclarePeriodicDiscreteUpdateEvent(2e-3, 0.0, self._keep)
-        self.DeclareVectorOutputPort("measured", BasicVector(size), self._measure)
-
-    def _keep(self, context, state):
-        if context.get_time() < self._start:
-            state.set_value(self._last, self._input.Eval(context))
-
-    def _measure(self, context, output):
-        value, t = self._input.Eval(context), context.get_time()
-        if self._start <= t < self._stop:
-            value = self._fault(t, value, context.get_discrete_state(self._last).value())
-        output.SetFromVector(value)
-
-
 class SlowSensor(LeafSystem):
     """A sensor that holds what it measured until its next sample, and first has nothing.
 
@@ -203,24 +166,28 @@ class SlowSensor(LeafSystem):
         state.set_value(self._input.Eval(context))
 
 
-def nothing(t, value, last):
-    return np.full(len(value), np.nan)
+def faulty(fault, start=0.0, stop=np.inf):
+    """A sensor with a fault, which makes another value of a `Sample`, from some time on."""
+    return FaultySensor(4, [Episode(fault, start, stop)], seed=0)
 
 
-def infinite(t, value, last):
-    return np.where(np.arange(len(value)) == 1, np.inf, value)
+def nothing(sample):
+    return np.full(len(sample.true), np.nan)
 
 
-def frozen(t, value, last):
-    return last
+def infinite(sample):
+    return np.where(np.arange(len(sample.true)) == 1, np.inf, sample.true)
 
 
 def noisy(position, velocity):
-    """A fault of Gaussian noise of these sizes, rad and rad/s, new every other millisecond."""
+    """A fault of Gaussian noise of these sizes, rad and rad/s."""
+    sizes = np.repeat([position, velocity], 2)
+    return lambda sample: sample.true + sizes * sample.rng.normal(size=len(sizes))
 
-    def fault(t, value, last):
-        noise = np.random.default_rng(round(500 * t)).normal(size=len(value))
-        half = len(value) // 2
-        return value + noise * np.repeat([position, velocity], half)
 
-    return fault
+def fixed(system, context=None, **inputs):
+    """A Context of a system, a new one if none is given, with values of input ports."""
+    context = context or system.CreateDefaultContext()
+    for name, value in inputs.items():
+        system.GetInputPort(name).FixValue(context, value)
+    return context

@@ -12,10 +12,11 @@ from adaptive_loops import (
     MODELS,
     START,
     TRUTH,
-    FaultySensor,
     SlowSensor,
     check_estimates,
     computed,
+    faulty,
+    fixed,
     infinite,
     motion,
     natural,
@@ -101,7 +102,7 @@ def test_the_compiled_step_is_the_one_step_by_step(monkeypatch, gains, fault):
     for compiled in (True, False):
         if not compiled:
             monkeypatch.setattr(PassivityBasedAdaptiveController, "_usual", None)
-        sensor = FaultySensor(4, fault, 0.1, 0.2) if fault else None
+        sensor = faulty(fault, 0.1, 0.2) if fault else None
         guards = Safeguards(effort_limits=[30.0, 20.0], settling_time=0.05)
         controller = passive(natural(), gains=GAINS[gains], time_step=2e-3, safeguards=guards)
         assert (controller._usual is not None) == compiled
@@ -148,13 +149,8 @@ def test_actuation_is_the_formula_of_the_source():
 
     for name, gains in GAINS.items():
         system = passive(parameters=TRUTH, gains=gains, time_step=0.0)
-        own = system.CreateDefaultContext()
-        for port, value in (
-            ("estimated_state", np.concatenate([q, qd])),
-            ("desired_state", np.concatenate([q_d, v_d])),
-            ("desired_acceleration", a_d),
-        ):
-            system.GetInputPort(port).FixValue(own, value)
+        states = {"estimated_state": [*q, *qd], "desired_state": [*q_d, *v_d]}
+        own = fixed(system, **states, desired_acceleration=a_d)
         rate = np.asarray(gains.rate)
         v, a = v_d - rate * (q - q_d), a_d - rate * (qd - v_d)
         r = qd - v
@@ -247,12 +243,9 @@ def predicting(prediction, make=passive, law=LAW, **options):
 
 def told(system, state, desired=(0.0,) * 4, acceleration=(0.0,) * 2, context=None, effort=None):
     """The Context of a controller a sample later."""
-    context = context or system.CreateDefaultContext()
-    system.GetInputPort("estimated_state").FixValue(context, state)
-    system.GetInputPort("desired_state").FixValue(context, desired)
-    system.GetInputPort("desired_acceleration").FixValue(context, acceleration)
-    if effort is not None:
-        system.GetInputPort("effort").FixValue(context, effort)
+    measured = {} if effort is None else {"effort": effort}
+    states = {"estimated_state": state, "desired_state": desired}
+    context = fixed(system, context, **states, desired_acceleration=acceleration, **measured)
     context.SetDiscreteState(system.EvalUniquePeriodicDiscreteUpdate(context))
     return context
 
@@ -378,7 +371,7 @@ def check(logs):
 
 @pytest.mark.parametrize(("kind", "fault"), [("varying", nothing), ("fixed", infinite)])
 def test_a_sensor_that_fails_for_a_while(kind, fault):
-    sensor = FaultySensor(4, fault, 0.8, 1.0)
+    sensor = faulty(fault, 0.8, 1.0)
     time, logs = run(controller(kind), 1.6, sensor=sensor)
     check(logs)
     error = tracking_error(logs)
@@ -395,7 +388,7 @@ def test_the_dead_zone_keeps_noise_from_moving_the_estimate():
     for dead_zone in (0.0, 0.6):
         guards = Safeguards(LIMITS, dead_zone=dead_zone)
         system = controller("varying", safeguards=guards, parameters=TRUTH)
-        sensor = FaultySensor(4, noisy(1e-4, 0.05))
+        sensor = faulty(noisy(1e-4, 0.05))
         _, logs = run(system, 1.0, sensor=sensor, size=rest)
         check(logs)
         moved.append(np.abs(logs["parameters"][-1] - TRUTH).max())
@@ -436,10 +429,8 @@ def test_effects_that_overflow(time_step):
             control, law, time_step=time_step, prediction=FILTERED if time_step else None
         ),
     ):
-        context = system.CreateDefaultContext()
-        system.GetInputPort("estimated_state").FixValue(context, [0.0, 0.0, 1e4, 0.0])
-        system.GetInputPort("desired_state").FixValue(context, [0.0, 0.0, 1e4, 0.0])
-        system.GetInputPort("desired_acceleration").FixValue(context, np.zeros(2))
+        states = dict.fromkeys(("estimated_state", "desired_state"), (0.0, 0.0, 1e4, 0.0))
+        context = fixed(system, **states, desired_acceleration=np.zeros(2))
         if time_step > 0:
             context.SetDiscreteState(system.EvalUniquePeriodicDiscreteUpdate(context))
         else:
@@ -474,11 +465,9 @@ def test_whatever_comes_in_numbers_come_out(kind, time_step, limited, messages):
     context = system.CreateDefaultContext()
     for message in messages:
         values = np.array(message)
-        system.GetInputPort("estimated_state").FixValue(context, values[:4])
-        system.GetInputPort("desired_state").FixValue(context, values[4:])
-        system.GetInputPort("desired_acceleration").FixValue(context, values[2:4])
-        if kind == "accelerated":
-            system.GetInputPort("acceleration").FixValue(context, values[5:7])
+        more = {"acceleration": values[5:7]} if kind == "accelerated" else {}
+        states = {"estimated_state": values[:4], "desired_state": values[4:]}
+        fixed(system, context, **states, desired_acceleration=values[2:4], **more)
         if time_step > 0:
             state = system.EvalUniquePeriodicDiscreteUpdate(context)
             context.SetDiscreteState(state)
@@ -578,13 +567,11 @@ def test_what_was_learned_just_before_an_interruption_is_not_believed():
     system = interrupted("passivity", "natural", MODEL)
     context, p = system.CreateDefaultContext(), []
     steady, jump = np.array([0.3, -0.2, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
-    system.GetInputPort("estimated_state").FixValue(context, steady)
-    system.GetInputPort("desired_acceleration").FixValue(context, np.zeros(2))
+    fixed(system, context, desired_acceleration=np.zeros(2))
     rng = np.random.default_rng(0)
     for k in range(1800):
         wanted = steady + jump * (1e-3 * np.sin(0.01 * k) + 2.0 * (k == 1000))
-        system.GetInputPort("estimated_state").FixValue(context, steady + 1e-6 * rng.random(4))
-        system.GetInputPort("desired_state").FixValue(context, wanted)
+        fixed(system, context, estimated_state=steady + 1e-6 * rng.random(4), desired_state=wanted)
         context.SetDiscreteState(system.EvalUniquePeriodicDiscreteUpdate(context))
         p.append(system.parameters(context))
     then = [k for k in range(750, 876) if np.array_equal(p[k], p[1000])]

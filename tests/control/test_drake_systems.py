@@ -5,7 +5,16 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from adaptive_loops import CONTROL, START, closed_loop, computed, natural, passive, pendulum_plant
+from adaptive_loops import (
+    CONTROL,
+    START,
+    closed_loop,
+    computed,
+    fixed,
+    natural,
+    passive,
+    pendulum_plant,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.autodiffutils import AutoDiffXd, InitializeAutoDiff
@@ -47,10 +56,8 @@ SEEN = {
 
 
 def seen(system, **inputs):
-    context = system.CreateDefaultContext()
-    for name, values in {**SEEN, **inputs}.items():
-        if system.HasInputPort(name):
-            system.GetInputPort(name).FixValue(context, values)
+    every = {**SEEN, **inputs}.items()
+    context = fixed(system, **{k: x for k, x in every if system.HasInputPort(k)})
     if context.num_continuous_states():
         context.SetContinuousState(0.3 * np.arange(1, context.num_continuous_states() + 1))
     return context
@@ -59,7 +66,7 @@ def seen(system, **inputs):
 def everything(system, context):
     """All outputs, and rates."""
     ports = (system.get_output_port(i) for i in range(system.num_output_ports()))
-    parts = [port.Eval(context) for port in ports]
+    parts = [np.atleast_1d(port.Eval(context)) for port in ports]
     return np.concatenate([*parts, system.EvalTimeDerivatives(context).CopyToVector()])
 
 
@@ -103,9 +110,7 @@ def test_mujoco_s_position_actuators(values, kp, kv, limit):
     data.qpos[0], data.qvel[0], data.ctrl[0] = q, v, c
     mujoco.mj_forward(model, data)
     servo = PositionServo([kp], kd=kv, limit=limit)
-    context = servo.CreateDefaultContext()
-    servo.GetInputPort("commanded_position").FixValue(context, [c])
-    servo.GetInputPort("estimated_state").FixValue(context, [q, v])
+    context = fixed(servo, commanded_position=[c], estimated_state=[q, v])
     found = servo.get_output_port().Eval(context)
     np.testing.assert_allclose(found, data.actuator_force, rtol=1e-12, atol=1e-12)
 
@@ -206,7 +211,7 @@ INPUTS = {"estimated_state": RNG.normal(size=4), "desired_state": RNG.normal(siz
 OTHER = {4: INPUTS["estimated_state"], 2: RNG.normal(size=2), 22: START}  # by size
 
 
-def fixed(system, changed="", values=None):
+def filled(system, changed="", values=None):
     """A Context with all inputs, of which one may have other values."""
     context, smooth = system.CreateDefaultContext(), values is not None and values.dtype == object
     for i in range(system.num_input_ports()):
@@ -220,29 +225,24 @@ def fixed(system, changed="", values=None):
     return context
 
 
-def all_of(system, context):
-    """All outputs, and rates."""
-    ports = (system.get_output_port(i) for i in range(system.num_output_ports()))
-    parts = [np.atleast_1d(port.Eval(context)) for port in ports]
-    return np.concatenate([*parts, system.EvalTimeDerivatives(context).CopyToVector()])
-
-
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_clones_and_slopes(name):
     """A clone does the same, and slopes are those of differences."""
     system = SYSTEMS[name]
     clone, smooth = system.Clone(), system.ToAutoDiffXd()
     assert type(clone) is type(system)
-    np.testing.assert_array_equal(all_of(clone, fixed(clone)), all_of(system, fixed(system)))
+    np.testing.assert_array_equal(
+        everything(clone, filled(clone)), everything(system, filled(system))
+    )
     largest = 0.0
     for i in range(system.num_input_ports()):
         port = system.get_input_port(i)
         x = np.asarray(INPUTS.get(port.get_name(), OTHER[port.size()]))
-        context = fixed(smooth, port.get_name(), InitializeAutoDiff(x).ravel())
-        slopes = [value.derivatives() for value in all_of(smooth, context)]
+        context = filled(smooth, port.get_name(), InitializeAutoDiff(x).ravel())
+        slopes = [value.derivatives() for value in everything(smooth, context)]
         found = np.array([slope if slope.size else 0.0 * x for slope in slopes])
         ends = [
-            [all_of(system, fixed(system, port.get_name(), x + h * e)) for e in np.eye(len(x))]
+            [everything(system, filled(system, port.get_name(), x + h * e)) for e in np.eye(len(x))]
             for h in (1e-6, -1e-6)
         ]
         expected = np.transpose(np.subtract(*ends)) / 2e-6
@@ -292,16 +292,16 @@ def with_gains(gains, gamma=1.0):
 )
 def test_gains_and_speed_of_a_context_count(before, after):
     system, fresh = with_gains(before), with_gains(after, 0.2)
-    context = fixed(system)
+    context = filled(system)
     system.set_gains(context, after)
     system.set_gamma(context, 0.2)
-    expected = all_of(fresh, fixed(fresh))
-    np.testing.assert_allclose(all_of(system, context), expected, rtol=1e-12)
+    expected = everything(fresh, filled(fresh))
+    np.testing.assert_allclose(everything(system, context), expected, rtol=1e-12)
 
 
 def test_gains_that_cannot_be_are_refused():
     system = passive(time_step=0.0)
-    context = fixed(system)
+    context = filled(system)
     with pytest.raises(ArgumentError, match="has varying gains"):
         system.set_gains(context, FixedGains(1.0, 1.0))
     with pytest.raises(ArgumentError, match="gamma"):

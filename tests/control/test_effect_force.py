@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from adaptive_loops import fixed
 from link_chains import LINK, arm
 from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.math import RollPitchYaw
@@ -153,9 +154,8 @@ class TestSystem:
                 return {"joint2": column[:, None]}
 
         system = EffectForce(arm(), [(Fading("joint2"), [0.5])])
-        context = system.CreateDefaultContext()
-        system.get_input_port(0).FixValue(context, [0.1, 0.2, 0.3, 0.4, -0.5, 0.6])
-        system.get_input_port(1).FixValue(context, np.zeros(3))
+        state = [0.1, 0.2, 0.3, 0.4, -0.5, 0.6]
+        context = fixed(system, state=state, applied_effort=np.zeros(3))
         for time in (0.0, 1.0, 7.0):
             context.SetTime(time)
             np.testing.assert_allclose(
@@ -287,10 +287,9 @@ def test_slopes_with_effect_parameters(terms):
     mu = force.law.mu
 
     def output(system, values):
-        context = system.CreateDefaultContext()
         scalar = float if system is force else AutoDiffXd
-        system.GetInputPort("state").FixValue(context, scalars(STATE, scalar))
-        system.GetInputPort("applied_effort").FixValue(context, scalars(EFFORT, scalar))
+        state, effort = (scalars(x, scalar) for x in (STATE, EFFORT))
+        context = fixed(system, state=state, applied_effort=effort)
         count = context.num_continuous_states()
         own = 0.02 * np.arange(1, count + 1)
         context.SetContinuousState(scalars(own, scalar))
@@ -313,8 +312,7 @@ def test_effects_that_are_no_formula_have_derivatives():
             return [np.array([v if v > 0 else 0.0 for v in joint.v])]
 
     smooth = EffectForce(arm(), [(Branching("joint1"), [1.0])]).ToAutoDiffXd()
-    context = smooth.CreateDefaultContext()
-    smooth.GetInputPort("state").FixValue(context, InitializeAutoDiff(np.ones(6)).ravel())
+    context = fixed(smooth, state=InitializeAutoDiff(np.ones(6)).ravel())
     found = ExtractGradient(smooth.GetOutputPort("generalized_force").Eval(context))
     np.testing.assert_allclose(found, np.diag([-1.0, 0.0, 0.0], 3)[:3], atol=1e-9)
 
@@ -366,10 +364,8 @@ def test_a_joint_without_a_temperature_is_as_warm_as_its_reference():
     force = EffectForce(arm(), terms, sign_width=0.05, temperatures=temperatures)
     found = []
     for system, scalar in ((force, float), (force.ToAutoDiffXd(), AutoDiffXd)):
-        context = system.CreateDefaultContext()
-        for port, values in ((0, STATE), (1, EFFORT)):
-            numbers = values if scalar is float else scalars(values, scalar)
-            system.get_input_port(port).FixValue(context, numbers)
+        state, effort = (x if scalar is float else scalars(x, scalar) for x in (STATE, EFFORT))
+        context = fixed(system, state=state, applied_effort=effort)
         forces = system.get_output_port(0).Eval(context)
         found.append(forces if scalar is float else ExtractValue(forces).ravel())
     assert found[0][1] == 0.0 != found[0][2]

@@ -13,11 +13,11 @@ from adaptive_loops import (
     MODEL,
     MODELS,
     TRUTH,
-    FaultySensor,
     SlowSensor,
     check_estimates,
     computed,
-    frozen,
+    faulty,
+    fixed,
     nothing,
     passive,
     pendulum_plant,
@@ -32,6 +32,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 from scipy.signal import lfilter
 
+from diagrams.studies.adaptive.faults import frozen
 from geodrake.control import (
     BregmanProjectionEstimator,
     ControlModel,
@@ -127,7 +128,7 @@ def test_the_estimate_explains_what_is_measured():
 
 @pytest.mark.parametrize("fault", [None, nothing, frozen])
 def test_the_compiled_update_is_the_one_step_by_step(monkeypatch, fault):
-    sensor = [FaultySensor(4, fault, 0.5, 0.9) if fault else None for _ in range(2)]
+    sensor = [faulty(fault, 0.5, 0.9) if fault else None for _ in range(2)]
     found = estimated(recorded(1.5), start=perturbed(0.3), sensor=sensor[0])
     monkeypatch.setattr(SampleUpdate, "compiled", None)
     others = estimated(recorded(1.5), start=perturbed(0.3), sensor=sensor[1])
@@ -139,7 +140,7 @@ def test_the_compiled_update_is_the_one_step_by_step(monkeypatch, fault):
 @pytest.mark.parametrize("fault", [nothing, frozen])
 def test_a_sensor_that_fails_for_a_while(fault):
     start = perturbed(0.3)
-    sensor = FaultySensor(4, fault, 0.5, 1.2)
+    sensor = faulty(fault, 0.5, 1.2)
     time, p, residual, _ = estimated(recorded(2.0), start=start, sensor=sensor)
     check_estimates({"parameters": p})
     assert np.diff(MANIFOLD.divergence(TRUTH, p)).max() < 1e-3
@@ -251,20 +252,16 @@ def test_the_residual_is_what_the_model_lacks():
 
 def test_the_residual_of_one_instant():
     system = ModelResidual(CONTROL)
-    context = system.CreateDefaultContext()
     q, v, a, u = np.random.default_rng(0).normal(size=(4, 2))
-    system.GetInputPort("estimated_state").FixValue(context, np.concatenate([q, v]))
-    system.GetInputPort("acceleration").FixValue(context, a)
-    system.GetInputPort("effort").FixValue(context, u)
+    context = fixed(system, estimated_state=[*q, *v], acceleration=a, effort=u)
     residual, valid = system.GetOutputPort("residual"), system.GetOutputPort("valid")
-    expected = u - CONTROL.at(q, v, v, a).effort(TRUTH)
-    np.testing.assert_allclose(residual.Eval(context), expected)
-    system.GetInputPort("parameters").FixValue(context, 2 * TRUTH)
-    expected = u - CONTROL.at(q, v, v, a).effort(2 * TRUTH)
-    np.testing.assert_allclose(residual.Eval(context), expected)
+    for p in (TRUTH, 2 * TRUTH):
+        expected = u - CONTROL.at(q, v, v, a).effort(p)
+        np.testing.assert_allclose(residual.Eval(context), expected)
+        fixed(system, context, parameters=2 * TRUTH)
     assert valid.Eval(context) == 1.0
     for broken in (np.nan, np.inf, 1e200):
-        system.GetInputPort("estimated_state").FixValue(context, [0.0, 0.0, broken, 0.0])
+        fixed(system, context, estimated_state=[0.0, 0.0, broken, 0.0])
         assert valid.Eval(context) == 0.0
         np.testing.assert_array_equal(residual.Eval(context), 0.0)
 

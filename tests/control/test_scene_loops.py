@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from adaptive_loops import MODEL, computed, motion, natural, passive
+from adaptive_loops import MODEL, computed, fixed, motion, natural, passive
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.framework import DiagramBuilder
 from scenes import PENDULUM, alone, plant_of, scene
@@ -91,9 +91,7 @@ class TestEffectForce:
     def force(self, plant, robot, q, v, u):
         """Generalized force at random states of all else, (nv,)."""
         system = EffectForce(robot, ACTING, sign_width=[0.1, 0.2])
-        context = system.CreateDefaultContext()
-        system.GetInputPort("state").FixValue(context, np.concatenate([q, v]))
-        system.GetInputPort("applied_effort").FixValue(context, u)
+        context = fixed(system, state=[*q, *v], applied_effort=u)
         return system.GetOutputPort("generalized_force").Eval(context)
 
     def test_it_acts_on_its_robot_as_if_alone_and_on_nothing_else(self):

@@ -2,11 +2,8 @@
 
 import numpy as np
 import pytest
-from adaptive_loops import MODELS, motion, pendulum_plant, simulator
+from adaptive_loops import motion, pendulum_plant, simulator
 from chain_logs import inverse_dynamics
-from pydrake.multibody.parsing import Parser
-from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import PdControllerGains
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 
@@ -14,25 +11,12 @@ from geodrake.control.systems import Safeguards, add_tracking_drives
 from geodrake.errors import ArgumentError
 
 STEP = 1e-3
-
-
-def driven_plant(time_step=STEP, *, reverse=False, gains=True):
-    """The double pendulum, welded, with drives of its own."""
-    plant = MultibodyPlant(time_step)
-    Parser(plant).AddModels(str(MODELS / "double_pendulum.urdf"))
-    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
-    names = ["shoulder", "elbow"]
-    for name in reversed(names) if reverse else names:
-        actuator = plant.AddJointActuator(name, plant.GetJointByName(name))
-        if gains:
-            actuator.set_controller_gains(PdControllerGains(p=1e3, d=30.0))
-    plant.Finalize()
-    return plant
+GAINS = {"time_step": STEP, "damping": 0.0, "gains": {"p": 1e3, "d": 30.0}}
 
 
 def test_drives_follow_a_motion_with_the_effort_of_inverse_dynamics():
     builder = DiagramBuilder()
-    plant, known = builder.AddSystem(driven_plant()), driven_plant()
+    plant, known = builder.AddSystem(pendulum_plant(**GAINS)), pendulum_plant(**GAINS)
     path = motion(0.5, 4.0)
     effort = LogVectorOutput(
         add_tracking_drives(builder, plant, path, controller_plant=known), builder, 0.02
@@ -56,17 +40,17 @@ def test_drives_follow_a_motion_with_the_effort_of_inverse_dynamics():
 @pytest.mark.parametrize(
     ("options", "size", "message"),
     [
-        ({"gains": False}, 2, "without gains are"),
+        ({"gains": None}, 2, "without gains are"),
         ({"reverse": True}, 2, "is elbow, shoulder"),
         ({}, 3, "3 positions"),
     ],
 )
 def test_drives_that_do_not_fit_are_refused(options, size, message):
     builder = DiagramBuilder()
-    plant = builder.AddSystem(driven_plant(**options))
+    plant = builder.AddSystem(pendulum_plant(**GAINS | options))
     path = motion() if size == 2 else type(motion())(np.zeros((size, 1)))
     with pytest.raises(ArgumentError, match=message):
-        add_tracking_drives(builder, plant, path, controller_plant=driven_plant())
+        add_tracking_drives(builder, plant, path, controller_plant=pendulum_plant(**GAINS))
 
 
 def test_effort_limits_of_a_plant_are_by_joint():

@@ -11,14 +11,12 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from adaptive_loops import pendulum_plant
 from chain_logs import multisine
 from good_files import EFFECT, FLEET, MAPPING
 from hostile import HEADER, PENDULUM, fill, put
 from pydrake.geometry import Box
 from pydrake.math import RigidTransform
-from pydrake.multibody.parsing import Parser
-from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import PdControllerGains
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.trajectories import PiecewisePolynomial
 from scipy.io import savemat
@@ -50,18 +48,10 @@ class Fresh:
     make: Callable[[], object]
 
 
-def pendulum(time_step=0.0, *, gains=False, finalized=True):
-    """A finalized plant of the double pendulum with a motor at each joint."""
-    plant = MultibodyPlant(time_step)
-    Parser(plant).AddModels(str(PENDULUM))
-    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
-    for name in JOINTS:
-        actuator = plant.AddJointActuator(f"motor_{name}", plant.GetJointByName(name), 100.0)
-        if gains:
-            actuator.set_controller_gains(PdControllerGains(p=100.0, d=10.0))
-    if finalized:
-        plant.Finalize()
-    return plant
+def pendulum(time_step=0.0, **options):
+    """A plant of the double pendulum with a motor at each joint."""
+    limits = dict.fromkeys(JOINTS, 100.0)
+    return pendulum_plant(time_step, limits=limits, damping=0.0, **options)
 
 
 _PLANTS = []
@@ -70,7 +60,7 @@ _PLANTS = []
 def builder():
     """A builder with a plant in it, which is then the last of the plants."""
     found = DiagramBuilder()
-    _PLANTS.append(found.AddSystem(pendulum(1e-3, gains=True)))
+    _PLANTS.append(found.AddSystem(pendulum(1e-3, gains={"p": 100.0, "d": 10.0})))
     return found
 
 

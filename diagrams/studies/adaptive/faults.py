@@ -134,7 +134,7 @@ FAULTS = (*SENSOR_FAULTS, WEAK)
 class Episode:
     """A fault for a while."""
 
-    fault: str
+    fault: str | Callable[[Sample], Array]
     start: float
     end: float
 
@@ -144,7 +144,7 @@ class FaultySensor(LeafSystem):
 
     def __init__(self, size: int, episodes: Sequence[Episode], *, seed: int) -> None:
         LeafSystem.__init__(self)
-        self._episodes = [each for each in episodes if each.fault in SENSOR_FAULTS]
+        self._episodes = [each for each in episodes if each.fault != WEAK]
         self._seed = seed
         self._state = self.DeclareVectorInputPort("state", BasicVector(size))
         self._held = self.DeclareDiscreteState(size)
@@ -174,7 +174,8 @@ class FaultySensor(LeafSystem):
                 number,
                 np.random.default_rng([self._seed, number]),
             )
-            state = SENSOR_FAULTS[episode.fault](sample)
+            known = isinstance(episode.fault, str)
+            state = (SENSOR_FAULTS[episode.fault] if known else episode.fault)(sample)
         output.SetFromVector(state)
 
 
