@@ -24,7 +24,7 @@ from geodrake.control.systems import AdaptiveController, EffectForce
 from geodrake.effects.base import RobotEffect
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
-from geodrake.model.simulation.force_law import EffectWithValues
+from geodrake.model.simulation.effect_force import EffectWithValues
 from geodrake.robot.robot_instance import RobotInstance, RobotPorts
 
 

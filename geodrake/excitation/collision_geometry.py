@@ -29,7 +29,6 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files import Given, read_description
 from geodrake.robot.files.checks import drop
 from geodrake.robot.files.description import drake_errors, drake_messages
-from geodrake.robot.mesh_files import regular_mesh, stl_vertices
 from geodrake.robot.plant import arrange_as
 from geodrake.robot.shapes import (
     SHAPES_ADVICE,
@@ -37,7 +36,9 @@ from geodrake.robot.shapes import (
     geometries_of,
     mjcf_geoms,
     move_meshes,
+    regular_mesh,
     scene_of,
+    stl_vertices,
 )
 
 FLOOR = "floor"

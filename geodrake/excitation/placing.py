@@ -132,12 +132,13 @@ def _on_loops(robot: RobotModel, closures: Sequence[Closure], how: LoopJoints) -
         raise ArgumentError(
             f"Legs with transmissions or closed loops cannot stand yet: {', '.join(sorted(both))}."
         )
-    drive = Drive.of_loop(loop)
     if set(loop.actuators) & set(robot.base_joints):
-        drive = replace(drive, range=_reachable(loop, robot))
+        limits = loop.limits.copy()
+        limits[:, loop.free] = _reachable(loop, robot)
+        loop = replace(loop, limits=limits)
     model = replace(
         robot,
-        transmission=(*robot.transmission, drive),
+        transmission=(*robot.transmission, Drive.of_loop(loop)),
         information=None,
         effort_noise=None,
         fading_speed=None,

@@ -185,7 +185,9 @@ def check_dynamics(model: RobotModel, *, samples: int = 100, seed: int = 0) -> D
     integer(samples, "samples", lower=1, upper=MOST_SAMPLES)
     rng = np.random.default_rng(integer(seed, "seed", lower=0))
     states, phi = _random_states(model, samples, rng), model.total_phi
-    others = _random_bodies(phi, samples, rng)
+    mass = float(np.abs(phi[:, 0]).mean()) or 1.0  # of random bodies, with every entry used
+    others = mass * _SIZES * rng.uniform(-1.0, 1.0, (samples, *phi.shape))
+    others[..., 0] += 2.0 * mass  # Drake divides by it
     ours = _by_recursion(model, states, phi, others)
     drakes = _by_plant(model, states, others)
     largest = float(np.abs(drakes["inverse dynamics"]).max(initial=0.0))
@@ -215,14 +217,6 @@ def _random_states(model: RobotModel, count: int, rng: np.random.Generator) -> S
     q[:, pitches] *= _UPRIGHT  # of free bases, whose angles are singular at 90°
     v, vd = rng.uniform(-1.0, 1.0, (2, count, len(model.joints)))
     return q, v * np.minimum(model.velocity_limits, _SPEED), vd * _ACCELERATION
-
-
-def _random_bodies(phi: Array, count: int, rng: np.random.Generator) -> Array:
-    """Return (N, nb, 10) random inertial parameters, with every entry used."""
-    mass = float(np.abs(phi[:, 0]).mean()) or 1.0
-    others = mass * _SIZES * rng.uniform(-1.0, 1.0, (count, *phi.shape))
-    others[..., 0] += 2.0 * mass  # Drake divides by it
-    return others
 
 
 def _by_recursion(model: RobotModel, states: States, phi: Array, others: Array) -> Quantities:

@@ -297,8 +297,8 @@ def joint_formulas(tree: KinematicTree, q: Formulas) -> Formulas:
             "Source code cannot have a closed loop, or a transmission with varying ratio.",
             advice="Export the formula of the joints, and map it in your own code.",
         )
-    shift = actuation.joint_positions(np.zeros((1, len(q))))[0]
-    return (actuation.joint_positions(np.eye(len(q))) - shift).T @ q + shift
+    A, b = actuation.linear
+    return q @ A + b
 
 
 def _rooms(shape: Any, dtype: np.dtype[Any] | None = None) -> Any:
@@ -326,7 +326,7 @@ def inverse_dynamics_formula(
     tree: KinematicTree, q: Formulas, v: Formulas, vd: Formulas, phi: Array
 ) -> Formulas:
     """Return the effort (nv,) of the bodies φ (nb, 10), at the actuators if there are any."""
-    theta, J = joint_formulas(tree, q), _jacobian(tree, len(q))
+    theta, J = joint_formulas(tree, q), _jacobian(tree)
     theta, rates, accelerations = (np.array([x], object) for x in (theta, J @ v, J @ vd))
     effort = np.zeros((1, len(J)), object)
     samples = theta, rates, rates, accelerations
@@ -334,11 +334,10 @@ def inverse_dynamics_formula(
     return Symbols.of(J.T @ effort[0])
 
 
-def _jacobian(tree: KinematicTree, size: int) -> Array:
-    """Return J (nv of the joints, nv), of positions (nq = size,)."""
-    if tree.actuation is None:
-        return np.eye(tree.num_velocities)
-    return tree.actuation.jacobian(np.zeros((1, size)))[0]
+def _jacobian(tree: KinematicTree) -> Array:
+    """Return J (nv of the joints, nv) where it is constant."""
+    J = None if tree.actuation is None else tree.actuation.constant
+    return np.eye(tree.num_velocities) if J is None else J
 
 
 @dataclass(frozen=True, eq=False)
@@ -348,7 +347,7 @@ class BodyFormulas(RobotBodies):
     def tree_samples(self, v: Array, vd: Array) -> tuple[Array, Array, Array, Array]:
         """Positions, velocities and accelerations (1, ·) of the joints of the tree, and J."""
         theta = joint_formulas(self.tree, Symbols.of(self.q)[0])
-        J = _jacobian(self.tree, self.q.shape[1])
+        J = _jacobian(self.tree)
         rates, accelerations = (Symbols.of([J @ x[0]]) for x in (v, vd))
         return theta[None], rates, accelerations, J[None]
 

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import Joint
 from pydrake.systems.framework import Context, DiagramBuilder
 
 from geodrake.boundary.arguments import (
@@ -48,7 +47,6 @@ from geodrake.robot.plant import (
     effort_limits,
     load_plant,
     set_inertial_parameters,
-    velocity_limits,
 )
 from geodrake.robot.regressor import body_regressor, inverse_dynamics
 from geodrake.robot.robot_instance import RobotInstance
@@ -166,10 +164,6 @@ class RobotModel(Short):
             return None
         return DrivenPlant(self, plant, sign_width, log, temperatures)
 
-    def place_of(self, joint: Joint) -> int | None:
-        """Return the velocity index of a plant's joint in the model; None if it has none."""
-        return self.coordinates.standing.get(int(joint.velocity_start()))
-
     @cached_property
     def led(self) -> Mapping[str, tuple[str, float]]:
         """Following joint -> its leader, and its motion per unit of the leader's."""
@@ -190,16 +184,14 @@ class RobotModel(Short):
     @cached_property
     def velocity_limits(self) -> Array:
         """Largest speeds (nv,), rad/s or m/s; infinite where there is no limit."""
-        return self._rates(velocity_limits(self.plant))
+        lower, upper = self.plant.GetVelocityLowerLimits(), self.plant.GetVelocityUpperLimits()
+        return self.coordinates.rates(np.minimum(upper, -lower), self.position_limits)
 
     @cached_property
     def acceleration_limits(self) -> Array:
         """Largest accelerations (nv,), rad/s² or m/s²; infinite where there is no limit."""
         lower, upper = self.plant.GetAccelerationLowerLimits, self.plant.GetAccelerationUpperLimits
-        return self._rates(np.minimum(upper(), -lower()))
-
-    def _rates(self, limits: Array) -> Array:
-        return self.coordinates.rates(limits, self.position_limits)
+        return self.coordinates.rates(np.minimum(upper(), -lower()), self.position_limits)
 
     @cached_property
     def effort_limits(self) -> Array:
@@ -363,8 +355,9 @@ class RobotModel(Short):
     @cached_property
     def _types(self) -> dict[int, str]:
         """Drake's names for the types of the joints, by where their velocities begin."""
-        types = {self.place_of(joint): joint.type_name() for joint in moving_joints(self.plant)}
-        found = {at: name for at, name in types.items() if at is not None}
+        standing, every = self.coordinates.standing, moving_joints(self.plant)
+        starts = {int(joint.velocity_start()): joint.type_name() for joint in every}
+        found = {standing[at]: kind for at, kind in starts.items() if at in standing}
         for place in self.coordinates.places:
             slides = place.drive.slides
             for at, sliding in zip(place.actuators.tolist(), slides or (), strict=False):

@@ -116,7 +116,7 @@ def _parts(
             began = constants_beside_friction(left, velocity, runs)
         if np.isfinite(signal.limit):
             start = plain + began, signal.integral, signal.limit
-            summed = signal.integral * limited_integral(log.time, error, *start)
+            summed = signal.integral * error_integral(log.time, error, *start)
     return plain, summed + began
 
 
@@ -160,24 +160,15 @@ def _derived_velocity(log: JointLog, at: int) -> Array:
     return derived
 
 
-def error_integral(time: Array, error: Array) -> Array:
+def error_integral(
+    time: Array, error: Array, effort: Array | None = None, gain: float = 1.0, limit: float = np.inf
+) -> Array:
     """Return the integral of a servo's error, rad·s or m·s, from 0 on at the first known row.
 
-    Straight lines lead over rows of which nothing is known.
+    Straight lines lead over rows of which nothing is known. It stays where the servo is at its
+    limit and would go beyond, with an effort without what the integral adds from the first row on.
     """
-    known = np.isfinite(error) & np.isfinite(time)
-    if np.count_nonzero(known) < 2:
-        return np.zeros(len(error))
-    t, e = time[known], error[known]
-    grown = np.concatenate([[0.0], np.cumsum(np.diff(t) * 0.5 * (e[1:] + e[:-1]))])
-    return np.interp(time, t, grown)
-
-
-def limited_integral(time: Array, error: Array, effort: Array, gain: float, limit: float) -> Array:
-    """Return `error_integral`, that stays where the servo is at its limit and would go beyond.
-
-    The `effort` is without what the integral adds from the first row on.
-    """
+    effort = np.zeros(len(error)) if effort is None else effort
     known = np.isfinite(error) & np.isfinite(time) & np.isfinite(effort)
     if np.count_nonzero(known) < 2:
         return np.zeros(len(error))

@@ -337,16 +337,11 @@ def cpp_source(model: RobotModel, *, sign_width: ArrayLike = 0.0) -> str:
 
 @dataclass(frozen=True)
 class EffortSource:
-    """A file with a model's effort.
+    """A file with a model's effort."""
 
-    Attributes:
-        file_name: Its name, such as `arm_effort.py`.
-        left_out: The effects that it has not, or not as they are, with the reason.
-    """
-
-    file_name: str
+    file_name: str  # its name, such as `arm_effort.py`
     text: str
-    left_out: tuple[str, ...]
+    left_out: tuple[str, ...]  # the effects that it has not, or not as they are, with the reason
 
 
 def effort_source(model: RobotModel, language: str, *, sign_width: ArrayLike = 0.0) -> EffortSource:

@@ -95,7 +95,7 @@ def joint_places(model: RobotModel) -> dict[str, JointPlace]:
         moved = next((own for own in lumps if child in own), None)
         if joint.num_velocities() != 1 or moved is None:
             continue
-        at = model.place_of(joint)
+        at = model.coordinates.standing.get(int(joint.velocity_start()))
         name = names[joint.velocity_start()] if at is None else model.joints[at]
         X_BM = joint.frame_on_child().GetFixedPoseInBodyFrame()
         R_BJ = RotationMatrix.MakeFromOneVector(X_BM.rotation() @ joint_axis(joint), 2)

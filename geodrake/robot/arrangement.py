@@ -12,9 +12,9 @@ taken out.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -75,11 +75,11 @@ def add_base_joints(plant: MultibodyPlant, root: RigidBody) -> None:
 
 def base_joints(plant: MultibodyPlant) -> tuple[tuple[Joint, ...], ...]:
     """Return the six joints of every free base of a plant, from the world to the root."""
-    found: dict[int, list[Joint]] = {}
+    found = defaultdict[int, list[Joint]](list)
     for joint in joints_of(plant):
         frames = [b for b in (joint.parent_body(), joint.child_body()) if is_base_frame(plant, b)]
         if frames:
-            found.setdefault(int(frames[0].model_instance()), []).append(joint)
+            found[int(frames[0].model_instance())].append(joint)
     return tuple(tuple(joints) for joints in found.values())
 
 
@@ -98,18 +98,16 @@ def open_loops(plant: MultibodyPlant) -> tuple[Closure, ...]:
 
     ends = _closing(plant, sorted(joints, key=rank))
     ends.sort(key=lambda joint: int(joint.index()))
-    counts = Counter(joint.name() for joint in joints)
-    names = (j.name() if counts[j.name()] == 1 else scoped(j).replace("::", "_") for j in ends)
-    opened = tuple(
-        _opened(joint, name, actuators.get(int(joint.index()), []))
-        for joint, name in zip(ends, names, strict=True)
-    )
+    counts, opened = Counter(joint.name() for joint in joints), list[Closure]()
     for joint in ends:
-        remove_joint(plant, joint)
-    return opened
+        name = joint.name() if counts[joint.name()] == 1 else scoped(joint).replace("::", "_")
+        opened.append(_opened(joint, name, actuators.get(int(joint.index()), [])))
+    for joint in ends:
+        _remove_joint(plant, joint)
+    return tuple(opened)
 
 
-def remove_joint(plant: MultibodyPlant, joint: Joint) -> None:
+def _remove_joint(plant: MultibodyPlant, joint: Joint) -> None:
     """Remove a joint from an unfinalized plant, with its actuators."""
     for actuator in _actuators(plant).get(int(joint.index()), []):
         plant.RemoveJointActuator(actuator)
@@ -128,9 +126,9 @@ def _closing(plant: MultibodyPlant, joints: list[Joint]) -> list[Joint]:
 
 
 def _actuators(plant: MultibodyPlant) -> dict[int, list[JointActuator]]:
-    found: dict[int, list[JointActuator]] = {}
+    found = defaultdict[int, list[JointActuator]](list)
     for actuator in map(plant.get_joint_actuator, plant.GetJointActuatorIndices()):
-        found.setdefault(int(actuator.joint().index()), []).append(actuator)
+        found[int(actuator.joint().index())].append(actuator)
     return found
 
 
@@ -223,7 +221,7 @@ def robots_of(plant: MultibodyPlant) -> tuple[OneRobot, ...]:
     for pair in ends:
         if _WORLD not in pair:
             group.merge(*pair)
-    found = list[tuple[str, set[int], tuple[str, ...]]]()
+    found = dict[RigidBody, OneRobot]()  # by the first body
     for members in sorted(group.subsets(), key=min):
         moving = tuple(
             scoped(joint)
@@ -232,15 +230,12 @@ def robots_of(plant: MultibodyPlant) -> tuple[OneRobot, ...]:
         )
         if moving:
             root = plant.get_body(BodyIndex(min(members)))
-            found.append((plant.GetModelInstanceName(root.model_instance()), members, moving))
-    count = Counter(model for model, _, _ in found)
+            model = plant.GetModelInstanceName(root.model_instance())
+            found[root] = OneRobot(model, frozenset(members), moving)
+    count = Counter(robot.name for robot in found.values())
     return tuple(
-        OneRobot(
-            model if count[model] == 1 else plant.get_body(BodyIndex(min(members))).name(),
-            frozenset(members),
-            moving,
-        )
-        for model, members, moving in found
+        robot if count[robot.name] == 1 else replace(robot, name=root.name())
+        for root, robot in found.items()
     )
 
 
@@ -324,7 +319,7 @@ def weld_joints(
         if scoped(joint) in poses:
             X_FM, name = poses[scoped(joint)], joint.name() + (_ASIDE if aside else "")
             frames = joint.frame_on_parent(), joint.frame_on_child()
-            remove_joint(plant, joint)
+            _remove_joint(plant, joint)
             plant.AddJoint(WeldJoint(name, *frames, X_FM))
 
 

@@ -130,7 +130,7 @@ class RobotCoordinates(JointlyEvaluated):
         return self._along(np.zeros((1, len(self.names))), None)[1][0]
 
     @cached_property
-    def _linear(self) -> tuple[Array, Array]:
+    def linear(self) -> tuple[Array, Array]:
         """(nq, nq of the tree) and (nq of the tree,), of positions q A + b where J is constant."""
         zero = np.zeros(len(self.names))
         start, *ends = self._along(np.vstack([zero, np.eye(len(zero))]), None)[0]
@@ -143,7 +143,7 @@ class RobotCoordinates(JointlyEvaluated):
         """
         if self.constant is None:
             return self._along(q, v)
-        (A, b), shape = self._linear, (len(q), *self.constant.shape)
+        (A, b), shape = self.linear, (len(q), *self.constant.shape)
         return q @ A + b, np.broadcast_to(self.constant, shape), np.broadcast_to(0.0, shape)
 
     def _along(self, q: Array, v: Array | None) -> tuple[Array, Array, Array]:
@@ -224,7 +224,7 @@ class RobotCoordinates(JointlyEvaluated):
         """Return positions (N, nq) of the robot with its actuators where their maps are known."""
         q = q.copy()
         for place in self.places:
-            low, high = place.drive.limits
+            low, high = place.drive.map.range
             own = np.clip(q[:, place.actuators], low, high)
             q[:, place.actuators] = place.drive.map.inside(own)
         return q
@@ -237,7 +237,7 @@ class RobotCoordinates(JointlyEvaluated):
         for place in self.places:
             J, at = place.drive.map.constant_jacobian, theta[:, place.joints]
             if J is None:
-                start = middle(*place.drive.limits)
+                start = middle(*place.drive.map.range)
                 q[:, place.actuators] = place.drive.map.actuator_positions(at, start=start)
             else:
                 shift = place.drive.map.joint_positions(np.zeros((1, J.shape[1])))
@@ -360,7 +360,13 @@ class RobotCoordinates(JointlyEvaluated):
         own, tree = self.kept
         found[own] = limits[tree]
         for place in self.places:
-            found[place.actuators] = of(_jacobians(place, within), limits[place.joints])
+            at, J = place.actuators, place.drive.map.constant_jacobian
+            if J is None:  # where the actuators may be
+                low, high = (ends[at] for ends in within)
+                q = _grid(low, high) if len(low) == 1 else middle(low, high)[None]
+                found[at] = of(place.drive.map.jacobian(q), limits[place.joints])
+            else:
+                found[at] = of(J[None], limits[place.joints])
         return found
 
     @cached_property
@@ -436,18 +442,9 @@ def _efforts(J: Array, most: Array) -> Array:
     return np.asarray(shares.min(axis=(0, 1)))
 
 
-def _jacobians(place: Places, within: tuple[Array, Array]) -> Array:
-    """J (N, k, n) where the actuators may be: once, if it is constant."""
-    if (J := place.drive.map.constant_jacobian) is not None:
-        return J[None]
-    low, high = (ends[place.actuators] for ends in within)
-    few = len(low) == 1
-    return place.drive.map.jacobian(_grid(low, high) if few else middle(low, high)[None])
-
-
 def _positions(drive: Drive, lower: Array, upper: Array) -> tuple[Array, Array]:
     """Return the least and greatest positions (n,) of the actuators."""
-    low, high = (ends.copy() for ends in drive.limits)
+    low, high = (ends.copy() for ends in drive.map.range)
     J = drive.map.constant_jacobian
     if J is None:
         return _of_curve(drive, lower, upper) if len(low) == 1 else (low, high)
@@ -480,7 +477,7 @@ def _box(A: Array, most: Array) -> Array:
 
 def _of_curve(drive: Drive, lower: Array, upper: Array) -> tuple[Array, Array]:
     """Return the interval around an actuator's middle in which all joints keep their limits."""
-    low, high = drive.limits
+    low, high = drive.map.range
     grid = _grid(low, high)
     theta = drive.map.joint_positions(grid)
     inside = np.asarray(((theta >= lower) & (theta <= upper)).all(axis=1))

@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,11 +95,10 @@ class Loops:
     @property
     def notes(self) -> tuple[str, ...]:
         """Return notes on them."""
-        held = ", ".join(f"{joint} at {place:.4g}" for joint, place in self.held.items())
-        still = (
-            (f"Fixed, as constraints of the file do not let them move: {held}.",) if held else ()
-        )
-        return (*(note for loop in self.loops for note in loop.notes), *still)
+        notes = [note for loop in self.loops for note in loop.notes]
+        if held := ", ".join(f"{joint} at {place:.4g}" for joint, place in self.held.items()):
+            notes.append(f"Fixed, as constraints of the file do not let them move: {held}.")
+        return tuple(notes)
 
     def places(
         self, held: Mapping[str, float], path: object
@@ -123,13 +123,12 @@ def closed_loops(
     return _LoopFinder(plant, path, how).loops(closures) if closures else Loops()
 
 
-@dataclass(frozen=True)
-class _Link:
+class _Link(NamedTuple):
     """A loop closure with its frames, and the mobilizers on one side of it only."""
 
     closure: Closure
-    ends: tuple[tuple[int, RigidTransform], tuple[int, RigidTransform]]
-    apart: frozenset[int]
+    ends: list[tuple[int, RigidTransform]]
+    apart: set[int]
 
 
 _Group = tuple[set[int], list[_Link], list[Followers]]
@@ -211,7 +210,7 @@ class _LoopFinder:
             while at >= 0:
                 chains[-1].append(at)
                 at = self.tree.mobilizers[at].parent
-        return _Link(closure, (ends[0], ends[1]), frozenset(chains[0]) ^ frozenset(chains[1]))
+        return _Link(closure, ends, set(chains[0]) ^ set(chains[1]))
 
     def _loop(
         self, velocities: list[int], links: Sequence[_Link], ties: Sequence[Followers]

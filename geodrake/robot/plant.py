@@ -492,15 +492,3 @@ def effort_limits(plant: MultibodyPlant) -> Array:
     for actuator in _actuators(plant):
         limits[actuator.joint().velocity_start()] = actuator.effort_limit()
     return limits
-
-
-@typed
-def position_limits(plant: MultibodyPlant) -> tuple[Array, Array]:
-    """Lower and upper limits of the positions, each (nq,), rad or m."""
-    return plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
-
-
-@typed
-def velocity_limits(plant: MultibodyPlant) -> Array:
-    """Largest speeds (nv,) in both directions, rad/s or m/s; infinite where there is no limit."""
-    return np.minimum(-plant.GetVelocityLowerLimits(), plant.GetVelocityUpperLimits())

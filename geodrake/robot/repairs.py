@@ -35,18 +35,12 @@ MASS_PER_TOTAL = 1e-3  # mass of all bodies without one, as a share of the robot
 
 @dataclass(frozen=True)
 class Repair:
-    """A body of a model file whose inertia was replaced.
-
-    Attributes:
-        problem: What is wrong with the inertia of the file, to be read after the name.
-        before: (10,) inertial parameters of the file.
-        after: (10,) inertial parameters of the plant.
-    """
+    """A body of a model file whose inertia was replaced."""
 
     body: str
-    problem: str
-    before: Array
-    after: Array
+    problem: str  # what is wrong with the inertia of the file, to be read after the name
+    before: Array  # (10,) inertial parameters of the file
+    after: Array  # (10,) inertial parameters of the plant
 
     def __str__(self) -> str:
         mass, _, inertia = to_mass_com_inertia(self.after)
@@ -80,7 +74,10 @@ def repair_inertias(
         if is_between:
             mass = max(2.0 * LEAST_MASS, MASS_BETWEEN * sum(own[0] for own in usable))
             after = nearest_physical(phi, points=np.zeros((1, 3)), spare_mass=mass)
-        elif not (is_physical(phi, tolerance=TOLERANCE) and _counts(phi) and _has_size(phi)):
+        elif not (is_physical(phi, tolerance=TOLERANCE) and _counts(phi)) or (
+            # All of the mass is in one point, the body's origin.
+            np.diagonal(pseudo_inertia(phi))[:3].max() <= LEAST_SIZE**2 * phi[0]
+        ):
             after = nearest_physical(phi, points=_joint_points(plant, body), spare_mass=spare_mass)
             before = members.sum(0)
             problem = _problem(before if len(members) == 1 or not _counts(phi) else phi)
@@ -129,12 +126,6 @@ def nearest_physical(phi: Array, *, points: Array, spare_mass: float) -> Array:
 def _counts(phi: Array) -> NDArray[np.bool_]:
     """Return whether parameters (..., 10) are finite with a usable mass."""
     return np.asarray(np.isfinite(phi).all(-1) & (phi[..., 0] > LEAST_MASS))
-
-
-def _has_size(phi: Array) -> bool:
-    """Return whether the mass of parameters (10,) is not all in one point, the body's origin."""
-    second_moments = np.diagonal(pseudo_inertia(phi))[:3]
-    return bool(second_moments.max() > LEAST_SIZE**2 * phi[0])
 
 
 def stated_inertias(description: ModelDescription, plant: MultibodyPlant) -> dict[str, Array]:

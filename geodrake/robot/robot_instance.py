@@ -164,22 +164,20 @@ class RobotInstance:
         else:
             effort = builder.AddSystem(MatrixGain(self.to_plant(joints)))
             add_generalized_force(builder, plant, effort.get_output_port())
-        at_v = _places(self.velocities[order], self._in_ports[1])
-        acceleration = plant.get_generalized_acceleration_output_port(*which)
         return RobotPorts(
             tuple(joints),
             self.state_port(builder, joints),
-            selected(builder, acceleration, at_v),
+            selected(
+                builder, plant.get_generalized_acceleration_output_port(), self.velocities[order]
+            ),
             effort.get_input_port(),
         )
 
     def state_port(self, builder: DiagramBuilder, joints: Sequence[str]) -> OutputPort:
         """Return an output (2 n) of positions and then velocities of the robot's joints."""
-        order, (q, v) = self.order(joints), self._in_ports
-        at_q = _places(self.positions(joints), q)
-        at_v = _places(self.velocities[order], v)
-        port = self.plant.get_state_output_port(*self._which)
-        return selected(builder, port, np.concatenate([at_q, len(q) + at_v]))
+        at_v = self.plant.num_positions() + self.velocities[self.order(joints)]
+        places = np.concatenate([self.positions(joints), at_v])
+        return selected(builder, self.plant.get_state_output_port(), places)
 
     def to_plant(self, joints: Sequence[str]) -> Array:
         """Return the matrix (nv, n) that puts efforts at joints to the plant's velocities."""
@@ -209,14 +207,11 @@ class RobotInstance:
         """
         check_context(self.plant, context)
         bodies, lumps = self.plant.get_body, lumped_bodies(self.plant)
-        own = [
-            [
-                m
-                for m in x.members
-                if not self._which or bodies(m.index).model_instance() in self._which
-            ]
+        every = not self._which
+        own = (
+            [m for m in x.members if every or bodies(m.index).model_instance() in self._which]
             for x in lumps
-        ]
+        )
         set_lump_inertias(self.plant, context, [members for members in own if members], phi)
 
     def plant_parameters(self, phi: ArrayLike) -> Array:
@@ -284,16 +279,6 @@ class RobotInstance:
                     f"m/s² in the plant and {np.round(there, 3).tolist()} m/s² in the model.",
                     advice=_WELD_ALIKE,
                 )
-
-    @cached_property
-    def _in_ports(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Indices in q and v of the plant of the robot's state port, in its order."""
-        plant = self.plant
-        q, v = np.arange(plant.num_positions()), np.arange(plant.num_velocities())
-        for index in self._which:
-            q = plant.GetPositionsFromArray(index, q.astype(float)).astype(int)
-            v = plant.GetVelocitiesFromArray(index, v.astype(float)).astype(int)
-        return q, v
 
     def _name(self, joint: Joint) -> str:
         return self.velocity_names[joint.velocity_start()]
@@ -373,9 +358,3 @@ def selected(builder: DiagramBuilder, port: OutputPort, places: NDArray[np.intp]
     gain = builder.AddSystem(MatrixGain(np.eye(port.size())[places]))
     builder.Connect(port, gain.get_input_port())
     return gain.get_output_port()
-
-
-def _places(wanted: NDArray[np.intp], there: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the index of each number among others."""
-    at = {int(number): place for place, number in enumerate(there)}
-    return np.array([at[int(number)] for number in wanted], int)

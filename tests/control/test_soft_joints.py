@@ -33,7 +33,7 @@ from geodrake.logs import JointLog, Motion
 from geodrake.logs.preparation import prepare_logs
 from geodrake.model import EffortSignal
 from geodrake.model.admissible import check_effect
-from geodrake.model.simulation.force_law import ForceLaw
+from geodrake.model.simulation.effect_force import ForceLaw
 from geodrake.model.simulation.terms import PlantMotion, PlantState
 from geodrake.robot.robot_instance import add_generalized_force
 

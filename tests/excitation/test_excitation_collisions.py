@@ -26,7 +26,7 @@ from geodrake.excitation.problem import make_problem
 from geodrake.excitation.starts import RampPlanner
 from geodrake.model import load_description
 from geodrake.robot import joint_names
-from geodrake.robot.mesh_files import stl_vertices
+from geodrake.robot.shapes import stl_vertices
 
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
 SQUARES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]

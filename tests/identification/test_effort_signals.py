@@ -40,7 +40,6 @@ from geodrake.model.signal_efforts import (
     ServoGains,
     error_integral,
     in_efforts,
-    limited_integral,
     runs_between_gaps,
     servo_effort,
 )
@@ -519,11 +518,11 @@ def test_an_integral_in_a_log_is_held_as_that_of_position_servo():
     for k, step in enumerate(np.diff(time)):
         acting = (error[k], 0.0, z[k], 0.0)
         z[k + 1] = z[k] + step * integral_rate(servo, ServoError(*map(np.atleast_1d, acting)))[0]
-    found = limited_integral(time, error, 40.0 * error, 50.0, 9.0)
+    found = error_integral(time, error, 40.0 * error, 50.0, 9.0)
     np.testing.assert_allclose(found, z, atol=1e-3)
     assert np.abs(error_integral(time, error) - z).max() > 0.05
     nothing = np.full(3, np.nan)
-    assert not limited_integral(np.arange(3.0), nothing, nothing, 1.0, 1.0).any()
+    assert not error_integral(np.arange(3.0), nothing, nothing, 1.0, 1.0).any()
 
 
 def test_an_integral_that_makes_a_joint_swing_up_ends_its_search():

@@ -112,7 +112,7 @@ def test_a_loop_that_reaches_its_end_says_where(tmp_path):
     flat = flat.replace('pos="0.3 0 -0.1"', 'pos="0.42 0 0"')
     model = load(tmp_path, flat)
     (drive,) = model.transmission
-    (low,), (high,) = drive.limits
+    (low,), (high,) = drive.map.range
     assert np.isfinite([low, high]).all() and low < 0.0 < high
     at_end = drive.map.jacobian(np.array([[low], [high]]))
     assert np.abs(at_end).max() > 3.0  # near a dead point
@@ -153,7 +153,7 @@ def test_efforts_and_motions_are_mujocos_through_its_own_constraints(tmp_path, n
 def test_check_holds_and_sees_a_loop_that_is_not_mujocos(tmp_path, monkeypatch):
     found = check_dynamics(load(tmp_path, gripper()))
     assert found.holds and found.second is not None and found.second.relative < 1e-10
-    monkeypatch.setattr("geodrake.robot.files.mjcf_terms.pose_of", wrong_pose)
+    monkeypatch.setattr("geodrake.robot.files.mjcf_source.pose_of", wrong_pose)
     with pytest.raises(ModelError, match="closes its loops differently from MuJoCo"):
         load(tmp_path, by_sites())
 

@@ -22,9 +22,7 @@ from geodrake.robot.plant import (
     effort_limits,
     joint_names,
     load_plant,
-    position_limits,
     set_inertial_parameters,
-    velocity_limits,
 )
 from geodrake.robot.stated import Spring
 
@@ -78,8 +76,7 @@ def test_own_models_are_physical_and_limited(name, capfd):
     assert capfd.readouterr() == ("", "")
     assert is_physical(inertial_parameters(plant), tolerance=1e-4).all()
     assert (effort_limits(plant) > 0).all()
-    for limits in (effort_limits, velocity_limits, position_limits):
-        assert np.isfinite(limits(plant)).all()
+    assert np.isfinite([*plant.GetPositionUpperLimits(), *plant.GetVelocityUpperLimits()]).all()
 
 
 def test_urdf_ignores_geometry_mimic_and_transmissions(load):
@@ -94,18 +91,18 @@ def test_urdf_ignores_geometry_mimic_and_transmissions(load):
 
 def test_urdf_reads_limits_damping_and_friction(load):
     loaded = load(urdf(inertial(), joint="<dynamics damping='0.5' friction='0.3'/>"))
-    plant = loaded.plant
-    assert effort_limits(plant) == pytest.approx([10.0])
-    assert velocity_limits(plant) == pytest.approx([3.0])
-    assert np.ravel(position_limits(plant)) == pytest.approx([-1.0, 2.0])
-    assert plant.GetJointByName("j1").default_damping() == 0.0
     model = from_loaded_plant(loaded, floating=False)
+    assert model.effort_limits == pytest.approx([10.0])
+    assert model.velocity_limits == pytest.approx([3.0])
+    assert np.ravel(model.position_limits) == pytest.approx([-1.0, 2.0])
+    assert loaded.plant.GetJointByName("j1").default_damping() == 0.0
     stated = {f.effect: f.parameters.tolist() for f in model.effects}
     assert stated == {ViscousFriction("j1"): [0.5], CoulombFriction("j1"): [0.3]}
     assert any("viscous_friction" in note and "j1 0.5" in note for note in model.notes)
     assert any("coulomb_friction" in note for note in model.notes)
     endless = urdf(inertial()).replace('lower="-1" upper="2"', 'lower="-inf" upper="inf"')
-    assert np.ravel(position_limits(load(endless).plant)).tolist() == [-np.inf, np.inf]
+    endless = from_loaded_plant(load(endless), floating=False)
+    assert np.ravel(endless.position_limits).tolist() == [-np.inf, np.inf]
 
 
 @pytest.mark.parametrize("effort", [10, 0])

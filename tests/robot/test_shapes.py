@@ -13,8 +13,7 @@ from geodrake.errors import ModelError
 from geodrake.excitation.collisions import CollisionWorld
 from geodrake.report.meshcat_scene import replay_page
 from geodrake.robot.files.given import Given
-from geodrake.robot.mesh_files import MOST_TRIANGLES, regular_mesh, wavefront
-from geodrake.robot.shapes import robot_shapes
+from geodrake.robot.shapes import MOST_TRIANGLES, regular_mesh, robot_shapes, wavefront
 
 CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 2) for z in (0, 3)], float)
 QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]

@@ -8,9 +8,10 @@ motors of soft joints), with slopes along the measured motion:
 
 r is what the measured motion needs beyond the measured effort of joints without a servo; A and L
 lead from accelerations of links and motors to those of all motors and of all links
-(`geodrake.model.simulation.force_law`). Springs and dead bands τ are as they are, and so are servos
-u, which act on motors, with their integrals z and limits. Compiled, that is some hundred times as
-fast as a diagram, for a fit that needs many simulations. What it finds is judged by the diagram.
+(`geodrake.model.simulation.effect_force`). Springs and dead bands τ are as they are, and so are
+servos u, which act on motors, with their integrals z and limits. Compiled, that is some hundred
+times as fast as a diagram, for a fit that needs many simulations. What it finds is judged by the
+diagram.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.signal_efforts import calc_beyond
-from geodrake.model.simulation.force_law import Coupling, ForceLaw, SoftJoints
+from geodrake.model.simulation.effect_force import Coupling, ForceLaw, SoftJoints
 
 _Held = tuple[NDArray[np.intp], NDArray[np.intp], Array]  # links, motors, what couples them
 _Driven = tuple[Array, Array, NDArray[np.intp], Array]  # efforts, behind, motors, gains

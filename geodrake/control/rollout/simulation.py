@@ -22,8 +22,7 @@ from geodrake.logs.motion import Motion
 from geodrake.logs.temperatures import Temperatures
 from geodrake.model.carried_payloads import carrying
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.simulation.effect_force import EffectForce
-from geodrake.model.simulation.force_law import ForceLaw
+from geodrake.model.simulation.effect_force import EffectForce, ForceLaw
 from geodrake.model.simulation.robot_in_diagram import FORCES
 from geodrake.model.simulation.terms import PlantState
 from geodrake.robot.plant import load_plant, set_inertial_parameters

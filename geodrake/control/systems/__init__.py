@@ -18,8 +18,8 @@ from geodrake.control.systems.position_servo import PositionServo
 from geodrake.control.systems.prediction_error import PredictionError
 from geodrake.control.systems.safeguards import Safeguards
 from geodrake.control.systems.tracking import add_tracking_drives
-from geodrake.model.simulation.delayed_effort import DelayedEffort
 from geodrake.model.simulation.effect_force import EffectForce
+from geodrake.model.simulation.robot_in_diagram import DelayedEffort
 
 __all__ = [
     "AdaptiveComputedTorqueController",

@@ -6,7 +6,7 @@ Those that Drake misreads, such as 1,5, and those so large that Drake ends the p
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -191,7 +191,8 @@ def check_numbers(root: Element, numeric: Numeric, path: Path) -> None:
 
     Those of an `inertial` are left to the repair of inertias.
     """
-    for element in _but_inertials(root):
+    inside = {each for inertial in root.iter("inertial") for each in inertial.iter()}
+    for element in (each for each in root.iter() if each not in inside):
         every = {**numeric.get("", {}), **numeric.get(element.tag, {})}
         for attribute, numbers in every.items():
             text = element.get(attribute, "") if attribute else (element.text or "")
@@ -201,21 +202,16 @@ def check_numbers(root: Element, numeric: Numeric, path: Path) -> None:
                 raise _wrong(element, path, f"has {words}: {problem}")
 
 
-def check_links(links: Mapping[str, Element], path: Path) -> None:
-    """Raise for names that Drake takes for a link of another model."""
-    for link in links.values():
-        if "::" in link.get("name", ""):
-            raise _wrong(link, path, f"has name={link.get('name')!r}: :: separates model and link")
+def check_link(link: Element, phi: Array | None, path: Path) -> None:
+    """Raise for a name that Drake takes for a link of another model, and impossibly large inertias.
 
-
-def check_inertia(link: Element, phi: Array, path: Path) -> None:
-    """Raise for inertial parameters (10,) that are impossibly large.
-
-    What is not finite passes.
+    Those (10,) that are not finite pass.
     """
-    largest = np.abs(phi).max()
+    name, largest = link.get("name", ""), 0.0 if phi is None else np.abs(phi).max()
+    if "::" in name:
+        raise _wrong(link, path, f"has name={name!r}: :: separates model and link")
     if LARGEST < largest < np.inf:
-        reason = f"{link.get('name')!r} has {largest:g} kg, kg·m or kg·m², above {LARGEST:g}"
+        reason = f"{name!r} has {largest:g} kg, kg·m or kg·m², above {LARGEST:g}"
         raise _wrong(link, path, reason)
 
 
@@ -257,14 +253,6 @@ def check_poses(plant: MultibodyPlant, path: Path) -> None:
             f"{path} has default positions that are not numbers.",
             advice="Correct default_joint_positions, or default_free_body_pose.",
         )
-
-
-def _but_inertials(root: Element) -> Iterator[Element]:
-    waiting = [root]
-    while waiting:
-        element = waiting.pop()
-        yield element
-        waiting.extend(child for child in reversed(element) if child.tag != "inertial")
 
 
 def _wrong(element: Element, path: Path, reason: str) -> ModelError:

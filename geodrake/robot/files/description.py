@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -40,7 +40,12 @@ from geodrake.robot.files.includes import Includes, add_packages, named_packages
 from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.texts import DRAKES_SPRINGS, ModelText, SdfText, UrdfText
 from geodrake.robot.files.xacro_file import is_xacro, read_expanded
-from geodrake.robot.files.xml_text import LARGEST_FILE, SUPPORTED_FORMATS, parse_xml_bytes
+from geodrake.robot.files.xml_text import (
+    LARGEST_FILE,
+    SUPPORTED_FORMATS,
+    numbered_text,
+    parse_xml_bytes,
+)
 from geodrake.robot.stated import FileTerms
 from geodrake.robot.transmission.statements import Statement
 
@@ -71,19 +76,12 @@ class ModelDescription:
         """Return what the texts state of motors behind transmissions."""
         return tuple(part for text in self.texts for part in text.motors())
 
-    def named_packages(self) -> set[str]:
-        """Return packages that the files name, geometry included."""
-        files = {self.path, *(text.path for text in self.texts)}
-        texts = (read_expanded(file, self.given).decode(errors="replace") for file in files)
-        return {name for text in texts for name in named_packages(text)}
-
-    def add_packages(self, packages: PackageMap, names: Iterable[str]) -> None:
-        """Make packages known of which the files name something."""
-        add_packages(packages, self.path, names, self.given.packages)
-
     def add_every_package(self, packages: PackageMap) -> None:
         """Make packages known, geometry's too; folders above the file by their own names."""
-        self.add_packages(packages, self.named_packages())
+        files = {self.path, *(text.path for text in self.texts)}
+        texts = (read_expanded(file, self.given).decode(errors="replace") for file in files)
+        names = {name for text in texts for name in named_packages(text)}
+        add_packages(packages, self.path, names, self.given.packages)
         for folder in self.path.resolve().parents:
             if folder.name and not packages.Contains(folder.name):
                 packages.Add(folder.name, str(folder))
@@ -97,8 +95,8 @@ class ModelDescription:
         parser = Parser(plant)
         if simplified:
             names = {name for text in self.texts for name in text.packages}
-            self.add_packages(parser.package_map(), names)
-            texts = [text.text() for text in self.texts]
+            add_packages(parser.package_map(), self.path, names, self.given.packages)
+            texts = [numbered_text(text.root) for text in self.texts]
         else:
             self.add_every_package(parser.package_map())
             files = (read_expanded(text.path, self.given) for text in self.texts)

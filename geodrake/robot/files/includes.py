@@ -291,16 +291,17 @@ def _around(path: Path, names: Iterable[str]) -> Iterator[Path]:
     """Yield folders that may be packages or Gazebo's models of some names, the nearest first."""
     for parent in path.resolve().parents:
         yield parent
-        yield from (parent / name for name in names)
-        yield from (parent / "models" / name for name in names)
-    for entry in (e for v in _GAZEBO_PATHS for e in os.environ.get(v, "").split(os.pathsep) if e):
-        yield from (Path(entry) / name for name in names)
-    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        if prefix:
-            yield from (Path(prefix) / "share" / name for name in names)
-    for entry in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep):
-        if entry:
-            yield from islice(packages_below(entry), _MOST_FOLDERS)
+        yield from (parent / inner / name for inner in ("", "models") for name in names)
+    shares = [entry / "share" for entry in _entries("AMENT_PREFIX_PATH")]
+    for folder in (*_entries(*_GAZEBO_PATHS), *shares):
+        yield from (folder / name for name in names)
+    for entry in _entries("ROS_PACKAGE_PATH"):
+        yield from islice(packages_below(entry), _MOST_FOLDERS)
+
+
+def _entries(*variables: str) -> list[Path]:
+    words = (word for key in variables for word in os.environ.get(key, "").split(os.pathsep))
+    return [Path(word) for word in words if word]
 
 
 def packages_below(entry: str | Path) -> Iterator[Path]:

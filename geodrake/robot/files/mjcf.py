@@ -1,8 +1,20 @@
-"""MJCF as compiled by MuJoCo, written as a plain tree that Drake reads alike."""
+"""MJCF as compiled by MuJoCo: a plain tree that Drake reads alike, and terms beside rigid bodies.
+
+What is not taken is said with its value, and taken out of the copy of the compiled model that the
+robot is compared with (`geodrake.model.other_programs`).
+MuJoCo's forces are (its modeling and XML reference, joint, tendon and option)
+
+    spring   −(q − q₀) (k + k₁ (q − q₀) + k₂ (q − q₀)²)      damper   −v (d + d₁ |v| + d₂ v²)
+
+and those of a fixed tendon the same in its length Σ cᵢ qᵢ, so that one of a single joint is a
+spring there. Contacts and limits of joints are no part of any model.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import copy
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import combinations_with_replacement, pairwise
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
@@ -25,12 +37,497 @@ from geodrake.robot.files.checks import (
     words,
 )
 from geodrake.robot.files.includes import Includes
-from geodrake.robot.files.mjcf_source import CompiledMjcf, load_mujoco, unused
-from geodrake.robot.files.mjcf_terms import MjcfTerms, actuator_shares, pose_of
+from geodrake.robot.files.mjcf_source import (
+    CompiledMjcf,
+    chain_to_world,
+    closed_frames,
+    load_mujoco,
+    pose_of,
+    unused,
+)
 from geodrake.robot.files.model_edits import MOTORS
 from geodrake.robot.files.texts import ModelText
-from geodrake.robot.files.xml_text import LocatedElement
+from geodrake.robot.files.xml_text import LocatedElement, place_of
+from geodrake.robot.joints import Tie
+from geodrake.robot.stated import (
+    WORLD,
+    WORLD_LINK,
+    Closure,
+    FileTerms,
+    InMedium,
+    Spring,
+    StatedLength,
+    StatedStrut,
+)
 from geodrake.robot.transmission.statements import Coupled, Gear, Statement
+
+_LEAST_INERTIA = 1e-15  # kg·m², as MuJoCo has it
+_KINDS = {
+    **dict.fromkeys(("stiffness", "stiffnesspoly", "springyield"), "springs"),
+    **dict.fromkeys(("damping", "dampingpoly"), "dampers"),
+    "frictionloss": "friction",
+    "armature": "",
+}
+"""Properties of joints, tendons and actuators -> flag that disables them."""
+_FREE = 6  # velocities of a free joint
+_OF_BALLS = "damping", "frictionloss", "armature"
+
+
+def fixed_tendon(m: Any, at: int) -> dict[int, float]:
+    """Return joint -> coefficient of a fixed tendon; nothing for a spatial one."""
+    found = dict[int, float]()
+    for k in range(m.tendon_adr[at], m.tendon_adr[at] + m.tendon_num[at]):
+        if int(m.wrap_type[k]) != load_mujoco().mjtWrap.mjWRAP_JOINT:
+            return {}
+        joint = int(m.wrap_objid[k])
+        found[joint] = found.get(joint, 0.0) + float(m.wrap_prm[k])
+    return found
+
+
+def actuator_shares(m: Any, at: int) -> dict[int, float]:
+    """Return joint of one degree of freedom -> gear of an actuator at it or its fixed tendon."""
+    kinds, on_what = load_mujoco().mjtJoint, load_mujoco().mjtTrn
+    kind, on = int(m.actuator_trntype[at]), int(m.actuator_trnid[at][0])
+    shares = fixed_tendon(m, on) if kind == on_what.mjTRN_TENDON else {}
+    if kind in (on_what.mjTRN_JOINT, on_what.mjTRN_JOINTINPARENT):
+        single = int(m.jnt_type[on]) in (kinds.mjJNT_HINGE, kinds.mjJNT_SLIDE)
+        shares = {on: 1.0} if single else {}
+    return {joint: float(m.actuator_gear[at][0]) * share for joint, share in shares.items()}
+
+
+class MjcfTerms:
+    """Terms of a compiled MJCF, by names in a model.
+
+    Attributes:
+        reference: The compiled model without what is left out.
+        closing: Numbers of MuJoCo's constraints that close loops.
+    """
+
+    def __init__(self, source: CompiledMjcf, scope: str) -> None:
+        """Take all that is stated out of a compiled file."""
+        self.mujoco, self.m, self.scope = load_mujoco(), source.model, scope
+        self.source = source
+        self.reference, self.closing = copy.copy(source.model), list[int]()
+        self.found = FileTerms(
+            notes=list(source.notes),
+            left_out=list(source.left_out),
+            lost=list(source.lost),
+            gravity=np.array(self.m.opt.gravity),
+        )
+        off = self.mujoco.mjtDisableBit
+        if self._disabled(off.mjDSBL_GRAVITY):
+            self.found.gravity = np.zeros(3)
+        self.springs = not self._disabled(off.mjDSBL_SPRING)
+        self.dampers = not self._disabled(off.mjDSBL_DAMPER)
+        self.friction = not self._disabled(off.mjDSBL_FRICTIONLOSS, off.mjDSBL_CONSTRAINT)
+        self._take_joints()
+        self._take_tendons()
+        self._take_actuators()
+        if self.springs or self.dampers:
+            self._take_gravcomp()  # without both, MuJoCo has no passive forces at all
+            self._take_medium()
+        if not self._disabled(off.mjDSBL_EQUALITY, off.mjDSBL_CONSTRAINT):
+            self._take_equalities()
+        if count := int((~np.asarray(self.m.flex_rigid, bool)).sum()):
+            self._leave(f"<flex> of {count} deformable bodies: their elasticity")
+        self.found.notes += source.said
+        self.reference.opt.disableflags |= int(off.mjDSBL_CONSTRAINT)
+
+    def _disabled(self, *flags: Any) -> bool:
+        return any(self.m.opt.disableflags & int(flag) for flag in flags)
+
+    def _leave(self, what: str, kind: str = "", at: int = 0, *, of_base: bool = False) -> None:
+        """Note that something is left out, and where it is in the file."""
+        said = self.found.of_bases if of_base else self.found.left_out
+        where = self._where(kind, at)
+        said.append(f"{where}: {what} is ignored." if where else f"{what} is ignored.")
+
+    def _where(self, kind: str, at: int) -> str:
+        """Return the file and line of an element, of one without a name by its number."""
+        elements, name = self.source.groups.get(kind, ()), ""
+        if kind == "body":
+            elements, name = list(self.source.elements.values()), self._name("BODY", at)
+        elif elements:
+            name = getattr(self.m, kind)(at).name
+        named = [element for element in elements if name and element.get("name") == name]
+        counts = {"tendon": self.m.ntendon, "actuator": self.m.nu, "equality": self.m.neq}
+        if not named and len(elements) == counts.get(kind):
+            named = [elements[at]]
+        return place_of(named[0]) if named else ""
+
+    def _name(self, kind: str, at: int) -> str:
+        return getattr(self.m, kind.lower())(at).name or f"{kind.lower()} {at}"
+
+    def _joint(self, at: int) -> str:
+        return f"{self.scope}::{self._name('JOINT', at)}"
+
+    def _body(self, at: int) -> str:
+        return f"{self.scope}::{self._name('BODY', at)}"
+
+    def _add(self, shares: Mapping[int, float], **stated: Any) -> None:
+        """Add terms along a length of joints, each with its share."""
+        named = {self._joint(joint): share for joint, share in shares.items()}
+        self.found.lengths.append(StatedLength(named, **stated))
+
+    def _velocities(self, joint: int) -> int:
+        kinds = self.mujoco.mjtJoint
+        sizes = {int(kinds.mjJNT_FREE): _FREE, int(kinds.mjJNT_BALL): 3}
+        return sizes.get(int(self.m.jnt_type[joint]), 1)
+
+    def _numbers(self, where: Callable[[str], tuple[str, slice]]) -> dict[str, Array]:
+        """Return the values of each kind in `_KINDS`, by table and row."""
+        on = {"springs": self.springs, "dampers": self.dampers, "friction": self.friction}
+        return {key: on.get(kind, True) * _row(self.m, *where(key)) for key, kind in _KINDS.items()}
+
+    def _take_joints(self) -> None:
+        m = self.m
+        for joint in range(m.njnt):
+            dof, count = int(m.jnt_dofadr[joint]), self._velocities(joint)
+            rows = {"jnt": slice(joint, joint + 1), "dof": slice(dof, dof + count)}
+
+            def where(key: str, rows: Mapping[str, slice] = rows) -> tuple[str, slice]:
+                table = "jnt" if _KINDS[key] == "springs" else "dof"
+                return f"{table}_{key}", rows[table]
+
+            has = self._numbers(where)
+            if count == 1:
+                self._take_along("", {joint: 1.0}, has, float(m.qpos_spring[m.jnt_qposadr[joint]]))
+                if m.jnt_actfrclimited[joint]:
+                    self._limit(joint, float(np.abs(m.jnt_actfrcrange[joint]).max()))
+                self.found.start[self._joint(joint)] = float(m.qpos0[m.jnt_qposadr[joint]])
+            if count == 3:
+                damping, friction, armature = (_pop(has, key)[0] for key in _OF_BALLS)
+                own = {"friction": friction, "armature": armature}
+                self._add({joint: 1.0}, damping=_three([damping]), **own)
+            self._leave_rest("joint", joint, has, where, of_base=count == _FREE)
+
+    def _limit(self, joint: int, most: float) -> None:
+        name, limits = self._joint(joint), self.found.effort
+        limits[name] = min(most, limits.get(name, np.inf))
+
+    def _take_tendons(self) -> None:
+        """Read fixed tendons and struts, with notes on other tendons."""
+        m = self.m
+        for at in range(m.ntendon):
+            low, high = (float(x) for x in m.tendon_lengthspring[at])
+            length, name = low if low == high else None, self._name("TENDON", at)
+            where = _rows_of("tendon", at)
+            has = self._numbers(where)
+            self._take_along(name, fixed_tendon(m, at), has, length)
+            self._take_strut(at, has, length)
+            self._leave_rest("tendon", at, has, where)
+
+    def _take_along(
+        self, name: str, shares: dict[int, float], has: dict[str, Array], length: float | None
+    ) -> None:
+        """Read all effects along a length Σ c q from its values, given L₀.
+
+        What is taken is zero in `has` afterwards.
+        """
+        shares = {joint: share for joint, share in shares.items() if share}
+        if not shares or any(self._velocities(joint) > 1 for joint in shares):
+            return
+        single = len(shares) == 1
+        forms = ("", "poly") if single else ("",)
+        springs = forms if length is not None else ()
+        stiffness = [x for form in springs for x in _pop(has, f"stiffness{form}")]
+        damping = [x for form in forms for x in _pop(has, f"damping{form}")]
+        (friction, *_), (inertia, *_) = _pop(has, "frictionloss"), _pop(has, "armature")
+        pairs = combinations_with_replacement(shares, 2) if inertia and not single else ()
+        for one, other in pairs:
+            chains = [set(chain_to_world(self.m, int(self.m.jnt_bodyid[j]))) for j in (one, other)]
+            if chains[0] <= chains[1] or chains[1] <= chains[0]:  # others MuJoCo has not
+                own = self._joint(one), self._joint(other), inertia * shares[one] * shares[other]
+                self.found.coupled_inertia.append(own)
+        self._add(
+            shares,
+            spring=Spring(length or 0.0, (0.0, *_three(stiffness))),
+            damping=_three(damping),
+            friction=friction,
+            armature=inertia if single else 0.0,
+            name=name,
+        )
+
+    def _take_strut(self, at: int, has: dict[str, Array], length: float | None) -> None:
+        """Read spring and damper of a tendon over sites whose length changes between only two."""
+        m, mujoco, first = self.m, self.mujoco, int(self.m.tendon_adr[at])
+        wraps = range(first, first + int(m.tendon_num[at]))
+        over_sites = all(int(m.wrap_type[k]) == mujoco.mjtWrap.mjWRAP_SITE for k in wraps)
+        parts = list(pairwise(int(m.wrap_objid[k]) for k in wraps)) if over_sites else []
+        moving = [part for part in parts if len(set(m.body_weldid[m.site_bodyid[[*part]]])) > 1]
+        if not parts or len(moving) > 1 or has["stiffness"][0] < 0.0:
+            return
+        (stiffness,) = [0.0] if length is None else _pop(has, "stiffness")
+        (damping,) = _pop(has, "damping")
+        if not moving or not (stiffness or damping):
+            return
+        data, rest = mujoco.MjData(m), length or 0.0
+        mujoco.mj_kinematics(m, data)
+        for one, two in (part for part in parts if part not in moving):
+            rest -= float(np.linalg.norm(data.site_xpos[one] - data.site_xpos[two]))
+        ends = [int(m.site_bodyid[site]) for site in moving[0]]
+        first_body, second_body = (self._body(body) if body else WORLD_LINK for body in ends)
+        points = np.array(m.site_pos[moving[0][0]]), np.array(m.site_pos[moving[0][1]])
+        strut = StatedStrut((first_body, second_body), points, stiffness, rest, damping)
+        self.found.struts.append(strut)
+
+    def _leave_rest(
+        self,
+        kind: str,
+        at: int,
+        has: dict[str, Array],
+        where: Callable[[str], tuple[str, slice]],
+        *,
+        of_base: bool = False,
+    ) -> None:
+        """Note what remains of an element, and remove it from the reference."""
+        words = {key: " ".join(f"{x:g}" for x in value) for key, value in has.items()}
+        parts = [f"{key} {words[key]}" for key, value in has.items() if value.any()]
+        if parts:
+            what = self._name(kind.upper(), at).removeprefix(f"{kind} ")
+            with_what = f"{kind.capitalize()} {what} with {', '.join(parts)}"
+            self._leave(with_what, kind, at, of_base=of_base)
+        for key, value in has.items():
+            if value.any() and key != "frictionloss":
+                table, rows = where(key)
+                getattr(self.reference, table)[rows] = 0.0
+
+    def _take_actuators(self) -> None:
+        """Limits of efforts, and the armature and damping that motors add to joints."""
+        m, on_tendon = self.m, self.mujoco.mjtTrn.mjTRN_TENDON
+        for at in range(len(m.actuator_trntype)):
+            name, shares = self._name("ACTUATOR", at), actuator_shares(m, at)
+            where = _rows_of("actuator", at)
+            has = self._numbers(where)
+            self.found.driven |= {self._name("JOINT", joint) for joint in shares}
+            if shares and int(m.actuator_trntype[at]) != on_tendon:
+                ((on, gear),) = shares.items()
+                self._limit_of_motor(at, on, gear)
+                more = [gear**2 * c for c in _pop(has, "dampingpoly")]  # not gear³, as of tendons
+                self._add({on: 1.0}, damping=_three([0.0, *more]))
+            self._take_along(name, shares, has, None)
+            self._leave_rest("actuator", at, has, where)
+
+    def _limit_of_motor(self, at: int, joint: int, gear: float) -> None:
+        m, mujoco = self.m, self.mujoco
+        ranges = [m.actuator_forcerange[at]] if m.actuator_forcelimited[at] else []
+        plain = (
+            int(m.actuator_gaintype[at]) == mujoco.mjtGain.mjGAIN_FIXED
+            and int(m.actuator_biastype[at]) == mujoco.mjtBias.mjBIAS_NONE
+            and int(m.actuator_dyntype[at]) == mujoco.mjtDyn.mjDYN_NONE
+        )
+        limited = getattr(m, "actuator_ctrllimited")  # noqa: B009, as older versions have it, too
+        if plain and len(limited) > at and limited[at]:
+            ranges.append(float(m.actuator_gainprm[at][0]) * np.asarray(m.actuator_ctrlrange[at]))
+        if ranges and gear:
+            self._limit(joint, min(abs(gear) * float(np.abs(each).max()) for each in ranges))
+
+    def _take_gravcomp(self) -> None:
+        """Compensation of the weight of all moving bodies alike is less gravity."""
+        m = self.m
+        gravity = np.asarray(self.found.gravity)
+        if not np.any(m.body_gravcomp > 0.0) or not gravity.any():  # as MuJoCo counts
+            return
+        moving = [b for b in range(m.nbody) if m.body_weldid[b] and m.body_mass[b] > 0.0]
+        shares = m.body_gravcomp[moving]
+        by_motors = np.asarray(m.jnt_actgravcomp).astype(bool)
+        if by_motors.all():
+            return  # as MuJoCo counts it among the efforts of the actuators
+        if len(shares) and np.ptp(shares) == 0.0 and not by_motors.any():
+            self.found.gravity = gravity * (1.0 - float(shares[0]))
+            self.found.notes.append(
+                f"gravcomp={shares[0]:g} of all bodies is read as reduced gravity."
+            )
+            return
+        self.found.carried = {
+            self._body(body): float(m.body_gravcomp[body])
+            for body in moving
+            if m.body_gravcomp[body]
+        }
+        self.found.acting = {self._joint(joint) for joint in np.flatnonzero(by_motors).tolist()}
+
+    def _take_medium(self) -> None:
+        """Read the forces of a medium on boxes and ellipsoids."""
+        m, option = self.m, self.m.opt
+        medium = np.array([option.density, option.viscosity], float)
+        for body in np.flatnonzero(m.body_weldid).tolist() if medium.any() else ():
+            first, mass = int(m.body_geomadr[body]), float(m.body_mass[body])
+            own = range(first, first + int(m.body_geomnum[body]))
+            ellipsoids = [geom for geom in own if m.geom_fluid[geom][0] > 0.0]
+            for geom in ellipsoids:
+                share, *coefficients = m.geom_fluid[geom].tolist()
+                X = pose_of(m.geom_pos[geom], m.geom_quat[geom])
+                self._add_in_medium(body, self._semi_axes(geom), X, share * medium, coefficients)
+            if mass > 0.0 and not ellipsoids:
+                inertia = np.array(m.body_inertia[body])
+                edges = np.maximum(inertia.sum() - 2.0 * inertia, _LEAST_INERTIA)
+                X = pose_of(m.body_ipos[body], m.body_iquat[body])
+                self._add_in_medium(body, np.sqrt(6.0 * edges / mass), X, medium)
+
+    def _add_in_medium(
+        self,
+        body: int,
+        size: Array,
+        X_BP: RigidTransform,
+        medium: Array,
+        coefficients: Sequence[float] = (),
+    ) -> None:
+        density, viscosity = medium.tolist()
+        wind, name = np.array(self.m.opt.wind), self._body(body)
+        own = InMedium(name, size, X_BP, density, viscosity, wind, tuple(coefficients))
+        self.found.in_medium.append(own)
+
+    def _semi_axes(self, geom: int) -> Array:
+        """Return the semi-axes (3,) of the ellipsoid that a geom counts as, m."""
+        kinds, kind = self.mujoco.mjtGeom, int(self.m.geom_type[geom])
+        a, b, c = self.m.geom_size[geom].tolist()
+        sizes = {
+            int(kinds.mjGEOM_SPHERE): (a, a, a),
+            int(kinds.mjGEOM_CAPSULE): (a, a, b + a),
+            int(kinds.mjGEOM_CYLINDER): (a, a, b),
+        }
+        return np.array(sizes.get(kind, (a, b, c)))
+
+    def _take_equalities(self) -> None:
+        m, mujoco = self.m, self.mujoco
+        for at in range(m.neq):
+            first, second = int(m.eq_obj1id[at]), int(m.eq_obj2id[at])
+            kind = mujoco.mjtEq(int(m.eq_type[at])).name.removeprefix("mjEQ_").lower()
+            sites = int(m.eq_objtype[at]) == mujoco.mjtObj.mjOBJ_SITE
+            of = {"joint": "JOINT", "tendon": "TENDON", "flex": "FLEX"}.get(kind)
+            of = of or ("SITE" if sites else "BODY")
+            what = " and ".join(self._name(of, each) for each in (first, second) if each >= 0)
+            data = np.array(m.eq_data[at])
+            if not m.eq_active0[at]:
+                self.found.notes.append(
+                    f"<equality>: the constraint <{kind}> of {what} is inactive, and ignored."
+                )
+            elif kind == "joint" and second >= 0:
+                self._follow(at, first, second, data[:5])
+            elif kind == "joint":
+                place = float(m.qpos0[m.jnt_qposadr[first]] + data[0])
+                self.found.fixed[self._joint(first)] = place
+            elif not (
+                (kind in ("connect", "weld") and self._close(at, f"<{kind}> of {what}"))
+                or (kind == "tendon" and self._follow_tendon(first, second, data[:5]))
+            ):
+                self._leave(
+                    f"<equality>: the constraint <{kind}> of {what}, which closes a loop or "
+                    "holds something (the robot is read as an open tree),",
+                    "equality",
+                    at,
+                    of_base=kind == "weld" and self._holds_base(at),
+                )
+
+    def _holds_base(self, at: int) -> bool:
+        """Return whether a weld holds a free base, which matters where that is left free."""
+        ends = [body for body, _ in closed_frames(self.m, at)]
+        moved = [each for each in ends if each and self.m.body_mocapid[each] < 0]
+        return len(moved) == 1 and self._free_root(moved[0]) == moved[0]
+
+    def _close(self, at: int, name: str) -> bool:
+        """Return whether a constraint of points or frames closes a loop of the robot.
+
+        It does not where it holds what is free: a body on a table, say.
+        """
+        m, ends = self.m, closed_frames(self.m, at)
+        if len({self._free_root(body) for body, _ in ends}) > 1:
+            return False
+        one, two = (self._body(body) if body else WORLD for body, _ in ends)
+        welds = int(m.eq_type[at]) == self.mujoco.mjtEq.mjEQ_WELD
+        turns = bool(welds and m.eq_data[at][10] != 0.0)  # the scale of the torque
+        self.found.closures.append(Closure(name, (one, two), (ends[0][1], ends[1][1]), turns))
+        self.closing.append(at)
+        return True
+
+    def _free_root(self, body: int) -> int:
+        """Return the free body, or one that is moved from outside, at or above one; else 0."""
+        m, free = self.m, self.mujoco.mjtJoint.mjJNT_FREE
+        for each in chain_to_world(m, body):
+            joints = range(m.body_jntadr[each], m.body_jntadr[each] + m.body_jntnum[each])
+            moved = int(m.body_mocapid[each]) >= 0
+            if moved or any(int(m.jnt_type[joint]) == free for joint in joints):
+                return each
+        return 0
+
+    def _follow_tendon(self, first: int, second: int, data: Array) -> bool:
+        """Return whether L − L₀ = a₀ + a₁ (M − M₀) of fixed tendons has a joint follow another."""
+        m = self.m
+        shares = fixed_tendon(m, first)
+        length = float(m.tendon_length0[first]) + float(data[0])
+        if second >= 0:
+            other = fixed_tendon(m, second)
+            length -= float(data[1]) * float(m.tendon_length0[second])
+            shares = shares if other else {}
+            for joint, share in other.items():
+                shares[joint] = shares.get(joint, 0.0) - float(data[1]) * share
+        shares = {joint: share for joint, share in shares.items() if share}
+        several = any(self._velocities(joint) > 1 for joint in shares)
+        if len(shares) != 2 or np.any(data[2:]) or several:
+            return False
+        # A joint that a motor drives leads; otherwise the first.
+        on_what, motors = self.mujoco.mjtTrn, zip(m.actuator_trnid, m.actuator_trntype, strict=True)
+        at_joints = (on_what.mjTRN_JOINT, on_what.mjTRN_JOINTINPARENT)
+        driven = {int(on[0]) for on, kind in motors if int(kind) in at_joints}
+        leader, own = sorted(shares, key=lambda joint: joint not in driven)
+        return self._tie(own, leader, length / shares[own], -shares[leader] / shares[own])
+
+    def _tie(self, own: int, leader: int, *coefficients: float) -> bool:
+        """Have a joint follow another one, or if the ratio is constant that one the first.
+
+        False if both follow something already, or each other.
+        """
+        ways = [(own, leader, coefficients)]
+        if len(coefficients) == 2 and coefficients[1]:
+            ways.append((leader, own, (-coefficients[0] / coefficients[1], 1.0 / coefficients[1])))
+        for first, second, each in ways:
+            name, end = self._joint(first), self._joint(second)
+            ties = self.found.followers
+            while end in ties:  # which lead nowhere back
+                end = ties[end].leader
+            if name not in ties and end != name:
+                ties[name] = Tie(self._joint(second), each)
+                return True
+        return False
+
+    def _follow(self, at: int, first: int, second: int, data: Array) -> None:
+        """Take that Y − y₀ = p(x − x₀), y₀ and x₀ at the file's own pose."""
+        starts = [float(self.m.qpos0[self.m.jnt_qposadr[j]]) for j in (first, second)]
+        own = data if data[2:].any() else data[:2]
+        moved = np.zeros(len(own))
+        polynomial = np.polynomial.Polynomial(own)(np.polynomial.Polynomial([-starts[1], 1.0]))
+        moved[: len(polynomial.coef)] = polynomial.coef
+        moved[0] += starts[0]
+        if not self._tie(first, second, *moved.tolist()):
+            name = self._name("JOINT", first)
+            self._leave(
+                f"<equality>: the constraint <joint> of {name} and "
+                f"{self._name('JOINT', second)}, as {name} already follows or leads a joint,",
+                "equality",
+                at,
+            )
+
+
+def _rows_of(thing: str, at: int) -> Callable[[str], tuple[str, slice]]:
+    """Return in which table, and in which rows of it, a tendon or an actuator has a kind."""
+    return lambda key: (f"{thing}_{key}", slice(at, at + 1))
+
+
+def _row(m: Any, name: str, rows: slice) -> Array:
+    """Return the first row of a table, (k,); zeros in versions of MuJoCo without it."""
+    table = getattr(m, name, None)
+    return np.zeros(2) if table is None else np.atleast_1d(np.array(table[rows][0], float))
+
+
+def _pop(has: dict[str, Array], key: str) -> list[float]:
+    """Return the numbers of a kind, which are zero afterwards."""
+    values, has[key] = has[key], np.zeros_like(has[key])
+    return [float(value) for value in values]
+
+
+def _three(values: Sequence[float]) -> tuple[float, float, float]:
+    first, second, third = (*values, 0.0, 0.0, 0.0)[:3]
+    return first, second, third
 
 
 class MjcfText(ModelText):

@@ -21,6 +21,8 @@ from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RigidTransform, RotationMatrix
 
 from geodrake.boundary.input_files import read_regular
 from geodrake.errors import ModelError
@@ -414,15 +416,10 @@ def _balls(m: Any) -> dict[int, Array]:
     for at in range(m.neq):
         if not m.eq_active0[at] or int(m.eq_type[at]) not in (connect, weld):
             continue
-        bodies = [int(m.eq_obj1id[at]), int(m.eq_obj2id[at])]
-        if int(m.eq_objtype[at]) == mujoco.mjtObj.mjOBJ_SITE:
-            end = np.array(data.site_xpos[bodies[0]])
-            bodies = [int(m.site_bodyid[each]) for each in bodies]
-        else:
-            first = int(m.eq_type[at]) == connect  # whose first point is that of the first body
-            R = data.xmat[bodies[0]].reshape(3, 3)
-            end = data.xpos[bodies[0]] + R @ m.eq_data[at][slice(0, 3) if first else slice(3, 6)]
-        chains = [set(chain_to_world(m, body)) for body in bodies]
+        ends = closed_frames(m, at)
+        first, X = ends[0]
+        end = data.xpos[first] + data.xmat[first].reshape(3, 3) @ X.translation()
+        chains = [set(chain_to_world(m, body)) for body, _ in ends]
         for body in chains[0] ^ chains[1]:
             joint = int(m.body_jntadr[body])
             if m.body_jntnum[body] == 1 and int(m.jnt_type[joint]) == mujoco.mjtJoint.mjJNT_BALL:
@@ -430,6 +427,26 @@ def _balls(m: Any) -> dict[int, Array]:
                 size = float(np.linalg.norm(arm))
                 found[joint] = arm / size if size > 0.0 else np.array([0.0, 0.0, 1.0])
     return found
+
+
+def closed_frames(m: Any, at: int) -> list[tuple[int, RigidTransform]]:
+    """Return the two bodies of a <connect> or <weld>, and the poses in them of what is one."""
+    mujoco, data = load_mujoco(), m.eq_data[at]
+    ends = [int(m.eq_obj1id[at]), int(m.eq_obj2id[at])]
+    if int(m.eq_objtype[at]) == mujoco.mjtObj.mjOBJ_SITE:
+        poses = [pose_of(m.site_pos[each], m.site_quat[each]) for each in ends]
+        ends = [int(m.site_bodyid[each]) for each in ends]
+    elif int(m.eq_type[at]) == mujoco.mjtEq.mjEQ_WELD:  # whose second point stands first
+        poses = [pose_of(data[3:6], data[6:10]), RigidTransform(data[:3])]
+    else:
+        poses = [RigidTransform(data[:3]), RigidTransform(data[3:6])]
+    return list(zip(ends, poses, strict=True))
+
+
+def pose_of(position: Array, quaternion: Array) -> RigidTransform:
+    """Return the pose of a position (3,), m, and a quaternion w, x, y, z (4,)."""
+    turn = RotationMatrix(Quaternion(np.array(quaternion, float)))
+    return RigidTransform(turn, np.array(position))
 
 
 def chain_to_world(m: Any, body: int) -> Iterator[int]:

@@ -322,7 +322,8 @@ def _put_urdf_inertia(link: Element, phi: Array) -> None:
 
 
 def _put_sdf_inertia(link: Element, phi: Array) -> None:
-    mass, com, inertia = to_mass_com_inertia(phi)
+    none = 0.0, np.zeros(3), np.zeros((3, 3))
+    mass, com, inertia = to_mass_com_inertia(phi) if phi.any() else none
     inertial = child_of(link, "inertial")
     if inertial.get("auto") == "true":
         inertial.set("auto", "false")

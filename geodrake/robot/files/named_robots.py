@@ -51,10 +51,10 @@ def robot_file(path: str | os.PathLike[str], given: Given) -> RobotFile:
     except Exception as error:  # of git, of the network, of the disk
         words = " ".join(str(getattr(error, "stderr", "") or error).split())
         reason = printable(words.removeprefix("stderr: ").strip("'"))[:300].rstrip(".")
+        url, folder = _repository(module)
         raise ModelError(
-            f"Robot {path} cannot be downloaded ({_repository(module).url}): {reason}.",
-            advice="Check the network; it is needed only once, as the files are kept in "
-            f"{_folder(module)}.",
+            f"Robot {path} cannot be downloaded ({url}): {reason}.",
+            advice=f"Check the network; it is needed only once, as the files are kept in {folder}.",
         ) from error
     plain = getattr(robot, "URDF_PATH", None) or getattr(robot, "MJCF_PATH", None)
     file = Path(plain or robot.XACRO_PATH)
@@ -71,15 +71,14 @@ def planned_download(path: Path) -> str:
     """Return a sentence on what `robot_file` will download, or ""."""
     if not _is_name(path):
         return ""
-    module = _descriptions(path)[0]
-    folder = _folder(module)
+    url, folder = _repository(_descriptions(path)[0])
     git: Any = importlib.import_module("git")
     try:
         if git.Repo(folder).head.is_valid():
             return ""
     except git.exc.GitError:
         pass  # there is no repository yet
-    return f"Downloading {_repository(module).url} to {folder} (only once)."
+    return f"Downloading {url} to {folder} (only once)."
 
 
 def whole_if_folder(written: str | os.PathLike[str], path: Path) -> Path:
@@ -111,18 +110,15 @@ def _descriptions(path: Path) -> list[str]:
     return found[:1] if str(path).endswith(_END) else found
 
 
-def _repository(module: str) -> Any:
+def _repository(module: str) -> tuple[str, Path]:
+    """Return the URL of a robot's repository, and where robot_descriptions keeps it."""
     package: Any = importlib.import_module("robot_descriptions._repositories")
     known: Any = importlib.import_module("robot_descriptions").DESCRIPTIONS
-    return package.REPOSITORIES[known[module].repository]
-
-
-def _folder(module: str) -> Path:
-    """Return where robot_descriptions keeps the repository of a robot."""
-    place = _repository(module).cache_path
-    commit = os.environ.get("ROBOT_DESCRIPTION_COMMIT")
+    repository = package.REPOSITORIES[known[module].repository]
+    place, commit = repository.cache_path, os.environ.get("ROBOT_DESCRIPTION_COMMIT")
+    place = place if commit is None else f"{place}-{commit}/{place}"
     cache = os.environ.get("ROBOT_DESCRIPTIONS_CACHE", "~/.cache/robot_descriptions")
-    return Path(cache).expanduser() / (place if commit is None else f"{place}-{commit}/{place}")
+    return repository.url, Path(cache).expanduser() / place
 
 
 def _packages(file: Path, repository: Path) -> dict[str, Path]:

@@ -17,7 +17,7 @@ from collections.abc import Collection, Container, Iterator, Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
 from typing import ClassVar
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree.ElementTree import Element
 
 import numpy as np
 from pydrake.math import RigidTransform
@@ -29,9 +29,8 @@ from geodrake.robot.files.checks import (
     TENSOR,
     URDF_NUMBERS,
     Numeric,
-    check_inertia,
     check_limits,
-    check_links,
+    check_link,
     check_numbers,
     drop,
     inertial_parameters_of,
@@ -43,7 +42,7 @@ from geodrake.robot.files.checks import (
 )
 from geodrake.robot.files.includes import PACKAGE_ADVICE, Includes
 from geodrake.robot.files.model_edits import put_inertia, sdf_joints, sdf_models, sdf_pose
-from geodrake.robot.files.xml_text import LocatedElement, numbered_text, place_of, wrong_at
+from geodrake.robot.files.xml_text import LocatedElement, place_of, wrong_at
 from geodrake.robot.joints import Tie
 from geodrake.robot.stated import (
     CLOSING,
@@ -165,11 +164,9 @@ class ModelText(abc.ABC):
         self._read()
         check_numbers(self.root, self.numeric, path)
         check_limits(self.root, path)
-        check_links(self._links, path)
         for name, link in self._links.items():
             phi = self._stated(link)
-            if phi is not None:
-                check_inertia(link, phi, path)
+            check_link(link, phi, path)
             if phi is not None and not is_physical(phi):
                 self.terms.set_aside[name] = phi
                 self.set_inertia(name, None)
@@ -211,16 +208,8 @@ class ModelText(abc.ABC):
         if phi is not None:
             put_inertia(self.root, element, phi)
         elif self.kind == "sdf":  # where a link without an inertia has one of 1 kg
-            none = SubElement(element, "inertial")
-            SubElement(none, "mass").text = "0"
-            moments = SubElement(none, "inertia")
-            for key in TENSOR:
-                SubElement(moments, key).text = "0"
+            put_inertia(self.root, element, np.zeros(10))
         return True
-
-    def text(self) -> tuple[str, list[str]]:
-        """Return the simplified description, and each of its lines' place in the file."""
-        return numbered_text(self.root)
 
     def _take_balls(self, scope: str, model: Element) -> None:
         """Take Drake's constraints of points that are one, which close loops, out of a model."""

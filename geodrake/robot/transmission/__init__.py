@@ -229,16 +229,12 @@ class LinearTransmission(JointlyEvaluated, Short):
 
     def along(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
         """θ = J q + θ₀, J, the same for all samples, and J̇ = 0."""
-        q = self._q(q)
-        J = np.broadcast_to(self.matrix, (len(q), *self.shape))
-        return q @ self.matrix.T + self.offset, J, np.zeros(J.shape)
-
-    def jacobian_rate(self, q: Array, v: Array) -> Array:
-        """J̇ = 0, at velocities that are checked all the same."""
         sizes: Sizes = {}
         q = self._q(q, sizes)
-        real_array(v, "v", ("N", self.num_actuators), sizes)
-        return np.zeros((len(q), *self.shape))
+        if v is not None:
+            real_array(v, "v", ("N", self.num_actuators), sizes)
+        J = np.broadcast_to(self.matrix, (len(q), *self.shape))
+        return q @ self.matrix.T + self.offset, J, np.zeros(J.shape)
 
 
 def gears(ratios: ArrayLike) -> LinearTransmission:

@@ -409,29 +409,17 @@ def solved(loop: LoopRecords, q: Array) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class LoopTransmission(JointlyEvaluated, Short):
-    """How all joints of a closed loop, or of several that share joints, follow from the free ones.
+    """How all joints of a closed loop, or of several that share some, follow from the free ones."""
 
-    Attributes:
-        name: What closes the loop, in words.
-        joints: Names of its k joints; the last ones may be cut.
-        records: The loop for compiled code.
-        shown: Numbers of the joints that it moves in the tree.
-        cut: Numbers of the joints that close the loop and are not in the tree.
-        slides: Of each joint, whether it slides.
-        limits: Least and greatest positions of all its joints by their own limits, (2, k).
-        motors: Names of its joints that motors drive, as far as the file tells.
-        gap: By how much it misses at the posture of the file, m or rad.
-    """
-
-    name: str
-    joints: tuple[str, ...]
-    records: LoopRecords
-    shown: Indices
-    cut: tuple[int, ...]
-    slides: tuple[bool, ...]
-    limits: Array
-    motors: tuple[str, ...]
-    gap: float
+    name: str  # what closes the loop, in words
+    joints: tuple[str, ...]  # names of its k joints; the last ones may be cut
+    records: LoopRecords  # the loop for compiled code
+    shown: Indices  # numbers of the joints that it moves in the tree
+    cut: tuple[int, ...]  # numbers of the joints that close the loop and are not in the tree
+    slides: tuple[bool, ...]  # of each joint, whether it slides
+    limits: Array  # least and greatest positions of all its joints by their own limits, (2, k)
+    motors: tuple[str, ...]  # names of its joints that motors drive, as far as the file tells
+    gap: float  # by how much it misses at the posture of the file, m or rad
 
     @property
     def free(self) -> Indices:

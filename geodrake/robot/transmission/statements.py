@@ -50,7 +50,6 @@ Law = Callable[[Array, int], Array]
 
 _SLIDES: dict[str, bool | None] = {"": None, "revolute": False, "prismatic": True}
 _ACTUATOR, _JOINT = ("actuator", "leader"), ("leader", "joint", "rotor")  # fields of their names
-_OFF_THE_END = 1e-3  # of the range, where a linkage still moves
 _LEAST_POINTS = 3  # of a table, whose spline has curvature
 _EVERYWHERE = -np.inf, np.inf
 _AXES = np.eye(3)
@@ -88,14 +87,6 @@ class Curves(JointlyEvaluated, Short):
     def range(self) -> tuple[Array, Array]:
         """Return the ends."""
         return np.array(self.ends[:1]), np.array(self.ends[1:])
-
-    def inside(self, q: Array) -> Array:
-        """Return positions moved to where f is known, a little off its ends."""
-        low, high = self.ends
-        if not np.isfinite([low, high]).all():
-            return q
-        off = _OFF_THE_END * (high - low)
-        return np.clip(q, low + off, high - off)
 
 
 class Statement(Schema):
@@ -181,16 +172,11 @@ class Coupled(Statement):
 
 
 class RollingJoint(Statement):
-    """Two bodies that roll on each other: two parallel joints that share an angle.
-
-    Attributes:
-        joints: The two joints, the inboard one first.
-        share: Share of the first joint, r₂ / (r₁ + r₂).
-    """
+    """Two bodies that roll on each other: two parallel joints that share an angle."""
 
     actuator: str
-    joints: list[str]
-    share: float = 0.5
+    joints: list[str]  # the two joints, the inboard one first
+    share: float = 0.5  # share of the first joint, r₂ / (r₁ + r₂)
 
     def transmission(self) -> Transmission:
         """Return θ = (s q, (1 − s) q)."""
@@ -277,18 +263,15 @@ class FourBarLinkage(OneJoint):
     Their angles are counted from the line from the crank's pivot to the rocker's.
 
     Attributes:
-        ground: Distance of the two pivots, m; only ratios of the four lengths matter.
-        crank_angle: Angle of the crank where q = 0, rad.
-        rocker_angle: Angle of the rocker where θ = 0, rad.
         crossed: Whether coupler and ground link cross: the other way to put the bars together.
     """
 
-    ground: float
+    ground: float  # distance of the two pivots, m; only ratios of the four lengths matter
     crank: float
     coupler: float
     rocker: float
-    crank_angle: float = 0.0
-    rocker_angle: float = 0.0
+    crank_angle: float = 0.0  # angle of the crank where q = 0, rad
+    rocker_angle: float = 0.0  # angle of the rocker where θ = 0, rad
     crossed: bool = False
 
     def transmission(self) -> Transmission:
@@ -329,20 +312,13 @@ class LinearActuator(OneJoint):
 
     Two sides of a triangle, from the joint's axis to the ends of the cylinder, enclose an angle
     γ with L² = a² + b² − 2 a b cos γ.
-
-    Attributes:
-        base: a, distance of the joint's axis from the end on its inboard side, m.
-        lever: b, distance of the joint's axis from the end on its outboard side, m.
-        length: L where q = 0, m.
-        angle: γ where θ = 0, rad, between 0 and π.
-        reversed: Whether θ falls as the cylinder grows.
     """
 
-    base: float
-    lever: float
-    length: float = 0.0
-    angle: float = 0.0
-    reversed: bool = False
+    base: float  # a, distance of the joint's axis from the end on its inboard side, m
+    lever: float  # b, distance of the joint's axis from the end on its outboard side, m
+    length: float = 0.0  # L where q = 0, m
+    angle: float = 0.0  # γ where θ = 0, rad, between 0 and π
+    reversed: bool = False  # whether θ falls as the cylinder grows
 
     def transmission(self) -> Transmission:
         """Return the closed loop of base, cylinder and lever, in which γ is from 0 to π."""
@@ -398,22 +374,14 @@ class Stated(Schema):
 class Drive(Short):
     """Actuators, the joints that they move together, and how.
 
-    Attributes:
-        actuators: Names of the n actuators, as logs have them.
-        joints: Names of the k joints of the model file, n ≤ k.
-        map: θ = T(q) from the actuators to the joints.
-        slides: Whether each actuator slides, so that its positions are in m and its efforts in N;
-            None for each as the joint in whose place it stands.
-        range: Positions (n,) of the actuators between which they may be, rad or m; None for all
-            where the map holds.
-        statement: What it was made of, which is saved; None for one of functions of your own.
+    Each slides, with positions in m and efforts in N, as `slides` says, or as the joint in whose
+    place it is. One of functions of your own has no statement, which is saved.
     """
 
-    actuators: tuple[str, ...]
-    joints: tuple[str, ...]
-    map: Transmission
+    actuators: tuple[str, ...]  # names of the n actuators, as logs have them
+    joints: tuple[str, ...]  # names of the k joints of the model file, n ≤ k
+    map: Transmission  # θ = T(q) from the actuators to the joints
     slides: tuple[bool, ...] | None = None
-    range: tuple[Array, Array] | None = None
     statement: Statement | None = None
 
     def __post_init__(self) -> None:
@@ -441,11 +409,6 @@ class Drive(Short):
         """Return a closed loop as a drive."""
         names = tuple(loop.joints[at] for at in loop.shown)
         return cls(loop.actuators, names, loop)
-
-    @property
-    def limits(self) -> tuple[Array, Array]:
-        """Range of positions (n,) of the actuators, rad or m."""
-        return self.map.range if self.range is None else self.range
 
     @classmethod
     def of(cls, statement: Statement) -> Drive:
