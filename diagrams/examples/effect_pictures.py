@@ -156,7 +156,7 @@ def draw(residual: Array, motion: RobotMotion, joint: str, path: Path) -> None:
         axes.spines[["top", "right"]].set_visible(False)
         axes.axhline(0.0, color=style.RULE, lw=0.6, zorder=0)
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, style.png(figure))
+    write_whole(path, style.figure_bytes(figure))
 
 
 def page(drawn: dict[type[Effect], Path], folder: Path) -> str:

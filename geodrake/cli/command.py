@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
@@ -53,6 +53,7 @@ _CORRECTED = "The results use the corrected columns."
 _PAYLOAD = (
     "Write LOG:BODY:MASS or LOG:BODY:MASS:X,Y,Z in kg and m, such as log_2.csv:flange:3:0,0,0.1."
 )
+_PAYLOAD_FORM = re.compile(r"^(.+):([^:,]+)(?::([^:,]+),([^:,]+),([^:,]+))?$")  # body, numbers
 _PIPE_WIDTH = 160  # columns; tables are as wide as their content
 
 STDOUT = Path("-")
@@ -130,22 +131,16 @@ def _run(command: Command[R], options: Any) -> R:
     name = (_models(options) or options.logs)[0].name
     with progress(f"Reading {name}", quiet=options.quiet) as update:
         given = _read(command, options, outputs, update)
-        given, columns, corrects = _with_columns(options, given, update)
+        given, told, said = _with_columns(options, given, update)
         update(command.working)
         result = command.work(given)
         update("Writing")
         fitted, view = getattr(result, "model", given.model), view_of(result)
-        unchecked = [] if columns is None else unchecked_words(given.model)
-        told: dict[str, Any] = {}
-        if columns is not None:
-            found = [record("ColumnFinding", each) for each in columns]
-            told = {"columns": found, "columns_are_checked": not unchecked}
         numbers = to_json(
             {"version": version(), "command": command.name, **view.numbers(result), **told}
         )
         page = view.page(result, _about(command, options, fitted, given.extra))
-        said = (*column_words(columns or (), corrected=corrects), *unchecked)
-        mistakes = Section("Check first: the columns of the logs", items=said)
+        mistakes = Section("Check first: the columns of the logs", items=tuple(said))
         page = replace(page, first=(mistakes, *page.first))
         makers: dict[str, Callable[[Path], Content | None]] = {
             "json": lambda path: numbers,
@@ -252,20 +247,32 @@ def files_of(outputs: Mapping[str, Output]) -> dict[str, Path]:
 
 def check_outputs(outputs: Mapping[str, Output], inputs: Iterable[Path]) -> None:
     """Raise if a file cannot be written or would overwrite an input or another output."""
-    for name, output in outputs.items():
-        if output.path == STDOUT and name != "json":
-            reason = "is standard output, which is for --json only"
-            raise _refusal(name, STDOUT, reason, "Name a file.")
     taken = {_place(path): "is an input of this command" for path in inputs}
-    for name, path in files_of(outputs).items():
-        if path.suffix.lower() not in (suffixes := outputs[name].suffixes):
+    for name, output in outputs.items():
+        path, suffixes = output.path, output.suffixes
+        if path is None or (path == STDOUT and name == "json"):
+            continue
+        reason, advice = "", "Choose another name."
+        if path == STDOUT:
+            reason, advice = "is standard output, which is for --json only", "Name a file."
+        elif path.suffix.lower() not in suffixes:
             reason = f"does not end in {' or '.join(suffixes)}"
-            raise _refusal(name, path, reason, f"Name it {path.stem or name}{suffixes[0]}.")
-        if _place(path) in taken:
-            raise _refusal(name, path, taken[_place(path)], "Choose another name.")
-        taken[_place(path)] = f"is already the target of --{name}"
-        if reason := _obstacle(path):
-            raise _refusal(name, path, reason, "Choose another place.")
+            advice = f"Name it {path.stem or name}{suffixes[0]}."
+        elif _place(path) in taken:
+            reason = taken[_place(path)]
+        else:
+            taken[_place(path)] = f"is already the target of --{name}"
+            try:
+                check_writable(path)
+                if path.exists() and not os.access(path, os.W_OK):
+                    reason, advice = "is read-only", "Choose another place."
+            except OutputError as error:
+                reason = f"cannot be written: {error.evidence['reason']}"
+                advice = "Choose another place."
+        if reason:
+            raise OutputError(
+                f"Cannot write --{name} {path}: it {reason}.", advice=advice, path=path
+            )
 
 
 def _place(path: Path) -> str:
@@ -274,19 +281,6 @@ def _place(path: Path) -> str:
         return os.path.realpath(path)
     except ValueError:  # a null character, which is refused where the file is read
         return os.fspath(path)
-
-
-def _obstacle(path: Path) -> str:
-    """Return why a file cannot be written; "" if it can."""
-    try:
-        check_writable(path)
-    except OutputError as error:
-        return f"cannot be written: {error.evidence['reason']}"
-    return "is read-only" if path.exists() and not os.access(path, os.W_OK) else ""
-
-
-def _refusal(name: str, path: Path, reason: str, advice: str) -> OutputError:
-    return OutputError(f"Cannot write --{name} {path}: it {reason}.", advice=advice, path=path)
 
 
 def _read(
@@ -336,21 +330,27 @@ def _readable(
 
 def _with_columns(
     options: Any, given: Input, update: Activity
-) -> tuple[Input, tuple[ColumnFinding, ...] | None, bool]:
-    """Return the input, mistakes in columns (None if not checked), and whether they were fixed."""
+) -> tuple[Input, dict[str, Any], list[str]]:
+    """Return the input with corrected columns, and what to say of columns in JSON and in words."""
     if not isinstance(options, Options):
-        return given, None, False
+        return given, {}, []
     update("Checking the columns")
     asked = {key: given.settings[key] for key in ("bandwidth", "blocks")}
-    columns = found_columns(given.model, given.logs, asked)
-    corrects = options.correct_columns and any(finding.is_correctable for finding in columns)
-    if corrects:
-        logs = tuple(corrected(log, columns) for log in given.logs)
-        model = with_motor_limits(given.model, given.logs, columns)
-        if options.hold_resting:  # as is known of columns in rad alone
-            model = holding_resting(model, logs)
-        given = replace(given, model=model, logs=logs)
-    return given, columns, corrects
+    columns, unchecked = found_columns(given.model, given.logs, asked), unchecked_words(given.model)
+    told = {
+        "columns": [record("ColumnFinding", each) for each in columns],
+        "columns_are_checked": not unchecked,
+    }
+    said = [*map(str, columns)]
+    if any(finding.is_correctable for finding in columns):
+        said.append(_CORRECTED if options.correct_columns else _UNCORRECTED)
+        if options.correct_columns:
+            logs = tuple(corrected(log, columns) for log in given.logs)
+            model = with_motor_limits(given.model, given.logs, columns)
+            if options.hold_resting:  # as is known of columns in rad alone
+                model = holding_resting(model, logs)
+            given = replace(given, model=model, logs=logs)
+    return given, told, [*said, *unchecked]
 
 
 def own_effects(paths: Iterable[Path]) -> tuple[type[Effect], ...]:
@@ -401,15 +401,6 @@ def found_columns(
         return ()
 
 
-def column_words(columns: Sequence[ColumnFinding], *, corrected: bool) -> list[str]:
-    """Return findings, and whether they are corrected, in sentences."""
-    if not columns:
-        return []
-    able = any(finding.is_correctable for finding in columns)
-    last = [_CORRECTED if corrected else _UNCORRECTED] if able else []
-    return [*map(str, columns), *last]
-
-
 def unchecked_words(model: RobotModel) -> list[str]:
     """Return why the columns were not checked: a floating base, or too many joints."""
     count = len(model.joints)
@@ -431,13 +422,33 @@ def known_payloads(
     LOG is the path or name of a log, BODY a link of the robot, MASS in kg, and X,Y,Z the centre of
     mass in the link's frame, m.
     """
-    carried: dict[Path, list[KnownPayload]] = defaultdict(list)
+    carried: dict[Path, tuple[KnownPayload, ...]] = {}
     for text in given:
-        log, payload = _parsed(text, files)
-        carried[log].append(payload)
+        names = (name for log in files for name in (str(log), log.name, log.stem))
+        name = max((n for n in names if text.startswith(f"{n}:")), key=len, default=None)
+        if name is None:
+            raise ArgumentError(
+                f"--known-payload {text!r} begins with none of the logs.",
+                advice=f"Logs are: {', '.join(map(str, files))}. {_PAYLOAD}",
+            )
+        exact = [log for log in files if str(log) == name]
+        log, *others = exact or [log for log in files if name in (log.name, log.stem)]
+        if others:
+            raise ArgumentError(
+                f"--known-payload {text!r} is ambiguous: several logs are named {name!r}.",
+                advice=f"Give the full path: {' or '.join(map(str, (log, *others)))}.",
+            )
+        parts = _PAYLOAD_FORM.findall(text[len(name) + 1 :]) or [("", "none")]
+        try:
+            mass, *com = (float(part or 0) for part in parts[0][1:])
+        except ValueError:
+            message = f"--known-payload {text!r} cannot be parsed."
+            raise ArgumentError(message, advice=_PAYLOAD) from None
+        payload = KnownPayload(parts[0][0], mass, (com[0], com[1], com[2]))
+        carried[log] = (*carried.get(log, ()), payload)
     for payloads in carried.values():
-        carried_phi(model, tuple(payloads))  # raises for unknown bodies, before the work
-    return {log: tuple(payloads) for log, payloads in carried.items()}
+        carried_phi(model, payloads)  # raises for unknown bodies, before the work
+    return carried
 
 
 def with_facts(
@@ -452,42 +463,3 @@ def with_facts(
             own["effort_uncertainty"] = reading.effort_uncertainty(log.joints, share)
         found.append(replace(log, **own))
     return tuple(found)
-
-
-def _parsed(text: str, logs: Sequence[Path]) -> tuple[Path, KnownPayload]:
-    """Return the log and the payload of one option."""
-    names = {name: _named(name, logs) for log in logs for name in (str(log), log.name, log.stem)}
-    name = max((n for n in names if text.startswith(f"{n}:")), key=len, default=None)
-    if name is None:
-        raise ArgumentError(
-            f"--known-payload {text!r} begins with none of the logs.",
-            advice=f"Logs are: {', '.join(map(str, logs))}. {_PAYLOAD}",
-        )
-    if len(names[name]) > 1:
-        raise ArgumentError(
-            f"--known-payload {text!r} is ambiguous: several logs are named {name!r}.",
-            advice=f"Give the full path: {' or '.join(map(str, names[name]))}.",
-        )
-    fields = text[len(name) + 1 :].split(":")
-    place = _floats(text, fields.pop()) if "," in fields[-1] else [0.0, 0.0, 0.0]
-    body, mass = ":".join(fields[:-1]), _floats(text, fields[-1])  # names may have colons
-    if not body or len(mass) != 1 or len(place) != 3:
-        raise _malformed(text)
-    return names[name][0], KnownPayload(body, mass[0], (place[0], place[1], place[2]))
-
-
-def _named(name: str, logs: Sequence[Path]) -> list[Path]:
-    """Return the logs with a path, a file name or a file name without ending."""
-    exact = [log for log in logs if str(log) == name]
-    return exact or [log for log in logs if name in (log.name, log.stem)]
-
-
-def _floats(text: str, field: str) -> list[float]:
-    try:
-        return [float(part) for part in field.split(",")]
-    except ValueError:
-        raise _malformed(text) from None
-
-
-def _malformed(text: str) -> ArgumentError:
-    return ArgumentError(f"--known-payload {text!r} cannot be parsed.", advice=_PAYLOAD)

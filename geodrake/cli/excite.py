@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +14,7 @@ from geodrake.cli.command import Command, Input, Output, run
 from geodrake.cli.identify import named_effects, split_effects
 from geodrake.cli.input_options import pairs
 from geodrake.cli.options import ExciteOptions, IdentifiableOptions
-from geodrake.cli.progress import STOPPING, Activity
+from geodrake.cli.progress import STOPPING
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.excitation import (
     CollisionWorld,
@@ -64,6 +64,11 @@ _RANGES = {
 """Option -> its smallest and largest value."""
 _FORM = "Write EFFECT,EFFECT; either may have a place: EFFECT@elbow."
 _PLATE_SHARE, _PLATE_ARM = 0.01, 0.15  # of the weight; m
+_PLATE_NOISE = np.array([*3 * [_PLATE_ARM], *3 * [1.0]])  # moments and forces, over the force
+_PLATE_WORDS = (
+    f"noise: {100 * _PLATE_SHARE:.0f} % of the weight, moments at {_PLATE_ARM:g} m, as nothing "
+    "else is known"
+)
 _UNDER = 0.001  # m, by which a floor is beneath the clearance of feet that stand on it
 _REPEATS = 3  # periods of a motion that distinguishes effects, as a diagnosis holds out blocks
 _QUANTITIES = ("position", "velocity", "acceleration", "effort", "jerk", *SIGNAL_KINDS)
@@ -74,10 +79,8 @@ _EXAMPLE = "Write 0.5, velocity=1.5, velocity=50% or JOINT.position=-1:0.5."
 def run_excite(options: ExciteOptions) -> None:
     """Design a motion."""
     family = family_of(options)
-    _check(options)
     files, names = split_effects(options.effects)
-    check_alone(options, names)
-    check_feet(options, names)
+    _check(options, names)
     command = Command(
         "excite",
         "Designing",
@@ -148,13 +151,35 @@ def family_of(options: ExciteOptions) -> MotionFamily:
     return FourierMotion(options.duration, harmonics, rate)
 
 
-def _check(options: ExciteOptions) -> None:
+def _check(options: ExciteOptions, names: Sequence[str]) -> None:
     """Raise for invalid options, before the model is read."""
     one_of(options.criterion, "--criterion", CRITERIA)
     one_of(options.normalization, "--normalization", NORMALIZATIONS)
     for name, (least, most) in _RANGES.items():
         value = getattr(options, name)
         number(least if value is None else value, f"--{name}", lower=least, upper=most)
+    if options.feet is None and options.force_plate:
+        raise ArgumentError("--force-plate measures under feet.", advice="Add --feet LINK,LINK.")
+    if options.force_plate and (names or options.tell_apart is not None):
+        raise ArgumentError(
+            "A force plate does not measure effects of joints, such as friction.",
+            advice="Omit --force-plate, or --effects and --tell-apart.",
+        )
+    if options.tell_apart is None:
+        return
+    for name in ("criterion", "normalization"):
+        if getattr(options, name) != getattr(ExciteOptions, name):
+            raise ArgumentError(
+                f"--{name} does not apply to --tell-apart, which has its own criterion.",
+                advice=f"Omit --{name}.",
+            )
+    if names:
+        raise ArgumentError(
+            f"With --tell-apart, --effects takes only FILE.py; got {', '.join(names)}.",
+            advice="Add the robot's effects to its model first: geodrake add EFFECT MODEL LOG "
+            "--save model.yaml.",
+        )
+    rivals_in(options.tell_apart)
 
 
 def _designed(
@@ -196,13 +221,23 @@ def _designed(
         seconds=max(budget.left, _LEAST_SECONDS),
     )
     update("Designing")
+
+    def updated(now: DesignProgress) -> None:
+        if now.is_stopped:
+            update.history(STOPPING)
+        elif now.evaluations % _UPDATED_EVERY == 0:
+            update(
+                f"Initial motion {now.seed + 1} of {now.seeds}, log criterion {now.value:.3f}",
+                1.0 - budget.left / options.seconds,
+            )
+
     result = design_excitation(
         objective,
         limits,
         trajectory=family,
         options=design,
         seeds=range(options.seed, options.seed + options.seeds),
-        progress=_updating(update, budget, options.seconds),
+        progress=updated,
     )
     return replace(result, notes=(*result.notes, *notes, *margins, *more))
 
@@ -244,9 +279,12 @@ def _objective(
     """Return the objective of the motion, and notes."""
     criterion, model = Criterion(options.criterion), given.model
     if stance is not None and options.force_plate:
-        noise, notes = _plate_noise(options.noise, stance)
+        noise = _PLATE_SHARE * stance.weight * _PLATE_NOISE
+        if options.noise is not None:
+            noise = joint_values(options.noise, WRENCH, "--noise")
         target = stance.target(noise=noise, on_plate=True)
-        return Objective(target, criterion, options.normalization), notes
+        said = () if options.noise is not None else (_PLATE_WORDS,)
+        return Objective(target, criterion, options.normalization), said
     noise, notes = noise_of(options.noise, model)
     if stance is not None:
         model, limits, noise = stance.model, stance.limits(), stance.noise(noise)
@@ -269,19 +307,7 @@ def _objective(
     return Objective(target, criterion, options.normalization), notes
 
 
-def _plate_noise(text: str | None, stance: Stance) -> tuple[Array, tuple[str, ...]]:
-    """Return (6,) noise of the ground's wrench, and a note on its source if it was not given."""
-    if text is not None:
-        return joint_values(text, WRENCH, "--noise"), ()
-    force = _PLATE_SHARE * stance.weight
-    noise = force * np.array([*3 * [_PLATE_ARM], *3 * [1.0]])
-    return noise, (
-        f"noise: {100 * _PLATE_SHARE:.0f} % of the weight, moments at {_PLATE_ARM:g} m, as nothing "
-        "else is known",
-    )
-
-
-def noise_of(text: str | None, model: RobotModel) -> tuple[np.ndarray, tuple[str, ...]]:
+def noise_of(text: str | None, model: RobotModel) -> tuple[Array, tuple[str, ...]]:
     """Return (nv,) noise of the measured efforts, and a note on its source if it was not given."""
     if text is not None:
         return joint_values(text, motors_of(model), "--noise"), ()
@@ -332,19 +358,6 @@ def _collisions(
     return alone.among(obstacles) if obstacles else alone, notes
 
 
-def _updating(update: Activity, budget: Budget, seconds: float) -> Callable[[DesignProgress], None]:
-    def updated(now: DesignProgress) -> None:
-        if now.is_stopped:
-            update.history(STOPPING)
-        elif now.evaluations % _UPDATED_EVERY == 0:
-            update(
-                f"Initial motion {now.seed + 1} of {now.seeds}, log criterion {now.value:.3f}",
-                1.0 - budget.left / seconds,
-            )
-
-    return updated
-
-
 def _replay(result: ExcitationResult) -> str:
     from geodrake.report.meshcat_scene import replay_page
     from geodrake.report.robot_scene import FRAMES
@@ -354,47 +367,15 @@ def _replay(result: ExcitationResult) -> str:
     return replay_page(result.objective.target.model, times, motion.q)
 
 
-def check_feet(options: ExciteOptions, names: Sequence[str]) -> None:
-    """Raise for options that need feet, or contradict a force plate."""
-    if options.feet is None and options.force_plate:
-        raise ArgumentError("--force-plate measures under feet.", advice="Add --feet LINK,LINK.")
-    if options.force_plate and (names or options.tell_apart is not None):
-        raise ArgumentError(
-            "A force plate does not measure effects of joints, such as friction.",
-            advice="Omit --force-plate, or --effects and --tell-apart.",
-        )
-
-
-def check_alone(options: ExciteOptions, names: Sequence[str]) -> None:
-    """Raise for options that contradict --tell-apart."""
-    if options.tell_apart is None:
-        return
-    usual = {name: getattr(ExciteOptions, name) for name in ("criterion", "normalization")}
-    wrong = [name for name, value in usual.items() if getattr(options, name) != value]
-    if wrong:
-        raise ArgumentError(
-            f"--{wrong[0]} does not apply to --tell-apart, which has its own criterion.",
-            advice=f"Omit --{wrong[0]}.",
-        )
-    if names:
-        raise ArgumentError(
-            f"With --tell-apart, --effects takes only FILE.py; got {', '.join(names)}.",
-            advice="Add the robot's effects to its model first: geodrake add EFFECT MODEL LOG "
-            "--save model.yaml.",
-        )
-    rivals_in(options.tell_apart)
-
-
 def rivals_in(text: str) -> tuple[Placed, Placed]:
     """Return names and places of two effects, `a@elbow,b@j1+j2`; places may be empty."""
-    parts = [part.strip().partition("@") for part in text.split(",")]
-    if len(parts) != 2 or not all(name for name, _, _ in parts):
+    found = []
+    for part in text.split(","):
+        name, _, places = part.strip().partition("@")
+        found.append((name, tuple(filter(None, places.split("+")))))
+    if len(found) != 2 or not all(name for name, _ in found):
         raise ArgumentError(f"--tell-apart takes two effects; got {text!r}.", advice=_FORM)
-    (first, _, there), (second, _, here) = parts
-    return (first, tuple(filter(None, there.split("+")))), (
-        second,
-        tuple(filter(None, here.split("+"))),
-    )
+    return found[0], found[1]
 
 
 def joint_values(text: str, joints: Sequence[str], option: str) -> Array:
@@ -402,7 +383,7 @@ def joint_values(text: str, joints: Sequence[str], option: str) -> Array:
     if "=" not in text and "," not in text:
         return np.full(len(joints), _number(text, option))
     values: dict[str, float] = {}
-    for joint, value in pairs(option, [text], _JOINTS):
+    for joint, value in pairs(option, [text], _JOINTS).items():
         _check_joint(joint, joints, option)
         values[joint] = _number(value, option)
     missing = [joint for joint in joints if joint not in values]
@@ -455,12 +436,15 @@ def limits_of(
             joint. Each may hold several, separated by commas; later ones win.
         bounded: As for `motion_limits`.
     """
-    motors = motors_of(model)
-    scale, said = 1.0, {quantity: dict[str, Any]() for quantity in _QUANTITIES}
+    motors, scale = motors_of(model), 1.0
+    said = {quantity: dict[str, Any]() for quantity in _QUANTITIES}
+    shares = {quantity: dict[str, float]() for quantity in _QUANTITIES}
     for text in filter(None, ",".join(given or ()).split(",")):
         key, equals, value = (part.strip() for part in text.partition("="))
+        amount = value if equals else key
+        percent = amount.endswith("%")
         if not equals:
-            scale *= _amount(text)[0]
+            scale *= _amount(amount)
             continue
         joint, _, quantity = key.rpartition(".")
         if quantity not in _QUANTITIES:
@@ -473,7 +457,7 @@ def limits_of(
         joints = motors
         if quantity in SIGNAL_KINDS:
             joints = tuple(each.joint for each in model.effort_signals if each.kind == quantity)
-            if value.endswith("%"):
+            if percent:
                 raise ArgumentError(
                     f"--limits {text!r}: the model has no {quantity} limit to take a share of.",
                     advice=f"Give a number, such as {quantity}=8.",
@@ -484,38 +468,32 @@ def limits_of(
                 f"{quantity}{f' of {joint}' * bool(joint)}.",
                 advice="Limit the effort, or use a model that was fitted to such a log.",
             )
-        limit = _range(value) if quantity == "position" else _amount(value)
-        said[quantity] |= dict.fromkeys([joint] if joint else joints, limit)
-    position = said.pop("position")
-    signals = {j: most for kind in SIGNAL_KINDS for j, (most, _) in said.pop(kind).items()}
-    absolute = {
-        quantity: {j: most for j, (most, is_share) in own.items() if not is_share}
-        for quantity, own in said.items()
-    }
-    limits = motion_limits(model, position=position, bounded=bounded, **absolute)
-    for quantity, own in said.items():
-        shares = [
-            most if is_share else 1.0
-            for most, is_share in (own.get(j, (1.0, True)) for j in motors)
-        ]
-        limits = replace(limits, **{quantity: np.array(shares) * getattr(limits, quantity)})
+        limit: Any = None if quantity == "position" else _amount(amount)
+        if quantity == "position":
+            low, colon, high = value.partition(":")
+            if not colon:
+                message = f"--limits has position={value}, not a range."
+                raise ArgumentError(message, advice=_EXAMPLE)
+            limit = _number(low, "--limits"), _number(high, "--limits")
+        for each in [joint] if joint else joints:
+            said[quantity].pop(each, None)
+            shares[quantity].pop(each, None)
+            (shares if percent else said)[quantity][each] = limit
+    signals = {j: most for kind in SIGNAL_KINDS for j, most in said.pop(kind).items()}
+    limits = motion_limits(model, bounded=bounded, **said)
+    for quantity in said.keys() - {"position"}:
+        share = np.array([shares[quantity].get(joint, 1.0) for joint in motors])
+        limits = replace(limits, **{quantity: share * getattr(limits, quantity)})
     # After the shares, which are of the model's limits: the lesser counts.
     most = np.minimum(limits.effort, signal_limits(model, signals))
     return replace(limits, effort=most).scaled(scale)
 
 
-def _amount(text: str) -> tuple[float, bool]:
-    """Return a number, and whether it is a share of a limit, as of `50%`."""
-    if text.strip().endswith("%"):
-        return 0.01 * _number(text.strip().rstrip("%"), "--limits"), True
-    return _number(text, "--limits"), False
-
-
-def _range(text: str) -> tuple[float, float]:
-    low, colon, high = text.partition(":")
-    if not colon:
-        raise ArgumentError(f"--limits has position={text}, not a range.", advice=_EXAMPLE)
-    return _number(low, "--limits"), _number(high, "--limits")
+def _amount(text: str) -> float:
+    """Return a number, or a share of 1 from `50%`."""
+    if text.endswith("%"):
+        return 0.01 * _number(text.rstrip("%"), "--limits")
+    return _number(text, "--limits")
 
 
 def _number(text: str, option: str) -> float:

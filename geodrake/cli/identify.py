@@ -120,7 +120,8 @@ def _check_places(places: Sequence[str], model: RobotModel, *, on_bodies: bool) 
 
 
 def _figure(found: ModelIdentification, path: Path) -> bytes:
-    from geodrake.report.ellipsoids import ellipsoid_figure, figure_bytes, identification_sets
+    from geodrake.report.ellipsoids import ellipsoid_figure, identification_sets
+    from geodrake.report.style import figure_bytes
 
     figure = ellipsoid_figure(found.model.plant, identification_sets(found))
     return figure_bytes(figure, path.suffix.lower().lstrip("."))

@@ -101,7 +101,7 @@ class ReadingOptions:
             mapping=None if self.mapping is None else read_mapping(self.mapping),
             columns=tuple(part.strip() for part in (self.columns or "").split(",") if part.strip()),
             rate=self.rate,
-            units=dict(pairs("--units", [self.units or ""], "position=deg,time=ms")),
+            units=pairs("--units", [self.units or ""], "position=deg,time=ms"),
             gains={joint: gain for joint, (gain, _) in gains.items()},
             gain_deviations={j: spread for j, (_, spread) in gains.items() if spread is not None},
             kinds=self._kinds,
@@ -117,38 +117,36 @@ class ReadingOptions:
         from geodrake.logs.files.reading import parsed_gain
 
         said = pairs("--gain", self.gain or (), "elbow_joint=13.2")
-        return {joint: parsed_gain(text, f"--gain of {joint!r}") for joint, text in said}
+        return {joint: parsed_gain(text, f"--gain of {joint!r}") for joint, text in said.items()}
 
     @property
     def _motors(self) -> dict[str, Motor]:
         """Joint -> motor; that of all joints by the name ""."""
         from geodrake.logs.motors import known_motors, motor_named
 
-        of_all, named = of_all_and_named("--motor", self.motor or (), "elbow_flex=sts3215")
-        if not (of_all or named or self.motors):
+        said = of_all_and_named("--motor", self.motor or (), "elbow_flex=sts3215")
+        if not (said or self.motors):
             return {}
         table = known_motors(self.motors)
-        return {joint: motor_named(name, table) for joint, name in [*of_all, *named]}
+        return {joint: motor_named(name, table) for joint, name in said.items()}
 
     @property
     def _kinds(self) -> dict[str, str]:
         """Joint -> kind; that of all joints by the name ""."""
-        of_all, named = of_all_and_named("--kind", self.kind or (), "elbow_joint=current")
-        passive = [part.strip() for part in ",".join(self.passive or ()).split(",")]
-        without = [(joint, "passive") for joint in passive if joint]
-        if twice := sorted(dict(named).keys() & dict(without).keys()):
+        said = of_all_and_named("--kind", self.kind or (), "elbow_joint=current")
+        names = (part.strip() for part in ",".join(self.passive or ()).split(","))
+        passive = dict.fromkeys(filter(None, names), "passive")
+        if twice := sorted(said.keys() & passive.keys()):
             raise ArgumentError(
                 f"--passive says that {twice[0]!r} has no motor, and --kind that it is "
-                f"{dict(named)[twice[0]]}.",
+                f"{said[twice[0]]}.",
                 advice="Leave one of both out.",
             )
-        return dict([*of_all, *named, *without])
+        return said | passive
 
 
-def of_all_and_named(
-    option: str, given: Sequence[str], example: str
-) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
-    """Return the values of an option for all joints, under the name "", and for single joints."""
+def of_all_and_named(option: str, given: Sequence[str], example: str) -> dict[str, str]:
+    """Return the values of an option for all joints, by the name "", and for single joints."""
     parts = [part.strip() for part in ",".join(given).split(",")]
     of_all = [part for part in parts if part and "=" not in part]
     if len(of_all) > 1:
@@ -158,11 +156,11 @@ def of_all_and_named(
             advice=f"Write {form}.",
         )
     named = pairs(option, [part for part in parts if "=" in part], example)
-    return [("", each) for each in of_all], named
+    return {"": of_all[0], **named} if of_all else named
 
 
-def pairs(option: str, given: Sequence[str], example: str) -> list[tuple[str, str]]:
-    """Return (name, value) pairs of an option; each name occurs once."""
+def pairs(option: str, given: Sequence[str], example: str) -> dict[str, str]:
+    """Return name -> value of an option; each name occurs once."""
     found: dict[str, str] = {}
     for part in filter(None, ",".join(given).split(",")):
         name, sign, value = (word.strip() for word in part.rpartition("="))
@@ -173,39 +171,35 @@ def pairs(option: str, given: Sequence[str], example: str) -> list[tuple[str, st
         if name in found:
             raise ArgumentError(f"{option} has {name!r} twice.", advice="Give it once.")
         found[name] = value
-    return list(found.items())
+    return found
 
 
 @contextmanager
 def proposing(logs: Sequence[Path]) -> Iterator[None]:
-    """Write a draft mapping for a log whose columns are unknown, and add its path to the error."""
+    """Write a draft mapping for a log whose columns are unknown, and add its path to the error.
+
+    It is written into the working folder, unless it exists. Joined files share one.
+    """
     try:
         yield
     except LogError as error:
         proposal, path = error.evidence.get("proposal"), error.evidence.get("path")
         if proposal is None or path is None:
             raise
-        words = _written(_beside(Path(path), logs), proposal)
+        from geodrake.logs.files.packed_files import log_name
+
+        own = Path(path)
+        first = str(next((log for log in logs if log.name == own.name), own)).split("+")[0]
+        target = Path(f"{log_name(Path(first))}.mapping.yaml")
+        words = f"A draft mapping is in {target}: edit it, and pass it with --mapping."
+        if target.exists() or target.is_symlink():
+            words = f"Edit {target}, which exists, and pass it with --mapping."
+        else:
+            try:
+                write_whole(target, proposal)
+            except OutputError:
+                words = "Or map the columns with --mapping."
         raise LogError(error.problem, advice=f"{error.advice} {words}", **error.evidence) from error
-
-
-def _beside(path: Path, logs: Sequence[Path]) -> Path:
-    """Return the path of a log's draft mapping in the working folder; joined files share one."""
-    first = Path(str(next((log for log in logs if log.name == path.name), path)).split("+")[0])
-    from geodrake.logs.files.packed_files import log_name
-
-    return Path(f"{log_name(first)}.mapping.yaml")
-
-
-def _written(target: Path, proposal: str) -> str:
-    """Write a draft mapping unless the file exists, and return what to do next."""
-    if target.exists() or target.is_symlink():
-        return f"Edit {target}, which exists, and pass it with --mapping."
-    try:
-        write_whole(target, proposal)
-    except OutputError:
-        return "Or map the columns with --mapping."
-    return f"A draft mapping is in {target}: edit it, and pass it with --mapping."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -256,7 +250,7 @@ class ModelOptions:
     def held(self) -> dict[str, float]:
         """Joint -> position at which it is fixed, rad or m."""
         found = dict[str, float]()
-        for joint, value in pairs("--lock", self.lock or (), "finger=0.04, in rad or m"):
+        for joint, value in pairs("--lock", self.lock or (), "finger=0.04, in rad or m").items():
             try:
                 found[joint] = float(value)
             except ValueError:

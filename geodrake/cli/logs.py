@@ -23,7 +23,7 @@ from geodrake.fleet.digest_folder import FAILED, DigestRun, digest_logs
 from geodrake.fleet.digest_log import Wanted
 from geodrake.fleet.log_places import date_seconds
 from geodrake.logs.files import file_names, log_content
-from geodrake.logs.inspection import LogInspection, inspect_log, mapping_text
+from geodrake.logs.inspection import inspect_log, mapping_text
 from geodrake.logs.motion import JointLog
 from geodrake.logs.unit_hints import check_ticks, position_limit_hint, position_unit_hint
 from geodrake.model.logged_joints import log_of_model, model_of_logs, reading_for
@@ -78,48 +78,40 @@ def _inspected(options: LogCommandOptions, given: Input) -> InspectedLogs:
         joints = tuple(j for j in model.known_joints if j not in model.base_joints)
     reading = options.reading if model is None else reading_for(model, options.reading)
     found = [inspect_log(log, joints=joints, partial=True, reading=reading) for log in options.logs]
-    named = tuple(zip(map(file_names, options.logs), found, strict=True))
+    names, logs = [*map(file_names, options.logs)], [each.log for each in found]
     if model is None:
-        return InspectedLogs(named)
-    columns, unchecked = _columns(model, [each.log for each in found])
-    if any(
-        f.kind in ("position_unit", "position_alone_unit") for f in columns
-    ):  # which says it best
-        named = tuple((name, _without_unit_hint(each)) for name, each in named)
-        return InspectedLogs(named, columns, unchecked, model.repairs)
-    doubted = any(position_unit_hint(each.log) in each.first for each in found)
-    beyond = [] if doubted else _beyond_limits(model, [each.log for each in found])
+        return InspectedLogs([*zip(names, found, strict=True)])
+    columns, unchecked, beyond = tuple[ColumnFinding, ...](), "", list[str]()
+    try:
+        own = model_of_logs(model, logs)
+        columns = found_columns(own, logs, {})
+        if not any(position_unit_hint(each.log) in each.first for each in found):
+            beyond = _beyond_limits(own, logs)
+    except GeodrakeError as error:
+        unchecked = error.problem
+    if any(f.kind in ("position_unit", "position_alone_unit") for f in columns):
+        # This says best that the unit of positions is in doubt.
+        beyond = []
+        for k, each in enumerate(found):
+            said = position_unit_hint(each.log)
+            first, notes = (tuple(w for w in ws if w != said) for ws in (each.first, each.notes))
+            found[k] = replace(each, first=first, notes=notes)
+    named = [*zip(names, found, strict=True)]
     return InspectedLogs(named, columns, unchecked, model.repairs, beyond)
 
 
-def _without_unit_hint(found: LogInspection) -> LogInspection:
-    """Return an inspection that does not ask for the unit of positions."""
-    said = position_unit_hint(found.log)
-    first, notes = (tuple(w for w in each if w != said) for each in (found.first, found.notes))
-    return replace(found, first=first, notes=notes)
-
-
 def _beyond_limits(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:
-    """Return hints on positions beyond the model's limits; none for logs of other robots."""
+    """Return hints on positions beyond the model's limits; none for positions in ticks."""
+    matched = [log_of_model(log, model) for log in logs]
     try:
-        own = model_of_logs(model, logs)
-        matched = [log_of_model(log, own) for log in logs]
         for log in matched:
             check_ticks(log)
     except GeodrakeError:
-        return []  # `_columns` says why
-    if len(own.position_limits[0]) != len(own.joints):
         return []
-    hints = [position_limit_hint(log, *own.position_limits) for log in matched]
+    if len(model.position_limits[0]) != len(model.joints):
+        return []
+    hints = [position_limit_hint(log, *model.position_limits) for log in matched]
     return [hint for hint in hints if hint]
-
-
-def _columns(model: RobotModel, logs: Sequence[JointLog]) -> tuple[tuple[ColumnFinding, ...], str]:
-    """Return mistakes in columns, or why logs do not fit the model."""
-    try:
-        return found_columns(model_of_logs(model, logs), logs, {}), ""
-    except GeodrakeError as error:
-        return (), error.problem
 
 
 def _mapping(found: InspectedLogs, options: LogCommandOptions) -> str:
@@ -131,10 +123,10 @@ def _mapping(found: InspectedLogs, options: LogCommandOptions) -> str:
 
 def _preview(found: InspectedLogs) -> bytes:
     from geodrake.report.figures import chart_figure
-    from geodrake.report.style import png
+    from geodrake.report.style import figure_bytes
 
     (_, log), *_ = found.logs
-    return png(chart_figure(log_chart(log), most=len(log.log.joints)))
+    return figure_bytes(chart_figure(log_chart(log), most=len(log.log.joints)))
 
 
 def run_digest(options: DigestOptions) -> None:

@@ -191,8 +191,8 @@ class PlayOptions(LogOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Addition:
-    """Options.
+class AddOptions(_Steps):
+    """Options of add.
 
     Attributes:
         effect (EFFECT[@PLACE]): Name of an effect (x lists them), and its joint or body, as in
@@ -204,11 +204,6 @@ class _Addition:
 
     effect: str
     where: list[str] | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class AddOptions(_Steps, _Addition):
-    """Options of add."""
 
     @property
     def addition(self) -> tuple[str, list[str] | None]:
@@ -554,11 +549,11 @@ T = TypeVar("T", bound="DataclassInstance")
 
 ALL_OPTIONS = "geodrake.all_options"  # key of a context's `meta`: show advanced options as well
 _ADVANCED, _HELP_ALL = "Advanced: ", "help_all"
-_FIRST = ("save", "report", "json")
+_ARGUMENTS = ("effect", "model", "logs", "folder", "fleet")
+_FIRST = (*_ARGUMENTS, "save", "report", "json")
 _RARE = {"bandwidth", "blocks", "debug", "draft_effect", "effort_uncertainty", "known_payload"}
 _RARE |= {"no_auto_lock", "series", "horizon", "windows", "live", "speed", "seconds", "quiet"}
 _RARE |= {"ellipsoids", "scheduler", "workers"}
-_ARGUMENTS = {"model", "logs", "folder", "fleet", "effect"}
 _ENTRY = re.compile(r"(?P<name>\w+)(?: \((?P<metavar>[^)]*)\))?: (?P<help>.*)")
 
 

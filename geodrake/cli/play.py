@@ -14,10 +14,10 @@ from geodrake.cli.command import Command, Input, Output, run
 from geodrake.cli.options import PlayOptions
 from geodrake.cli.rollout import other_model
 from geodrake.errors import ArgumentError, OutputError
-from geodrake.model.robot_model import RobotModel, read_again
+from geodrake.model.robot_model import read_again
 from geodrake.model.saved_model import is_saved_model
+from geodrake.report.meshcat_scene import play_page
 from geodrake.report.pictures import check_video, video
-from geodrake.report.play_page import play_page
 from geodrake.report.playback import Playback, play_back
 from geodrake.report.recordings import check_viewer, recording
 
@@ -45,10 +45,15 @@ def run_play(options: PlayOptions) -> None:
     title, speed = f"{options.model.name}: play", options.speed
 
     def played(given: Input) -> Playback:
+        before = None
+        if options.before is not None:
+            before = other_model(options.before, given)
+        elif is_saved_model(options.model):  # compared with the file behind it
+            before = read_again(given.model)
         return play_back(
             given.model,
             given.logs,
-            before=_before(options, given),
+            before=before,
             extra=given.extra,
             seconds=options.seconds,
             ghost=options.ghost,
@@ -86,13 +91,6 @@ def run_play(options: PlayOptions) -> None:
             server.server_close()
 
 
-def _before(options: PlayOptions, given: Input) -> RobotModel | None:
-    """Return the model to compare with: the one named, or the file behind a saved model."""
-    if options.before is not None:
-        return other_model(options.before, given)
-    return read_again(given.model) if is_saved_model(options.model) else None
-
-
 class PageServer(ThreadingHTTPServer):
     """A server of one page."""
 
@@ -111,14 +109,12 @@ class _PageHandler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Answer with the page, and with 404 to any other path."""
-        self._answer()
-
-    def do_HEAD(self) -> None:
-        """Answer as to GET, without the page itself."""
-        self._answer()
-
-    def _answer(self) -> None:
-        if not self._is_local():  # against DNS rebinding
+        hosts = self.headers.get_all("Host", [])
+        try:
+            is_local = [urlsplit(f"//{host}").hostname in _LOCAL for host in hosts] == [True]
+        except ValueError:
+            is_local = False
+        if not is_local:  # against DNS rebinding
             self.send_error(HTTPStatus.FORBIDDEN, explain="This page is for localhost only.")
             return
         found = self.path.partition("?")[0] in ("/", "/index.html")
@@ -130,13 +126,7 @@ class _PageHandler(BaseHTTPRequestHandler):
         if self.command != "HEAD":
             self.wfile.write(body)
 
-    def _is_local(self) -> bool:
-        """Return whether the only `Host` of the request is this machine."""
-        hosts = self.headers.get_all("Host", [])
-        try:
-            return [urlsplit(f"//{host}").hostname in _LOCAL for host in hosts] == [True]
-        except ValueError:
-            return False
+    do_HEAD = do_GET  # noqa: N815
 
     def version_string(self) -> str:
         """Name the server, without versions."""

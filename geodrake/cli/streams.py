@@ -43,7 +43,16 @@ def settled_surroundings() -> Iterator[None]:
     flushed at the end, which may fail as it is full or a broken pipe. What is printed while the
     process exits, as by exit handlers of user code, goes to standard error.
     """
-    _open_streams()
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
+    sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123
+    sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal without ± is no reason to fail
     _ENDING.set(True)
     limit_memory()
     os.environ.update(MPLBACKEND="Agg", MATPLOTLIBRC=os.devnull)
@@ -146,19 +155,6 @@ def printing() -> Iterator[None]:
         raise GeodrakeError(_full(error), advice="The requested files were written.") from error
 
 
-def _open_streams() -> None:
-    for descriptor in range(3):
-        try:
-            os.fstat(descriptor)
-        except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
-    sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123
-    sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a terminal without ± is no reason to fail
-
-
 def _descriptor(stream: TextIO) -> int:
     """Return the file descriptor that a stream writes to; -1 if it has none, as in tests."""
     try:
@@ -198,38 +194,30 @@ def guarded(*, debug: bool = False, effect_files: Sequence[Path] = ()) -> Iterat
     except BrokenPipeError:
         raise typer.Exit(PIPE_CLOSED) from None
     except KeyboardInterrupt:
-        _stop("Interrupted.", INTERRUPTED)
+        warn("Interrupted.")
+        raise typer.Exit(INTERRUPTED) from None
     except Exception as error:  # whatever it is, the user gets a sentence
         if was_interrupted():  # extensions make an error of their own of an interrupt
             raise
         if debug or os.environ.get("GEODRAKE_DEBUG", "0") not in ("", "0"):
-            lines = "".join(traceback.format_exception(error)).splitlines()
-            for shown in lines:
-                warn(shown)
-        if isinstance(error, GeodrakeError):
-            _stop(f"Error: {error}", BAD_INPUT)
+            for line in "".join(traceback.format_exception(error)).splitlines():
+                warn(line)
+        files = {path.resolve(): path for path in effect_files}
+        lines = [
+            f"line {frame.lineno} of {files[place]}"
+            for frame in traceback.extract_tb(error.__traceback__)
+            if (place := Path(frame.filename).resolve()) in files
+        ]
+        message, code = f"Error: {error}", BAD_INPUT
         if isinstance(error, MemoryError):
-            _stop(f"Error: Out of memory: {one_line(error)}. {_SMALLER}", BAD_INPUT)
-        line = _line_of_user(error, effect_files)
-        if line:
-            _stop(f"Error: {line} raises {kind_and_line(error)}.", BAD_INPUT)
-        _stop(
-            f"Internal error: {kind_and_line(error)}. This is a bug in geodrake; please report it "
-            "with the output of --debug.",
-            INTERNAL_ERROR,
-        )
-
-
-def _stop(message: str, code: int) -> None:
-    warn(message)
-    raise typer.Exit(code) from None
-
-
-def _line_of_user(error: Exception, effect_files: Sequence[Path]) -> str | None:
-    """Return the innermost line of a user's file in an error's traceback."""
-    files = {path.resolve(): path for path in effect_files}
-    for frame in reversed(traceback.extract_tb(error.__traceback__)):
-        path = Path(frame.filename).resolve()
-        if path in files:
-            return f"line {frame.lineno} of {files[path]}"
-    return None
+            message = f"Error: Out of memory: {one_line(error)}. {_SMALLER}"
+        elif lines and not isinstance(error, GeodrakeError):
+            message = f"Error: {lines[-1]} raises {kind_and_line(error)}."
+        elif not isinstance(error, GeodrakeError):
+            message = (
+                f"Internal error: {kind_and_line(error)}. This is a bug in geodrake; please report "
+                "it with the output of --debug."
+            )
+            code = INTERNAL_ERROR
+        warn(message)
+        raise typer.Exit(code) from None

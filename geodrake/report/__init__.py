@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from geodrake.report.adaptation_view import AdaptationView, save_recording
+    from geodrake.report.ellipsoids import AdaptationView, save_recording
     from geodrake.report.figures import figures_of, save_figures
     from geodrake.report.html import render
     from geodrake.report.numbers import Units
@@ -31,7 +31,7 @@ __all__ = [
     "show_page",
 ]
 
-_MODULES = ("numbers", "page", "html", "terminal", "views", "figures", "adaptation_view")
+_MODULES = ("numbers", "page", "html", "terminal", "views", "figures", "ellipsoids")
 
 
 def __getattr__(name: str) -> Any:

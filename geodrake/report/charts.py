@@ -7,7 +7,6 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import pairwise
 from math import inf, isfinite, log
 from typing import Any
 
@@ -29,12 +28,14 @@ _LEAST = 1e-6  # nrms, so that a perfect model has a place on a logarithmic axis
 
 @dataclass(frozen=True)
 class Stage:
-    """A curve's subject: the measurement, or a model."""
+    """The subject of curves or bars: the measurement, or a model."""
 
     label: str  # the same in all charts of a page that show it
     color: str  # name of the colour in the page's style sheet
-    look: str = "line"  # "line", "wide", which is behind the others, or "dots"
+    # "line", "wide", which is behind the others, or "dots"; of bars "thin", for a mark across them.
+    look: str = "line"
     shown: bool = field(default=True, compare=False)  # whether it is shown at first
+    opacity: float = 1.0  # of bars, from 0 to 1
 
     @property
     def key(self) -> str:
@@ -153,18 +154,27 @@ class Chart:
 
 def _panel(panel: Panel) -> dict[str, Any]:
     on_time = [plot for plot in panel.plots if plot.over is None]
-    time, rows, derived = panel.time, iter(()), tuple[Stage, ...]()
+    time, rows, derived = panel.time, iter(()), list[str]()
     if on_time:
         curves = np.array([values for plot in on_time for values in plot.curves.values()])
         time, thinned = decimated(time, curves, min(MOST_POINTS, _MOST_NUMBERS // len(curves)))
         rows = iter(thinned)
-        derived = _derived(panel) if len(time) == len(panel.time) else ()
+    if on_time and len(time) == len(panel.time):
+        # Curves that are the first one minus the residuals, which the page computes.
+        residuals = next((plot.curves for plot in panel.plots if plot.centred), {})
+        first, *others = panel.plots[0].curves.items()
+        derived = [
+            stage.key
+            for stage, values in others
+            if stage in residuals
+            and np.allclose(first[1] - residuals[stage], values, equal_nan=True)
+        ]
     packs = [
         {
             stage.key: packed(values if plot.over is not None else next(rows))
             for stage, values in plot.curves.items()
         }
-        | (dict.fromkeys(stage.key for stage in derived) if plot is panel.plots[0] else {})
+        | (dict.fromkeys(derived) if plot is panel.plots[0] else {})
         for plot in panel.plots
     ]
     return {
@@ -193,17 +203,6 @@ def _panel(panel: Panel) -> dict[str, Any]:
     }
 
 
-def _derived(panel: Panel) -> tuple[Stage, ...]:
-    """Return the stages whose curve is the first one minus the panel's residuals."""
-    residuals = next((plot.curves for plot in panel.plots if plot.centred), {})
-    first, *others = panel.plots[0].curves.items()
-    return tuple(
-        stage
-        for stage, values in others
-        if stage in residuals and np.allclose(first[1] - residuals[stage], values, equal_nan=True)
-    )
-
-
 def _encoded(values: NDArray[Any]) -> str:
     return base64.b64encode(values.tobytes()).decode()
 
@@ -225,8 +224,8 @@ def packed(values: Array) -> tuple[float, float, str]:
 def decimated(time: Array, curves: Array, most: int) -> tuple[Array, Array]:
     """Return (M,) instants and (C, M) values of curves (C, K), at most so many, at least four.
 
-    Two points stand for a bucket of instants (K,): its least and largest value, in the order in
-    which a curve has them there. NaN stay where lines break.
+    Two points stand for a bucket of instants (K,): its least and largest value, the least first
+    where the curve rises. NaN stay where lines break.
     """
     count = len(time)
     if count <= most:
@@ -234,34 +233,16 @@ def decimated(time: Array, curves: Array, most: int) -> tuple[Array, Array]:
     breaks = np.flatnonzero(np.isnan(curves).all(0))
     if 4 * len(breaks) > most:  # too many gaps to show
         return decimated(np.delete(time, breaks), np.delete(curves, breaks, axis=1), most)
-    edges = [0, *(breaks + 1).tolist()]
-    ends = [*breaks.tolist(), count]
-    share = (most - 3 * len(edges)) / count
-    times, values = [], []
-    for first, last in zip(edges, ends, strict=True):
-        if last > first:
-            t, v = _extremes(time[first:last], curves[:, first:last], int(share * (last - first)))
-            times.append(t)
-            values.append(v)
-        if last < count:
-            times.append(time[last : last + 1])
-            values.append(curves[:, last : last + 1])
-    return np.concatenate(times), np.concatenate(values, axis=1)
-
-
-def _extremes(time: Array, curves: Array, most: int) -> tuple[Array, Array]:
-    buckets = max(1, most // 2)
-    if len(time) <= 2 * buckets:
-        return time, curves
-    at = np.linspace(0, len(time), buckets + 1).astype(int)
-    times, values = np.empty(2 * buckets), np.empty((len(curves), 2 * buckets))
-    for k, (first, last) in enumerate(pairwise(at.tolist())):
-        part = curves[:, first:last]
-        filled = np.where(np.isnan(part), part[:, :1], part)
-        pair = np.sort([filled.argmin(1), filled.argmax(1)], axis=0)
-        values[:, 2 * k : 2 * k + 2] = np.take_along_axis(part, pair.T, axis=1)
-        times[2 * k : 2 * k + 2] = time[first], time[first + (last - first) // 2]
-    return times, values
+    even = np.linspace(0, count, (most - 3 * len(breaks)) // 2, endpoint=False).astype(int)
+    starts = np.unique(np.concatenate([even, breaks, breaks + 1]))
+    starts = starts[starts < count]
+    stops = np.append(starts[1:], count)
+    low, high = (of.reduceat(curves, starts, axis=1) for of in (np.fmin, np.fmax))
+    rises = curves[:, starts] <= curves[:, stops - 1]
+    values = np.stack([np.where(rises, low, high), np.where(rises, high, low)], -1)
+    times = np.stack([time[starts], time[np.minimum((starts + stops) // 2, count - 1)]], -1)
+    kept = np.stack([stops > starts, stops > starts + 1], -1)
+    return times[kept], values[:, kept]
 
 
 def gap_filled(time: Array) -> Array:
@@ -271,24 +252,14 @@ def gap_filled(time: Array) -> Array:
     return np.interp(index, index[~missing], time[~missing]) if (~missing).any() else time[:0]
 
 
-@dataclass(frozen=True)
-class Color:
-    """The meaning of a colour of bars."""
-
-    name: str  # its name in the style sheet
-    opacity: float = 1.0  # how strong it is, from 0 to 1
-    label: str = ""
-    thin: bool = False  # whether it is that of a mark rather than of bars
-
-
-NOISE = Color("noise", label="sensor noise", thin=True)
+NOISE = Stage("sensor noise", "noise", look="thin")
 
 
 @dataclass(frozen=True)
 class Bar:
     """A bar, or a mark across a row's bars, that ends at a value; NaN where it is not known."""
 
-    color: Color
+    stage: Stage
     value: float
     note: str = ""
 
@@ -323,10 +294,10 @@ class Bars:
     log: bool = True  # whether the axis is logarithmic
 
     @property
-    def legend(self) -> tuple[Color, ...]:
-        """Return the colours of the bars, then those of the marks."""
-        own = [bar.color for row in self.rows for bar in row.bars]
-        return tuple(dict.fromkeys((*own, *(mark.color for r in self.rows for mark in r.marks))))
+    def legend(self) -> tuple[Stage, ...]:
+        """Return the stages of the bars, then those of the marks."""
+        own = [bar.stage for row in self.rows for bar in row.bars]
+        return tuple(dict.fromkeys((*own, *(mark.stage for r in self.rows for mark in r.marks))))
 
     @property
     def letters(self) -> int:

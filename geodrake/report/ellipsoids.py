@@ -1,13 +1,12 @@
-"""Figures and pages of bodies as uniform ellipsoids with the same inertia."""
+"""Bodies as uniform ellipsoids with the same inertia: figures, pages, and a view of adaptation."""
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -22,12 +21,21 @@ from pydrake.geometry import Cylinder, Ellipsoid, Meshcat, Rgba, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import JointIndex
-from pydrake.systems.framework import Context
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    DiagramBuilder,
+    EventStatus,
+    LeafSystem,
+)
 
+from geodrake.boundary.arguments import typed
 from geodrake.boundary.escaping import path_part
+from geodrake.boundary.whole_files import write_whole
+from geodrake.control.loops import AdaptiveLoop
 from geodrake.errors import ArgumentError
 from geodrake.identification.models import ModelIdentification
-from geodrake.inertia import PARAMETERS_PER_BODY, Array
+from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.inertia.ellipsoids import equivalent_ellipsoid
 from geodrake.report import style
@@ -37,6 +45,11 @@ PRIOR, IDENTIFIED, TRUTH = "#8a94a0", "#1b6ca8", "#3f9c6b"
 BOUNDARY, AT_BOUNDARY = "#c8322b", "at the boundary of physically valid inertias"
 OTHERS = ("#7a4fa3", "#c78a1e", "#2a8f8f", "#a34f6e", "#5b7a2a")
 """Colours of prior, identified, truth, bodies at the boundary, and regularizers."""
+
+FRAME_PERIOD = 1.0 / 32.0  # time between two pictures, s: that of MeshCat's recordings, nearly
+
+_POINT = np.array([1.0, 0.0, 0.0, 0.0, 1e-6, 1e-6, 1e-6, 0.0, 0.0, 0.0])
+"""Replaces bodies that cannot be drawn."""
 
 _LINE_WIDTH, _SHORTEST = 0.006, 1e-4  # m
 _LEAST_GAP = 0.3  # m
@@ -154,20 +167,22 @@ class SkeletonLines:
 
 def identification_sets(found: ModelIdentification) -> tuple[EllipsoidSet, ...]:
     """Return prior and identified bodies, and those of the other regularizers in the comparison."""
-    bodies = found.model.bodies
-
-    def numbers(names: Sequence[str]) -> list[int]:
-        return [bodies.index(name) for name in names if name in bodies]
-
-    sets = [EllipsoidSet.of("prior", found.prior.phi, color=PRIOR)]
-    words = f"identified, {found.regularizer}"
-    sets.append(EllipsoidSet.of(words, found.model.phi, at_boundary=numbers(found.at_boundary)))
     others = [other for other in found.alternatives if other.regularizer != found.regularizer]
-    for k, other in enumerate(others):
-        color = OTHERS[k % len(OTHERS)]
-        at = numbers(other.at_boundary)
-        sets.append(EllipsoidSet.of(other.regularizer, other.phi, color=color, at_boundary=at))
-    return tuple(sets)
+    models = [
+        (f"identified, {found.regularizer}", IDENTIFIED, found.model.phi, found.at_boundary),
+        *(
+            (other.regularizer, OTHERS[k % len(OTHERS)], other.phi, other.at_boundary)
+            for k, other in enumerate(others)
+        ),
+    ]
+    at = {body: k for k, body in enumerate(found.model.bodies)}
+    return (
+        EllipsoidSet.of("prior", found.prior.phi, color=PRIOR),
+        *(
+            EllipsoidSet.of(name, phi, color=color, at_boundary=[at[b] for b in flat if b in at])
+            for name, color, phi, flat in models
+        ),
+    )
 
 
 def ellipsoid_page(
@@ -249,16 +264,6 @@ def ellipsoid_figure(
     return figure
 
 
-@style.own_look()
-def figure_bytes(figure: Figure, kind: str = "png") -> bytes:
-    """Return a figure as the bytes of a file: "png", "pdf" or "svg"."""
-    FigureCanvasAgg(figure)
-    buffer = io.BytesIO()
-    dated = {"svg": "Date", "pdf": "CreationDate"}
-    figure.savefig(buffer, format=kind, metadata={dated[kind]: None} if kind in dated else None)
-    return buffer.getvalue()
-
-
 def _draw_panel(ax: Axes3D, one: EllipsoidSet, bodies: PlacedEllipsoids, lines: Array) -> None:
     """Draw a panel's faces as one collection, so that matplotlib sorts them by depth together."""
     points = bodies.points()
@@ -283,3 +288,133 @@ def _draw_panel(ax: Axes3D, one: EllipsoidSet, bodies: PlacedEllipsoids, lines: 
     robot = Line3DCollection(lines, colors=style.INK, linewidths=1.6)
     robot.set_zorder(10)
     ax.add_collection3d(robot)
+
+
+class AdaptationView(LeafSystem):
+    """Shows an arm, the ellipsoids of its estimated bodies, and the desired pose.
+
+    .. pydrake_system::
+
+        name: AdaptationView
+        input_ports:
+        - state
+        - desired_state
+        - parameters
+
+    Every body is drawn as the uniform ellipsoid that has its estimated inertia; it turns red, and
+    keeps its last shape, where the estimate is not physical. The robot is drawn as lines, the
+    desired pose as paler ones; what is not finite stays where it was last. While MeshCat records,
+    all of it is recorded.
+
+    Args:
+        parameters: Length of the port `parameters`, inertial parameters first.
+        path: Folder of the scene to draw in; what was in it is deleted.
+        period: Time between two pictures, s.
+
+    Raises:
+        ArgumentError: The parameters are fewer than ten a body.
+    """
+
+    @typed
+    def __init__(
+        self,
+        plant: MultibodyPlant,
+        meshcat: Meshcat,
+        parameters: int,
+        *,
+        path: str = "adaptation",
+        period: float = FRAME_PERIOD,
+    ) -> None:
+        LeafSystem.__init__(self)
+        self._plant, self._meshcat, self._path = plant, meshcat, path
+        self._scratch = plant.CreateDefaultContext()
+        self._bodies = [path_part(body.name) for body in lumped_bodies(plant)]
+        if parameters < PARAMETERS_PER_BODY * len(self._bodies):
+            raise ArgumentError(
+                f"{len(self._bodies)} bodies have ten parameters each, but the estimate has "
+                f"{parameters}."
+            )
+        states = plant.num_positions() + plant.num_velocities()
+        self._state = self.DeclareVectorInputPort("state", BasicVector(states))
+        self._desired = self.DeclareVectorInputPort("desired_state", BasicVector(states))
+        self._estimate = self.DeclareVectorInputPort("parameters", BasicVector(parameters))
+        self.DeclarePeriodicPublishEvent(period, 0.0, self._draw)
+        self.DeclareForcedPublishEvent(self._draw)
+        meshcat.Delete(path)
+        ends = skeleton(plant, self._scratch)
+        points = ends.reshape(-1, 3)
+        middle, size = points.mean(0), float(np.ptp(points, axis=0).max())
+        meshcat.SetCameraPose(middle + size * np.array([1.4, -1.1, 0.7]), middle)
+        self._lines = {
+            name: SkeletonLines(meshcat, f"{path}/{name}", len(ends), Rgba(*to_rgb(color), opaque))
+            for name, color, opaque in (("robot", style.INK, 1.0), ("desired", IDENTIFIED, 0.25))
+        }
+        for name in self._bodies:
+            for shape, color in (("shape", IDENTIFIED), ("unphysical", BOUNDARY)):
+                rgba = Rgba(*to_rgb(color), 0.5)
+                meshcat.SetObject(f"{path}/estimate/{name}/{shape}", Sphere(1.0), rgba)
+
+    @staticmethod
+    def AddToBuilder(
+        builder: DiagramBuilder,
+        loop: AdaptiveLoop,
+        meshcat: Meshcat,
+        *,
+        path: str = "adaptation",
+        period: float = FRAME_PERIOD,
+    ) -> AdaptationView:
+        """Add a view of an adaptive loop and connect it.
+
+        Args:
+            period: Time between two pictures, s.
+
+        Raises:
+            ArgumentError: The plant holds more than the robot.
+        """
+        if loop.robot is None or loop.robot.name is not None:
+            raise ArgumentError(
+                "A view of adaptation needs a plant with one robot only.",
+                advice="Show the whole scene with MeshcatVisualizer.AddToBuilder.",
+            )
+        size = loop.parameters.size()
+        view = builder.AddSystem(
+            AdaptationView(loop.plant, meshcat, size, path=path, period=period)
+        )
+        builder.Connect(loop.state, view.GetInputPort("state"))
+        builder.Connect(loop.desired_state, view.GetInputPort("desired_state"))
+        builder.Connect(loop.parameters, view.GetInputPort("parameters"))
+        return view
+
+    def _draw(self, context: Context) -> EventStatus:
+        time, n = context.get_time(), self._plant.num_positions()
+        desired, q = (port.Eval(context)[:n] for port in (self._desired, self._state))
+        for name, posture in (("desired", desired), ("robot", q)):
+            if np.isfinite(posture).all():
+                self._plant.SetPositions(self._scratch, posture)
+                self._lines[name].move(skeleton(self._plant, self._scratch), time)
+        if not np.isfinite(q).all():
+            return EventStatus.Succeeded()
+        phi = self._estimate.Eval(context)[: PARAMETERS_PER_BODY * len(self._bodies)]
+        phi = phi.reshape(-1, PARAMETERS_PER_BODY)
+        physical = np.isfinite(phi).all(1) & is_physical(np.nan_to_num(phi))
+        shown = np.where(physical[:, None], phi, _POINT)
+        bodies = placed(self._plant, self._scratch, shown)
+        for k, name in enumerate(self._bodies):
+            path = f"{self._path}/estimate/{name}"
+            for shape, visible in (("shape", physical[k]), ("unphysical", not physical[k])):
+                self._meshcat.SetProperty(f"{path}/{shape}", "visible", bool(visible), time)
+                if physical[k]:
+                    scale = bodies.semi_axes[k].tolist()
+                    self._meshcat.SetProperty(f"{path}/{shape}", "scale", scale, time)
+            if physical[k]:
+                X_WE = RigidTransform(RotationMatrix(bodies.rotation[k]), bodies.center[k])
+                self._meshcat.SetTransform(path, X_WE, time)
+        return EventStatus.Succeeded()
+
+
+@typed
+def save_recording(meshcat: Meshcat, path: str | Path) -> None:
+    """Publish MeshCat's recording, and write the scene as one HTML file that plays it."""
+    meshcat.StopRecording()
+    meshcat.PublishRecording()
+    write_whole(path, meshcat.StaticHtml())

@@ -23,7 +23,6 @@ from geodrake.report.charts import (
     BarRow,
     Bars,
     Chart,
-    Color,
     Panel,
     Plot,
     Shade,
@@ -38,7 +37,7 @@ MEASURED = Stage("measured", "measured", look="wide")
 BEFORE = Stage("as it stands", "before")
 AFTER = Stage("final model", "after")
 
-_GAP = 1.5  # samples farther apart than so many times the usual are not joined by a line
+GAP = 1.5  # samples farther apart than so many times the usual are not joined by a line
 _MOST_CANDIDATES, _MOST_LETTERS = 14, 80
 _MOST_DOTS, _BINS = 160, 20
 _SIGNALS = (
@@ -54,10 +53,10 @@ _RESIDUALS = (
     "Measured − predicted effort over velocity, position and load; joints have their own "
     "scales. Line: mean in bins of equal size; dashed: RMS; band: sensor noise."
 )
-_START, _END = Color("before", label="as it stands"), Color("after", label="refitted on the logs")
-_WITHOUT = Color("before", label="without it", thin=True)
-_CHOSEN, _LESS = Color("after", label="chosen"), Color("measured", label="less likely")
-_TIED = Color("tied", label="tied")
+_END = Stage("refitted on the logs", "after")
+_WITHOUT = Stage("without it", "before", look="thin")
+_CHOSEN, _LESS = Stage("chosen", "after"), Stage("less likely", "measured")
+_TIED = Stage("tied", "tied")
 
 
 def worst_joints(errors: ErrorTable) -> tuple[str, ...]:
@@ -100,7 +99,7 @@ class _Timeline:
         time, values = [np.array([])], [np.array([])]
         for s in series:
             steps = np.diff(s.time)
-            late = 1 + np.flatnonzero(steps > _GAP * np.median(steps)) if len(steps) else steps
+            late = 1 + np.flatnonzero(steps > GAP * np.median(steps)) if len(steps) else steps
             breaks = np.append(late.astype(int), len(s.time))
             time.append(np.insert(s.time + self.shifts[s.log], breaks, np.nan))
             values.append(np.insert(getattr(s, name), breaks, np.nan))
@@ -117,7 +116,11 @@ def effort_chart(
     predicted = {first: before.series, **(between or {})}
     predicted |= {stage: found.series for stage, found in others}
     tables = [found.errors for found in models.values()]
-    timeline, badges = _Timeline.of(before.series), _badges(tables)
+    timeline, ends = _Timeline.of(before.series), [worst_joint(table).joint for table in tables]
+    badges = {ends[0]: "worst joint before", ends[-1]: "worst joint after"}
+    if len(set(ends)) == 1:
+        badges = {ends[0]: "worst joint" + (" before and after" if len(tables) > 1 else "")}
+    badges = badges if len(tables[0].joints) > 1 else {}
     shown, panels = {*worst_joints(tables[-1]), *badges}, []
     for entries in zip(*(table.joints for table in tables), strict=True):
         joint, unit = entries[0].joint, units.effort([entries[0].joint])
@@ -126,7 +129,17 @@ def effort_chart(
             continue
         rms, nrms = (" → ".join(number(getattr(e, n)) for e in entries) for n in ("rms", "nrms"))
         time, plots = _plots(timeline, own, unit, entries[-1].floor)
-        shades = _shades(timeline, {stage: own[stage] for stage in models}, unit)
+        shades = tuple(
+            Shade(
+                stage,
+                window.start + timeline.shifts[window.log],
+                window.end + timeline.shifts[window.log],
+                f"{window.log + ' ' if len(timeline.spans) > 1 else ''}"
+                f"{window.start:.1f}–{window.end:.1f} s: RMS {number(window.rms)} {unit}",
+            )
+            for stage in models
+            for window in worst_windows(own[stage])
+        )
         words, badge = f"RMS {rms} {unit}, nrms {nrms}", badges.get(joint, "")
         panels.append(Panel(joint, words, time, plots, shades, badge, joint in shown))
     spans = tuple((log, *ends, timeline.shifts[log]) for log, ends in timeline.spans.items())
@@ -160,50 +173,18 @@ def _plots(
     residuals: dict[Stage, Array] = {}
     for stage, series in own.items():
         for signal, curves in (("predicted", efforts), ("residual", residuals)):
-            curves[stage] = _on(broken, *timeline.broken(series, signal))
+            at, values = timeline.broken(series, signal)
+            if not np.array_equal(broken, at, equal_nan=True):  # prepared in another way
+                known = np.isfinite(at)
+                at, values = (
+                    (at[known], values[known]) if known.any() else np.array([[0.0], [np.nan]])
+                )
+                values = np.interp(broken, at, values)  # NaN where the instant is
+            curves[stage] = values
     return gap_filled(broken), (
         Plot(f"effort, {unit}", efforts),
         Plot("residual", residuals, floor=floor, centred=True, tall=False),
     )
-
-
-def _on(broken: Array, at: Array, values: Array) -> Array:
-    """Return values at other instants, interpolated if a model was prepared differently."""
-    if np.array_equal(broken, at, equal_nan=True):
-        return values
-    known = np.isfinite(at)
-    if not known.any():
-        return np.full(len(broken), np.nan)
-    return np.interp(broken, at[known], values[known])  # NaN where the instant is
-
-
-def _shades(
-    timeline: _Timeline, ends: Mapping[Stage, Sequence[Series]], unit: str
-) -> tuple[Shade, ...]:
-    several = len(timeline.spans) > 1
-    found = []
-    for stage, series in ends.items():
-        for window in worst_windows(series):
-            log = window.log
-            words = (
-                f"{log + ' ' if several else ''}{window.start:.1f}–{window.end:.1f} s: RMS "
-                f"{number(window.rms)} {unit}"
-            )
-            shift = timeline.shifts[log]
-            found.append(Shade(stage, window.start + shift, window.end + shift, words))
-    return tuple(found)
-
-
-def _badges(tables: Sequence[ErrorTable]) -> dict[str, str]:
-    """Return labels of the worst joints by name."""
-    if len(tables[0].joints) < 2:
-        return {}
-    first, last = worst_joint(tables[0]).joint, worst_joint(tables[-1]).joint
-    if len(tables) == 1:
-        return {first: "worst joint"}
-    if first == last:
-        return {first: "worst joint before and after"}
-    return {first: "worst joint before", last: "worst joint after"}
 
 
 def residual_chart(models: Mapping[Stage, Comparison], units: Units) -> Chart:
@@ -246,7 +227,12 @@ def _over(
         kept = np.linspace(0, len(values) - 1, min(_MOST_DOTS, len(values))).astype(int)
         dots[stage] = values[kept], residual[kept]
         if len(values) >= 2:
-            trends[stage] = _trend(values, residual)
+            # In bins of equally many samples.
+            order = np.argsort(values, kind="stable")
+            bins = np.array_split(order, min(_BINS, max(1, len(order) // 8)))
+            middle, mean = (np.array([x[b].mean() for b in bins]) for x in (values, residual))
+            rms = np.array([np.sqrt((residual[b] ** 2).mean()) for b in bins])
+            trends[stage] = Trend(middle, mean, rms)
     over = np.unique(np.concatenate([values for values, _ in dots.values()]))
     curves = {stage: np.full(len(over), np.nan) for stage in dots}
     for stage, (values, residual) in dots.items():
@@ -262,20 +248,11 @@ def _over(
     )
 
 
-def _trend(values: Array, residual: Array) -> Trend:
-    """Return mean and RMS of a residual in bins of equally many samples."""
-    order = np.argsort(values, kind="stable")
-    bins = np.array_split(order, min(_BINS, max(1, len(order) // 8)))
-    rms = [np.sqrt((residual[b] ** 2).mean()) for b in bins]
-    middle, mean = (np.array([x[b].mean() for b in bins]) for x in (values, residual))
-    return Trend(middle, mean, np.array(rms))
-
-
 def step_bars(explanation: Explanation) -> Bars:
     """Return how the held-out nrms falls with each step, on a logarithmic axis."""
     joints = [joint.joint for joint in explanation.start.joints]
     errors = [
-        ("the model as it stands", _START, explanation.start.nrms),
+        ("the model as it stands", BEFORE, explanation.start.nrms),
         ("refitted without a new effect", _END, explanation.refitted.nrms),
     ]
     for step in explanation.steps:
@@ -311,13 +288,15 @@ def candidate_bars(diagnosis: Diagnosis) -> Bars:
 def joint_bars(errors: ErrorTable, stages: Sequence[tuple[str, Sequence[float]]] = ()) -> Bars:
     """Return the RMS of each joint, at first and after stages, over its effort's deviation."""
     shades = np.linspace(0.25, 1.0, len(stages)) if len(stages) > 1 else np.ones(len(stages))
-    colors = [Color("after", round(float(shade), 2)) for shade in shades]
-    colors = [replace(c, label=words) for c, (words, _) in zip(colors, stages, strict=True)]
+    colors = [
+        Stage(words, "after", opacity=round(float(shade), 2))
+        for shade, (words, _) in zip(shades, stages, strict=True)
+    ]
     names, rows = set(worst_joints(errors)), []
     for i, joint in enumerate(errors.joints):
         if joint.joint in names:
             rms = (joint.rms, *(values[i] for _, values in stages))
-            own = (Bar(c, x / joint.std) for c, x in zip((_START, *colors), rms, strict=True))
+            own = (Bar(c, x / joint.std) for c, x in zip((BEFORE, *colors), rms, strict=True))
             rows.append(BarRow(joint.joint, tuple(own), (Bar(NOISE, joint.floor / joint.std),)))
     caption = (
         "RMS error of each joint over the standard deviation of its effort, on a logarithmic axis."

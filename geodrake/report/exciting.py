@@ -21,9 +21,9 @@ from geodrake.inertia import Array
 from geodrake.report.charts import MOST_PANELS, Chart, Panel, Plot, Stage
 from geodrake.report.json_output import keys_of
 from geodrake.report.numbers import UNKNOWN, Units, number, percent, relative
-from geodrake.report.page import About, Cell, Page, Records, Section, Table, Tile, View, cells
+from geodrake.report.page import About, Cell, Page, Section, Table, Tile, View, cells
 from geodrake.report.views import Columns
-from geodrake.report.words import effect_label, listed, places_label
+from geodrake.report.words import capitalized, effect_label, listed, places_label
 
 _COMBINATION = ("combination", "in the model", "deviation", "relative")
 _STARTS = ("seed", "solver", "random motion", "designed", "evaluations", "seconds")
@@ -47,7 +47,7 @@ _CERTAIN = 1e-6  # least deviation that is drawn
 def excitation_page(result: ExcitationResult, about: About) -> Page:
     """Return the page of a designed motion."""
     apart = isinstance(result.objective, Separation)
-    units, nearest = Units.of(result.objective.target.model), _nearest(result)
+    units = Units.of(result.objective.target.model)
     starts = [
         cells(
             *(each.seed, each.status, each.random_value, each.value, each.evaluations),
@@ -64,8 +64,8 @@ def excitation_page(result: ExcitationResult, about: About) -> Page:
             Section(
                 "The motion",
                 "The path of each joint, and its largest shares of the limits.",
-                tables=(limits_table(result, units),),
-                charts=(motion_chart(result, units),),
+                tables=(_limits_table(result, units),),
+                charts=(_motion_chart(result, units),),
             ),
             Section(
                 "Starts",
@@ -79,27 +79,20 @@ def excitation_page(result: ExcitationResult, about: About) -> Page:
             ),
             Section("Notes", items=result.notes),
         ),
-        of=f"{about.model}: {motion_words(result)}",
-        lead=tuple(
-            filter(
-                None,
-                (f"Smallest distance: {nearest}" * bool(nearest), _balance(result), _time(result)),
-            )
-        ),
+        of=f"{about.model}: {_motion_words(result)}",
+        lead=_lead(result, units),
         tiles=_tiles(result),
         footer="Made by geodrake. Limits also hold between samples; the information is that of "
         "the samples with the requested noise.",
     )
 
 
-def motion_words(result: ExcitationResult) -> str:
+def _motion_words(result: ExcitationResult) -> str:
     """Return a description of the family of motions."""
     family = result.trajectory.family
     if isinstance(family, FourierMotion):
-        base = family.omega / (2.0 * np.pi)
-        return (
-            f"a Fourier motion of {family.duration:g} s, {family.modes} harmonics of {base:.3g} Hz"
-        )
+        harmonics = f"{family.modes} harmonics of {family.omega / (2.0 * np.pi):.3g} Hz"
+        return f"a Fourier motion of {family.duration:g} s, {harmonics}"
     if isinstance(family, SplineMotion):
         return f"a spline motion of {family.duration:g} s, {family.points} control points"
     return f"{family.count // 3} free samples"
@@ -107,79 +100,62 @@ def motion_words(result: ExcitationResult) -> str:
 
 def excitation_verdict(result: ExcitationResult) -> str:
     """Return the verdict on a designed motion, in a few sentences."""
-    if distinguished_pairs(result):
-        return _separation_verdict(result)
+    gained = improvement(result)
+    if pairs := distinguished_pairs(result):
+        hardest, units = pairs[0], Units.of(result.objective.target.model)
+        words = (
+            f"Every pair differs by at least {number(hardest.deviations)} standard deviations of "
+            f"the noise in {result.samples} samples, {_times(gained**0.5)} as much as on the best "
+            f"random motion. The hardest to distinguish are {hardest.pair.truth} of "
+            f"{places_label(hardest.pair.where, units.joints)} and {hardest.pair.rival}, with an "
+            f"unexplained effort of {number(hardest.effort)} {units.effort()} RMS."
+        )
+        hardly = " Such a log will hardly distinguish them." * (hardest.deviations < CLEAR)
+        return words + hardly
     criterion, normalization = result.objective.criterion.name, result.objective.normalization
     words = f"{criterion.replace('_', ' ')} {number(result.value)}"
     if criterion == "e_optimality" and normalization == "geometric":
         words += f": the worst direction has a relative deviation of {relative(result.value**0.5)}"
-    words += f"; {_times(improvement(result))} better than the best random motion."
+    words += f"; {_times(gained)} better than the best random motion."
     if normalization == "geometric":
         words += (
             f" Its {result.samples} samples identify {identifiable_directions(result)} of "
             f"{len(result.eigenvalues)} directions to within {percent(THRESHOLD**0.5)}."
         )
-    return words[:1].upper() + words[1:]
-
-
-def _separation_verdict(result: ExcitationResult) -> str:
-    hardest, gained = distinguished_pairs(result)[0], improvement(result) ** 0.5
-    units = Units.of(result.objective.target.model)
-    words = (
-        f"Every pair differs by at least {number(hardest.deviations)} standard deviations of "
-        f"the noise in {result.samples} samples, {_times(gained)} as much as on the best "
-        f"random motion. The hardest to distinguish are {hardest.pair.truth} of "
-        f"{places_label(hardest.pair.where, units.joints)} and {hardest.pair.rival}, with an "
-        f"unexplained effort of {number(hardest.effort)} {units.effort()} RMS."
-    )
-    if hardest.deviations < CLEAR:
-        words += " Such a log will hardly distinguish them."
-    return words
+    return capitalized(words)
 
 
 def _times(factor: float) -> str:
     return f"{number(factor)} times" if np.isfinite(factor) else "infinitely"
 
 
-def _nearest(result: ExcitationResult) -> str:
-    """Return the smallest distances of the robot to itself and to obstacles; "" if not checked."""
-    use = result.use
-    if not use.clearances:
-        return ""
-    parts = [
-        f"{names} {1e3 * least:.0f} mm apart"
-        for least, names in sorted(use.clearances.values(), key=lambda each: each[0])
-    ]
-    return f"{'; '.join(parts)}; the clearance is {1e3 * use.clearance:.0f} mm."
-
-
-def _balance(result: ExcitationResult) -> str:
-    """Return how far a robot on its feet is from falling over and slipping; "" for others."""
-    stance, use = result.trajectory.stance, result.use
-    if stance is None:
-        return ""
-    return (
-        f"On {listed([foot.frame for foot in stance.feet])}, the zero-moment point goes up to "
-        f"{percent(use.polygon)} of the way from the middle of the feet to their edge "
-        f"({percent(use.margin)} are allowed), with {percent(use.friction)} of a friction of "
-        f"{stance.friction:g}."
-    )
-
-
-def _time(result: ExcitationResult) -> str:
-    """Return the duration and start of the motion; "" for free samples."""
-    trajectory = result.trajectory
-    if not trajectory.length:
-        return ""
-    units = Units.of(result.objective.target.model)
-    pairs = zip(result.limits.joints, trajectory.states([0.0])[0, 0].tolist(), strict=True)
-    at = ", ".join(f"{joint} {number(q)} {units.at(joint, 'rad')}" for joint, q in pairs)
-    words = f"{trajectory.length:g} s from rest to rest, starting at {at}; "
-    if result.ramps is not None:
-        return (
-            f"{words}{result.executed.length:.1f} s with the ramps from and to the rest position."
+def _lead(result: ExcitationResult, units: Units) -> tuple[str, ...]:
+    """Return distances, balance, and the duration and start of the motion, as far as it has any."""
+    use, trajectory, stance = result.use, result.trajectory, result.trajectory.stance
+    lead = []
+    if use.clearances:
+        parts = [
+            f"{names} {1e3 * least:.0f} mm apart"
+            for least, names in sorted(use.clearances.values(), key=lambda each: each[0])
+        ]
+        clearance = f"the clearance is {1e3 * use.clearance:.0f} mm."
+        lead.append(f"Smallest distance: {'; '.join(parts)}; {clearance}")
+    if stance is not None:
+        lead.append(
+            f"On {listed([foot.frame for foot in stance.feet])}, the zero-moment point goes up to "
+            f"{percent(use.polygon)} of the way from the middle of the feet to their edge "
+            f"({percent(use.margin)} are allowed), with {percent(use.friction)} of a friction of "
+            f"{stance.friction:g}."
         )
-    return f"{words}move the robot there first, or give its rest position with --stand."
+    if trajectory.length:
+        pairs = zip(result.limits.joints, trajectory.states([0.0])[0, 0].tolist(), strict=True)
+        at = ", ".join(f"{joint} {number(q)} {units.at(joint, 'rad')}" for joint, q in pairs)
+        rest = "move the robot there first, or give its rest position with --stand."
+        if result.ramps is not None:
+            length = f"{result.executed.length:.1f} s"
+            rest = f"{length} with the ramps from and to the rest position."
+        lead.append(f"{trajectory.length:g} s from rest to rest, starting at {at}; {rest}")
+    return tuple(lead)
 
 
 def _tiles(result: ExcitationResult) -> tuple[Tile, ...]:
@@ -229,29 +205,29 @@ def _directions_chart(
 
 
 def _pairs_section(result: ExcitationResult, units: Units) -> Section:
-    """Return every pair with its difference, and how the hardest look."""
-    count = len(distinguished_pairs(result))
-    some = f": the hardest {_MOST_PAIRS} of {count} pairs" if count > _MOST_PAIRS else ""
+    """Return every pair with its difference, the most similar first, and how the hardest look."""
+    pairs = distinguished_pairs(result)
+    rows = [
+        cells(
+            _shaped(entry.pair.truth),
+            places_label(entry.pair.where, units.joints),
+            _shaped(entry.pair.rival),
+            f"{number(entry.deviations)} σ",
+            entry.effort,
+        )
+        for entry in pairs[:_MOST_PAIRS]
+    ]
+    unit = units.effort(result.limits.joints)
+    head = ("if the robot has", "where", "and the model has", "they differ by", f"RMS, {unit}")
+    some = f": the hardest {_MOST_PAIRS} of {len(pairs)} pairs" if len(pairs) > len(rows) else ""
     return Section(
         "Distinguishable effects",
         f"How far two effects differ after refitting everything else{some}.",
         f"In standard deviations of the noise in all {result.samples} samples. RMS is at the "
         "joint where it is largest.",
-        tables=(_pairs_table(result, units),),
+        tables=(Table(head, rows, words=3),),
         charts=(_imitation_chart(result, units),),
     )
-
-
-def _pairs_table(result: ExcitationResult, units: Units) -> Table:
-    """Return pairs of effects and their difference on a motion, the most similar first."""
-    rows = []
-    for entry in distinguished_pairs(result)[:_MOST_PAIRS]:
-        truth, rival = _shaped(entry.pair.truth), _shaped(entry.pair.rival)
-        where, apart = places_label(entry.pair.where, units.joints), f"{number(entry.deviations)} σ"
-        rows.append(cells(truth, where, rival, apart, entry.effort))
-    unit = units.effort(result.limits.joints)
-    head = ("if the robot has", "where", "and the model has", "they differ by", f"RMS, {unit}")
-    return Table(head, rows, words=3)
 
 
 def _shaped(name: str) -> Cell:
@@ -290,7 +266,7 @@ def _imitation_chart(result: ExcitationResult, units: Units) -> Chart:
     )
 
 
-def limits_table(result: ExcitationResult, units: Units) -> Table:
+def _limits_table(result: ExcitationResult, units: Units) -> Table:
     """Return ranges of the joints, and the largest shares of their limits that a motion uses."""
     limits, use, rows = result.limits, result.use, []
     q = result.trajectory.states(result.trajectory.family.times(result.samples))[0]
@@ -311,7 +287,7 @@ def limits_table(result: ExcitationResult, units: Units) -> Table:
     return Table(head, rows)
 
 
-def motion_chart(result: ExcitationResult, units: Units) -> Chart:
+def _motion_chart(result: ExcitationResult, units: Units) -> Chart:
     """Return position, velocity, acceleration and effort of every joint, with their limits."""
     model, limits, trajectory = result.objective.target.model, result.limits, result.trajectory
     timed, times = trajectory.family.timed, trajectory.family.times(_FINE)
@@ -341,18 +317,19 @@ def motion_chart(result: ExcitationResult, units: Units) -> Chart:
 
 def identifiability_page(found: LogIdentifiability, about: About) -> Page:
     """Return the page of the identifiability of logs."""
-    units, most = about.units, percent(found.identifiable.threshold**0.5)
+    most = percent(found.identifiable.threshold**0.5)
     count, of = sum(entry.is_identifiable for entry in found.effects), len(found.effects)
-    effects = [Tile("effects identifiable", f"{count} of {of}")] if of else []
+    headline, _, beyond = identifiability_verdict(found).partition(". ")
     rest = found.unidentifiable
     combinations = [
         cells(each.words, each.value, each.deviation, relative(each.relative))
         for each in rest[:_MOST_COMBINATIONS]
     ]
+    directions = f"{found.count} of {found.possible}"
     return Page(
         about,
         "identifiable",
-        f"{_identifiable_share(found)}.",
+        f"{headline.removesuffix('.')}.",
         (
             Section(
                 "Bodies",
@@ -366,7 +343,7 @@ def identifiability_page(found: LogIdentifiability, about: About) -> Page:
                 "Effects",
                 "Deviation of an estimate from these logs alone, with everything else "
                 "estimated too.",
-                tables=(_effects_table(found, units),),
+                tables=(_effects_table(found, about.units),),
             ),
             Section(
                 "Directions",
@@ -382,15 +359,13 @@ def identifiability_page(found: LogIdentifiability, about: About) -> Page:
             ),
             Section("Notes", items=found.notes),
         ),
-        lead=tuple(filter(None, [_beyond(found)])),
+        lead=(beyond,) if beyond else (),
         tiles=(
-            Tile(
-                "directions identifiable", f"{found.count} of {found.possible}", f"to within {most}"
-            ),
+            Tile("directions identifiable", directions, f"to within {most}"),
             Tile(
                 "at sensor noise alone", f"{found.count_at_floor}", "if only sensor noise remained"
             ),
-            *effects,
+            *([Tile("effects identifiable", f"{count} of {of}")] if of else []),
         ),
         footer="Made by geodrake. Relative deviations are lengths in the geometric metric of "
         "inertial parameters, which depend neither on frames nor on units.",
@@ -398,32 +373,25 @@ def identifiability_page(found: LogIdentifiability, about: About) -> Page:
 
 
 def identifiability_verdict(found: LogIdentifiability) -> str:
-    """Return what is identifiable from logs, in a few sentences."""
-    return f"{_identifiable_share(found)}. {_beyond(found)}".rstrip()
+    """Return what is identifiable from logs, and what a better model would identify.
 
-
-def _beyond(found: LogIdentifiability) -> str:
-    """Return the identifiable effects, and what a better model would identify."""
-    words = []
-    unknown = [entry.label for entry in found.effects if not entry.is_identifiable]
-    if unknown:
-        words.append(f"Not identifiable: {listed(unknown)}.")
-    elif found.effects:
-        words.append("All parameters of effects are identifiable.")
-    if found.count_at_floor > found.count:
-        words.append(f" If only sensor noise remained, {found.count_at_floor} would be.")
-    return " ".join(words)
-
-
-def _identifiable_share(found: LogIdentifiability) -> str:
-    """Return `9 of 12 directions are identifiable to within 10 %; hand in full`."""
+    For example `9 of 12 directions are identifiable to within 10 %; hand in full.`
+    """
     most = percent(found.identifiable.threshold**0.5)
     words = f"{found.count} of {found.possible} directions are identifiable to within {most}"
     seen = [body for body in found.bodies if body.possible >= _HALF]
     full = [body.name for body in seen if body.share > _FULL]
     none = [body.name for body in seen if body.share < _HARDLY]
     words += f"; {listed(full)} in full" if full else ""
-    return f"{words}; {listed(none)} hardly" if none else words
+    words += f"; {listed(none)} hardly" if none else ""
+    sentences = [f"{words}."]
+    if unknown := [entry.label for entry in found.effects if not entry.is_identifiable]:
+        sentences.append(f"Not identifiable: {listed(unknown)}.")
+    elif found.effects:
+        sentences.append("All parameters of effects are identifiable.")
+    if found.count_at_floor > found.count:
+        sentences.append(f"If only sensor noise remained, {found.count_at_floor} would be.")
+    return " ".join(sentences)
 
 
 def _bodies_table(found: LogIdentifiability) -> Table:
@@ -551,14 +519,6 @@ def _identifiable_values(found: LogIdentifiability) -> dict[str, Any]:
     }
 
 
-def _use_records(found: ExcitationResult) -> Records:
-    names = ("position", "velocity", "acceleration", "effort")
-    return [
-        {"joint": joint, **{f"{name}_share": float(getattr(found.use, name)[j]) for name in names}}
-        for j, joint in enumerate(found.limits.joints)
-    ]
-
-
 def _motion(found: ExcitationResult) -> Columns:
     trajectory = found.trajectory
     times = trajectory.family.times(found.samples)
@@ -574,7 +534,16 @@ VIEWS = {
         excitation_page,
         "Excitation",
         _excitation_values,
-        records=_use_records,
+        records=lambda found: [
+            {
+                "joint": joint,
+                "position_share": float(found.use.position[j]),
+                "velocity_share": float(found.use.velocity[j]),
+                "acceleration_share": float(found.use.acceleration[j]),
+                "effort_share": float(found.use.effort[j]),
+            }
+            for j, joint in enumerate(found.limits.joints)
+        ],
         samples=_motion,
         figure="motion",
     ),

@@ -25,6 +25,7 @@ from geodrake.report.charts import Bars, Chart, Panel, Plot, Stage
 from geodrake.report.error_charts import (
     AFTER,
     BEFORE,
+    GAP,
     candidate_bars,
     effort_chart,
     joint_bars,
@@ -34,7 +35,6 @@ from geodrake.report.error_charts import (
     step_stages,
 )
 from geodrake.report.json_output import picked, record
-from geodrake.report.motion_errors import departures_table, motion_values, stages_table
 from geodrake.report.numbers import (
     UNKNOWN,
     Units,
@@ -69,10 +69,13 @@ _IDENTIFIED = Stage("identified", "after")
 _LEFT = Stage("left without it", "measured", look="wide")
 _FORMULA = Stage("formula on held-out data", "after")
 _AGAINST = Stage("one against the other", "after", look="dots")
-_GAP = 1.5  # samples farther apart than so many times the usual are not joined by a line
 _MOST_DOTS = 400
 _MILLIMETRES = 1e3
 _FAR = 1e6  # mm, from which deviations are printed with a power of ten
+_NOTICED = (
+    "A second ± is from uncertain effort gains and unexplained errors. More data do not reduce it; "
+    "a log with a payload of known mass does (--known-payload)."
+)
 _PERCENT_COLUMNS = (
     "Blocks better is the share of held-out blocks in which the error falls at the joints of the "
     "effect.\n"
@@ -156,16 +159,55 @@ class _Errors:
             Section("Where it fails", lists=lists, charts=(chart,), deep=True),
         )
 
-    def ends(
-        self, of: Comparison, notes: Sequence[str], *, refitted: bool = True, deep: bool = False
-    ) -> tuple[Section, ...]:
-        """Return the last sections of a page: residuals, how errors were measured, and notes."""
-        chart = residual_chart(self.models, self.units)
-        return (
-            Section("What the error varies with", charts=(chart,), detailed=True),
-            _method_section(of, refitted=refitted),
+    def page(
+        self,
+        about: About,
+        mark: str,
+        headline: str,
+        sections: Sequence[Section],
+        *,
+        of: Comparison,
+        notes: Sequence[str],
+        refitted: bool = True,
+        deep: bool = False,
+        **more: Any,
+    ) -> Page:
+        """Return a page that ends with residuals, how errors were measured, and notes.
+
+        Args:
+            of: Comparison whose logs and folds the page is about.
+            refitted: Whether a model was refitted.
+            deep: Whether terminals show notes only with details.
+            more: Further fields of the page.
+        """
+        folds = list(dict.fromkeys(series.block for series in of.series))
+        how = (
+            f"Errors of refitted models are on held-out data: each of the {len(folds)} folds (long "
+            "blocks with gaps between them, or whole logs) was predicted with parameters fitted to "
+            "the others. The model as it stands was not refitted."
+            if refitted
+            else "Nothing was refitted, so all data are held-out data, unless the model was fitted "
+            "to these logs before."
+        )
+        last = (
+            Section(
+                "What the error varies with",
+                charts=(residual_chart(self.models, self.units),),
+                detailed=True,
+            ),
+            Section(
+                "How errors were measured",
+                how,
+                "Measured and predicted efforts passed through the same zero-phase filter, and "
+                "were then decimated to the rate that its bandwidth allows. The noise floor is "
+                "estimated from the measured efforts.",
+                items=(f"Folds: {', '.join(folds)}.",),
+                detailed=True,
+            ),
             replace(notes_section(notes, of.first), deep=deep),
         )
+        shown, first = (*sections, *last), (first_section(of.first),)
+        return Page(about, mark, headline, shown, footer=_footer(of), first=first, **more)
 
 
 def comparison_page(comparison: Comparison, about: About) -> Page:
@@ -173,21 +215,17 @@ def comparison_page(comparison: Comparison, about: About) -> Page:
     errors, units = comparison.errors, about.units
     shown = _Errors({"RMS": errors}, {BEFORE: comparison}, units, joint_bars(errors))
     joints, failing = shown.sections()
-    return Page(
+    tile = _error_tile("error", errors, units)
+    return shown.page(
         about,
         "compared",
         f"The error is {words.error_size(errors)}.",
-        (
-            joints,
-            replace(failing, deep=False),
-            *shown.ends(comparison, comparison.notes, refitted=False),
-        ),
+        (joints, replace(failing, deep=False)),
+        of=comparison,
+        notes=comparison.notes,
+        refitted=False,
         lead=words.comparison_lead(comparison),
-        tiles=shown.tiles(
-            _error_tile("error", errors, units), ends=[errors], of="of the squared error"
-        ),
-        footer=_footer(comparison),
-        first=(first_section(comparison.first),),
+        tiles=shown.tiles(tile, ends=[errors], of="of the squared error"),
     )
 
 
@@ -216,17 +254,14 @@ def diagnosis_page(diagnosis: Diagnosis, about: About) -> Page:
         headline = f"Missing: {words.effect_label(first.effect)} ({where})."
     joints, failing = shown.sections()
     with_it = [] if best is None else [Tile("with the effect", number(best), "held-out nrms")]
-    return Page(
+    return shown.page(
         about,
         diagnosis.verdict if best is None else "effect found",
         headline,
-        (
-            ranking,
-            settling_section(diagnosis, about),
-            replace(joints, deep=True),
-            failing,
-            *shown.ends(comparison, diagnosis.notes, deep=True),
-        ),
+        (ranking, settling_section(diagnosis, about), replace(joints, deep=True), failing),
+        of=comparison,
+        notes=diagnosis.notes,
+        deep=True,
         verdict=diagnosis.verdict,
         lead=words.diagnosis_lead(diagnosis),
         tiles=shown.tiles(
@@ -235,8 +270,6 @@ def diagnosis_page(diagnosis: Diagnosis, about: About) -> Page:
             *with_it,
             ends=[start],
         ),
-        footer=_footer(comparison),
-        first=(first_section(comparison.first),),
     )
 
 
@@ -247,6 +280,12 @@ def explanation_page(found: Explanation, about: About) -> Page:
     start, end, steps = explanation.start, explanation.end, explanation.steps
     gone = words.explained_share(start.nrms, end.nrms)
     signals = explanation.model.effort_signals
+    is_second = any(
+        is_noticed(step.deviations[place][name], systematic)
+        for step in steps
+        for place, own in step.systematic.items()
+        for name, systematic in own.items()
+    )
     shown = _Errors(
         {"start": start, "refitted": explanation.refitted, "end": end},
         {BEFORE: explanation.before, **({AFTER: explanation.after} if steps else {})},
@@ -260,7 +299,7 @@ def explanation_page(found: Explanation, about: About) -> Page:
         tiles.append(_error_tile("now", end, units, "held-out data"))
         tiles.append(Tile("explained", said, "of the squared error"))
     joints, failing = shown.sections()
-    return Page(
+    return shown.page(
         about,
         words.explanation_mark(explanation, added=explanation.added),
         words.explanation_headline(explanation, units, added=explanation.added),
@@ -269,13 +308,18 @@ def explanation_page(found: Explanation, about: About) -> Page:
                 "What is missing",
                 "nrms (RMS error / standard deviation of the measured effort) on held-out data, "
                 "before and after each step."
-                + (" A second ± is from uncertain effort gains." if _has_second(steps) else ""),
+                + (" A second ± is from uncertain effort gains." if is_second else ""),
                 _PERCENT_COLUMNS,
                 (step_bars(explanation),) if steps else (),
                 (steps_table(explanation, units),),
             ),
             settling_section(explanation, about),
-            _parameters_section(explanation, units),
+            Section(
+                "Parameters",
+                f"Value ± standard deviation. {_NOTICED if is_second else ''}".rstrip(),
+                tables=tuple(parameters_table(s, units) for s in steps if s.parameters),
+                deep=True,
+            ),
             Section(
                 REST,
                 more="Shares of the remaining error of a joint on held-out data.",
@@ -296,8 +340,10 @@ def explanation_page(found: Explanation, about: About) -> Page:
             ),
             gains_section(signals, units),
             limits_section(signals, units),
-            *shown.ends(explanation.before, explanation.notes, deep=True),
         ),
+        of=explanation.before,
+        notes=explanation.notes,
+        deep=True,
         verdict=explanation.verdict,
         lead=words.explanation_lead(
             explanation, advised=not (explanation.draft or explanation.added)
@@ -305,8 +351,6 @@ def explanation_page(found: Explanation, about: About) -> Page:
         tiles=shown.tiles(
             *tiles, ends=[start, end] if steps else [start], of="of the squared error left"
         ),
-        footer=_footer(explanation.before),
-        first=(first_section(explanation.before.first),),
     )
 
 
@@ -331,7 +375,7 @@ def identification_page(found: ModelIdentification, about: About) -> Page:
         f"{words.listed(found.at_boundary)} ended at the boundary of physically valid inertias: "
         "the data alone would ask for invalid ones."
     )
-    return Page(
+    return shown.page(
         about,
         "identified",
         f"{headline}{noise}.",
@@ -348,8 +392,9 @@ def identification_page(found: ModelIdentification, about: About) -> Page:
                 "Regularizers at the same training residual", tables=(_regularizers_table(found),)
             ),
             failing,
-            *shown.ends(found.comparison, found.notes),
         ),
+        of=found.comparison,
+        notes=found.notes,
         verdict="identified",
         lead=(lead, bounded) if found.at_boundary else (lead,),
         tiles=shown.tiles(
@@ -358,8 +403,6 @@ def identification_page(found: ModelIdentification, about: About) -> Page:
             ends=[before, after],
             of="of the squared error left",
         ),
-        footer=_footer(found.comparison),
-        first=(first_section(found.comparison.first),),
     )
 
 
@@ -376,35 +419,13 @@ def settling_section(found: Diagnosis | Explanation, about: About) -> Section:
     )
 
 
-def _has_second(steps: Sequence[Step]) -> bool:
-    """Return whether any parameter is shown with a second, systematic deviation."""
-    return any(
-        is_noticed(step.deviations[place][name], systematic)
-        for step in steps
-        for place, own in step.systematic.items()
-        for name, systematic in own.items()
-    )
-
-
-def _parameters_section(explanation: Explanation, units: Units) -> Section:
-    """Return the fitted parameters, with their standard deviations and units."""
-    noticed = (
-        "A second ± is from uncertain effort gains and unexplained errors. More data do not reduce "
-        "it; a log with a payload of known mass does (--known-payload)."
-    )
-    return Section(
-        "Parameters",
-        f"Value ± standard deviation. {noticed if _has_second(explanation.steps) else ''}".rstrip(),
-        tables=tuple(parameters_table(s, units) for s in explanation.steps if s.parameters),
-        deep=True,
-    )
-
-
 def _motions_section(motions: Sequence[Rollout] | None, units: Units) -> Section:
     """Return the position errors under the logged commands; empty without commands."""
     title = "Motion error under the logged commands"
     if motions is None:
         return Section(title)
+    from geodrake.report.rollouts import departures_table, stages_table  # slow to import
+
     before, after = motions[0], motions[-1]
     return Section(
         title,
@@ -447,12 +468,11 @@ def draft_chart(draft: Draft, units: Units) -> Chart:
         joint, unit = effect.formula.joint, units.effort([effect.formula.joint])
         steps = np.diff(effect.time)
         usual = np.median(np.abs(steps)) if len(steps) else 1.0
-        breaks = 1 + np.flatnonzero((steps > _GAP * usual) | (steps < 0))
+        breaks = 1 + np.flatnonzero((steps > GAP * usual) | (steps < 0))
         at = np.insert(np.arange(len(effect.time), dtype=float), breaks, breaks - 0.5)
         left, formula = (np.insert(x, breaks, np.nan) for x in (effect.residual, effect.effort))
         few = np.linspace(0, len(effect.effort) - 1, min(_MOST_DOTS, len(effect.effort)))
-        order = np.sort(np.argsort(effect.effort, kind="stable")[few.astype(int)])
-        order = order[np.argsort(effect.effort[order], kind="stable")]
+        order = np.argsort(effect.effort, kind="stable")[few.astype(int)]
         plots = (
             Plot(
                 f"effort, {unit}",
@@ -509,28 +529,6 @@ def limits_section(signals: Sequence[EffortSignal], units: Units) -> Section:
         "Limits of motors",
         "The motors of these joints saturate at the limit; logged efforts are commands.",
         tables=(Table(("joint", "limit"), rows),),
-    )
-
-
-def _method_section(comparison: Comparison, *, refitted: bool) -> Section:
-    """Return how the errors were measured."""
-    folds = list(dict.fromkeys(series.block for series in comparison.series))
-    how = (
-        f"Errors of refitted models are on held-out data: each of the {len(folds)} folds (long "
-        "blocks with gaps between them, or whole logs) was predicted with parameters fitted to the "
-        "others. The model as it stands was not refitted."
-        if refitted
-        else "Nothing was refitted, so all data are held-out data, unless the model was fitted to "
-        "these logs before."
-    )
-    return Section(
-        "How errors were measured",
-        how,
-        "Measured and predicted efforts passed through the same zero-phase filter, and were then "
-        "decimated to the rate that its bandwidth allows. The noise floor is estimated from the "
-        "measured efforts.",
-        items=(f"Folds: {', '.join(folds)}.",),
-        detailed=True,
     )
 
 
@@ -669,31 +667,27 @@ def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
     rows = []
     for signal in signals:
         joint, gain = signal.joint, if_known(signal.gain, signal.deviation)
-        row = [joint, signal.kind, gain, units.at(joint, signal.unit)]
+        row = {"joint": joint, "logged signal": signal.kind, "gain": gain}
+        row["unit"] = units.at(joint, signal.unit)
         if served:
             damping = if_known(signal.damping, signal.damping_deviation)
             rate = units.at(joint, "N·m·s/rad")
             of = f", of {signal.rate_share:.2g} dc/dt − v" if signal.rate_share < 1.0 else ""
-            row += [f"{damping} {rate}{of}" if signal.damping else UNKNOWN]
-            row += [f"{1e3 * signal.delay:.2g} ms"]
+            row["damping"] = f"{damping} {rate}{of}" if signal.damping else UNKNOWN
+            row["delay"] = f"{1e3 * signal.delay:.2g} ms"
         if summed:
             integral = if_known(signal.integral, signal.integral_deviation)
             unit = units.at(joint, "N·m/(rad·s)")
-            row += [f"{integral} {unit}" if signal.integral else UNKNOWN]
+            row["integral"] = f"{integral} {unit}" if signal.integral else UNKNOWN
         if limited:
-            row += [_limit(signal, units)]
+            row["limit"] = _limit(signal, units)
         if idle:
             band = if_known(signal.dead_band, signal.dead_band_deviation)
-            row += [f"{band} {units.at(joint, 'rad')}" if signal.dead_band else UNKNOWN]
-        rows.append(cells(*row))
-    head = (
-        *("joint", "logged signal", "gain", "unit"),
-        *(("damping", "delay") if served else ()),
-        *(("integral",) if summed else ()),
-        *(("limit",) if limited else ()),
-        *(("dead band",) if idle else ()),
-    )
-    return Table(head, rows, words=2)
+            unit = units.at(joint, "rad")
+            row["dead band"] = f"{band} {unit}" if signal.dead_band else UNKNOWN
+        rows.append(row)
+    head = tuple(rows[0]) if rows else ()
+    return Table(head, [cells(*row.values()) for row in rows], words=2)
 
 
 def _limit(signal: EffortSignal, units: Units) -> str:
@@ -785,35 +779,44 @@ def _gamma(value: float) -> str:
     return number(value) if math.isfinite(value) else "unbounded"
 
 
-def error_records(comparison: Comparison) -> Records:
-    """Return a row for each joint."""
-    names = ("joint", "std", "rms", "floor", "nrms", "removable")
-    return [picked(joint, *names) for joint in comparison.errors.joints]
+def _explanation_values(found: Explanation) -> dict[str, Any]:
+    """Return the steps with their rivals, and what only the command computes."""
+    steps = [
+        record(
+            "Step",
+            step,
+            rivals=[
+                record("Rival", rival, probability=share)
+                for rival, share in zip(step.rivals, step.probabilities_of_rivals, strict=True)
+            ],
+        )
+        for step in found.steps
+    ]
+    values: dict[str, Any] = {"steps": steps}
+    if not isinstance(found, Explained) or (found.added and found.draft is None):
+        return values
+    if found.draft is None:
+        return {**values, "correlates": found.correlates, **motion_values(found.motions)}
+    effects = []
+    for effect in found.draft.effects:
+        numbers = zip(
+            effect.formula.parameters, effect.coefficients, effect.deviations, strict=True
+        )
+        coefficients = {p.name: (c, d, p.unit) for p, c, d in numbers}
+        name = found.draft.names[effect.formula.joint]
+        effects.append(record("DraftedEffect", effect, name=name, coefficients=coefficients))
+    return {**values, "draft": record("Draft", found.draft, effects=effects)}
 
 
-def explanation_values(found: Explanation) -> dict[str, Any]:
-    """Return the steps of an explanation, in which rivals have their probabilities."""
-    return {"steps": map(_step, found.steps)}
+def motion_values(motions: Sequence[Rollout] | None) -> dict[str, Any]:
+    """Return rollouts under commands, before, after and between steps; nothing without any."""
+    if motions is None:
+        return {}
+    before, *between, after = motions
+    return {"motion": {"before": before, "after": after, "steps": between}}
 
 
-def _step(step: Step) -> dict[str, Any]:
-    rivals = zip(step.rivals, step.probabilities_of_rivals, strict=True)
-    told = [record("Rival", rival, probability=share) for rival, share in rivals]
-    return record("Step", step, rivals=told)
-
-
-def draft_values(draft: Draft) -> dict[str, Any]:
-    """Return the effects of a draft, with their names and coefficients."""
-    found = []
-    for effect in draft.effects:
-        numbers = effect.formula.parameters, effect.coefficients, effect.deviations
-        values = {p.name: (c, d, p.unit) for p, c, d in zip(*numbers, strict=True)}
-        name = draft.names[effect.formula.joint]
-        found.append(record("DraftedEffect", effect, name=name, coefficients=values))
-    return {"effects": found}
-
-
-def identification_values(found: ModelIdentification) -> dict[str, Any]:
+def _identification_values(found: ModelIdentification) -> dict[str, Any]:
     """Return the bodies of an identified model, and its effects with parameters."""
     model = found.model
     bodies = zip(model.bodies, model.phi, strict=True)
@@ -825,7 +828,7 @@ def identification_values(found: ModelIdentification) -> dict[str, Any]:
     }
 
 
-def step_records(found: Explanation) -> Records:
+def _step_records(found: Explanation) -> Records:
     """Return a row for each parameter of each step."""
     return [
         {
@@ -842,7 +845,7 @@ def step_records(found: Explanation) -> Records:
     ]
 
 
-def body_records(found: ModelIdentification) -> Records:
+def _body_records(found: ModelIdentification) -> Records:
     """Return a row for each body."""
     return [
         {
@@ -850,40 +853,21 @@ def body_records(found: ModelIdentification) -> Records:
             "mass_before": body.mass[0],
             "mass": body.mass[1],
             "mass_deviation": body.mass_deviation,
-            **{
-                f"com_{axis}{end}": float(body.com[k][i])
-                for k, end in enumerate(("_before", ""))
-                for i, axis in enumerate("xyz")
-            },
+            **{f"com_{axis}_before": float(body.com[0][i]) for i, axis in enumerate("xyz")},
+            **{f"com_{axis}": float(body.com[1][i]) for i, axis in enumerate("xyz")},
         }
         for body in found.bodies
     ]
 
 
-def _explained_values(found: Explained) -> dict[str, Any]:
-    values = explanation_values(found)
-    if found.draft is not None:
-        return {**values, "draft": record("Draft", found.draft, **draft_values(found.draft))}
-    if found.added:
-        return values
-    return {**values, "correlates": found.correlates, **motion_values(found.motions)}
-
-
-_EXPLANATION: dict[str, Any] = {
-    "records": step_records,
-    "samples": lambda found: comparison_series(found.after, found.before),
-    "figure": "efforts",
-    "drawn": lambda found: {
-        "as it stands": found.before,
-        **({"now": found.after} if found.steps else {}),
-    },
-}
-
 VIEWS = {
     Comparison: View(
         comparison_page,
         "Comparison",
-        records=error_records,
+        records=lambda found: [
+            picked(joint, "joint", "std", "rms", "floor", "nrms", "removable")
+            for joint in found.errors.joints
+        ],
         samples=comparison_series,
         figure="efforts",
         drawn=lambda found: {"": found},
@@ -896,13 +880,23 @@ VIEWS = {
         figure="candidates",
         drawn=lambda found: {"": found.comparison},
     ),
-    Explanation: View(explanation_page, "Explanation", explanation_values, **_EXPLANATION),
-    Explained: View(explanation_page, "Explanation", _explained_values, **_EXPLANATION),
+    Explanation: View(
+        explanation_page,
+        "Explanation",
+        _explanation_values,
+        records=_step_records,
+        samples=lambda found: comparison_series(found.after, found.before),
+        figure="efforts",
+        drawn=lambda found: {
+            "as it stands": found.before,
+            **({"now": found.after} if found.steps else {}),
+        },
+    ),
     ModelIdentification: View(
         identification_page,
         "Identification",
-        identification_values,
-        records=body_records,
+        _identification_values,
+        records=_body_records,
         samples=lambda found: comparison_series(found.comparison),
         figure="efforts",
         drawn=lambda found: {

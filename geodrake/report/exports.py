@@ -7,22 +7,20 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.control.export_proof.export import ProvenExport
 from geodrake.control.export_proof.joints import exported_joints
 from geodrake.diagnosis.columns import ColumnFinding
-from geodrake.fleet.digest_folder import FAILED, MADE, THERE, DigestRow, DigestRun
+from geodrake.fleet.digest_folder import FAILED, MADE, THERE, DigestRun
 from geodrake.fleet.log_places import date_text
-from geodrake.fleet.settings import SETTINGS_FILE, DigestSettings
+from geodrake.fleet.settings import SETTINGS_FILE
 from geodrake.logs.inspection import LogInspection
 from geodrake.model.dynamics_check import TOLERANCE, Agreement, DynamicsCheck
 from geodrake.report.charts import Chart, Panel, Plot, Shade, Stage
 from geodrake.report.explaining import effect_cell, first_section, notes_section
 from geodrake.report.json_output import picked, record
 from geodrake.report.numbers import Units, number, percent
-from geodrake.report.page import About, Cell, Page, Section, Table, Tile, View, cells
-from geodrake.report.words import capitalized
+from geodrake.report.page import About, Page, Section, Table, Tile, View, cells
 
 _NAMED = 3  # effects, at most, that a sentence names
 _FROM = {"stamps": "its time stamps", "option": "--date", "file": "when its file was changed"}
@@ -35,7 +33,7 @@ _EFFORT = Stage("effort", "before")
 
 def export_page(found: ProvenExport, about: About) -> Page:
     """Return the page of an export."""
-    units, costs = about.units, found.costs
+    units, costs, ignored = about.units, found.costs, ", ".join(found.proof.ignored)
     tiles = [Tile("format", found.form.name, ", ".join(found.exported.files))]
     if costs is not None:
         tiles += [
@@ -43,15 +41,30 @@ def export_page(found: ProvenExport, about: About) -> Page:
             Tile("files", number(costs.held), "nrms of the files"),
         ]
         if costs.ignored is not None:
-            left = ", ".join(found.proof.ignored)
-            tiles.append(Tile("simulated", number(costs.ignored), f"nrms without {left}"))
-    headline, _, rest = _export_words(found).partition(". ")
+            tiles.append(Tile("simulated", number(costs.ignored), f"nrms without {ignored}"))
+    names = [lost.effect for lost in found.lacks]
+    headline, rest = "The files have the whole model", []
+    if names:
+        lacks = ", ".join(names) if len(names) <= _NAMED else f"{len(names)} effects"
+        headline = f"The files have the model except {lacks}"
+    if costs is not None:
+        of_files = f"; nrms {number(costs.whole)} of the model, {number(costs.held)} of the files"
+        headline += of_files if names else f", nrms {number(costs.whole)}"
+    if ignored:
+        engine = found.proof.differences[0].engine.partition(" ")[0]
+        cost = "" if costs is None or costs.ignored is None else f": nrms {number(costs.ignored)}"
+        rest.append(f"{engine} ignores {ignored} in them{cost}.")
+    off = [difference for difference in found.proof.differences if not difference.is_rounding]
+    if off:
+        rest.append(f"{off[0].engine} differs from geodrake by more than rounding.")
+    elif found.proof.differences:
+        rest.append("The simulators that load them agree with geodrake to rounding.")
     costed = "" if costs is None else f" nrms without each, {number(costs.whole)} with all."
     on = f", on {', '.join(about.logs)}" if about.logs else ""
     return Page(
         about,
         "exported",
-        f"{capitalized(headline.removesuffix('.'))}.",
+        f"{headline}.",
         (
             Section(
                 "Exported",
@@ -75,33 +88,10 @@ def export_page(found: ProvenExport, about: About) -> Page:
             notes_section(found.notes),
         ),
         of=f"{about.model} to {found.form.name}{on}",
-        lead=(rest,) if rest else (),
+        lead=(" ".join(rest),) if rest else (),
         tiles=tuple(tiles),
         footer="Made by geodrake: a model written for a simulator, and loaded again.",
     )
-
-
-def _export_words(found: ProvenExport) -> str:
-    """Return the content of an export and its consequences, in sentences."""
-    names = [lost.effect for lost in found.lacks]
-    lacks = ", ".join(names) if len(names) <= _NAMED else f"{len(names)} effects"
-    words = (
-        f"the files have the model except {lacks}" if lacks else "the files have the whole model"
-    )
-    if found.costs is not None:
-        whole, held = number(found.costs.whole), number(found.costs.held)
-        words += f"; nrms {whole} of the model, {held} of the files" if lacks else f", nrms {whole}"
-    if found.proof.ignored:
-        engine = found.proof.differences[0].engine.partition(" ")[0]
-        words += f". {engine} ignores {', '.join(found.proof.ignored)} in them"
-        if found.costs is not None and found.costs.ignored is not None:
-            words += f": nrms {number(found.costs.ignored)}"
-    off = [difference for difference in found.proof.differences if not difference.is_rounding]
-    if off:
-        words += f". {off[0].engine} differs from geodrake by more than rounding"
-    elif found.proof.differences:
-        words += ". The simulators that load them agree with geodrake to rounding"
-    return f"{words}."
 
 
 def _holds_table(found: ProvenExport, units: Units) -> Table:
@@ -228,7 +218,16 @@ def digests_page(run: DigestRun, about: About) -> Page:
     made, there, failed = (run.count(status) for status in (MADE, THERE, FAILED))
     headline = f"{made} digested, {there} existed, {failed} failed: "
     headline += "exit code 1." if failed else f"every log has a digest in {run.folder}."
-    rows = tuple(_digest_cells(row) for row in run.rows if row.status != FAILED)
+    rows = []
+    for row in (row for row in run.rows if row.status != FAILED):
+        own, name = row.about, row.digest
+        if own is None or name is None:
+            rows.append(cells(row.file.name, *("",) * 7))
+            continue
+        ends = [(f"{n.min():.0f}", f"{n.max():.0f}") for n in (own.samples, own.effective)]
+        counts = (least if least == most else f"{least} to {most}" for least, most in ends)
+        when = date_text(own.date), _FROM[own.date_from], f"{own.seconds:.3g}"
+        rows.append(cells(row.file.name, name.name[:_DIGITS] + "…", row.status, *when, *counts))
     head = ("log", "digest", "", "began", "by", "s", "samples", "effective")
     failures = [f"{row.file}: {row.reason}" for row in run.rows if row.status == FAILED]
     return Page(
@@ -240,25 +239,6 @@ def digests_page(run: DigestRun, about: About) -> Page:
             Section("Logs without a digest", items=tuple(failures)),
             notes_section(digest_notes(run)),
         ),
-    )
-
-
-def _digest_cells(row: DigestRow) -> tuple[Cell, ...]:
-    about, name = row.about, row.digest
-    if about is None or name is None:
-        return cells(row.file.name, *("",) * 7)
-    ends = (
-        f"{values.min():.0f} to {values.max():.0f}" for values in (about.samples, about.effective)
-    )
-    ends = (text.partition(" ")[0] if len({*text.split(" to ")}) == 1 else text for text in ends)
-    return cells(
-        row.file.name,
-        name.name[:_DIGITS] + "…",
-        row.status,
-        date_text(about.date),
-        _FROM[about.date_from],
-        f"{about.seconds:.3g}",
-        *ends,
     )
 
 
@@ -292,6 +272,14 @@ class InspectedLogs:
     # What of the model's file is not believed; None without a model.
     repairs: Sequence[str] | None = None
     beyond: Sequence[str] = ()  # where positions are beyond the model's limits, in sentences
+
+    @property
+    def beside_model(self) -> dict[str, Any]:
+        """Return what was found beside a model, for JSON; nothing without one."""
+        if self.repairs is None:
+            return {}
+        notes = [*self.repairs, *self.beyond, *filter(None, [self.unchecked])]
+        return {"columns": self.columns, "notes": notes}
 
 
 def logs_page(found: InspectedLogs, about: About) -> Page:
@@ -361,88 +349,87 @@ def log_chart(found: LogInspection) -> Chart:
     rests = tuple(Shade(_POSITION, first, last, "no joint moves") for first, last in found.rests)
     for row, joint in enumerate(log.joints):
         positions = {_POSITION: log.position[:, row]}
-        if log.command is not None and np.isfinite(log.command[:, row]).any():
-            positions[_COMMAND] = log.command[:, row]
-        effort, words = _effort_curve(found, row)
+        kind, effort = log.effort_kinds.get(joint, "effort"), log.effort[:, row]
+        words = {"pwm": "duty cycle, share of 1", "effort": "effort, N·m or N"}.get(
+            kind, f"{kind}, {_SI.get(kind, '')}"
+        )
+        command = None if log.command is None else log.command[:, row]
+        if command is not None and np.isfinite(command).any():
+            positions[_COMMAND] = command
+        if command is not None and not np.isfinite(effort).any():
+            effort, words = command - log.position[:, row], "command − position, rad or m"
         plots = Plot("position, rad or m", positions), Plot(words, {_EFFORT: effort})
         panels.append(Panel(joint, "", log.time, plots, rests))
     caption = "Shaded: no joint moves." if found.rests else ""
     return Chart("log", caption, tuple(panels), axis="time, s")
 
 
-def _effort_curve(found: LogInspection, row: int) -> tuple[NDArray[np.float64], str]:
-    """Return (N,) the effort signal of a joint, and its kind."""
-    log = found.log
-    kind = log.effort_kinds.get(log.joints[row], "effort")
-    effort = log.effort[:, row]
-    if log.command is not None and not np.isfinite(effort).any():
-        return log.command[:, row] - log.position[:, row], "command − position, rad or m"
-    words = {"pwm": "duty cycle, share of 1", "effort": "effort, N·m or N"}
-    return effort, words.get(kind, f"{kind}, {_SI.get(kind, '')}")
-
-
-def _export_values(found: ProvenExport) -> dict[str, Any]:
-    """Return what an export lacks, and the loss of accuracy."""
-    error, costs = dict[str, float](), found.costs
-    if costs is not None:
-        error = {"nrms": costs.whole, "held_nrms": costs.held}
-        error |= {} if costs.ignored is None else {"simulated_nrms": costs.ignored}
-    lacks = [
-        picked(lost, "effect", "where", "into", *([] if lost.nrms is None else ["nrms"]))
-        for lost in found.lacks
-    ]
-    return {"lacks": lacks, "error": error}
-
-
 def _digest_values(run: DigestRun) -> dict[str, Any]:
     """Return the outcome for each log."""
-    settings = run.settings
+    settings, logs = run.settings, []
+    for row in run.rows:
+        about, said = row.about, {"log": row.file, "status": row.status, "reason": row.reason}
+        if about is not None and settings is not None:
+            values = (
+                *(about.samples, about.effective, about.noise_floor),
+                *(about.position.T, about.speed.T, about.temperature),
+            )
+            said |= {
+                **picked(about, "date_from", "seconds", "notes"),
+                "digest": row.digest,
+                "date": date_text(about.date),
+                "joints": dict(zip(settings.joints, zip(*values, strict=True), strict=True)),
+            }
+        logs.append(said)
     return {
         "settings": settings and record("DigestSettings", settings, columns=len(settings.columns)),
         "counts": {status: run.count(status) for status in (MADE, THERE, FAILED)},
-        "logs": [_digest_row(row, settings) for row in run.rows],
+        "logs": logs,
         "notes": digest_notes(run),
     }
 
 
-def _digest_row(row: DigestRow, settings: DigestSettings | None) -> dict[str, Any]:
-    about, said = row.about, {"log": row.file, "status": row.status, "reason": row.reason}
-    if about is None or settings is None:
-        return said
-    values = (
-        *(about.samples, about.effective, about.noise_floor),
-        *(about.position.T, about.speed.T, about.temperature),
-    )
-    return {
-        **said,
-        **picked(about, "date_from", "seconds", "notes"),
-        "digest": row.digest,
-        "date": date_text(about.date),
-        "joints": dict(zip(settings.joints, zip(*values, strict=True), strict=True)),
-    }
-
-
-def _log_values(found: InspectedLogs) -> dict[str, Any]:
-    logs = [record("InspectedLog", each, rows=len(each.log)) for _, each in found.logs]
-    if found.repairs is None:
-        return {"logs": logs}
-    notes = [*found.repairs, *found.beyond, *filter(None, [found.unchecked])]
-    return {"logs": logs, "columns": found.columns, "notes": notes}
-
-
-def _check_values(found: DynamicsCheck) -> dict[str, Any]:
-    second = {} if found.second is None else record("Agreement", found.second)
-    return {
-        "repaired": len(found.repairs) > len(found.left_out),
-        "tolerance": TOLERANCE,
-        "second_opinion": {"by": found.by, **second},
-    }
+def _costs(found: ProvenExport) -> dict[str, float]:
+    """Return the nrms of the model and of its files by name."""
+    costs = found.costs
+    if costs is None:
+        return {}
+    simulated = {} if costs.ignored is None else {"simulated_nrms": costs.ignored}
+    return {"nrms": costs.whole, "held_nrms": costs.held, **simulated}
 
 
 VIEWS = {
-    ProvenExport: View(export_page, "Export", _export_values),
-    DynamicsCheck: View(check_page, "Check", _check_values),
+    ProvenExport: View(
+        export_page,
+        "Export",
+        lambda found: {
+            "lacks": [
+                picked(lost, "effect", "where", "into", *([] if lost.nrms is None else ["nrms"]))
+                for lost in found.lacks
+            ],
+            "error": _costs(found),
+        },
+    ),
+    DynamicsCheck: View(
+        check_page,
+        "Check",
+        lambda found: {
+            "repaired": len(found.repairs) > len(found.left_out),
+            "tolerance": TOLERANCE,
+            "second_opinion": {
+                "by": found.by,
+                **({} if found.second is None else record("Agreement", found.second)),
+            },
+        },
+    ),
     DigestRun: View(digests_page, "Digests", _digest_values),
-    InspectedLogs: View(logs_page, "InspectedLogs", _log_values),
+    InspectedLogs: View(
+        logs_page,
+        "InspectedLogs",
+        lambda found: {
+            "logs": [record("InspectedLog", each, rows=len(each.log)) for _, each in found.logs],
+            **found.beside_model,
+        },
+    ),
 }
 """How each type of result is shown."""

@@ -17,7 +17,7 @@ from geodrake.boundary.arguments import typed
 from geodrake.boundary.escaping import path_part
 from geodrake.boundary.whole_files import made_folder, write_together
 from geodrake.report import style
-from geodrake.report.charts import CUT, MOST_PANELS, Bars, Chart, Color, Panel, Plot, Stage
+from geodrake.report.charts import CUT, MOST_PANELS, Bars, Chart, Panel, Plot, Stage
 from geodrake.report.page import Page
 
 _LABELS_AT = -0.05  # of the width of the axes
@@ -49,7 +49,9 @@ def save_figures(figures: Mapping[str, Figure], folder: str | Path) -> tuple[Pat
     folder = Path(folder)
     paths = {name: folder / f"{path_part(name)}.png" for name in figures}
     with made_folder(folder):
-        write_together({paths[name]: style.png(figure) for name, figure in figures.items()})
+        write_together(
+            {paths[name]: style.figure_bytes(figure) for name, figure in figures.items()}
+        )
     return tuple(paths.values())
 
 
@@ -71,7 +73,11 @@ def chart_figure(chart: Chart, most: int = MOST_PANELS) -> Figure:
     )  # fmt: skip
     for k, panel in enumerate(panels):
         axes = grid[2 * k : 2 * k + 2, 0] if above else grid[k]
-        style.joint_title(axes[0], panel.title, panel.detail)
+        name = style.label(panel.title, 48)
+        axes[0].set_title(name, loc="left", pad=4, **style.plain(fontweight="bold"))
+        if panel.detail:
+            size = style.plain(style.SMALL, style.QUIET)
+            axes[0].set_title(style.label(panel.detail), loc="right", pad=4, **size)
         for ax, plot in zip(axes, panel.plots, strict=False):
             _draw(style.polish(ax), chart, panel, plot, stages)
         if above:
@@ -158,14 +164,14 @@ def bars_figure(bars: Bars) -> Figure:
     for row in bars.rows:
         ends = [at + k for k in range(len(row.bars))]
         for y, bar in zip(ends, row.bars, strict=True):
-            color = style.COLORS[bar.color.name]
-            ax.barh(y, bars.end(bar), 0.86, color=color, alpha=bar.color.opacity)
+            color = style.COLORS[bar.stage.color]
+            ax.barh(y, bars.end(bar), 0.86, color=color, alpha=bar.stage.opacity)
             ax.annotate(
                 bar.text, (bars.end(bar), y), (4, 0), textcoords="offset points", va="center",
                 **style.plain(style.SMALL),
             )  # fmt: skip
         for mark in row.shown_marks:
-            color = style.COLORS[mark.color.name]
+            color = style.COLORS[mark.stage.color]
             ax.vlines(bars.end(mark), ends[0] - 0.6, ends[-1] + 0.6, color=color, linestyle="--")
         ticks.append(float(np.mean(ends)))
         at = ends[-1] + 1.8
@@ -175,13 +181,13 @@ def bars_figure(bars: Bars) -> Figure:
     ax.set_xlim(0.0, 1.12)
     ax.set_xticks([])
     ax.tick_params(axis="y", length=0)
-    style.legend_above(figure, [_handle(color) for color in bars.legend])
+    handles: list[Line2D | Patch] = []
+    for stage in bars.legend:
+        color, words = style.COLORS[stage.color], style.label(stage.label)
+        if stage.look == "thin":
+            handles.append(Line2D([], [], color=color, linestyle="--", label=words))
+        else:
+            handles.append(Patch(color=color, alpha=stage.opacity, label=words))
+    style.legend_above(figure, handles)
     style.note_below(figure, " ".join(filter(None, (bars.caption, bars.note))))
     return figure
-
-
-def _handle(color: Color) -> Patch | Line2D:
-    paint = style.COLORS[color.name]
-    if color.thin:
-        return Line2D([], [], color=paint, linestyle="--", label=color.label)
-    return Patch(color=paint, alpha=color.opacity, label=style.label(color.label))

@@ -68,6 +68,8 @@ def fleet_page(result: FleetResult, about: About) -> Page:
         f"{_since(each)}: {_size(each)}."
         for each in result.findings[:1]
     ]
+    last = max(result.findings, key=lambda each: each.date, default=None)
+    latest = [] if last is None else [Tile("latest", _since(last), last.robot, words=True)]
     unused = [f"{each.robot}: {each.address}: {each.reason}" for each in result.unused]
     more = [f"and {len(unused) - _MOST_UNUSED} more" + (f", in {result.folder}" if place else "")]
     return Page(
@@ -105,7 +107,12 @@ def fleet_page(result: FleetResult, about: About) -> Page:
         of=f"{about.model}: {count}, {result.made} digested now",
         verdict=CHANGED if changed else STEADY,
         lead=(*surest, *place),
-        tiles=_tiles(result),
+        tiles=(
+            Tile("changed", str(result.count(CHANGED)), f"of {len(result.robots)} robots"),
+            Tile("steady", str(result.count(STEADY)), "without changes"),
+            Tile("logs not used", str(len(result.unused)), "reasons below"),
+            *latest,
+        ),
         footer="Made by geodrake: which robots changed, at which joint, by which effect, since "
         "when.",
     )
@@ -124,17 +131,6 @@ def fleet_verdict(result: FleetResult) -> str:
 
 def _counted(count: int, noun: str) -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
-
-
-def _tiles(result: FleetResult) -> tuple[Tile, ...]:
-    last = max(result.findings, key=lambda each: each.date, default=None)
-    latest = () if last is None else (Tile("latest", _since(last), last.robot, words=True),)
-    return (
-        Tile("changed", str(result.count(CHANGED)), f"of {len(result.robots)} robots"),
-        Tile("steady", str(result.count(STEADY)), "without changes"),
-        Tile("logs not used", str(len(result.unused)), "reasons below"),
-        *latest,
-    )
 
 
 def _day(seconds: float) -> str:
@@ -384,13 +380,12 @@ def finding_dict(finding: FleetFinding) -> dict[str, Any]:
 
 def finding_line(finding: FleetFinding) -> str:
     """Return a finding as one line of JSON."""
-    said = {"finding": _without_reasons(finding)}
+    said = {"finding": _without_reasons(finding_dict(finding))}
     return json_text(json.dumps(said, ensure_ascii=False, allow_nan=False))
 
 
-def _without_reasons(finding: FleetFinding) -> dict[str, Any]:
+def _without_reasons(said: dict[str, Any]) -> dict[str, Any]:
     """Return a finding without the reasons for nulls that need none."""
-    said = finding_dict(finding)
     for own in said["parameters"].values():
         own["share"] = own["share"] if isinstance(own["share"], float) else None
     return said
@@ -402,16 +397,7 @@ def _robot(robot: RobotResult) -> dict[str, Any]:
         robot,
         dates=map(date_text, robot.dates.tolist()),
         findings=map(finding_dict, robot.findings),
-        parameters=[
-            record(
-                "ParameterHistory",
-                each.parameter,
-                values=map(rounded, each.values.tolist(), each.deviations.tolist()),
-                deviations=map(rounded, each.deviations.tolist()),
-                shown=each.shown.tolist(),
-            )
-            for each in robot.histories
-        ],
+        parameters=map(_history, robot.histories),
         beside_others=[
             record(
                 "BesideOthers",
@@ -428,39 +414,71 @@ def _robot(robot: RobotResult) -> dict[str, Any]:
     )
 
 
+def _history(history: ParameterHistory) -> dict[str, Any]:
+    values, deviations = history.values.tolist(), history.deviations.tolist()
+    return record(
+        "ParameterHistory",
+        history.parameter,
+        values=[*map(rounded, values, deviations)],
+        deviations=[*map(rounded, deviations)],
+        shown=history.shown.tolist(),
+    )
+
+
 def parquet_contents(result: FleetResult, folder: Path) -> Mapping[Path, Content]:
     """Return file -> content of tables: `findings`, `parameters` over time, and `unused_logs`."""
     arrow = optional_package("pyarrow", "fleet", "tables in Parquet", FleetError)
     parquet = optional_package("pyarrow.parquet", "fleet", "tables in Parquet", FleetError)
-    text, real, flag = arrow.string(), arrow.float64(), arrow.bool_()
-    instant = arrow.timestamp("s", tz="UTC")
-    kinds = {
-        **dict.fromkeys(("since", "earliest", "latest", "date"), instant),
-        **dict.fromkeys(
-            ("change", "deviation", "share", "probability", "false_alarm_probability", "value"),
-            real,
-        ),
-        "shown": flag,
-    }
+    instants = dict.fromkeys(
+        ("since", "earliest", "latest", "date"), arrow.timestamp("s", tz="UTC")
+    )
+    kinds = {**instants, **dict.fromkeys(_REAL, arrow.float64()), "shown": arrow.bool_()}
+    findings, parameters = list[dict[str, Any]](), list[dict[str, Any]]()
+    for robot in result.robots:
+        for finding in robot.findings:
+            said = _without_reasons(finding_dict(finding)) | {
+                "type": robot.type,
+                "since": round(finding.date),
+                "earliest": round(finding.interval[0]),
+                "latest": round(finding.interval[1]),
+            }
+            own = said["parameters"].items()
+            findings += [{**said, "parameter": name, **change} for name, change in own]
+        for each in map(_history, robot.histories):
+            numbers = zip(
+                robot.dates, each["values"], each["deviations"], each["shown"], strict=True
+            )
+            parameters += [
+                {
+                    **each,
+                    "robot": robot.robot,
+                    "type": robot.type,
+                    "parameter": each["name"],
+                    "date": round(date),
+                    "value": value,
+                    "deviation": deviation,
+                    "shown": shown,
+                }
+                for date, value, deviation, shown in numbers
+            ]
+    unused = [vars(each) | {"log": printable(each.address)} for each in result.unused]
     tables = {
-        "findings": (_FINDINGS, _finding_rows(result)),
-        "parameters": (_PARAMETERS, _parameter_rows(result)),
-        "unused_logs": (
-            ("robot", "log", "reason"),
-            [vars(each) | {"log": printable(each.address)} for each in result.unused],
-        ),
+        "findings": (_FINDINGS, findings),
+        "parameters": (_PARAMETERS, parameters),
+        "unused_logs": (("robot", "log", "reason"), unused),
     }
     return {
         folder / f"{name}.parquet": partial(
             parquet.write_table,
             arrow.Table.from_pylist(
-                rows, schema=arrow.schema([(c, kinds.get(c, text)) for c in columns])
+                rows, schema=arrow.schema([(c, kinds.get(c, arrow.string())) for c in columns])
             ),
         )
         for name, (columns, rows) in tables.items()
     }
 
 
+_REAL = ("change", "deviation", "share", "probability", "false_alarm_probability", "value")
 _FINDINGS = (
     *("robot", "type", "effect", "where", "kind", "since", "earliest", "latest", "parameter"),
     *("unit", "change", "deviation", "share", "probability", "false_alarm_probability"),
@@ -469,50 +487,6 @@ _PARAMETERS = (
     *("robot", "type", "effect", "where", "parameter", "unit", "date", "value", "deviation"),
     "shown",
 )
-
-
-def _finding_rows(result: FleetResult) -> list[dict[str, Any]]:
-    """Return a row for each parameter of each finding."""
-    return [
-        {
-            "type": robot.type,
-            **said,
-            "since": round(finding.date),
-            "earliest": round(finding.interval[0]),
-            "latest": round(finding.interval[1]),
-            "parameter": name,
-            **change,
-        }
-        for robot in result.robots
-        for finding in robot.findings
-        for said in (_without_reasons(finding),)
-        for name, change in said["parameters"].items()
-    ]
-
-
-def _parameter_rows(result: FleetResult) -> list[dict[str, Any]]:
-    """Return a row for each parameter of effects and each time of each robot."""
-    return [
-        {
-            "robot": robot.robot,
-            "type": robot.type,
-            **vars(history.parameter),
-            "parameter": history.parameter.name,
-            "date": round(date),
-            "value": rounded(value, deviation),
-            "deviation": rounded(deviation),
-            "shown": shown,
-        }
-        for robot in result.robots
-        for history in robot.histories
-        for date, value, deviation, shown in zip(
-            robot.dates.tolist(),
-            history.values.tolist(),
-            history.deviations.tolist(),
-            history.shown.tolist(),
-            strict=True,
-        )
-    ]
 
 
 VIEWS = {

@@ -12,9 +12,9 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from geodrake.boundary.escaping import html_text, printable
+from geodrake.boundary.escaping import printable
 from geodrake.errors import ArgumentError
-from geodrake.report.page import Page, Table
+from geodrake.report.page import Page
 
 
 def render(page: Page) -> str:
@@ -86,22 +86,7 @@ def _policy(scripts: Sequence[str]) -> str:
 
 def notebook_html(page: Page) -> str:
     """Return the answer and the tables of a page, as notebooks show them."""
-    shown = (table for s in page.shown_sections if not s.detailed for table in s.shown_tables)
-    tables = (_plain_table(table) for table in shown if not table.detailed)
-    return f"<div><p>{html_text(page.sentence)}</p>{''.join(tables)}</div>"
-
-
-def _plain_table(table: Table) -> str:
-    def cell(tag: str, text: str, k: int) -> str:
-        side = "left" if k < table.words else "right"
-        how = f"text-align: {side}; white-space: pre-line"
-        return f'<{tag} style="{how}">{html_text(text)}</{tag}>'
-
-    head = "".join(cell("th", name, k) for k, name in enumerate(table.head))
-    rows = (
-        "".join(cell("td", each.typed or each.text, k) for k, each in enumerate(row))
-        for row in table.rows
-    )
-    title = f"<caption>{html_text(table.title)}</caption>" if table.title else ""
-    body = "".join(f"<tr>{row}</tr>" for row in rows)
-    return f"<table>{title}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+    sections = [section for section in page.shown_sections if not section.detailed]
+    shown = [table for s in sections for table in s.shown_tables if not table.detailed]
+    template = templates().get_template("notebook.html.jinja")
+    return template.render(sentence=page.sentence, tables=shown)

@@ -1,14 +1,15 @@
-"""Robots in MeshCat recordings: links, efforts as arrows, effects as marks; and replays."""
+"""Pages of MeshCat's recordings: robots, efforts as arrows, effects as marks; replays and play."""
 
 from __future__ import annotations
 
+import base64
+import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.colors import to_rgb
-from numpy.typing import NDArray
 from pydrake.geometry import (
     Cylinder,
     Ellipsoid,
@@ -22,7 +23,7 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform, RotationMatrix
 
 from geodrake.boundary.arguments import typed
-from geodrake.boundary.escaping import html_text, path_part
+from geodrake.boundary.escaping import html_text, path_part, printable
 from geodrake.control.rollout import Rollout
 from geodrake.effects.episode import Episode, PointEpisode
 from geodrake.effects.robot_motion import log_number
@@ -31,9 +32,11 @@ from geodrake.inertia import Array, is_physical
 from geodrake.inertia.ellipsoids import equivalent_ellipsoid
 from geodrake.model.robot_model import RobotModel
 from geodrake.report import style
-from geodrake.report.numbers import Units
-from geodrake.report.playback import Excerpt, PlayedModel, effect_words
+from geodrake.report.html import templates
+from geodrake.report.numbers import number, percent
+from geodrake.report.playback import Playback, PlayedModel, PlayedRobot, effect_words
 from geodrake.report.robot_scene import (
+    COLORS,
     FRAMES,
     Extent,
     PosedLink,
@@ -41,6 +44,7 @@ from geodrake.report.robot_scene import (
     camera_place,
     drawn_shapes,
     joint_places,
+    levels,
     own_joints,
     posed_links,
 )
@@ -52,8 +56,8 @@ LEAST_THICKNESS = 0.002  # semi-axis that is drawn at least, m: a body at the bo
 
 _SMALLEST = 0.01  # scale of an arrow: one of no length has no direction
 _LARGEST = 1.6
-_AROUND, _ACROSS = 32, 10  # corners of a ring
 _FLOOR_THICKNESS = 0.004  # m
+_GHOSTLY, _INNER = 0.35, 0.99  # opacity and size of ghosts, which are seen where they depart
 _APART = 0.002  # of their size, by which robots at one place differ
 _REPLAYED = ("measured", "#8a94a0", 0.35)
 _BEFORE, _AFTER = ("simulated before", style.BEFORE, 0.6), ("simulated", style.AFTER, 0.85)
@@ -113,17 +117,14 @@ def draw_robot(
     links: Iterable[PosedLink],
     times: Mapping[int, float],
     *,
-    p_WR: Array | None = None,
     color: Rgba | None = None,
 ) -> None:
     """Draw a robot, and record its links.
 
     Args:
         times: Frame -> its time in the recording, s.
-        p_WR: (3,) where the robot stands, m.
         color: One colour for all links instead of the file's.
     """
-    meshcat.SetTransform(path, RigidTransform([0.0, 0.0, 0.0] if p_WR is None else p_WR))
     for link in links:
         own = link_path(path, link.name)
         for k, one in enumerate(link.shapes):
@@ -136,11 +137,12 @@ def draw_robot(
                 meshcat.SetTransform(own, link.X_WB[frame], time)
 
 
-def draw_floor(meshcat: Meshcat, path: str, extent: Extent) -> None:
-    """Draw a disc for a robot to stand on."""
+def draw_floor(meshcat: Meshcat, path: str, extent: Extent, place: Array) -> None:
+    """Draw a disc for a robot to stand on at a place (3,), m."""
     disc = Cylinder(0.3 * extent.size, _FLOOR_THICKNESS)
     meshcat.SetObject(f"{path}/floor", disc, Rgba(0.87, 0.89, 0.92, 1.0))
-    meshcat.SetTransform(f"{path}/floor", RigidTransform([0.0, 0.0, -_FLOOR_THICKNESS]))
+    below = RigidTransform(place - [0.0, 0.0, _FLOOR_THICKNESS])
+    meshcat.SetTransform(f"{path}/floor", below)
 
 
 def draw_efforts(meshcat: Meshcat, path: str, played: PlayedModel, size: float) -> None:
@@ -168,51 +170,45 @@ def draw_efforts(meshcat: Meshcat, path: str, played: PlayedModel, size: float) 
                 meshcat.SetProperty(arrow, "scale", [1.0, 1.0, length], clock(frame))
 
 
-@dataclass(frozen=True)
-class Mark:
-    """A label in the scene."""
-
-    path: str  # folder of the scene that is there
-    words: str
-    place: str  # the joint or body, or what else the effect is of
-
-
 def draw_effects(
-    meshcat: Meshcat,
-    path: str,
-    model: RobotModel,
-    links: Iterable[PosedLink],
-    excerpts: Sequence[Excerpt],
-    *,
-    units: Units,
-    size: float,
-) -> list[Mark]:
-    """Draw the effects of a model, and return labels and their positions.
+    meshcat: Meshcat, path: str, found: Playback, robot: PlayedRobot
+) -> list[tuple[str, str, str]]:
+    """Draw the effects of a model: bodies, contacts, and discs at joints.
 
-    These are bodies, contacts, and rings at joints; what is of the whole robot is said at its foot.
+    Returns:
+        Of each effect the folder of the scene where it is, words, and the place that it is of; one
+        of the whole robot is at its foot.
     """
-    places, bodies, marks = joint_places(model), body_links(model), list[Mark]()
-    by_name = {link.name: link for link in links}
+    model, size = robot.played.model, found.extent.size
+    places, bodies, marks = joint_places(model), body_links(model), list[tuple[str, str, str]]()
+    by_name = {link.name: link for link in robot.links}
     for k, fitted in enumerate(model.effects):
-        effect, words = fitted.effect, effect_words(fitted, units)
+        effect, words = fitted.effect, effect_words(fitted, found.units)
         if effect.at_motor:
             for joint in effect.where:
-                own = f"{link_path(path, places[joint].link)}/ring {path_part(joint)}"
-                vertices, faces = ring(0.06 * size, 0.005 * size)
-                meshcat.SetTriangleMesh(own, vertices.T, faces.T, _rgba(style.AFTER, 0.9))
+                own = f"{link_path(path, places[joint].link)}/disc {path_part(joint)}"
+                disc = Cylinder(0.06 * size, 0.01 * size)
+                meshcat.SetObject(own, disc, _rgba(style.AFTER, 0.9))
                 meshcat.SetTransform(own, places[joint].X_BJ)
-                marks.append(Mark(own, words, joint))
+                marks.append((own, words, joint))
             continue
         if not bodies.keys() & set(effect.where):
-            marks.append(Mark(f"{path}/floor", words, effect.place))
+            marks.append((f"{path}/floor", words, effect.place))
             continue
         link = by_name[bodies[effect.where[0]]]
         turns = not isinstance(effect, PointEpisode) or effect.turning
         own = f"effects/{k} {path_part(effect.name)}"
         own = f"{link_path(path, link.name) if turns else path}/{own}"
         if isinstance(effect, PointEpisode):
-            _draw_contact(meshcat, own, effect, fitted.parameters[:3], size)
-            if not turns:
+            force = fitted.parameters[:3]
+            norm = float(np.linalg.norm(force))
+            axis = force / norm if norm > 0.0 else np.array([0.0, 0.0, 1.0])
+            _draw_arrow(meshcat, f"{own}/arrow", 0.35 * size, CONTACT)
+            turned = RigidTransform(RotationMatrix.MakeFromOneVector(axis, 2))
+            meshcat.SetTransform(f"{own}/arrow", turned)
+            if turns:
+                meshcat.SetTransform(own, RigidTransform(effect.point))
+            else:
                 for frame, X_WB in enumerate(link.X_WB):
                     place = RigidTransform(X_WB.multiply(effect.point))
                     meshcat.SetTransform(own, place, clock(frame))
@@ -224,29 +220,17 @@ def draw_effects(
         else:
             meshcat.SetObject(own, Sphere(0.02 * size), _rgba(style.AFTER, 0.8))
         if isinstance(effect, Episode):
-            there = [
-                (effect.weight(e.time - e.began) >= 0.5) & effect.is_of(log_number(e.log))
-                for e in excerpts
-            ]
-            shown = np.concatenate(there)
+            shown = np.concatenate(
+                [
+                    (effect.weight(e.time - e.began) >= 0.5) & effect.is_of(log_number(e.log))
+                    for e in found.excerpts
+                ]
+            )
             last, changes = len(shown) - 1, 1 + np.flatnonzero(np.diff(shown))
             for frame in sorted({0, *changes.tolist(), last}):
                 meshcat.SetProperty(own, "visible", bool(shown[frame]), clock(frame))
-        marks.append(Mark(own, words, effect.place))
+        marks.append((own, words, effect.place))
     return marks
-
-
-def _draw_contact(
-    meshcat: Meshcat, path: str, effect: PointEpisode, force: Array, size: float
-) -> None:
-    """Draw an arrow of the contact force on the robot at its point."""
-    if effect.turning:
-        meshcat.SetTransform(path, RigidTransform(effect.point))
-    norm = float(np.linalg.norm(force))
-    axis = force / norm if norm > 0.0 else np.array([0.0, 0.0, 1.0])
-    _draw_arrow(meshcat, f"{path}/arrow", 0.35 * size, CONTACT)
-    turned = RigidTransform(RotationMatrix.MakeFromOneVector(axis, 2))
-    meshcat.SetTransform(f"{path}/arrow", turned)
 
 
 def _draw_arrow(meshcat: Meshcat, path: str, length: float, color: str) -> None:
@@ -258,22 +242,6 @@ def _draw_arrow(meshcat: Meshcat, path: str, length: float, color: str) -> None:
     meshcat.SetObject(f"{path}/head", MeshcatCone(head, 3 * width, 3 * width), _rgba(color))
     down = RotationMatrix.MakeXRotation(np.pi)
     meshcat.SetTransform(f"{path}/head", RigidTransform(down, [0.0, 0.0, length]))
-
-
-def ring(radius: float, thickness: float) -> tuple[Array, NDArray[np.int32]]:
-    """Return vertices (n, 3) and corners of triangles (m, 3) of a ring about z, m."""
-    u, v = np.meshgrid(
-        np.linspace(0, 2 * np.pi, _AROUND, endpoint=False),
-        np.linspace(0, 2 * np.pi, _ACROSS, endpoint=False),
-        indexing="ij",
-    )
-    far = radius + thickness * np.cos(v)
-    vertices = np.stack([far * np.cos(u), far * np.sin(u), thickness * np.sin(v)], -1)
-    number_ = np.arange(_AROUND * _ACROSS).reshape(_AROUND, _ACROSS)
-    right, up = np.roll(number_, -1, 0), np.roll(number_, -1, 1)
-    both = np.roll(right, -1, 1)
-    faces = np.stack([number_, right, both, number_, both, up], -1).reshape(-1, 3)
-    return vertices.reshape(-1, 3), faces.astype(np.int32)
 
 
 def _rgba(color: str, opaque: float = 1.0) -> Rgba:
@@ -320,7 +288,7 @@ def _replayed(
             )
             # So that surfaces at one place do not flicker.
             meshcat.SetProperty(path, "scale", [1.0 - _APART * k] * 3)
-    draw_floor(meshcat, "ground", extent)
+    draw_floor(meshcat, "ground", extent, np.zeros(3))
     meshcat.SetCameraPose(*camera_place(extent))
     page = str(meshcat.StaticHtml())
     return legend(page, [("#c78a1e", note) for note in shapes.notes]) if shapes.notes else page
@@ -337,3 +305,153 @@ def _frames(found: Rollout, name: str) -> Array:
         own = window.time[known] if known.any() else window.time[:1]
         parts.append(np.stack([np.interp(frames, own, x) for x in last.T], -1))
     return np.concatenate(parts)
+
+
+def play_page(found: Playback, *, title: str, log_names: Sequence[str], speed: float = 1.0) -> str:
+    """Return one HTML page that loads nothing from elsewhere and plays logs over the robot.
+
+    Links have the colour of the error of their joint. A panel names the worst moments, and jumps to
+    them; strips show the errors of all joints over time.
+    """
+    meshcat = calm_meshcat()
+    with recording(meshcat):
+        marks = [_draw(meshcat, found, robot, k) for k, robot in enumerate(found.robots)]
+    meshcat.SetCameraPose(*camera_place(found.extent, len(marks)))
+    repairs = (repair for played in found.models for repair in played.model.repairs)
+    panel = (
+        templates()
+        .get_template("play.html.jinja")
+        .render(
+            title=title,
+            logs=", ".join(log_names),
+            models=[
+                {
+                    "title": played.title,
+                    "nrms": number(played.comparison.errors.nrms),
+                    "data": played.data,
+                    "effects": _grouped((place, words) for _, words, place in own).items(),
+                }
+                for played, own in zip(found.models, marks, strict=True)
+            ],
+            groups=[(played.title, _moments(played, found)) for played in found.models],
+            notes=list(dict.fromkeys((*repairs, *found.shapes.notes, *found.left_out))),
+            gradient=", ".join(COLORS),
+            top=percent(found.top),
+            measured=MEASURED,
+            predicted=style.AFTER,
+            ghosts=any(map(_has_ghost, found.models)),
+            # JSON that may stand in a script of a page.
+            data=json.dumps(_data(found, marks, speed)).replace("<", "\\u003c"),
+        )
+    )
+    view = '<meta name="viewport" content="width=device-width, initial-scale=1">'
+    icon = '<link rel="icon" href="data:,">'  # which browsers would ask a server for
+    page = str(meshcat.StaticHtml())
+    head, _, foot = page.rpartition("</body>")
+    titled = f"<title>{html_text(title)}</title>{view}{icon}"
+    return f"{head.replace('<title>Drake MeshCat</title>', titled, 1)}{panel}</body>{foot}"
+
+
+def _path(played: PlayedModel, k: int) -> str:
+    """Return the folder of a robot in the scene."""
+    return f"robot/{k} {path_part(played.title)}"
+
+
+def _has_ghost(played: PlayedModel) -> bool:
+    return not np.isnan(played.simulated).all()
+
+
+def _draw(
+    meshcat: Meshcat, found: Playback, robot: PlayedRobot, k: int
+) -> list[tuple[str, str, str]]:
+    """Record a robot and its ghost, and return what to say of its effects."""
+    played, path = robot.played, _path(robot.played, k)
+    times = {frame: clock(frame) for frame in range(len(found.q))}
+    draw_robot(meshcat, path, robot.links, times)
+    draw_floor(meshcat, path, found.extent, robot.place)
+    draw_efforts(meshcat, path, played, found.extent.size)
+    if _has_ghost(played):
+        ghost, there = f"ghost/{k}", np.asarray(np.isfinite(played.simulated).all(1))
+        q = played.model.positions(np.where(there[:, None], played.simulated, found.q))
+        links = posed_links(played.model, q, found.shapes, robot.place)
+        shown = {frame: time for frame, time in times.items() if there[frame]}
+        draw_robot(meshcat, ghost, links, shown, color=_rgba(style.AFTER, _GHOSTLY))
+        meshcat.SetProperty(ghost, "scale", [_INNER] * 3)
+        meshcat.SetTransform(ghost, RigidTransform((1.0 - _INNER) * robot.place))
+        for frame, time in times.items():
+            meshcat.SetProperty(ghost, "visible", bool(there[frame]), time)
+    return draw_effects(meshcat, path, found, robot)
+
+
+def _grouped(pairs: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
+    """Return each place with all that is said of it."""
+    found: dict[str, list[str]] = {}
+    for place, words in pairs:
+        found.setdefault(place, []).append(words)
+    return found
+
+
+def _moments(played: PlayedModel, found: Playback) -> list[dict[str, Any]]:
+    several = len({excerpt.log for excerpt in found.excerpts}) > 1
+    return [
+        {
+            "frame": moment.frame,
+            "joint": moment.joint,
+            "place": found.joints.index(moment.joint),
+            "error": f"{number(moment.error)} {found.units.effort([moment.joint])}",
+            "relative": percent(moment.relative),
+            "time": f"{moment.time:.2f} s" + (f" of {moment.log}" if several else ""),
+        }
+        for moment in played.moments
+    ]
+
+
+def _data(
+    found: Playback, marks: Sequence[Sequence[tuple[str, str, str]]], speed: float
+) -> dict[str, Any]:
+    """Return what the page's script reads."""
+    units = found.units
+    curves = ("measured", "predicted", "simulated")
+    moments = [moment for played in found.models for moment in played.moments]
+    return {
+        "rate": FRAMES,
+        "frames": len(found.q),
+        "speed": speed,
+        "several": len({excerpt.log for excerpt in found.excerpts}) > 1,
+        "joints": [printable(joint) for joint in found.joints],
+        "first": found.joints.index(moments[0].joint) if moments else 0,
+        "positions": _packed(found.q.astype("<f4")),
+        "angles": [units.at(joint, "rad") for joint in found.joints],
+        "inks": {"measured": MEASURED, "predicted": style.AFTER, "before": style.BEFORE},
+        "units": [units.effort([joint]) for joint in found.joints],
+        "colors": COLORS,
+        "excerpts": [
+            {"log": printable(e.log), "start": float(e.time[0]), "frames": len(e.time)}
+            for e in found.excerpts
+        ],
+        "robots": [
+            {
+                "title": printable(played.title),
+                "path": f"{_path(played, k)}/floor",
+                "levels": _packed(levels(played.relative, found.top)),
+                "errors": _packed(played.relative.astype("<f4")),
+                **{name: _packed(getattr(played, name).astype("<f4")) for name in curves},
+                "moved": [
+                    [f"{link_path(_path(played, k), link)}/shapes" for link in place.moved]
+                    for place in own_joints(played.model)
+                ],
+                # One label a place: where several effects are, the first and how many more.
+                "marks": [
+                    {"path": path, "words": first + (f" + {len(more)} more" if more else "")}
+                    for path, (first, *more) in _grouped(
+                        (path, printable(words)) for path, words, _ in own
+                    ).items()
+                ],
+            }
+            for k, (played, own) in enumerate(zip(found.models, marks, strict=True))
+        ],
+    }
+
+
+def _packed(values: np.ndarray[Any, Any]) -> str:
+    return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode("ascii")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from subprocess import SubprocessError
 from tempfile import TemporaryDirectory
@@ -11,29 +12,47 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw
+from pydrake.geometry import (
+    Box,
+    Capsule,
+    Cylinder,
+    Ellipsoid,
+    Mesh,
+    ReadObjToTriangleSurfaceMesh,
+    Shape,
+    Sphere,
+)
+from scipy.spatial import ConvexHull
 
 from geodrake.boundary.optional_packages import optional_package
+from geodrake.compiling import compiled, contiguous
 from geodrake.errors import GeodrakeError, OutputError
 from geodrake.identification.logs.model_errors import Comparison, Series
 from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
 from geodrake.report import style
-from geodrake.report.drawn_robots import (
-    COLORS,
-    Camera,
-    ColoredRobot,
-    DrawnRobots,
-    Pixels,
-    error_colors,
-    on_ground,
-    top_error,
-)
 from geodrake.report.numbers import number, percent
 from geodrake.report.page import Picture, Pictures
 from geodrake.report.playback import Playback
-from geodrake.report.robot_scene import FRAMES, Extent, camera_place, drawn_shapes, posed_links
+from geodrake.report.robot_scene import (
+    COLORS,
+    FRAMES,
+    VIEW,
+    Extent,
+    PosedLink,
+    camera_place,
+    drawn_shapes,
+    error_colors,
+    posed_links,
+    top_error,
+)
 from geodrake.report.words import capitalized
+from geodrake.robot.shapes import LinkShape
+
+Pixels = NDArray[np.uint8]
+Faces = NDArray[np.int32]
 
 RATES = {".mp4": 30, ".gif": 10}  # frames a second of a kind of video
 
@@ -43,6 +62,11 @@ _STILL = 1200, 800  # pixels, before margins are cut
 _PALETTE = 128  # colours of a still
 _WIDTH, _HEIGHT, _PLOTS = 960, 540, 180  # pixels: of a video's view, and the plots below it
 _GROUND = (245, 247, 250)
+_AROUND = 24  # corners of what is round
+_FINER = 2  # pixels that are drawn for each one of the picture, along each side
+_NEAR = 0.01  # m, before the camera, from which on something is seen
+_LIGHTS = np.array([[0.3, 0.5, 1.0], [-0.5, 0.2, 1.0]])  # to the right, up, and to the viewer
+_DARKEST = 0.45  # share of its colour that a surface has which no light meets
 
 
 def error_pictures(model: RobotModel, compared: Mapping[str, Comparison]) -> Pictures | None:
@@ -58,29 +82,32 @@ def error_pictures(model: RobotModel, compared: Mapping[str, Comparison]) -> Pic
 
 def _drawn(model: RobotModel, compared: Mapping[str, Comparison]) -> Pictures | None:
     first = next(iter(compared.values()))
-    if not any(len(series.time) for series in first.series):
+    some = [series for series in first.series if len(series.time)]
+    if not some:
         return None
-    worst, at = _worst(first)
-    q, shapes = model.positions(_posture(model, first, worst, at)), drawn_shapes(model)
+    sizes = {joint.joint: max(joint.std, 1e-300) for joint in first.errors.joints}
+    worst = max(some, key=lambda s: float(np.abs(s.residual).max()) / sizes[s.joint])
+    at = int(np.abs(worst.residual).argmax())
+    q, shapes = model.positions(_posture(model, some, worst, at)), drawn_shapes(model)
     near, target = camera_place(Extent.of(model, q))
     camera = Camera(target + _FARTHER * (near - target), target, *_STILL)
     known = [{joint.joint: joint.nrms for joint in c.errors.joints} for c in compared.values()]
     nrms = np.array([[own.get(joint, np.nan) for joint in model.joints] for own in known])
     top, links = top_error(nrms, 1.0), posed_links(model, q, shapes)
     drawn = [
-        DrawnRobots([ColoredRobot(links, np.zeros(3), error_colors(own[None], top))], camera)
-        .picture(0)
-        for own in nrms
-    ]  # fmt: skip
+        DrawnRobots([(links, error_colors(own[None], top))], camera).picture(0) for own in nrms
+    ]
     if not drawn[0].any():
         return None
     rows, columns = (np.flatnonzero(drawn[0][..., 3].any(axis)) for axis in (1, 0))
     inner = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    titles = (
-        ", ".join(filter(None, [title, f"nrms {number(found.errors.nrms)}"]))
-        for title, found in compared.items()
-    )
-    pictures = (Picture(t, _png(d[inner])) for t, d in zip(titles, drawn, strict=True))
+    pictures = []
+    for (title, found), picture in zip(compared.items(), drawn, strict=True):
+        buffer = io.BytesIO()
+        few = Image.fromarray(picture[inner]).quantize(_PALETTE, Image.Quantize.FASTOCTREE)
+        few.save(buffer, "PNG", optimize=True)
+        words = ", ".join(filter(None, [title, f"nrms {number(found.errors.nrms)}"]))
+        pictures.append(Picture(words, buffer.getvalue()))
     text = (
         "Links have the colour of their joint's error. The pose is that at "
         f"{worst.time[at]:.2f} s, where the error of {worst.joint} was largest."
@@ -89,32 +116,17 @@ def _drawn(model: RobotModel, compared: Mapping[str, Comparison]) -> Pictures | 
     return Pictures(tuple(pictures), COLORS, percent(top), text, notes)
 
 
-def _worst(found: Comparison) -> tuple[Series, int]:
-    """Return the samples and the index at which the relative error of a joint is largest."""
-    sizes = {joint.joint: max(joint.std, 1e-300) for joint in found.errors.joints}
-    some = [series for series in found.series if len(series.time)]
-    worst = max(some, key=lambda s: float(np.abs(s.residual).max()) / sizes[s.joint])
-    return worst, int(np.abs(worst.residual).argmax())
-
-
-def _posture(model: RobotModel, found: Comparison, worst: Series, at: int) -> Array:
+def _posture(model: RobotModel, some: Sequence[Series], worst: Series, at: int) -> Array:
     """Return the positions (1, nv) at a sample; those nearest in time of joints at rest there."""
     q = np.zeros((1, len(model.joints)))
     for j, joint in enumerate(model.joints):
-        own = [series for series in found.series if series.joint == joint and len(series.time)]
+        own = [series for series in some if series.joint == joint]
         own = [series for series in own if series.block == worst.block] or own
         if own:
             time = np.concatenate([series.time for series in own])
             position = np.concatenate([series.position for series in own])
             q[0, j] = position[np.abs(time - worst.time[at]).argmin()]
     return q
-
-
-def _png(picture: Pixels) -> bytes:
-    buffer = io.BytesIO()
-    few = Image.fromarray(picture).quantize(_PALETTE, Image.Quantize.FASTOCTREE)
-    few.save(buffer, "PNG", optimize=True)
-    return buffer.getvalue()
 
 
 def check_video(file: Path) -> None:
@@ -170,15 +182,19 @@ def _frames(found: Playback, numbers: list[int]) -> Iterator[Pixels]:
     robots = found.robots
     far, target = camera_place(found.extent, len(robots))
     place = target + _CLOSER * (far - target)
-    view = DrawnRobots(robots, Camera(place, target, _WIDTH, _HEIGHT))
+    colored = [(robot.links, robot.colors) for robot in robots]
+    view = DrawnRobots(colored, Camera(place, target, _WIDTH, _HEIGHT))
     plot, left, right = _error_plot(found)
     titles = " | ".join(robot.played.title for robot in robots)
     for number_ in numbers:
-        picture = Image.fromarray(np.vstack([on_ground(view.picture(number_), _GROUND), plot]))
+        drawn = view.picture(number_)
+        cover = drawn[..., 3:] / 255.0
+        seen = np.rint(drawn[..., :3] * cover + np.array(_GROUND) * (1.0 - cover))
+        picture = Image.fromarray(np.vstack([seen.astype(np.uint8), plot]))
         pen = ImageDraw.Draw(picture)
         at = left + (right - left) * number_ / max(len(found.times) - 1, 1)
         pen.line([(at, _HEIGHT + 8), (at, _HEIGHT + _PLOTS - 24)], fill="#1f2a37", width=2)
-        log, time = found.own_time(number_)
+        log, time = found.instants[number_]
         pen.text((16, 12), f"{titles}    {time:.2f} s of {log}", fill="#1f2a37", font_size=18)
         yield np.asarray(picture)
 
@@ -208,3 +224,174 @@ def _error_plot(playback: Playback) -> tuple[Pixels, float, float]:
     pixels = np.frombuffer(buffer.getvalue(), np.uint8).reshape(_PLOTS, _WIDTH, 4)[..., :3]
     left, right = (axes.transData.transform((x, 0))[0] for x in axes.get_xlim())
     return pixels, float(left), float(right)
+
+
+@dataclass(frozen=True)
+class Camera:
+    """The pose and size of a camera."""
+
+    place: Array  # (3,) of the camera in the world, m
+    target: Array  # (3,) what is in the middle, m
+    width: int  # in pixels
+    height: int  # in pixels, for an angle of `VIEW`
+
+    @property
+    def R_WC(self) -> Array:
+        """(3, 3) axes of the camera in the world: to the right, up, and towards the viewer."""
+        back = (self.place - self.target) / np.linalg.norm(self.place - self.target)
+        right = np.cross([0.0, 0.0, 1.0], back)
+        right /= np.linalg.norm(right)
+        return np.column_stack([right, np.cross(back, right), back])
+
+    def seen(self, points: Array) -> Array:
+        """Return points (..., 3) of the world as pixels from the left and top, and 1 / depth."""
+        at = (points - self.place) @ self.R_WC
+        nearness = 1.0 / np.maximum(-at[..., 2], _NEAR)
+        scale = 0.5 * self.height / np.tan(0.5 * VIEW) * nearness
+        x, y = 0.5 * self.width + scale * at[..., 0], 0.5 * self.height - scale * at[..., 1]
+        return np.stack([x, y, np.where(-at[..., 2] > _NEAR, nearness, -1.0)], -1)
+
+
+class DrawnRobots:
+    """Robots in the colours of their joints, ready to be drawn in any frame.
+
+    Args:
+        robots: Links of each robot, and colours (F, nv, 4) of its joints, RGBA.
+    """
+
+    def __init__(
+        self, robots: Sequence[tuple[Sequence[PosedLink], Pixels]], camera: Camera
+    ) -> None:
+        size = _FINER * camera.width, _FINER * camera.height
+        self._camera = Camera(camera.place, camera.target, *size)
+        self._parts = [
+            (link, colors, *_surface(link.shapes)) for links, colors in robots for link in links
+        ]
+
+    def picture(self, frame: int) -> Pixels:
+        """Return a frame (height, width, 4), RGBA, with a transparent background."""
+        camera, placed, painted = self._camera, list[Array](), list[Array]()
+        for link, colors, corners, own in self._parts:
+            X_WB = link.X_WB[frame]
+            placed.append(corners @ X_WB.rotation().matrix().T + X_WB.translation())
+            color = own if link.joint is None else colors[frame, link.joint, :3]
+            painted.append(np.broadcast_to(color, own.shape))
+        points = np.concatenate(placed)
+        shaded = np.concatenate(painted) * _brightness(points @ camera.R_WC)[:, None]
+        image = np.zeros((camera.height, camera.width, 4), np.float32)
+        _draw(contiguous(camera.seen(points)), contiguous(shaded), image, np.zeros(image.shape[:2]))
+        some = [image[i::_FINER, j::_FINER] for i in range(_FINER) for j in range(_FINER)]
+        total = sum(some[1:], some[0])
+        total[..., :3] /= np.maximum(total[..., 3:], 1.0)
+        total[..., 3] *= 255.0 / len(some)
+        return np.rint(total).astype(np.uint8)
+
+
+def _surface(shapes: Sequence[LinkShape]) -> tuple[Array, Array]:
+    """Return the triangles of a link in its frame (m, 3, 3), m, and the file's colours (m, 3)."""
+    corners, colors = [np.empty((0, 3, 3))], [np.empty((0, 3))]
+    for one in shapes:
+        vertices, faces = link_triangles([one])
+        corners.append(vertices[faces])
+        rgb = 255.0 * np.array([one.color.r(), one.color.g(), one.color.b()])
+        colors.append(np.tile(rgb, (len(faces), 1)))
+    return np.concatenate(corners), np.concatenate(colors)
+
+
+def _brightness(corners: Array) -> Array:
+    """Return the brightness (m,) of triangles with corners (m, 3, 3) in the camera's axes."""
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    normals *= np.where(normals[:, 2:] < 0.0, -1.0, 1.0)  # of the side that is seen
+    lights = _LIGHTS / np.linalg.norm(_LIGHTS, axis=1, keepdims=True)
+    lit = np.maximum(normals @ lights.T, 0.0).mean(1)
+    return np.asarray(_DARKEST + (1.0 - _DARKEST) * lit)
+
+
+@compiled
+def _draw(corners: Array, colors: Array, image: Any, nearest: Array) -> None:
+    """Draw triangles (m, 3, 3), each corner in pixels and 1 / depth, where nothing is nearer."""
+    height, width = nearest.shape
+    for k in range(len(corners)):
+        a, b, c = corners[k]
+        if min(a[2], b[2], c[2]) <= 0.0:
+            continue
+        area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        if area == 0.0:
+            continue
+        left = max(0, int(np.floor(min(a[0], b[0], c[0]))))
+        right = min(width - 1, int(np.ceil(max(a[0], b[0], c[0]))))
+        top = max(0, int(np.floor(min(a[1], b[1], c[1]))))
+        bottom = min(height - 1, int(np.ceil(max(a[1], b[1], c[1]))))
+        for row in range(top, bottom + 1):
+            y = row + 0.5
+            for column in range(left, right + 1):
+                x = column + 0.5
+                of_b = ((x - a[0]) * (c[1] - a[1]) - (y - a[1]) * (c[0] - a[0])) / area
+                of_c = ((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])) / area
+                of_a = 1.0 - of_b - of_c
+                if of_a < 0.0 or of_b < 0.0 or of_c < 0.0:
+                    continue
+                near = of_a * a[2] + of_b * b[2] + of_c * c[2]
+                if near > nearest[row, column]:
+                    nearest[row, column] = near
+                    image[row, column, :3] = colors[k]
+                    image[row, column, 3] = 1.0
+
+
+def link_triangles(shapes: Sequence[LinkShape]) -> tuple[Array, Faces]:
+    """Return the shapes of a link as one mesh: (n, 3) vertices in its frame, m; (m, 3) corners."""
+    vertices, faces, count = [np.empty((0, 3))], [np.empty((0, 3), np.int32)], 0
+    for one in shapes:
+        own, corners = triangles(one.shape)
+        vertices.append(own @ one.X_BG.rotation().matrix().T + one.X_BG.translation())
+        faces.append(corners + count)
+        count += len(own)
+    return np.concatenate(vertices), np.concatenate(faces).astype(np.int32)
+
+
+def triangles(shape: Shape) -> tuple[Array, Faces]:
+    """Return a shape as (n, 3) vertices, m, and (m, 3) corners of triangles seen from outside.
+
+    Meshes of other formats than Wavefront OBJ become their convex hulls.
+    """
+    if isinstance(shape, Mesh) and shape.extension() == ".obj":
+        with TemporaryDirectory() as folder:
+            source, path = shape.source(), Path(folder) / "mesh.obj"
+            if source.is_path():
+                path = Path(source.path())
+            else:
+                path.write_bytes(source.in_memory().mesh_file.contents())
+            found = ReadObjToTriangleSurfaceMesh(path, shape.scale3())
+        corners = [[t.vertex(k) for k in range(3)] for t in found.triangles()]
+        return np.array(found.vertices()), np.array(corners, np.int32).reshape(-1, 3)
+    points = _points(shape)
+    hull = ConvexHull(points)
+    a, b, c = points[hull.simplices].transpose(1, 0, 2)
+    normals = np.cross(b - a, c - a)
+    inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0.0
+    faces = np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
+    return points, faces.astype(np.int32)
+
+
+def _points(shape: Shape) -> Array:
+    """Return points (n, 3) whose convex hull is a shape, or the hull of a mesh."""
+    angle = np.linspace(0.0, 2 * np.pi, _AROUND, endpoint=False)
+    circle = np.stack([np.cos(angle), np.sin(angle), np.zeros(_AROUND)], -1)
+    up = np.array([0.0, 0.0, 1.0])
+    polar = np.linspace(0.0, np.pi, _AROUND // 2 + 1)[1:-1]
+    ball = np.concatenate([*(np.sin(a) * circle + np.cos(a) * up for a in polar), [up, -up]])
+    if isinstance(shape, Sphere):
+        return shape.radius() * ball
+    if isinstance(shape, Ellipsoid):
+        return ball * [shape.a(), shape.b(), shape.c()]
+    if isinstance(shape, Capsule):
+        shift = 0.5 * shape.length() * up
+        return np.concatenate([shape.radius() * ball + shift, shape.radius() * ball - shift])
+    if isinstance(shape, Cylinder):
+        shift = 0.5 * shape.length() * up
+        return np.concatenate([shape.radius() * circle + shift, shape.radius() * circle - shift])
+    if isinstance(shape, Box):
+        signs = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), -1).reshape(-1, 3)
+        return np.asarray(signs * shape.size())
+    return np.array(shape.GetConvexHull().vertices())

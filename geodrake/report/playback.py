@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import positive
 from geodrake.boundary.escaping import path_part, printable
 from geodrake.control.rollout import case_rollout
-from geodrake.control.rollout.results import Window
 from geodrake.effects import Effect, FittedEffect
 from geodrake.effects.episode import PointEpisode
 from geodrake.errors import ArgumentError
@@ -23,19 +22,19 @@ from geodrake.identification.logs.model_errors import Comparison
 from geodrake.inertia import Array
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
-from geodrake.report.drawn_robots import ColoredRobot, error_colors, top_error
 from geodrake.report.explaining import comparison_page
-from geodrake.report.json_output import record
 from geodrake.report.numbers import Units, number, percent
 from geodrake.report.page import About, ColoredList, Page, Section, View
 from geodrake.report.robot_scene import (
     FRAMES,
-    RIGHT,
     Extent,
+    PosedLink,
     body_links,
     drawn_shapes,
+    error_colors,
     joint_places,
     posed_links,
+    top_error,
 )
 from geodrake.report.words import effect_label
 from geodrake.robot.shapes import RobotShapes
@@ -62,6 +61,18 @@ class Excerpt:
     q: Array  # (F, nv) positions by joint, rad or m
 
 
+@dataclass(frozen=True)
+class Moment:
+    """An instant at which a model errs most."""
+
+    joint: str
+    frame: int  # number of the frame
+    log: str
+    time: float  # in the log's own time, s
+    error: float  # RMS error around it, N·m or N
+    relative: float  # the same over the deviation of the joint's measured effort
+
+
 @dataclass(frozen=True, eq=False)
 class PlayedModel:
     """A model and its errors in every frame."""
@@ -76,25 +87,23 @@ class PlayedModel:
     error: Array  # (F, nv) RMS of measured − predicted around each frame
     relative: Array  # (F, nv) the same over the deviation of the joint's measured effort
     simulated: Array  # (F, nv) positions of its ghost by joint, rad or m; NaN where there is none
+    moments: tuple[Moment, ...]  # the worst ones, worst first
 
-
-@dataclass(frozen=True)
-class Moment:
-    """An instant at which a model errs most."""
-
-    played: int  # number of the model among those played
-    joint: int
-    frame: int  # number of the frame
-    error: float  # RMS error around it, N·m or N
-    relative: float  # the same over the deviation of the joint's measured effort
+    @property
+    def data(self) -> str:
+        """Return the kind of data that its errors are on."""
+        return "training data" if self.trained else "held-out data"
 
 
 @dataclass(frozen=True, eq=False)
-class PlayedRobot(ColoredRobot):
+class PlayedRobot:
     """One copy of the robot."""
 
     played: PlayedModel
     name: str  # its title, as part of a path
+    place: Array  # (3,) where it stands, m
+    links: list[PosedLink]
+    colors: NDArray[np.uint8]  # (F, nv, 4) of the joints, RGBA
     # What was found, and the link at which it is said; None for the whole robot.
     findings: list[tuple[str, str | None]]
 
@@ -106,7 +115,6 @@ class Playback:
     joints: tuple[str, ...]
     excerpts: tuple[Excerpt, ...]  # what is played, one after another
     models: tuple[PlayedModel, ...]  # one model, or that before and that after
-    moments: tuple[Moment, ...]  # the worst moments of each model, worst first
     seconds_left_out: float  # length of the logs that is not played, s
 
     @property
@@ -114,13 +122,10 @@ class Playback:
         """(F, nv) positions by joint in all frames, rad or m."""
         return np.concatenate([excerpt.q for excerpt in self.excerpts])
 
-    def own_time(self, frame: int) -> tuple[str, float]:
-        """Return the log of a frame, and its time there, s."""
-        for excerpt in self.excerpts:
-            if frame < len(excerpt.time):
-                return excerpt.log, float(excerpt.time[frame])
-            frame -= len(excerpt.time)
-        raise IndexError(frame)
+    @cached_property
+    def instants(self) -> list[tuple[str, float]]:
+        """Return the log of each frame, and its time there, s."""
+        return _instants(self.excerpts)
 
     @property
     def top(self) -> float:
@@ -157,17 +162,20 @@ class Playback:
     @cached_property
     def robots(self) -> list[PlayedRobot]:
         """Return a copy of the robot for each model, one beside the other."""
-        return [
-            PlayedRobot(
-                posed_links(played.model, played.model.positions(self.q), self.shapes),
-                k * self.extent.gap * RIGHT,
-                error_colors(played.relative, self.top),
-                played,
-                path_part(played.title),
-                _findings(played, self.units),
-            )
-            for k, played in enumerate(self.models)
-        ]
+        robots = []
+        for k, played in enumerate(self.models):
+            model, place = played.model, k * self.extent.beside
+            where = {name: joint.link for name, joint in joint_places(model).items()}
+            where |= body_links(model)
+            findings = []
+            for fitted in model.effects:
+                effect = fitted.effect
+                at = next((where[name] for name in effect.where if name in where), None)
+                findings.append((f"{effect_words(fitted, self.units)} ({effect.place})", at))
+            links = posed_links(model, model.positions(self.q), self.shapes, place)
+            colors, name = error_colors(played.relative, self.top), path_part(played.title)
+            robots.append(PlayedRobot(played, name, place, links, colors, findings))
+        return robots
 
     @property
     def left_out(self) -> list[str]:
@@ -181,12 +189,10 @@ class Playback:
 
     def moment_words(self, moment: Moment) -> str:
         """Return a moment of large error, in words."""
-        joint = self.joints[moment.joint]
-        log, time = self.own_time(moment.frame)
         return (
-            f"{joint} at {time:.2f} s of {log}: error {number(moment.error)} "
-            f"{self.units.effort([joint])}, {percent(moment.relative)} of the standard "
-            "deviation of its effort"
+            f"{moment.joint} at {moment.time:.2f} s of {moment.log}: error "
+            f"{number(moment.error)} {self.units.effort([moment.joint])}, "
+            f"{percent(moment.relative)} of the standard deviation of its effort"
         )
 
 
@@ -208,10 +214,7 @@ def play_back(
     1 rad or 1 m off, it stays.
 
     Args:
-        model: The model as it stands; nothing in it is refitted.
         before: Another model of the same robot, to be played beside it.
-        bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
-            or chosen from the data.
         seconds: Length of what is played at most, s.
         ghost: For how long a ghost is alone each time, s; no ghosts if None.
         progress: Called with what is simulated for ghosts, and the share that is done.
@@ -230,7 +233,7 @@ def play_back(
             advice="Use two models of one robot.",
         )
     case = open_case(model, logs, candidates=False, extra=extra, bandwidth=bandwidth)
-    pairs = [(model.path.name if before is None else "after", case)]
+    cases = {model.path.name if before is None else "after": case}
     if before is not None:
         own, of_motion = case.trajectories[0].bandwidths
         other = open_case(
@@ -241,15 +244,26 @@ def play_back(
             bandwidth=own,
             motion_bandwidth=of_motion,
         )
-        pairs.insert(0, ("before", other))
-    compared = [(title, each, comparison(each)) for title, each in pairs]
-    excerpts, left_out = _excerpts(case, [c for *_, c in compared], seconds)
+        cases = {"before": other, **cases}
+    compared = {title: comparison(each) for title, each in cases.items()}
+    excerpts, left_out = _excerpts(case, [*compared.values()], seconds)
     models = tuple(
-        _played(title, each, found, excerpts, _ghost(each, excerpts, ghost, progress))
-        for title, each, found in compared
+        _played(title, each, compared[title], excerpts, _ghost(each, excerpts, ghost, progress))
+        for title, each in cases.items()
     )
-    moments = tuple(m for k, played in enumerate(models) for m in _worst(k, played))
-    return Playback(model.joints, excerpts, models, moments, left_out)
+    return Playback(model.joints, excerpts, models, left_out)
+
+
+def _instants(excerpts: Sequence[Excerpt]) -> list[tuple[str, float]]:
+    return [(excerpt.log, time) for excerpt in excerpts for time in excerpt.time.tolist()]
+
+
+def _samples(found: Comparison, joint: str, log: str) -> Array:
+    """Return (3, K) time, measured and predicted effort of a joint in a log, in order of time."""
+    own = [s for s in found.series if s.joint == joint and s.log == log]
+    names = ("time", "measured", "predicted")
+    columns = np.array([np.concatenate([[], *(getattr(s, n) for s in own)]) for n in names])
+    return columns[:, np.argsort(columns[0], kind="stable")]
 
 
 def _excerpts(
@@ -257,47 +271,46 @@ def _excerpts(
 ) -> tuple[tuple[Excerpt, ...], float]:
     """Return the excerpts, and the seconds that are not played."""
     stretches = [(t, s) for t in case.trajectories for s in t.segments]
-    parts = []  # (stretch, first sample, first one after it, score)
-    whole = sum(len(s) * s.period for _, s in stretches) <= seconds
+    total = sum(len(s) * s.period for _, s in stretches)
     count = int(np.ceil(seconds / _PART))
-    for k, (trajectory, stretch) in enumerate(stretches):
-        size = len(stretch) if whole else max(2, int(seconds / count / stretch.period))
-        for first in range(0, len(stretch), size):
-            stop = min(first + size, len(stretch))
+    parts = []  # (stretch, first sample, first one after it)
+    for k, (_, stretch) in enumerate(stretches):
+        most = max(2, int(seconds / count / stretch.period))
+        size = len(stretch) if total <= seconds else most
+        parts += [(k, at, min(at + size, len(stretch))) for at in range(0, len(stretch), size)]
+    if total > seconds:
+
+        def score(part: tuple[int, int, int]) -> float:
+            (trajectory, stretch), (_, first, stop) = stretches[part[0]], part
             start = float(stretch[first : first + 1].time[0])
-            ends = start, start + (stop - first) * stretch.period
-            score = 0.0 if whole else _score(trajectory.name, ends, found)
-            parts.append((k, first, stop, score))
-    if not whole:
-        order = sorted(parts, key=lambda part: -part[3])
-        parts = sorted(order[:count])
-    joined: list[list[int]] = []
-    for k, first, stop, _ in parts:
+            return _score(trajectory.name, start, start + (stop - first) * stretch.period, found)
+
+        parts = sorted(sorted(parts, key=score, reverse=True)[:count])
+    joined: list[tuple[int, int, int]] = []
+    for k, first, stop in parts:
         if joined and joined[-1][0] == k and joined[-1][2] == first:
-            joined[-1][2] = stop
-        else:
-            joined.append([k, first, stop])
+            first = joined.pop()[1]  # noqa: PLW2901
+        joined.append((k, first, stop))
     excerpts = []
     for k, first, stop in joined:
         trajectory, segment = stretches[k][0], stretches[k][1][first:stop]
         time = np.arange(segment.time[0], segment.time[-1] + 1e-9, 1.0 / FRAMES)
         q = np.stack([np.interp(time, segment.time, x) for x in segment.position.T], -1)
         excerpts.append(Excerpt(trajectory.name, trajectory.began, time, q))
-    total = sum(len(s) * s.period for _, s in stretches)
     return tuple(excerpts), max(0.0, total - sum(len(e.time) for e in excerpts) / FRAMES)
 
 
-def _score(log: str, ends: tuple[float, float], found: Sequence[Comparison]) -> float:
+def _score(log: str, start: float, end: float, found: Sequence[Comparison]) -> float:
     """Return the errors between two instants, relative to each model's own error."""
     score = 0.0
     for one in found:
-        stds = {joint.joint: joint.std for joint in one.errors.joints}
         worst = 0.0
-        for s in one.series:
-            if s.log == log:
-                inside = (s.time >= ends[0]) & (s.time < ends[1])
-                squares = (s.residual[inside] / stds[s.joint]) ** 2
-                worst = max(worst, float(squares.mean()) if len(squares) else 0.0)
+        for joint in one.errors.joints:
+            time, measured, predicted = _samples(one, joint.joint, log)
+            inside = (time >= start) & (time < end)
+            if inside.any():
+                squares = ((measured - predicted)[inside] / joint.std) ** 2
+                worst = max(worst, float(squares.mean()))
         score += worst / max(one.errors.nrms, 1e-12) ** 2
     return score
 
@@ -310,121 +323,99 @@ def _ghost(
 ) -> Array:
     """Return (F, nv) simulated positions under the measured efforts; NaN outside windows."""
     parts = [np.full_like(excerpt.q, np.nan) for excerpt in excerpts]
-    if horizon is not None:
-        spans = [(e.log, float(e.time[0]), float(e.time[-1])) for e in excerpts]
-        most = 1 + int(sum(last - first for _, first, last in spans) / horizon)
-        found = case_rollout(case, horizon=horizon, most=most, progress=progress, within=spans)
-        for window in found.windows:
-            simulated = _stopped(window)
-            for excerpt, part in zip(excerpts, parts, strict=True):
-                shown = (window.time[0] <= excerpt.time) & (excerpt.time <= window.time[-1])
-                if excerpt.log == window.log and shown.any():
-                    at = excerpt.time[shown]
-                    part[shown] = np.stack([np.interp(at, window.time, x) for x in simulated.T], -1)
+    if horizon is None:
+        return np.concatenate(parts)
+    spans = [(e.log, float(e.time[0]), float(e.time[-1])) for e in excerpts]
+    most = 1 + int(sum(last - first for _, first, last in spans) / horizon)
+    found = case_rollout(case, horizon=horizon, most=most, progress=progress, within=spans)
+    for window in found.windows:
+        # It stops once one joint is too far from the measured position.
+        near = np.nan_to_num(np.abs(window.departure), nan=np.inf).max(1) <= _FARTHEST
+        count = len(near) if near.all() else max(1, int(near.argmin()))
+        simulated = window.simulated[np.minimum(np.arange(len(near)), count - 1)]
+        for excerpt, part in zip(excerpts, parts, strict=True):
+            shown = (window.time[0] <= excerpt.time) & (excerpt.time <= window.time[-1])
+            if excerpt.log == window.log and shown.any():
+                at = excerpt.time[shown]
+                part[shown] = np.stack([np.interp(at, window.time, x) for x in simulated.T], -1)
     return np.concatenate(parts)
-
-
-def _stopped(window: Window) -> Array:
-    """Return (K, nv) simulated positions, which stop once one is too far from the measured."""
-    near = np.nan_to_num(np.abs(window.departure), nan=np.inf).max(1) <= _FARTHEST
-    count = len(near) if near.all() else max(1, int(near.argmin()))
-    last = np.minimum(np.arange(len(near)), count - 1)
-    return window.simulated[last]
 
 
 def _played(
     title: str, case: Case, found: Comparison, excerpts: Sequence[Excerpt], simulated: Array
 ) -> PlayedModel:
-    shape = (sum(len(e.time) for e in excerpts), len(case.model.joints))
-    measured, predicted, error = (np.full(shape, np.nan) for _ in range(3))
-    for j, joint in enumerate(case.model.joints):
-        row = 0
-        for excerpt in excerpts:
-            own = [s for s in found.series if s.joint == joint and s.log == excerpt.log]
-            rows = slice(row, row + len(excerpt.time))
-            row = rows.stop
-            if sum(len(s.time) for s in own):
-                columns = [
-                    np.concatenate([getattr(s, n) for s in own])
-                    for n in ("time", "measured", "predicted")
-                ]
-                order = np.argsort(columns[0], kind="stable")
-                at = _around(excerpt.time, *(column[order] for column in columns))
-                measured[rows, j], predicted[rows, j], error[rows, j] = at
-    stds = np.array([joint.std for joint in found.errors.joints])
-    trained = any(print_ in case.model.fitted_to for print_ in case.fingerprints)
-    relative = error / stds
-    efforts = measured, predicted, error
-    return PlayedModel(title, case.model, found, trained, *efforts, relative, simulated)
+    joints = case.model.joints
+    measured, predicted, error = np.stack(
+        [
+            np.concatenate([_around(e.time, *_samples(found, j, e.log)) for e in excerpts], axis=1)
+            for j in joints
+        ],
+        axis=-1,
+    )
+    relative = error / np.array([joint.std for joint in found.errors.joints])
+    return PlayedModel(
+        title,
+        case.model,
+        found,
+        any(print_ in case.model.fitted_to for print_ in case.fingerprints),
+        measured,
+        predicted,
+        error,
+        relative,
+        simulated,
+        tuple(_worst(error, relative, joints, _instants(excerpts))),
+    )
 
 
 def _around(frames: Array, time: Array, measured: Array, predicted: Array) -> Array:
     """Return (3, F) efforts and the RMS of their difference at each frame; NaN without samples."""
+    if not len(time):
+        return np.full((3, len(frames)), np.nan)
     period = float(np.median(np.diff(time))) if len(time) > 1 else _MEAN_OVER
     half = max(0.5 * _MEAN_OVER, 1.01 * period)
     first, stop = (np.searchsorted(time, frames + sign * half) for sign in (-1.0, 1.0))
     sums = np.concatenate([[0.0], np.cumsum((measured - predicted) ** 2)])
     count = stop - first
-    there = count > 0
     mean = np.maximum(sums[stop] - sums[first], 0.0) / np.maximum(count, 1)
     values = [np.interp(frames, time, x) for x in (measured, predicted)]
-    return np.where(there, [*values, np.sqrt(mean)], np.nan)
+    return np.where(count > 0, [*values, np.sqrt(mean)], np.nan)
 
 
-def _worst(number: int, played: PlayedModel) -> Iterable[Moment]:
+def _worst(
+    error: Array, relative: Array, joints: Sequence[str], instants: Sequence[tuple[str, float]]
+) -> Iterator[Moment]:
     """Yield well separated instants of largest relative error."""
-    left = np.nan_to_num(played.relative, nan=-1.0)
+    left = np.nan_to_num(relative, nan=-1.0)
     counts = np.zeros(left.shape[1], int)
+    near, close = round(_APART * FRAMES), round(_APART_ANYWHERE * FRAMES)
     for _ in range(_MOST_MOMENTS):
-        frame, joint = np.unravel_index(int(left.argmax()), left.shape)
-        if left[frame, joint] <= 0.0:
+        frame, j = divmod(int(left.argmax()), left.shape[1])
+        if left[frame, j] <= 0.0:
             return
-        relative = float(left[frame, joint])
-        error = float(played.error[frame, joint])
-        yield Moment(number, int(joint), int(frame), error, relative)
-        near, close = round(_APART * FRAMES), round(_APART_ANYWHERE * FRAMES)
-        left[max(0, frame - near) : frame + near + 1, joint] = -1.0
+        (log, time), size = instants[frame], float(error[frame, j])
+        yield Moment(joints[j], frame, log, time, size, float(relative[frame, j]))
+        left[max(0, frame - near) : frame + near + 1, j] = -1.0
         left[max(0, frame - close) : frame + close + 1] = -1.0
-        counts[joint] += 1
+        counts[j] += 1
         left[:, counts >= _MOST_AT_ONE] = -1.0
-
-
-def _findings(played: PlayedModel, units: Units) -> list[tuple[str, str | None]]:
-    places = {name: place.link for name, place in joint_places(played.model).items()}
-    places |= body_links(played.model)
-    found = []
-    for fitted in played.model.effects:
-        effect = fitted.effect
-        at = next((places[name] for name in effect.where if name in places), None)
-        found.append((f"{effect_words(fitted, units)} ({effect.place})", at))
-    return found
 
 
 def playback_page(playback: Playback, about: About) -> Page:
     """Return the page of a playback."""
-    lists = []
-    for k, played in enumerate(playback.models):
-        data = "training data" if played.trained else "held-out data"
-        nrms = number(played.comparison.errors.nrms)
-        told = tuple(playback.moment_words(m) for m in playback.moments if m.played == k)
-        color = "after" if k == len(playback.models) - 1 else "before"
-        lists.append(ColoredList(f"{played.title}, nrms {nrms} on {data}", color, told))
-    page = comparison_page(playback.models[-1].comparison, about)
+    *_, last = playback.models
+    lists = tuple(
+        ColoredList(
+            f"{played.title}, nrms {number(played.comparison.errors.nrms)} on {played.data}",
+            "after" if played is last else "before",
+            tuple(map(playback.moment_words, played.moments)),
+        )
+        for played in playback.models
+    )
+    page = comparison_page(last.comparison, about)
     *others, notes = page.sections
     notes = replace(notes, items=(*playback.left_out, *playback.shapes.notes, *notes.items))
     detailed = (replace(each, detailed=True) for each in others)
-    return replace(page, sections=(Section("Worst moments", lists=tuple(lists)), *detailed, notes))
-
-
-def _playback_values(playback: Playback) -> dict[str, Any]:
-    """Return the worst moments."""
-    moments: list[list[Any]] = [[] for _ in playback.models]
-    for moment in playback.moments:
-        log, time = playback.own_time(moment.frame)
-        joint = playback.joints[moment.joint]
-        moments[moment.played].append(record("Moment", moment, joint=joint, log=log, time=time))
-    played = zip(playback.models, moments, strict=True)
-    return {"models": [record("PlayedModel", one, worst_moments=own) for one, own in played]}
+    return replace(page, sections=(Section("Worst moments", lists=lists), *detailed, notes))
 
 
 def effect_words(fitted: FittedEffect, units: Units) -> str:
@@ -442,4 +433,4 @@ def effect_words(fitted: FittedEffect, units: Units) -> str:
     return f"{label} {shown} {units.parameter(effect.name, names[0], place)}".strip()
 
 
-VIEWS = {Playback: View(playback_page, "Played", _playback_values)}  # how to see this result
+VIEWS = {Playback: View(playback_page, "Played")}  # how to see this result

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -16,9 +16,9 @@ from geodrake.boundary.escaping import printable
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import OutputError
 from geodrake.inertia import Array
-from geodrake.report.drawn_robots import GRAYS, link_triangles
-from geodrake.report.playback import Moment, Playback, PlayedModel, PlayedRobot
-from geodrake.report.robot_scene import PosedLink
+from geodrake.report.pictures import link_triangles
+from geodrake.report.playback import Playback, PlayedModel, PlayedRobot
+from geodrake.report.robot_scene import GRAYS, PosedLink
 
 _MARK = 0.05  # m, of the balls whose colour is a joint's error
 
@@ -49,11 +49,11 @@ def _shown(robot: PlayedRobot) -> list[PosedLink]:
     return [link for link in robot.links if link.shapes]
 
 
-def _poses(robot: PlayedRobot, poses: tuple[RigidTransform, ...]) -> tuple[Array, Array]:
+def _poses(poses: Sequence[RigidTransform]) -> tuple[Array, Array]:
     """Return positions (F, 3), m, and quaternions (F, 4), x y z w, of poses in the world."""
     turned: list[Quaternion] = [X_WB.rotation().ToQuaternion() for X_WB in poses]
     wxyz = np.array([each.wxyz() for each in turned])
-    return np.array([X.translation() for X in poses]) + robot.place, np.roll(wxyz, -1, axis=1)
+    return np.array([X.translation() for X in poses]), np.roll(wxyz, -1, axis=1)
 
 
 def _joint_values(played: PlayedModel) -> dict[str, Array]:
@@ -65,8 +65,14 @@ def _joint_values(played: PlayedModel) -> dict[str, Array]:
     }
 
 
-def _moment_words(found: Playback, moment: Moment) -> str:
-    return f"{found.models[moment.played].title}: {found.moment_words(moment)}"
+def _moments(found: Playback) -> list[tuple[int, str]]:
+    """Return the frames of the worst moments, and what to say of them, in order of time."""
+    said = [
+        (moment.frame, f"{played.title}: {found.moment_words(moment)}")
+        for played in found.models
+        for moment in played.moments
+    ]
+    return sorted(said, key=lambda moment: moment[0])
 
 
 def _write_rerun(rr: Any, path: Path, found: Playback, title: str) -> None:
@@ -91,7 +97,7 @@ def _write_rerun(rr: Any, path: Path, found: Playback, title: str) -> None:
                 vertex_positions=vertices, triangle_indices=faces, albedo_factor=GRAYS[0]
             )
             record.log(entity, mesh, static=True)
-            where, turned = _poses(robot, link.X_WB)
+            where, turned = _poses(link.X_WB)
             send(entity, rr.Transform3D.columns(translation=where, quaternion=turned))
             if link.joint is not None:
                 send(entity, rr.Mesh3D.columns(albedo_factor=robot.colors[:, link.joint]))
@@ -108,13 +114,13 @@ def _write_rerun(rr: Any, path: Path, found: Playback, title: str) -> None:
         record.log(path_of("findings", robot.name), text, static=True)
     for joint, q in zip(found.joints, found.q.T, strict=True):
         send(path_of("positions", joint), rr.Scalars.columns(scalars=q))
-    if moments := sorted(found.moments, key=lambda moment: moment.frame):
-        at = found.times[[moment.frame for moment in moments]]
+    if moments := _moments(found):
+        at = found.times[[frame for frame, _ in moments]]
         rr.send_columns(
             "worst_moments",
             indexes=[rr.TimeColumn("time", duration=at)],
             columns=rr.TextLog.columns(
-                text=[_moment_words(found, moment) for moment in moments],
+                text=[words for _, words in moments],
                 level=["WARN"] * len(moments),
             ),
             recording=record,
@@ -130,119 +136,110 @@ def _write_mcap(foxglove: Any, path: Path, found: Playback, title: str) -> None:
     instants = np.rint(1e9 * (found.times - found.times[0])).astype(int)
     names = ("position", *_joint_values(found.models[0]))
     numbers = {name: {"type": "number"} for name in names}
-    row = {"type": "object", "properties": numbers}
-    joints = {printable(joint): row for joint in found.joints}
-    schema = {"title": "geodrake.Joints", "type": "object", "properties": joints}
+    joints = [printable(joint) for joint in found.joints]
+    rows = {joint: {"type": "object", "properties": numbers} for joint in joints}
+    schema = {"title": "geodrake.Joints", "type": "object", "properties": rows}
     with foxglove.open_mcap(str(path), context=context):
         scene = channels.SceneUpdateChannel("/robot", context=context)
         marks = channels.SceneUpdateChannel("/errors", context=context)
         frames = channels.FrameTransformsChannel("/tf", context=context)
         findings = channels.LogChannel("/findings", context=context)
-        plots = [
-            foxglove.Channel(f"/joints/{robot.name}", schema=schema, context=context)
-            for robot in robots
-        ]
-        entities = [e for robot in robots for e in _entities(kinds, robot)]
-        scene.log(kinds.SceneUpdate(entities=entities), log_time=0)
+        scene.log(
+            kinds.SceneUpdate(entities=[_entity(kinds, r, o) for r in robots for o in _shown(r)]),
+            log_time=0,
+        )
         for robot in robots:
             for words, _ in robot.findings:
                 message = f"{robot.played.title}: {words}"
                 level = kinds.LogLevel.Info
                 findings.log(kinds.Log(level=level, message=message, name=title), log_time=0)
-        moments = {moment.frame: moment for moment in found.moments}
-        poses = [[_poses(r, link.X_WB) for link in _shown(r)] for r in robots]
-        values = [_joint_values(robot.played) for robot in robots]
+        for frame, words in _moments(found):
+            instant, level = int(instants[frame]), kinds.LogLevel.Warning
+            message = kinds.Log(
+                timestamp=_stamp(kinds, instant), level=level, message=words, name=title
+            )
+            findings.log(message, log_time=instant)
+        parts = [
+            (
+                robot,
+                foxglove.Channel(f"/joints/{robot.name}", schema=schema, context=context),
+                {"position": found.q, **_joint_values(robot.played)},
+                [(link, *_poses(link.X_WB)) for link in _shown(robot)],
+            )
+            for robot in robots
+        ]
+        size = kinds.Vector3(x=_MARK, y=_MARK, z=_MARK)
         for frame, instant in enumerate(instants.tolist()):
-            stamp = kinds.Timestamp(sec=instant // 10**9, nsec=instant % 10**9)
-            transforms = [
-                kinds.FrameTransform(
-                    timestamp=stamp,
-                    parent_frame_id="world",
-                    child_frame_id=_frame_id(robot, link.name),
-                    translation=kinds.Vector3(**_xyz(where[frame])),
-                    rotation=kinds.Quaternion(**_xyz(turned[frame])),
-                )
-                for robot, own in zip(robots, poses, strict=True)
-                for link, (where, turned) in zip(_shown(robot), own, strict=True)
-            ]
+            stamp, transforms, balls = _stamp(kinds, instant), [], []
+            for robot, plot, values, links in parts:
+                for link, where, turned in links:
+                    own = _frame_id(robot, link)
+                    transforms.append(
+                        kinds.FrameTransform(
+                            timestamp=stamp,
+                            parent_frame_id="world",
+                            child_frame_id=own,
+                            translation=kinds.Vector3(**_xyz(where[frame])),
+                            rotation=kinds.Quaternion(**_xyz(turned[frame])),
+                        )
+                    )
+                    if link.joint is not None:
+                        color = _color(kinds, robot.colors[frame, link.joint])
+                        balls.append(
+                            kinds.SceneEntity(
+                                timestamp=stamp,
+                                frame_id=own,
+                                id=f"error of {own}",
+                                frame_locked=True,
+                                spheres=[kinds.SpherePrimitive(size=size, color=color)],
+                            )
+                        )
+                known: dict[str, dict[str, float]] = {joint: {} for joint in joints}
+                for name, column in values.items():
+                    for joint, value in zip(joints, column[frame].tolist(), strict=True):
+                        if np.isfinite(value):
+                            known[joint][name] = value
+                plot.log(known, log_time=instant)
             frames.log(kinds.FrameTransforms(transforms=transforms), log_time=instant)
-            balls = [e for r in robots for e in _error_marks(kinds, r, frame, stamp)]
             marks.log(kinds.SceneUpdate(entities=balls), log_time=instant)
-            for channel, own_values in zip(plots, values, strict=True):
-                row = _joint_row(found, own_values, frame)
-                channel.log(row, log_time=instant)
-            if moment := moments.get(frame):
-                words = _moment_words(found, moment)
-                level = kinds.LogLevel.Warning
-                message = kinds.Log(timestamp=stamp, level=level, message=words, name=title)
-                findings.log(message, log_time=instant)
 
 
-def _frame_id(robot: PlayedRobot, link: str) -> str:
-    return f"{robot.name}/{printable(link)}"
+def _stamp(kinds: Any, instant: int) -> Any:
+    return kinds.Timestamp(sec=instant // 10**9, nsec=instant % 10**9)
+
+
+def _frame_id(robot: PlayedRobot, link: PosedLink) -> str:
+    return f"{robot.name}/{printable(link.name)}"
 
 
 def _xyz(values: Array) -> dict[str, float]:
     return dict(zip("xyzw", values.tolist(), strict=False))
 
 
-def _entities(kinds: Any, robot: PlayedRobot) -> list[Any]:
-    """Return the links of a robot as entities of a scene, and what was found at their places."""
-    found = []
-    for link in _shown(robot):
-        vertices, faces = link_triangles(link.shapes)
-        mesh = kinds.TriangleListPrimitive(
-            points=[kinds.Point3(**_xyz(vertex)) for vertex in vertices],
-            indices=faces.ravel().tolist(),
-            color=_color(kinds, GRAYS[0]),
-        )
-        said = "; ".join(words for words, at in robot.findings if at == link.name)
-        black = kinds.Color(r=0.1, g=0.1, b=0.1, a=1.0)
-        label = kinds.TextPrimitive(
-            text=said, billboard=True, font_size=14.0, scale_invariant=True, color=black
-        )
-        name = _frame_id(robot, link.name)
-        found.append(
-            kinds.SceneEntity(
-                frame_id=name,
-                id=name,
-                frame_locked=True,
-                triangles=[mesh],
-                texts=[label] if said else [],
-            )
-        )
-    return found
-
-
-def _error_marks(kinds: Any, robot: PlayedRobot, frame: int, stamp: Any) -> list[Any]:
-    """Return a ball at each link that a joint moves, of the colour of the joint's error."""
-    size = kinds.Vector3(x=_MARK, y=_MARK, z=_MARK)
-    return [
-        kinds.SceneEntity(
-            timestamp=stamp,
-            frame_id=_frame_id(robot, link.name),
-            id=f"error of {_frame_id(robot, link.name)}",
-            frame_locked=True,
-            spheres=[kinds.SpherePrimitive(size=size, color=_color(kinds, color))],
-        )
-        for link in _shown(robot)
-        if link.joint is not None
-        for color in [robot.colors[frame, link.joint]]
-    ]
-
-
 def _color(kinds: Any, rgba: Any) -> Any:
     return kinds.Color(**dict(zip("rgba", (np.asarray(rgba) / 255.0).tolist(), strict=True)))
 
 
-def _joint_row(playback: Playback, values: dict[str, Array], frame: int) -> dict[str, Any]:
-    """Return the numbers of a frame by joint, without those that are unknown."""
-    row: dict[str, Any] = {}
-    for j, joint in enumerate(playback.joints):
-        named = {name: float(column[frame, j]) for name, column in values.items()}
-        known = {name: value for name, value in named.items() if np.isfinite(value)}
-        row[printable(joint)] = {"position": float(playback.q[frame, j]), **known}
-    return row
+def _entity(kinds: Any, robot: PlayedRobot, link: PosedLink) -> Any:
+    """Return a link as entity of a scene, and what was found there."""
+    vertices, faces = link_triangles(link.shapes)
+    mesh = kinds.TriangleListPrimitive(
+        points=[kinds.Point3(**_xyz(vertex)) for vertex in vertices],
+        indices=faces.ravel().tolist(),
+        color=_color(kinds, GRAYS[0]),
+    )
+    said = "; ".join(words for words, at in robot.findings if at == link.name)
+    black = kinds.Color(r=0.1, g=0.1, b=0.1, a=1.0)
+    label = kinds.TextPrimitive(
+        text=said, billboard=True, font_size=14.0, scale_invariant=True, color=black
+    )
+    return kinds.SceneEntity(
+        frame_id=_frame_id(robot, link),
+        id=_frame_id(robot, link),
+        frame_locked=True,
+        triangles=[mesh],
+        texts=[label] if said else [],
+    )
 
 
 _Writer = Callable[[Any, Path, Playback, str], None]

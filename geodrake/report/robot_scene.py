@@ -1,4 +1,4 @@
-"""Geometry of a drawn robot: links, poses, joints, and the camera."""
+"""Geometry of a drawn robot: links, poses, joints, colours of errors, and the camera."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.colors import LinearSegmentedColormap
+from numpy.typing import NDArray
 from pydrake.geometry import Box, Cylinder, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
@@ -20,9 +22,16 @@ from geodrake.robot.shapes import GRAY, LinkShape, RobotShapes, robot_shapes
 
 FRAMES = 30.0  # frames a second of recordings
 
+COLORS = ("#d3d9e0", "#f2d27a", "#ee9d3d", "#d8492f", "#8f1239")
+"""Colours of errors from none to the largest."""
+
+UNKNOWN = 255  # level of a joint in a frame where nothing is compared
+
+GRAYS = np.array([[209, 214, 220, 255], [225, 228, 233, 255]], np.uint8)
+"""Colours (RGBA) of links without a joint, and of joints where nothing is compared."""
+
 _AWAY = np.array([0.9, -0.65, 0.4]) / np.linalg.norm([0.9, -0.65, 0.4])
-RIGHT = np.array([0.65, 0.9, 0.0]) / np.linalg.norm([0.65, 0.9])
-"""What is right to the camera, in the world."""
+_RIGHT = np.array([0.65, 0.9, 0.0]) / np.linalg.norm([0.65, 0.9])  # to the camera, in the world
 
 VIEW = np.radians(75.0)  # angle of MeshCat's view from top to bottom
 
@@ -54,6 +63,26 @@ class JointPlace:
     moved: tuple[str, ...]  # all links that it moves as one
 
 
+def top_error(relative: Array, least: float) -> float:
+    """Return the error of the last colour, which hardly any exceeds."""
+    known = relative[np.isfinite(relative)]
+    return max(float(np.quantile(known, 0.99)), least) if len(known) else 1.0
+
+
+def levels(relative: Array, top: float) -> NDArray[np.uint8]:
+    """Return colours of errors as numbers, from 0 for none to 254, or `UNKNOWN`."""
+    scaled = np.clip(relative / top, 0.0, 1.0) * 254
+    return np.where(np.isfinite(scaled), np.rint(scaled), UNKNOWN).astype(np.uint8)
+
+
+def error_colors(relative: Array, top: float) -> NDArray[np.uint8]:
+    """Return colours (F, nv, 4) of errors (F, nv), RGBA."""
+    shades = LinearSegmentedColormap.from_list("error", COLORS, N=UNKNOWN)
+    found = levels(relative, top)
+    colors = np.asarray(shades(np.minimum(found, UNKNOWN - 1).astype(int), bytes=True))
+    return np.where((found == UNKNOWN)[..., None], GRAYS[1], colors).astype(np.uint8)
+
+
 def drawn_shapes(model: RobotModel) -> RobotShapes:
     """Return the shapes of a model's links; sticks and joints where its file has none to show."""
     plant, found = model.plant, robot_shapes(model.path, model.given)
@@ -67,16 +96,21 @@ def drawn_shapes(model: RobotModel) -> RobotShapes:
     return RobotShapes({**sticks, **links}, notes)
 
 
-def posed_links(model: RobotModel, q: Array, shapes: RobotShapes) -> list[PosedLink]:
-    """Return the links, those without shapes too, in postures (N, nq) of the model."""
+def posed_links(
+    model: RobotModel, q: Array, shapes: RobotShapes, p_WR: Array | None = None
+) -> list[PosedLink]:
+    """Return the links, those without shapes too, in postures (N, nq) of the model.
+
+    A robot that stands elsewhere is moved by (3,) p_WR, m.
+    """
     plant, context = model.plant, model.plant.CreateDefaultContext()
     bodies, moving = _bodies(plant), {name for own in _lumps(plant) for name in own}
-    movers = link_joints(model)
+    movers, X_WR = link_joints(model), RigidTransform(np.zeros(3) if p_WR is None else p_WR)
     poses: list[list[RigidTransform]] = [[] for _ in bodies]
     for posture in model.plant_positions(q):
         plant.SetPositions(context, posture)
         for body, own in zip(bodies, poses, strict=True):
-            own.append(plant.EvalBodyPoseInWorld(context, body))
+            own.append(X_WR @ plant.EvalBodyPoseInWorld(context, body))
     named = zip(map(_full, bodies), poses, strict=True)
     return [
         PosedLink(
@@ -89,9 +123,11 @@ def posed_links(model: RobotModel, q: Array, shapes: RobotShapes) -> list[PosedL
 def joint_places(model: RobotModel) -> dict[str, JointPlace]:
     """Return the joints of one degree of freedom by name, those that follow others as well."""
     plant, names, found = model.plant, joint_names(model.plant), dict[str, JointPlace]()
-    lumps = _lumps(plant)
+    lumps, bases = _lumps(plant), base_joints(plant)
     for joint in _joints(plant):
-        child = _full(moved_body(plant, joint))
+        # Of a free base's joints, between which are frames, the root is moved.
+        base = next((own for own in bases if joint.index() in [o.index() for o in own]), [joint])
+        child = _full(base[-1].child_body())
         moved = next((own for own in lumps if child in own), None)
         if joint.num_velocities() != 1 or moved is None:
             continue
@@ -121,14 +157,6 @@ def body_links(model: RobotModel) -> dict[str, str]:
     frames = (lump.body_index for lump in lumped_bodies(model.plant))
     links = (_full(model.plant.get_body(index)) for index in frames)
     return dict(zip(model.bodies, links, strict=True))
-
-
-def moved_body(plant: MultibodyPlant, joint: Joint) -> RigidBody:
-    """Return the body that a joint moves; of a free base's, between which are frames, the root."""
-    for base in base_joints(plant):
-        if any(own.index() == joint.index() for own in base):
-            return base[-1].child_body()
-    return joint.child_body()
 
 
 def joint_axis(joint: Joint) -> Array:
@@ -206,9 +234,6 @@ class Extent:
 
     low: Array  # (3,) least coordinates of its links' origins in the world, m
     high: Array  # (3,) largest ones
-    left: float  # the farthest that it goes to the left of the camera, m
-    right: float  # the farthest that it goes to the right, m
-    widest: float  # its largest width to the camera in any one posture, m
     size: float  # its largest side in any one posture with a margin for links, m
 
     @classmethod
@@ -217,25 +242,21 @@ class Extent:
         links = posed_links(model, q[:: max(1, len(q) // 60)], RobotShapes({}))
         places = np.array([[X.translation() for X in link.X_WB] for link in links])
         cloud = np.concatenate([np.zeros((1, *places.shape[1:])), places])
-        across = cloud @ RIGHT
-        low, high = cloud.min((0, 1)), cloud.max((0, 1))
         size = 1.15 * float(np.ptp(cloud, axis=0).max()) + 0.1
-        return cls(low, high, -across.min(), across.max(), np.ptp(across, axis=0).max(), size)
+        return cls(cloud.min((0, 1)), cloud.max((0, 1)), size)
 
     @property
-    def gap(self) -> float:
-        """Distance at which two copies in one posture are clear of each other, m."""
-        return self.widest + 0.3 * self.size
+    def beside(self) -> Array:
+        """Return where a copy stands (3,), to the right of the camera and clear of the robot, m."""
+        return self.size * _RIGHT
 
 
 def camera_place(extent: Extent, copies: int = 1) -> tuple[Array, Array]:
     """Return where a camera of MeshCat's view stands (3,), and what it looks at (3,), m."""
+    side = extent.high - extent.low
+    further = (copies - 1) * extent.beside
+    middle = extent.low + 0.5 * (side + further)
     margin = 0.12 * extent.size
-    left, right = -extent.left, extent.right + (copies - 1) * extent.gap
-    height = 0.5 * (extent.high - extent.low)[2] + margin
-    width = 0.5 * (right - left) + margin
-    middle = 0.5 * (extent.low + extent.high)
-    middle += (0.5 * (left + right) - middle @ RIGHT) * RIGHT
-    depth = 0.5 * float(np.abs(_AWAY) @ (extent.high - extent.low))
-    far = max(height, width / _ASPECT) / np.tan(0.5 * VIEW) + 0.4 * depth
-    return middle + far * _AWAY, middle
+    width = 0.5 * float(_RIGHT @ (side + further)) + margin
+    far = max(0.5 * side[2] + margin, width / _ASPECT) / np.tan(0.5 * VIEW)
+    return middle + (far + 0.2 * float(np.abs(_AWAY) @ side)) * _AWAY, middle

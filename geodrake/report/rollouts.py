@@ -8,23 +8,17 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from geodrake.control.rollout import Rollout, RolloutFit
+from geodrake.control.rollout.results import JointDeparture
 from geodrake.control.rollout.rollout_values import is_soft
 from geodrake.inertia import Array
 from geodrake.model.effort_signal import SERVO
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.charts import MOST_PANELS, Chart, Panel, Plot, Stage, gap_filled
 from geodrake.report.json_output import record
-from geodrake.report.motion_errors import departures_table
-from geodrake.report.numbers import Units, number, with_deviation
+from geodrake.report.numbers import Units, chance, number, percent, with_deviation
 from geodrake.report.page import About, Page, Section, Table, Tile, View, cells
 from geodrake.report.views import rollout_series
-from geodrake.report.words import (
-    capitalized,
-    departure,
-    departure_words,
-    effect_label,
-    rollout_fit_words,
-)
+from geodrake.report.words import capitalized, effect_label
 
 _MEASURED = Stage("measured", "measured", look="wide")
 _SIMULATED = Stage("simulated", "after")
@@ -49,88 +43,137 @@ def rollout_page(found: Simulated | Rollout, about: About) -> Page:
     if isinstance(found, Rollout):
         found = Simulated(found)
     after, before, units = found.after, found.before, about.units
-    count = len(after.windows)
-    departs, horizon = departure_words(after.relative), f"{after.horizon:g} s"
-    headline = f"The error of the simulated motion is {departs} within {horizon}"
+    count, horizon = len(after.windows), f"{after.horizon:g} s"
+    headline = f"The error of the simulated motion is {departure_words(after.relative)}"
+    headline += f" within {horizon}"
     if before is not None:
         headline += f"; before, {departure_words(before.relative)}"
     if after.broken:
         headline += f"; in {after.broken} of {count} windows the simulation fails"
-    return Page(
-        about,
-        "simulated",
-        f"{headline}.",
-        (
-            Section(
-                "Error of the simulated motion",
-                f"RMS of simulated − measured position in {count} windows of {horizon}.",
-                "Moved is the RMS motion of the joint in the window, and share of motion "
-                "the error relative to it. The total is the root mean square over the "
-                "joints.",
-                tables=(departures_table(after, before, units),),
-                charts=(rollout_chart(after, before, units),),
-            ),
-            Section("Notes", items=after.notes),
-        ),
-        of=_subject(after, about),
-        tiles=(
-            *([Tile("before", departure(before.relative), "of the motion")] if before else []),
-            Tile("departure", departure(after.relative), "of the motion"),
-            Tile("horizon", horizon, "from a measured state on"),
-        ),
-        footer=_footer(after),
+    motion = Section(
+        "Error of the simulated motion",
+        f"RMS of simulated − measured position in {count} windows of {horizon}.",
+        "Moved is the RMS motion of the joint in the window, and share of motion the error "
+        "relative to it. The total is the root mean square over the joints.",
+        tables=(departures_table(after, before, units),),
+        charts=(rollout_chart(after, before, units),),
     )
+    tiles = [Tile("before", departure(before.relative), "of the motion")] if before else []
+    tiles.append(Tile("departure", departure(after.relative), "of the motion"))
+    sections = motion, Section("Notes", items=after.notes)
+    page = Page(about, "simulated", f"{headline}.", sections, tiles=tuple(tiles))
+    return _of_rollout(page, after)
 
 
 def rollout_fit_page(found: RolloutFit, about: About) -> Page:
     """Say what a fit of rollouts found, and whether it is taken."""
     units, (before, after) = about.units, found.held_out
     tested = sum(found.tested)
-    servos = any(value.effect == SERVO for value in found.values)
-    free = (
-        "Elastic joints, backlash, servos and motors" if servos else "Elastic joints and backlash"
-    )
+    free = "Elastic joints and backlash"
     if not is_soft(found.model):
         free = "Servos, elasticity and backlash"
-    return Page(
+    elif any(value.effect == SERVO for value in found.values):
+        free = "Elastic joints, backlash, servos and motors"
+    sections = (
+        Section(
+            "Fitted values",
+            f"To {len(found.tested) - tested} windows of {after.horizon:g} s under the logged "
+            f"{after.under}.",
+            tables=(_values_table(found, units),),
+        ),
+        Section(
+            "Error of the simulated motion",
+            f"RMS of simulated − measured position; {tested} windows are held out.",
+            tables=(_fit_table(found, units),),
+            charts=(rollout_chart(found.after, found.before, units),),
+        ),
+    )
+    tiles = (
+        Tile("before", departure(before.relative), "of the motion, held out"),
+        Tile("fitted", departure(after.relative), "of the motion, held out"),
+    )
+    page = Page(
         about,
         "fitted" if found.taken else "stays",
         capitalized(rollout_fit_words(found)),
-        (
-            Section(
-                "Fitted values",
-                f"To {len(found.tested) - tested} windows of {after.horizon:g} s under the logged "
-                f"{after.under}.",
-                tables=(_values_table(found, units),),
-            ),
-            Section(
-                "Error of the simulated motion",
-                f"RMS of simulated − measured position; {tested} windows are held out.",
-                tables=(_fit_table(found, units),),
-                charts=(rollout_chart(found.after, found.before, units),),
-            ),
-            Section("Notes", items=found.notes),
-        ),
-        of=_subject(after, about),
+        (*sections, Section("Notes", items=found.notes)),
         lead=(f"{free} were fitted to the motion; all else is unchanged.",),
-        tiles=(
-            Tile("before", departure(before.relative), "of the motion, held out"),
-            Tile("fitted", departure(after.relative), "of the motion, held out"),
-            Tile("horizon", f"{after.horizon:g} s", "from a measured state on"),
-        ),
-        footer=_footer(after),
+        tiles=tiles,
+    )
+    return _of_rollout(page, after)
+
+
+def _of_rollout(page: Page, after: Rollout) -> Page:
+    """Return a page with what all pages of rollouts say."""
+    horizon = Tile("horizon", f"{after.horizon:g} s", "from a measured state on")
+    return replace(
+        page,
+        of=f"{page.about.model} under the {after.under} of {', '.join(page.about.logs)}",
+        tiles=(*page.tiles, horizon),
+        footer="Made by geodrake: a plant with the model's inertias and effects under the logged "
+        f"{after.under}.",
     )
 
 
-def _subject(after: Rollout, about: About) -> str:
-    return f"{about.model} under the {after.under} of {', '.join(about.logs)}"
+def departure(share: float) -> str:
+    """Return the error of a simulated motion, as a share of the measured motion."""
+    if np.isnan(share):
+        return "at rest"
+    if np.isinf(share):
+        return "diverged"
+    return percent(share) if share < 10 else f"{number(share)} ×"
 
 
-def _footer(after: Rollout) -> str:
-    return (
-        "Made by geodrake: a plant with the model's inertias and effects under the logged "
-        f"{after.under}."
-    )
+def departure_words(share: float) -> str:
+    """Return the same for use in a sentence."""
+    told = departure(share)
+    return told if np.isinf(share) else f"{told} of the motion".replace("× of", "times")
+
+
+def rollout_fit_words(found: RolloutFit) -> str:
+    """Return the outcome of a fit to rollouts, in a sentence."""
+    before, after = found.held_out
+    shares = f"from {departure(before.relative)} to {departure_words(after.relative)}"
+    if found.taken:
+        return (
+            f"the fit is accepted: the error in held-out windows falls {shares} (p = "
+            f"{chance(found.chance)})."
+        )
+    why = f"is not significant (p = {chance(found.chance)}, {sum(found.tested)} windows); add logs "
+    why += "or --windows"
+    if after.relative > before.relative:
+        why = "is an increase"
+    return f"the fit is rejected: its change in held-out windows, {shares}, {why}."
+
+
+def departures_table(after: Rollout, before: Rollout | None, units: Units) -> Table:
+    """Return how far every joint departs from its measured motion."""
+    rows = []
+    for j, joint in enumerate(after.joints):
+        log, instant = joint.worst
+        ends = (before.joints[j].rms, joint.rms) if before else (joint.rms,)
+        worst = f"{log} {instant:.1f} s"
+        name = _with_unit(joint, units)
+        rows.append(cells(name, joint.moved, *ends, departure(joint.relative), worst))
+    heads = ("before", "after") if before else ("departure",)
+    return Table(("joint", "moved", *heads, "share of motion", "worst at"), rows)
+
+
+def stages_table(stages: Sequence[Rollout], units: Units) -> Table:
+    """Return how far every joint departs before any step, and after each."""
+    steps = [f"after step {k}" for k in range(1, len(stages))]
+    rows = [
+        cells(
+            _with_unit(joint, units),
+            *(stage.joints[j].rms for stage in stages),
+        )
+        for j, joint in enumerate(stages[0].joints)
+    ]
+    return Table(("joint", "before", *steps), rows, title="Step by step", detailed=True)
+
+
+def _with_unit(joint: JointDeparture, units: Units) -> str:
+    return f"{joint.joint}, {units.at(joint.joint, 'rad')}"
 
 
 def _values_table(found: RolloutFit, units: Units) -> Table:
@@ -153,7 +196,7 @@ def _fit_table(found: RolloutFit, units: Units) -> Table:
     stages = (*found.fitted, *found.held_out)
     rows = [
         cells(
-            f"{joint.joint}, {units.at(joint.joint, 'rad')}",
+            _with_unit(joint, units),
             *(stage.joints[j].rms for stage in stages),
             *(departure(stage.joints[j].relative) for stage in stages[2:]),
         )
@@ -168,25 +211,27 @@ def rollout_chart(after: Rollout, before: Rollout | None, units: Units) -> Chart
     """Return measured and simulated positions of every joint over time, window after window."""
     starts = np.arange(len(after.windows)) * 1.1 * after.horizon
     times = [s + w.time - w.time[0] for s, w in zip(starts, after.windows, strict=True)]
-    time = gap_filled(_joined([[t] for t in times])[0])
+    time = gap_filled(_joined(times))
+    measured = _joined([w.measured for w in after.windows])
     rollouts = {_SIMULATED: after} if before is None else {_BEFORE: before, _SIMULATED: after}
-    measured = _joined([w.measured.T for w in after.windows])
-    simulated = {s: _joined([w.simulated.T for w in r.windows]) for s, r in rollouts.items()}
+    simulated = {s: _joined([w.simulated for w in r.windows]) for s, r in rollouts.items()}
     shares = np.nan_to_num([joint.relative for joint in after.joints], nan=0.0)
     order = np.argsort(-shares, kind="stable").tolist()
-    badge = "departs most" if len(after.joints) > 1 else ""
     panels = []
     for j, joint in enumerate(after.joints):
         unit = units.at(joint.joint, "rad")
-        known = measured[j][np.isfinite(measured[j])]
+        known = measured[np.isfinite(measured[:, j]), j]
         margin = 0.25 * float(np.ptp(known)) + 1e-6
-        span = float(known.min()) - margin, float(known.max()) + margin
-        curves = {_MEASURED: measured[j]}
-        curves |= {stage: _within(span, q[j]) for stage, q in simulated.items()}
-        plot = Plot(f"position, {unit}", curves, span=span)
-        panel = Panel(joint.joint, f"RMS {number(joint.rms)} {unit}", time, (plot,))
-        worst = badge if j == order[0] else ""
-        panels.append(replace(panel, shown=j in order[:MOST_PANELS], badge=worst))
+        low, high = float(known.min()) - margin, float(known.max()) + margin
+        curves = {_MEASURED: measured[:, j]}
+        for stage, q in simulated.items():
+            # Those far away leave the plot anyway.
+            near = np.abs(q[:, j] - 0.5 * (low + high)) < 2.0 * (high - low)
+            curves[stage] = np.where(near, q[:, j], np.nan)
+        plot = Plot(f"position, {unit}", curves, span=(low, high))
+        worst = "departs most" if j == order[0] and len(order) > 1 else ""
+        detail, shown = f"RMS {number(joint.rms)} {unit}", j in order[:MOST_PANELS]
+        panels.append(Panel(joint.joint, detail, time, (plot,), badge=worst, shown=shown))
     spans = tuple(
         (f"{w.log} {w.time[0]:.1f} s", float(w.time[0]), float(w.time[-1]), float(s - w.time[0]))
         for s, w in zip(starts, after.windows, strict=True)
@@ -195,16 +240,10 @@ def rollout_chart(after: Rollout, before: Rollout | None, units: Units) -> Chart
     return Chart("rollout", caption, tuple(panels), spans)
 
 
-def _within(span: tuple[float, float], values: Array) -> Array:
-    """Return values with NaN where they are so far away that they leave the plot anyway."""
-    low, high = span
-    return np.where(np.abs(values - 0.5 * (low + high)) < 2.0 * (high - low), values, np.nan)
-
-
-def _joined(parts: Sequence[Array | Sequence[Array]]) -> Array:
-    """Return rows of all windows, one after the other, with a NaN behind each."""
-    gap = np.full((len(parts[0]), 1), np.nan)
-    return np.concatenate([each for part in parts for each in (np.asarray(part), gap)], axis=1)
+def _joined(parts: Sequence[Array]) -> Array:
+    """Return the rows of all windows, one after the other, with a NaN behind each."""
+    gap = np.full((1, *parts[0].shape[1:]), np.nan)
+    return np.concatenate([each for part in parts for each in (part, gap)])
 
 
 VIEWS = {

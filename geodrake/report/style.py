@@ -87,13 +87,6 @@ def plain(size: float = NORMAL, color: str = INK, **more: Any) -> dict[str, Any]
     return {"fontsize": size, "color": color, "parse_math": False, **more}
 
 
-def joint_title(ax: Axes, joint: str, detail: str = "") -> None:
-    """Put a joint's name above its axes, and a detail at the right."""
-    ax.set_title(label(joint, 48), loc="left", pad=4, **plain(fontweight="bold"))
-    if detail:
-        ax.set_title(label(detail), loc="right", pad=4, **plain(SMALL, QUIET))
-
-
 def label(text: str, most: int = _MOST_LETTERS) -> str:
     """Return words for a figure, not too many letters; those that the font has not become �."""
     font = get_font(findfont(_FONT))
@@ -132,12 +125,15 @@ def note_below(figure: Figure, text: str) -> None:
 
 
 @own_look()
-def png(figure: Figure) -> bytes:
-    """Return a figure as PNG of 256 colours, a third of the size; bytes are reproducible."""
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()  # type: ignore[no-untyped-call]
-    pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
-    image = Image.fromarray(pixels).convert("RGB")
-    buffer = io.BytesIO()
-    image.quantize(256, dither=Image.Dither.NONE).save(buffer, "PNG", optimize=True, dpi=(DPI, DPI))
+def figure_bytes(figure: Figure, kind: str = "png") -> bytes:
+    """Return a figure as the bytes of a file, "png", "pdf" or "svg", the same each time."""
+    canvas, buffer = FigureCanvasAgg(figure), io.BytesIO()
+    if kind == "png":  # of 256 colours, a third of the size
+        canvas.draw()  # type: ignore[no-untyped-call]
+        pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
+        few = Image.fromarray(pixels).convert("RGB").quantize(256, dither=Image.Dither.NONE)
+        few.save(buffer, "PNG", optimize=True, dpi=(DPI, DPI))
+    else:
+        dated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+        figure.savefig(buffer, format=kind, metadata=dated[kind])
     return buffer.getvalue()

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -28,10 +28,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from geodrake.control.rollout import Rollout
-    from geodrake.control.rollout.results import Window
 
 _KINDS = {
-    "explaining": ("Comparison", "Diagnosis", "Explanation", "Explained", "ModelIdentification"),
+    "explaining": ("Comparison", "Diagnosis", "Explanation", "ModelIdentification"),
     "exciting": ("ExcitationResult", "LogIdentifiability"),
     "rollouts": ("Rollout", "Simulated", "RolloutFit"),
     "fleets": ("FleetResult",),
@@ -112,21 +111,32 @@ def comparison_series(now: Comparison, before: Comparison | None = None) -> Colu
         predicted; with a model before also `predicted_before` and `residual_before`.
     """
     stages = {"": now} if before is None else {"_before": before, "": now}
-    index = _index((s.log, s.time) for c in stages.values() for s in c.series)
+    logs: dict[str, set[float]] = {}
+    for s in (s for comparison in stages.values() for s in comparison.series):
+        logs.setdefault(s.log, set()).update(s.time.tolist())
+    rows = [(log, time) for log, times in logs.items() for time in sorted(times)]
+    index = {row: k for k, row in enumerate(rows)}
     columns: dict[str, Sequence[str] | Array] = {
-        "time": np.array([time for _, time in index]),
-        "log": [printable(log) for log, _ in index],
+        "time": np.array([time for _, time in rows]),
+        "log": [printable(log) for log, _ in rows],
     }
     for joint in dict.fromkeys(s.joint for s in now.series):
-        values = {f"{joint}.measured": np.full(len(index), np.nan)}
+        measured = np.full(len(rows), np.nan)
+        predicted = {stage: np.full(len(rows), np.nan) for stage in stages}
         for stage, comparison in stages.items():
-            predicted = np.full(len(index), np.nan)
             for s in (s for s in comparison.series if s.joint == joint):
                 at = [index[s.log, time] for time in s.time.tolist()]
-                values[f"{joint}.measured"][at], predicted[at] = s.measured, s.predicted
-            values[f"{joint}.predicted{stage}"] = predicted
-            values[f"{joint}.residual{stage}"] = values[f"{joint}.measured"] - predicted
-        columns |= values
+                measured[at], predicted[stage][at] = s.measured, s.predicted
+        columns |= _joint_columns(joint, measured, predicted)
+    return columns
+
+
+def _joint_columns(joint: str, measured: Array, predicted: Mapping[str, Array]) -> Columns:
+    """Return what was measured at a joint, and what is predicted and left at each stage."""
+    columns = {f"{joint}.measured": measured}
+    for stage, values in predicted.items():
+        columns[f"{joint}.predicted{stage}"] = values
+        columns[f"{joint}.residual{stage}"] = measured - values
     return columns
 
 
@@ -134,23 +144,19 @@ def rollout_series(now: Rollout, before: Rollout | None = None) -> Columns:
     """Return positions of a rollout, rad or m, window after window.
 
     Returns:
-        `time`, `log`, `window`, and of every joint `measured`, `predicted` and `residual`, measured
-        − predicted; with a model before also `predicted_before` and `residual_before`.
+        As of a comparison, and the number of each `window`.
     """
-    windows = now.windows
+    windows, stages = now.windows, {"": now} if before is None else {"_before": before, "": now}
     columns: dict[str, Sequence[str] | Array] = {
         "time": np.concatenate([w.time for w in windows]),
         "log": [printable(w.log) for w in windows for _ in w.time],
         "window": np.concatenate([np.full(len(w.time), float(k)) for k, w in enumerate(windows)]),
     }
-    measured = _stacked(windows, "measured")
-    stages = {"": now} if before is None else {"_before": before, "": now}
+    measured = np.concatenate([w.measured for w in windows])
+    simulated = {s: np.concatenate([w.simulated for w in r.windows]) for s, r in stages.items()}
     for j, joint in enumerate(now.joints):
-        columns[f"{joint.joint}.measured"] = measured[:, j]
-        for stage, rollout in stages.items():
-            predicted = _stacked(rollout.windows, "simulated")[:, j]
-            columns[f"{joint.joint}.predicted{stage}"] = predicted
-            columns[f"{joint.joint}.residual{stage}"] = measured[:, j] - predicted
+        predicted = {stage: values[:, j] for stage, values in simulated.items()}
+        columns |= _joint_columns(joint.joint, measured[:, j], predicted)
     return columns
 
 
@@ -162,7 +168,13 @@ def series_content(columns: Columns, path: Path) -> Content:
     lines = io.StringIO()
     writer = csv.writer(lines, lineterminator="\n")
     writer.writerow(columns)
-    writer.writerows(zip(*map(_texts, columns.values()), strict=True))
+    texts = (
+        [f"{x:.10g}" if np.isfinite(x) else "" for x in values.tolist()]
+        if isinstance(values, np.ndarray)
+        else values
+        for values in columns.values()
+    )
+    writer.writerows(zip(*texts, strict=True))
     return lines.getvalue()
 
 
@@ -175,22 +187,3 @@ def check_series(path: Path) -> None:
 def optional(module: str, extra: str) -> Any:
     """Return a module of a package that results can do without."""
     return optional_package(module, extra, "tables of results", ArgumentError)
-
-
-def _index(stretches: Iterable[tuple[str, Array]]) -> dict[tuple[str, float], int]:
-    """Return log and instant -> row, in the order of logs and of time."""
-    logs: dict[str, set[float]] = {}
-    for log, time in stretches:
-        logs.setdefault(log, set()).update(time.tolist())
-    rows = ((log, time) for log, times in logs.items() for time in sorted(times))
-    return {row: k for k, row in enumerate(rows)}
-
-
-def _stacked(windows: Sequence[Window], name: str) -> Array:
-    return np.concatenate([getattr(w, name) for w in windows])
-
-
-def _texts(values: Sequence[str] | Array) -> Sequence[str]:
-    if isinstance(values, np.ndarray):
-        return [f"{value:.10g}" if np.isfinite(value) else "" for value in values.tolist()]
-    return values

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,10 +13,7 @@ from geodrake.diagnosis.results import Diagnosis, Explanation, Step
 from geodrake.diagnosis.search_progress import FoundStep
 from geodrake.effects import catalogue
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Failing, JointError
-from geodrake.report.numbers import Units, chance, estimate, number, percent
-
-if TYPE_CHECKING:
-    from geodrake.control.rollout import RolloutFit
+from geodrake.report.numbers import Units, estimate, number, percent
 
 MOST_NAMED = 4
 _MOST_VALUES = 2  # places whose values are listed one by one
@@ -387,34 +383,3 @@ def _at_most(share: float) -> str:
     if share <= 0:
         return "none"
     return "nearly all" if share >= _NEARLY_ALL else f"up to {in_words(share)}"
-
-
-def departure(share: float) -> str:
-    """Return the error of a simulated motion, as a share of the measured motion."""
-    if np.isnan(share):
-        return "at rest"
-    if np.isinf(share):
-        return "diverged"
-    return percent(share) if share < 10 else f"{number(share)} ×"
-
-
-def departure_words(share: float) -> str:
-    """Return the same for use in a sentence."""
-    told = departure(share)
-    return told if np.isinf(share) else f"{told} of the motion".replace("× of", "times")
-
-
-def rollout_fit_words(found: RolloutFit) -> str:
-    """Return the outcome of a fit to rollouts, in a sentence."""
-    before, after = found.held_out
-    shares = f"from {departure(before.relative)} to {departure_words(after.relative)}"
-    if found.taken:
-        return (
-            f"the fit is accepted: the error in held-out windows falls {shares} (p = "
-            f"{chance(found.chance)})."
-        )
-    why = f"is not significant (p = {chance(found.chance)}, {sum(found.tested)} windows); add logs "
-    why += "or --windows"
-    if after.relative > before.relative:
-        why = "is an increase"
-    return f"the fit is rejected: its change in held-out windows, {shares}, {why}."

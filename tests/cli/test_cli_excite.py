@@ -17,6 +17,7 @@ from geodrake.cli.excite import limits_of, rivals_in
 from geodrake.cli.identify import named_effects
 from geodrake.effects import CoulombFriction, FittedEffect
 from geodrake.errors import ArgumentError
+from geodrake.excitation.design import design_excitation
 from geodrake.excitation.tell_apart import separation_of
 from geodrake.logs import Motion, read_log
 from geodrake.model import EffortSignal, load_model
@@ -75,14 +76,14 @@ def test_everything_is_written(tmp_path):
 
 
 def test_an_interrupted_design_is_written(tmp_path, monkeypatch):
-    def stopping(*_):
-        def told(progress):
-            if progress.evaluations == 3:
-                raise StopSearch
+    def told(progress):
+        if progress.evaluations == 3:
+            raise StopSearch
 
-        return told
+    def stopped(*given, **settings):
+        return design_excitation(*given, **{**settings, "progress": told})
 
-    monkeypatch.setattr("geodrake.cli.excite._updating", stopping)
+    monkeypatch.setattr("geodrake.cli.excite.design_excitation", stopped)
     files = {key: tmp_path / name for key, name in (("--save", "m.csv"), ("--json", "m.json"))}
     result = run("excite", PENDULUM, *FAST, *(x for pair in files.items() for x in pair))
     assert result.exit_code == 130

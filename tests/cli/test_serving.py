@@ -99,7 +99,7 @@ def test_a_client_that_leaves_is_no_news(server, capfd):
 
 
 def test_a_mistake_of_its_own_is_told(server, capfd, monkeypatch):
-    monkeypatch.setattr(play._PageHandler, "_is_local", lambda handler: 1 / 0)
+    monkeypatch.setattr(play._PageHandler, "do_GET", lambda handler: 1 / 0)
     with pytest.raises(http.client.RemoteDisconnected):
         asked(server)
     assert "ZeroDivisionError" in capfd.readouterr().err

@@ -28,8 +28,8 @@ from geodrake.identification.logs.case import open_case
 from geodrake.logs import write_log
 from geodrake.model import EffortSignal
 from geodrake.report import About, page_of, render
+from geodrake.report.rollouts import rollout_fit_words
 from geodrake.report.views import numbers_of
-from geodrake.report.words import rollout_fit_words
 
 
 def departures(case, *, horizon=0.4, most=2, commands=False):

@@ -44,7 +44,7 @@ from geodrake.report.error_charts import (
 )
 from geodrake.report.figures import chart_figure
 from geodrake.report.numbers import number
-from geodrake.report.style import png
+from geodrake.report.style import figure_bytes
 
 UNITS = Units()
 FIELDS = ("time", "position", "velocity", "acceleration", "measured", "predicted")
@@ -210,7 +210,7 @@ def test_gaps_stay_gaps_and_logs_keep_their_own_time():
     x, y = figure.axes[0].lines[0].get_data()
     assert np.isnan(y).sum() == 2 * len(BLOCKS)
     assert (np.diff(x[np.isfinite(y)]) > 0).all()
-    png(figure)
+    figure_bytes(figure)
     labels = [label.get_text() for label in figure.axes[-1].get_xticklabels()]
     assert labels == ["0", "2", "4", "6", "8", "2", "4"]
 
@@ -222,7 +222,7 @@ def test_a_block_without_motion_is_left_out():
     chart = effort_chart({BEFORE: dataclasses.replace(one, series=(empty, *others))}, UNITS)
     (panel,) = chart.panels
     assert np.isfinite(panel.plots[0].curves[MEASURED]).sum() == 40 * len(others)
-    png(chart_figure(chart))
+    figure_bytes(chart_figure(chart))
 
 
 def test_figures_are_saved(tmp_path):

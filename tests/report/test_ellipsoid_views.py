@@ -15,11 +15,11 @@ from geodrake.report.ellipsoids import (
     EllipsoidSet,
     ellipsoid_figure,
     ellipsoid_page,
-    figure_bytes,
     placed,
     skeleton,
 )
 from geodrake.report.meshcat_scene import LEAST_THICKNESS
+from geodrake.report.style import figure_bytes
 
 ARM = Path(__file__).parents[2] / "models" / "arm6.urdf"
 

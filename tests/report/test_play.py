@@ -20,11 +20,9 @@ from geodrake.control.rollout.results import Window
 from geodrake.diagnosis import compare
 from geodrake.errors import ArgumentError
 from geodrake.logs import JointLog, read_log
-from geodrake.report.drawn_robots import COLORS, UNKNOWN, levels
-from geodrake.report.meshcat_scene import rollout_replay_page
-from geodrake.report.play_page import play_page
+from geodrake.report.meshcat_scene import play_page, rollout_replay_page
 from geodrake.report.playback import play_back
-from geodrake.report.robot_scene import FRAMES
+from geodrake.report.robot_scene import COLORS, FRAMES, UNKNOWN, levels
 
 
 def page_of(playback, *names):
@@ -59,7 +57,8 @@ def test_links_go_where_the_log_says(short, page):
             for joint, value in zip(log.joints, q, strict=True):
                 plant.GetJointByName(joint).set_angle(context, value)
             X_WB = plant.EvalBodyPoseInWorld(context, plant.GetBodyByName("flange"))
-            np.testing.assert_allclose(positions[frame], X_WB.translation(), atol=2e-3)
+            place = X_WB.translation() + short.robots[k].place
+            np.testing.assert_allclose(positions[frame], place, atol=2e-3)
 
 
 def test_ghosts_go_where_rollouts_do_if_asked_for(after, cut, page):
@@ -123,13 +122,14 @@ def test_colours_are_the_errors(playback, before, after):
 
 
 def test_the_worst_moments_are_the_worst_and_apart(playback):
-    for k, played in enumerate(playback.models):
-        moments = [m for m in playback.moments if m.played == k]
+    for played in playback.models:
+        moments = played.moments
         assert moments[0].relative == np.nanmax(played.relative)
         sizes = [m.relative for m in moments]
         assert sizes == sorted(sizes, reverse=True) and 3 <= len(moments) <= 5
         for m in moments:
-            assert m.relative == played.relative[m.frame, m.joint]
+            assert m.relative == played.relative[m.frame, playback.joints.index(m.joint)]
+            assert (m.log, m.time) == playback.instants[m.frame]
             same = [o for o in moments if o.joint == m.joint and o is not m]
             assert all(abs(o.frame - m.frame) >= FRAMES for o in same)
 
@@ -138,9 +138,8 @@ def test_of_long_logs_the_worst_passages_are_played(before, playback):
     some = play_back(before, [LOG], seconds=6.0)
     assert sum(len(e.time) for e in some.excerpts) / FRAMES <= 6.0
     assert some.seconds_left_out == pytest.approx(23.76 - 6.0, abs=0.3)
-    worst = playback.moments[0]
-    _, time = playback.own_time(worst.frame)
-    assert any(e.time[0] <= time <= e.time[-1] for e in some.excerpts)
+    worst = playback.models[0].moments[0]
+    assert any(e.time[0] <= worst.time <= e.time[-1] for e in some.excerpts)
     page = page_of(some)
     assert "s of the logs are not (--seconds)" in page
 
@@ -149,7 +148,7 @@ def test_effects_are_at_their_places(short, page):
     paths, found = drawn(page), tracks(page)
     root = "/drake/robot/1 after"
     assert f"{root}/arm6::flange/effects/0 payload" in paths
-    assert f"{root}/arm6::upper_arm/ring {JOINT}" in paths
+    assert f"{root}/arm6::upper_arm/disc {JOINT}" in paths
     frames, there = found[f"{root}/effects/2 contact", "visible"]
     (excerpt,) = short.excerpts
     since = [excerpt.time[frame] - excerpt.began for frame in frames]
@@ -215,9 +214,9 @@ SHOWN = """() => {
 def test_a_browser_opens_it_and_jumps(browser, tmp_path, page, short):
     file = tmp_path / "play.html"
     file.write_text(page)
-    moment = next(m for m in short.moments if m.played == 0)
+    moment = short.models[0].moments[0]
     link = {"wrist_spin": "flange", "wrist_roll": "wrist_barrel", "elbow_pitch": "forearm"}
-    joint = short.joints[moment.joint]
+    joint = moment.joint
     body = f"/drake/robot/0 before/arm6::{link.get(joint, 'flange')}"
     arrow = f"/drake/robot/0 before/arm6::upper_arm/efforts/{JOINT}/measured/arrow"
     seen = []
