@@ -1,15 +1,13 @@
-"""Logs of a robot on its feet, made by MultibodyPlant with a quaternion for its base."""
+"""Logs of a robot on its feet, made by Pinocchio."""
 
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pandas
 import pinocchio as pin
 import pytest
 from foreign_logs import EPOCH, joint_states, nanoseconds, ros2_header, ros2_store, write_rosbag2
-from pydrake.multibody.parsing import Parser
-from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import JacobianWrtVariable
 from quadruped import FEET, JOINTS, LEGS, joint_text, link_text, quadruped
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
@@ -51,13 +49,42 @@ def waves(time: np.ndarray, sizes: np.ndarray, rng: np.random.Generator) -> np.n
     return found
 
 
+class PinocchioDog:
+    """Dynamics of the quadruped by Pinocchio, its base by the same six joints as geodrake's."""
+
+    def __init__(self, text) -> None:
+        base = pin.JointModelComposite()
+        for kind in ("PX", "PY", "PZ", "RZ", "RY", "RX"):
+            base.addJoint(getattr(pin, f"JointModel{kind}")())
+        self.model = pin.buildModelFromXML(text, base)
+        self.data = self.model.createData()
+        angles = [self.model.joints[self.model.getJointId(name)] for name in JOINTS]
+        self.at = [(joint.idx_q, joint.idx_v) for joint in angles]
+        self.order = [*range(6), *(way for _, way in self.at)]
+
+    def efforts(self, q, v, a):
+        """Return what the motion needs; endless joints have cosine and sine."""
+        full = pin.neutral(self.model)
+        speed, rate = np.zeros((2, 18))
+        full[:6], speed[self.order], rate[self.order] = q[:6], v, a
+        for (place, _), angle in zip(self.at, q[6:], strict=True):
+            full[place : place + 2] = np.cos(angle), np.sin(angle)
+        needed = pin.rnea(self.model, self.data, full, speed, rate)[self.order]
+        pin.computeJointJacobians(self.model, self.data, full)
+        pin.updateFramePlacements(self.model, self.data)
+        return needed
+
+    def jacobian(self, foot):
+        """Return the Jacobian (6, 18) of a foot's place and turning, in the last state."""
+        world, frame = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED, self.model.getFrameId(foot)
+        return pin.getFrameJacobian(self.model, self.data, frame, world)[:, self.order]
+
+
 class Maker:
     """Motion, efforts and forces at the feet of a quadruped that may carry something."""
 
     def __init__(self, payload: float = 0.0, seed: int = 0, place: str = "0.1 0.02 0.1") -> None:
-        rng = np.random.default_rng(seed)
-        self.plant = MultibodyPlant(0.0)
-        text = quadruped()
+        rng, text = np.random.default_rng(seed), quadruped()
         if payload:
             load = link_text("load", payload, (0.1, 0.1, 0.1))
             weld = (
@@ -65,63 +92,34 @@ class Maker:
                 f'<origin xyz="{place}"/></joint></robot>'
             )
             text = text.replace("</robot>", load + weld)
-        Parser(self.plant).AddModelsFromString(text, "urdf")
-        self.plant.Finalize()
         self.time = np.arange(0.0, 12.0, 1 / RATE)
         self.place = waves(self.time, np.array([0.04, 0.03, 0.03]), rng)
         self.place[0, :, 2] += 0.38
         self.angles = waves(self.time, np.array([0.12, 0.15, 0.12]), rng)  # yaw, pitch, roll
         self.joints = waves(self.time, np.full(12, 0.3), rng)
         self.joints[0] += np.tile([0.0, 0.6, -1.2], 4)
-        self._solve()
+        self._solve(PinocchioDog(text))
 
-    def _solve(self) -> None:
-        plant, context = self.plant, self.plant.CreateDefaultContext()
-        h, world = 1e-5, plant.world_frame()
-        self.R = Rotation.from_euler("ZYX", self.angles[0])
-        steps = [
-            Rotation.from_euler(
-                "ZYX", self.angles[0] + s * h * self.angles[1] + 0.5 * h * h * self.angles[2]
-            )
-            for s in (-1, 1)
-        ]
+    def _solve(self, dog: PinocchioDog) -> None:
+        h, (angles, rates, accelerations) = 1e-5, self.angles
+        self.R = Rotation.from_euler("ZYX", angles)
+        ways = (angles + s * h * rates + 0.5 * h * h * accelerations for s in (-1, 1))
+        steps = (Rotation.from_euler("ZYX", way) for way in ways)
         back, ahead = ((self.R.inv() * step).as_rotvec() for step in steps)
         self.gyro = (ahead - back) / (2 * h)  # in the body
-        spin = self.R.apply(self.gyro)
-        angular = self.R.apply((ahead + back) / h**2)
-        order = [plant.GetJointByName(name).velocity_start() for name in JOINTS]
-        effort, forces = np.zeros((len(self.time), 12)), np.zeros((2, len(self.time), 4, 3))
-        for k in range(len(self.time)):
-            quaternion = np.roll(self.R[k].as_quat(), 1)
-            q, v, vd = np.zeros(19), np.zeros(18), np.zeros(18)
-            q[:7] = [*quaternion, *self.place[0, k]]
-            v[:6], vd[:6] = [*spin[k], *self.place[1, k]], [*angular[k], *self.place[2, k]]
-            for at, column in zip(order, range(12), strict=True):
-                q[at + 1], v[at], vd[at] = self.joints[:, k, column]
-            plant.SetPositions(context, q)
-            plant.SetVelocities(context, v)
-            bias = plant.CalcBiasTerm(context) - plant.CalcGravityGeneralizedForces(context)
-            needed = plant.CalcMassMatrix(context) @ vd + bias
-            J = np.vstack(
-                [
-                    plant.CalcJacobianTranslationalVelocity(
-                        context,
-                        JacobianWrtVariable.kV,
-                        plant.GetFrameByName(foot),
-                        np.zeros(3),
-                        world,
-                        world,
-                    )
-                    for foot in FEET
-                ]
-            )
-            w = np.linalg.lstsq(J[:, :6].T, needed[:6], rcond=None)[0]
-            effort[k] = (needed - J.T @ w)[order]
-            for at, foot in enumerate(FEET):
-                R = plant.GetFrameByName(foot).CalcPoseInWorld(context).rotation().matrix()
-                forces[:, k, at] = R.T @ w[3 * at : 3 * at + 3], w[3 * at : 3 * at + 3]
-        self.effort, (self.forces, self.world_forces) = effort, forces
         self.imu = self.R.inv().apply(self.place[2] + [0, 0, 9.81])
+        self.effort, count = np.zeros((len(self.time), 12)), len(self.time)
+        self.forces, self.world_forces = np.zeros((2, count, 4, 3))
+        motion = np.concatenate([self.place, self.angles, self.joints], axis=2)
+        for k in range(count):
+            needed = dog.efforts(*motion[:, k])
+            J = np.vstack([dog.jacobian(foot)[:3] for foot in FEET])
+            w = np.linalg.lstsq(J[:, :6].T, needed[:6], rcond=None)[0]
+            self.effort[k] = (needed - J.T @ w)[6:]
+            self.world_forces[k] = w.reshape(4, 3)
+            for at, foot in enumerate(FEET):
+                R = dog.data.oMf[dog.model.getFrameId(foot)].rotation
+                self.forces[k, at] = R.T @ self.world_forces[k, at]
 
     def log(self, *, wrenches: bool, noise: float = 0.0, seed: int = 1, **changes) -> JointLog:
         rng, columns = np.random.default_rng(seed), {}
@@ -233,37 +231,6 @@ def test_the_model_needs_what_was_measured(model, maker, wrenches):
     assert {error.joint for error in errors.joints} == set(rows)
 
 
-class PinocchioDog:
-    """Dynamics of the quadruped by Pinocchio, its base by the same six joints as geodrake's."""
-
-    def __init__(self, path) -> None:
-        base = pin.JointModelComposite()
-        for kind in ("PX", "PY", "PZ", "RZ", "RY", "RX"):
-            base.addJoint(getattr(pin, f"JointModel{kind}")())
-        self.model = pin.buildModelFromUrdf(str(path), base)
-        self.data = self.model.createData()
-        angles = [self.model.joints[self.model.getJointId(name)] for name in JOINTS]
-        self.at = [(joint.idx_q, joint.idx_v) for joint in angles]
-        self.order = [*range(6), *(way for _, way in self.at)]
-
-    def efforts(self, q, v, a):
-        """Return what the motion needs; endless joints have cosine and sine."""
-        full = pin.neutral(self.model)
-        speed, rate = np.zeros((2, 18))
-        full[:6], speed[self.order], rate[self.order] = q[:6], v, a
-        for (place, _), angle in zip(self.at, q[6:], strict=True):
-            full[place : place + 2] = np.cos(angle), np.sin(angle)
-        needed = pin.rnea(self.model, self.data, full, speed, rate)[self.order]
-        pin.computeJointJacobians(self.model, self.data, full)
-        pin.updateFramePlacements(self.model, self.data)
-        return needed
-
-    def jacobian(self, foot):
-        """Return the Jacobian (6, 18) of a foot's place and turning, in the last state."""
-        world, frame = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED, self.model.getFrameId(foot)
-        return pin.getFrameJacobian(self.model, self.data, frame, world)[:, self.order]
-
-
 BALL = (0.01, 0.0, -0.01), 0.04  # its center in a foot's frame, and radius
 SDF = """<sdf version="1.9"><model name="dog"><link name="a"><collision name="c">
 <pose>.01 0 -.01 0 0 0</pose><geometry><sphere><radius>.04</radius></sphere></geometry></collision>
@@ -298,7 +265,7 @@ def test_contacts_of_balls_are_below_their_centers(tmp_path):
     """As a foot rolls, the point that touches moves over it: Pinocchio's Jacobians at it."""
     path = tmp_path / "dog.urdf"
     path.write_text(quadruped(ball=0.04), encoding="utf-8")
-    model, dog = load_description(path, floating=True), PinocchioDog(path)
+    model, dog = load_description(path, floating=True), PinocchioDog(path.read_text())
     q = np.random.default_rng(4).uniform(-0.7, 0.7, (8, 18))
     bodies = RobotBodies(model.tree, model.positions(q), model.total_phi)
     found = contact_jacobians(contact_frames(model, FEET), bodies)
@@ -320,7 +287,7 @@ def test_rows_without_contact_forces_are_pinocchios(model, feet, axes, unmeasure
     What motors do of which nobody measured it is not in them.
     """
     assert model.joints == (*model.base_joints, *JOINTS)
-    dog, rng = PinocchioDog(model.path), np.random.default_rng(3)
+    dog, rng = PinocchioDog(model.path.read_text()), np.random.default_rng(3)
     q, v, a = rng.uniform(-0.7, 0.7, (3, 20, 18))
     bodies = RobotBodies(model.tree, model.positions(q), model.total_phi)
     frames = contact_frames(model, feet)
@@ -394,8 +361,7 @@ def test_joints_without_a_motor_are_passive_where_other_efforts_are_measured(tmp
     log, found = maker.log(wrenches=True), []
     for end in (f"{JOINTS[0]}.effort", ".effort"):
         columns = {name: x for name, x in log.columns().items() if not name.endswith(end)}
-        table, header = np.stack(list(columns.values()), 1), ",".join(columns)
-        np.savetxt(tmp_path / "log.csv", table, delimiter=",", header=header, comments="")
+        pandas.DataFrame(columns).to_csv(tmp_path / "log.csv", index=False)
         read = read_log(
             tmp_path / "log.csv", joints=dog.joints, reading=reading_for(dog), partial=True
         )
@@ -439,8 +405,7 @@ def test_base_rows_alone_tell_a_payload_and_an_offset_of_a_foot_sensor(
         ("neither.csv", True, "neither efforts of joints nor forces at feet"),
     ):
         kept = {n: x for n, x in columns.items() if not (bare and "force" in n)}
-        table, header = np.stack(list(kept.values()), 1), ",".join(kept)
-        np.savetxt(log, table, delimiter=",", header=header, comments="")
+        pandas.DataFrame(kept).to_csv(log, index=False)
         said = CliRunner().invoke(app, ["compare", "quadruped.urdf", log, "--floating"])
         assert words in said.output.replace("\n", " ")
         assert said.exit_code == (2 if bare else 0)
@@ -719,9 +684,7 @@ def test_a_fixed_model_says_that_the_log_is_of_a_free_base(tmp_path, maker):
 def test_commands_read_the_columns_of_a_free_base(tmp_path, monkeypatch, maker, command):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "quadruped.urdf").write_text(quadruped(), encoding="utf-8")
-    columns = maker.log(wrenches=True).columns()
-    table = np.stack(list(columns.values()), 1)[:600]
-    np.savetxt("walk.csv", table, delimiter=",", header=",".join(columns), comments="")
+    pandas.DataFrame(maker.log(wrenches=True).columns())[:600].to_csv("walk.csv", index=False)
     options = {"log": ["walk.csv", "--model", "quadruped.urdf"]}
     options["compare"] = ["quadruped.urdf", "walk.csv", "--report", "page.html"]
     options["play"] = ["quadruped.urdf", "walk.csv", "--out", "page.html"]
