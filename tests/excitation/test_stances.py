@@ -1,4 +1,4 @@
-"""Motions of robots on their feet: against MuJoCo's inverse dynamics, which knows no stance."""
+"""Motions of robots on their feet: against Pinocchio's dynamics, which know no stance."""
 
 from dataclasses import replace
 from functools import cache
@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 from excitation_robots import MODELS
+from free_robots import FreeRobot
 from quadruped import FEET as DOG_FEET
 from quadruped import JOINTS, quadruped
 
@@ -34,6 +35,7 @@ BIPED = MODELS / "biped.urdf"
 FEET = ("l_foot", "r_foot")
 BENT = {"leg_hpy": -0.4, "leg_kny": 0.8, "leg_aky": -0.4}
 FAMILY = FourierMotion(5.0, 2)
+BALL = (0.01, 0.0, -0.01)  # center of the dog's feet in their frames
 
 
 @cache
@@ -66,51 +68,6 @@ def designed(*feet):
     )
 
 
-class MuJoCo:
-    """The biped with six more joints at its pelvis, without contacts."""
-
-    def __init__(self):
-        text = BIPED.read_text().replace(
-            '<robot name="biped">',
-            '<robot name="biped"><mujoco><compiler fusestatic="false"/></mujoco>',
-        )
-        spec = mujoco.MjSpec.from_string(text)
-        pelvis = spec.body("pelvis")
-        kinds = [mujoco.mjtJoint.mjJNT_SLIDE] * 3 + [mujoco.mjtJoint.mjJNT_HINGE] * 3
-        self.base = [f"pelvis_{word}" for word in ("x", "y", "z", "yaw", "pitch", "roll")]
-        for name, kind, axis in zip(self.base, kinds, (*np.eye(3), *np.eye(3)[::-1]), strict=True):
-            pelvis.add_joint(name=name, type=kind, axis=axis)
-        self.model = spec.compile()
-        self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-        self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
-        self.data = mujoco.MjData(self.model)
-
-    def at(self, joints, q, v, vd):
-        """Return the wrench about the origin, efforts by joint, and rows Jᵀ of each foot."""
-        model, data = self.model, self.data
-        dofs = [model.joint(name).dofadr[0] for name in joints]
-        data.qpos[[model.joint(name).qposadr[0] for name in joints]] = q
-        data.qvel[dofs], data.qacc[dofs] = v, vd
-        mujoco.mj_inverse(model, data)
-        effort = data.qfrc_inverse[dofs]
-        own = [model.joint(name) for name in self.base]
-        axes = np.array([data.xaxis[joint.id] for joint in own])
-        by_base = data.qfrc_inverse[[joint.dofadr[0] for joint in own]]
-        force = np.linalg.solve(axes[:3], by_base[:3])
-        moment = np.linalg.solve(axes[3:], by_base[3:])
-        place = data.body("pelvis").xpos
-        rows = {}
-        for foot in FEET:
-            moved, turned = np.zeros((2, 3, model.nv))
-            mujoco.mj_jac(model, data, moved, turned, np.zeros(3), model.body(foot).id)
-            rows[foot] = np.vstack([turned, moved])[:, dofs].T
-        return np.append(moment + np.cross(place, force), force), effort, rows
-
-    def pose(self, foot):
-        body = self.data.body(foot)
-        return np.append(body.xpos, body.xmat)
-
-
 def whole_motion(stance, motion):
     """Positions, velocities and accelerations of all joints, base included, and their names."""
     robot = stance.robot
@@ -121,24 +78,25 @@ def whole_motion(stance, motion):
 
 
 @pytest.mark.parametrize("feet", [("l_foot",), FEET], ids=["one foot", "two feet"])
-class TestAgainstMuJoCo:
+class TestAgainstPinocchio:
     def test_feet_stay_and_carry_the_robot(self, feet):
-        """And what the motors give with the ground's forces is what MuJoCo's motion needs."""
-        result, stance, engine = designed(*feet), standing(*feet), MuJoCo()
+        """And what the motors give with the ground's forces is what the motion needs."""
+        result, stance = designed(*feet), standing(*feet)
         times = np.linspace(0.0, result.executed.length, 60)
         motion = result.executed.motion(times)
         efforts = result.executed.efforts(stance.model, times)
         joints, *samples = whole_motion(stance, motion)
+        engine = FreeRobot(BIPED.read_text(), joints[6:])
         motors = [joints.index(name) for name in stance.motors]
         weight = 9.81 * stance.model.phi[:, 0].sum()
         corners, middle = stance.corners, stance.corners.mean(axis=0)
         poses, wrenches = [], []
         for tau, q, v, vd in zip(efforts, *samples, strict=True):
-            wrench, needed, rows = engine.at(joints, q, v, vd)
-            poses.append(np.concatenate([engine.pose(foot) for foot in feet]))
-            wrenches.append(wrench)
+            needed = engine.efforts(q, v, vd)
+            poses.append(np.concatenate([x.ravel() for foot in feet for x in engine.pose(foot)]))
+            wrenches.append(engine.wrench())
             needed[motors] -= tau
-            J = np.hstack([rows[foot] for foot in feet])
+            J = np.vstack([engine.jacobian(foot) for foot in feet]).T
             left = needed - J @ np.linalg.lstsq(J, needed, rcond=None)[0]
             assert np.abs(left).max() < 1e-8 * weight
         assert np.ptp(poses, axis=0).max() < 1e-9
@@ -339,25 +297,14 @@ class RollingDog:
         motion = Motion(q, size * pace * np.cos(angle), -size * pace**2 * np.sin(angle))
         return motion, whole_motion(stance, motion), stance.efforts(motion)
 
-    def compiled(self, *, stands):
-        """Return MuJoCo's model, which stands on the ground, or has six joints at its trunk."""
-        head = '<robot name="quadruped">'
-        flags = '<mujoco><compiler fusestatic="false"/></mujoco>'
-        text = self.robot.path.read_text().replace(head, head + flags)
-        spec = mujoco.MjSpec.from_string(text)
-        trunk, kinds = spec.body("trunk"), mujoco.mjtJoint
-        if stands:
-            trunk.add_freejoint()
-            spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
-            spec.option.timestep = 1.0 / (4 * self.rate)
-            for geom in spec.geoms:
-                geom.solref, geom.solimp = [4e-3, 1.0], [0.99, 0.999, 1e-3, 0.5, 2.0]
-        else:
-            ways = [kinds.mjJNT_SLIDE] * 3 + [kinds.mjJNT_HINGE] * 3
-            axes = (*np.eye(3), *np.eye(3)[::-1])
-            for name, kind, axis in zip(self.robot.base_joints, ways, axes, strict=True):
-                trunk.add_joint(name=name, type=kind, axis=axis)
-            spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    def compiled(self):
+        """Return MuJoCo's model, which stands on the ground."""
+        spec = mujoco.MjSpec.from_file(str(self.robot.path))
+        spec.body("trunk").add_freejoint()
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
+        spec.option.timestep = 1.0 / (4 * self.rate)
+        for geom in spec.geoms:
+            geom.solref, geom.solimp = [4e-3, 1.0], [0.99, 0.999, 1e-3, 0.5, 2.0]
         return spec.compile()
 
     def lacking(self, stance):
@@ -365,22 +312,14 @@ class RollingDog:
 
         The latter is relative to the weight.
         """
-        model = self.compiled(stands=False)
-        data, weight = mujoco.MjData(model), 9.81 * self.robot.total_phi[:, 0].sum()
+        weight = 9.81 * self.robot.total_phi[:, 0].sum()
         _, (joints, *samples), efforts = self.motion(stance)
-        dofs = [model.joint(name).dofadr[0] for name in joints]
+        engine = FreeRobot(self.robot.path.read_text(), joints[6:])
         motors, slip, left = [joints.index(name) for name in stance.motors], 0.0, 0.0
         for q, v, vd, tau in list(zip(*samples, efforts, strict=True))[::10]:
-            data.qpos[dofs], data.qvel[dofs], data.qacc[dofs] = q, v, vd
-            mujoco.mj_inverse(model, data)
-            rows = []
-            for foot in DOG_FEET:
-                body = model.body(foot)
-                lowest = data.geom_xpos[body.geomadr[0]] - [0.0, 0.0, self.radius]
-                moved = np.zeros((3, model.nv))
-                mujoco.mj_jac(model, data, moved, None, lowest, body.id)
-                rows.append(moved[:, dofs])
-            J, needed = np.vstack(rows), data.qfrc_inverse[dofs].copy()
+            needed = engine.efforts(q, v, vd)
+            lowest = [engine.pose(foot)[0] @ BALL - [0.0, 0.0, self.radius] for foot in DOG_FEET]
+            J = np.vstack(list(map(engine.jacobian_at, DOG_FEET, lowest)))
             needed[motors] -= tau
             needed -= J.T @ np.linalg.lstsq(J.T, needed, rcond=None)[0]
             slip, left = max(slip, np.abs(J @ v).max()), max(left, np.abs(needed).max())
@@ -388,7 +327,7 @@ class RollingDog:
 
     def height_error(self, stance):
         """Return how far MuJoCo's trunk is from the motion in height, the rms, m."""
-        model = self.compiled(stands=True)
+        model = self.compiled()
         data, (motion, (joints, q, v, _), efforts) = mujoco.MjData(model), self.motion(stance)
         pose = np.array([*stance.base_columns(motion).values()]).T
         own, order = [model.joint(name) for name in JOINTS], [joints.index(n) for n in JOINTS]
@@ -412,7 +351,7 @@ def test_feet_that_are_balls_roll(tmp_path):
     rolling = dog.stance()
     assert [foot.radius for foot in rolling.feet] == [0.04] * 4
     turn = np.array([[np.cos(0.6), 0.0, np.sin(0.6)], [0, 1, 0], [-np.sin(0.6), 0.0, np.cos(0.6)]])
-    lowest = np.array([0.01, 0.0, -0.01]) - 0.04 * turn[:, 2]  # calves lean by 0.6 − 1.2 rad
+    lowest = np.array(BALL) - 0.04 * turn[:, 2]  # calves lean by 0.6 − 1.2 rad
     turning = dog.stance([Foot(foot, lowest[None]) for foot in DOG_FEET])
     (slip, left), (most_slip, most_left) = dog.lacking(rolling), dog.lacking(turning)
     assert slip < 0.3 * most_slip and left < min(0.1 * most_left, 1e-3)

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pandas
-import pinocchio as pin
 import pytest
 from foreign_logs import EPOCH, joint_states, nanoseconds, ros2_header, ros2_store, write_rosbag2
+from free_robots import FreeRobot
 from quadruped import FEET, JOINTS, LEGS, joint_text, link_text, quadruped
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
@@ -49,37 +49,6 @@ def waves(time: np.ndarray, sizes: np.ndarray, rng: np.random.Generator) -> np.n
     return found
 
 
-class PinocchioDog:
-    """Dynamics of the quadruped by Pinocchio, its base by the same six joints as geodrake's."""
-
-    def __init__(self, text) -> None:
-        base = pin.JointModelComposite()
-        for kind in ("PX", "PY", "PZ", "RZ", "RY", "RX"):
-            base.addJoint(getattr(pin, f"JointModel{kind}")())
-        self.model = pin.buildModelFromXML(text, base)
-        self.data = self.model.createData()
-        angles = [self.model.joints[self.model.getJointId(name)] for name in JOINTS]
-        self.at = [(joint.idx_q, joint.idx_v) for joint in angles]
-        self.order = [*range(6), *(way for _, way in self.at)]
-
-    def efforts(self, q, v, a):
-        """Return what the motion needs; endless joints have cosine and sine."""
-        full = pin.neutral(self.model)
-        speed, rate = np.zeros((2, 18))
-        full[:6], speed[self.order], rate[self.order] = q[:6], v, a
-        for (place, _), angle in zip(self.at, q[6:], strict=True):
-            full[place : place + 2] = np.cos(angle), np.sin(angle)
-        needed = pin.rnea(self.model, self.data, full, speed, rate)[self.order]
-        pin.computeJointJacobians(self.model, self.data, full)
-        pin.updateFramePlacements(self.model, self.data)
-        return needed
-
-    def jacobian(self, foot):
-        """Return the Jacobian (6, 18) of a foot's place and turning, in the last state."""
-        world, frame = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED, self.model.getFrameId(foot)
-        return pin.getFrameJacobian(self.model, self.data, frame, world)[:, self.order]
-
-
 class Maker:
     """Motion, efforts and forces at the feet of a quadruped that may carry something."""
 
@@ -98,9 +67,9 @@ class Maker:
         self.angles = waves(self.time, np.array([0.12, 0.15, 0.12]), rng)  # yaw, pitch, roll
         self.joints = waves(self.time, np.full(12, 0.3), rng)
         self.joints[0] += np.tile([0.0, 0.6, -1.2], 4)
-        self._solve(PinocchioDog(text))
+        self._solve(FreeRobot(text, JOINTS))
 
-    def _solve(self, dog: PinocchioDog) -> None:
+    def _solve(self, dog: FreeRobot) -> None:
         h, (angles, rates, accelerations) = 1e-5, self.angles
         self.R = Rotation.from_euler("ZYX", angles)
         ways = (angles + s * h * rates + 0.5 * h * h * accelerations for s in (-1, 1))
@@ -118,8 +87,7 @@ class Maker:
             self.effort[k] = (needed - J.T @ w)[6:]
             self.world_forces[k] = w.reshape(4, 3)
             for at, foot in enumerate(FEET):
-                R = dog.data.oMf[dog.model.getFrameId(foot)].rotation
-                self.forces[k, at] = R.T @ self.world_forces[k, at]
+                self.forces[k, at] = dog.pose(foot)[0].T @ self.world_forces[k, at]
 
     def log(self, *, wrenches: bool, noise: float = 0.0, seed: int = 1, **changes) -> JointLog:
         rng, columns = np.random.default_rng(seed), {}
@@ -265,18 +233,15 @@ def test_contacts_of_balls_are_below_their_centers(tmp_path):
     """As a foot rolls, the point that touches moves over it: Pinocchio's Jacobians at it."""
     path = tmp_path / "dog.urdf"
     path.write_text(quadruped(ball=0.04), encoding="utf-8")
-    model, dog = load_description(path, floating=True), PinocchioDog(path.read_text())
+    model, dog = load_description(path, floating=True), FreeRobot(path.read_text(), JOINTS)
     q = np.random.default_rng(4).uniform(-0.7, 0.7, (8, 18))
     bodies = RobotBodies(model.tree, model.positions(q), model.total_phi)
     found = contact_jacobians(contact_frames(model, FEET), bodies)
     for at, J in zip(q, found, strict=True):
         dog.efforts(at, 0.0 * at, 0.0 * at)
         for foot, own in zip(FEET, J, strict=True):
-            moved, turned = np.split(dog.jacobian(foot), 2)
-            R = dog.data.oMf[dog.model.getFrameId(foot)].rotation
-            x, y, z = R @ BALL[0] - [0.0, 0.0, BALL[1]]
-            across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-            np.testing.assert_allclose(own, moved - across @ turned, atol=1e-12)
+            lowest = dog.pose(foot)[0] @ BALL[0] - [0.0, 0.0, BALL[1]]
+            np.testing.assert_allclose(own, dog.jacobian_at(foot, lowest), atol=1e-12)
 
 
 @pytest.mark.parametrize("unmeasured", [(), ("fl_pitch", "hr_knee")], ids=["all", "some"])
@@ -287,7 +252,7 @@ def test_rows_without_contact_forces_are_pinocchios(model, feet, axes, unmeasure
     What motors do of which nobody measured it is not in them.
     """
     assert model.joints == (*model.base_joints, *JOINTS)
-    dog, rng = PinocchioDog(model.path.read_text()), np.random.default_rng(3)
+    dog, rng = FreeRobot(model.path.read_text(), JOINTS), np.random.default_rng(3)
     q, v, a = rng.uniform(-0.7, 0.7, (3, 20, 18))
     bodies = RobotBodies(model.tree, model.positions(q), model.total_phi)
     frames = contact_frames(model, feet)

@@ -1,0 +1,50 @@
+"""Robots with a free base by Pinocchio, which has the same six joints there as geodrake's."""
+
+import numpy as np
+import pinocchio as pin
+
+
+class FreeRobot:
+    """Dynamics of a URDF, (n,) numbers of its base's joints and of others by names."""
+
+    def __init__(self, text, joints):
+        base = pin.JointModelComposite()
+        for kind in ("PX", "PY", "PZ", "RZ", "RY", "RX"):
+            base.addJoint(getattr(pin, f"JointModel{kind}")())
+        self.model = pin.buildModelFromXML(text, base)
+        self.data = self.model.createData()
+        self.own = [self.model.joints[self.model.getJointId(name)] for name in joints]
+        self.order = [*range(6), *(joint.idx_v for joint in self.own)]
+
+    def efforts(self, q, v, a):
+        """Return what the motion needs; endless joints have cosine and sine."""
+        full = pin.neutral(self.model)
+        speed, rate = np.zeros((2, self.model.nv))
+        full[:6], speed[self.order], rate[self.order] = q[:6], v, a
+        for joint, angle in zip(self.own, q[6:], strict=True):
+            turned = [np.cos(angle), np.sin(angle)] if joint.nq == 2 else angle
+            full[joint.idx_q : joint.idx_q + joint.nq] = turned
+        needed = pin.rnea(self.model, self.data, full, speed, rate)[self.order]
+        pin.computeJointJacobians(self.model, self.data, full)
+        pin.updateFramePlacements(self.model, self.data)
+        return needed
+
+    def jacobian(self, frame):
+        """Return the Jacobian (6, n) of a frame's place and turning, in the last state."""
+        world, number = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED, self.model.getFrameId(frame)
+        return pin.getFrameJacobian(self.model, self.data, number, world)[:, self.order]
+
+    def jacobian_at(self, frame, offset):
+        """Return the Jacobian (3, n) of a point that is so far from a frame, along the world."""
+        moved, turned = np.split(self.jacobian(frame), 2)
+        return moved - pin.skew(np.asarray(offset)) @ turned
+
+    def pose(self, frame):
+        """Return the rotation and the place of a frame in the last state."""
+        pose = self.data.oMf[self.model.getFrameId(frame)]
+        return pose.rotation, pose.translation
+
+    def wrench(self):
+        """Return moment and force (6,) about the origin that the last motion needs of outside."""
+        needed = self.data.oMi[1].act(self.data.f[1])
+        return np.append(needed.angular, needed.linear)
