@@ -38,7 +38,6 @@ MARGIN = 1.15
 
 ARM, PENDULUM = "arm6", "double_pendulum"
 SHOULDER, ELBOW = "shoulder", "elbow"
-BOTH = (SHOULDER, ELBOW)
 JOINTS = ("base_yaw", "shoulder_pitch", "elbow_pitch", "wrist_roll", "wrist_pitch", "wrist_spin")
 SHORT = {"duration": 16.0, "rate": 125.0, "share": 0.01}
 WARMTH = 8.0  # °C
@@ -167,7 +166,7 @@ class Planted:
     """A robot that hides an effort, and what is to be found in its log.
 
     Attributes:
-        found: Effect -> its places, and values of its parameters at the first of them.
+        found: Effects, as "effect@place+place parameter=value, effect@place".
         log: Options of `effort_log`.
         near: How near values are, as a share.
         temperature: Readings (N, n) as a function of time (N,).
@@ -177,7 +176,7 @@ class Planted:
 
     robot: str
     hidden: Callable
-    found: Mapping[str, tuple[tuple[str, ...], Mapping[str, float]]]
+    found: str
     log: Mapping = dataclasses.field(default_factory=dict)
     seed: int = 1
     near: float = 0.05
@@ -185,96 +184,88 @@ class Planted:
     known: str = ""
     uncertainty: float = USUAL_GAIN_DEVIATION
 
+    def wanted(self):
+        """Effect, places and values of each that is to be found."""
+        for effect, *values in map(str.split, self.found.split(", ")):
+            name, _, places = effect.partition("@")
+            pairs = (value.split("=") for value in values)
+            yield name, {*filter(None, places.split("+"))}, {k: float(x) for k, x in pairs}
 
-DRY, WET, POWER = "coulomb_friction", "viscous_friction", "nonlinear_viscous_friction"
+
+DRY, WET = "coulomb_friction", "viscous_friction"
+ALL, PROXIMAL = "+".join(JOINTS), "+".join(JOINTS[:5])
+RUBBING = f"{DRY}@shoulder+elbow coulomb={{}}, {WET}@shoulder+elbow viscous={{}}"
 FRICTION = "friction of all joints"
 ROWS = {
     "dry, viscous and quadratic friction": Planted(
         PENDULUM,
         at(0, lambda j: 0.15 * j.v * np.abs(j.v) + 0.3 * np.tanh(j.v / 3e-3) + 0.2 * j.v),
-        {
-            POWER: ((SHOULDER,), {"exponent": 2.0, "viscous": 0.15}),
-            DRY: ((SHOULDER,), {"coulomb": 0.3}),
-            WET: ((SHOULDER,), {"viscous": 0.2}),
-        },
+        "nonlinear_viscous_friction@shoulder exponent=2 viscous=0.15, "
+        f"{DRY}@shoulder coulomb=0.3, {WET}@shoulder viscous=0.2",
         {"duration": 40.0, "share": 0.01},
     ),
     "a rotor that couples joints": Planted(
         PENDULUM,
         lambda seen: 0.05 * seen.a[:, ::-1],
-        {"coupled_rotor_inertia": (BOTH, {"inertia": 0.05})},
+        "coupled_rotor_inertia@shoulder+elbow inertia=0.05",
     ),
     "ripple of an eighteenth of the friction": Planted(
         PENDULUM,
         at(1, lambda j: 0.05 * np.sin(40.0 * j.q - 0.4) + 0.9 * np.tanh(j.v / 0.01)),
-        {DRY: ((ELBOW,), {"coulomb": 0.9}), "torque_ripple": ((ELBOW,), {"order": 40.0})},
+        f"{DRY}@elbow coulomb=0.9, torque_ripple@elbow order=40",
         {"duration": 40.0},
         seed=3,
     ),
     "a slope, which shows moments of the first body": Planted(
-        ARM,
-        leaning(0.03, -0.05),
-        {"gravity_tilt": ((), {"tilt_x": 0.03, "tilt_y": -0.05})},
-        {"off": 0.2},
+        ARM, leaning(0.03, -0.05), "gravity_tilt tilt_x=0.03 tilt_y=-0.05", {"off": 0.2}
     ),
     "drag": Planted(
         PENDULUM,
         dragged(2, (0.0, 0.0, -0.3), 3.0),
-        {"aerodynamic_drag": (("lower_link",), {"drag": 3.0})},
+        "aerodynamic_drag@lower_link drag=3",
         {"off": 0.2, "duration": 16.0, "rate": 100.0},
     ),
     "drives that compensate too much": Planted(
         PENDULUM,
         driven,
-        {"friction_overcompensation": (BOTH, {"excess": 0.25}), WET: (BOTH, {"viscous": 0.4})},
+        f"friction_overcompensation@shoulder+elbow excess=0.25, {WET}@shoulder+elbow viscous=0.4",
         SHORT,
     ),
     "an offset of what is warm, beside a sensor that fails": Planted(
         PENDULUM,
         offset_of_warmth,
-        {DRY: (BOTH, {}), WET: (BOTH, {}), "thermal_offset": ((ELBOW,), {"slope": 0.06})},
+        f"{DRY}@shoulder+elbow, {WET}@shoulder+elbow, thermal_offset@elbow slope=0.06",
         SHORT,
         temperature=lambda t: np.stack([np.full_like(t, 255.0), warming(t)], -1),
     ),
     "friction of what is warm": Planted(
         PENDULUM,
         at(1, friction_of_warmth),
-        {
-            DRY: ((ELBOW,), {}),
-            WET: ((ELBOW,), {}),
-            "thermal_friction": ((ELBOW,), {"coulomb_slope": -0.012}),
-        },
+        f"{DRY}@elbow, {WET}@elbow, thermal_friction@elbow coulomb_slope=-0.012",
         {"off": 0.2},
         near=0.15,
         temperature=lambda t: np.tile(np.round(warm_and_cold(t))[:, None], (1, 2)),
     ),
-    "a lighter forearm": Planted(ARM, lighter(3, 0.7), {"wrong_inertia": (("forearm",), {})}),
+    "a lighter forearm": Planted(ARM, lighter(3, 0.7), "wrong_inertia@forearm"),
     "bristles that bend before they slip": Planted(
         PENDULUM,
         at(1, lambda j: 0.2 * bristles(j.time, j.v, 0.05)),
-        {"hysteresis": ((ELBOW,), {"coulomb": 0.2, "breakaway_angle": 0.05})},
+        "hysteresis@elbow coulomb=0.2 breakaway_angle=0.05",
         {"off": 0.2},
         near=0.03,
     ),
     "a tool beside friction and rotors": Planted(
         ARM,
         tooled,
-        {
-            "payload": (("flange",), {"mass": TOOL.mass}),
-            DRY: (JOINTS, {}),
-            WET: (JOINTS[:5], {}),
-            "rotor_inertia": (JOINTS[:5], {}),
-        },
+        f"payload@flange mass={TOOL.mass}, {DRY}@{ALL}, {WET}@{PROXIMAL}, rotor_inertia@{PROXIMAL}",
         {"duration": 16.0, "rate": 100.0, "share": 0.01},
         near=0.15,
     ),
-    FRICTION: Planted(
-        PENDULUM, rubbing, {DRY: (BOTH, {"coulomb": 0.6}), WET: (BOTH, {"viscous": 0.4})}
-    ),
+    FRICTION: Planted(PENDULUM, rubbing, RUBBING.format(0.6, 0.4)),
     "losses of a gear": Planted(
         PENDULUM,
         geared(0.25, 0.1),
-        {"gear_efficiency": ((SHOULDER,), {"driving_loss": 0.25, "braking_loss": 0.1})},
+        "gear_efficiency@shoulder driving_loss=0.25 braking_loss=0.1",
         seed=7,
         near=0.1,
         known=FRICTION,
@@ -283,39 +274,31 @@ ROWS = {
     "losses as large in driving as in braking": Planted(
         PENDULUM,
         geared(0.15, 0.15),
-        {"load_dependent_friction": ((SHOULDER,), {"load_factor": 0.15})},
+        "load_dependent_friction@shoulder load_factor=0.15",
         seed=7,
         near=0.1,
         known=FRICTION,
         uncertainty=0.0,
     ),
     "a rotor at the first joint, whose link could be another": Planted(
-        PENDULUM,
-        at(0, lambda j: 0.04 * j.a),
-        {"rotor_inertia": ((SHOULDER,), {"inertia": 0.04})},
-        SHORT,
+        PENDULUM, at(0, lambda j: 0.04 * j.a), "rotor_inertia@shoulder inertia=0.04", SHORT
     ),
     "another friction in each direction": Planted(
         PENDULUM,
         at(1, lambda j: 0.3 * sign(j.v) + (0.25 + 0.15 * sign(j.v)) * j.v),
-        {
-            "asymmetric_friction": (
-                (ELBOW,),
-                {"coulomb_positive": 0.3, "viscous_positive": 0.4, "viscous_negative": 0.1},
-            )
-        },
+        "asymmetric_friction@elbow coulomb_positive=0.3 viscous_positive=0.4 viscous_negative=0.1",
         SHORT,
     ),
     "a counterweight": Planted(
         PENDULUM,
         at(1, lambda j: 1.5 * np.sin(j.q - 0.8)),
-        {"gravity_compensator": ((ELBOW,), {})},
+        "gravity_compensator@elbow",
         {**SHORT, "reach": 0.9},
     ),
     "a gain": Planted(
         PENDULUM,
         amplified,
-        {"effort_scale": ((SHOULDER,), {"gain_error": 0.08})},
+        "effort_scale@shoulder gain_error=0.08",
         seed=7,
         known=FRICTION,
         uncertainty=0.02,
@@ -349,11 +332,10 @@ def explained(name):
 def test_found_named_placed_and_sized(name):
     row, (recording, found) = ROWS[name], explained(name)
     steps = {step.effect: step for step in found.steps}
-    wanted = {effect: set(places) for effect, (places, _) in row.found.items()}
+    wanted = {effect: places for effect, places, _ in row.wanted()}
     assert {effect: set(step.where) for effect, step in steps.items()} == wanted
-    for effect, (places, values) in row.found.items():
-        told = steps[effect].parameters
-        told = told[places[0]] if {*places} & {*told} else next(iter(told.values()))
+    for effect, _, values in row.wanted():
+        told = next(iter(steps[effect].parameters.values()))
         assert {key: told[key] for key in values} == pytest.approx(values, rel=row.near, abs=2e-3)
     assert_only_noise_is_left(model_file(row.robot), recording, found)
     assert found.verdict == "explained"
