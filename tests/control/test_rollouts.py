@@ -6,7 +6,6 @@ import sys
 from dataclasses import replace
 from importlib.resources import as_file, files
 
-import mujoco
 import numpy as np
 import pytest
 from geodrake.report.motion_errors import motion_values
@@ -15,6 +14,8 @@ from scipy.integrate import solve_ivp
 from two_masses import INERTIA, WEIGHT
 from typer.testing import CliRunner
 
+from diagrams.benchmarks.servo_gains import STEP, Servos, simulated
+from diagrams.harness import sines
 from geodrake import effects, load_model, save_model
 from geodrake.cli.app import app
 from geodrake.control import EffectForce, roll_out
@@ -272,47 +273,29 @@ LINK_INERTIA = """<inertial><origin xyz="0 0 0.2"/><mass value="1.5"/>
   <inertia ixx="0.02" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>"""
 URDF = """<robot name="arm"><link name="base"/>
   <link name="one">INERTIAL</link><link name="two">INERTIAL</link>
-  <joint name="a" type="continuous"><parent link="base"/><child link="one"/><axis xyz="0 1 0"/>
-    {}</joint>
-  <joint name="b" type="continuous"><parent link="one"/><child link="two"/><axis xyz="0 1 0"/>
-    <origin xyz="0 0 0.4"/>{}</joint>
+  <joint name="a" type="revolute"><parent link="base"/><child link="one"/><axis xyz="0 1 0"/>
+    LIMIT</joint>
+  <joint name="b" type="revolute"><parent link="one"/><child link="two"/><axis xyz="0 1 0"/>
+    <origin xyz="0 0 0.4"/>LIMIT</joint>
 </robot>""".replace("INERTIAL", LINK_INERTIA)
+URDF = URDF.replace("LIMIT", '<limit lower="-9" upper="9" effort="999" velocity="99"/>')
 KP, KD, LIMIT, VISCOUS, ARMATURE = (
-    np.array(values)
-    for values in ([90.0, 40.0], [5.0, 2.0], [14.0, np.inf], [0.6, 0.3], [0.05, 0.03])
+    np.array(values) for values in ([90.0, 40.0], [5.0, 2.0], [14.0, 1e6], [0.6, 0.3], [0.05, 0.03])
 )
-DAMPING = [f'<dynamics damping="{value}"/>' for value in VISCOUS]
-DELAY, STEP, EVERY = 0.03, 5e-4, 10
+DELAY, EVERY = 0.03, 5  # s, and steps from row to row
 
 
-def simulated(seconds=8.0, seed=1):
-    """A log of commands, true efforts beside it, by MuJoCo; servos are computed here by hand."""
-    compiled = mujoco.MjModel.from_xml_string(URDF.format(*DAMPING))
-    compiled.opt.timestep = STEP
-    compiled.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    compiled.dof_armature[:] = ARMATURE
-    data, rng = mujoco.MjData(compiled), np.random.default_rng(seed)
-    rates, phases = rng.uniform(1.0, 6.0, (2, 3)), rng.uniform(0.0, 2 * np.pi, (2, 3))
-
-    def command(t):
-        angle = rates * t + phases
-        return 0.35 * np.sin(angle).sum(1), 0.35 * (rates * np.cos(angle)).sum(1)
-
-    data.qpos[:] = command(0.0)[0]
-    rows = []
-    for k in range(round(seconds / STEP)):
-        c, rate = command(max(k * STEP - DELAY, 0.0))
-        rate = rate if k * STEP > DELAY else 0.0 * rate
-        effort = np.clip(KP * (c - data.qpos) + KD * (rate - data.qvel), -LIMIT, LIMIT)
-        if k % EVERY == 0:
-            rows.append([data.time, *data.qpos, *data.qvel, *effort, *command(k * STEP)[0]])
-        data.qfrc_applied[:] = effort
-        mujoco.mj_step(compiled, data)
-    time, *columns = np.split(np.array(rows), [1, 3, 5, 7], axis=1)
-    position, velocity, effort, told = columns
-    return JointLog(
-        "arm", ("a", "b"), time[:, 0], position, effort, velocity=velocity, command=told
-    )
+def told_log(seconds=8.0, seed=1):
+    """A log of commands, true efforts beside it, by Pinocchio."""
+    rng = np.random.default_rng(seed)
+    waves = rng.uniform(1.0, 6.0, (2, 3)).T, rng.uniform(0.0, 2 * np.pi, (2, 3)).T
+    time = np.arange(0.0, seconds, STEP)
+    command = sines(time, np.full((3, 2), 0.35), *waves)[0]
+    none = np.zeros(2)
+    servos = Servos(KP, KD, True, DELAY, VISCOUS, none, ARMATURE, LIMIT, none, none)
+    made = simulated("pinocchio", URDF, servos, command)
+    time, command, position, velocity, effort = (x[::EVERY] for x in (time, command, *made))
+    return JointLog("arm", ("a", "b"), time, position, effort, velocity, command=command)
 
 
 def knowing(model, turns=1.0):
@@ -332,8 +315,8 @@ def knowing(model, turns=1.0):
 def arm(tmp_path_factory):
     """A log, and the model that knows its servos and effects."""
     path = tmp_path_factory.mktemp("arm") / "arm.urdf"
-    path.write_text(URDF.format("", ""))
-    return simulated(), knowing(load_model(path))
+    path.write_text(URDF)
+    return told_log(), knowing(load_model(path))
 
 
 def without_efforts(log, *joints):
@@ -408,7 +391,7 @@ def test_reports_say_what_the_model_was_under(arm):
 
 def test_models_on_the_way_have_their_motions(arm):
     """Servos are known, and what the joints have beside them is added bit by bit."""
-    model, log = arm[1], simulated(seconds=2.5)
+    model, log = arm[1], told_log(seconds=2.5)
     logs, viscous = [without_efforts(log, "a", "b")], replace(model, effects=model.effects[::2])
     bare = replace(model, effects=(), effort_signals=())  # servos are those of the last model
     motions = commanded_motions(bare, model, logs, between=[viscous])
