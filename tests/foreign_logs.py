@@ -1,9 +1,11 @@
 """Logs as other libraries write them: each function writes one, and returns its path."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 
+MODELS = Path(__file__).parents[1] / "models"
 EPOCH = 1_760_000_000_000_000_000  # ns, when recordings begin
 
 
@@ -234,18 +236,12 @@ def bare_mcap(folder, log):
     """One MCAP file, by the writer of mcap-ros2-support."""
     from mcap_ros2.writer import Writer
 
-    definition = (
-        "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\n"
-        "float64[] effort\n"
-        + 80 * "="
-        + "\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
-        + 80 * "="
-        + "\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
-    )
+    kind = "sensor_msgs/msg/JointState"
+    definition, _ = ros2_store().generate_msgdef(kind, ros_version=2)
     path = folder / "bare.mcap"
     with path.open("wb") as file:
         writer = Writer(file)
-        schema = writer.register_msgdef("sensor_msgs/msg/JointState", definition)
+        schema = writer.register_msgdef(kind, definition)
         for k, since in enumerate(nanoseconds(log)):
             ns = since + EPOCH
             message = {
@@ -377,20 +373,12 @@ def simulated_iiwa():
     from pydrake.systems.analysis import Simulator
     from pydrake.systems.framework import DiagramBuilder
 
-    links = "".join(
-        f"""<link name="l{k}"><inertial><origin xyz="0.1 0 0"/><mass value="1"/>
-        <inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-        <joint name="j{k}" type="revolute"><origin xyz="0.2 0 0"/><parent link="l{k - 1}"/>
-        <child link="l{k}"/><axis xyz="0 1 0"/><limit effort="999" velocity="9" lower="-3"
-        upper="3"/></joint><transmission name="t{k}"><type>SimpleTransmission</type>
-        <joint name="j{k}"/><actuator name="m{k}"/></transmission>"""
-        for k in range(1, 8)
-    )
-    urdf = f'<robot name="arm"><link name="l0"/>{links}</robot>'
-
     def arm(plant):
-        (instance,) = Parser(plant).AddModelsFromString(urdf, "urdf")
-        plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("l0"))
+        (instance,) = Parser(plant).AddModels(str(MODELS / "arm7.urdf"))
+        plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("link_0"))
+        for index in plant.GetJointIndices(instance):
+            if (joint := plant.get_joint(index)).num_velocities():
+                plant.AddJointActuator(joint.name(), joint)
         plant.Finalize()
         return instance
 
