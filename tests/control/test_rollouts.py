@@ -8,7 +8,6 @@ from importlib.resources import as_file, files
 
 import numpy as np
 import pytest
-from geodrake.report.motion_errors import motion_values
 from pinocchio_logs import MODELS, effort_log
 from scipy.integrate import solve_ivp
 from two_masses import INERTIA, WEIGHT
@@ -39,6 +38,7 @@ from geodrake.identification.logs.case import open_case
 from geodrake.logs import JointLog, read_log, write_log
 from geodrake.model import EffortSignal
 from geodrake.report import About, page_of, render
+from geodrake.report.explaining import motion_values
 from geodrake.report.json_output import record
 from geodrake.report.views import numbers_of
 from geodrake.robot import gears
