@@ -8,7 +8,7 @@ from chain_logs import inverse_dynamics, logged
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
-from geodrake.logs import Motion
+from geodrake.logs import JointLog, Motion
 
 PENDULUM = Path(__file__).parents[1] / "models" / "double_pendulum.urdf"
 JOINTS = ("shoulder", "elbow")
@@ -51,3 +51,11 @@ def sines(seconds=20.0, seed=3, size=0.4, period=0.01):
     angle = rates * time[:, None, None] + phases
     parts = (np.sin(angle), rates * np.cos(angle), -(rates**2) * np.sin(angle))
     return time, Motion(*(np.asarray(size) * np.sum(part, axis=-1) for part in parts))
+
+
+def sine_log(model, path="log", *, coulomb=(0.3, 0.2), noise=0.02, **motion):
+    """A log of a model of the pendulum with dry and viscous friction on the motion of `sines`."""
+    time, moved = sines(**motion)
+    effort = model.effort(moved) + np.sign(moved.v) * coulomb + 0.1 * moved.v
+    effort += noise * np.random.default_rng(100).normal(size=effort.shape)
+    return JointLog("log", model.joints, time, moved.q, effort)

@@ -10,7 +10,7 @@ import processes
 import pytest
 from commands import run, told
 from pendulum_logs import PENDULUM as MODEL
-from pendulum_logs import sines
+from pendulum_logs import sine_log
 from pinocchio_logs import effort_log
 
 from geodrake.diagnosis import Step
@@ -26,12 +26,8 @@ COULOMB = {"shoulder": 0.3, "elbow": 0.2}
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
     """A log of the double pendulum with dry and viscous friction and sensor noise."""
-    model = load_model(MODEL)
-    time, motion = sines(seed=0)
-    effort = model.effort(motion) + np.sign(motion.v) * list(COULOMB.values()) + 0.1 * motion.v
-    effort += 0.02 * np.random.default_rng(100).normal(size=effort.shape)
     path = tmp_path_factory.mktemp("logs") / "log.csv"
-    write_log(JointLog("log", model.joints, time, motion.q, effort), path)
+    write_log(sine_log(load_model(MODEL), seed=0), path)
     return path
 
 

@@ -1,4 +1,4 @@
-"""`geodrake identify`: finds what is there, writes it back, and refuses what cannot end well."""
+"""`geodrake identify` and `identifiable`: find what is there, and refuse what cannot end well."""
 
 import json
 import re
@@ -8,11 +8,17 @@ import numpy as np
 import pytest
 from commands import refused, run, told
 from pendulum_logs import PENDULUM as MODEL
-from pendulum_logs import sines
+from pendulum_logs import sine_log, sines
 
 from geodrake.cli.identify import named_effects
 from geodrake.effects import CoulombFriction, FittedEffect, Payload, RotorInertia
 from geodrake.errors import ArgumentError, IdentificationError, ModelError
+from geodrake.excitation import (
+    identifiable_parameters,
+    log_identifiability,
+    make_target,
+    measurement_factor,
+)
 from geodrake.identification import IdentificationSettings, identify_model
 from geodrake.identification.logs.log_fits import LogFits
 from geodrake.identification.models.identify import with_effects
@@ -20,7 +26,9 @@ from geodrake.inertia import from_mass_com_inertia, is_physical
 from geodrake.logs import JointLog, write_log
 from geodrake.model import load_model, save_model
 from geodrake.report import page_of, render
+from geodrake.report.exciting import identifiability_verdict
 from geodrake.report.numbers import number
+from geodrake.robot.base_parameters import structural_base_parameters
 
 FRICTIONS = "viscous_friction,coulomb_friction"
 HEAVIER = 1.5
@@ -36,11 +44,8 @@ def truth():
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
-    time, moved = sines()
-    effort = truth().effort(moved) + np.sign(moved.v) * [0.3, 0.2] + 0.1 * moved.v
-    effort += 0.02 * np.random.default_rng(1).normal(size=effort.shape)
     path = tmp_path_factory.mktemp("logs") / "log.csv"
-    write_log(JointLog("log", truth().joints, time, moved.q, effort), path)
+    write_log(sine_log(truth()), path)
     return path
 
 
@@ -233,3 +238,62 @@ def test_the_page_says_that_the_model_was_refitted(found):
     verdict = f"nrms on held-out data {ends}"
     assert re.search(rf"<h1[^>]*>\s*{re.escape(verdict)}", page)
     assert "before" in page
+
+
+NOISE = 0.02
+LOG = sine_log(load_model(MODEL), seed=0)
+
+
+def found_in(logs, **settings):
+    model = load_model(MODEL)
+    effects = named_effects(FRICTIONS.split(","), model)
+    return log_identifiability(model, logs, effects=effects, **settings)
+
+
+def test_counts_are_written(tmp_path):
+    write_log(LOG, tmp_path / "log.csv")
+    files = ("--json", tmp_path / "n.json", "--report", tmp_path / "r.html")
+    output = told("identifiable", MODEL, tmp_path / "log.csv", "--effects", FRICTIONS, *files)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["log.csv", "n.json", "r.html"]
+    numbers = json.loads((tmp_path / "n.json").read_text())
+    assert numbers["command"] == "identifiable"
+    assert f"{numbers['told']} of {numbers['possible']} directions are identifiable" in output
+    assert numbers["told"] == sum(d["told"] for d in numbers["directions"])
+    assert numbers["told"] <= numbers["possible"] == len(numbers["combinations"])
+    told_by = sum(b["told"] for b in numbers["bodies"].values())
+    told_by += sum(e["told"] for e in numbers["effects"])
+    assert told_by == pytest.approx(numbers["told"])
+    page = (tmp_path / "r.html").read_text().replace("<wbr>", "")
+    assert "chart-directions" in page and "coulomb_friction" in page
+
+
+def test_counts_are_those_of_the_motion():
+    """The same number of directions as from the exact, unfiltered motion and as much noise.
+
+    The model with its friction explains the log, whatever the filter.
+    """
+    found = found_in([LOG])
+    model = found.model
+    rank = structural_base_parameters(model.plant).rank
+    assert found.possible == rank + 4
+    assert sum(b.possible for b in (*found.bodies, *found.effects)) == pytest.approx(rank + 4)
+    np.testing.assert_allclose(found.noise, found.floor, rtol=0.6)
+    assert found.count_at_floor >= found.count - 1
+    time, motion = sines(seed=0)
+    share = np.sqrt(len(time) / found.samples)  # as much information from more samples
+    target = make_target(model, noise=found.noise * share, sign_width=1e-2)
+    exact = identifiable_parameters(target, measurement_factor(target, motion))
+    assert abs(exact.kept - found.count) <= 1
+    np.testing.assert_allclose(
+        np.sqrt(found.identifiable.variances[:4]), np.sqrt(exact.variances[:4]), rtol=0.3
+    )
+
+
+def test_a_joint_that_hardly_moves_is_not_told():
+    lame_log = sine_log(load_model(MODEL), size=(0.4, 0.01), seed=0)
+    lame, lively = (found_in([each], noise=NOISE) for each in (lame_log, LOG))
+    assert lame.count < lively.count
+    missing = {(e.effect, e.where) for e in lame.effects if not e.is_identifiable}
+    assert ("viscous_friction", ("elbow",)) in missing
+    assert "viscous_friction of elbow" in identifiability_verdict(lame)
+    assert "All parameters of effects are identifiable" in identifiability_verdict(lively)

@@ -1,12 +1,16 @@
-"""Robots as they come, at the command line: a gripper that no log has, held joints, bad options."""
+"""Robots as they come, at the command line: grippers, transmissions, and what was repaired."""
 
+import json
 import re
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from commands import refused, told
+from commands import contents, refused, run, told
+from coupled_arm import WRIST, arm, log_of
 from pendulum_logs import PENDULUM
+from processes import ended, start
 from scipy.integrate import solve_ivp
 
 from geodrake.control import roll_out
@@ -30,7 +34,7 @@ def robot(tmp_path):
     return path
 
 
-def log_of(robot, path, *, finger=0.01, **further):
+def gripper_log(robot, path, *, finger=0.01, **further):
     """A log of the two joints of the arm, made with the gripper at that place."""
     model, time = load_model(robot, lock={"left": finger}), np.arange(0.0, 12.0, 0.01)
     rate, phase = np.array([2.0, 3.1]), np.array([0.0, 1.0])
@@ -46,7 +50,7 @@ def log_of(robot, path, *, finger=0.01, **further):
 
 
 def test_a_log_without_the_gripper_holds_it_and_says_so(robot, tmp_path):
-    log = log_of(robot, tmp_path / "log.csv", finger=0.0)
+    log = gripper_log(robot, tmp_path / "log.csv", finger=0.0)
     shown = told("compare", robot, log, "--json", tmp_path / "out.json")
     assert "Fixed, as no log has their efforts" in shown and "left at 0" in shown
     assert "right follows left" in shown
@@ -55,12 +59,12 @@ def test_a_log_without_the_gripper_holds_it_and_says_so(robot, tmp_path):
 
 def test_a_gripper_whose_position_was_logged_is_held_there(robot, tmp_path):
     columns = {"left.position": 0.03, "right.position": 0.03}
-    log = log_of(robot, tmp_path / "log.csv", finger=0.03, **columns)
+    log = gripper_log(robot, tmp_path / "log.csv", finger=0.03, **columns)
     assert "left at 0.03" in told("compare", robot, log)
 
 
 def test_a_saved_model_goes_on_holding(robot, tmp_path):
-    log = log_of(robot, tmp_path / "log.csv", finger=0.02)
+    log = gripper_log(robot, tmp_path / "log.csv", finger=0.02)
     model = tmp_path / "model.yaml"
     told("add", "effort_offset", robot, log, "--lock", "left=0.02", "--save", model)
     assert load_model(model).held == {"left": 0.02}
@@ -70,7 +74,7 @@ def test_a_saved_model_goes_on_holding(robot, tmp_path):
 
 
 def test_a_known_payload_in_the_hand_is_carried(robot, tmp_path):
-    log = log_of(robot, tmp_path / "log.csv")
+    log = gripper_log(robot, tmp_path / "log.csv")
     shown = told("compare", robot, log, "--lock", "left=0.01", "--known-payload", "log:right:0.5")
     assert "known payload of 0.5 kg at right" in shown
     assert float(re.search(r"nrms of all joints ([\d.]+)", shown)[1]) > 0.1
@@ -96,7 +100,7 @@ def test_a_xacro_file_that_asks_for_more_than_values_needs_to_be_trusted(robot, 
     prop = '<xacro:property name="x" value="${(lambda: (1).__class__(1))()}"/>'
     prop += '<gazebo v="${x}"/></robot>'
     path.write_text(text.replace("</robot>", prop))
-    log = log_of(robot, tmp_path / "log.csv")
+    log = gripper_log(robot, tmp_path / "log.csv")
     assert "--trust-xacro" in refused("compare", path, log)
     told("compare", path, log, "--save", saved, "--trust-xacro")
     assert "--trust-xacro" in refused("compare", saved, log)
@@ -138,3 +142,234 @@ def test_a_rollout_moves_the_fingers_together(robot):
         for effects in ((), (bristles,))
     )
     assert whole.broken == 0 and whole.relative < 0.05 and bare.relative > 10 * whole.relative
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """The arm with its wrist beside it, and a log of its motors, one of which rubs."""
+    folder = tmp_path_factory.mktemp("arm")
+    model = arm(folder)
+    log = log_of(model, 0, lambda v: np.tanh(v / 1e-3) * [0.0, 0.8, 0.0], seconds=8.0)
+    write_log(log, folder / "log.csv")
+    return folder
+
+
+def test_a_file_beside_the_model_is_taken_and_said_unless_another_or_none_is_given(files, tmp_path):
+    robot, log, out = files / "arm.urdf", files / "log.csv", tmp_path / "out.json"
+    shown = told("compare", robot, log, "--json", out)
+    assert "m2, m3 for pitch, roll" in shown and "arm.transmission.yaml beside" in shown
+    errors = json.loads(out.read_text())["joints"]
+    assert list(errors) == ["m1", "m2", "m3"]
+    assert errors["m1"]["nrms"] < 0.1 < errors["m2"]["nrms"]
+    other = tmp_path / "turned.yaml"
+    other.write_text(WRIST.replace("ratio: -8", "ratio: 8"))
+    told("compare", robot, log, "--transmission", other, "--json", out)
+    assert json.loads(out.read_text())["joints"]["m1"]["nrms"] > 0.5
+    shown = told("compare", robot, log, "--transmission", "none", "--bandwidth", 10)
+    assert "actuators" not in shown and "shoulder" in shown
+    saved = tmp_path / "model.yaml"
+    told("add", "coulomb_friction", robot, log, "--where", "m2", "--save", saved)
+    told("compare", saved, log, "--json", out)
+    assert json.loads(out.read_text())["error"]["nrms"] < 0.1
+
+
+@pytest.mark.parametrize(
+    ("wrong", "problem"),
+    [
+        ("gear: []", "it has the unknown field 'gear' (was gears meant?)"),
+        ("gears: [{actuator: m, joint: shoulder, ratoi: 3}]", "the unknown field 'ratoi'"),
+        ("gears: [{actuator: m, joint: shoulder, ratio: x}]", "ratio = x"),
+        ("gears: [{actuator: m, joint: knee}]", "joint 'knee', which is not an independent"),
+        ("gears: [{joint: shoulder}]", "gears[0] lacks its actuator"),
+        ("gears: [{actuator: '', joint: shoulder}]", "gears[0] has no actuator"),
+        ("coupled: [{joints: {roll: {a: [1]}}}]", "coupled[0].joints.roll.a = [1]"),
+        ("coupled: [{joints: {roll: {5: 1}}}]", "coupled[0].joints.roll has 5 as a name"),
+        ("gears: {actuator: m, joint: roll}", "expected a list but got a table of fields"),
+        ("polynomials: [{actuator: m, joint: roll, map_of: 1}]", "the unknown field 'map_of'"),
+        (
+            "gears: [{actuator: m, joint: roll}, {actuator: n, joint: roll}]",
+            "joint 'roll' in two of its parts",
+        ),
+        ("coupled: [{joints: {roll: {a: 1, b: 1}, pitch: {a: 2, b: 2}}}]", "its rank is 1"),
+        ("coupled: [{joints: {roll: {a: 1}, roll: {b: 1}}}]", "it has 'roll' twice"),
+        ("gears: [{actuator: pitch, joint: roll}]", "an actuator 'pitch', but the robot also has"),
+        (
+            "tables: [{actuator: m, joint: roll, actuator_positions: [0], joint_positions: [0]}]",
+            "needs at least 3 increasing actuator positions",
+        ),
+        ("four_bars: [{actuator: m, joint: roll, ground: 1, crank: 3, coupler: 1, rocker: 0.5}]",
+         "do not reach each other at q = 0"),
+        ("gears: [", "while parsing"),
+        ("", "is empty"),
+    ],
+)  # fmt: skip
+def test_wrong_transmissions_are_one_line(wrong, problem, files, tmp_path):
+    (tmp_path / "wrong.yaml").write_text(wrong)
+    given = ("coulomb_friction", files / "arm.urdf", files / "log.csv", "--save", "saved.yaml")
+    assert problem in refused("add", *given, "--transmission", "wrong.yaml")
+    assert [path.name for path in tmp_path.iterdir()] == ["wrong.yaml"]
+
+
+def test_a_transmission_file_is_never_replaced_and_a_model_without_motors_has_none(files):
+    given = ("compare", files / "arm.urdf", files / "log.csv", "--transmission")
+    before, beside = contents(files), files / "arm.transmission.yaml"
+    assert beside.name in refused(*given, beside, "--json", beside)
+    assert contents(files) == before
+    assert "has no transmissions of motors" in refused(*given, "file")
+
+
+URDF = """<robot name="two">
+  <link name="base"/>
+  <link name="upper"><inertial><origin xyz="0 0 0.2"/>{mass}
+    <inertia ixx="0.03" iyy="0.03" izz="0.004" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="fore"><inertial><origin xyz="0 0 0.1"/><mass value="1.2"/>
+    <inertia ixx="0.012" iyy="0.012" izz="0.002" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/>
+    <axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="60" velocity="4"/></joint>
+  <joint name="elbow" type="revolute"><parent link="upper"/><child link="fore"/>
+    <origin xyz="0 0 0.4"/><axis xyz="0 1 0"/>
+    <limit lower="-2" upper="2" effort="30" velocity="4"/></joint>
+</robot>
+"""
+PRINTS = """
+import atexit, ctypes, os, sys, threading, time
+from dataclasses import dataclass
+from geodrake.effects import JointEffect, Parameter
+print("printed")
+os.write(1, b"written\\n")
+ctypes.CDLL(None).printf(b"in C\\n")
+atexit.register(lambda: sys.__stdout__.write("at the end\\n"))
+atexit.register(os.system, "echo by a child at the end")
+def loop():
+    while True:
+        os.write(1, b"in a thread\\n")
+        time.sleep(0.001)
+threading.Thread(target=loop, daemon=True).start()
+@dataclass(frozen=True)
+class Hose(JointEffect):
+    name = "hose"
+    parameters = (Parameter("a", "N·m"),)
+    def columns(self, joint):
+        return [joint.q]
+"""
+
+
+def model_of(folder, mass):
+    path = folder / "two.urdf"
+    path.write_text(URDF.format(mass=mass), encoding="utf-8")
+    return path
+
+
+def checked(path):
+    """How `geodrake check` ends, and its numbers."""
+    numbers = path.with_suffix(".json")
+    done = run("check", path, "--samples", 2, "--json", numbers)
+    return done, json.loads(numbers.read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize(
+    ("mass", "problem"),
+    [
+        ('<mass value="nan"/>', "upper has a mass or inertia that is not a number"),
+        ('<mass value="abc"/>', "upper has a mass or inertia that is not a number"),
+        ('<mass value="-2"/>', "upper has a mass of -2 kg"),
+        ("", "upper has a mass of 0 kg"),
+    ],
+)
+def test_a_mass_that_was_replaced_is_no_agreement(tmp_path, mass, problem):
+    done, numbers = checked(model_of(tmp_path, mass))
+    assert done.exit_code == 1
+    assert done.output.startswith(f"Warning: two.urdf was repaired. {problem}")
+    assert "agree" not in done.output.rpartition("Verdict")[2]
+    assert not numbers["agrees"] and numbers["repaired"]
+    assert numbers["notes"][0].startswith(problem)
+
+
+@pytest.mark.parametrize(
+    ("form", "file"),
+    [
+        ("urdf", "two.urdf"),
+        ("sdf", "two.sdf"),
+        ("mjcf", "two.xml"),
+        ("drake", "two.dmd.yaml"),
+        ("isaac", "two.actuators.json"),
+        ("python", "two_effort.py"),
+        ("cpp", "two_effort.hpp"),
+    ],
+)
+def test_what_is_exported_says_what_was_replaced(tmp_path, form, file):
+    target = tmp_path / "out"
+    done = run("export", model_of(tmp_path, '<mass value="nan"/>'), "--to", form, target, "-q")
+    assert done.exit_code == 0
+    assert done.output.startswith("Warning: two.urdf was repaired. upper has a mass")
+    text = (target / file).read_text(encoding="utf-8")
+    assert "geodrake repaired two.urdf: upper has a mass" in text
+
+
+def test_a_repair_of_a_link_with_any_name_leaves_xml(tmp_path):
+    path = model_of(tmp_path, '<mass value="nan"/>')
+    text = path.read_text("utf-8").replace('"upper"', '"up--per--&gt;-"')
+    path.write_text(text, encoding="utf-8")
+    assert run("export", path, "--to", "urdf", tmp_path / "out", "-q").exit_code == 0
+    assert checked(tmp_path / "out" / "two.urdf")[0].exit_code == 0
+
+
+def test_many_repairs_are_counted(tmp_path):
+    links = "".join(f'<link name="l{k}"/>' for k in range(9))
+    joints = "".join(
+        f'<joint name="j{k}" type="continuous"><parent link="{"fore" if k == 0 else f"l{k - 1}"}"/>'
+        f'<child link="l{k}"/></joint>'
+        for k in range(9)
+    )
+    path = model_of(tmp_path, '<mass value="2"/>')
+    text = path.read_text("utf-8").replace("</robot>", f"{links}{joints}</robot>")
+    path.write_text(text, encoding="utf-8")
+    done, _ = checked(path)
+    assert done.output.count("Warning") == 6
+    assert "4 more of its parts were replaced or left out" in done.output
+
+
+def test_what_code_of_users_prints_is_no_result(tmp_path):
+    own = tmp_path / "own.py"
+    own.write_text(PRINTS, encoding="utf-8")
+    model = model_of(tmp_path, '<mass value="2"/>')
+    command = [sys.executable, "-m", "geodrake", "check", model, "--samples", "2", "--json", "-"]
+    code, out, err = ended(start([*command, "--effects", own]))
+    assert code == 0 and json.loads(out)["agrees"]
+    told = {"printed", "written", "in C", "in a thread", "at the end", "by a child at the end"}
+    assert told <= set(err.splitlines())
+
+
+MJCF = """<mujoco model="m"><option density="{}"/><worldbody><body name="a">
+<joint name="j" axis="0 1 0"/><geom type="capsule" size=".05 .2" pos=".1 0 0"/></body>
+</worldbody></mujoco>"""
+
+
+def test_what_is_left_out_fails_the_check_and_is_told_first(tmp_path):
+    path = tmp_path / "m.xml"
+    band = '<tendon><fixed name="p" stiffness="50" springlength=".1 .2"><joint joint="j" coef="1"/>'
+    text = MJCF.format(0).replace("</mujoco>", f"{band}</fixed></tendon></mujoco>")
+    path.write_text(text, encoding="utf-8")
+    done, numbers = checked(path)
+    assert done.exit_code == 1
+    assert done.output.startswith("Warning: m.xml was repaired. ")
+    assert "Tendon p with stiffness 50 is ignored." in done.output
+    verdict = " ".join(done.output.rpartition("Verdict")[2].split())
+    assert "has forces or parts that geodrake does not model" in verdict and "MuJoCo" in verdict
+    assert not numbers["agrees"] and not numbers["repaired"]
+    assert numbers["left_out"] == numbers["notes"][:1]
+    assert numbers["second_opinion"]["by"].startswith("MuJoCo")
+    assert numbers["second_opinion"]["relative"] > 0.01
+
+
+@pytest.mark.parametrize(("name", "program"), [("m.xml", "MuJoCo"), ("two.urdf", "Pinocchio")])
+def test_a_program_that_reads_the_file_itself_agrees(tmp_path, monkeypatch, name, program):
+    model_of(tmp_path, '<mass value="2"/>')
+    (tmp_path / "m.xml").write_text(MJCF.format(0), encoding="utf-8")
+    done, _ = checked(tmp_path / name)
+    assert done.exit_code == 0 and f"as does {program}" in " ".join(done.output.split())
+    assert "Warning" not in done.output
+    monkeypatch.setitem(sys.modules, program.lower(), None)
+    done, numbers = checked(tmp_path / "two.urdf")
+    by = numbers["second_opinion"]["by"]
+    assert ("not installed" in by) == (program == "Pinocchio") and done.exit_code == 0
