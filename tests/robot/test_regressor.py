@@ -1,11 +1,12 @@
-"""Regressors, slopes and poses against Drake on random trees, and others on known robots."""
+"""Regressors of robots, also with a free base, and what of them is identifiable."""
 
 import weakref
+from pathlib import Path
 
 import numpy as np
 import pytest
 from chain_logs import inverse_dynamics as drakes_efforts
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from known_robots import (
     ARMS,
@@ -14,11 +15,14 @@ from known_robots import (
     assert_close,
     cases,
     description,
+    efforts_on_a_free_base,
     moving_joints,
     plant_of,
 )
+from pydrake.math import RigidTransform
+from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import RevoluteJoint
+from pydrake.multibody.tree import FixedOffsetFrame, PrismaticJoint, RevoluteJoint, SpatialInertia
 from random_plants import (
     JOINTS,
     drake_slopes,
@@ -27,12 +31,20 @@ from random_plants import (
     random_plant,
     random_tree,
 )
+from scipy.linalg import block_diag, solve_triangular
+from scipy.spatial.transform import Rotation
 
 from geodrake.errors import ArgumentError, ModelError
-from geodrake.inertia import inertial_parameters
+from geodrake.inertia import change_frame, inertial_parameters, pullback_metric
 from geodrake.inertia.bodies import lumped_bodies
+from geodrake.robot.base_parameters import (
+    base_parameters,
+    pushforward_metric,
+    structural_base_parameters,
+)
 from geodrake.robot.effort_slopes import effort_slopes
 from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot.plant import load_plant
 from geodrake.robot.reduction import triangular_factor
 from geodrake.robot.regressor import (
     base_wrench_regressor,
@@ -41,6 +53,7 @@ from geodrake.robot.regressor import (
     inverse_dynamics,
     inverse_dynamics_regressor,
     regressor_pieces,
+    zero_moment_point,
 )
 
 
@@ -202,3 +215,237 @@ def test_small_singular_values_survive_where_the_gram_matrix_loses_them():
     np.testing.assert_allclose(np.linalg.svd(factor, compute_uv=False), singular, rtol=1e-4)
     smallest = np.linalg.eigvalsh(matrix.T @ matrix)[0]
     assert abs(smallest / singular[-1] ** 2 - 1.0) > 1.0
+
+
+moving = sorted(set(JOINTS) - {"weld", "weld, reversed"})
+
+
+def wrench(plant, q, v, vd, **frame):
+    return base_wrench_regressor(plant, q, v, vd, **frame) @ inertial_parameters(plant).ravel()
+
+
+@pytest.mark.parametrize("name", cases(*HUMANOIDS))
+def test_efforts_and_wrench_of_a_free_base_are_pinocchios(name):
+    text = description(name)
+    plant = plant_of(text, floating=True)
+    q, v, vd = random_motion(plant, np.random.default_rng(1), 3)
+    q[:, :4] /= np.linalg.norm(q[:, :4], axis=1, keepdims=True)
+    (root,) = plant.GetFloatingBaseBodies()
+    base = [body.body_index for body in lumped_bodies(plant)].index(root)
+    ours = wrench(plant, q, v, vd, X_WP=body_poses(plant, q)[:, base])
+    efforts = inverse_dynamics(plant, q, v, vd, inertial_parameters(plant))
+    for i, (R, theirs, tau, at) in enumerate(efforts_on_a_free_base(text, plant, q, v, vd)):
+        assert_close(ours[i], theirs)
+        assert_close(efforts[i, at], tau)
+        assert_close(efforts[i, :6], np.concatenate([R @ theirs[:3], R @ theirs[3:]]))
+
+
+@settings(max_examples=15)
+@given(st.lists(st.sampled_from(moving), min_size=1, max_size=5), st.integers(0, 2**32 - 1))
+def test_wrench_is_the_rate_of_momentum_less_gravity(kinds, seed):
+    rng = np.random.default_rng(seed)
+    plant = random_plant(rng, kinds)
+    q, v, vd = random_motion(plant, rng, 1)
+    ours = wrench(plant, q, v, vd)[0]
+    context, step = plant.CreateDefaultContext(), 1e-5
+
+    def at(time):
+        """Momentum (n, f) about the world's origin, moving on from the sample."""
+        plant.SetPositions(context, q[0])
+        qd = plant.MapVelocityToQDot(context, v[0] + 0.5 * time * vd[0])
+        plant.SetPositions(context, q[0] + time * qd)
+        # Second order in time: the velocity's map to q̇ changes on the way, too.
+        middle = plant.MapVelocityToQDot(context, v[0] + 0.5 * time * vd[0])
+        plant.SetPositions(context, q[0] + 0.5 * time * (qd + middle))
+        plant.SetVelocities(context, v[0] + time * vd[0])
+        momentum = plant.CalcSpatialMomentumInWorldAboutPoint(context, np.zeros(3))
+        return np.r_[momentum.rotational(), momentum.translational()]
+
+    rate = (at(step) - at(-step)) / (2 * step)
+    plant.SetPositions(context, q[0])
+    weight = plant.CalcTotalMass(context) * plant.gravity_field().gravity_vector()
+    com = plant.CalcCenterOfMassPositionInWorld(context)
+    expected = rate - np.r_[np.cross(com, weight), weight]
+    np.testing.assert_allclose(ours, expected, atol=2e-6 * np.abs(expected).max())
+
+
+@settings(max_examples=50)
+@given(st.integers(0, 2**32 - 1), st.floats(-1, 1))
+def test_zero_moment_point_is_the_centre_of_pressure(seed, height):
+    rng = np.random.default_rng(seed)
+    points = np.c_[rng.uniform(-1, 1, (5, 2)), np.full(5, height)]
+    forces = np.c_[rng.normal(size=(5, 2)), rng.uniform(0.1, 10, 5)]
+    total = np.r_[np.cross(points, forces).sum(0), forces.sum(0)]
+    expected = forces[:, 2] @ points[:, :2] / forces[:, 2].sum()
+    np.testing.assert_allclose(zero_moment_point(total[None], height=height)[0], expected)
+
+
+def test_in_the_air_there_is_no_zero_moment_point():
+    flying = np.array([[1.0, 2, 3, 0, 0, -1], [1.0, 2, 3, 0, 0, 0], [1.0, 2, 3, 0, 0, 5]])
+    np.testing.assert_array_equal(
+        np.isnan(zero_moment_point(flying)), [[True, True], [True, True], [False, False]]
+    )
+    # A sample that was not measured says nothing about the others.
+    lost = np.vstack([flying[2:], np.full((1, 6), np.nan)])
+    np.testing.assert_array_equal(np.isnan(zero_moment_point(lost)), [[False, False], [True, True]])
+
+
+@pytest.mark.parametrize(
+    "kinds", [["revolute"] * 4, ["prismatic", "revolute", "ball", "universal"]]
+)
+def test_base_wrench_tells_what_all_efforts_tell(kinds):
+    """[Lee2019] Remark 3.1, for a tree with a floating base."""
+    rng = np.random.default_rng(2)
+    plant = random_plant(rng, ["rpy floating", *kinds], chain=True)
+    motion = random_motion(plant, rng, 120)
+    from_wrench = base_parameters(base_wrench_regressor(plant, *motion))
+    everything = structural_base_parameters(plant)
+    assert from_wrench.rank == everything.rank
+    found = from_wrench.matrix  # the same combinations, of columns that may be others
+    np.testing.assert_allclose(
+        found[:, everything.independent] @ everything.matrix, found, atol=1e-9
+    )
+
+
+def test_a_force_plate_below_one_foot_tells_seven_parameters_a_joint():
+    """Atlas on its left foot, as in [Lee2019] §4.6.3; its model there has a joint less."""
+    plant = MultibodyPlant(0.0)
+    Parser(plant).AddModelsFromString(description("reference/atlas_v5.urdf"), "urdf")
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("l_foot"))
+    plant.Finalize()
+    motion = random_motion(plant, np.random.default_rng(0), 150)
+    assert base_parameters(base_wrench_regressor(plant, *motion)).rank == 7 * 30
+
+
+ROOT = Path(__file__).parents[2]
+
+
+def serial(axes, *, slides=(), gravity=(0.0, 0.0, -9.81)):
+    """A chain of joints about local axes, each 0.4 m along x from the one before."""
+    plant, last = MultibodyPlant(0.0), None
+    for i, axis in enumerate(axes):
+        body = plant.AddRigidBody(f"link{i}", SpatialInertia.SolidBoxWithMass(1, 0.2, 0.1, 0.3))
+        P = plant.world_body() if last is None else last
+        kind = PrismaticJoint if i in slides else RevoluteJoint
+        X_PF = RigidTransform([0.0 if last is None else 0.4, 0, 0])
+        frame_F = plant.AddFrame(FixedOffsetFrame(f"F{i}", P.body_frame(), X_PF))
+        plant.AddJoint(kind(f"joint{i}", frame_F, body.body_frame(), axis))
+        last = body
+    plant.mutable_gravity_field().set_gravity_vector(gravity)
+    plant.Finalize()
+    return plant
+
+
+def random_regressor(plant, count, seed=0):
+    random, nv = np.random.default_rng(seed), plant.num_velocities()
+    q, v, vd = (random.uniform(-2, 2, (count, n)) for n in (plant.num_positions(), nv, nv))
+    return inverse_dynamics_regressor(plant, q, v, vd)
+
+
+@pytest.fixture(scope="module")
+def arm6():
+    return load_plant(ROOT / "models" / "arm6.urdf").plant
+
+
+@pytest.mark.parametrize(
+    ("plant", "rank"),
+    [
+        (lambda: serial([[0, 0, 1]], gravity=(0, 0, -9.81)), 1),  # Izz
+        (lambda: serial([[0, 0, 1]], gravity=(0, -9.81, 0)), 3),  # and hx, hy
+        (lambda: serial([[0, 0, 1]] * 2, gravity=(0, 0, -9.81)), 4),  # Izz each, hx and hy of 2
+        (lambda: serial([[0, 0, 1]] * 2, gravity=(0, -9.81, 0)), 6),  # and hx, hy of 1
+        (lambda: serial([[1, 0, 0]], slides={0}), 1),  # a mass
+        (lambda: serial([[1, 0, 0], [0, 0, 1]], slides={0}, gravity=(0, -9.81, 0)), 4),
+        (lambda: load_plant(ROOT / "models" / "arm6.urdf").plant, 36),
+        (lambda: load_plant(ROOT / "models" / "arm7.urdf").plant, 43),
+        (lambda: load_plant(ROOT / "models" / "arm7.urdf", floating=True).plant, 10 + 7 * 7),
+    ],
+)
+def test_known_ranks(plant, rank):
+    assert structural_base_parameters(plant()).rank == rank
+
+
+def test_two_links_in_words():
+    plant = serial([[0, 0, 1]] * 2, gravity=(0, -9.81, 0))
+    base = structural_base_parameters(plant)
+    assert base.labels(["upper", "lower"]) == (
+        "hx of upper + 0.4 m of lower",
+        "hy of upper",
+        "Izz of upper + 0.16 m of lower",
+        "hx of lower",
+        "hy of lower",
+        "Izz of lower",
+    )
+    assert base.unseen == (0, 3, 4, 5, 7, 8, 9, 13, 14, 15, 17, 18, 19)
+
+
+def test_further_columns_are_base_parameters_of_their_own(arm6):
+    random = np.random.default_rng(1)
+    q, v, vd = random.uniform(-2, 2, (3, 80, 6))
+    friction = 1e-6 * v[:, :, None] * np.eye(6)  # in a tiny unit
+    columns = np.concatenate([inverse_dynamics_regressor(arm6, q, v, vd), friction], -1)
+    base = base_parameters(columns, extra=6)
+    assert base.rank == 42
+    assert set(range(60, 66)) <= set(base.independent)
+    names = base.labels(KinematicTree.from_plant(arm6).bodies, extra=[f"c{i}" for i in range(6)])
+    assert names[-6:] == ("c0", "c1", "c2", "c3", "c4", "c5")
+
+
+frames = st.integers(0, 2**32 - 1)
+
+
+@settings(max_examples=8)
+@given(frames, st.sampled_from([1e-3, 1.0, 1e3]))
+@example(10**9, 1e-3)  # an axis of the last body is nearly at right angles to its joint's
+def test_rank_and_criterion_do_not_depend_on_frames_units_and_basis(seed, unit):
+    plant = serial([[0, 0, 1], [0, 1, 0], [0, 1, 0]])
+    random, phi = np.random.default_rng(seed), inertial_parameters(plant)
+    A = random_regressor(plant, 40).reshape(-1, 30)
+    blocks, inverses = [], []
+    length = unit ** np.r_[0, 1, 1, 1, np.full(6, 2.0)]
+    for _ in range(3):  # φ in other frames and another unit of length, body by body
+        R, p = Rotation.random(random_state=int(random.integers(1e6))), random.uniform(-0.3, 0.3, 3)
+        moved = change_frame(np.eye(10), R.as_matrix(), p).T
+        blocks.append(length[:, None] * moved)
+        inverses.append(np.linalg.inv(moved) / length)
+    other_phi = np.array([block @ row for block, row in zip(blocks, phi, strict=True)])
+    other_A = A @ block_diag(*inverses)
+    base, other = base_parameters(A), base_parameters(other_A)
+    assert base.rank == other.rank
+
+    def criterion(base, A, phi, S):
+        """Eigenvalues of A_Bᵀ A_B H₀⁻¹, [Lee2019] Eq. (4.3.38)."""
+        B, A_B = S @ base.matrix, base.regressor(A) @ np.linalg.inv(S)
+        root = np.linalg.cholesky(pushforward_metric(B, phi))
+        return np.linalg.svd(solve_triangular(root, A_B.T, lower=True), compute_uv=False) ** 2
+
+    turn = np.linalg.qr(random.normal(size=(base.rank, base.rank)))[0]
+    S = random.uniform(0.3, 3.0, (base.rank, 1)) * turn
+    here = criterion(base, A, phi, np.eye(base.rank))
+    there = criterion(other, other_A, other_phi, np.eye(base.rank))
+    np.testing.assert_allclose(there, here, rtol=1e-7)
+    np.testing.assert_allclose(criterion(base, A, phi, S), here, rtol=1e-7)
+    # The nonzero eigenvalues of Aᵀ A G₀⁻¹, [Lee2019] Eq. (4.3.39).
+    root = np.linalg.cholesky(block_diag(*pullback_metric(phi)))
+    full = np.linalg.svd(np.linalg.solve(root, A.T), compute_uv=False)[: base.rank] ** 2
+    np.testing.assert_allclose(here, full, rtol=1e-7)
+
+
+def test_metric_is_the_shortest_change_of_the_parameters(arm6):
+    base, phi = structural_base_parameters(arm6), inertial_parameters(arm6)
+    H0, G0 = base.metric(phi), block_diag(*pullback_metric(phi))
+    step = np.random.default_rng(0).normal(size=base.rank)
+    # The least norm solution of B dφ = step, by coordinates in which G₀ is the identity.
+    root = np.linalg.cholesky(G0)
+    shortest = np.linalg.lstsq(np.linalg.solve(root, base.matrix.T).T, step)[0]
+    assert step @ H0 @ step == pytest.approx(shortest @ shortest, rel=1e-8)
+
+
+def test_base_parameters_reproduce_efforts_of_other_motions(arm6):
+    base, phi = structural_base_parameters(arm6), inertial_parameters(arm6)
+    regressor = random_regressor(arm6, 50, seed=9)
+    expected = regressor @ phi.ravel()
+    actual = base.regressor(regressor) @ base.values(phi)
+    np.testing.assert_allclose(actual, expected, atol=1e-11 * np.abs(expected).max())
+    np.testing.assert_allclose(base.regressor(regressor) @ base.matrix, regressor, atol=1e-11)
+    np.testing.assert_array_equal(base.matrix[:, base.independent], np.eye(base.rank))
