@@ -8,10 +8,7 @@ import pytest
 from commands import contents, refused, run, told
 from pendulum_logs import PENDULUM, pendulum_log
 
-from geodrake.fleet import (
-    digest_files,
-    read_digest,
-)
+from geodrake.fleet import digest_files, read_digest
 from geodrake.fleet.settings import read_settings
 from geodrake.logs import write_log
 

@@ -477,10 +477,7 @@ def test_a_digest_that_is_there_is_not_made_again(logged, folder):
     before = files_of(folder)
     told = []
     run = digest_logs(
-        SMALL,
-        [logged / "log_2.csv", logged / "log_1.csv"],
-        folder,
-        told=lambda *w: told.append(w),
+        SMALL, [logged / "log_2.csv", logged / "log_1.csv"], folder, told=lambda *w: told.append(w)
     )
     assert [row.status for row in run.rows] == ["there", "there"]
     assert not run.chosen

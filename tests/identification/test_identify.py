@@ -322,10 +322,7 @@ def test_open_directions_are_named():
     A, b = data_of_two(4, rows=60)
     A[:, 4] = 0.0  # Ixx of body 0
     A[:, 12] = 3.0 * A[:, 1]  # hy of body 1 like hx of body 0
-    for solve in (
-        lambda: least_squares(A, b, bodies=2),
-        lambda: physical_least_squares(A, b, TWO),
-    ):
+    for solve in (lambda: least_squares(A, b, bodies=2), lambda: physical_least_squares(A, b, TWO)):
         with pytest.raises(
             IdentificationError, match=r"do not identify 2 of 20 directions"
         ) as caught:

@@ -154,9 +154,7 @@ def test_another_optimizer_finds_the_same():
     assert found == pytest.approx(own_cost(x, A, b, 0.3), rel=1e-9)
     root = block_diag(*np.linalg.inv(np.linalg.cholesky(pullback_metric(TWO))), [[1.0]])
     other = minimize(
-        lambda y: own_cost(PRIOR_AND_FRICTION + root.T @ y, A, b, 0.3),
-        np.zeros(21),
-        method="BFGS",
+        lambda y: own_cost(PRIOR_AND_FRICTION + root.T @ y, A, b, 0.3), np.zeros(21), method="BFGS"
     )
     assert found <= other.fun * (1 + 1e-9)
     assert found == pytest.approx(other.fun, rel=1e-6)

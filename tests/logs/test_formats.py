@@ -513,10 +513,7 @@ def test_currents_of_interfaces(tmp_path, sent):
 def test_topics_are_named_where_several_fit(tmp_path, sent):
     both = numbers(sent, values=2.0 * sent.command)
     path = bag(
-        tmp_path,
-        joint_states=states(sent),
-        left__commands=numbers(sent),
-        right__commands=both,
+        tmp_path, joint_states=states(sent), left__commands=numbers(sent), right__commands=both
     )
     expected = r"/joint_states .* with position.*/left/commands .* with command\), /right/commands"
     with pytest.raises(LogError, match=expected) as refused:
@@ -577,11 +574,5 @@ def test_messages_of_something_else_do_no_harm(tmp_path, sent):
     store, kind = ros2_store(), "plans/msg/Plan"
     store.register(get_types_from_msg("string[] positions\nfloat64 torque_share\n", kind))
     plans = [(EPOCH + k, store.types[kind](["home", "away"], 0.5)) for k in range(20)]
-    path = bag(
-        tmp_path,
-        store,
-        joint_states=states(sent),
-        plans=plans,
-        arm__commands=numbers(sent),
-    )
+    path = bag(tmp_path, store, joint_states=states(sent), plans=plans, arm__commands=numbers(sent))
     assert np.allclose(read_log(path, joints=JOINTS).command, sent.command, atol=1e-6)

@@ -551,8 +551,7 @@ def test_readings_of_sensors_that_fail_are_none(code):
     assert found.min() > 29.0 and found.max() < 1.0 + WARMTH[:, 0].max()
     cold = np.clip(np.round(WARMTH - 30.0), -3.0, 3.0)
     np.testing.assert_array_equal(
-        Temperatures.of(JOINTS, CLOCK, cold).courses["shoulder"][0].size,
-        np.unique(CLOCK // 1).size,
+        Temperatures.of(JOINTS, CLOCK, cold).courses["shoulder"][0].size, np.unique(CLOCK // 1).size
     )
 
 

@@ -285,8 +285,7 @@ MASSES = """<mujoco model="m"><compiler {}/><worldbody>
 
 
 @pytest.mark.parametrize(
-    "settings",
-    ['settotalmass="5"', 'boundmass="3" boundinertia="1"', 'inertiafromgeom="true"'],
+    "settings", ['settotalmass="5"', 'boundmass="3" boundinertia="1"', 'inertiafromgeom="true"']
 )
 def test_settings_of_masses_are_not_exported(tmp_path, settings):
     path, out = tmp_path / "m.xml", tmp_path / "out.xml"

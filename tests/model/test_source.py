@@ -227,12 +227,7 @@ class TestOwnEffects:
 
 @pytest.mark.parametrize(
     "joint",
-    [
-        'x""" + __import__("os").abort() + """',
-        "x\\",
-        "upper\nlower\x9b31mred\x85",
-        '*/ "; #error ',
-    ],
+    ['x""" + __import__("os").abort() + """', "x\\", "upper\nlower\x9b31mred\x85", '*/ "; #error '],
 )
 def test_joints_of_any_name(joint, tmp_path):
     path = tmp_path / "1 class.urdf"

@@ -114,7 +114,7 @@ def test_residuals_are_over_what_they_may_depend_on():
     one = comparison(("elbow",), 1.0)
     (panel,) = residual_chart({BEFORE: one}, UNITS).panels
     assert [plot.axis for plot in panel.plots] == [
-        *("velocity, rad/s", "position, rad", "load (predicted effort), N·m"),
+        *("velocity, rad/s", "position, rad", "load (predicted effort), N·m")
     ]
     for plot, name in zip(panel.plots, ("velocity", "position", "predicted"), strict=True):
         (curve,), (trend,) = plot.curves.values(), plot.trends.values()

@@ -19,11 +19,7 @@ from report_results import (
 )
 
 from geodrake.errors import ArgumentError
-from geodrake.identification.logs.model_errors import (
-    ErrorTable,
-    Failing,
-    JointError,
-)
+from geodrake.identification.logs.model_errors import ErrorTable, Failing, JointError
 from geodrake.identification.models import BodyChange
 from geodrake.report import Units, page_of
 from geodrake.report.explaining import Explained, errors_table
@@ -31,13 +27,7 @@ from geodrake.report.json_output import NoNumber
 from geodrake.report.numbers import chance, is_noticed, number, percent, shortened, with_deviation
 from geodrake.report.page import Cell
 from geodrake.report.views import numbers_of
-from geodrake.report.words import (
-    effect_label,
-    failing_list,
-    failing_words,
-    listed,
-    places_label,
-)
+from geodrake.report.words import effect_label, failing_list, failing_words, listed, places_label
 
 EVIL = "<script>alert('$x_{1')</script>&\"$"
 
@@ -301,10 +291,7 @@ def test_what_is_left_is_told_by_its_size():
     for share, mark in ((0.02, "explained to practical noise"), (0.5, "explained in part")):
         found = dataclasses.replace(explanation(joints), end=errors(joints, share))
         assert page_of(found).mark == mark
-    for share, words in (
-        (0.3, "predict 30 % at joint_0"),
-        (0.01, "predict less than 5.0 % of it"),
-    ):
+    for share, words in ((0.3, "predict 30 % at joint_0"), (0.01, "predict less than 5.0 % of it")):
         told = dataclasses.replace(explanation(joints), of_motion={"joint_0": share})
         assert words in page_of(told).sentence
 

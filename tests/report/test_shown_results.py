@@ -28,12 +28,7 @@ from geodrake.control.rollout import FittedValue, RolloutFit
 from geodrake.diagnosis import add, compare, diagnose
 from geodrake.effects import FittedEffect, JointElasticity
 from geodrake.errors import ArgumentError
-from geodrake.excitation import (
-    DesignOptions,
-    FourierMotion,
-    design_excitation,
-    log_identifiability,
-)
+from geodrake.excitation import DesignOptions, FourierMotion, design_excitation, log_identifiability
 from geodrake.identification import identify_model
 from geodrake.logs import write_log
 from geodrake.report.json_output import NoNumber, record, schema, to_json

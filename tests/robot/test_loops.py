@@ -240,14 +240,8 @@ FLAT = four_bar().replace('pos="0.3 0 -0.1"', 'pos="0.45 0 0"').replace(".25 0 0
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (
-            FAR,
-            "<connect> of p and q cannot close near the posture of the file: the gap is 0.498 m",
-        ),
-        (
-            four_bar(CONNECT.replace("0.25", "nan")),
-            "is at nan 0 0.1 of coupler, where no",
-        ),
+        (FAR, "<connect> of p and q cannot close near the posture of the file: the gap is 0.498 m"),
+        (four_bar(CONNECT.replace("0.25", "nan")), "is at nan 0 0.1 of coupler, where no"),
         (four_bar(CONNECT.replace("0.25", "1e300")), r"is at 1e\+300 0 0.1 of coupler, where"),
         (
             four_bar('<joint joint1="rocker" joint2="crank" polycoef="0.2 -0.5 0 0 0"/>' + WELD),

@@ -157,8 +157,7 @@ TAKEN = {
         'name="t"', 'name="u"', 2
     ),
     "a plugin that no element uses": mjcf(
-        tip(),
-        head='<extension><plugin plugin="mujoco.sensor.touch_grid"/></extension>',
+        tip(), head='<extension><plugin plugin="mujoco.sensor.touch_grid"/></extension>'
     ),
     "a plugin of an actuator": mjcf(
         tip(),

@@ -14,12 +14,7 @@ from geodrake.excitation.reverse_recursion import reverse_recursion
 from geodrake.logs import JointLog, Motion
 from geodrake.model import holding
 from geodrake.model.logged_joints import log_of_model
-from geodrake.robot import (
-    KinematicTree,
-    inverse_dynamics,
-    inverse_dynamics_regressor,
-    joint_names,
-)
+from geodrake.robot import KinematicTree, inverse_dynamics, inverse_dynamics_regressor, joint_names
 from geodrake.robot.effort_slopes import effort_slopes
 
 TRANSMISSION = """<transmission name="wrist"><type>transmission_interface/{kind}</type>

@@ -26,12 +26,7 @@ from geodrake.logs.motion import Motion
 from geodrake.model import check_dynamics
 from geodrake.model.robot_model import from_loaded_plant
 from geodrake.robot import RobotInstance
-from geodrake.robot.plant import (
-    effort_limits,
-    joint_names,
-    load_plant,
-    set_inertial_parameters,
-)
+from geodrake.robot.plant import effort_limits, joint_names, load_plant, set_inertial_parameters
 from geodrake.robot.robot_instance import add_generalized_force
 from geodrake.robot.stated import Spring
 

@@ -120,11 +120,7 @@ def test_gravity_that_is_off(tmp_path):
         ),
         (URDF, {"robot": "<gazebo><static>1</static></gazebo>"}, "<static> 1"),
         (URDF, {"robot": '<mujoco><option gravity="0 0 -3"/></mujoco>'}, "=0 0 -3 of <option>"),
-        (
-            URDF,
-            {"robot": '<mujoco><compiler settotalmass="9"/></mujoco>'},
-            "mass=9 of <compiler>",
-        ),
+        (URDF, {"robot": '<mujoco><compiler settotalmass="9"/></mujoco>'}, "mass=9 of <compiler>"),
         (
             URDF,
             {"robot": '<gazebo><plugin name="m" filename="libgazebo_motor_model.so"/></gazebo>'},
@@ -214,11 +210,7 @@ def test_a_spring_of_gazebo_that_is_no_number(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "scenery"),
-    [
-        ("Ground%20Plane/2", True),
-        ("SunLight", True),
-        ("lightweight_arm", False),
-    ],
+    [("Ground%20Plane/2", True), ("SunLight", True), ("lightweight_arm", False)],
 )
 def test_a_part_that_is_not_there_is_left_out_of_the_robot(tmp_path, name, scenery):
     include = f"<include><uri>model://nowhere/{name}</uri></include>"
