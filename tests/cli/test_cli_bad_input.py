@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import contents, refused, run, told
+from own_code import effect
 from pendulum_logs import PENDULUM, pendulum_log
 
 from geodrake.logs import write_log
@@ -250,29 +251,15 @@ def test_columns_must_be_those_of_the_robot(folder):
         assert says in refused("compare", "pendulum.urdf", "wrong.csv")
 
 
-RAISING = """
-from dataclasses import dataclass
-from geodrake.effects import JointEffect, Parameter
-
-
-@dataclass(frozen=True)
-class OddFriction(JointEffect):
-    name = "odd_friction"
-    parameters = (Parameter("strength", "N·m"),)
-
-    def columns(self, motion):
-        raise KeyError("what")
-"""
-
-
 def test_effects_of_files_that_fail(folder):
-    for name, text in (("zero", "x = 1 / 0\n"), ("own", RAISING), ("twin", RAISING)):
+    raising = effect('raise KeyError("what")', name="odd_friction")
+    for name, text in (("zero", "x = 1 / 0\n"), ("own", raising), ("twin", raising)):
         Path(f"{name}.py").write_text(text)
     given = ("explain", "pendulum.urdf", "log.csv", "--effects")
     assert "ZeroDivisionError" in refused(*given, "zero.py")
     assert "Two --effects files define" in refused(*given, "own.py", "--effects", "twin.py")
     said = refused("add", "odd_friction", *given[1:], "own.py")
-    assert "line 12 of" in said and "KeyError" in said
+    assert "line 14 of" in said and "KeyError" in said
 
 
 def test_what_is_wrong_in_the_words_is_refused_before_anything_is_read(folder, monkeypatch):

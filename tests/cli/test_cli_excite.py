@@ -9,6 +9,7 @@ import pinocchio
 import pytest
 from commands import refused, run, told
 from excitation_robots import MODELS
+from own_code import effect
 from pendulum_logs import PENDULUM
 from yaml import safe_load
 
@@ -24,18 +25,7 @@ from geodrake.model import EffortSignal, load_model
 
 SOON = ("--seeds", 1, "--iterations", 12)
 FAST = (*SOON, "--samples", 40, "--duration", 4, "--harmonics", 2)
-OWN = """
-from dataclasses import dataclass
-from geodrake.effects import JointEffect, Parameter
 
-@dataclass(frozen=True)
-class CubicFriction(JointEffect):
-    name = "cubic_friction"
-    parameters = (Parameter("coefficient", "N·m·s³/rad³", lower=0.0),)
-
-    def columns(self, joint):
-        return [joint.v**3]
-"""
 BALLS = """<robot name="balls"><link name="base"/>
   <link name="a"><inertial><origin xyz="0.2 0 0"/><mass value="1"/>
     <inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>{shape}</link>
@@ -154,7 +144,9 @@ class TestTellApart:
         assert "Distinguishable effects" in page and "chart-pairs" in page
 
     def test_places_of_different_kinds_and_an_effect_of_the_users_own(self, tmp_path):
-        (tmp_path / "own.py").write_text(OWN)
+        unit = '"coefficient", "N·m·s³/rad³", lower=0.0'
+        own = effect("return [joint.v**3]", name="cubic_friction", parameter=unit)
+        (tmp_path / "own.py").write_text(own)
         pair = ("--tell-apart", "cubic_friction@elbow,gravity_tilt", "--effects", "own.py")
         output = excite(PENDULUM, *FAST, *pair, "--noise", 50)
         assert "Such a log will hardly distinguish them" in output

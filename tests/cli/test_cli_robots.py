@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from commands import contents, refused, run, told
 from coupled_arm import WRIST, arm, log_of
+from own_code import effect
 from pendulum_logs import PENDULUM
 from processes import ended, start
 from scipy.integrate import solve_ivp
@@ -232,9 +233,7 @@ URDF = """<robot name="two">
 </robot>
 """
 PRINTS = """
-import atexit, ctypes, os, sys, threading, time
-from dataclasses import dataclass
-from geodrake.effects import JointEffect, Parameter
+import atexit, ctypes, threading, time
 print("printed")
 os.write(1, b"written\\n")
 ctypes.CDLL(None).printf(b"in C\\n")
@@ -245,12 +244,6 @@ def loop():
         os.write(1, b"in a thread\\n")
         time.sleep(0.001)
 threading.Thread(target=loop, daemon=True).start()
-@dataclass(frozen=True)
-class Hose(JointEffect):
-    name = "hose"
-    parameters = (Parameter("a", "N·m"),)
-    def columns(self, joint):
-        return [joint.q]
 """
 
 
@@ -331,7 +324,7 @@ def test_many_repairs_are_counted(tmp_path):
 
 def test_what_code_of_users_prints_is_no_result(tmp_path):
     own = tmp_path / "own.py"
-    own.write_text(PRINTS, encoding="utf-8")
+    own.write_text(effect(before=PRINTS), encoding="utf-8")
     model = model_of(tmp_path, '<mass value="2"/>')
     command = [sys.executable, "-m", "geodrake", "check", model, "--samples", "2", "--json", "-"]
     code, out, err = ended(start([*command, "--effects", own]))

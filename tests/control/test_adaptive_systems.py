@@ -1,6 +1,6 @@
 """Adaptive controllers in Drake diagrams: guarantees, the life of a system, and faults."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -30,6 +30,7 @@ from adaptive_loops import (
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from own_code import own_effect
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
@@ -56,7 +57,7 @@ from geodrake.control.adaptation.outer_laws import limited
 from geodrake.control.online_estimation import FilteredRegressor
 from geodrake.control.systems import Safeguards
 from geodrake.control.systems.safeguards import Watch
-from geodrake.effects import FittedEffect, JointEffect, Parameter
+from geodrake.effects import FittedEffect
 from geodrake.errors import ArgumentError
 from geodrake.inertia import change_frame, is_physical
 from geodrake.manifolds import PhysicalInertia
@@ -406,15 +407,8 @@ def test_a_start_with_ten_times_wrong_masses(kind, factor):
     assert error[-20:].max() < min(0.5, max(0.05, 0.8 * error.max()))
 
 
-@dataclass(frozen=True)
-class Exponential(JointEffect):
-    """An effect that sees more than its own sample, and overflows."""
-
-    name = "exponential"
-    parameters = (Parameter("size", "N·m", lower=0.0),)
-
-    def columns(self, joint):
-        return [np.cumsum(np.exp(joint.v))]
+Exponential = own_effect("exponential", columns=lambda self, j: [np.cumsum(np.exp(j.v))])
+"""An effect that sees more than its own sample, and overflows."""
 
 
 @pytest.mark.parametrize("time_step", [0.0, 1e-3])

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from known_robots import description, moving_joints, plant_of
+from own_code import own_effect
 from random_plants import JOINTS, random_plant
 
 from geodrake.control import ControlModel
@@ -22,10 +23,8 @@ from geodrake.effects import (
     EffortScale,
     FittedEffect,
     GravityTilt,
-    JointEffect,
     JointSpring,
     LoadDependentFriction,
-    Parameter,
     Payload,
     RotorInertia,
     StribeckFriction,
@@ -41,15 +40,8 @@ KINDS = sorted(set(JOINTS) - {"none"})
 MOVING = sorted(set(KINDS) - {"weld", "weld, reversed"})
 
 
-@dataclass(frozen=True)
-class RunningMean(JointEffect):
-    """An effect that sees more than its own sample, and so cannot be evaluated with others."""
-
-    name = "running_mean"
-    parameters = (Parameter("gain", "N·m"),)
-
-    def columns(self, joint):
-        return [np.cumsum(joint.q)]
+RunningMean = own_effect("running_mean", columns=lambda self, joint: [np.cumsum(joint.q)])
+"""An effect that sees more than its own sample, and so cannot be evaluated with others."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -1,11 +1,10 @@
 """Effects in Drake simulations, against closed forms, scipy and Drake's own inertias."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from adaptive_loops import fixed
 from link_chains import LINK, arm
+from own_code import own_effect
 from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.math import RollPitchYaw
 from pydrake.multibody.tree import SpatialInertia, UnitInertia, default_model_instance
@@ -16,7 +15,6 @@ from scipy.integrate import solve_ivp
 
 from geodrake import effects
 from geodrake.control import DelayedEffort, EffectForce
-from geodrake.effects import JointEffect, Parameter
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import from_spatial_inertia, inertial_parameters
@@ -302,15 +300,10 @@ def test_slopes_with_effect_parameters(terms):
 
 
 def test_effects_that_are_no_formula_have_derivatives():
-    @dataclasses.dataclass(frozen=True)
-    class Branching(JointEffect):
-        name = "branching"
-        parameters = (Parameter("size", "N·m"),)
-        depends_on = frozenset({"v"})
+    def columns(self, joint):
+        return [np.array([v if v > 0 else 0.0 for v in joint.v])]
 
-        def columns(self, joint):
-            return [np.array([v if v > 0 else 0.0 for v in joint.v])]
-
+    Branching = own_effect("branching", columns=columns, depends_on=frozenset({"v"}))
     smooth = EffectForce(arm(), [(Branching("joint1"), [1.0])]).ToAutoDiffXd()
     context = fixed(smooth, state=InitializeAutoDiff(np.ones(6)).ravel())
     found = ExtractGradient(smooth.GetOutputPort("generalized_force").Eval(context))

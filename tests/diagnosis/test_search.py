@@ -1,12 +1,13 @@
 """Candidates and their search: choices, ties, shapes, pairs of joints, and orders of waves."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 import pytest
 from chain_logs import chain_log
 from excitation_robots import arm
+from own_code import own_effect
 from pendulum_logs import JOINTS, PENDULUM, friction, pendulum_log
 from scipy.signal import lfilter
 from scipy.stats import chi2
@@ -20,9 +21,7 @@ from geodrake.effects import (
     CoulombFriction,
     EffortOffset,
     FittedEffect,
-    JointEffect,
     JointSpring,
-    Parameter,
 )
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import open_case
@@ -80,13 +79,7 @@ class TestChoice:
     def test_the_simplest_of_those_that_tie_is_chosen(self):
         """Though an effect of one's own fits a little better."""
 
-        @dataclass(frozen=True)
-        class Oil(JointEffect):
-            name = "oil"
-            parameters = (Parameter("drag", "N·m·s/rad"),)
-
-            def columns(self, joint):
-                return [joint.v * (1.0 + 0.004 * joint.q)]
+        Oil = own_effect("oil", columns=lambda self, j: [j.v * (1.0 + 0.004 * j.q)])
 
         def hidden(q, v, vd, load):
             return np.array([0.2, 0.1]) * v * (1.0 + 0.004 * q)

@@ -12,13 +12,14 @@ from excitation_robots import MODELS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from own_code import own_effect
 from pydrake.common.eigen_geometry import AngleAxis
 from pydrake.math import RotationMatrix
 from pydrake.multibody.tree import JacobianWrtVariable
 
 import geodrake.effects
 from geodrake import effects, load_model
-from geodrake.effects import BodyEffect, JointEffect, JointMotion, Parameter, RobotMotion, sensors
+from geodrake.effects import BodyEffect, JointMotion, RobotMotion, sensors
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.effect_columns import EffectColumns, dependencies
 from geodrake.errors import ArgumentError, ModelError
@@ -181,15 +182,12 @@ def test_coupled_rotor_inertia_is_symmetric():
     np.testing.assert_allclose(effort[:, 1:], 0.3 * MOTION.vd[:, :0:-1])
 
 
-@dataclasses.dataclass(frozen=True)
-class Hose(effects.JointEffect):
-    """A user's effect that tells no slopes."""
-
-    name = "hose"
-    parameters = (effects.Parameter("a", "N·m"), effects.Parameter("b", "N·m"))
-
-    def columns(self, joint):
-        return [np.cos(joint.q) * joint.sign_v, 3.0]
+Hose = own_effect(
+    "hose",
+    parameters=(effects.Parameter("a", "N·m"), effects.Parameter("b", "N·m")),
+    columns=lambda self, joint: [np.cos(joint.q) * joint.sign_v, 3.0],
+)
+"""A user's effect that tells no slopes."""
 
 
 def test_gradients_of_what_tells_no_slopes_and_at_rest():
@@ -513,7 +511,6 @@ class TestUsersEffect:
             Drag.candidates("hand")
 
 
-GAIN = (Parameter("gain", "N·m"),)
 EVERY = tuple(instances())
 
 
@@ -524,33 +521,20 @@ def trial(v, vd, load):
     return replace(motion, v=v, vd=vd, load=load, body_columns={"hand": columns}.__getitem__)
 
 
-@dataclass(frozen=True)
-class Flywheel(JointEffect):
-    name = "flywheel"
-    parameters = GAIN
-
-    def columns(self, joint):
-        return [joint.vd * np.sin(joint.q)]
+Flywheel = own_effect("flywheel", columns=lambda self, joint: [joint.vd * np.sin(joint.q)])
 
 
-@dataclass(frozen=True)
-class ByName(JointEffect):
-    """An effect that is another one at every joint, and sees its own sample only."""
-
-    name = "by_name"
-    parameters = GAIN
-
-    def columns(self, joint):
-        return [{"shoulder": 1.0, "elbow": -2.0}[self.joint] * joint.q]
+def by_name(self, joint):
+    """Another effect at every joint, that sees its own sample only."""
+    return [{"shoulder": 1.0, "elbow": -2.0}[self.joint] * joint.q]
 
 
-@dataclass(frozen=True)
-class Weight(BodyEffect):
-    name = "weight"
-    parameters = GAIN
+def by_body(self, motion):
+    return {j: motion.body_columns(self.body)[:, i, :1] for i, j in enumerate(motion.joints)}
 
-    def rows(self, motion):
-        return {j: motion.body_columns(self.body)[:, i, :1] for i, j in enumerate(motion.joints)}
+
+ByName = own_effect("by_name", columns=by_name)
+Weight = own_effect("weight", BodyEffect, rows=by_body)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ import pytest
 from excitation_robots import MODELS, arm, motion_of, random_pose
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from own_code import own_effect
 from pydrake.math import RigidTransform, RollPitchYaw
 from random_plants import JOINTS, drake_slopes, random_motion, random_plant, random_tree
 from scipy.linalg import block_diag, eigh, sqrtm
@@ -20,7 +21,6 @@ from geodrake.effects import (
     FittedEffect,
     JointSpring,
     LoadDependentFriction,
-    Parameter,
     Payload,
     RotorInertia,
     StribeckFriction,
@@ -215,15 +215,12 @@ class TestGradient:
         self.assert_gradient(Objective(target), motion_of(target.model, count=60))
 
     def test_effects_that_state_no_gradient(self):
-        class Drag(BodyEffect):
-            name = "drag"
-            parameters = (Parameter("d", "N·s²/m²"),)
+        def rows(self, motion):
+            arm = motion.body_columns(self.body)[:, 1, 1]
+            return {"joint_1": (arm * motion.v[:, 1] ** 2)[:, None]}
 
-            def rows(self, motion):
-                arm = motion.body_columns(self.body)[:, 1, 1]
-                return {"joint_1": (arm * motion.v[:, 1] ** 2)[:, None]}
-
-        target = make_target(arm(), effects=[Drag("body_2")], noise=0.1)
+        drag = own_effect("drag", BodyEffect, rows=rows)("body_2")
+        target = make_target(arm(), effects=[drag], noise=0.1)
         self.assert_gradient(Objective(target), motion_of(target.model))
 
     def test_base_wrench(self):

@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 from acrobot_logs import HEADER, simulated, text
 from chain_logs import chain_log
-from own_transmission import OwnTransmission
+from own_code import OwnTransmission, own_effect
 from pendulum_logs import PENDULUM, pendulum_log
 
 from geodrake import load_model
 from geodrake.boundary.whole_files import write_new
-from geodrake.effects import JointEffect, Parameter
 from geodrake.errors import ArgumentError, DigestError, LogError, OutputError
 from geodrake.fleet import (
     Digest,
@@ -658,17 +657,14 @@ def test_logs_without_a_joint_hold_it_for_all(tmp_path):
     assert "elbow" in lacking.rows[0].reason
 
 
-class Wobble(JointEffect):
-    """An effect of a user's own: effort = a sin 7q."""
-
-    name = "wobble"
-    parameters = (Parameter("size", "N·m"),)
-    law = "a sin 7q"
-    signature = "wobbles"
-    depends_on = frozenset({"q"})
-
-    def columns(self, joint):
-        return [np.sin(7.0 * joint.q)]
+Wobble = own_effect(
+    "wobble",
+    law="a sin 7q",
+    signature="wobbles",
+    depends_on=frozenset({"q"}),
+    columns=lambda self, joint: [np.sin(7.0 * joint.q)],
+)
+"""An effect of a user's own: effort = a sin 7q."""
 
 
 def test_effects_of_a_users_own_have_columns(logged, tmp_path):

@@ -3,7 +3,6 @@
 import gzip  # noqa: F401 (for rows)
 import io
 import os
-import textwrap
 import zipfile
 from itertools import pairwise, product
 from pathlib import Path
@@ -13,6 +12,7 @@ import yaml
 from good_files import DIRECTIVES, MJCF, SAVED, SDF, UNINFORMED, URDF, information
 from hostile import HEADER, Row, link, table, write_log  # noqa: F401 (for rows)
 from numpy.lib import format as npy
+from own_code import effect  # noqa: F401 (for rows)
 
 ROWS = Path(__file__).parent / "rows"
 GOOD = {"URDF": URDF, "SDF": SDF, "MJCF": MJCF, "DIRECTIVES": DIRECTIVES, "SAVED": SAVED}
@@ -195,30 +195,6 @@ def damage(good, word, head):
         "a bomb of anchors": f"_a: &a [x, x]\n{anchors('[{}]')}{head}*k\n",
         "merges that double": f"_a: &a {{x: 1}}\n{anchors('{{<<: [{}]}}')}{head}*k\n",
     }
-
-
-IMPORTS = """
-from dataclasses import dataclass
-import os, sys, warnings
-import numpy as np
-from geodrake.effects import BodyEffect, JointEffect, Parameter, Proposer, Role
-"""
-CLASS = """
-{before}
-@dataclass(frozen=True)
-class Own(JointEffect):
-    name = "own"
-    parameters = (Parameter("size", "N·m"),)
-{more}
-    def {method}(self, joint):
-{body}
-"""
-
-
-def effect(body="return [joint.q]", *, more="", method="columns", before=""):
-    """The text of a file with one effect, of which all is in order but what is given."""
-    more, body = (textwrap.indent(text, n * "    ") for text, n in ((more, 1), (body, 2)))
-    return IMPORTS + CLASS.format(before=before, more=more, method=method, body=body)
 
 
 class Maker(yaml.SafeLoader):

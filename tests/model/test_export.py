@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from every_effect import EFFECTS, LEFT_OUT
 from measurements import REFERENCE
+from own_code import effect
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from servo_logs import PENDULUM, servo_log
@@ -331,20 +332,6 @@ def test_bodies_of_included_files_are_not_written_into_the_file_that_includes_th
 
 MODELS = Path(__file__).parents[2] / "models"
 DEMO = Path(str(files("geodrake") / "demo" / "demo.urdf"))
-HOSE = """
-from dataclasses import dataclass
-import numpy as np
-from geodrake.effects import JointEffect, Parameter
-
-
-@dataclass(frozen=True)
-class HangingHose(JointEffect):
-    name = "hanging_hose"
-    parameters = (Parameter("cosine", "N·m"), Parameter("sine", "N·m"))
-
-    def columns(self, joint):
-        return [np.cos(joint.q), np.sin(joint.q)]
-"""
 
 
 @pytest.fixture
@@ -534,7 +521,12 @@ class TestMovedFiles:
 class TestOwnEffects:
     @pytest.fixture
     def folder(self, tmp_path, monkeypatch):
-        (tmp_path / "my hose.py").write_text(HOSE, encoding="utf-8")
+        text = effect(
+            "return [np.cos(joint.q), np.sin(joint.q)]",
+            name="hanging_hose",
+            parameter='"cosine", "N·m"), Parameter("sine", "N·m"',
+        )
+        (tmp_path / "my hose.py").write_text(text, encoding="utf-8")
         shutil.copy(DEMO, tmp_path / "arm.urdf")
         (hose,) = load_effect_file(tmp_path / "my hose.py")
         model = load_model(tmp_path / "arm.urdf")

@@ -9,7 +9,7 @@ from chain_logs import inverse_dynamics as drakes_efforts
 from closed_loops import gripper
 from coupled_arm import CURVED, WRIST, arm, log_of, motion_of
 from known_robots import assert_close
-from own_transmission import OwnTransmission
+from own_code import OwnTransmission
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import PrismaticJoint, SpatialInertia
 from pydrake.systems.framework import DiagramBuilder
