@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from geodrake.logs.files.name_rules import MEASURED, PLAIN, matched, meaning_of, meanings_of
+from geodrake.logs.files.name_rules import MEASURED, OTHER, PLAIN, matched, meaning_of, meanings_of
 
 UR = tuple(
     f"{name}_joint"
@@ -71,6 +71,11 @@ def test_names_of_loggers(quantity):
         if of is not None:
             joint, number = (of, None) if isinstance(of, str) else ("", of)
             assert (meaning.joint, meaning.number) == (joint, number), name
+
+
+@pytest.mark.parametrize("name", ["ee_force_1", "tool_force_2", "tcp_velocity_1", "imu.acc[0]"])
+def test_columns_of_tools_and_sensors_are_of_no_joint(name):
+    assert meaning_of(name).role == OTHER
 
 
 @pytest.mark.parametrize("unit", UNITS)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from chain_logs import inverse_dynamics
+from own_code import own_effect
 from pendulum_logs import PENDULUM, friction, pendulum_log
 
 from geodrake import load_model
@@ -17,6 +18,7 @@ from geodrake.effects import (
     FittedEffect,
     JointSpring,
     LoadDependentFriction,
+    Parameter,
     Payload,
 )
 from geodrake.errors import ModelError
@@ -178,6 +180,11 @@ def test_information_says_something_of_each_parameter(model):
 def test_messages_have_the_field_and_the_value(model):
     assert "coulomb_friction at elbow have coulomb = -0.5, outside [0, inf]" in refused(
         with_effect(model, CoulombFriction("elbow"), -0.5)
+    )
+    at_most = (Parameter("part", "1", upper=1.0),)
+    share = own_effect("share", parameters=at_most, columns=lambda self, joint: [joint.q])
+    assert "share at elbow have part = 1.5, outside [-inf, 1]" in refused(
+        with_effect(model, share("elbow"), 1.5)
     )
     phi = model.phi.copy()
     phi[1, 0] = -2.0
