@@ -114,11 +114,7 @@ def _forwards_and_backwards(log_odds: Array, change: float, out: Array) -> None:
 
 
 def signs_of(
-    log: JointLog,
-    model: RobotModel,
-    jacobians: Array,
-    heights: Array,
-    known: NDArray[np.bool_],
+    log: JointLog, model: RobotModel, jacobians: Array, heights: Array, known: NDArray[np.bool_]
 ) -> FrameSigns:
     """Return heights, speeds and loads of frames in a log.
 

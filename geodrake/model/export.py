@@ -14,13 +14,7 @@ from geodrake.boundary.arguments import file_path, instance
 from geodrake.boundary.whole_files import write_whole
 from geodrake.effects import FittedEffect, Role
 from geodrake.errors import ModelError, OutputError
-from geodrake.inertia import (
-    Array,
-    change_frame,
-    from_pseudo_inertia,
-    is_physical,
-    pseudo_inertia,
-)
+from geodrake.inertia import Array, change_frame, from_pseudo_inertia, is_physical, pseudo_inertia
 from geodrake.inertia.bodies import LumpedBody, lumped_bodies
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.description import (

@@ -426,10 +426,14 @@ def with_ground(log: JointLog, model: RobotModel) -> JointLog:
             )
         flags = widened(log.time, logged)
     if whole and vectors(log.floating, "base.position") is not None:
-        lows, heights = _heights(log, model, frames)
-        flags |= lows
-        if not flagged:
-            found, more = _found(log, model, frames, heights)
+        known, bodies = _bodies(log, model)
+        heights = np.full(flags.shape, np.nan)  # over level ground, m
+        if known.any():
+            own = np.stack([frame.height(bodies) for frame in frames], -1)
+            heights[known] = own - np.percentile(own.min(axis=1), _LOWEST)
+        flags |= ~(heights >= _NEAR)
+        if not flagged and known.any():
+            found, more = _found(log, model, frames, heights, (known, bodies))
             flags, doubts = flags | found, (*doubts, *more)
     elif not flagged:
         flags[:] = True
@@ -453,32 +457,19 @@ def _bodies(log: JointLog, model: RobotModel) -> tuple[NDArray[np.bool_], RobotB
     return known, RobotBodies(model.tree, model.positions(q[known]), model.total_phi)
 
 
-def _heights(
-    log: JointLog, model: RobotModel, frames: Sequence[ContactFrame]
-) -> tuple[NDArray[np.bool_], Array]:
-    """Return whether frames are low enough to touch level ground (N, c), and how high they are, m.
-
-    True and NaN if unknown.
-    """
-    known, bodies = _bodies(log, model)
-    heights = np.full((len(log), len(frames)), np.nan)
-    if known.any():
-        own = np.stack([frame.height(bodies) for frame in frames], -1)
-        heights[known] = own - np.percentile(own.min(axis=1), _LOWEST)
-    return ~(heights >= _NEAR), heights
-
-
 def _found(
-    log: JointLog, model: RobotModel, frames: Sequence[ContactFrame], heights: Array
+    log: JointLog,
+    model: RobotModel,
+    frames: Sequence[ContactFrame],
+    heights: Array,
+    there: tuple[NDArray[np.bool_], RobotBodies],
 ) -> tuple[NDArray[np.bool_], tuple[str, ...]]:
     """Return where frames that may be high (N, c) touch or may touch, and a note on it.
 
     What is in doubt counts as touching, which holds for frames in the air as well: limbs without
     rows are all that it costs.
     """
-    known, bodies = _bodies(log, model)
-    if not known.any():
-        return np.ones(heights.shape, bool), ()
+    known, bodies = there
     near = np.flatnonzero((heights[known] < HIGHEST).any(axis=0)).tolist()
     may_be_soles = sum(frames[k].radius == 0.0 for k in near) < _POINTS
     jacobians = contact_jacobians([frames[k] for k in near], bodies, soles=may_be_soles)

@@ -27,13 +27,7 @@ from pydrake.multibody.tree import Joint, MultibodyForces
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.model.simulation.terms import Model
-from geodrake.robot.arrangement import (
-    base_joints,
-    moving_joints,
-    open_loops,
-    weld_joints,
-    welds_of,
-)
+from geodrake.robot.arrangement import base_joints, moving_joints, open_loops, weld_joints, welds_of
 from geodrake.robot.coordinates import RobotCoordinates
 from geodrake.robot.files import read_description
 from geodrake.robot.files.description import drake_errors, drake_messages
@@ -139,15 +133,14 @@ def by_mujoco(theirs: Any, held: Places, units: Units) -> OtherProgram | str:
     mujoco = load_mujoco()
     theirs.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
     sizes = {0: (7, 6), 1: (4, 3)}  # of free joints and balls
-    data = mujoco.MjData(theirs)
+    data, numbers = mujoco.MjData(theirs), {theirs.joint(k).name: k for k in range(theirs.njnt)}
+    if not held.keys() <= numbers.keys():
+        return "MuJoCo has other joints"
     for name, place in held.items():
-        at = mujoco.mj_name2id(theirs, mujoco.mjtObj.mjOBJ_JOINT, name)
-        if at < 0:
-            return "MuJoCo has other joints"
-        data.qpos[theirs.jnt_qposadr[at]] = place
+        data.joint(name).qpos = place
     places = []
     for *others, joint in units:
-        at = mujoco.mj_name2id(theirs, mujoco.mjtObj.mjOBJ_JOINT, joint.name())
+        at = numbers.get(joint.name(), -1)
         if others:
             body = theirs.body(joint.child_body().name())
             at = int(body.jntadr[0]) if body.jntnum[0] == 1 else -1
@@ -189,7 +182,8 @@ def check_loops(text: MjcfText, plant: MultibodyPlant, held: Places, q: Array, v
     Positions (N, nq) and velocities (N, nv) are those of the plant.
     """
     m = text.compiled
-    data, numbers = load_mujoco().MjData(m), _numbers(m, plant)
+    data, names = load_mujoco().MjData(m), {m.joint(at).name for at in range(m.njnt)}
+    joints = [joint for joint in single_joints(plant) if joint.name() in names]
     for at in range(m.neq):
         data.eq_active[at] = at in text.closing
     closing = list(text.closing)
@@ -199,9 +193,9 @@ def check_loops(text: MjcfText, plant: MultibodyPlant, held: Places, q: Array, v
     for name, place in held.items():
         data.joint(name).qpos = place
     for k in range(len(q) if closing else 0):
-        for joint, at in numbers:
-            data.qpos[m.jnt_qposadr[at]] = q[k, joint.position_start()]
-            data.qvel[m.jnt_dofadr[at]] = v[k, joint.velocity_start()]
+        for joint in joints:
+            data.joint(joint.name()).qpos = q[k, joint.position_start()]
+            data.joint(joint.name()).qvel = v[k, joint.velocity_start()]
         with quiet_mujoco():
             load_mujoco().mj_forward(m, data)
         own = np.array(data.efc_type) == equality
@@ -212,13 +206,6 @@ def check_loops(text: MjcfText, plant: MultibodyPlant, held: Places, q: Array, v
                 f"up to {np.abs(apart).max():.3g} m or rad.",
                 advice=BUG,
             )
-
-
-def _numbers(m: Any, plant: MultibodyPlant) -> list[tuple[Joint, int]]:
-    """Return joints of one degree of freedom, and their numbers in MuJoCo's model."""
-    kind, single = load_mujoco().mjtObj.mjOBJ_JOINT, single_joints(plant)
-    numbers = [load_mujoco().mj_name2id(m, kind, joint.name()) for joint in single]
-    return [(joint, at) for joint, at in zip(single, numbers, strict=True) if at >= 0]
 
 
 def pinocchio_or_none() -> ModuleType | None:

@@ -13,13 +13,7 @@ from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, DiagramBuilder
 
-from geodrake.boundary.arguments import (
-    instance,
-    instances,
-    number,
-    one_or_each,
-    real_array,
-)
+from geodrake.boundary.arguments import instance, instances, number, one_or_each, real_array
 from geodrake.boundary.showing import Short
 from geodrake.effects import Effect, RobotMotion, Role
 from geodrake.effects.base import FittedEffect, RobotEffect
@@ -42,12 +36,7 @@ from geodrake.robot.files import Given
 from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.joints import Follower, joint_names
 from geodrake.robot.kinematics import KinematicTree
-from geodrake.robot.plant import (
-    LoadedPlant,
-    effort_limits,
-    load_plant,
-    set_inertial_parameters,
-)
+from geodrake.robot.plant import LoadedPlant, effort_limits, load_plant, set_inertial_parameters
 from geodrake.robot.regressor import body_regressor, inverse_dynamics
 from geodrake.robot.robot_instance import RobotInstance
 from geodrake.robot.transmission.loop import LoopTransmission

@@ -7,7 +7,7 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import chain, combinations
@@ -409,9 +409,7 @@ def _with_parameters(
         raise ModelError(
             f"its information matrix has {len(rows)} rows, but {p} parameters are fitted."
         )
-    for joint in saved.motorless:
-        if joint not in model.joints:
-            raise _foreign(f"it says that {joint!r} has no motor", model.joints)
+    _check_known("motorless", saved.motorless, model.joints)
     changed = f"{base.name} has changed since the model was saved."
     return replace(
         model,
@@ -442,9 +440,7 @@ def _fitted_effect(
     joints = (*model.joints, *model.joints_behind)
     places = model.bodies if "bod" in effect.places else joints
     places = (*places, "world") if effect.places == "body_pair" else places
-    for place in where:
-        if place not in places:
-            raise _foreign(f"it has {saved.name} at {place!r}", places)
+    _check_known(f"where of {saved.name}", where, places)
     count, what = len(effect.parameters), f"of {saved.name} at {effect.place}"
     return FittedEffect(
         effect,
@@ -454,20 +450,20 @@ def _fitted_effect(
 
 
 def _effort_signals(model: RobotModel, saved: Sequence[Schema]) -> tuple[EffortSignal, ...]:
-    found: dict[str, EffortSignal] = {}
-    for signal in (EffortSignal(**asdict(each)) for each in saved):
-        if signal.joint not in model.joints:
-            raise _foreign(f"it has a signal for efforts of {signal.joint!r}", model.joints)
-        if signal.joint in found:
-            raise ModelError(f"it has two signals for efforts of {signal.joint!r}.")
-        found[signal.joint] = signal
-    return tuple(found.values())
+    signals = tuple(EffortSignal(**asdict(each)) for each in saved)
+    joints = [signal.joint for signal in signals]
+    _check_known("effort_signals", joints, model.joints)
+    if twice := [joint for joint in joints if joints.count(joint) > 1]:
+        raise ModelError(f"it has two signals for efforts of {twice[0]!r}.")
+    return signals
 
 
-def _foreign(what: str, names: Sequence[str]) -> ModelError:
-    return ModelError(
-        f"{what}, which the robot does not have.", advice=f"It has {', '.join(names)}."
-    )
+def _check_known(field: str, names: Iterable[str], known: Sequence[str]) -> None:
+    """Raise for a name that is not one of those of the robot."""
+    for name in names:
+        if name not in known:
+            what = f"{field} has {name!r}, which the robot does not have."
+            raise ModelError(what, advice=f"It has {', '.join(known)}.")
 
 
 def _numbers(what: str, values: Sequence[float], count: int) -> NDArray[np.float64]:
@@ -484,11 +480,10 @@ def _of_joints(
 
 def _ordered(field: str, values: dict[str, T], names: Sequence[str]) -> dict[str, T]:
     """Return the values in the order of some names; there must be exactly one for each."""
-    odd = [name for name in values if name not in names]
-    missing = [name for name in names if name not in values]
-    if odd or missing:
-        reason = f"has {odd[0]!r}, which the robot does not" if odd else f"lacks {missing[0]!r}"
-        raise ModelError(f"{field} {reason}.", advice=f"It has {', '.join(names)}.")
+    _check_known(field, values, names)
+    if missing := [name for name in names if name not in values]:
+        what = f"{field} lacks {missing[0]!r}."
+        raise ModelError(what, advice=f"It has {', '.join(names)}.")
     return {name: values[name] for name in names}
 
 
@@ -507,22 +502,15 @@ def check_model(model: RobotModel) -> None:
     for first, second in combinations(model.effects, 2):
         if first.effect == second.effect:
             raise ModelError(f"effects has {named(first)} twice.")
-    for field, values in (
-        ("effort_noise", model.effort_noise),
-        ("fading_speed", model.fading_speed),
-    ):
-        for joint, value in zip(model.joints, () if values is None else values, strict=False):
+    for field in ("effort_noise", "fading_speed"):
+        for joint, value in _by_joint(model, getattr(model, field)).items():
             if not 0.0 <= value <= LARGEST:
-                raise ModelError(
-                    f"{field} of {joint!r} is {value:g}, which is not a number from 0 to "
-                    f"{LARGEST:g}."
-                )
+                what = f"{field} of {joint!r} is {value:g}"
+                raise ModelError(f"{what}, which is not a number from 0 to {LARGEST:g}.")
     for bandwidth in chain.from_iterable(model.bandwidths.values()):
         if not 0.0 < bandwidth <= LARGEST:
-            raise ModelError(
-                f"bandwidths have {bandwidth:g} Hz, which is not a positive number up to "
-                f"{LARGEST:g}."
-            )
+            what = f"bandwidths have {bandwidth:g} Hz"
+            raise ModelError(f"{what}, which is not a positive number up to {LARGEST:g}.")
     if model.information is not None:
         _check_information(model.information)
 

@@ -252,10 +252,7 @@ def chosen_robot(plant: MultibodyPlant, name: str, path: object) -> OneRobot:
 
 
 def checked_held(
-    joints: Mapping[str, Joint],
-    followers: Mapping[str, Tie],
-    held: Mapping[str, float],
-    path: Path,
+    joints: Mapping[str, Joint], followers: Mapping[str, Tie], held: Mapping[str, float], path: Path
 ) -> dict[str, float]:
     """Return scoped names of joints that are to be held, and of those that follow them -> where.
 

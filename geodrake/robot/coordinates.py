@@ -80,10 +80,7 @@ class RobotCoordinates(JointlyEvaluated):
 
     @classmethod
     def of(
-        cls,
-        plant: MultibodyPlant,
-        followers: Sequence[Follower] = (),
-        drives: Sequence[Drive] = (),
+        cls, plant: MultibodyPlant, followers: Sequence[Follower] = (), drives: Sequence[Drive] = ()
     ) -> RobotCoordinates:
         """Return the indices in a plant with following joints and drives."""
         for joint in joints_of(plant):
@@ -167,8 +164,6 @@ class RobotCoordinates(JointlyEvaluated):
 
         J̇ v has all v twice, so that its slope is the rate of J̇ itself.
         """
-        if self.constant is not None:
-            return np.zeros((len(q), *self.shape))
         speed = np.abs(v).max(axis=1, initial=0.0)[:, None]
         step = np.zeros_like(q)
         step[:, self.driven] = _STEP * (v / np.where(speed > 0, speed, 1.0))[:, self.driven]

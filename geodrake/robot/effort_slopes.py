@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.multibody.plant import MultibodyPlant
 
+from geodrake.boundary.arguments import real_array
 from geodrake.compiling import compiled, contiguous, inlined
-from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.logs.motion import Motion
 from geodrake.robot.coordinates import RobotCoordinates
@@ -84,19 +84,17 @@ def effort_slopes(
     """
     robot = checked_tree(plant)
     tree, samples, J = checked_samples(robot, q, v, vd)
-    phi, expected = np.asarray(phi, float), (len(tree.bodies), PARAMETERS_PER_BODY)
-    if phi.shape != expected:
-        raise ArgumentError(f"phi has shape {phi.shape}, but the plant needs {expected}.")
+    phi = contiguous(real_array(phi, "phi", (len(tree.bodies), PARAMETERS_PER_BODY)))
     count, nv = len(samples[0]), tree.num_velocities
     kinds, slopes = 1 if only_position and J is None else 3, np.full((3, count, nv, nv), np.nan)
     slopes[:kinds] = 0.0
-    calc_effort_slopes(tree.records, samples, contiguous(phi), slopes[:kinds])
+    calc_effort_slopes(tree.records, samples, phi, slopes[:kinds])
     found = EffortSlopes(*np.swapaxes(slopes, 2, 3))  # one velocity's slopes are close together
     several = [m.velocities for m in tree.mobilizers if m.velocities.stop - m.velocities.start > 1]
     columns = [at for own in several for at in range(own.start, own.stop)]
     if J is not None and robot.actuation is not None:
         efforts = np.zeros((count, nv))
-        calc_inverse_dynamics(tree.records, samples, contiguous(phi), efforts)
+        calc_inverse_dynamics(tree.records, samples, phi, efforts)
         found = _at_actuators(
             found, robot.actuation, J, efforts, Motion(*(np.asarray(x, float) for x in (q, v, vd)))
         )
@@ -107,11 +105,7 @@ def effort_slopes(
 
 
 def _at_actuators(
-    slopes: EffortSlopes,
-    actuation: RobotCoordinates,
-    J: Array,
-    efforts: Array,
-    motion: Motion,
+    slopes: EffortSlopes, actuation: RobotCoordinates, J: Array, efforts: Array, motion: Motion
 ) -> EffortSlopes:
     """Slopes of τ_q = Jᵀ τ_θ(T(q), J q̇, J q̈ + J̇ q̇) with q, q̇ and q̈ by the chain rule.
 

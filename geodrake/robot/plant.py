@@ -243,10 +243,7 @@ def _draft(
 
 
 def _loops(
-    description: ModelDescription,
-    built: BuiltPlant,
-    followers: Mapping[str, Tie],
-    how: LoopJoints,
+    description: ModelDescription, built: BuiltPlant, followers: Mapping[str, Tie], how: LoopJoints
 ) -> Loops:
     """Return the closed loops of a plant of a description."""
     plant, terms = built.plant, description.terms

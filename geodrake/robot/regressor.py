@@ -74,11 +74,7 @@ def body_regressor(
 
 
 def inverse_dynamics(
-    plant: MultibodyPlant | KinematicTree,
-    q: ArrayLike,
-    v: ArrayLike,
-    vd: ArrayLike,
-    phi: ArrayLike,
+    plant: MultibodyPlant | KinematicTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike, phi: ArrayLike
 ) -> Array:
     """Return efforts (N, nv) that a motion needs, Y φ of parameters φ (nb, 10), without Y."""
     tree, samples, J = checked_samples(plant, q, v, vd)

@@ -458,16 +458,11 @@ def scene_of(
         ProcessModelDirectives(description.directives, parser)
         return plant, scene
     root = parse_xml_bytes(read_expanded(path, given), path)
-    if root.tag not in ("robot", "sdf"):
-        parser.AddModels(str(path))
-        return plant, scene
 
-    def url(place: str) -> str:  # as Drake does not know where a text is from
-        return place if "://" in place else f"file://{path.resolve().parent / place}"
-
-    def where(place: str) -> Path:
+    def where(place: str) -> Path:  # as Drake does not know where a text is from
+        url = place if "://" in place else f"file://{path.resolve().parent / place}"
         try:
-            return Path(packages.ResolveUrl(url(place)))
+            return Path(packages.ResolveUrl(url))
         except RuntimeError as error:
             reason = str(error).strip().partition("\n")[0].rpartition("error: ")[2]
             raise ModelError(reason.rpartition(" refers to ")[2]) from error
@@ -476,8 +471,7 @@ def scene_of(
     drop(root, *DRAKES_SPRINGS)
     prepare(root, where)
     Includes(path, given.packages).name_by_urls(root)
-    kind = "urdf" if root.tag == "robot" else "sdf"
-    parser.AddModelsFromString(tostring(root, encoding="unicode"), kind)
+    parser.AddModelsFromString(tostring(root, encoding="unicode"), description.texts[0].kind)
     return plant, scene
 
 

@@ -618,7 +618,7 @@ def test_a_joint_that_had_no_motor_in_logs_gets_none(tmp_path):
     assert all(each.is_rounding for each in proven.proof.differences)
     text = (tmp_path / "model.yaml").read_text().replace("motorless: [a]", "motorless: [c]")
     (tmp_path / "model.yaml").write_text(text)
-    with pytest.raises(ModelError, match="says that 'c' has no motor, which the robot does not"):
+    with pytest.raises(ModelError, match="motorless has 'c', which the robot does not have"):
         load_model(tmp_path / "model.yaml")
 
 

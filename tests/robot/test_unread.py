@@ -83,84 +83,93 @@ def test_gravity_that_is_off(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "parts", "words"),
+    ("text", "part", "stated", "words"),
     [
-        (SDF, {"one": "<enable_wind>true</enable_wind>"}, "line 3: <enable_wind> true is"),
+        (SDF, "one", "<enable_wind>true</enable_wind>", "line 3: <enable_wind> true is"),
         (
             SDF,
-            {"one": "<velocity_decay><linear>0.1</linear></velocity_decay>"},
+            "one",
+            "<velocity_decay><linear>0.1</linear></velocity_decay>",
             "<velocity_decay> 0.1",
         ),
         (
             SDF,
-            {"inertial": "<fluid_added_mass><xx>3</xx></fluid_added_mass>"},
+            "inertial",
+            "<fluid_added_mass><xx>3</xx></fluid_added_mass>",
             "<fluid_added_mass> 3",
         ),
         (
             SDF,
-            {"model": '<plugin name="b" filename="gz-sim-buoyancy-system"/>'},
+            "model",
+            '<plugin name="b" filename="gz-sim-buoyancy-system"/>',
             "plugin gz-sim-buoyancy",
         ),
-        (SDF, {"one": "<kinematic>true</kinematic>"}, "<kinematic> true"),
-        (SDF, {"model": "<enable_wind>1</enable_wind>"}, "<enable_wind> 1"),
+        (SDF, "one", "<kinematic>true</kinematic>", "<kinematic> true"),
+        (SDF, "model", "<enable_wind>1</enable_wind>", "<enable_wind> 1"),
         (
             SDF,
-            {"model": '<plugin name="gz::sim::systems::Hydrodynamics" filename="x"/>'},
+            "model",
+            '<plugin name="gz::sim::systems::Hydrodynamics" filename="x"/>',
             "systems::Hydro",
         ),
         (
             SDF,
-            {"model": '<joint name="g" type="gearbox"><parent>l1</parent></joint>'},
+            "model",
+            '<joint name="g" type="gearbox"><parent>l1</parent></joint>',
             "<joint> g of the type gearbox",
         ),
         (
             SDF,
-            {"world": '<plugin name="w" filename="gz-sim-apply-link-wrench-system"/>'},
+            "world",
+            '<plugin name="w" filename="gz-sim-apply-link-wrench-system"/>',
             "link-wrench",
         ),
-        (URDF, {"robot": "<gazebo><static>1</static></gazebo>"}, "<static> 1"),
-        (URDF, {"robot": '<mujoco><option gravity="0 0 -3"/></mujoco>'}, "=0 0 -3 of <option>"),
-        (URDF, {"robot": '<mujoco><compiler settotalmass="9"/></mujoco>'}, "mass=9 of <compiler>"),
+        (URDF, "robot", "<gazebo><static>1</static></gazebo>", "<static> 1"),
+        (URDF, "robot", '<mujoco><option gravity="0 0 -3"/></mujoco>', "=0 0 -3 of <option>"),
+        (URDF, "robot", '<mujoco><compiler settotalmass="9"/></mujoco>', "mass=9 of <compiler>"),
         (
             URDF,
-            {"robot": '<gazebo><plugin name="m" filename="libgazebo_motor_model.so"/></gazebo>'},
+            "robot",
+            '<gazebo><plugin name="m" filename="libgazebo_motor_model.so"/></gazebo>',
             "motor_model.so",
         ),
         (
             URDF,
-            {"robot": '<gazebo><joint name="j" type="gearbox"/></gazebo>'},
+            "robot",
+            '<gazebo><joint name="j" type="gearbox"/></gazebo>',
             "<joint> j of <gazebo>",
         ),
         (
             URDF,
-            {"joint": '<origin xyz="0 0 0" quat_xyzw="0.6 0 0 0.8"/>'},
+            "joint",
+            '<origin xyz="0 0 0" quat_xyzw="0.6 0 0 0.8"/>',
             "quat_xyzw=0.6 0 0 0.8 of <origin>",
         ),
         (
             URDF,
-            {"robot": '<gazebo reference="l1"><inertial><mass>9</mass></inertial></gazebo>'},
+            "robot",
+            '<gazebo reference="l1"><inertial><mass>9</mass></inertial></gazebo>',
             "<inertial> 9",
         ),
         (
             URDF,
-            {
-                "robot": '<gazebo reference="a"><axis><dynamics><damping>2</damping></dynamics>'
-                "</axis></gazebo>"
-            },
+            "robot",
+            '<gazebo reference="a"><axis><dynamics><damping>2</damping></dynamics></axis></gazebo>',
             "<axis> 2",
         ),
-        (URDF, {"joint": '<dynamics damping="1" spring_stiffness="3"/>'}, "ness=3 of <dynamics>"),
+        (URDF, "joint", '<dynamics damping="1" spring_stiffness="3"/>', "ness=3 of <dynamics>"),
         (
             URDF,
-            {"robot": '<gazebo reference="l1"><dampingFactor>.1</dampingFactor></gazebo>'},
+            "robot",
+            '<gazebo reference="l1"><dampingFactor>.1</dampingFactor></gazebo>',
             "Factor> .1",
         ),
-        (URDF, {"link": '<contact><inertia_scaling value="3"/></contact>'}, "<inertia_scaling> 3"),
-        (URDF, {"robot": '<gazebo><plugin name="LiftDragPlugin"/></gazebo>'}, "LiftDragPlugin"),
+        (URDF, "link", '<contact><inertia_scaling value="3"/></contact>', "<inertia_scaling> 3"),
+        (URDF, "robot", '<gazebo><plugin name="LiftDragPlugin"/></gazebo>', "LiftDragPlugin"),
     ],
 )
-def test_what_a_file_states_and_nothing_reads(tmp_path, text, parts, words):
-    (said,) = load(tmp_path, text, **parts).left_out
+def test_what_a_file_states_and_nothing_reads(tmp_path, text, part, stated, words):
+    (said,) = load(tmp_path, text, **{part: stated}).left_out
     assert words in said and ", line " in said and said.endswith("is ignored.")
 
 

@@ -281,7 +281,10 @@ def make_act(
             "effects of the model.",
             advice="Call geodrake.robot.take_out_stated(plant, name) before plant.Finalize().",
         )
-    effort, acting, logged = _efforts(model, builder, name)
+    told = builder.AddNamedSystem(f"{name}_effort", PassThrough(np.zeros(len(joints))))
+    effort, asked = told.get_input_port(), told.get_output_port()
+    logged = late(builder, f"{name}_logged_effort", asked, model.delays)
+    acting = late(builder, f"{name}_acting_effort", asked, -model.delays)
     state = plant.get_state_output_port()
     if robot.name is not None:
         state = robot.state_port(builder, joints)
@@ -307,16 +310,6 @@ def make_act(
             state = force.state_port(builder, joints)
     ports = effort, state, logged
     return RobotInDiagram(robot, None, force, joints, phi, *ports, notes, driving)
-
-
-def _efforts(
-    model: Model, builder: DiagramBuilder, name: str
-) -> tuple[InputPort, OutputPort, OutputPort]:
-    """Return the input of efforts, and outputs of those that act and those that are logged."""
-    effort = builder.AddNamedSystem(f"{name}_effort", PassThrough(np.zeros(len(model.joints))))
-    logged = late(builder, f"{name}_logged_effort", effort.get_output_port(), model.delays)
-    acting = late(builder, f"{name}_acting_effort", effort.get_output_port(), -model.delays)
-    return effort.get_input_port(), acting, logged
 
 
 def late(builder: DiagramBuilder, name: str, effort: OutputPort, delays: Array) -> OutputPort:

@@ -29,13 +29,7 @@ from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.robot.files.checks import drop
 from geodrake.robot.files.includes import Includes
-from geodrake.robot.files.xml_text import (
-    LARGEST_FILE,
-    numbered_text,
-    parse_xml,
-    place_of,
-    wrong_at,
-)
+from geodrake.robot.files.xml_text import LARGEST_FILE, numbered_text, parse_xml, place_of, wrong_at
 
 _NO_DYNAMICS = (
     *("sensor", "keyframe", "visual", "statistic", "custom", "contact", "camera", "light"),
@@ -102,7 +96,7 @@ class CompiledMjcf:
         self.path, self.geoms = path, geoms
         self.models, self.meshes = dict[str, bytes](), dict[str, Path]()
         self.notes, self.left_out, self.lost = list[str](), list[str](), list[str]()
-        self.unknown, self.touching = set[str](), list[str]()
+        self.unknown, self.touching, self.wrapped = set[str](), list[str](), set[str]()
         self._prepare(root, path, "", (path.resolve(),))
         worlds = root.findall("worldbody")
         self.elements = {e.get("name", ""): e for world in worlds for e in world.iter("body")}
@@ -120,6 +114,8 @@ class CompiledMjcf:
             for body in spec.bodies:  # whose joints MuJoCo may have made
                 for i, joint in enumerate(body.joints):
                     joint.name = joint.name or free(f"{body.name}_joint_{i}")
+            if not geoms:
+                self._drop_idle_geoms(spec)
             self._take_meshes(spec)
             self.model: Any = spec.compile()
             if self._split_balls(spec):
@@ -140,8 +136,8 @@ class CompiledMjcf:
         drop(root, *_NO_DYNAMICS)
         self._take_plugins(root)
         folders = _take_folders(root)
-        if not self.geoms:
-            _drop_idle_geoms(root)
+        tendons = (e for group in root.findall("tendon") for e in group.iter("geom"))
+        self.wrapped |= {name for e in tendons if (name := e.get("geom"))}
         _name_bodies(root, prefix)
         sizes = dict[str, float]()
         for element in [e for e in root.iter() if e.get("file") or e.tag == "hfield"]:
@@ -206,6 +202,18 @@ class CompiledMjcf:
         key = f"{len(self.meshes)}_{place.name}"
         self.meshes[key] = path.parent / folders[0] / place
         element.set("file", key)
+
+    def _drop_idle_geoms(self, spec: Any) -> None:
+        """Drop geoms that have no part in inertias or media, whose meshes need not be there."""
+        always = load_mujoco().mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+        if any(geom.fluid_ellipsoid for geom in spec.geoms):
+            return
+        for body in spec.bodies:
+            compiler = getattr(body, "compiler", spec.compiler)  # that of its own file, if known
+            stated = body.explicitinertial and compiler.inertiafromgeom != always
+            for geom in list(body.geoms) if stated or body.name == "world" else ():
+                if not geom.name.endswith(tuple(self.wrapped)):  # after a prefix, where attached
+                    spec.delete(geom)
 
     def _take_meshes(self, spec: Any) -> None:
         """Load the existing meshes, and note the consequences of missing ones."""
@@ -318,27 +326,6 @@ def _take_folders(root: Element) -> tuple[str, str]:
         if not compiler.attrib:
             root.remove(compiler)
     return found["meshdir"] or found["assetdir"], found["strippath"]
-
-
-def _drop_idle_geoms(root: Element) -> None:
-    """Drop geoms that have no part in inertias or in a medium, whose meshes need not be there."""
-    if any(element.get("fluidshape") for element in root.iter()):
-        return
-    settings = [each.get("inertiafromgeom") for each in root.findall("compiler")]
-    always = next((each for each in reversed(settings) if each), "auto") == "true"
-    wrapped = {e.get("geom") for group in root.findall("tendon") for e in group.iter("geom")}
-
-    def within(element: Element, idle: bool) -> None:
-        for child in list(element):
-            if child.tag == "body":
-                within(child, not always and child.find("inertial") is not None)
-            elif child.tag in ("frame", "replicate"):
-                within(child, idle)
-            elif child.tag == "geom" and idle and child.get("name", "") not in wrapped - {None}:
-                element.remove(child)
-
-    for world in root.findall("worldbody"):
-        within(world, True)
 
 
 def _name_bodies(root: Element, prefix: str) -> None:

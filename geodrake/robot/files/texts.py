@@ -371,20 +371,19 @@ class SdfText(ModelText):
                 parent.remove(joint)
                 what = f"{place_of(joint, self.path)}: <joint> {joint.get('name')}"
                 terms.left_out.append(f"{what} of the type gearbox is ignored.")
-        with_plugins = deepcopy(self.root)
+        models = list(sdf_models(self.root, first=self.scope or ""))
+        plugins = {name: model.findall("plugin") for name, model in models}
         for link in self.root.iter("link"):
             inertial = link.find("inertial")
             if inertial is None or inertial.get("auto") != "true":
                 drop(link, "collision")
         drop(self.root, "visual", "sensor", "plugin", "drake:collision_filter_group", *_FOREIGN)
-        models = list(sdf_models(self.root, first=self.scope or ""))
         for name, model in models:
             self._take_balls(name, model)
-        self._drop_loops()
-        for name, model in models:
             self._links |= {f"{name}::{e.get('name')}": e for e in model.findall("link")}
         for name, model in models:
             self._take_drakes_springs(name, model)
+        self._drop_loops()
         joints = list(sdf_joints(self.root, first=self.scope or ""))
         names = {stated: name for stated, name, _ in joints}
         self._still = {stated for stated, _, joint in joints if joint.get("type") == "fixed"}
@@ -394,8 +393,8 @@ class SdfText(ModelText):
             own = [f"{name}[{k}]" for k in range(2)] if twice else [name]
             self._several |= set(own) if twice or joint.get("type") == "ball" else set()
             self._take_axes(own, joint, damping=twice)
-        for name, model in sdf_models(with_plugins, first=self.scope or ""):
-            self._take_more_mimics(name, model.findall("plugin"))
+        for name, found in plugins.items():
+            self._take_more_mimics(name, found)
         terms.fixed = {names.get(joint, joint): at for joint, at in terms.fixed.items()}
         terms.followers = {
             names.get(own, own): Tie(names.get(tie.leader, tie.leader), tie.coefficients)

@@ -18,6 +18,8 @@ import sys
 import types
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr
+from functools import partial
+from itertools import count
 from pathlib import Path
 from threading import RLock
 from typing import Any
@@ -91,12 +93,10 @@ def _expanded(path: Path, given: Given, read: dict[Path, bytes | None]) -> bytes
             "xacro robot.urdf.xacro > robot.urdf.",
         )
 
-    count = 0
+    calls = count(1)
 
     def opened(name: str) -> io.TextIOWrapper:
-        nonlocal count
-        count += 1
-        if count > _MOST_FILES:
+        if next(calls) > _MOST_FILES:
             raise ModelError(
                 f"{path} reads more than {_MOST_FILES} files, or an endless one.",
                 advice="Correct the file.",
@@ -114,9 +114,7 @@ def _expanded(path: Path, given: Given, read: dict[Path, bytes | None]) -> bytes
         own._eval_find = own._eval_dict["find"] = lambda name: str(
             folder_of_package(name, path, given.packages)
         )
-        _limit_expressions(xacro, _Limited(path, given.trust_xacro))
-        if not given.trust_xacro:
-            _limit_calls(xacro)
+        _limit(xacro, _Limited(path, given.trust_xacro))
         try:
             document = xacro.process_file(str(path), mappings=dict(given.xacro))
             return bytes(document.toxml(encoding="utf-8"))
@@ -176,20 +174,6 @@ def _own_xacro() -> Iterator[Any]:
             sys.modules.update(theirs)
 
 
-def _limit_calls(xacro: Any) -> None:
-    """Have xacro end where macros call each other nearly without an end."""
-    handle, count = xacro.handle_macro_call, 0
-
-    def counted(*args: Any) -> Any:
-        nonlocal count
-        count += 1
-        if count > _MOST_CALLS:
-            raise RefusedError(f"its macros are called more than {_MOST_CALLS} times")
-        return handle(*args)
-
-    xacro.handle_macro_call = counted
-
-
 class _Limited(ast.NodeTransformer):
     """Evaluates expressions with limited run time and memory.
 
@@ -229,9 +213,9 @@ class _Limited(ast.NodeTransformer):
 
     def Mult(self, a: Any, b: Any) -> Any:
         """Return a * b."""
-        for some, count in ((a, b), (b, a)):
-            if isinstance(some, str | bytes | list | tuple) and isinstance(count, int):
-                self._check(len(some) * count, _MOST_ITEMS, "items or characters")
+        for some, often in ((a, b), (b, a)):
+            if isinstance(some, str | bytes | list | tuple) and isinstance(often, int):
+                self._check(len(some) * often, _MOST_ITEMS, "items or characters")
         return a * b
 
     def Pow(self, a: Any, b: Any) -> Any:
@@ -258,20 +242,23 @@ class _Limited(ast.NodeTransformer):
         return ModelError(f"{self.path} {what}.", advice="Correct the file.")
 
 
-def _limit_expressions(xacro: Any, limited: _Limited) -> None:
-    """Make xacro evaluate limited expressions, of values only unless trusted."""
+def _limit(xacro: Any, limited: _Limited) -> None:
+    """Make xacro evaluate limited expressions; unless trusted, of values only, and few macros."""
     if not hasattr(xacro, "safe_eval"):
         raise ModelError(
             "The installed xacro is older than 2.1, and evaluates arbitrary expressions.",
             advice="Update it: pip install -U xacro.",
         )
     evaluated, symbols = xacro.safe_eval, xacro._global_symbols
+    handle, calls = xacro.handle_macro_call, count(1)
 
-    def withheld(name: str) -> Any:
-        def refuse(*_: Any, **__: Any) -> None:
-            raise RefusedError(f"{name} is used")
+    def called(*args: Any) -> Any:
+        if next(calls) > _MOST_CALLS:
+            raise RefusedError(f"its macros are called more than {_MOST_CALLS} times")
+        return handle(*args)
 
-        return refuse
+    def refuse(name: str, *_: Any, **__: Any) -> None:
+        raise RefusedError(f"{name} is used")
 
     letters = 0
 
@@ -288,7 +275,8 @@ def _limit_expressions(xacro: Any, limited: _Limited) -> None:
     symbols.update(limited.functions)
     symbols["python"]["range"] = limited.functions["range"]
     if not limited.trusted:
-        symbols["python"].update({name: withheld(name) for name in _WITHHELD})
+        symbols["python"].update({name: partial(refuse, name) for name in _WITHHELD})
+        xacro.handle_macro_call = called
     every = {**(vars(builtins) if limited.trusted else {}), **symbols["python"]}
     every |= limited.functions
     xacro.safe_eval = counted

@@ -25,24 +25,9 @@ from geodrake.compiling import compiled, contiguous, inlined
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import Array
 from geodrake.robot.joints import Features, FrameMotion
-from geodrake.robot.recursion import (
-    Mobilizer,
-    Record,
-    TreeRecords,
-    calc_kinematics,
-    records_of,
-)
+from geodrake.robot.recursion import Mobilizer, Record, TreeRecords, calc_kinematics, records_of
 from geodrake.robot.transmission import JointlyEvaluated
-from geodrake.robot.vectors import (
-    Vector,
-    add,
-    column,
-    cross,
-    dot,
-    scale,
-    times,
-    vector,
-)
+from geodrake.robot.vectors import Vector, add, column, cross, dot, scale, times, vector
 
 Indices = NDArray[np.int64]
 
@@ -581,6 +566,5 @@ def linkage(
         np.array(reference, float),
         np.array([*(size if slide else 1.0 for slide in slides), size]),
     )
-    names, ends_of_joints = tuple(name for name, _, _ in joints), np.full(3, np.inf)
-    limits = np.stack([-ends_of_joints, ends_of_joints])
+    names, limits = tuple(name for name, _, _ in joints), np.outer([-1.0, 1.0], np.full(3, np.inf))
     return LoopTransmission(what, names, records, np.array([2]), (), slides, limits, (), 0.0)

@@ -386,10 +386,7 @@ class Drive(Short):
 
     def __post_init__(self) -> None:
         instance(self.map, "map", Transmission)
-        for what, count in (
-            ("actuators", self.map.num_actuators),
-            ("joints", self.map.num_joints),
-        ):
+        for what, count in (("actuators", self.map.num_actuators), ("joints", self.map.num_joints)):
             names = instances(getattr(self, what), what, str)
             object.__setattr__(self, what, names)
             if len(names) != count or len(set(names)) < len(names):
