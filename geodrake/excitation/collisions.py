@@ -126,7 +126,8 @@ class CollisionWorld:
             gradient = ExtractGradient(result).ravel()
             if gradient.size:
                 gradients[i] = gradient
-        return values, self._model.coordinates.robot_gradient(q, gradients)
+        J = self._model.coordinates.jacobian(q)
+        return values, np.einsum("nij,ni->nj", J, gradients)
 
     def _pairs(self, q: Array, within: float) -> list[list[SignedDistancePair]]:
         """Return, for each posture, Drake's signed distances of pairs that are so near."""

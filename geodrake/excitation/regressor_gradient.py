@@ -112,9 +112,7 @@ def at_actuators(
     By θ̇ = J q̇ and θ̈ = J q̈ + J̇ q̇, with the slopes that `effort_slopes` has as well.
     """
     JT, q, v, vd = np.swapaxes(J, 1, 2), motion.q, motion.v, motion.vd
-    found = MotionGradient(
-        actuation.robot_gradient(q, gradient.q), times(JT, gradient.v), times(JT, gradient.vd)
-    )
+    found = MotionGradient(*(times(JT, x) for x in (gradient.q, gradient.v, gradient.vd)))
     if actuation.constant is None:
         rate = np.swapaxes(actuation.jacobian_rate(q, v), 1, 2)
         bent = actuation.jacobian_rate(q, vd) + actuation.jacobian_rate_slope(q, v)

@@ -108,7 +108,7 @@ def _base_motion(log: JointLog, model: RobotModel) -> tuple[Array, Array | None,
     gyro = vectors(columns, "imu.angular_velocity")
     force = vectors(columns, "imu.linear_acceleration")
     spin = gyro if gyro is not None else vectors(columns, "base.angular_velocity")
-    turn, known = _orientation(log, g)
+    turn, known = _orientation(log, spin, gyro, force, g)
     R, angles = turn.as_matrix(), np.full((len(log), 3), np.nan)
     angles[known] = np.unwrap(turn[known].as_euler("ZYX"), axis=0)
     rates, accelerations = None, None
@@ -130,15 +130,14 @@ def _base_motion(log: JointLog, model: RobotModel) -> tuple[Array, Array | None,
     return np.hstack([place, angles]), velocity, accelerations
 
 
-def _orientation(log: JointLog, gravity: Array) -> tuple[Rotation, NDArray[np.bool_]]:
+def _orientation(
+    log: JointLog, spin: Array | None, gyro: Array | None, force: Array | None, gravity: Array
+) -> tuple[Rotation, NDArray[np.bool_]]:
     """Return R_WB of N rows, and in which (N,) it is known."""
-    columns = log.floating
-    quaternion = vectors(columns, "base.orientation")
-    gyro = vectors(columns, "imu.angular_velocity")
-    force = vectors(columns, "imu.linear_acceleration")
+    quaternion = vectors(log.floating, "base.orientation")
     if quaternion is not None:
         quaternion = _checked(quaternion, force, gravity, log.name)
-        _check_rates(quaternion, gyro, log)
+        _check_rates(quaternion, spin, log)
         known = np.asarray(np.isfinite(quaternion).all(axis=1))
         turn = Rotation.from_quat(
             np.where(known[:, None], quaternion, [1.0, 0, 0, 0])[:, [1, 2, 3, 0]]
@@ -210,12 +209,11 @@ def _readings(quaternion: Array, off: Callable[[Rotation], float]) -> tuple[floa
     return off(turn), best, others[best]
 
 
-def _check_rates(quaternion: Array, gyro: Array | None, log: JointLog) -> None:
+def _check_rates(quaternion: Array, spin: Array | None, log: JointLog) -> None:
     """Refuse an orientation that a gyroscope contradicts, and not if it is read another way.
 
     Of a robot that stands upright, gravity does not tell the order of the columns.
     """
-    spin = vectors(log.floating, "base.angular_velocity") if gyro is None else gyro
     if spin is None:
         return
     known = np.isfinite(quaternion).all(axis=1) & np.isfinite(spin).all(axis=1)

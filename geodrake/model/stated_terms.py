@@ -90,7 +90,7 @@ class StatedEffects:
                 drag = Damping(name) if power == 1 else Drag(name, exponent=float(power))
                 self.add(drag, abs(share) ** (power + 1) * value)
             self.add_inertia(name, name, share**2 * length.armature)
-            if not length.spring.is_none:
+            if any(length.spring.coefficients):
                 spring, known = length.spring.through(share, 0.0), self._springs.get(name)
                 self._springs[name] = spring if known is None else known + spring
         for pair in combinations(sorted(shares), 2):

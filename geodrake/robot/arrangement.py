@@ -203,13 +203,9 @@ class Arrangement:
 
 @dataclass(frozen=True)
 class OneRobot:
-    """A robot of a model file: bodies that joints connect, not by way of the world.
+    """A robot of a model file: bodies that joints connect, not by way of the world."""
 
-    Attributes:
-        name: That of its model in the file, or of its first body where the model has several.
-    """
-
-    name: str
+    name: str  # that of its model in the file, or of its first body where the model has several
     bodies: frozenset[int]
     joints: tuple[str, ...]
 

@@ -42,14 +42,10 @@ _POINTS = 4001
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Where a drive's actuators are in the robot's q and v, and its joints in those of the tree.
-
-    Attributes:
-        seats: Velocities of the tree in whose place the actuators are.
-    """
+    """Where a drive's actuators are in the robot's q and v, and its joints in those of the tree."""
 
     drive: Drive
-    seats: Indices
+    seats: Indices  # velocities of the tree in whose place the actuators are
     actuators: Indices
     joints: Indices
 
@@ -243,18 +239,6 @@ class RobotCoordinates(JointlyEvaluated):
         """Return velocities (nv,) of the robot at q (nq,), nearest to those (·,) of its joints."""
         own = np.setdiff1d(np.arange(self.size), [*self.leads])
         return np.asarray(np.linalg.pinv(self.jacobian(q[None])[0, own]) @ rates[own])
-
-    def robot_gradient(self, q: Array, gradient: Array) -> Array:
-        """Return the (N, nq) gradient by the robot's positions q from that by the tree's (N, ·)."""
-        found, gradient = np.zeros_like(q), gradient.copy()
-        for at, (of, ratio, _) in self.leads.items():
-            gradient[:, of] += ratio * gradient[:, at]
-        own, tree = self.kept
-        found[:, own] = gradient[:, tree]
-        for place in self.places:
-            JT = np.swapaxes(place.drive.map.jacobian(q[:, place.actuators]), 1, 2)
-            found[:, place.actuators] = times(JT, gradient[:, place.joints])
-        return found
 
     @cached_property
     def single_places(self) -> list[int]:

@@ -233,13 +233,9 @@ class Follower:
 
 
 class Following(NamedTuple):
-    """That a position is ratio q + offset of another one; that of a held joint has ratio 0.
+    """That a position is ratio q + offset of another one; that of a held joint has ratio 0."""
 
-    Attributes:
-        of: Name of a coordinate, or number of a velocity.
-    """
-
-    of: Any
+    of: Any  # name of a coordinate, or number of a velocity
     ratio: float = 1.0
     offset: float = 0.0
 

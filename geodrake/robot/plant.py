@@ -186,7 +186,9 @@ def _motors(description: ModelDescription) -> Iterator[tuple[bool, str]]:
     for text in description.texts:
         with suppress(ModelError):  # which matters only where it is asked for
             for part in text.motors():
-                is_alike = isinstance(part, Gear) and (text.kind == "xml" or part.is_direct)
+                is_alike = isinstance(part, Gear) and (
+                    text.kind == "xml" or (part.ratio, part.offset, part.rotor) == (1.0, 0.0, "")
+                )
                 yield from ((is_alike, joint) for joint in part.joint_names())
 
 

@@ -362,14 +362,10 @@ _DRAKE_READS = (".obj", ".gltf", ".vtk")
 
 @dataclass(frozen=True, eq=False)
 class RobotShapes:
-    """The shapes of a robot's links.
-
-    Attributes:
-        notes: What could not be shown as the file has it, in words.
-    """
+    """The shapes of a robot's links."""
 
     links: Mapping[str, tuple[LinkShape, ...]]
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what could not be shown as the file has it, in words
 
 
 def robot_shapes(path: Path, given: Given) -> RobotShapes:

@@ -27,14 +27,10 @@ _ROUNDING = 1e-14  # of what two springs have, where they have nothing together
 
 @dataclass(frozen=True)
 class Spring:
-    """A spring across a joint: effort = p + k₁ x + k₂ x² + k₃ x³, x = q − center.
-
-    Attributes:
-        coefficients: p, k₁, k₂, k₃, SI.
-    """
+    """A spring across a joint: effort = p + k₁ x + k₂ x² + k₃ x³, x = q − center."""
 
     center: float
-    coefficients: tuple[float, float, float, float]
+    coefficients: tuple[float, float, float, float]  # p, k₁, k₂, k₃, SI
 
     @classmethod
     def linear(cls, stiffness: float, center: float = 0.0, preload: float = 0.0) -> Spring:
@@ -60,11 +56,6 @@ class Spring:
         parts = (self.about(center).coefficients, other.about(center).coefficients)
         total, size = np.sum(parts, axis=0), np.abs(parts).sum(axis=0)
         return Spring(center, _four(np.where(np.abs(total) > _ROUNDING * size, total, 0.0)))
-
-    @property
-    def is_none(self) -> bool:
-        """Return whether it never pulls."""
-        return not any(self.coefficients)
 
 
 def _four(values: Any) -> tuple[float, float, float, float]:

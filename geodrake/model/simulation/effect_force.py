@@ -310,17 +310,17 @@ class ForceLaw:
     @cached_property
     def timed(self) -> bool:
         """Return whether the time must be known."""
-        return self.motors.timed or self.links.timed
+        return "time" in self.motors.needs | self.links.needs
 
     @cached_property
     def implicit(self) -> bool:
         """Return whether accelerations must be known."""
-        turning = self.motors.turning or self.links.turning
+        turning = "vd" in self.motors.needs | self.links.needs
         return self.plant.driven or bool(self.soft) or self._loaded or turning
 
     @cached_property
     def _loaded(self) -> bool:
-        return self.motors.loaded or self.links.loaded
+        return "load" in self.motors.needs | self.links.needs
 
     @cached_property
     def coupled(self) -> bool:

@@ -211,19 +211,9 @@ class Terms:
         return EffectColumns(self.plant.joints, self.effects, self.plant.trial)
 
     @cached_property
-    def turning(self) -> bool:
-        """Return whether they depend on accelerations."""
-        return "vd" in self.columns.depends_on
-
-    @cached_property
-    def loaded(self) -> bool:
-        """Return whether they depend on the load."""
-        return "load" in self.columns.depends_on
-
-    @cached_property
-    def timed(self) -> bool:
-        """Return whether the time must be known."""
-        return "time" in self.columns.depends_on or self._warmth is not None
+    def needs(self) -> frozenset[str]:
+        """Return what they depend on; the time also where the temperatures matter."""
+        return self.columns.depends_on | ({"time"} if self._warmth is not None else set())
 
     @cached_property
     def _warmth(self) -> Temperatures | None:
@@ -239,7 +229,7 @@ class Terms:
 
     def added_mass(self, at: PlantState, load: Array, parameters: Parameters) -> Array:
         """Return (nv, nv) their contribution to the mass matrix, under a load (nv,)."""
-        if not self.turning:
+        if "vd" not in self.needs:
             return np.zeros((len(at.v), len(at.v)))
         own = self._motion(at, load), parameters[0][self.places]
         return self.plant.own(
@@ -263,7 +253,7 @@ class Terms:
         vd = np.atleast_2d(motion.vd)
         rates = np.broadcast_to(motion.v, vd.shape), vd, np.broadcast_to(motion.load, vd.shape)
         known: dict[str, Any] = {"states": {e: at.hidden[None, s] for e, s in self.hidden.items()}}
-        if self.timed:
+        if "time" in self.needs:
             known["time"] = np.full(len(vd), at.time)
         if self._warmth is not None:
             known["temperature"] = self._warmth.at(known["time"], self.plant.joints)

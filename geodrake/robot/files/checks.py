@@ -104,13 +104,9 @@ _NUMBER = re.compile(r"[-+]?((\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|inf)")
 
 @dataclass(frozen=True)
 class Numbers:
-    """Requirements on numbers in a place.
+    """Requirements on numbers in a place."""
 
-    Attributes:
-        counts: How many; none at all is left to Drake.
-    """
-
-    counts: range = range(1, 2)
+    counts: range = range(1, 2)  # how many; none at all is left to Drake
     least: float = -LARGEST
     most: float = LARGEST
 

@@ -15,13 +15,9 @@ _NAME = re.compile(r"[^\s/:=]+")
 
 
 class Expanded(NamedTuple):
-    """Result of expanding a xacro file.
+    """Result of expanding a xacro file."""
 
-    Attributes:
-        read: Files that it reads, itself among them -> their checksums, None if they are not there.
-    """
-
-    read: Mapping[Path, bytes | None]
+    read: Mapping[Path, bytes | None]  # files that it reads, itself among them -> their checksums
     data: bytes
 
 

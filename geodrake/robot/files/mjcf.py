@@ -96,12 +96,7 @@ def actuator_shares(m: Any, at: int) -> dict[int, float]:
 
 
 class MjcfTerms:
-    """Terms of a compiled MJCF, by names in a model.
-
-    Attributes:
-        reference: The compiled model without what is left out.
-        closing: Numbers of MuJoCo's constraints that close loops.
-    """
+    """Terms of a compiled MJCF, by names in a model; `reference` and `closing` as in `MjcfText`."""
 
     def __init__(self, source: CompiledMjcf, scope: str) -> None:
         """Take all that is stated out of a compiled file."""

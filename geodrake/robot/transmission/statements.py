@@ -138,11 +138,6 @@ class Gear(Statement):
         rows = [[x] for x in (turn if self.rotor else turn[:1])]
         return LinearTransmission.of(rows, [self.offset, 0.0][: len(rows)])
 
-    @property
-    def is_direct(self) -> bool:
-        """Whether the actuator moves just as the joint does."""
-        return self.ratio == 1.0 and self.offset == 0.0 and not self.rotor
-
 
 class Coupled(Statement):
     """Joints that several actuators move together: a wrist, a differential, belts over joints.
