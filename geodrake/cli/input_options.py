@@ -319,16 +319,6 @@ def written_axis(options: AxisOptions, model: Path, log: Path) -> Iterator[None]
             raise ArgumentError("--mass needs --axis.", advice="Add --axis prismatic.")
         yield
         return
-    write_whole(model, _text(options, model, log))
-    try:
-        yield
-    except BaseException:
-        model.unlink(missing_ok=True)
-        raise
-
-
-def _text(options: AxisOptions, model: Path, log: Path) -> str:
-    """Return the URDF, its joint named as that of the first log."""
     from geodrake.logs.files import read_log
 
     kind, mass = options.axis, options.mass
@@ -356,4 +346,11 @@ def _text(options: AxisOptions, model: Path, log: Path) -> str:
             advice="Give a model file.",
         )
     inertia = mass * _RADIUS**2
-    return _URDF.format(kind=kind, mass=mass, inertia=inertia, joint=quoteattr(joints[0]))
+    write_whole(
+        model, _URDF.format(kind=kind, mass=mass, inertia=inertia, joint=quoteattr(joints[0]))
+    )
+    try:
+        yield
+    except BaseException:
+        model.unlink(missing_ok=True)
+        raise

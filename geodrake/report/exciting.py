@@ -319,7 +319,7 @@ def identifiability_page(found: LogIdentifiability, about: About) -> Page:
     """Return the page of the identifiability of logs."""
     most = percent(found.identifiable.threshold**0.5)
     count, of = sum(entry.is_identifiable for entry in found.effects), len(found.effects)
-    headline, _, beyond = identifiability_verdict(found).partition(". ")
+    headline, *beyond = _identifiable_sentences(found)
     rest = found.unidentifiable
     combinations = [
         cells(each.words, each.value, each.deviation, relative(each.relative))
@@ -329,7 +329,7 @@ def identifiability_page(found: LogIdentifiability, about: About) -> Page:
     return Page(
         about,
         "identifiable",
-        f"{headline.removesuffix('.')}.",
+        headline,
         (
             Section(
                 "Bodies",
@@ -359,7 +359,7 @@ def identifiability_page(found: LogIdentifiability, about: About) -> Page:
             ),
             Section("Notes", items=found.notes),
         ),
-        lead=(beyond,) if beyond else (),
+        lead=(" ".join(beyond),) if beyond else (),
         tiles=(
             Tile("directions identifiable", directions, f"to within {most}"),
             Tile(
@@ -372,7 +372,7 @@ def identifiability_page(found: LogIdentifiability, about: About) -> Page:
     )
 
 
-def identifiability_verdict(found: LogIdentifiability) -> str:
+def _identifiable_sentences(found: LogIdentifiability) -> list[str]:
     """Return what is identifiable from logs, and what a better model would identify.
 
     For example `9 of 12 directions are identifiable to within 10 %; hand in full.`
@@ -391,7 +391,12 @@ def identifiability_verdict(found: LogIdentifiability) -> str:
         sentences.append("All parameters of effects are identifiable.")
     if found.count_at_floor > found.count:
         sentences.append(f"If only sensor noise remained, {found.count_at_floor} would be.")
-    return " ".join(sentences)
+    return sentences
+
+
+def identifiability_verdict(found: LogIdentifiability) -> str:
+    """Return what is identifiable from logs, in a few sentences."""
+    return " ".join(_identifiable_sentences(found))
 
 
 def _bodies_table(found: LogIdentifiability) -> Table:

@@ -116,26 +116,6 @@ class _Errors:
         """Return the errors of the last model."""
         return list(self.stages.values())[-1]
 
-    def tiles(self, *first: Tile, ends: Sequence[ErrorTable], of: str = "") -> tuple[Tile, ...]:
-        """Return the tiles at the top of a page.
-
-        Args:
-            ends: Errors of the first and, if it was fitted, of the last model.
-            of: Unit of the removable share; "" to omit that tile.
-        """
-        worst = words.worst_joint(ends[-1]).joint
-        nrms = [next(j.nrms for j in table.joints if j.joint == worst) for table in ends]
-        tiles = [
-            *first,
-            Tile("worst joint", worst, f"nrms {' → '.join(map(number, nrms))}", words=True),
-            Tile("sensor noise", number(self.last.floor_nrms), "the nrms of a perfect model"),
-        ]
-        if not self.last.shows_noise:
-            tiles[-1] = Tile("sensor noise", "unknown", "the logs show none")
-        elif of:
-            tiles.append(Tile("removable", percent(words.removable_share(self.last)), of))
-        return tuple(tiles)
-
     def sections(self) -> tuple[Section, Section]:
         """Return the errors of all joints, and where they are concentrated."""
         chart = effort_chart(self.models, self.units, self.between)
@@ -166,26 +146,40 @@ class _Errors:
         headline: str,
         sections: Sequence[Section],
         *,
-        of: Comparison,
+        tiles: Sequence[Tile],
         notes: Sequence[str],
-        refitted: bool = True,
+        removable: str = "",
         deep: bool = False,
         **more: Any,
     ) -> Page:
         """Return a page that ends with residuals, how errors were measured, and notes.
 
         Args:
-            of: Comparison whose logs and folds the page is about.
-            refitted: Whether a model was refitted.
+            tiles: The first tiles, before those of the worst joint and of noise.
+            removable: Unit of the removable share; "" to omit that tile.
             deep: Whether terminals show notes only with details.
             more: Further fields of the page.
         """
+        of, (start, *_) = next(iter(self.models.values())), self.stages.values()
+        ends = [self.last] if start.nrms == self.last.nrms else [start, self.last]
+        worst = words.worst_joint(self.last).joint
+        nrms = [next(j.nrms for j in table.joints if j.joint == worst) for table in ends]
+        tiles = [
+            *tiles,
+            Tile("worst joint", worst, f"nrms {' → '.join(map(number, nrms))}", words=True),
+            Tile("sensor noise", number(self.last.floor_nrms), "the nrms of a perfect model"),
+        ]
+        if not self.last.shows_noise:
+            tiles[-1] = Tile("sensor noise", "unknown", "the logs show none")
+        elif removable:
+            share = percent(words.removable_share(self.last))
+            tiles.append(Tile("removable", share, removable))
         folds = list(dict.fromkeys(series.block for series in of.series))
         how = (
             f"Errors of refitted models are on held-out data: each of the {len(folds)} folds (long "
             "blocks with gaps between them, or whole logs) was predicted with parameters fitted to "
             "the others. The model as it stands was not refitted."
-            if refitted
+            if mark != "compared"
             else "Nothing was refitted, so all data are held-out data, unless the model was fitted "
             "to these logs before."
         )
@@ -207,7 +201,16 @@ class _Errors:
             replace(notes_section(notes, of.first), deep=deep),
         )
         shown, first = (*sections, *last), (first_section(of.first),)
-        return Page(about, mark, headline, shown, footer=_footer(of), first=first, **more)
+        return Page(
+            about,
+            mark,
+            headline,
+            shown,
+            tiles=tuple(tiles),
+            footer=_footer(of),
+            first=first,
+            **more,
+        )
 
 
 def comparison_page(comparison: Comparison, about: About) -> Page:
@@ -215,17 +218,15 @@ def comparison_page(comparison: Comparison, about: About) -> Page:
     errors, units = comparison.errors, about.units
     shown = _Errors({"RMS": errors}, {BEFORE: comparison}, units, joint_bars(errors))
     joints, failing = shown.sections()
-    tile = _error_tile("error", errors, units)
     return shown.page(
         about,
         "compared",
         f"The error is {words.error_size(errors)}.",
         (joints, replace(failing, deep=False)),
-        of=comparison,
+        tiles=[_error_tile("error", errors, units)],
         notes=comparison.notes,
-        refitted=False,
+        removable="of the squared error",
         lead=words.comparison_lead(comparison),
-        tiles=shown.tiles(tile, ends=[errors], of="of the squared error"),
     )
 
 
@@ -259,17 +260,15 @@ def diagnosis_page(diagnosis: Diagnosis, about: About) -> Page:
         diagnosis.verdict if best is None else "effect found",
         headline,
         (ranking, settling_section(diagnosis, about), replace(joints, deep=True), failing),
-        of=comparison,
+        tiles=[
+            _error_tile("as it stands", start, units),
+            _error_tile("refitted", diagnosis.refitted, units, "held-out data"),
+            *with_it,
+        ],
         notes=diagnosis.notes,
         deep=True,
         verdict=diagnosis.verdict,
         lead=words.diagnosis_lead(diagnosis),
-        tiles=shown.tiles(
-            _error_tile("as it stands", start, units),
-            _error_tile("refitted", diagnosis.refitted, units, "held-out data"),
-            *with_it,
-            ends=[start],
-        ),
     )
 
 
@@ -341,15 +340,13 @@ def explanation_page(found: Explanation, about: About) -> Page:
             gains_section(signals, units),
             limits_section(signals, units),
         ),
-        of=explanation.before,
+        tiles=tiles,
+        removable="of the squared error left",
         notes=explanation.notes,
         deep=True,
         verdict=explanation.verdict,
         lead=words.explanation_lead(
             explanation, advised=not (explanation.draft or explanation.added)
-        ),
-        tiles=shown.tiles(
-            *tiles, ends=[start, end] if steps else [start], of="of the squared error left"
         ),
     )
 
@@ -393,16 +390,14 @@ def identification_page(found: ModelIdentification, about: About) -> Page:
             ),
             failing,
         ),
-        of=found.comparison,
+        tiles=[
+            _error_tile("as it stands", before, units),
+            _error_tile("identified", after, units, "held-out data"),
+        ],
+        removable="of the squared error left",
         notes=found.notes,
         verdict="identified",
         lead=(lead, bounded) if found.at_boundary else (lead,),
-        tiles=shown.tiles(
-            _error_tile("as it stands", before, units),
-            _error_tile("identified", after, units, "held-out data"),
-            ends=[before, after],
-            of="of the squared error left",
-        ),
     )
 
 

@@ -109,18 +109,10 @@ class Tile:
 
 
 @dataclass(frozen=True)
-class Picture:
-    """A picture of a robot as PNG with a transparent background."""
-
-    title: str
-    png: bytes
-
-
-@dataclass(frozen=True)
 class Pictures:
     """Pictures of a robot whose links are coloured by errors."""
 
-    shown: tuple[Picture, ...]
+    shown: Mapping[str, bytes]  # title -> PNG with a transparent background
     colors: tuple[str, ...]  # colours from no error to the largest
     top: str  # label of the largest error
     text: str

@@ -34,7 +34,7 @@ from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
 from geodrake.report import style
 from geodrake.report.numbers import number, percent
-from geodrake.report.page import Picture, Pictures
+from geodrake.report.page import Pictures
 from geodrake.report.playback import Playback
 from geodrake.report.robot_scene import (
     COLORS,
@@ -101,19 +101,19 @@ def _drawn(model: RobotModel, compared: Mapping[str, Comparison]) -> Pictures | 
         return None
     rows, columns = (np.flatnonzero(drawn[0][..., 3].any(axis)) for axis in (1, 0))
     inner = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    pictures = []
+    pictures = {}
     for (title, found), picture in zip(compared.items(), drawn, strict=True):
         buffer = io.BytesIO()
         few = Image.fromarray(picture[inner]).quantize(_PALETTE, Image.Quantize.FASTOCTREE)
         few.save(buffer, "PNG", optimize=True)
         words = ", ".join(filter(None, [title, f"nrms {number(found.errors.nrms)}"]))
-        pictures.append(Picture(words, buffer.getvalue()))
+        pictures[words] = buffer.getvalue()
     text = (
         "Links have the colour of their joint's error. The pose is that at "
         f"{worst.time[at]:.2f} s, where the error of {worst.joint} was largest."
     )
     notes = tuple(map(capitalized, shapes.notes))
-    return Pictures(tuple(pictures), COLORS, percent(top), text, notes)
+    return Pictures(pictures, COLORS, percent(top), text, notes)
 
 
 def _posture(model: RobotModel, some: Sequence[Series], worst: Series, at: int) -> Array:

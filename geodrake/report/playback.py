@@ -304,13 +304,11 @@ def _score(log: str, start: float, end: float, found: Sequence[Comparison]) -> f
     """Return the errors between two instants, relative to each model's own error."""
     score = 0.0
     for one in found:
-        worst = 0.0
-        for joint in one.errors.joints:
-            time, measured, predicted = _samples(one, joint.joint, log)
-            inside = (time >= start) & (time < end)
+        stds, worst = {joint.joint: joint.std for joint in one.errors.joints}, 0.0
+        for s in (s for s in one.series if s.log == log):
+            inside = (s.time >= start) & (s.time < end)
             if inside.any():
-                squares = ((measured - predicted)[inside] / joint.std) ** 2
-                worst = max(worst, float(squares.mean()))
+                worst = max(worst, float(((s.residual[inside] / stds[s.joint]) ** 2).mean()))
         score += worst / max(one.errors.nrms, 1e-12) ** 2
     return score
 
