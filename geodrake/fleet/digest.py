@@ -34,49 +34,32 @@ from geodrake.logs.known_payload import KnownPayload
 
 @dataclass(frozen=True, eq=False)
 class DigestedLog(Short):
-    """What a digest keeps of a log besides its normal matrices.
-
-    Attributes:
-        content: SHA-256 of the bytes of its file.
-        key: Name of its digest: hash of content, settings and known payloads.
-        date: When it began, s since 1970.
-        date_from: Where the date is from: `stamps`, `option` or `file`, which is when the file was
-            changed last.
-        bandwidth: Bandwidth of the filter that its period allows, nearest to the settings', Hz.
-        payloads: Known payloads that the robot carried; their efforts are taken off.
-        noise_floor: (nv,) estimated RMS of the sensor noise after filtering, N·m or N.
-        gain_deviations: (nv,) how well the gains of the efforts are known, as shares.
-        position: (2, nv) least and largest position of each joint, rad or m.
-        speed: (2, nv) least and largest velocity, rad/s or m/s.
-        temperature: (nv,) mean temperature of each joint, °C; NaN where it was not measured.
-        samples: (nv,) rows of each joint; 0 for one that rests.
-        effective: (nv,) independent samples that what the model leaves of each block is worth,
-            refitted to the others; 0 of a joint at rest.
-        residual_power: (nv,) sum of squares of that, (N·m)² or N².
-        effort_scale: (nv,) how large the effort of a joint without a motor could be, N·m or N;
-            zeros at others.
-        passive_inertia: As in `Dataset`.
-    """
+    """What a digest keeps of a log besides its normal matrices."""
 
     name: str
-    content: str
+    content: str  # SHA-256 of the bytes of its file
     fingerprint: str
-    key: str
-    date: float
+    key: str  # name of its digest: hash of content, settings and known payloads
+    date: float  # when it began, s since 1970
+    # Where the date is from: `stamps`, `option` or `file`, which is when the file was changed last.
     date_from: str
     seconds: float
-    bandwidth: float
+    bandwidth: float  # bandwidth of the filter that its period allows, nearest to the settings', Hz
+    # Known payloads that the robot carried; their efforts are taken off.
     payloads: tuple[KnownPayload, ...]
-    noise_floor: Array
-    gain_deviations: Array
-    position: Array
-    speed: Array
-    temperature: Array
-    samples: NDArray[np.int_]
+    noise_floor: Array  # (nv,) estimated RMS of the sensor noise after filtering, N·m or N
+    gain_deviations: Array  # (nv,) how well the gains of the efforts are known, as shares
+    position: Array  # (2, nv) least and largest position of each joint, rad or m
+    speed: Array  # (2, nv) least and largest velocity, rad/s or m/s
+    temperature: Array  # (nv,) mean temperature of each joint, °C; NaN where it was not measured
+    samples: NDArray[np.int_]  # (nv,) rows of each joint; 0 for one that rests
+    # (nv,) independent samples that what the model leaves of each block is worth, refitted to the
+    # others; 0 of a joint at rest.
     effective: Array
-    residual_power: Array
+    residual_power: Array  # (nv,) sum of squares of that, (N·m)² or N²
+    # (nv,) how large the effort of a joint without a motor could be, N·m or N; zeros at others.
     effort_scale: Array
-    passive_inertia: Array | None
+    passive_inertia: Array | None  # as in `Dataset`
     notes: tuple[str, ...] = ()
 
 
@@ -228,7 +211,6 @@ def read_digest_of(path: Path, settings: DigestSettings) -> Digest:
         raise DigestError(
             f"{path} has the digest of another log, {names}: it was copied or renamed.",
             advice="Delete it, and digest its log again.",
-            path=path,
         )
     return digest
 
@@ -251,6 +233,5 @@ def read_digest(path: str | Path) -> Digest:
         raise DigestError(
             f"{path} is not a digest, or damaged: {error}.",
             advice="Delete it, and digest its log again.",
-            path=path,
         ) from error
     return Digest(settings_of(settings, path), logs, blocks, joints)

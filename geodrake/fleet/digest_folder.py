@@ -47,33 +47,25 @@ _SUFFIX = ".digest"
 
 @dataclass(frozen=True, eq=False)
 class DigestRow(Short):
-    """The outcome for one log.
-
-    Attributes:
-        reason: Why there is no digest; or what else is to say of it.
-    """
+    """The outcome for one log."""
 
     file: Path
     status: str
     digest: Path | None = None
     about: DigestedLog | None = None
-    reason: str = ""
+    reason: str = ""  # why there is no digest; or what else is to say of it
 
 
 @dataclass(frozen=True, eq=False)
 class DigestRun(Short):
-    """Outcome of digesting several logs.
-
-    Attributes:
-        settings: Their settings; None if no log could be used, so that none are chosen.
-        repairs: What of the model's file is not believed.
-    """
+    """Outcome of digesting several logs."""
 
     folder: Path
+    # Their settings; None if no log could be used, so that none are chosen.
     settings: DigestSettings | None
     rows: tuple[DigestRow, ...]
     chosen: bool = False
-    repairs: tuple[str, ...] = ()
+    repairs: tuple[str, ...] = ()  # what of the model's file is not believed
 
     def count(self, status: str) -> int:
         """Return how many logs have a status."""
@@ -121,7 +113,7 @@ class _Folder:
         except ArgumentError as error:
             if self.wanted.bandwidth is None:
                 raise
-            raise DigestError(error.problem, advice=error.advice, **error.evidence) from error
+            raise DigestError(error.problem, advice=error.advice) from error
 
     def take_settings(self) -> None:
         """Take the settings that the folder has, if it has any."""
@@ -235,7 +227,6 @@ def _check_folder(path: Path) -> None:
         raise OutputError(
             f"Digests cannot be written to {path}: {error.evidence.get('reason', error)}.",
             advice="Choose another folder.",
-            path=path,
         ) from error
 
 

@@ -52,20 +52,12 @@ _KEY = 32  # letters of a digest's name
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
-    """Settings that are wanted; None for those that the model and the first log decide.
+    """Settings that are wanted; None for those that the model and the first log decide."""
 
-    Attributes:
-        bandwidth: Bandwidth of the filter, Hz.
-        extra: Effect classes of the user's own, which get columns too.
-
-    Raises:
-        ArgumentError: One is not what it must be.
-    """
-
-    bandwidth: float | None = None
+    bandwidth: float | None = None  # bandwidth of the filter, Hz
     blocks: int | None = None
     reading: Reading = field(default_factory=Reading)
-    extra: tuple[type[Effect], ...] = ()
+    extra: tuple[type[Effect], ...] = ()  # effect classes of the user's own, which get columns too
 
     def __post_init__(self) -> None:
         if self.bandwidth is not None:
@@ -85,9 +77,6 @@ class LogFacts:
         date: When it was recorded, s since 1970, if somebody says it.
         payloads: What the robot carried all the time, of known mass, that the model does not have.
         episode: Which episode of a dataset the log is; None for all.
-
-    Raises:
-        ArgumentError: One is not what it must be.
     """
 
     content: str
@@ -203,7 +192,6 @@ def make_digest(
         raise LogError(
             f"{differing[0]} has no motor {where}, but the digests of a folder are of one robot.",
             advice=f"Use --passive {differing[0]} for all of them, or measure its effort in all.",
-            joint=differing[0],
         )
     extra = instances(extra, "extra", type)
     own = model_of_digests(model, settings)
@@ -242,7 +230,6 @@ def _check_held(log: JointLog, settings: DigestSettings) -> None:
                 f"The settings of the digests fix {joint} at {place:.4g}, where it is not in "
                 f"log {log.name!r}.",
                 advice="Digest logs in which it moves into another folder.",
-                joint=joint,
             )
 
 
@@ -258,7 +245,6 @@ def _in_efforts(log: JointLog, model: RobotModel) -> JointLog:
                 f"Log {log.name!r} has the {kind} of {joint} instead of its effort, but the "
                 "model has no gain for it.",
                 advice="Fit the model to such logs first, and save it: geodrake identify --save.",
-                joint=joint,
             )
     return log
 
@@ -275,7 +261,6 @@ def _prepared(log: JointLog, settings: DigestSettings) -> Trajectory:
             f"of the digests: its sampling rate is {1.0 / uniform.period:.4g} Hz.",
             advice="Log at a higher rate, or digest all logs into a new folder with a lower "
             "bandwidth.",
-            period=uniform.period,
         ) from error
 
 

@@ -69,33 +69,22 @@ class _FleetSchema(Schema):
 
 @dataclass(frozen=True)
 class FleetType(Short):
-    """Robots of one model.
-
-    Attributes:
-        own_effects: Python files with effects of the user's own.
-        effects: Effects that each joint has beside the model's; None for friction and offsets.
-        bandwidth: Bandwidth of the digests, Hz; None if it is chosen by the first log.
-        blocks: Blocks that each log is cut into; None for the usual number.
-        payload: Mass of a usual payload, kg; None for a tenth of the robot's own.
-        lock: Joint -> where it is held, rad or m.
-        floating: Whether roots are free that nothing fixes to the world.
-        transmission: What moves joints in their place: a file, `file` or `none`.
-        mapping: File that says which column of the logs is what.
-        units: Quantity -> its unit in the logs.
-    """
+    """Robots of one model."""
 
     name: str
     model: Path
-    own_effects: tuple[Path, ...] = ()
+    own_effects: tuple[Path, ...] = ()  # Python files with effects of the user's own
+    # Effects that each joint has beside the model's; None for friction and offsets.
     effects: tuple[str, ...] | None = None
+    # Bandwidth of the digests, Hz; None if it is chosen by the first log.
     bandwidth: float | None = None
-    blocks: int | None = None
-    payload: float | None = None
-    lock: Mapping[str, float] = field(default_factory=dict)
-    floating: bool = False
-    transmission: str | None = None
-    mapping: Path | None = None
-    units: Mapping[str, str] = field(default_factory=dict)
+    blocks: int | None = None  # blocks that each log is cut into; None for the usual number
+    payload: float | None = None  # mass of a usual payload, kg; None for a tenth of the robot's own
+    lock: Mapping[str, float] = field(default_factory=dict)  # joint -> where it is held, rad or m
+    floating: bool = False  # whether roots are free that nothing fixes to the world
+    transmission: str | None = None  # what moves joints in their place: a file, `file` or `none`
+    mapping: Path | None = None  # file that says which column of the logs is what
+    units: Mapping[str, str] = field(default_factory=dict)  # quantity -> its unit in the logs
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -108,34 +97,27 @@ class FleetType(Short):
 
 @dataclass(frozen=True)
 class FleetRobot(Short):
-    """One robot of a fleet.
-
-    Attributes:
-        logs: Patterns of its logs: absolute paths or addresses, with `*`, `?`, `[…]` and `**`.
-        dates: When a log without stamps was recorded: `file`, when its file was changed; `stamps`,
-            where those without are refused; or what a date in its path is like, as `%Y-%m-%d`.
-        payloads: What it carried in all logs, of known mass, that the model does not have.
-        model: File of its own model, which its parameters are compared with; None for its type's.
-    """
+    """One robot of a fleet."""
 
     name: str
     type: str
+    # Patterns of its logs: absolute paths or addresses, with `*`, `?`, `[…]` and `**`.
     logs: tuple[str, ...]
+    # When a log without stamps was recorded: `file`, when its file was changed; `stamps`, where
+    # those without are refused; or what a date in its path is like, as `%Y-%m-%d`.
     dates: str = "file"
+    # What it carried in all logs, of known mass, that the model does not have.
     payloads: tuple[KnownPayload, ...] = ()
+    # File of its own model, which its parameters are compared with; None for its type's.
     model: Path | None = None
 
 
 @dataclass(frozen=True)
 class Fleet(Short):
-    """Types and robots.
-
-    Attributes:
-        folder: Where digests and results go.
-    """
+    """Types and robots."""
 
     path: Path
-    folder: Path
+    folder: Path  # where digests and results go
     types: Mapping[str, FleetType]
     robots: tuple[FleetRobot, ...]
 

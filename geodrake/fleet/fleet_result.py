@@ -27,19 +27,13 @@ CHANGED, STEADY, UNKNOWN = "changed", "steady", "no logs"
 
 @dataclass(frozen=True)
 class ChangedParameter:
-    """Change of a parameter.
-
-    Attributes:
-        unit: Its unit; empty for shares.
-        size: Change; of a ramp up to the last log.
-        share: The change as a share of the robot's own value; NaN where there is no such.
-    """
+    """Change of a parameter."""
 
     name: str
-    unit: str
-    size: float
+    unit: str  # its unit; empty for shares
+    size: float  # change; of a ramp up to the last log
     deviation: float
-    share: float
+    share: float  # the change as a share of the robot's own value; NaN where there is no such
 
 
 @dataclass(frozen=True)
@@ -82,36 +76,25 @@ class FleetFinding(Short):
 
 @dataclass(frozen=True, eq=False)
 class ParameterHistory(Short):
-    """A parameter of a robot over time.
-
-    Attributes:
-        values: (T,) values as each log has them, in its unit.
-        deviations: (T,) their standard deviations, with what logs scatter beyond noise.
-        shown: (T,) whether the log says more of it than that the robot is one of the type.
-    """
+    """A parameter of a robot over time."""
 
     parameter: FleetParameter
-    values: Array
-    deviations: Array
+    values: Array  # (T,) values as each log has them, in its unit
+    deviations: Array  # (T,) their standard deviations, with what logs scatter beyond noise
+    # (T,) whether the log says more of it than that the robot is one of the type.
     shown: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class OwnParameter:
-    """A parameter of a robot without its changes, compared with other robots.
-
-    Attributes:
-        common: What robots of the type share.
-        spread: By how much they differ, one standard deviation.
-        of_model: What the robot's model file says, or its type's; NaN where that says nothing.
-    """
+    """A parameter of a robot without its changes, compared with other robots."""
 
     parameter: FleetParameter
     value: float
     deviation: float
-    common: float
-    spread: float
-    of_model: float
+    common: float  # what robots of the type share
+    spread: float  # by how much they differ, one standard deviation
+    of_model: float  # what the robot's model file says, or its type's; NaN where that says nothing
 
     @property
     def apart(self) -> float:

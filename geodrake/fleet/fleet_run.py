@@ -48,9 +48,6 @@ class FleetWork(Short):
         workers: Processes of this machine, or 0 for this one; None for one on each core.
         scheduler: Address of a scheduler of the user's own; None for processes of this machine.
         false_alarms: At most how many robots in which nothing changed are named, a robot-month.
-
-    Raises:
-        ArgumentError: One is not what it must be.
     """
 
     workers: int | None = None

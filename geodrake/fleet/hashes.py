@@ -72,7 +72,7 @@ def file_hash(paths: Iterable[Path]) -> str:
             try:
                 own = sha256_of(each)
             except GeodrakeError as error:
-                raise LogError(error.problem, advice=error.advice, path=each) from error
+                raise LogError(error.problem, advice=error.advice) from error
             found.update(f"{name!a} {own}\n".encode())
     return found.hexdigest()
 

@@ -228,7 +228,6 @@ def date_of_log(
             f"The date of log {log.name!r} is unknown: its time stamps are not dates, and "
             f"{says} {date:.10g} s since 1970.",
             advice="Use --date or, in a fleet file, `dates` and dates in the names of logs.",
-            date=date,
         )
     return date, source
 

@@ -103,41 +103,29 @@ class DigestEffect:
 
 @dataclass(frozen=True, eq=False)
 class DigestSettings(Short):
-    """Settings that all digests of a folder share.
+    """Settings that all digests of a folder share."""
 
-    Attributes:
-        model: Hash of the model; see `model_hash`.
-        held: Joint that no log says anything of -> where it is held, rad or m.
-        bandwidth: Bandwidth that efforts and regressors are filtered to, Hz.
-        motion_bandwidth: That of the smoothed motion, Hz.
-        sign_width: (nv,) speed below which dry friction fades, rad/s or m/s.
-        still_speed: (nv,) speed below which a joint counts as at rest, rad/s or m/s.
-        delays: Delays between motion and effort that have a column of efforts, on top of the
-            model's, s; the first is 0.
-        effects: What has columns beside the bodies: the model's effects, then candidates.
-        extra: Effect of the user's own that may have columns -> SHA-256 of its source.
-        reading: How logs are read, as far as that is the same for all.
-        passive: Joints without a motor.
-        chosen_from: The log by which they were chosen.
-    """
-
-    model: str
+    model: str  # hash of the model; see `model_hash`
     joints: tuple[str, ...]
     bodies: tuple[str, ...]
-    held: Mapping[str, float]
-    bandwidth: float
-    motion_bandwidth: float
-    sign_width: Array
-    still_speed: Array
+    held: Mapping[str, float]  # joint that no log says anything of -> where it is held, rad or m
+    bandwidth: float  # bandwidth that efforts and regressors are filtered to, Hz
+    motion_bandwidth: float  # that of the smoothed motion, Hz
+    sign_width: Array  # (nv,) speed below which dry friction fades, rad/s or m/s
+    still_speed: Array  # (nv,) speed below which a joint counts as at rest, rad/s or m/s
+    # Delays between motion and effort that have a column of efforts, on top of the model's, s; the
+    # first is 0.
     delays: tuple[float, ...]
+    # What has columns beside the bodies: the model's effects, then candidates.
     effects: tuple[DigestEffect, ...]
+    # Effect of the user's own that may have columns -> SHA-256 of its source.
     extra: Mapping[str, str]
-    reading: Mapping[str, Any]
+    reading: Mapping[str, Any]  # how logs are read, as far as that is the same for all
     blocks: int
     version: str
     format: str = FORMAT
-    chosen_from: str = ""
-    passive: tuple[str, ...] = ()
+    chosen_from: str = ""  # the log by which they were chosen
+    passive: tuple[str, ...] = ()  # joints without a motor
 
     @cached_property
     def hash(self) -> str:

@@ -20,10 +20,9 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 from scipy.special import gammaincinv
 
+from geodrake.boundary.arguments import Array
 from geodrake.compiling import compiled, contiguous
 from geodrake.errors import ArgumentError, LogError
-
-Array = NDArray[np.float64]
 
 SHARP = "blackmanharris"
 """The window whose side lobes, below −92 dB, hide nothing of a spectrum's dynamic range."""
@@ -132,19 +131,12 @@ _SAME_INSTANT = 1e-4  # of the time between samples
 
 @dataclass(frozen=True, eq=False)
 class ZeroPhaseFilter:
-    """Symmetric low-pass filter (windowed sinc) with decimation.
+    """Symmetric low-pass filter (windowed sinc) with decimation."""
 
-    Attributes:
-        half: (L+1,) right half of the kernel, centre first; the whole sums to one.
-        decimation: Input samples for each output sample.
-        period: Time between input samples, s.
-        bandwidth: Frequency that passes with half its amplitude, Hz.
-    """
-
-    half: Array
-    decimation: int
-    period: float
-    bandwidth: float
+    half: Array  # (L+1,) right half of the kernel, centre first; the whole sums to one
+    decimation: int  # input samples for each output sample
+    period: float  # time between input samples, s
+    bandwidth: float  # frequency that passes with half its amplitude, Hz
 
     @property
     def kernel(self) -> Array:
@@ -249,15 +241,13 @@ def design_filter(
         ArgumentError: The bandwidth does not fit the period.
     """
     if not 0.0 < period < np.inf:
-        raise ArgumentError(f"A sampling period must be positive; got {period:g} s.", period=period)
+        raise ArgumentError(f"A sampling period must be positive; got {period:g} s.")
     lowest, highest = 0.5 / (_LARGEST_DECIMATION * period), highest / period
     if not lowest <= bandwidth <= highest * (1 + 1e-9):
         raise ArgumentError(
             f"A bandwidth of {bandwidth:g} Hz is not possible at a sampling rate of "
             f"{1 / period:g} Hz.",
             advice=f"Choose a bandwidth between {lowest:g} and {highest:g} Hz.",
-            bandwidth=bandwidth,
-            period=period,
         )
     decimation = round(0.5 / (bandwidth * period))
     white = 0.5 / (decimation * period)

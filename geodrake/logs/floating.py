@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from geodrake.boundary.arguments import Array
 
 AXES, QUATERNION = ("x", "y", "z"), ("w", "x", "y", "z")
 _FIELDS = {
@@ -89,17 +89,11 @@ def frames_of(columns: Mapping[str, Array], end: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class ContactFlags:
-    """Frames that may touch the ground, and when.
+    """Frames that may touch the ground, and when."""
 
-    Attributes:
-        frames: Names of the c frames.
-        time: (K,) instants, s.
-        flags: (K, c) whether each may touch.
-    """
-
-    frames: tuple[str, ...]
-    time: Array
-    flags: NDArray[np.bool_]
+    frames: tuple[str, ...]  # names of the c frames
+    time: Array  # (K,) instants, s
+    flags: NDArray[np.bool_]  # (K, c) whether each may touch
 
     def at(self, time: Array) -> NDArray[np.bool_]:
         """Return (N, c) whether frames may touch in the rows beside instants (N,)."""

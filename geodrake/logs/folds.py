@@ -27,15 +27,11 @@ _CORRELATION_SECONDS = 0.5  # of what friction and elasticity leave in a residua
 
 @dataclass(frozen=True)
 class Block:
-    """A stretch of the filtered samples of one segment.
-
-    Attributes:
-        start: First of the segment's filtered samples that is in the block.
-    """
+    """A stretch of the filtered samples of one segment."""
 
     trajectory: int
     segment: int
-    start: int
+    start: int  # first of the segment's filtered samples that is in the block
     stop: int
 
     def __len__(self) -> int:
@@ -75,7 +71,6 @@ def validation_blocks(
         raise ArgumentError(
             f"{blocks} blocks are not possible for {len(trajectories)} log(s): {why}.",
             advice=f"Use {least} to {_MOST_BLOCKS} blocks.",
-            blocks=blocks,
         )
     wanted = blocks or max(1, _FOLDS // len(trajectories))
     if blocks is None and len(trajectories) >= _ENOUGH_TRAJECTORIES:
@@ -93,7 +88,6 @@ def validation_blocks(
             "filtered samples, but two blocks with a gap need more than "
             f"{2 * _LEAST_OUTPUTS}.",
             advice="Use a longer log, a second one, or a larger bandwidth.",
-            outputs=outputs,
         )
     return folds
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import yaml  # type: ignore[import-untyped]
-from numpy.typing import NDArray
 
+from geodrake.boundary.arguments import Array
 from geodrake.errors import GeodrakeError, LogError
 from geodrake.logs.files import Reading, read_log, understand
 from geodrake.logs.files.column_mapping import Columns
@@ -23,8 +23,6 @@ from geodrake.logs.sensor_faults import without_faults
 from geodrake.logs.time_stamps import longest_step
 from geodrake.logs.uniform_log import make_uniform
 from geodrake.logs.unit_hints import effort_sign_hint, position_unit_hint
-
-Array = NDArray[np.float64]
 
 _WINDOW, _STILL = 0.25, 2e-3  # s, and rad or m by which a joint at rest may move in them
 _SHORTEST_REST = 0.5  # s
@@ -47,32 +45,22 @@ class UnderstoodColumn:
 
 @dataclass(frozen=True, eq=False)
 class LogInspection:
-    """How a log was read.
+    """How a log was read."""
 
-    Attributes:
-        log: The log, without what its sensors did wrong.
-        time_column: The column of time; "" where a rate says it.
-        columns: Columns of all joints and quantities, in the order of the joints.
-        period: Typical time between rows, s.
-        jitter: Standard deviation of the time between rows, gaps left out, s.
-        gaps: Instant and length of every gap, s.
-        rests: First and last instant of stretches in which no joint moves, s.
-        notes: Doubts and what is left out, what was noticed while reading, and what sensors did
-            wrong.
-        time_unit: Unit that time was in; "" where nobody said it.
-        first: Doubts about units, signs and order, and what of the log is of no use at the
-            bandwidth of its positions.
-    """
-
-    log: JointLog
-    time_column: str
+    log: JointLog  # the log, without what its sensors did wrong
+    time_column: str  # the column of time; "" where a rate says it
+    # Columns of all joints and quantities, in the order of the joints.
     columns: tuple[UnderstoodColumn, ...]
-    period: float
-    jitter: float
-    gaps: tuple[tuple[float, float], ...]
+    period: float  # typical time between rows, s
+    jitter: float  # standard deviation of the time between rows, gaps left out, s
+    gaps: tuple[tuple[float, float], ...]  # instant and length of every gap, s
+    # First and last instant of stretches in which no joint moves, s.
     rests: tuple[tuple[float, float], ...]
+    # Doubts and what is left out, what was noticed while reading, and what sensors did wrong.
     notes: tuple[str, ...]
-    time_unit: str = ""
+    time_unit: str = ""  # unit that time was in; "" where nobody said it
+    # Doubts about units, signs and order, and what of the log is of no use at the bandwidth of its
+    # positions.
     first: tuple[str, ...] = ()
 
     @property

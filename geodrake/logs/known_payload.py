@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from geodrake.boundary.arguments import instance, real_array
+from geodrake.boundary.arguments import Array, instance, real_array
 from geodrake.errors import ArgumentError
 from geodrake.inertia import from_mass_com_inertia
 
-Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 
 _HEAVIEST, _FARTHEST = 1e6, 1e3  # kg, and m; beyond them it is a slip of the keyboard

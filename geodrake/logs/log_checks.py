@@ -8,10 +8,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.arguments import Array
 from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.motion import JointLog
-
-Array = NDArray[np.float64]
 
 _STILL = 2e-3  # rad or m, by which a joint may move and still stand
 _SAME = 1e-6  # of what a joint moves, by which a copy of its positions may differ: it is rounded
@@ -37,7 +36,6 @@ def check_commands(log: JointLog) -> None:
                 advice="Is it a copy of the measured position? Log the servo's command. If "
                 "that is the command, move the joint faster, in steps or oscillations of "
                 "some hertz, or with a load, so that the servo lags.",
-                joint=joint,
             )
 
 
@@ -70,7 +68,6 @@ def check_saturation(log: JointLog) -> None:
                 f"{100 * share:.0f} % of the rows in which the joint moves.",
                 advice="Move with less acceleration or load to stay within the drive's limit, "
                 "or raise the limit.",
-                joint=joint,
             )
 
 

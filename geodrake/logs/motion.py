@@ -9,9 +9,16 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from geodrake.boundary.arguments import Shape, instance, instances, number, one_or_each, real_array
+from geodrake.boundary.arguments import (
+    Array,
+    Shape,
+    instance,
+    instances,
+    number,
+    one_or_each,
+    real_array,
+)
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, LogError
@@ -22,8 +29,6 @@ from geodrake.logs.motors import Motor
 from geodrake.logs.smoothing import Stretch
 from geodrake.logs.temperatures import Temperatures
 from geodrake.logs.time_stamps import check_time
-
-Array = NDArray[np.float64]
 
 MEMORY = 20_000
 """Samples before the first one that effects with a memory look back at."""
@@ -282,43 +287,29 @@ class Motion(Short):
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """One log, prepared for identification.
-
-    Attributes:
-        joints: Names of the n joints, in the log's order.
-        segments: Its stretches without gaps, in time.
-        filter: What efforts and regressors of every segment are to be filtered by.
-        speed_noise: (n,) deviation of the noise of the smoothed velocities, rad/s or m/s.
-        acceleration_noise: (n,) that of accelerations filtered as efforts are, rad/s² or m/s².
-        notes: What was done to the log and chosen from it, in words.
-        began: Its first time stamp, s.
-        payloads: Known payloads that the robot carried.
-        gain_deviations: (n,) how well the gains of the efforts are known.
-        bandwidths: Those asked for of efforts and regressors, and of the motion, Hz.
-        temperatures: Courses of the joints' temperatures, if there are any.
-        contacts: Where a free base may be in contact, unless its wrenches were measured.
-        left_out: What of the log is not used, in one line; "" if it is next to nothing.
-        force_sensors: Frames at which forces were measured that count as efforts.
-        unmeasured: Joints of a free base's limbs whose efforts nobody measured.
-    """
+    """One log, prepared for identification."""
 
     name: str
-    joints: tuple[str, ...]
-    segments: tuple[Stretch, ...]
-    filter: ZeroPhaseFilter
-    speed_noise: Array
-    acceleration_noise: Array
-    notes: tuple[str, ...] = ()
-    began: float = 0.0
-    payloads: tuple[KnownPayload, ...] = ()
-    gain_deviations: Array | float = 0.0
+    joints: tuple[str, ...]  # names of the n joints, in the log's order
+    segments: tuple[Stretch, ...]  # its stretches without gaps, in time
+    filter: ZeroPhaseFilter  # what efforts and regressors of every segment are to be filtered by
+    speed_noise: Array  # (n,) deviation of the noise of the smoothed velocities, rad/s or m/s
+    acceleration_noise: Array  # (n,) that of accelerations filtered as efforts are, rad/s² or m/s²
+    notes: tuple[str, ...] = ()  # what was done to the log and chosen from it, in words
+    began: float = 0.0  # its first time stamp, s
+    payloads: tuple[KnownPayload, ...] = ()  # known payloads that the robot carried
+    gain_deviations: Array | float = 0.0  # (n,) how well the gains of the efforts are known
+    # Those asked for of efforts and regressors, and of the motion, Hz.
     bandwidths: tuple[float, float] = (0.0, 0.0)
+    # Courses of the joints' temperatures, if there are any.
     temperatures: Temperatures | None = None
     passive: tuple[str, ...] = ()
+    # Where a free base may be in contact, unless its wrenches were measured.
     contacts: ContactFlags | None = None
-    left_out: str = ""
+    left_out: str = ""  # what of the log is not used, in one line; "" if it is next to nothing
+    # Frames at which forces were measured that count as efforts.
     force_sensors: tuple[str, ...] = ()
-    unmeasured: tuple[str, ...] = ()
+    unmeasured: tuple[str, ...] = ()  # joints of a free base's limbs whose efforts nobody measured
 
     @property
     def output_counts(self) -> tuple[int, ...]:
@@ -363,7 +354,6 @@ def check_joints(
                 f"Log {name!r} has joint {joint!r}, but the model does "
                 f"not{_nearest(joint, model_joints)}.",
                 advice="Rename the log's columns, or remove that joint's columns.",
-                joint=joint,
             )
     for joint in model_joints:
         if joint not in joints and not partial:
@@ -375,7 +365,6 @@ def _missing(name: str, joint: str, joints: Sequence[str]) -> LogError:
         f"Log {name!r} has no joint {joint!r}{_nearest(joint, joints)}.",
         advice="Rename the log's columns, record that joint too, or fix it: --lock "
         f"{joint}=POSITION.",
-        joint=joint,
     )
 
 

@@ -22,31 +22,18 @@ _GAINS = {"command": "stiffness", "current": "torque_constant", "pwm": "stall_to
 
 
 class Motor(Schema, kw_only=True):
-    """A servo or actuator by its data sheet, at its output.
+    """A servo or actuator by its data sheet, at its output."""
 
-    Attributes:
-        name: Its name in the table.
-        robots: Words in names of robots that have it at all joints.
-        stiffness: Of its servo, N·m/rad.
-        torque_constant: N·m/A, gears included.
-        stall_torque: N·m, at a duty cycle of 1.
-        no_load_speed: rad/s.
-        gear_ratio: Turns of the motor for one of the output.
-        armature: kg·m².
-        damping: N·m·s/rad.
-        dry_friction: N·m.
-    """
-
-    name: str = ""
-    robots: tuple[str, ...] = ()
-    stiffness: Published | None = None
-    torque_constant: Published | None = None
-    stall_torque: Published | None = None
-    no_load_speed: Published | None = None
-    gear_ratio: Published | None = None
-    armature: Published | None = None
-    damping: Published | None = None
-    dry_friction: Published | None = None
+    name: str = ""  # its name in the table
+    robots: tuple[str, ...] = ()  # words in names of robots that have it at all joints
+    stiffness: Published | None = None  # of its servo, N·m/rad
+    torque_constant: Published | None = None  # N·m/A, gears included
+    stall_torque: Published | None = None  # n·m, at a duty cycle of 1
+    no_load_speed: Published | None = None  # rad/s
+    gear_ratio: Published | None = None  # turns of the motor for one of the output
+    armature: Published | None = None  # kg·m²
+    damping: Published | None = None  # n·m·s/rad
+    dry_friction: Published | None = None  # n·m
 
     def gain(self, kind: str) -> tuple[float, float] | None:
         """Return the published gain of a kind of signal and its deviation, or None."""

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.arguments import Array
 from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.filtering import (
     HIGHEST_BANDWIDTH,
@@ -25,8 +26,6 @@ from geodrake.logs.smoothing import Segment, Stretch, smooth_pieces
 from geodrake.logs.temperatures import Temperatures
 from geodrake.logs.uniform_log import UniformLog, make_uniform, naming_log
 from geodrake.logs.unit_hints import position_unit_hint
-
-Array = NDArray[np.float64]
 
 LEAST_OUTPUTS = 10  # filtered samples that a log must give to be of use
 _STILL_SPEED, _SPEED_NOISE = 0.01, 4.0  # of the peak speed, and deviations of the speed's noise
@@ -210,8 +209,6 @@ def _check_outputs(uniform: UniformLog, low_pass: ZeroPhaseFilter, outputs: int)
         advice=(f"{hint} " if hint else "")
         + f"Record at least {ends + LEAST_OUTPUTS * low_pass.output_period:.3g} s of motion "
         "without gaps, or use a larger bandwidth.",
-        seconds=uniform.seconds,
-        bandwidth=low_pass.bandwidth,
     )
 
 

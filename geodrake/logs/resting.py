@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from geodrake.boundary.arguments import Array
 
 LARGEST = 1e9
 """Magnitude that positions, velocities and efforts of robots in SI units do not exceed."""

@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.arguments import Array
 from geodrake.errors import LogError
 from geodrake.logs.motion import JointLog
 from geodrake.logs.resting import LARGEST, travels
 from geodrake.logs.time_stamps import longest_step
 from geodrake.logs.unit_hints import check_ticks
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _JUMP = {"position": (20.0, 20.0), "velocity": (100.0, 1e5), "effort": (100.0, 1e7)}
@@ -68,22 +68,15 @@ def without_faults(log: JointLog) -> JointLog:
 
 @dataclass(frozen=True, eq=False)
 class _Sensor:
-    """Measurements of one sensor of one joint.
-
-    Attributes:
-        period: Typical time between rows, s.
-        rows: (K,) rows that are no empty cells; all of them if a slice.
-        time: (K,) instants, s.
-        values: (K,) readings.
-    """
+    """Measurements of one sensor of one joint."""
 
     log: JointLog
     quantity: str
     joint: int
-    period: float
-    rows: Indices | slice
-    time: Array
-    values: Array
+    period: float  # typical time between rows, s
+    rows: Indices | slice  # (K,) rows that are no empty cells; all of them if a slice
+    time: Array  # (K,) instants, s
+    values: Array  # (K,) readings
 
     @classmethod
     def of(cls, log: JointLog, quantity: str, joint: int, period: float) -> _Sensor:
@@ -152,7 +145,6 @@ class _Sensor:
                 f"{self.name}, which no robot reaches in SI units; {len(rows)} rows have such "
                 "values.",
                 advice="Are these encoder ticks, or has the sensor failed?",
-                row=row,
             )
 
     def _unwrapped(self) -> tuple[Array, str]:

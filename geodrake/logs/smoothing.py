@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.arguments import Array
 from geodrake.logs.filtering import ZeroPhaseFilter, differentiate, resample
-
-Array = NDArray[np.float64]
 
 CHUNK = 20_000
 """Samples that are resampled and smoothed at once."""
@@ -32,24 +31,16 @@ SPLINE_REACH = 40
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """Rows of a log between gaps, as logged (K, n), seen at uniform instants.
-
-    Attributes:
-        velocity: If any are of use.
-        period: Time between the uniform instants, s.
-        acceleration: (K, m) those of joints where they are used.
-        measured: (m,) which joints these are.
-        ground: The part of the efforts that is of measured wrenches.
-    """
+    """Rows of a log between gaps, as logged (K, n), seen at uniform instants."""
 
     time: Array
     position: Array
-    velocity: Array | None
+    velocity: Array | None  # if any are of use
     effort: Array
-    period: float
-    acceleration: Array | None = None
-    measured: tuple[int, ...] = ()
-    ground: Array | None = None
+    period: float  # time between the uniform instants, s
+    acceleration: Array | None = None  # (K, m) those of joints where they are used
+    measured: tuple[int, ...] = ()  # (m,) which joints these are
+    ground: Array | None = None  # the part of the efforts that is of measured wrenches
 
     def __len__(self) -> int:
         return int((self.time[-1] - self.time[0]) / self.period + 1e-3) + 1
@@ -117,21 +108,16 @@ class Segment:
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Usable part of a piece of a log, smoothed and differentiated slice by slice.
-
-    Attributes:
-        lag: (n,) time by which measured velocities are late, s; NaN of those that are derived from
-            the positions instead, None if all are.
-        first: First of the piece's samples that is in it.
-        whole: The whole piece, smoothed, if it stays in memory.
-    """
+    """Usable part of a piece of a log, smoothed and differentiated slice by slice."""
 
     piece: Piece
     smoother: ZeroPhaseFilter
+    # (n,) time by which measured velocities are late, s; NaN of those that are derived from the
+    # positions instead, None if all are.
     lag: Array | None
-    first: int
+    first: int  # first of the piece's samples that is in it
     stop: int
-    whole: Segment | None = None
+    whole: Segment | None = None  # the whole piece, smoothed, if it stays in memory
 
     @property
     def period(self) -> float:

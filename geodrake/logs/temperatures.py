@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from geodrake.boundary.arguments import Array
 
 _FAILED = (-1.0, 0.0, 127.0, 255.0, (255.0 - 32.0) / 1.8)  # °C, what sensors that fail read
 _ROUNDING = 1e-4  # °C, of conversions and of numbers of 32 bits
@@ -18,12 +18,9 @@ _SECOND = 1.0  # over which readings are averaged, as they come in whole degrees
 
 @dataclass(frozen=True, eq=False)
 class Temperatures:
-    """Courses of the temperatures of joints.
+    """Courses of the temperatures of joints."""
 
-    Attributes:
-        courses: Joint -> instants since its log began (K,), s, and temperatures (K,), °C.
-    """
-
+    # Joint -> instants since its log began (K,), s, and temperatures (K,), °C.
     courses: Mapping[str, tuple[Array, Array]]
 
     @classmethod

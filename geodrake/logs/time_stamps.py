@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
+from geodrake.boundary.arguments import Array
 from geodrake.errors import LogError
-
-Array = NDArray[np.float64]
 
 _LATEST = 1e20  # s; nanoseconds since 1970 are 2e18
 
@@ -236,5 +235,4 @@ def check_time(name: str, time: Array) -> None:
         advice="Log the time at which each sample was measured, with enough digits, and sort "
         "or remove rows so that it increases."
         + (" If rows are uniform, give their rate with --rate." if again else ""),
-        row=int(after),
     )

@@ -10,14 +10,13 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.arguments import Array
 from geodrake.errors import LogError
 from geodrake.logs.motion import JointLog
 from geodrake.logs.sensor_faults import without_faults
 from geodrake.logs.smoothing import Piece
 from geodrake.logs.time_stamps import longest_step
 from geodrake.logs.unit_hints import row_order_hint
-
-Array = NDArray[np.float64]
 
 _STEP_ROWS = 20_000  # of a log that are looked at
 _FEWEST, _MOST = 3, 500  # steps between the least and the greatest value
@@ -89,19 +88,13 @@ _PART, _PARTS, _LOOKED_AT = 100_000, 8, 200_000
 
 @dataclass(frozen=True, eq=False)
 class UniformLog:
-    """A log in uniform pieces, and which of its joints move.
-
-    Attributes:
-        period: Time between samples, s.
-        noise: (n,) deviation of the noise of the positions, rad or m.
-        moving: (n,) whether a joint moves.
-    """
+    """A log in uniform pieces, and which of its joints move."""
 
     log: JointLog
     pieces: tuple[Piece, ...]
-    period: float
-    noise: Array
-    moving: NDArray[np.bool_]
+    period: float  # time between samples, s
+    noise: Array  # (n,) deviation of the noise of the positions, rad or m
+    moving: NDArray[np.bool_]  # (n,) whether a joint moves
     notes: tuple[str, ...]
 
     @property
@@ -223,21 +216,18 @@ def _check_period(log: JointLog, period: float) -> None:
             "for accelerations.",
             advice="Is time in ms, µs or ns? --units time=ms converts it to s. Otherwise "
             "record at 50 Hz or more.",
-            period=period,
         )
     if period < _SHORTEST_PERIOD:
         raise LogError(
             f"Log {log.name!r} has a sample every {period:.4g} s ({span}), which is faster "
             "than any robot is logged.",
             advice="Is time in another unit? It must be in s.",
-            period=period,
         )
     if np.spacing(latest) > _COARSEST * period:
         raise LogError(
             f"Time stamps of log {log.name!r} reach {latest:.6g} s, where the resolution is "
             f"{np.spacing(latest):.2g} s, but its rows are {period:.4g} s apart.",
             advice="Is one of them wrong? Log the time since the start in s.",
-            period=period,
         )
 
 

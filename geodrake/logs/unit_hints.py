@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from geodrake.boundary.arguments import Array
 from geodrake.errors import LogError
 from geodrake.logs.files.recording import are_whole
 from geodrake.logs.motion import JointLog
 from geodrake.logs.resting import LARGEST
-
-Array = NDArray[np.float64]
 
 _NO_NOISE = 0.3  # rad or m: no position's noise reaches so far
 _ENOUGH_ROWS = 30  # that tell an order
@@ -84,7 +83,6 @@ def check_ticks(log: JointLog) -> None:
         f"Positions of log {log.name!r} are integers of up to {peaks[worst]:.7g} at "
         f"{log.joints[worst]}, which no joint reaches in rad or m.",
         advice=_UNIT_ADVICE,
-        joint=log.joints[worst],
     )
 
 

@@ -164,9 +164,8 @@ def test_a_frozen_effort_is_left_out():
 @pytest.mark.parametrize("quantity", ["position", "velocity", "effort"])
 def test_impossible_values_name_joint_row_and_value(quantity):
     log = changed(swing(), quantity, slice(2000, None), 1, 3 * LARGEST)
-    with pytest.raises(LogError, match=f"Row 2001 .* 3e\\+09 as the {quantity} of b") as caught:
+    with pytest.raises(LogError, match=f"Row 2001 .* 3e\\+09 as the {quantity} of b"):
         without_faults(log)
-    assert caught.value.evidence["row"] == 2001
 
 
 def test_empty_cells_and_infinities_are_no_faults():

@@ -198,10 +198,9 @@ def test_too_short():
 
 def test_time_in_other_units():
     log = _make_log(_uniform())
-    with pytest.raises(LogError, match="too slow") as caught:
+    with pytest.raises(LogError, match=r"a sample every 10 s .* too slow") as caught:
         prepare_logs([replace(log, time=1e3 * log.time)])
     assert "--units time=ms converts it to s" in caught.value.advice
-    assert caught.value.evidence["period"] == pytest.approx(10.0)
 
 
 @pytest.mark.parametrize(

@@ -18,9 +18,8 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
-from geodrake.boundary.arguments import file_path, instance, instances
+from geodrake.boundary.arguments import Array, file_path, instance, instances
 from geodrake.boundary.whole_files import Content, write_whole
 from geodrake.errors import ArgumentError, LogError, OutputError
 from geodrake.logs.files.column_mapping import (
@@ -45,8 +44,6 @@ from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.recording import recorded
 from geodrake.logs.files.table import LogTable, numeric_table, readable
 from geodrake.logs.motion import JointLog
-
-Array = NDArray[np.float64]
 
 __all__ = [
     "Reading",
@@ -172,7 +169,6 @@ def _check_silent(table: LogTable, reading: Reading, joints: Sequence[str] | Non
                 advice="Log that joint as often as the others, or fix it: --lock JOINT=POSITION."
                 if words.startswith(RARE)
                 else "Use numbers, or for time dates such as 2026-05-01T12:00:00.25Z.",
-                column=name,
             )
 
 

@@ -16,9 +16,9 @@ from xml.etree import ElementTree
 import numpy as np
 import yaml  # type: ignore[import-untyped]
 from numpy.lib import format as npy
-from numpy.typing import NDArray
 from scipy.io import loadmat
 
+from geodrake.boundary.arguments import Array
 from geodrake.boundary.input_files import open_regular, regular_file
 from geodrake.boundary.memory import machine_memory
 from geodrake.boundary.optional_packages import optional_package
@@ -44,8 +44,6 @@ from geodrake.logs.files.table import (
     rows_of,
 )
 from geodrake.logs.files.text_file import renamed
-
-Array = NDArray[np.float64]
 
 _LINES = (".jsonl", ".ndjson")
 _JSON_SHARE = 0.05  # of the memory, for its text: what it becomes takes many times as much

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geodrake.boundary.arguments import Array
 from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.files.mapping_file import propose
 from geodrake.logs.files.name_rules import (
@@ -45,8 +45,6 @@ from geodrake.logs.motion import (
     check_joints,
 )
 from geodrake.logs.time_stamps import time_unit
-
-Array = NDArray[np.float64]
 
 HEADER = "time,<joint>.position,<joint>.velocity,<joint>.effort"
 MOST_COLUMNS = 10_000  # ten times more than a robot of a hundred joints has
@@ -108,7 +106,6 @@ def check_once(path: Path, names: Sequence[str], used: Collection[str] | None = 
         raise LogError(
             f"Log {str(path)!r} has duplicate columns: {', '.join(twice)}.",
             advice="Remove or rename them.",
-            columns=twice,
         )
 
 
@@ -203,7 +200,6 @@ def settled(
                 advice=f"Give it, with gears, as in --units {quantity}=rev/4096 (or "
                 "rev/4096@2048 if 2048 is counted where the joint is at 0), or for each "
                 "column in a mapping, with gain −1 for reversed ones.",
-                column=meaning.column,
             )
         return replace(meaning, unit=unit)
     said = reading.kind_of(joint)
@@ -221,7 +217,6 @@ def settled(
             f"Column {meaning.column!r} of log {str(path)!r} is {quantity} by {by}, but "
             f"{said} by --kind.",
             advice="Use another column in --mapping, or omit --kind.",
-            joint=joint,
         )
     if kind in told:
         unit = unit_of(told[kind], kind)
@@ -238,7 +233,6 @@ def settled(
             f"Column {meaning.column!r} of log {str(path)!r} is used as {kind} of {joint}, "
             f"but is in {unit.name}, a unit of {unit.signal or 'effort'}.",
             advice="Set its kind with --kind JOINT=KIND, or its unit with --units.",
-            joint=joint,
         )
     return replace(meaning, quantity=kind, unit=unit)
 
@@ -503,38 +497,26 @@ def _by_mapping(table: LogTable, reading: Reading) -> Columns:
 
 @dataclass
 class Columns:
-    """The quantity and joint of each column of a file, and how they are read.
-
-    Attributes:
-        reading: How the user said that the file is to be read.
-        places: (joint, quantity) -> column, in the order of the file; `("", "time")` is time.
-        notes: What is to be noted of them.
-        rate: Rows a second, Hz, where there is no column of time.
-        own: Joints by geodrake's own names, of which none is left out unasked.
-        others: Joint -> further columns that could be taken for its efforts, or in their place.
-        origin: Since when time is, ns since 1970, if that is known.
-        joints: Names of the n joints, in the order of the log to be.
-        standing: Joints of which there is the position alone.
-        quantities: Quantities that every joint has; and efforts and commands, which some may lack.
-        passive: Joints without a motor, which need no column of efforts.
-        floating: Name -> column of a free base or of contacts.
-        left_out: Joints of the file that the model lacks.
-    """
+    """The quantity and joint of each column of a file, and how they are read."""
 
     path: Path
-    reading: Reading
+    reading: Reading  # how the user said that the file is to be read
+    # (joint, quantity) -> column, in the order of the file; `("", "time")` is time.
     places: dict[tuple[str, str], Meaning]
-    notes: list[str]
-    rate: float | None
-    own: frozenset[str]
+    notes: list[str]  # what is to be noted of them
+    rate: float | None  # rows a second, Hz, where there is no column of time
+    own: frozenset[str]  # joints by geodrake's own names, of which none is left out unasked
+    # Joint -> further columns that could be taken for its efforts, or in their place.
     others: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    origin: int | None = None
-    joints: tuple[str, ...] = ()
-    standing: tuple[str, ...] = ()
+    origin: int | None = None  # since when time is, ns since 1970, if that is known
+    joints: tuple[str, ...] = ()  # names of the n joints, in the order of the log to be
+    standing: tuple[str, ...] = ()  # joints of which there is the position alone
+    # Quantities that every joint has; and efforts and commands, which some may lack.
     quantities: tuple[str, ...] = ()
-    passive: tuple[str, ...] = ()
+    passive: tuple[str, ...] = ()  # joints without a motor, which need no column of efforts
+    # Name -> column of a free base or of contacts.
     floating: dict[str, Meaning] = field(default_factory=dict)
-    left_out: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()  # joints of the file that the model lacks
 
     @property
     def sources(self) -> dict[str, Meaning]:
@@ -603,7 +585,6 @@ class Columns:
             raise LogError(
                 f"Log {str(path)!r} has positions but no efforts of {', '.join(standing)}.",
                 advice=f"Log their efforts too, or remove their columns. {SIGNAL_ADVICE}",
-                joints=standing,
             )
         own = tuple(joint for joint in moved if joint in heard)
         if own == (ONLY,) and wanted and len(wanted) > 1 and ONLY not in wanted:
@@ -727,7 +708,6 @@ class Columns:
                 advice="Map it with --mapping."
                 if kind
                 else "Gains of servo commands are estimated with the model's inertias.",
-                joint=joint,
             )
 
 

@@ -140,7 +140,6 @@ def check_log(path: Path) -> Path:
         raise LogError(
             f"The folder {path} is neither a rosbag2 nor a LeRobot dataset.",
             advice="Give a file, or a folder with metadata.yaml or meta/info.json.",
-            path=path,
         )
     return path
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geodrake.boundary.arguments import Array
 from geodrake.errors import LogError
 from geodrake.logs.files.column_mapping import listed
 from geodrake.logs.files.joined_tables import joined_tables
@@ -19,8 +19,6 @@ from geodrake.logs.files.name_rules import OF_JOINTS, is_time, meanings_of, name
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable, check_room, numeric_table, rate_in, rows_of
 from geodrake.logs.time_stamps import longest_step
-
-Array = NDArray[np.float64]
 
 _MOST_PARTS = 200  # more records are samples, and no joints
 _STEPS_BETWEEN, _BETWEEN = 30.0, 1.0  # steps and s between episodes at least, which are a gap

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.arguments import Array
 from geodrake.errors import LogError
 from geodrake.logs.files.column_mapping import in_seconds, listed, read_column, time_source
 from geodrake.logs.files.name_rules import (
@@ -32,8 +33,6 @@ from geodrake.logs.files.table import LogTable
 from geodrake.logs.floating import FLAG, floating_name, vectors
 from geodrake.logs.motion import EFFORT_KINDS
 from geodrake.logs.time_stamps import longest_step
-
-Array = NDArray[np.float64]
 
 _YEARS = 9e8  # s, above which time is since 1970
 _ROUNDING = 1e-6  # s, by which stamps of different clocks' forms may differ
@@ -388,8 +387,6 @@ def _check_names(table: LogTable, column: str, words: Texts) -> None:
         raise LogError(
             f"Row {row} of log {str(table.path)!r} has no joint name in column {column!r}.",
             advice="Add the joint's name, or remove the row.",
-            row=row,
-            column=column,
         )
 
 
@@ -516,5 +513,4 @@ def _check_at_once(table: LogTable, naming: str, words: Texts) -> None:
             f"In log {str(table.path)!r} the joints in {naming!r} follow each other in time "
             "instead of being logged together.",
             advice="Write a log for each joint, with the positions of the others.",
-            column=naming,
         )

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.arguments import Array
 from geodrake.errors import LogError
 from geodrake.logs.files.grouped_arrays import fields_of
 from geodrake.logs.files.name_rules import MEASURED, OTHER, PLAIN, Meaning, meaning_of
@@ -21,7 +22,6 @@ from geodrake.logs.files.table import LogTable
 from geodrake.logs.floating import IS_BASE, floating_name
 from geodrake.logs.motion import EFFORT_KINDS
 
-Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 Clock = tuple[Stamps, Stamps]
 """(N,) when messages were measured, and (N,) when they were received, ns."""
@@ -158,14 +158,11 @@ class Messages:
 
 @dataclass
 class JointMessages(Messages):
-    """The joint data in messages of one topic.
+    """The joint data in messages of one topic."""
 
-    Attributes:
-        from_controller: Whether efforts are those of a controller.
-        by_motor: Whether there is a message for each motor, or for more than the robot has.
-    """
-
+    # Whether efforts are those of a controller.
     from_controller: bool = field(default=False, init=False)
+    # Whether there is a message for each motor, or for more than the robot has.
     by_motor: bool = field(default=False, init=False)
 
     def said(self, message: Any) -> Iterator[Said]:
@@ -233,7 +230,6 @@ class JointMessages(Messages):
                     f"{', '.join(map(str, key[0][:3]))}, ….",
                     advice="Was a clock set, a simulation restarted, or are there two "
                     "publishers? Cut the recording there.",
-                    message=at + 2,
                 )
             if again := np.count_nonzero(steps == 0):
                 notes.append(f"{again} messages with a repeated stamp are skipped")

@@ -76,28 +76,19 @@ _LONGEST_NAME = 200  # letters of a name of words
 
 @dataclass(frozen=True)
 class Meaning:
-    """The meaning of a column by its name.
-
-    Attributes:
-        quantity: time, nanoseconds beside seconds, or of `OF_JOINTS`.
-        joint: What the name calls the joint; "" if it has a number at most.
-        words: The words of that, without those that say nothing, and its number.
-        style: What columns have in common whose joints are told apart by words alone.
-        is_wanted: Whether it is what was asked for, and not what was.
-        gain: What its numbers are multiplied by, beside the unit.
-        nanoseconds: Column of what is to be added to time, ns.
-    """
+    """The meaning of a column by its name."""
 
     column: str
-    quantity: str
-    joint: str = ""
-    words: Words = ()
+    quantity: str  # time, nanoseconds beside seconds, or of `OF_JOINTS`
+    joint: str = ""  # what the name calls the joint; "" if it has a number at most
+    words: Words = ()  # the words of that, without those that say nothing, and its number
     role: int = PLAIN
     unit: Unit | None = None
+    # What columns have in common whose joints are told apart by words alone.
     style: tuple[str, ...] = ()
-    is_wanted: bool = False
-    gain: float = 1.0
-    nanoseconds: str | None = None
+    is_wanted: bool = False  # whether it is what was asked for, and not what was
+    gain: float = 1.0  # what its numbers are multiplied by, beside the unit
+    nanoseconds: str | None = None  # column of what is to be added to time, ns
 
     @property
     def columns(self) -> tuple[str, ...]:

@@ -7,15 +7,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from geodrake.boundary.arguments import instance, instances, integer, number, positive
+from geodrake.boundary.arguments import Array, instance, instances, integer, number, positive
 from geodrake.errors import ArgumentError
 from geodrake.logs.files.units import unit_of
 from geodrake.logs.motion import EFFORT_KINDS, USUAL_GAIN_DEVIATION
 from geodrake.logs.motors import Motor
-
-Array = NDArray[np.float64]
 
 KINDS = (*EFFORT_KINDS, "command")
 """Kinds of efforts; commands may replace measured ones."""
@@ -25,20 +22,13 @@ _GAIN_FORM = "Write 13.2, or 13.2±0.5 with its standard deviation."
 
 @dataclass(frozen=True)
 class MappedColumn:
-    """A column of a mapping.
+    """A column of a mapping."""
 
-    Attributes:
-        column: Name of the column in the file, or its number, from 1 on.
-        unit: Its unit; None if its name says it, or it is SI.
-        gain: What its numbers are multiplied by, beside the unit: to N·m of an effort, to A of a
-            current.
-        deviation: Standard deviation of the gain; None if nothing is known of it.
-    """
-
-    column: str | int
-    unit: str | None = None
+    column: str | int  # name of the column in the file, or its number, from 1 on
+    unit: str | None = None  # its unit; None if its name says it, or it is SI
+    # What its numbers are multiplied by, beside the unit: to N·m of an effort, to A of a current.
     gain: float = 1.0
-    deviation: float | None = None
+    deviation: float | None = None  # standard deviation of the gain; None if nothing is known of it
 
     def among(self, names: Sequence[str]) -> str:
         """Return its name, which may be given as a number that is no name itself."""
@@ -50,20 +40,15 @@ class MappedColumn:
 class ColumnMapping:
     """Which column of a file is which quantity of which joint.
 
-    Attributes:
-        joints: Joint -> quantity -> column; quantities are those of a log, and the kinds of effort.
-        time: The column of the time; None where a rate says it.
-        rate: Rows a second, where there is no time.
-        source: What messages call the mapping.
-
     Raises:
         ArgumentError: A joint has efforts of several kinds.
     """
 
+    # Joint -> quantity -> column; quantities are those of a log, and the kinds of effort.
     joints: Mapping[str, Mapping[str, MappedColumn]]
-    time: MappedColumn | None = None
-    rate: float | None = None
-    source: str = "the mapping"
+    time: MappedColumn | None = None  # the column of the time; None where a rate says it
+    rate: float | None = None  # rows a second, where there is no time
+    source: str = "the mapping"  # what messages call the mapping
 
     def __post_init__(self) -> None:
         for joint, quantities in self.joints.items():

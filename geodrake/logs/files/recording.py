@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.arguments import Array
 from geodrake.errors import LogError
 from geodrake.logs.files.column_mapping import Columns, in_seconds, read_column
 from geodrake.logs.files.joined_tables import at_instants
@@ -17,8 +18,6 @@ from geodrake.logs.files.table import TornRows
 from geodrake.logs.files.units import Unit, unit_of
 from geodrake.logs.motion import PASSIVE, JointLog
 from geodrake.logs.time_stamps import evened, order_of_time, repeats, unwrapped, with_clock_set_back
-
-Array = NDArray[np.float64]
 
 LEAST_ROWS = 10
 TICKS = 4096  # of a turn, of servos with twelve bits
@@ -251,7 +250,6 @@ def _without_motors(data: dict[str, Array], columns: Columns) -> tuple[dict[str,
                 f"it of up to {largest:.4g}.",
                 advice="Omit --passive; or write `effort: passive` in a mapping, which ignores "
                 "that column.",
-                joint=joint,
             )
         if joint in motorless and says and not (largest or told):
             kinds[joint] = PASSIVE

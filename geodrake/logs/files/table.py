@@ -21,6 +21,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.arguments import Array
 from geodrake.boundary.memory import machine_memory
 from geodrake.errors import GeodrakeError, LogError
 from geodrake.logs.files.name_rules import is_time
@@ -56,8 +57,6 @@ def check_room(path: Path, count: int, words: str) -> None:
             advice="Use excerpts of it, or fewer columns.",
         )
 
-
-Array = NDArray[np.float64]
 
 DATE = re.compile(
     r"""(?: (?P<year>\d{4}) [-/] (?P<month>\d\d) [-/] (?P<day>\d\d) [Tt ]
@@ -217,7 +216,7 @@ class TornRows:
             advice += f" {ADVICE}"
         elif self.skip:
             advice += f" At most {100 * MOST:g} % are skipped."
-        return LogError(first.problem, advice=advice, **first.evidence)
+        return LogError(first.problem, advice=advice)
 
 
 def rows_out_of_order(time: Array) -> NDArray[np.intp]:
@@ -261,31 +260,27 @@ class LogTable:
 
     Readers of formats make it; which joint and quantity a column is of is found out afterwards.
     Tables of text are read in parts.
-
-    Attributes:
-        columns: (N,) numbers of each column, by its name in the file; NaN where nothing was
-            measured. `time`, if the format has stamps of its own: s from the first sample.
-        units: Units of columns, where the file states them.
-        notes: What was noticed while reading, in words.
-        origins: Columns of time that are in seconds, whatever anybody says -> when they are zero,
-            ns since 1970; None if that is not known.
-        silent: Columns that were left out -> why, in words.
-        words: (N,) texts of columns without numbers.
-        unnamed: Cells of the first row, where nobody names the columns: they are called by their
-            numbers from 1 on.
-        order: Names that mappings count by, where columns were left out.
-        rate: Rows a second and where the file says them, as in `dt`; used where it has no time.
     """
 
     path: Path
+    # (N,) numbers of each column, by its name in the file; NaN where nothing was measured. `time`,
+    # if the format has stamps of its own: s from the first sample.
     columns: Mapping[str, Array]
+    # Units of columns, where the file states them.
     units: Mapping[str, str] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what was noticed while reading, in words
+    # Columns of time that are in seconds, whatever anybody says -> when they are zero, ns since
+    # 1970; None if that is not known.
     origins: Mapping[str, int | None] = field(default_factory=dict)
+    # Columns that were left out -> why, in words.
     silent: Mapping[str, str] = field(default_factory=dict)
+    # (N,) texts of columns without numbers.
     words: Mapping[str, NDArray[np.object_]] = field(default_factory=dict)
+    # Cells of the first row, where nobody names the columns: they are called by their numbers from
+    # 1 on.
     unnamed: tuple[str, ...] = ()
-    order: Sequence[str] = ()
+    order: Sequence[str] = ()  # names that mappings count by, where columns were left out
+    # Rows a second and where the file says them, as in `dt`; used where it has no time.
     rate: tuple[float, str] | None = None
 
     def __len__(self) -> int:
@@ -355,17 +350,11 @@ _NUMBERS = msgspec.json.Decoder(list[float])
 
 @dataclass(frozen=True)
 class Cells:
-    """Cells of a column: numbers, lists of numbers, or dates.
+    """Cells of a column: numbers, lists of numbers, or dates."""
 
-    Attributes:
-        count: How many numbers each list has.
-        origin: The first date, ns since 1970.
-        day_first: Whether days come before months in dates with strokes.
-    """
-
-    count: int | None = None
-    origin: int | None = None
-    day_first: bool = False
+    count: int | None = None  # how many numbers each list has
+    origin: int | None = None  # the first date, ns since 1970
+    day_first: bool = False  # whether days come before months in dates with strokes
 
     @classmethod
     def of(cls, first: Any, *, day_first: bool = False) -> Cells | None:

@@ -22,6 +22,7 @@ from zipfile import ZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.arguments import Array
 from geodrake.boundary.input_files import regular_file
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
@@ -84,26 +85,21 @@ _EXCEL = re.compile(r'"?sep=(.)"?')  # the first line of what is to be opened by
 
 @dataclass(frozen=True)
 class TextLayout:
-    """How a table is laid out.
-
-    Attributes:
-        grouped: Place of a column -> the mark between its thousands, which the note says.
-        units: Units of columns, where the line after the header has them.
-        is_keyed: Whether each cell has its name, as in `q=0.1`; a date may come first.
-        first: The first cells of columns that have something.
-        day_first: Columns of dates in which days come before months.
-        unnamed: Cells of the first row, where nobody names the columns; see `LogTable`.
-    """
+    """How a table is laid out."""
 
     names: tuple[str, ...]
     separator: str | None
     decimal: str
     lines: int
+    # Units of columns, where the line after the header has them.
     units: Mapping[str, str] = field(default_factory=dict)
+    # Cells of the first row, where nobody names the columns; see `LogTable`.
     unnamed: tuple[str, ...] = ()
-    is_keyed: bool = False
+    is_keyed: bool = False  # whether each cell has its name, as in `q=0.1`; a date may come first
+    # The first cells of columns that have something.
     first: Mapping[str, str] = field(default_factory=dict)
-    day_first: frozenset[str] = frozenset()
+    day_first: frozenset[str] = frozenset()  # columns of dates in which days come before months
+    # Place of a column -> the mark between its thousands, which the note says.
     grouped: Mapping[int, str] = field(default_factory=dict)
     note: str = ""
 
@@ -425,8 +421,6 @@ def _names_in_comment(cells: Sequence[str], comment: str) -> Sequence[str]:
     return ()
 
 
-Array = NDArray[np.float64]
-
 _MANY = 500_000  # bytes, from which on Arrow is imported
 _BLOCK = 2_000_000  # bytes that are read at once
 _HEAD, _LARGEST_OTHER = 65_536, 500_000_000  # bytes by which others than UTF-8 are known; read
@@ -514,7 +508,6 @@ class TextTable(LogTable):
                             f"Row {row} of log {str(path)!r} (line {before[1] + line}) has "
                             f"{len(cells)} cells, but the header has {len(names)}.",
                             advice="Is the recording truncated? Remove or repair that line.",
-                            row=row,
                         )
                     if is_plain:
                         with suppress(ValueError):  # of words for nothing, or of what is wrong
@@ -705,6 +698,4 @@ def _refusal(path: Path, row: int, column: str, text: str, kind: Cells) -> LogEr
         f"Row {row}, column {column!r} of log {str(path)!r} has {text.strip()[:60]!r}, which "
         f"is {what}.",
         advice=advice,
-        row=row,
-        column=column,
     )

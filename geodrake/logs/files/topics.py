@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geodrake.boundary.arguments import Array
 from geodrake.errors import LogError
 from geodrake.logs.files.joined_tables import joined_tables
 from geodrake.logs.files.messages import (
@@ -30,21 +30,14 @@ _MOST_LISTED = 8
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic of a bag, or a channel of an LCM log.
-
-    Attributes:
-        messages: What these, or the first of them, say of joints.
-        made_for_joints: Whether the type is for the state of joints, and nothing else.
-        is_wanted: Whether positions in it are what joints are told, by its name.
-        read: What reads all of its messages.
-    """
+    """A topic of a bag, or a channel of an LCM log."""
 
     name: str
     kind: str
-    messages: JointMessages
-    made_for_joints: bool = False
-    is_wanted: bool = False
-    read: Callable[[], JointMessages] = lambda: JointMessages("")
+    messages: JointMessages  # what these, or the first of them, say of joints
+    made_for_joints: bool = False  # whether the type is for the state of joints, and nothing else
+    is_wanted: bool = False  # whether positions in it are what joints are told, by its name
+    read: Callable[[], JointMessages] = lambda: JointMessages("")  # what reads all of its messages
 
     @property
     def fits(self) -> bool:
@@ -74,9 +67,7 @@ class Topic:
 def chosen_topics(path: Path, topics: Sequence[Topic], reading: Reading) -> tuple[Topic, ...]:
     """Return the topic that is the log, or those that are parts of it."""
     if not topics:
-        raise LogError(
-            f"Log {str(path)!r} has no messages.", advice="Check how it was recorded.", path=path
-        )
+        raise LogError(f"Log {str(path)!r} has no messages.", advice="Check how it was recorded.")
     if reading.topics:
         alone = len(reading.topics) == 1
         return tuple(_named(path, topics, name, alone=alone) for name in reading.topics)
@@ -88,7 +79,6 @@ def chosen_topics(path: Path, topics: Sequence[Topic], reading: Reading) -> tupl
             f"Log {str(path)!r} has {len(best)} topics with joint positions and efforts: "
             f"{_listed(best)}.",
             advice=f"Choose one, as in --topic {best[0].name}.",
-            topics=[topic.name for topic in best],
         )
     return _parts(path, topics)
 
@@ -119,7 +109,6 @@ def _parts(path: Path, topics: Sequence[Topic]) -> tuple[Topic, Topic]:
         f"Log {str(path)!r} has no topic with both joint positions and efforts; it has "
         f"{_listed(topics)}.",
         advice=advice,
-        topics=[topic.name for topic in topics],
     )
 
 
@@ -134,7 +123,6 @@ def _named(path: Path, topics: Sequence[Topic], name: str, *, alone: bool) -> To
         raise LogError(
             f"Topic {found[0]} of log {str(path)!r} {lacks} joints.",
             advice=f"Topics with them: {_listed(fitting)}." if fitting else "No topic has them.",
-            topic=name,
         )
     names = [topic.name for topic in topics]
     close = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
@@ -143,7 +131,6 @@ def _named(path: Path, topics: Sequence[Topic], name: str, *, alone: bool) -> To
         + (f" (nearest: {close[0]!r})" if close else "")
         + f"; it has {_listed(topics)}.",
         advice="Use names from the bag or LCM log; by default the best match is read.",
-        topic=name,
     )
 
 
@@ -152,8 +139,6 @@ def _listed(topics: Sequence[Topic]) -> str:
     more = f" … ({len(topics)} in total)" if len(topics) > _MOST_LISTED else ""
     return ", ".join(map(str, ordered[:_MOST_LISTED])) + more
 
-
-Array = NDArray[np.float64]
 
 _CLOSER = 2.0  # times as close to its joint as to any other a command is that has no name
 
