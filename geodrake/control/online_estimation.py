@@ -57,19 +57,14 @@ class FilteredRegressor:
     sensor only repeats its last state, the interval goes on to its next one.
 
     The memory of the filter is one vector, so that a Drake Context can hold it.
-
-    Attributes:
-        period: Sampling interval h, s.
-        bandwidth: λ, 1/s.
-        order: Number of filters after each other.
-        held_effort: Whether the effort at an instant is the one that acted since the last instant,
-            as that of a sampled controller; else it is a sample of an effort that changes smoothly.
     """
 
     control: ControlModel
-    period: float
-    bandwidth: float = 20.0
-    order: int = 2
+    period: float  # sampling interval h, s
+    bandwidth: float = 20.0  # λ, 1/s
+    order: int = 2  # number of filters after each other
+    # Whether the effort at an instant is the one that acted since the last instant, as that of a
+    # sampled controller; else it is a sample of an effort that changes smoothly.
     held_effort: bool = False
 
     def __post_init__(self) -> None:

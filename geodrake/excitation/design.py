@@ -88,29 +88,23 @@ class SeedOutcome:
 
 @dataclass(frozen=True, eq=False)
 class ExcitationResult(Shown):
-    """A designed motion.
-
-    Attributes:
-        value: Its value, as the source defines it (not the logarithm).
-        eigenvalues: (n_B,) of the normalized information matrix, ascending: the inverse variances
-            of an estimate from `samples` samples, along its principal directions.
-        use: What it uses of its limits, all of which it keeps, ramps included.
-        ramps: The motion with ramps from and to where the robot stands; None if nobody said where.
-        seconds: How long the search took, s.
-    """
+    """A designed motion."""
 
     trajectory: ExcitationTrajectory
     objective: Objective
-    value: float
+    value: float  # its value, as the source defines it (not the logarithm)
+    # (n_B,) of the normalized information matrix, ascending: the inverse variances of an estimate
+    # from `samples` samples, along its principal directions.
     eigenvalues: Array
     samples: int
-    use: LimitUse
+    use: LimitUse  # what it uses of its limits, all of which it keeps, ramps included
     limits: MotionLimits
     outcomes: tuple[SeedOutcome, ...]
     notes: tuple[str, ...] = ()
     is_interrupted: bool = False
+    # The motion with ramps from and to where the robot stands; None if nobody said where.
     ramps: RampedTrajectory | None = None
-    seconds: float = 0.0
+    seconds: float = 0.0  # how long the search took, s
 
     @property
     def executed(self) -> ExecutableMotion:

@@ -300,24 +300,17 @@ class ParameterCombination:
 
 @dataclass(frozen=True, eq=False)
 class LogIdentifiability(Shown):
-    """Identifiability of a model's parameters from logs.
-
-    Attributes:
-        noise: (nv,) deviation that a filtered sample counts with, N·m or N.
-        floor: (nv,) estimated sensor noise after filtering, N·m or N.
-        floor_variances: (n_B,) variances if the sensor noise were all there is, ascending.
-        samples: (nv,) filtered samples of each joint.
-    """
+    """Identifiability of a model's parameters from logs."""
 
     model: RobotModel
     identifiable: IdentifiableParameters
     bodies: tuple[IdentifiableBlock, ...]
     effects: tuple[IdentifiableBlock, ...]
     combinations: tuple[ParameterCombination, ...]
-    noise: Array
-    floor: Array
-    floor_variances: Array
-    samples: NDArray[np.int_]
+    noise: Array  # (nv,) deviation that a filtered sample counts with, N·m or N
+    floor: Array  # (nv,) estimated sensor noise after filtering, N·m or N
+    floor_variances: Array  # (n_B,) variances if the sensor noise were all there is, ascending
+    samples: NDArray[np.int_]  # (nv,) filtered samples of each joint
     notes: tuple[str, ...]
 
     @property

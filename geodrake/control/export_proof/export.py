@@ -61,35 +61,27 @@ Progress = Callable[[str], object]
 
 @dataclass(frozen=True)
 class Costs:
-    """Errors of a model and of its export on logs.
-
-    Attributes:
-        ignored: nrms of what the export holds less what the simulator does not act upon; None
-            where it acts upon all.
-    """
+    """Errors of a model and of its export on logs."""
 
     whole: float
     held: float
+    # Of what the export holds less what the simulator does not act upon; None where it acts upon
+    # all.
     ignored: float | None
 
 
 @dataclass(frozen=True, eq=False)
 class ProvenExport:
-    """An export, and what is known about it.
-
-    Attributes:
-        lacks: The effects that it cannot hold; with logs, those that cost most first.
-        costs: Errors on the logs; None without logs.
-        notes: What was done to the logs, and what is worth knowing about the files.
-    """
+    """An export, and what is known about it."""
 
     form: ExportFormat
     exported: Exported
     held: RobotModel
+    # The effects that it cannot hold; with logs, those that cost most first.
     lacks: tuple[Lost, ...]
-    costs: Costs | None
+    costs: Costs | None  # None without logs
     proof: Proof
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # what was done to the logs, and what is worth knowing about the files
 
 
 @typed
@@ -320,23 +312,15 @@ _FARTHEST = 100.0  # rad or m, that a joint may move in a rollout
 
 @dataclass(frozen=True)
 class Difference:
-    """By how much a simulator differs from the model.
-
-    Attributes:
-        what: "effort", needed along the motion, or "position", in rollouts.
-        largest: Largest difference: N·m or N, or rad or m.
-        typical: RMS of the values that are compared, at that joint.
-        compared: Share of the samples that are compared.
-        without: Names of effects in the file that take no part.
-    """
+    """By how much a simulator differs from the model."""
 
     engine: str
-    what: str
-    largest: float
+    what: str  # "effort", needed along the motion, or "position", in rollouts
+    largest: float  # N·m or N, or rad or m
     joint: str
-    typical: float
-    compared: float
-    without: tuple[str, ...]
+    typical: float  # RMS of the values that are compared, at that joint
+    compared: float  # share of the samples that are compared
+    without: tuple[str, ...]  # names of effects in the file that take no part
 
     @property
     def is_rounding(self) -> bool:
@@ -346,16 +330,12 @@ class Difference:
 
 @dataclass(frozen=True)
 class Proof:
-    """What simulators make of an export.
-
-    Attributes:
-        ignored: Names of effects of the file upon which the first simulator does not act.
-        notes: Simulators that are not installed, or cannot read the file.
-    """
+    """What simulators make of an export."""
 
     differences: tuple[Difference, ...]
+    # Names of effects of the file upon which the first simulator does not act.
     ignored: tuple[str, ...]
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # simulators that are not installed, or cannot read the file
 
 
 def prove(

@@ -27,31 +27,22 @@ _WORTH = 0.1  # share of the square of an effect that its approximation must tak
 
 @dataclass(frozen=True)
 class Lost:
-    """An effect that a format cannot hold as it is.
-
-    Attributes:
-        where: The joints or bodies where the model has it.
-        into: Names of the effects that stand in its place, fitted to it; none if it is left out.
-        nrms: That of logs with it approximated or left out, and all else as it is; None if unknown.
-    """
+    """An effect that a format cannot hold as it is."""
 
     effect: str
-    where: tuple[str, ...]
+    where: tuple[str, ...]  # joints or bodies
+    # Names of the effects that stand in its place, fitted to it; none if it is left out.
     into: tuple[str, ...]
+    # Error of logs with it approximated or left out, and all else as it is; None if unknown.
     nrms: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class HeldModel:
-    """A model as far as a format holds it.
+    """A model as far as a format holds it."""
 
-    Attributes:
-        model: The model, of effects that the format holds.
-        lost: What of the whole model it is without.
-    """
-
-    model: RobotModel
-    lost: tuple[Lost, ...]
+    model: RobotModel  # of effects that the format holds
+    lost: tuple[Lost, ...]  # what of the whole model it is without
 
 
 def held_by(
@@ -207,15 +198,10 @@ def _named(lost: Sequence[FittedEffect], into: dict[Effect, tuple[str, ...]]) ->
 
 @dataclass(frozen=True)
 class Exported:
-    """The files of an export.
+    """The files of an export."""
 
-    Attributes:
-        files: Name in the folder -> content; what a simulator loads first.
-        notes: What is worth knowing about them.
-    """
-
-    files: Mapping[str, bytes]
-    notes: tuple[str, ...] = ()
+    files: Mapping[str, bytes]  # name in the folder -> content; what a simulator loads first
+    notes: tuple[str, ...] = ()  # what is worth knowing about them
 
 
 Holding = Callable[[RobotModel], Callable[[Effect], bool]]
@@ -227,20 +213,14 @@ Write = Callable[[RobotModel, HeldModel, Path], Exported]
 
 @dataclass(frozen=True)
 class ExportFormat:
-    """A format.
+    """A format."""
 
-    Attributes:
-        name: What it is called, as in `--to`.
-        holding: What tells, for a model, whether the files hold an effect as it is; inertias and
-            payloads they always hold.
-        engines: Names of the simulators in which the files are tried.
-        at_actuators: Whether the files have the efforts of actuators behind a transmission, too.
-        servos: Whether the files have the gains of servos.
-    """
-
-    name: str
+    name: str  # what it is called, as in `--to`
+    # What tells, for a model, whether the files hold an effect as it is; inertias and payloads they
+    # always hold.
     holding: Holding
     write: Write
-    engines: tuple[str, ...] = ()
+    engines: tuple[str, ...] = ()  # names of the simulators in which the files are tried
+    # Whether the files have the efforts of actuators behind a transmission, too.
     at_actuators: bool = False
-    servos: bool = False
+    servos: bool = False  # whether the files have the gains of servos

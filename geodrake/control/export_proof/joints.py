@@ -30,41 +30,25 @@ _UNCHANGED = 1e-13  # relative difference up to which a number counts as the sam
 
 @dataclass(frozen=True)
 class ExportedJoint:
-    """A joint of one degree of freedom, and what drives it; N and m where it slides.
-
-    Attributes:
-        turns: Whether it is revolute.
-        velocity: Largest speed, rad/s; infinite where there is none.
-        driven: Whether it has a motor.
-        effort: Largest effort, N·m; infinite where there is no limit, 0 without a motor.
-        kp: Gain of a servo that is told positions, N·m/rad; 0 for a motor that is told efforts.
-        kd: Damping of a servo, on its velocity, N·m·s/rad.
-        rate_share: How much of the command's rate that damping knows.
-        delay: By how much what it is told acts late, s.
-        measured_late: By how much measured efforts are late, s.
-        damping: Viscous friction, N·m·s/rad.
-        friction: Dry friction, N·m.
-        armature: Inertia of the rotor, seen at the joint, kg·m².
-        stiffness: Stiffness of a spring across the joint, N·m/rad.
-        rest: Position at which the spring is at rest, rad.
-    """
+    """A joint of one degree of freedom, and what drives it; N and m where it slides."""
 
     name: str
     scoped: str
-    turns: bool
-    driven: bool = False
-    velocity: float = np.inf
-    effort: float = 0.0
+    turns: bool  # whether it is revolute
+    driven: bool = False  # whether it has a motor
+    velocity: float = np.inf  # largest speed, rad/s; infinite where there is none
+    effort: float = 0.0  # largest effort, N·m; infinite where there is no limit, 0 without a motor
+    # Gain of a servo that is told positions, N·m/rad; 0 for a motor that is told efforts.
     kp: float = 0.0
-    kd: float = 0.0
-    rate_share: float = 0.0
-    delay: float = 0.0
-    measured_late: float = 0.0
-    damping: float = 0.0
-    friction: float = 0.0
-    armature: float = 0.0
-    stiffness: float = 0.0
-    rest: float = 0.0
+    kd: float = 0.0  # damping of a servo, on its velocity, N·m·s/rad
+    rate_share: float = 0.0  # how much of the command's rate that damping knows
+    delay: float = 0.0  # by how much what it is told acts late, s
+    measured_late: float = 0.0  # by how much measured efforts are late, s
+    damping: float = 0.0  # viscous friction, N·m·s/rad
+    friction: float = 0.0  # dry friction, N·m
+    armature: float = 0.0  # inertia of the rotor, seen at the joint, kg·m²
+    stiffness: float = 0.0  # stiffness of a spring across the joint, N·m/rad
+    rest: float = 0.0  # position at which the spring is at rest, rad
 
     @property
     def numbers(self) -> dict[str, float]:

@@ -42,25 +42,17 @@ SUFFIXES = {"urdf": ".urdf", "sdf": ".sdf", "xml": ".xml"}
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """A body that a joint moves; its frame L is that of the joint, on the side of the body.
-
-    Attributes:
-        parent: Name of the body that carries it; None for the world.
-        joint: What the file says of the joint.
-        X_PL: Pose of the link in the frame of the parent, with the joint at zero.
-        axis: (3,) unit axis of the joint, in L.
-        limits: Lowest and highest position, rad or m; infinite where there is none.
-        phi: (10,) inertial parameters about Lo, expressed in L.
-        follows: The name of the joint that this one follows, r and θ₀ of θ = r θ_leader + θ₀.
-    """
+    """A body that a joint moves; its frame L is that of the joint, on the side of the body."""
 
     name: str
-    parent: str | None
+    parent: str | None  # name of the body that carries it; None for the world
     joint: ExportedJoint
-    X_PL: RigidTransform
-    axis: Array
+    X_PL: RigidTransform  # pose of the link in the frame of the parent, with the joint at zero
+    axis: Array  # (3,) unit axis of the joint, in L
+    # Lowest and highest position, rad or m; infinite where there is none.
     limits: tuple[float, float]
-    phi: Array
+    phi: Array  # (10,) inertial parameters about Lo, expressed in L
+    # The name of the joint that this one follows, r and θ₀ of θ = r θ_leader + θ₀.
     follows: tuple[str, float, float] | None = None
 
 

@@ -35,32 +35,20 @@ _LARGEST, _FASTEST = np.pi, 2.0  # rad or m, and per s
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Where a rollout starts, and the efforts that act.
+    """Where a rollout starts, and the efforts that act."""
 
-    Attributes:
-        q: (nv,) positions, rad or m.
-        v: (nv,) velocities.
-        effort: (K, nv) efforts, each held for a step, N·m or N.
-    """
-
-    q: Array
-    v: Array
-    effort: Array
+    q: Array  # (nv,) positions, rad or m
+    v: Array  # (nv,) velocities
+    effort: Array  # (K, nv) efforts, each held for a step, N·m or N
 
 
 @dataclass(frozen=True, eq=False)
 class Drives:
-    """Servos and motors of n joints; all (n,).
+    """Servos and motors of n joints; all (n,)."""
 
-    Attributes:
-        stiffness: Of servos that are told positions; 0 at joints that are told efforts.
-        damping: Of servos, on the velocity.
-        delay: By how much what they are told acts late, s.
-    """
-
-    stiffness: Array
-    damping: Array
-    delay: Array
+    stiffness: Array  # of servos that are told positions; 0 at joints that are told efforts
+    damping: Array  # of servos, on the velocity
+    delay: Array  # by how much what they are told acts late, s
 
     @staticmethod
     def of(model: RobotModel, joints: Sequence[str]) -> Drives:

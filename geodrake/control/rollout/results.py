@@ -51,21 +51,15 @@ class JointDeparture:
 
 @dataclass(frozen=True, eq=False)
 class Rollout(Shown):
-    """A model simulated under logged efforts or commands.
-
-    Attributes:
-        horizon: Length of the windows, s.
-        broken: Windows in which the simulation could not go on to the end, or left all reason.
-        notes: What was done to the logs, noticed about the model, and assumed in the simulation.
-        commands: Whether servos closed the loop under logged commands.
-    """
+    """A model simulated under logged efforts or commands."""
 
     joints: tuple[JointDeparture, ...]
     windows: tuple[Window, ...]
-    horizon: float
-    broken: int
+    horizon: float  # length of the windows, s
+    broken: int  # windows in which the simulation could not go on to the end, or left all reason
+    # What was done to the logs, noticed about the model, and assumed in the simulation.
     notes: tuple[str, ...] = ()
-    commands: bool = False
+    commands: bool = False  # whether servos closed the loop
 
     @classmethod
     def of(
@@ -110,21 +104,14 @@ class Rollout(Shown):
 
 @dataclass(frozen=True)
 class FittedValue(Short):
-    """A value of an effect, or of a servo, that rollouts were fitted by.
+    """A value of an effect, or of a servo, that rollouts were fitted by."""
 
-    Attributes:
-        effect: Name of the effect; "servo".
-        name: Name of the value; of a servo as in `EffortSignal`.
-        before: The model's value, where the fit began, SI.
-        deviation: Its standard deviation, for what else the model has.
-    """
-
-    effect: str
+    effect: str  # its name; "servo" for that
     joint: str
-    name: str
-    before: float
+    name: str  # name of the value; of a servo as in `EffortSignal`
+    before: float  # the model's value, where the fit began, SI
     after: float
-    deviation: float
+    deviation: float  # its standard deviation, for what else the model has
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,21 +119,14 @@ class RolloutFit(Shown):
     """What a model's soft joints, their play, servos and motors are by its simulated motion.
 
     `before` and `after` say what they are under: logged efforts, or logged commands.
-
-    Attributes:
-        model: The model with what was fitted, or as it was if that was not taken.
-        before: The rollout of the model as it was, over all windows.
-        after: That with what was fitted, taken or not.
-        tested: Which windows the fit did not see.
-        chance: Chance that it is truly no better in those.
     """
 
-    model: RobotModel
+    model: RobotModel  # the model with what was fitted, or as it was if that was not taken
     values: tuple[FittedValue, ...]
-    before: Rollout
-    after: Rollout
-    tested: tuple[bool, ...]
-    chance: float
+    before: Rollout  # the rollout of the model as it was, over all windows
+    after: Rollout  # that with what was fitted, taken or not
+    tested: tuple[bool, ...]  # which windows the fit did not see
+    chance: float  # chance that it is truly no better in those
 
     @property
     def taken(self) -> bool:
