@@ -32,7 +32,7 @@ from diagrams.harness import script_parser, show, write
 from diagrams.public_data import installed_model
 from geodrake import load_model
 from geodrake.excitation import CollisionWorld, motion_limits
-from geodrake.excitation.collision_geometry import floor_of
+from geodrake.excitation.collisions import floor_of
 from geodrake.excitation.starts import possible_postures
 from geodrake.robot import joint_names
 

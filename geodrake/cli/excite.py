@@ -29,7 +29,7 @@ from geodrake.excitation import (
     make_stance,
     motion_limits,
 )
-from geodrake.excitation.collision_geometry import FLOOR, floor_of, read_obstacles
+from geodrake.excitation.collisions import FLOOR, floor_of, read_obstacles
 from geodrake.excitation.design import DesignProgress, ExcitationResult, design_excitation
 from geodrake.excitation.families import MotionFamily
 from geodrake.excitation.feet import Foot

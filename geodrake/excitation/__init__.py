@@ -10,8 +10,7 @@ nor units nor the choice of base parameters matter ([Lee2019] Proposition 4.1); 
 two effects are on it (`geodrake.excitation.tell_apart`).
 """
 
-from geodrake.excitation.collision_geometry import Solid
-from geodrake.excitation.collisions import CollisionWorld
+from geodrake.excitation.collisions import CollisionWorld, Solid
 from geodrake.excitation.design import design_excitation, random_excitation
 from geodrake.excitation.families import FourierMotion, FreeSamples, SplineMotion
 from geodrake.excitation.feet import Foot

@@ -1,29 +1,334 @@
-"""Distances of a robot from itself and from obstacles, and how they depend on its posture."""
+"""Collision geometry of robots, scenes and obstacles, distances, and how they depend on postures.
+
+Drake takes a mesh for its convex hull wherever it measures distances, so meshes become convex hulls
+in memory; those of STL files too, which Drake does not read.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from xml.etree.ElementTree import Element
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
-from pydrake.geometry import CollisionFilterDeclaration, GeometrySet, Role, SignedDistancePair
+from pydrake.geometry import (
+    Box,
+    CollisionFilterDeclaration,
+    Convex,
+    Cylinder,
+    GeometrySet,
+    Mesh,
+    Role,
+    SceneGraph,
+    Shape,
+    SignedDistancePair,
+    Sphere,
+)
+from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.inverse_kinematics import MinimumDistanceLowerBoundConstraint
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, RigidBody
 from pydrake.systems.framework import DiagramBuilder
+from scipy.spatial import ConvexHull, QhullError
 
 from geodrake.boundary.arguments import instance, instances, number, typed
-from geodrake.errors import ArgumentError
-from geodrake.excitation.collision_geometry import Solid, add_collision_plant, solids_of_file
+from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
+from geodrake.robot.files import Given, read_description
+from geodrake.robot.files.checks import drop
+from geodrake.robot.files.description import drake_errors, drake_messages
+from geodrake.robot.plant import arrange_as
+from geodrake.robot.shapes import (
+    SHAPES_ADVICE,
+    Where,
+    geometries_of,
+    mjcf_geoms,
+    move_meshes,
+    regular_mesh,
+    scene_of,
+    stl_vertices,
+)
 
-ITSELF = "itself"
-
+FLOOR, ITSELF = "floor", "itself"
+_HALF = 10.0, 0.5  # m, of the sides and the depth of a floor
+_CONTACT = CoulombFriction(0.5, 0.5)  # which nothing here uses, but Drake asks for
+_FEW, _GRID = 1000, 2e-4  # corners of a hull, and where those of one with more are, m
 _INFLUENCE = 0.05  # m beyond the clearance at which the constraint begins to feel a distance
 _POSTURES = 40
 _ALWAYS = 0.9  # share of random postures in which parts overlap that are made to
+_SIZES = {"box": 3, "sphere": 1, "cylinder": 2, FLOOR: 1}
+_SCENES, _MESHES = (".urdf", ".sdf", ".xml", ".xacro", ".yaml", ".yml"), (".obj", ".stl", ".vtk")
+_FORMS = (
+    "Write box:0.6,0.8,0.05@0.5,0,0.4 (sizes @ x, y, z of the centre, then optionally roll, "
+    "pitch, yaw), sphere:0.1@…, cylinder:RADIUS,LENGTH@…, floor:HEIGHT, or a file: a mesh "
+    f"({', '.join(_MESHES)}) or a scene ({', '.join(_SCENES)}), optionally with @x,y,z. A "
+    "name may come first: table=box:…."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """A shape of an obstacle or a link.
+
+    Attributes:
+        shape: Drake's shape, such as `Box(0.5, 0.5, 0.1)`.
+        X_BG: Its pose in the link's frame; for an obstacle, in the world.
+    """
+
+    name: str
+    shape: Shape
+    X_BG: RigidTransform
+
+    def __post_init__(self) -> None:
+        instance(self.name, "name", str)
+        instance(self.shape, "shape", Shape)
+        instance(self.X_BG, "X_BG", RigidTransform)
+
+
+@typed
+def floor_of(model: RobotModel, *, below: float = 0.0) -> Solid:
+    """Return a floor at the height of the origin of the robot's base, level in the world.
+
+    Of a robot on its feet it is on the ground; `below`, m, moves it down.
+    """
+    plant = model.plant
+    context = plant.CreateDefaultContext()
+    welded = plant.GetBodiesWeldedTo(plant.world_body())
+    bases = [body for body in welded if body.index() != plant.world_body().index()]
+    heights = [plant.EvalBodyPoseInWorld(context, body).translation()[2] for body in bases]
+    return _floor(FLOOR, min(heights, default=0.0) - below)
+
+
+def _floor(name: str, height: float) -> Solid:
+    box = Box(2.0 * _HALF[0], 2.0 * _HALF[0], 2.0 * _HALF[1])
+    return Solid(name, box, RigidTransform([0.0, 0.0, height - _HALF[1]]))
+
+
+def read_obstacles(texts: Iterable[str]) -> tuple[Solid, ...]:
+    """Return obstacles as people write them: `table=box:0.6,0.8,0.05@0.5,0,0.4`, or a file.
+
+    Args:
+        texts: Shapes with their sizes and poses in the world, m and rad; meshes; scenes, of which
+            all collision geometry stands in the way, where it is in the file.
+    """
+    found: list[Solid] = []
+    for k, text in enumerate(instances(texts, "texts", str), 1):
+        body, at, place = text.rpartition("@") if "@" in text else (text, "", "")
+        label, named, what = body.partition("=")
+        label, what = (label.strip(), what.strip()) if named else ("", body.strip())
+        pose = _pose(place, text) if at else RigidTransform()
+        kind, colon, sizes = what.partition(":")
+        suffix = Path(what).suffix.lower()
+        if colon and kind in _SIZES:
+            found.append(_plain(label or f"{kind} {k}", kind, _numbers(sizes, text), pose))
+        elif suffix in _MESHES:
+            shape = Convex(points=_points(Path(what)).T, label=label or Path(what).stem)
+            found.append(Solid(label or Path(what).stem, shape, pose))
+        elif suffix in _SCENES:
+            found += _scene(Path(what), label or Path(what).stem, pose)
+        else:
+            raise ArgumentError(f"{text!r} is not an obstacle.", advice=_FORMS)
+    return tuple(found)
+
+
+def _numbers(text: str, whole: str) -> list[float]:
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if not values or not np.isfinite(values).all():
+        raise ArgumentError(f"{text!r} of obstacle {whole!r} is not numeric.", advice=_FORMS)
+    return values
+
+
+def _pose(text: str, whole: str) -> RigidTransform:
+    values = _numbers(text, whole)
+    if len(values) not in (3, 6):
+        raise ArgumentError(
+            f"The pose of obstacle {whole!r} needs 3 numbers, or 6 with rotation; got "
+            f"{len(values)}.",
+            advice=_FORMS,
+        )
+    return RigidTransform(RollPitchYaw(*(*values[3:], 0.0, 0.0, 0.0)[:3]), values[:3])
+
+
+def _plain(name: str, kind: str, sizes: list[float], pose: RigidTransform) -> Solid:
+    if len(sizes) != _SIZES[kind]:
+        raise ArgumentError(f"A {kind} needs {_SIZES[kind]} sizes; got {sizes}.", advice=_FORMS)
+    if kind == FLOOR:
+        return _floor(name, sizes[0])
+    if not min(sizes) > 0:
+        raise ArgumentError(f"Sizes of a {kind} must be positive; got {sizes}.", advice=_FORMS)
+    return Solid(name, {"box": Box, "sphere": Sphere, "cylinder": Cylinder}[kind](*sizes), pose)
+
+
+def _points(path: Path) -> Array:
+    """Return points (n, 3) of a mesh whose hull is that of the mesh."""
+    if path.suffix.lower() == ".stl":
+        return stl_vertices(path)
+    regular_mesh(path)
+    with drake_messages(), drake_errors(path, how=" as a mesh", advice="Use an .obj or an .stl."):
+        return corners_of(Mesh(str(path)))
+
+
+def corners_of(shape: Mesh | Convex) -> Array:
+    """Return the corners (n, 3) of a convex hull, m."""
+    hull = shape.GetConvexHull()
+    return np.array([hull.vertex(i) for i in range(hull.num_vertices())])
+
+
+def _scene(path: Path, name: str, X_WS: RigidTransform) -> list[Solid]:
+    """Return all collision geometry of a file, where its bodies are by default."""
+    plant = MultibodyPlant(0.0)
+    with drake_messages(), drake_errors(path):
+        read_description(path).add_to(plant)
+        plant.Finalize()
+    context, found = plant.CreateDefaultContext(), []
+    poses = {plant.world_body().scoped_name().get_full(): RigidTransform()}
+    for i in range(plant.num_bodies()):
+        body = plant.get_body(BodyIndex(i))
+        poses[body.scoped_name().get_full()] = plant.EvalBodyPoseInWorld(context, body)
+    for scope, solids in solids_of_file(path, Given()).items():
+        for solid in solids if scope in poses else ():
+            own = f"{name}: {solid.name.partition('_')[2] or scope.rpartition('::')[2]}"
+            found.append(Solid(own, solid.shape, X_WS @ poses[scope] @ solid.X_BG))
+    if not found:
+        raise ArgumentError(
+            f"Scene {path} has no collision geometry.",
+            advice="Add <collision> elements to its links, or use boxes instead.",
+        )
+    return found
+
+
+def add_collision_plant(
+    builder: DiagramBuilder,
+    model: RobotModel,
+    obstacles: Sequence[Solid],
+    own: Mapping[str, Sequence[Solid]],
+    links: Mapping[str, Sequence[Solid]],
+) -> tuple[MultibodyPlant, SceneGraph]:
+    """Add a finalized plant of the model with collision geometry, and its SceneGraph.
+
+    Args:
+        own: Scoped link name -> solids of the robot's file.
+        links: Link name -> further solids of the link.
+    """
+    plant, scene = AddMultibodyPlantSceneGraph(builder, 0.0)
+    with drake_messages(), drake_errors(model.path):
+        read_description(model.path, model.given).add_to(plant)
+        arrange_as(plant, model.plant)
+    bodies = [plant.get_body(BodyIndex(i)) for i in range(plant.num_bodies())]
+    by_scope = {body.scoped_name().get_full(): body for body in bodies}
+    for scope, solids in own.items():
+        for solid in solids if scope in by_scope else ():
+            _register(plant, by_scope[scope], solid)
+    for solid in obstacles:
+        _register(plant, plant.world_body(), solid)
+    for name, further in links.items():
+        found = [body for body in bodies if name in (body.name(), body.scoped_name().get_full())]
+        if not found:
+            raise ArgumentError(
+                f"There is no link {name!r}.",
+                advice=f"Links are: {', '.join(body.name() for body in bodies[1:])}.",
+            )
+        for solid in further:
+            _register(plant, found[0], solid)
+    plant.Finalize()
+    return plant, scene
+
+
+def _register(plant: MultibodyPlant, body: object, solid: Solid) -> None:
+    plant.RegisterCollisionGeometry(body, solid.X_BG, solid.shape, solid.name, _CONTACT)
+
+
+def solids_of_file(path: Path, given: Given) -> dict[str, list[Solid]]:
+    """Return collision geometry by scoped link name: of MJCF by MuJoCo, otherwise by Drake."""
+    of_mjcf = mjcf_geoms(path, given, hulls=True)
+    if of_mjcf is not None:
+        geoms, _ = of_mjcf
+        return {
+            link: [Solid(f"{k}_{g.name}", g.shape, g.X_BG) for k, g in enumerate(own) if g.collides]
+            for link, own in geoms.items()
+        }
+    found, how = dict[str, list[Solid]](), " with its collision geometry"
+    errors = drake_errors(path, how=how, advice=SHAPES_ADVICE)
+    with drake_messages(), errors, TemporaryDirectory() as folder:
+        plant, scene = scene_of(
+            path, given, lambda root, where: _prepare(root, where, Path(folder))
+        )
+        inspector = scene.model_inspector()
+        for link, own in geometries_of(plant, scene, Role.kProximity):
+            found[link] = []
+            for k, geometry in enumerate(own):
+                name = f"{k}_{inspector.GetName(geometry).split('::')[-1]}"
+                shape = _in_memory(inspector.GetShape(geometry), name)
+                found[link].append(Solid(name, shape, inspector.GetPoseInFrame(geometry)))
+    return found
+
+
+def _prepare(root: Element, where: Where, folder: Path) -> None:
+    """Keep collision geometry only; hulls of STL files are written to a folder as OBJ."""
+    drop(root, "visual")
+    files = (folder / f"{at}.obj" for at in count())
+    move_meshes(root, lambda name: _readable(name, where, next(files)))
+
+
+def _in_memory(shape: Shape, label: str) -> Shape:
+    """Return a shape that needs no file: of a mesh, its convex hull."""
+    if not isinstance(shape, Mesh | Convex):
+        return shape.Clone()
+    corners = corners_of(shape)
+    if len(corners) > _FEW:
+        corners = np.unique(_GRID * np.round(corners / _GRID), axis=0)
+    return Convex(points=corners.T, label=label)
+
+
+def _unusable(place: str | Path, reason: str) -> ModelError:
+    return ModelError(
+        f"Mesh {place} cannot be used for collisions: {reason}.",
+        advice="Correct the file, or pass the shapes of links as `links` and ignore those of "
+        "the model's file (use_file=False).",
+        mesh=str(place),
+    )
+
+
+def _hull(vertices: Array) -> tuple[Array, NDArray[np.intp]]:
+    """Return the vertices of a convex hull and the corners of its triangles.
+
+    What is flat has no hull: it is returned with all its triangles, of three vertices each.
+    """
+    try:
+        hull = ConvexHull(vertices)
+    except QhullError:
+        return vertices, np.arange(len(vertices)).reshape(-1, 3)
+    corners = np.searchsorted(hull.vertices, hull.simplices, sorter=np.argsort(hull.vertices))
+    return vertices[np.sort(hull.vertices)], corners
+
+
+def _readable(name: str, where: Where, replacement: Path) -> Path:
+    """Return the file of a mesh, or the file that replaces an STL file."""
+    path: str | Path = name
+    try:
+        path = where(name)
+        if path.suffix.lower() != ".stl":
+            return regular_mesh(path)
+        vertices = stl_vertices(path)
+    except ModelError as error:
+        words = error.problem.replace(f"Mesh {path} ", "it ").rstrip(".")
+        raise _unusable(path, words) from error
+    vertices, corners = _hull(vertices)
+    with replacement.open("w", encoding="utf-8") as file:
+        np.savetxt(file, vertices, "v %.9g %.9g %.9g")
+        np.savetxt(file, 1 + corners, "f %d %d %d")
+    return replacement
 
 
 class CollisionWorld:

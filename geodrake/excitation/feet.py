@@ -16,7 +16,7 @@ from scipy.spatial import ConvexHull, QhullError
 from geodrake.boundary.arguments import instance, number, real_array
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
-from geodrake.excitation.collision_geometry import Solid, corners_of, solids_of_file
+from geodrake.excitation.collisions import Solid, corners_of, solids_of_file
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.model.robot_model import RobotModel

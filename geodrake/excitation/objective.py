@@ -37,8 +37,7 @@ from scipy.linalg import solve_triangular
 from geodrake.boundary.arguments import Sizes, instance, integer, number, one_of, real_array
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
-from geodrake.excitation.regressor_gradient import regressor_motion_gradient
-from geodrake.excitation.reverse_recursion import MotionGradient
+from geodrake.excitation.regressor_gradient import MotionGradient, regressor_motion_gradient
 from geodrake.excitation.target import Measurement, Target
 from geodrake.inertia import Array
 from geodrake.logs.motion import Motion

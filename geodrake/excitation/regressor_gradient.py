@@ -9,12 +9,19 @@ its size, of every sample apart:
 of a trajectory outwards and wrenches inwards. Reversed, the same chain of products carries one
 covector a body inwards, whatever the number of trajectory parameters is: the cost is that of a few
 regressors, linear in samples. What trajectories make of it is a linear map (`MotionFamily`).
+
+Per body, W's block is a regressor's inner product with "parameters" c (m, h, I) of its own for
+every velocity, so that with the row τ = t·f + s·n of `geodrake.robot.recursion`
+
+    ∂τ/∂t = m a + α × h + ω × (ω × h),       ∂τ/∂s = I α + ω × I ω + h × a,
+    ∂τ/∂a = m t + s × h,                     ∂τ/∂α = h × t + I s,
+    ∂τ/∂ω = t (ω·h) + h (ω·t) − 2 ω (t·h) + I (s × ω) + I ω × s.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,16 +29,28 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 
 from geodrake.boundary.arguments import real_array
+from geodrake.compiling import compiled, contiguous, inlined
 from geodrake.effects import Effect, RobotMotion
 from geodrake.effects.gradient import RobotGradient
-from geodrake.excitation.reverse_recursion import MotionGradient, reverse_recursion
 from geodrake.excitation.target import Measurement, Target
 from geodrake.identification.logs.dataset import is_payload
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
+from geodrake.robot import transmission
 from geodrake.robot.coordinates import RobotCoordinates
 from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot.recursion import (
+    MOTION,
+    Record,
+    Samples,
+    TreeRecords,
+    features_of,
+    find_subspaces,
+    inboard_motion,
+    move,
+    subspace_room,
+)
 from geodrake.robot.regressor import (
     checked_samples,
     checked_tree,
@@ -39,9 +58,25 @@ from geodrake.robot.regressor import (
     put_regressor,
     wrench_map,
 )
-from geodrake.robot.transmission import times
+from geodrake.robot.vectors import (
+    Vector,
+    add,
+    column,
+    combination,
+    cross,
+    dot,
+    inertia_times,
+    put,
+    put_row,
+    row,
+    scale,
+    subtract,
+    times,
+    vector,
+)
 
 _STEP = 1e-5  # of differences, of the largest value there is
+_IMAGINARY_STEP = 1e-30  # so small that its square is nothing: the derivative is exact
 
 
 def inverse_dynamics_regressor_gradient(
@@ -112,13 +147,17 @@ def at_actuators(
     By θ̇ = J q̇ and θ̈ = J q̈ + J̇ q̇, with the slopes that `effort_slopes` has as well.
     """
     JT, q, v, vd = np.swapaxes(J, 1, 2), motion.q, motion.v, motion.vd
-    found = MotionGradient(*(times(JT, x) for x in (gradient.q, gradient.v, gradient.vd)))
+    found = MotionGradient(
+        *(transmission.times(JT, x) for x in (gradient.q, gradient.v, gradient.vd))
+    )
     if actuation.constant is None:
         rate = np.swapaxes(actuation.jacobian_rate(q, v), 1, 2)
         bent = actuation.jacobian_rate(q, vd) + actuation.jacobian_rate_slope(q, v)
-        by_q = times(rate, gradient.v) + times(np.swapaxes(bent, 1, 2), gradient.vd)
+        by_q = transmission.times(rate, gradient.v) + transmission.times(
+            np.swapaxes(bent, 1, 2), gradient.vd
+        )
         found.q[:, actuation.driven] += by_q[:, actuation.driven]
-        found.v[:] += times(2.0 * rate, gradient.vd)
+        found.v[:] += transmission.times(2.0 * rate, gradient.vd)
     return found
 
 
@@ -209,12 +248,189 @@ def _by_differences(
     result = MotionGradient(*(np.zeros(x.shape) for x in (motion.q, motion.v, motion.vd)))
     for name in ("q", "v", "vd"):
         samples = getattr(motion, name)
-        for column in range(samples.shape[1]):
-            step = _STEP * max(float(np.abs(samples[:, column]).max(initial=0.0)), 1e-3)
+        for k in range(samples.shape[1]):
+            step = _STEP * max(float(np.abs(samples[:, k]).max(initial=0.0)), 1e-3)
             ends = []
             for by in (step, -step):
                 moved = samples.copy()
-                moved[:, column] += by
+                moved[:, k] += by
                 ends.append(values(replace(motion, **{name: moved})))
-            getattr(result, name)[:, column] = (ends[0] - ends[1]) / (2.0 * step)
+            getattr(result, name)[:, k] = (ends[0] - ends[1]) / (2.0 * step)
     return result
+
+
+Gradient = tuple[Array, Array, Array]
+"""With respect to positions (N, nq), velocities (N, nv) and accelerations (N, nv)."""
+
+
+@dataclass(frozen=True, eq=False)
+class MotionGradient:
+    """Gradient of a number with respect to the motion, sample by sample."""
+
+    q: Array  # (N, nq) with respect to the positions
+    v: Array  # (N, nv) with respect to the velocities
+    vd: Array  # (N, nv) with respect to the accelerations
+
+
+def reverse_recursion(tree: KinematicTree, samples: Samples, weights: Array) -> MotionGradient:
+    """Return the gradient of Σ W ∘ Y with respect to samples, for weights W (N, nv, 10 nb)."""
+    q, _, v, vd = samples
+    result = MotionGradient(*(np.zeros(x.shape) for x in (q, v, vd)))
+    gradient = result.q, result.v, result.vd
+    calc_motion_gradient(tree.records, samples, contiguous(weights), gradient)
+    return result
+
+
+@compiled
+def calc_motion_gradient(
+    tree: TreeRecords, samples: Samples, weights: Array, out: Gradient
+) -> None:
+    """Write the gradient of Σ W ∘ Y, W (N, nv, 10 nb), into zeros (N, nq), (N, nv), (N, nv)."""
+    mobilizers, dofs = tree
+    motions, by = np.empty(len(mobilizers), MOTION), np.empty(len(mobilizers), MOTION)
+    turn, slide = subspace_room(dofs)
+    by_turn, by_slide = subspace_room(dofs)
+    features, (q, v, _, _), (by_q, by_v, by_vd) = np.empty(9), samples, out
+    for n in range(len(q)):
+        move(mobilizers, samples, n, features, motions)
+        find_subspaces(mobilizers, motions, turn, slide)
+        clear(by, by_turn, by_slide)
+        for i in range(len(mobilizers) - 1, -1, -1):
+            mobilizer, motion = mobilizers[i], motions[i]
+            if mobilizer.body >= 0:
+                for k in range(mobilizer.count):
+                    place = n, dofs[i, k], PARAMETERS_PER_BODY * mobilizer.body
+                    s, t = row(turn, i, k), row(slide, i, k)
+                    by_s, by_t = add_block(motion, (s, t), (weights, place), by[i])
+                    put_row(by_turn, i, k, add(row(by_turn, i, k), by_s))
+                    put_row(by_slide, i, k, add(row(by_slide, i, k), by_t))
+            covector = motion, by[i], mobilizer.p_MoBo_B
+            spin = shift_back(covector, (turn, slide), (by_turn, by_slide), i, mobilizer.count)
+            by_w, by_wd, by_a = vector(by[i].w), vector(by[i].wd), vector(by[i].a)
+            w_P, _, wd_P, _ = inboard_motion(mobilizer, motions)
+            # The reverse of `geodrake.robot.recursion.move`, in P.
+            R, p, own = motion.R_PB, vector(motion.p_PMo), mobilizer.velocities
+            by_w, by_wd, by_a = times(R, by_w), times(R, by_wd), times(R, by_a)
+            by_p = add(cross(by_a, wd_P), cross(w_P, cross(w_P, by_a)))
+            turning, sliding = add(by_w, cross(by_wd, w_P)), scale(2.0, cross(by_a, w_P))
+            for k in range(own[1]):
+                s, t = column(mobilizer.angular, k), column(mobilizer.linear, k)
+                by_v[n, own[0] + k] += dot(s, turning) + dot(t, sliding)
+                by_vd[n, own[0] + k] += dot(s, by_wd) + dot(t, by_a)
+            parent = mobilizer.parent
+            if parent >= 0:
+                for k in range(mobilizers[parent].count):
+                    by_s, by_t = times(R, row(by_turn, i, k)), times(R, row(by_slide, i, k))
+                    by_p = add(by_p, cross(by_t, row(turn, parent, k)))
+                    by_s = add(row(by_turn, parent, k), add(by_s, cross(p, by_t)))
+                    put_row(by_turn, parent, k, by_s)
+                    put_row(by_slide, parent, k, add(row(by_slide, parent, k), by_t))
+                rates = combination(mobilizer.angular, v, n, own)
+                by_w = add(by_w, add(cross(rates, by_wd), by_turning(by_a, w_P, p)))
+                rates = combination(mobilizer.linear, v, n, own)
+                by_w = add(by_w, scale(2.0, cross(rates, by_a)))
+                put(by[parent].w, add(vector(by[parent].w), by_w))
+                by_wd = add(by_wd, cross(p, by_a))
+                put(by[parent].wd, add(vector(by[parent].wd), by_wd))
+                put(by[parent].a, add(vector(by[parent].a), by_a))
+            for j in range(mobilizer.positions[1]):
+                place = mobilizer.positions[0] + j
+                by_q[n, place] += dot(column(mobilizer.translation, j), by_p)
+                if mobilizer.features > 0:
+                    by_q[n, place] += dot(turning_rate(mobilizer, motion, q, n, j), spin)
+
+
+@inlined
+def clear(by: Record, by_turn: Array, by_slide: Array) -> None:
+    """Set the gradients with motions and subspaces to zero."""
+    for i in range(len(by)):
+        nothing = (0.0, 0.0, 0.0)
+        put(by[i].w, nothing)
+        put(by[i].wd, nothing)
+        put(by[i].a, nothing)
+        for k in range(by_turn.shape[1]):
+            put_row(by_turn, i, k, nothing)
+            put_row(by_slide, i, k, nothing)
+
+
+@inlined
+def shift_back(
+    covector: tuple[Record, Record, Array],
+    subspaces: tuple[Array, Array],
+    by_subspaces: tuple[Array, Array],
+    i: int,
+    count: int,
+) -> Vector:
+    """Turn the gradient with a body's motion about Bo into that about Mo.
+
+    The covector is the motion, the gradient with it, and the position of Bo from Mo. Returns the
+    gradient with a rotation of B.
+    """
+    (turn, slide), (by_turn, by_slide), (motion, by, shift) = subspaces, by_subspaces, covector
+    p, by_a, w, wd = vector(shift), vector(by.a), vector(motion.w), vector(motion.wd)
+    put(by.w, add(vector(by.w), by_turning(by_a, w, p)))
+    put(by.wd, add(vector(by.wd), cross(p, by_a)))
+    a = subtract(vector(motion.a), add(cross(wd, p), cross(w, cross(w, p))))
+    spin = add(add(cross(vector(by.w), w), cross(vector(by.wd), wd)), cross(by_a, a))
+    for k in range(count):
+        s, by_t = row(turn, i, k), row(by_slide, i, k)
+        by_s, t = add(row(by_turn, i, k), cross(p, by_t)), row(slide, i, k)
+        put_row(by_turn, i, k, by_s)
+        spin = add(spin, add(cross(by_s, s), cross(by_t, subtract(t, cross(s, p)))))
+    return spin
+
+
+@inlined
+def add_block(
+    motion: Record,
+    subspace: tuple[Vector, Vector],
+    weights: tuple[Array, tuple[int, int, int]],
+    by: Record,
+) -> tuple[Vector, Vector]:
+    """Add the gradient of a block's inner product with "parameters" c to that with the motion.
+
+    The weights (N, nv, 10 nb) come with the place of the first of c. Returns the gradient with s
+    and t.
+    """
+    (s, t), (W, (n, line, first)) = subspace, weights
+    c = W[n, line : line + 1, first : first + PARAMETERS_PER_BODY]
+    w, wd, a = vector(motion.w), vector(motion.wd), vector(motion.a)
+    m, h = c[0, 0], (c[0, 1], c[0, 2], c[0, 3])
+    momentum, along = inertia_times(c, 0, w), dot(h, w)
+    by_w = add(scale(along, t), scale(dot(t, w), h))
+    by_w = add(by_w, add(inertia_times(c, 0, cross(s, w)), cross(momentum, s)))
+    by_w = subtract(by_w, scale(2.0 * dot(t, h), w))
+    put(by.w, add(vector(by.w), by_w))
+    put(by.wd, add(vector(by.wd), add(cross(h, t), inertia_times(c, 0, s))))
+    put(by.a, add(vector(by.a), add(scale(m, t), cross(s, h))))
+    by_s = add(add(inertia_times(c, 0, wd), cross(w, momentum)), cross(h, a))
+    by_t = add(add(scale(m, a), cross(wd, h)), subtract(scale(along, w), scale(dot(w, w), h)))
+    return by_s, by_t
+
+
+@inlined
+def turning_rate(mobilizer: Record, motion: Record, q: Array, n: int, j: int) -> Vector:
+    """Return B's angular rate, in B, per change of its joint's position j."""
+    moved, slopes = np.empty((1, q.shape[1]), np.complex128), np.empty(9, np.complex128)
+    for k in range(q.shape[1]):
+        moved[0, k] = q[n, k]
+    moved[0, mobilizer.positions[0] + j] += 1j * _IMAGINARY_STEP
+    number = features_of(mobilizer, moved, 0, slopes)
+    rates, R, C = np.zeros((3, 3)), motion.R_PB, mobilizer.rotation
+    for entry in range(9):
+        for k in range(number):
+            slope = slopes[k].imag / _IMAGINARY_STEP
+            rates[entry // 3, entry % 3] += C[entry, k] * slope
+    # Rᵀ ∂R/∂q is the cross product of the rate.
+    return (
+        dot(column(R, 2), column(rates, 1)),
+        dot(column(R, 0), column(rates, 2)),
+        dot(column(R, 1), column(rates, 0)),
+    )
+
+
+@inlined
+def by_turning(by_a: Vector, w: Vector, p: Vector) -> Vector:
+    """Return the gradient of by_a · (ω × (ω × p)) with respect to ω."""
+    both = add(scale(dot(w, p), by_a), scale(dot(w, by_a), p))
+    return subtract(both, scale(2.0 * dot(by_a, p), w))

@@ -35,11 +35,11 @@ from geodrake.errors import ArgumentError
 from geodrake.excitation.feet import Foot
 from geodrake.excitation.limits import MotionLimits
 from geodrake.excitation.regressor_gradient import (
+    MotionGradient,
     at_actuators,
     base_wrench_regressor_gradient,
     effort_gradient,
 )
-from geodrake.excitation.reverse_recursion import MotionGradient
 from geodrake.excitation.target import Target, make_target
 from geodrake.inertia import Array
 from geodrake.logs.floating import QUATERNION

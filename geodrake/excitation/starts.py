@@ -12,8 +12,7 @@ from scipy.interpolate import PchipInterpolator
 
 from geodrake.boundary.arguments import real_array
 from geodrake.errors import ArgumentError
-from geodrake.excitation.collision_geometry import FLOOR
-from geodrake.excitation.collisions import CollisionWorld
+from geodrake.excitation.collisions import FLOOR, CollisionWorld
 from geodrake.excitation.limits import MotionLimits
 from geodrake.excitation.margins import COARSE, keeps_limits, stays_clear
 from geodrake.excitation.problem import DesignProblem, limit_motion

@@ -43,8 +43,7 @@ from geodrake.errors import ArgumentError
 from geodrake.excitation.design import ExcitationResult
 from geodrake.excitation.limits import MotionLimits
 from geodrake.excitation.objective import Criterion, Objective
-from geodrake.excitation.regressor_gradient import regressor_motion_gradient
-from geodrake.excitation.reverse_recursion import MotionGradient
+from geodrake.excitation.regressor_gradient import MotionGradient, regressor_motion_gradient
 from geodrake.excitation.target import SIZE_WORDS, Measurement, Target, make_target, sized_effects
 from geodrake.identification.logs.criteria import SPREAD
 from geodrake.identification.logs.dataset import is_payload

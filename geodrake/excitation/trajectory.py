@@ -22,7 +22,7 @@ from geodrake.boundary.showing import Short
 from geodrake.boundary.whole_files import Content, write_whole
 from geodrake.errors import ArgumentError, OutputError
 from geodrake.excitation.families import MotionFamily, SplineMotion
-from geodrake.excitation.reverse_recursion import MotionGradient
+from geodrake.excitation.regressor_gradient import MotionGradient
 from geodrake.excitation.stance import Stance
 from geodrake.inertia import Array
 from geodrake.logs.files import log_content

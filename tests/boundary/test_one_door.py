@@ -45,7 +45,7 @@ DOOR = {"boundary/input_files.py": {"open", "fdopen"}}
 CHECKED = {
     "control/export_proof/engines.py": {"AddModels", "from_xml_path", "run_path"},
     "effects/user_effects.py": {"exec_module"},
-    "excitation/collision_geometry.py": {"open"},  # to write what Drake reads
+    "excitation/collisions.py": {"open"},  # to write what Drake reads
     # Of archives, what a file that the door has opened holds.
     "logs/files/array_files.py": {
         "File",

@@ -27,7 +27,7 @@ from geodrake import load_model
 from geodrake.control.export_proof import export_to
 from geodrake.control.export_proof.engines import MujocoEngine
 from geodrake.control.export_proof.export import prove
-from geodrake.control.export_proof.formats import FORMATS, export_format
+from geodrake.control.export_proof.formats import FORMATS, SIGN_WIDTH, export_format
 from geodrake.control.export_proof.held import held_by
 from geodrake.control.export_proof.reference import (
     STEP,
@@ -37,7 +37,6 @@ from geodrake.control.export_proof.reference import (
     random_starts,
     roll_out_all,
 )
-from geodrake.control.export_proof.ros2 import SIGN_WIDTH
 from geodrake.effects import (
     AsymmetricFriction,
     CoulombFriction,

@@ -21,7 +21,7 @@ from geodrake.excitation import (
     make_target,
     motion_limits,
 )
-from geodrake.excitation.collision_geometry import read_obstacles
+from geodrake.excitation.collisions import read_obstacles
 from geodrake.excitation.problem import make_problem
 from geodrake.excitation.starts import RampPlanner
 from geodrake.model import load_description

@@ -9,8 +9,10 @@ from mujoco_efforts import mujoco_efforts
 
 from geodrake import load_model, save_model
 from geodrake.errors import ModelError
-from geodrake.excitation.regressor_gradient import inverse_dynamics_regressor_gradient
-from geodrake.excitation.reverse_recursion import reverse_recursion
+from geodrake.excitation.regressor_gradient import (
+    inverse_dynamics_regressor_gradient,
+    reverse_recursion,
+)
 from geodrake.logs import JointLog, Motion
 from geodrake.model import holding
 from geodrake.model.logged_joints import log_of_model

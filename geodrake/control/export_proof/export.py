@@ -34,7 +34,7 @@ from geodrake.control.export_proof.reference import (
     without,
 )
 from geodrake.control.rollout import case_rollout
-from geodrake.control.rollout.acting import told_joints
+from geodrake.control.rollout.passages import told_joints
 from geodrake.errors import LogError, ModelError, OutputError
 from geodrake.identification.logs.case import Case, open_case, reopen
 from geodrake.identification.logs.compare import comparison

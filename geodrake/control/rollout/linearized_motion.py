@@ -23,8 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.compiling import compiled, contiguous
-from geodrake.control.rollout.acting import EffortAlong
-from geodrake.control.rollout.passages import Passage
+from geodrake.control.rollout.passages import EffortAlong, Passage
 from geodrake.control.rollout.simulation import (
     AT_START,
     Simulation,

@@ -16,8 +16,8 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import least_squares
 
-from geodrake.control.rollout.acting import Acting
 from geodrake.control.rollout.linearized_motion import LinearizedMotion
+from geodrake.control.rollout.passages import Acting
 from geodrake.control.rollout.rollout_values import RolloutValue, giving_way, values_at, with_values
 from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel

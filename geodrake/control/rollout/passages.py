@@ -1,21 +1,40 @@
-"""Passages of logs in which the robot moves: what is simulated."""
+"""What is simulated: passages of logs in which the robot moves, and what acts on it in them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
+from pydrake.systems.primitives import TrajectorySource
+from pydrake.trajectories import PiecewisePolynomial
 
+from geodrake.control.systems.position_servo import PositionServo, ServoError, servo_effort
 from geodrake.effects.sensors import delayed_by
 from geodrake.errors import ArgumentError, LogError
 from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.reduce import peak_speeds
 from geodrake.inertia import Array
-from geodrake.logs.motion import MEMORY
+from geodrake.logs.motion import MEMORY, JointLog
 from geodrake.logs.smoothing import Segment, Stretch
+from geodrake.model.robot_model import RobotModel
+from geodrake.model.signal_efforts import (
+    NO_SERVO,
+    ServoGains,
+    command_delays,
+    integral_effort,
+    late_commands,
+    servo_gains,
+    servos_of,
+)
 
 _MOVING = 0.05  # share of the peak speeds that the mean speed of a passage must have
+_APART = 1e-9  # s, between instants of a trajectory
+_COMMANDS = ("commanded_position", "commanded_velocity")
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,3 +120,133 @@ def _moving(
         if speed.mean(0).max() > _MOVING:
             effort = delayed_by(-delays, near.effort, stretch.period)
             yield start, replace(inner, effort=effort[ahead:][:count])
+
+
+class EffortAlong(NamedTuple):
+    """What acts along a measured motion, and what servos add where motors are elsewhere."""
+
+    effort: Array  # (K, n) efforts, N·m or N, without the integrals and limits of servos
+    behind: Array  # (K, n) commanded less measured position, rad or m; 0 without a servo
+    gains: ServoGains  # those of the servos (n,); 0 without one
+    begun: Array  # (n,) their integrals at first, rad·s or m·s
+
+
+class Acting:
+    """The efforts of a log, and in their place servos at joints that follow its commands.
+
+    Commands and their rates are straight lines between the log's samples.
+    """
+
+    def __init__(self, model: RobotModel, log: JointLog, *, commands: bool) -> None:
+        count = len(model.joints)
+        self._log, self._servos, self._delays = log, servos_of(model), command_delays(model)
+        self._told = told_joints(model, log) if commands else np.zeros(count, bool)
+        self._servoed = bool(self._told.any())
+        pairs = zip(servo_gains(model) if self._servoed else NO_SERVO, NO_SERVO, strict=True)
+        self.gains = ServoGains(*(np.where(self._told, own, none) for own, none in pairs))
+        self._ki = self.gains.ki
+
+    def add(self, builder: DiagramBuilder, state: OutputPort) -> OutputPort:
+        """Add the systems that make the efforts (n), N·m or N, and return their output.
+
+        Args:
+            state: Positions and velocities (2n) as they are measured, in the model's order.
+        """
+        zero = PiecewisePolynomial(np.zeros(len(self._told)))
+        names = ("feedforward", *(_COMMANDS if self._servoed else ()))
+        self._sources = {name: builder.AddSystem(TrajectorySource(zero)) for name in names}
+        if not self._servoed:
+            return self._sources["feedforward"].get_output_port()
+        known = self.gains._replace(rate_share=np.ones(len(self._told)))  # as of `_late`
+        servo = PositionServo(**known._asdict())
+        self._servo = builder.AddSystem(servo)
+        builder.Connect(state, servo.GetInputPort("estimated_state"))
+        for name, source in self._sources.items():
+            builder.Connect(source.get_output_port(), servo.GetInputPort(name))
+        return servo.get_output_port()
+
+    def begin(self, passage: Passage) -> None:
+        """Have a passage act, in the time since its log began."""
+        courses = {"feedforward": (passage.time, self._beside(passage))}
+        if self._servoed:
+            time = self._bends(passage)
+            own = zip(_COMMANDS, self._commands(passage, time), strict=True)
+            courses |= {name: (time, values) for name, values in own}
+        for name, (time, values) in courses.items():
+            lines = PiecewisePolynomial.FirstOrderHold(time, values.T)
+            self._sources[name].UpdateTrajectory(lines)
+
+    def remember(self, passage: Passage, root: Context) -> None:
+        """Set integrals to what they have grown to in the log, by its efforts."""
+        if self._ki.any():
+            context = self._servo.GetMyMutableContextFromRoot(root)
+            context.SetContinuousState(self.begun(passage))
+
+    def along(self, passage: Passage) -> EffortAlong:
+        """Return what acts in a passage whose motors move as they were measured."""
+        segment, beside = passage.segment, self._beside(passage)
+        if not self._servoed:
+            none = np.zeros(len(self._ki))
+            return EffortAlong(beside, np.zeros_like(beside), self.gains, none)
+        command, rate = self._commands(passage, passage.time)
+        behind = np.where(self._told, command - segment.position, 0.0)
+        error = ServoError(behind, rate - segment.velocity, np.zeros_like(behind), beside)
+        unlimited = self.gains._replace(limit=np.full(len(self._ki), np.inf))
+        effort = servo_effort(unlimited, error)
+        return EffortAlong(effort, behind, self.gains, self.begun(passage))
+
+    def told(self, passage: Passage, time: Array) -> Array:
+        """Return commands, their rates, and efforts beside servos (3, K, n) at instants (K,)."""
+        beside = self._beside(passage)
+        efforts = [np.interp(time, passage.time, column) for column in beside.T]
+        return np.array([*self._commands(passage, time), np.transpose(efforts)])
+
+    def begun(self, passage: Passage) -> Array:
+        """Return the integrals (n,) when a passage begins, rad·s or m·s."""
+        begun, instants = np.zeros(len(self._ki)), self._log.time - passage.began
+        known = np.isfinite(instants)
+        for j, effort in self._integrals.items():
+            begun[j] = np.interp(passage.time[0], instants[known], effort[known]) / self._ki[j]
+        return begun
+
+    @cached_property
+    def _integrals(self) -> dict[int, Array]:
+        """Joint -> (N,) what the integral of its servo gives along the log, N·m or N."""
+        servos = {j: self._servos[j] for j in np.flatnonzero(self._ki).tolist()}
+        return {j: integral_effort(self._log, j, servo) for j, servo in servos.items() if servo}
+
+    def _beside(self, passage: Passage) -> Array:
+        """Return the efforts (K, n) of joints without a servo."""
+        return np.where(self._told, 0.0, np.asarray(passage.segment.effort))
+
+    def _bends(self, passage: Passage) -> Array:
+        """Return the instants (K,) at which late commands bend, and both ends of the passage."""
+        first, last = passage.time[0], passage.time[-1]
+        bends = [np.array([first, last])]
+        for late, _, _ in self._late(passage).values():
+            bends.append(late[(late > first + _APART) & (late < last - _APART)])
+        time = np.unique(np.concatenate(bends))
+        return time[np.append(np.diff(time) > _APART, True)]
+
+    def _commands(self, passage: Passage, time: Array) -> tuple[Array, Array]:
+        """Return late commands and what servos know of their rates (K, n) at instants (K,)."""
+        commands, rates = np.zeros((2, len(time), len(self._told)))
+        for j, (late, column, rate) in self._late(passage).items():
+            commands[:, j], rates[:, j] = np.interp(time, late, column), np.interp(time, late, rate)
+        return commands, rates
+
+    def _late(self, passage: Passage) -> dict[int, tuple[Array, Array, Array]]:
+        """Return instants, s, commands and known rates by the index of each commanded joint."""
+        found = {}
+        for j in np.flatnonzero(self._told).tolist():
+            late, told, rate = late_commands(self._log, j, self._delays[j])
+            found[j] = late - passage.began, told, self.gains.rate_share[j] * rate
+        return found
+
+
+def told_joints(model: RobotModel, log: JointLog) -> NDArray[np.bool_]:
+    """Return (n,) whether each joint has a servo, and a command in a log."""
+    if log.command is None:
+        return np.zeros(len(model.joints), bool)
+    known = (np.isfinite(log.command) & np.isfinite(log.time)[:, None]).any(axis=0)
+    return np.array([servo is not None for servo in servos_of(model)]) & known

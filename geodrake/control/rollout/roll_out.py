@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from geodrake.boundary.arguments import function, instance, instances, integer, number, typed
-from geodrake.control.rollout.acting import told_joints
-from geodrake.control.rollout.passages import Passage, Span, chosen_passages
+from geodrake.control.rollout.passages import Passage, Span, chosen_passages, told_joints
 from geodrake.control.rollout.results import Rollout, Window
 from geodrake.control.rollout.simulation import simulations
 from geodrake.control.rollout.stepping import stepping, steps_alone

@@ -10,8 +10,7 @@ import numpy as np
 from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator, SimulatorStatus
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
 
-from geodrake.control.rollout.acting import Acting
-from geodrake.control.rollout.passages import Passage
+from geodrake.control.rollout.passages import Acting, Passage
 from geodrake.effects import Effect, FittedEffect, RobotMotion
 from geodrake.effects.deflection import DeflectionEffect
 from geodrake.errors import LogError

@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from geodrake.control.rollout.acting import Acting
-from geodrake.control.rollout.passages import Passage
+from geodrake.control.rollout.passages import Acting, Passage
 from geodrake.control.rollout.simulation import FASTEST, LEAST_SPEED, SIGN_WIDTH, hidden_states
 from geodrake.control.systems.position_servo import (
     ServoError,
