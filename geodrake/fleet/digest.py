@@ -44,7 +44,7 @@ class DigestedLog(Short):
     # Where the date is from: `stamps`, `option` or `file`, which is when the file was changed last.
     date_from: str
     seconds: float
-    bandwidth: float  # bandwidth of the filter that its period allows, nearest to the settings', Hz
+    bandwidth: float  # of the filter that its period allows, nearest to the settings', Hz
     # Known payloads that the robot carried; their efforts are taken off.
     payloads: tuple[KnownPayload, ...]
     noise_floor: Array  # (nv,) estimated RMS of the sensor noise after filtering, N·m or N
@@ -70,13 +70,10 @@ class Digest(Short):
     The numbering of columns is that of `columns`: first inertial parameters of the bodies, then the
     parameters of effects, those of the model first. Bodies are those of the model and not
     differences from them: b is the whole measured effort (less what known payloads need).
-
-    Attributes:
-        logs: The logs, one unless it is merged.
     """
 
     settings: DigestSettings
-    logs: tuple[DigestedLog, ...]
+    logs: tuple[DigestedLog, ...]  # one unless it is merged
     blocks: tuple[str, ...]
     joints: tuple[JointData, ...]
 

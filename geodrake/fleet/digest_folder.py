@@ -178,11 +178,7 @@ def digest_logs(
 
 
 def digest_files(folder: str | Path) -> tuple[Path, ...]:
-    """Return the files of digests in a folder, by name.
-
-    Raises:
-        DigestError: There is no such folder.
-    """
+    """Return the files of digests in a folder, by name."""
     path = file_path(folder)
     try:
         return tuple(sorted(each for each in path.iterdir() if each.suffix == _SUFFIX))

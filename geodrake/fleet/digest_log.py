@@ -54,7 +54,7 @@ _KEY = 32  # letters of a digest's name
 class Wanted:
     """Settings that are wanted; None for those that the model and the first log decide."""
 
-    bandwidth: float | None = None  # bandwidth of the filter, Hz
+    bandwidth: float | None = None  # of the filter, Hz
     blocks: int | None = None
     reading: Reading = field(default_factory=Reading)
     extra: tuple[type[Effect], ...] = ()  # effect classes of the user's own, which get columns too
@@ -119,10 +119,6 @@ def make_settings(
     The bandwidth is that asked for, or else that of the model's last fit, or else chosen from the
     log, as are the speeds below which joints rest. A joint that stands still in this log is thought
     to become as fast as the fastest. Effects are those of the model and all that a diagnosis tries.
-
-    Raises:
-        LogError: The log cannot be used.
-        ArgumentError: What is asked for cannot be.
     """
     wanted = wanted or Wanted()
     own = model_of_logs(model, [log], hold_resting=False)

@@ -84,7 +84,7 @@ class FleetType(Short):
     floating: bool = False  # whether roots are free that nothing fixes to the world
     transmission: str | None = None  # what moves joints in their place: a file, `file` or `none`
     mapping: Path | None = None  # file that says which column of the logs is what
-    units: Mapping[str, str] = field(default_factory=dict)  # quantity -> its unit in the logs
+    units: Mapping[str, str] = field(default_factory=dict)  # quantity -> unit in the logs
 
     @property
     def files(self) -> tuple[Path, ...]:

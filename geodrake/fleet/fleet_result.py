@@ -30,7 +30,7 @@ class ChangedParameter:
     """Change of a parameter."""
 
     name: str
-    unit: str  # its unit; empty for shares
+    unit: str  # empty for shares
     size: float  # change; of a ramp up to the last log
     deviation: float
     share: float  # the change as a share of the robot's own value; NaN where there is no such
@@ -104,18 +104,14 @@ class OwnParameter:
 
 @dataclass(frozen=True, eq=False)
 class RobotResult(Short):
-    """Results of one robot.
-
-    Attributes:
-        dates: (T,) when these were recorded, s since 1970; neighbours together if they are many.
-        findings: What changed, the surest first.
-    """
+    """Results of one robot."""
 
     robot: str
     type: str
     logs: int
+    # (T,) when its logs were recorded, s since 1970; neighbours together if they are many.
     dates: Array
-    findings: tuple[FleetFinding, ...] = ()
+    findings: tuple[FleetFinding, ...] = ()  # what changed, the surest first
     histories: tuple[ParameterHistory, ...] = ()
     own: tuple[OwnParameter, ...] = ()
 
@@ -177,11 +173,6 @@ class ReportedFinding:
     earliest: float  # beginning of its interval, s since 1970
     latest: float
 
-    @classmethod
-    def of(cls, finding: FleetFinding) -> ReportedFinding:
-        """Return the report of a finding."""
-        return cls(finding.robot, finding.effect, finding.where, *finding.interval)
-
     def is_of(self, finding: FleetFinding) -> bool:
         """Return whether a finding is the same, seen with other logs."""
         same = (self.robot, self.effect, self.where)
@@ -198,7 +189,10 @@ def new_findings(folder: Path, findings: Sequence[FleetFinding]) -> list[FleetFi
 
 def keep_reported(folder: Path, findings: Sequence[FleetFinding]) -> None:
     """Remember that findings were reported."""
-    reported = [*_read_reported(folder / _REPORTED_FILE), *map(ReportedFinding.of, findings)]
+    new = (
+        ReportedFinding(each.robot, each.effect, each.where, *each.interval) for each in findings
+    )
+    reported = [*_read_reported(folder / _REPORTED_FILE), *new]
     lines = ",\n".join(json.dumps(vars(each)) for each in reported)
     write_whole(folder / _REPORTED_FILE, f"[\n{lines}\n]\n")
 

@@ -109,7 +109,7 @@ class DigestSettings(Short):
     joints: tuple[str, ...]
     bodies: tuple[str, ...]
     held: Mapping[str, float]  # joint that no log says anything of -> where it is held, rad or m
-    bandwidth: float  # bandwidth that efforts and regressors are filtered to, Hz
+    bandwidth: float  # that efforts and regressors are filtered to, Hz
     motion_bandwidth: float  # that of the smoothed motion, Hz
     sign_width: Array  # (nv,) speed below which dry friction fades, rad/s or m/s
     still_speed: Array  # (nv,) speed below which a joint counts as at rest, rad/s or m/s

@@ -121,8 +121,9 @@ def workers(
         scheduler: Address of a scheduler of the user's own, such as `tcp://10.0.0.5:8786`.
     """
     if scheduler is None:
-        if count is None:
-            count = _cores()
+        if count is None and find_spec("distributed"):
+            count = optional_package("dask.system", "fleet", "workers", FleetError).CPU_COUNT
+        count = count or 0
         if count == 0 or pieces == 0 or (pieces <= _FEW and count > 1):
             yield HERE
             return
@@ -141,30 +142,13 @@ def workers(
             )
             client = stack.enter_context(dask.Client(stack.enter_context(cluster)))
         else:
-            stack.enter_context(_silent())
+            log = logging.getLogger("distributed.client")  # has a traceback of a lost scheduler
+            stack.callback(log.setLevel, log.level)
+            log.setLevel(logging.CRITICAL)
             client = stack.enter_context(_remote(dask, scheduler))
         shown = "" if find_spec("bokeh") else " (it needs: pip install bokeh)"
         told(f"Dashboard of the workers: {client.dashboard_link}{shown}")
         yield Workers(client)
-
-
-@contextmanager
-def _silent() -> Iterator[None]:
-    """Silence the log of Dask's client, which has a traceback where a scheduler is lost."""
-    log = logging.getLogger("distributed.client")
-    before = log.level
-    log.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        log.setLevel(before)
-
-
-def _cores() -> int:
-    """Return how many cores this process may use; 0 where Dask is not installed."""
-    if not find_spec("distributed"):
-        return 0
-    return int(optional_package("dask.system", "fleet", "workers", FleetError).CPU_COUNT)
 
 
 def _remote(dask: Any, scheduler: str) -> Any:

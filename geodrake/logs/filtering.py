@@ -178,11 +178,7 @@ class ZeroPhaseFilter:
         return self.halfwidth + self.decimation * np.arange(self.output_count(n))
 
     def apply(self, columns: ArrayLike, at: NDArray[np.intp] | None = None) -> Array:
-        """Filter and decimate (N, ...) to (K, ...), at `output_indices(N)`, or some of them.
-
-        Args:
-            at: (K,) numbers of the outputs that are wanted, all if None.
-        """
+        """Filter and decimate (N, ...) to (K, ...), at `output_indices(N)`, or at some of them."""
         columns = np.asarray(columns, float)
         instants = self.output_indices(len(columns))
         instants = instants if at is None else instants[at]
@@ -236,9 +232,6 @@ def design_filter(
         bandwidth: Wanted bandwidth, Hz. The result's is the nearest that whole-number decimation
             leaves white: 20 % off at worst, decimating by 2 or 3, and 5 % by 10.
         highest: The highest bandwidth that is let through, as a share of the sampling rate.
-
-    Raises:
-        ArgumentError: The bandwidth does not fit the period.
     """
     if not 0.0 < period < np.inf:
         raise ArgumentError(f"A sampling period must be positive; got {period:g} s.")
@@ -305,9 +298,7 @@ def choose_bandwidth(pieces: Sequence[tuple[Array, float]]) -> float:
     the position's noise is differentiated twice; the bandwidth is where it is lowest between
     4 and 10 times the frequency that holds 99.9 % of the velocity's power, and at most a quarter
     of the sampling rate. Joints count alike: the spectra are multiplied.
-
-    Args:
-        pieces: Positions (N, n) of moving joints and their sampling period, s, for each piece.
+    Pieces are positions (N, n) of moving joints, and their sampling period, s.
     """
     pieces = [(position, period) for position, period in pieces if len(position) >= LEAST_SPECTRUM]
     if not pieces:

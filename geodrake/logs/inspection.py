@@ -47,7 +47,7 @@ class UnderstoodColumn:
 class LogInspection:
     """How a log was read."""
 
-    log: JointLog  # the log, without what its sensors did wrong
+    log: JointLog  # without what its sensors did wrong
     time_column: str  # the column of time; "" where a rate says it
     # Columns of all joints and quantities, in the order of the joints.
     columns: tuple[UnderstoodColumn, ...]
@@ -82,16 +82,7 @@ def inspect_log(
     partial: bool = False,
     reading: Reading | None = None,
 ) -> LogInspection:
-    """Read a log, and inspect it without a model.
-
-    Args:
-        path: The file; see `read_log`.
-        joints: Names of a model's joints, if the log must have them.
-        partial: Whether it may lack some of these.
-
-    Raises:
-        LogError: It cannot be read.
-    """
+    """Read a log, and inspect it without a model; see `read_log` for arguments."""
     raw, columns = understand(path, joints=joints, partial=partial, reading=reading)
     notes = []
     try:
@@ -139,11 +130,7 @@ def mapping_text(
     columns: Sequence[UnderstoodColumn],
     gain_deviations: Mapping[str, float] | None = None,
 ) -> str:
-    """Return the text of a mapping that reads a log in the same way, or with given columns.
-
-    Args:
-        gain_deviations: Joint -> standard deviation of the gain that the user gave.
-    """
+    """Return the text of a mapping that reads a log in the same way, with these columns."""
     time = MappedColumn(found.time_column, found.time_unit or None) if found.time_column else None
     rate = None if time else round(1.0 / found.period, 6)
     known, deviations = (*found.log.joints, *found.log.standing), gain_deviations or {}

@@ -43,21 +43,13 @@ class Motor(Schema, kw_only=True):
 
 
 def known_motors(path: str | Path | None = None) -> Mapping[str, Motor]:
-    """Return the motors of geodrake's table, and of a file of the same form, by name.
-
-    Raises:
-        ArgumentError: The file cannot be read, or a value is no such number.
-    """
+    """Return the motors of geodrake's table, and of a file of the same form, by name."""
     return _motors_of(_TABLE) if path is None else {**_motors_of(_TABLE), **_read(file_path(path))}
 
 
 @typed
 def motor_named(name: str, motors: Mapping[str, Motor] | None = None) -> Motor:
-    """Return a motor by its name, in whichever case, of the table or of others.
-
-    Raises:
-        ArgumentError: There is no such motor.
-    """
+    """Return a motor by its name, in whichever case, of the table or of others."""
     table = known_motors() if motors is None else motors
     found = {_plain(key): motor for key, motor in table.items()}.get(_plain(name))
     if found is None:

@@ -24,7 +24,7 @@ from geodrake.logs.floating import FORCE, frames_of
 from geodrake.logs.motion import JointLog, Trajectory
 from geodrake.logs.smoothing import Segment, Stretch, smooth_pieces
 from geodrake.logs.temperatures import Temperatures
-from geodrake.logs.uniform_log import UniformLog, make_uniform, naming_log
+from geodrake.logs.uniform_log import UniformLog, make_uniform, naming_log, sample_parts
 from geodrake.logs.unit_hints import position_unit_hint
 
 LEAST_OUTPUTS = 10  # filtered samples that a log must give to be of use
@@ -95,7 +95,7 @@ def motion_bandwidth_of(uniform: Sequence[UniformLog], *, time_scale: float = 1.
     """
     moving = np.any([each.moving for each in uniform], axis=0)
     parts = [
-        [(part.position[:, moving], each.period * time_scale) for part in each.sample_parts()]
+        [(part.position[:, moving], each.period * time_scale) for part in sample_parts(each.pieces)]
         for each in uniform
     ]
     chosen = choose_bandwidth([piece for own in parts for piece in own])
@@ -124,7 +124,10 @@ def _prepare(
     usable, standstill = replace(uniform, pieces=long), (0.0, 0.0)
     stretches: tuple[Stretch, ...] = ()
     if long:
-        stretches, standstill = _smooth(usable, low_pass, smoother, notes)
+        lag, note = _measured_lag(usable, smoother)
+        notes += [note] if note else []
+        whole = smooth_pieces(long, smoother, lag)
+        stretches, standstill = _of_use(usable, whole, (low_pass, smoother))
     derived = np.any([stretch.derived for stretch in stretches], axis=0)
     temperatures = Temperatures.of(log.joints, log.time, log.temperature)
     notes += _failed_sensors(log, temperatures)
@@ -212,16 +215,6 @@ def _check_outputs(uniform: UniformLog, low_pass: ZeroPhaseFilter, outputs: int)
     )
 
 
-def _smooth(
-    uniform: UniformLog, low_pass: ZeroPhaseFilter, smoother: ZeroPhaseFilter, notes: list[str]
-) -> tuple[tuple[Stretch, ...], tuple[float, float]]:
-    """Return stretches that are of use, and the standstill before the first and after the last."""
-    lag, note = _measured_lag(uniform, smoother)
-    notes += [note] if note else []
-    whole = smooth_pieces(uniform.pieces, smoother, lag)
-    return _of_use(uniform, whole, (low_pass, smoother))
-
-
 def _measured_lag(
     uniform: UniformLog, smoother: ZeroPhaseFilter
 ) -> tuple[Array | None, str | None]:
@@ -232,7 +225,7 @@ def _measured_lag(
     """
     truths, measured, slopes = [], [], []
     inner = slice(smoother.halfwidth, -smoother.halfwidth)  # free of reflected data
-    for part in uniform.sample_parts():
+    for part in sample_parts(uniform.pieces):
         if part.velocity is None:
             return None, None
         truths.append(differentiate(smoother.smooth(part.position), uniform.period)[inner])
@@ -281,7 +274,7 @@ def _acceleration_noise(
     It is that of velocities where these are measured and not `derived` (n,), and that of
     accelerations themselves where these are measured.
     """
-    parts = list(uniform.sample_parts())
+    parts = list(sample_parts(uniform.pieces))
     rate, power, weight = 1.0 / uniform.period, np.zeros(len(uniform.log.joints)), 0
     for part in parts:
         # Differences are free of the motion's large slow part, which would leak into the noise.

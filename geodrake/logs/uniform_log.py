@@ -102,10 +102,6 @@ class UniformLog:
         """Length of all pieces together, s."""
         return sum(map(len, self.pieces)) * self.period
 
-    def sample_parts(self) -> Iterator[Piece]:
-        """Return parts of the pieces, evenly spread over a long log, by which choices are made."""
-        return _sample_parts(self.pieces)
-
     @property
     def time_scale(self) -> float:
         """Factor of time that matches positions to measured velocities.
@@ -115,7 +111,7 @@ class UniformLog:
         """
         both = [
             (np.diff(part.position, axis=0) / self.period, part.velocity[1:] + part.velocity[:-1])
-            for part in self.sample_parts()
+            for part in sample_parts(self.pieces)
             if part.velocity is not None
         ]
         if not both:
@@ -146,8 +142,7 @@ def naming_log(log: JointLog) -> Iterator[None]:
 def make_uniform(log: JointLog, *, faultless: bool = False) -> UniformLog:
     """Split a log at gaps in its complete rows, and find its period, noise and moving joints.
 
-    Args:
-        faultless: Whether it is already without what its sensors did wrong.
+    What its sensors did wrong is left out, unless it is `faultless` already.
     """
     with naming_log(log):
         return _uniform(log, faultless=faultless)
@@ -258,7 +253,8 @@ def _in_scraps(steps: Array, gap: float) -> float:
     return float(seconds[seconds < _SCRAP].sum() / max(seconds.sum(), np.finfo(float).tiny))
 
 
-def _sample_parts(pieces: Sequence[Piece]) -> Iterator[Piece]:
+def sample_parts(pieces: Sequence[Piece]) -> Iterator[Piece]:
+    """Yield parts of pieces, evenly spread over a long log, by which choices are made."""
     parts = [
         (piece, part)
         for piece in pieces
@@ -285,7 +281,7 @@ def _find_moving(
             advice="Record without dropouts, or log all joints in the same row.",
         )
     seconds = sum(map(len, pieces)) * period
-    bends = np.concatenate([np.diff(part.position, 2, axis=0) for part in _sample_parts(pieces)])
+    bends = np.concatenate([np.diff(part.position, 2, axis=0) for part in sample_parts(pieces)])
     noise = np.median(np.abs(bends), axis=0) / (0.6745 * np.sqrt(6.0))
     highest = np.max([piece.position.max(axis=0) for piece in pieces], axis=0)
     lowest = np.min([piece.position.min(axis=0) for piece in pieces], axis=0)

@@ -590,7 +590,7 @@ def test_choices_look_at_a_part_of_a_long_log(monkeypatch):
     log = long_log(9000)
     monkeypatch.setattr(uniform_log, "_PART", 1_000)
     monkeypatch.setattr(uniform_log, "_LOOKED_AT", 2_000)
-    parts = list(uniform_log.make_uniform(log).sample_parts())
+    parts = list(uniform_log.sample_parts(uniform_log.make_uniform(log).pieces))
     assert [len(part) for part in parts] == pytest.approx([250] * 8, abs=1)
     assert parts[0].time[0] == log.time[0]
     assert parts[-1].time[-1] > 0.85 * log.time[-1]

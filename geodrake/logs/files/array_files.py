@@ -150,9 +150,9 @@ _MAT_ADVICE = "Save arrays or structs of them: save('log.mat', 'time', 'q', 'tau
 def read_mat(path: Path, reading: Reading) -> LogTable:
     """Return the columns of a MATLAB file; see `read_bag` for arguments."""
     with readable(path, "MATLAB file", _MAT_ADVICE):
-        variables = (
-            _of_hdf5(path, reading) if _is_hdf5(path) else loadmat(path, simplify_cells=True)
-        )
+        with open_regular(path, "log", LogError) as file:
+            is_hdf5 = _HDF5 in file.read(_HDF5_WITHIN)
+        variables = _of_hdf5(path, reading) if is_hdf5 else loadmat(path, simplify_cells=True)
         own = {name: value for name, value in variables.items() if not name.startswith(("__", "#"))}
         table = content_table(path, own, reading)
     if not table.columns:
@@ -188,11 +188,6 @@ def _of_frame(path: Path, group: Any) -> Any:
         names = (name.decode() for name in group[f"{block}_items"])
         found |= dict(zip(names, group[f"{block}_values"].T, strict=True))
     return found or group
-
-
-def _is_hdf5(path: Path) -> bool:
-    with open_regular(path, "log", LogError) as file:
-        return _HDF5 in file.read(_HDF5_WITHIN)
 
 
 def _of_hdf5(path: Path, reading: Reading, *, matlab: bool = True) -> dict[str, Any]:

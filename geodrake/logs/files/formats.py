@@ -163,9 +163,8 @@ def file_names(path: Path) -> str:
 def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
     """Return the columns of several files, at the time stamps of the one with the fewest a second.
 
-    Args:
-        paths: Files of any format. The name of a file may say the quantity of its columns, as
-            that of `efforts.csv` does; or the joint, where columns of several name none.
+    The name of a file may say the quantity of its columns, as that of `efforts.csv` does; or the
+    joint, where columns of several name none.
     """
     named = [replace(_named_table(path, reading), path=Path(path.name)) for path in paths]
     bare = [

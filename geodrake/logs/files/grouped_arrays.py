@@ -122,11 +122,7 @@ def describes_columns(name: str, value: Any) -> bool:
 def records_table(
     path: Path, content: Sequence[Mapping[str, Any]], said: Mapping[str, Any] | None = None
 ) -> LogTable:
-    """Return the columns of records, which need not have the same fields.
-
-    Args:
-        said: What is beside the records: names of joints, a sampling rate.
-    """
+    """Return the columns of records of any fields, and of what is `said` beside them."""
     columns = dict[str, list[Any]]()
     for k, record in enumerate(content):
         for name, value in fields_of(record, lists=True):
@@ -237,7 +233,8 @@ def _going_on(before: Array, time: Array) -> Array:
 def _parts_in(content: Any, name: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
     """Yield names and tables or lists of records that have their own time."""
     if are_records(content):
-        if any(map(is_time, content[0])) and not any(isinstance(x, list) for x in _times(content)):
+        times = [x for n, x in content[0].items() if is_time(n)]
+        if times and not any(isinstance(x, list) for x in times):
             yield name, content
             return
         for k, record in enumerate(content if len(content) <= _MOST_PARTS else ()):
@@ -252,10 +249,6 @@ def _parts_in(content: Any, name: tuple[str, ...] = ()) -> Iterator[tuple[tuple[
         fields = {n: x for n, x in fields.items() if not are_records(x)}
         if any(map(is_time, fields)):
             yield name, fields
-
-
-def _times(records: Sequence[Mapping[str, Any]]) -> Iterator[Any]:
-    return (x for n, x in records[0].items() if is_time(n))
 
 
 def _has_joints(name: tuple[str, ...], part: Any) -> bool:

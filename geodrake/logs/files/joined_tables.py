@@ -160,9 +160,6 @@ def _slow_parts(
     Slow ones have less than a tenth as many rows a second as others. Temperatures and flags change
     slowly, and so may the orientation of a base whose IMU is quick. The rest goes where the log
     does without, as joints do that are told of less often than others.
-
-    Raises:
-        LogError: It does not.
     """
     is_slow = [period > _MIXED * min(periods) for period in periods]
     parts = list(zip(tables, is_slow, strict=True))

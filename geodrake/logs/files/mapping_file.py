@@ -36,12 +36,7 @@ _FORM = (
 
 @typed
 def read_mapping(path: Path) -> ColumnMapping:
-    """Read a mapping file.
-
-    Raises:
-        LogError: It cannot be read, has other keys or kinds of values, names a column twice, or
-            a unit that is not known.
-    """
+    """Read a mapping file, in which no column may come twice."""
     content = yaml_content(path, "mapping", LogError, advice=_FORM)
     try:
         return mapping_of(path, content)

@@ -112,8 +112,7 @@ class Messages:
     def tables_of(self, keys: Iterable[Key], *, shared: bool = True) -> list[LogTable]:
         """Return the columns of some groups, with `time`: one table for each set of instants.
 
-        Args:
-            shared: Whether what has the same instants shares a table; else each has its own.
+        Where they are not `shared`, each joint or frame has a table of its own.
         """
         found = defaultdict[Hashable, list[tuple[Stamps, dict[str, Array]]]](list)
         for owners, names in keys:

@@ -32,9 +32,6 @@ def number_marks(path: Path, rows: Sequence[Sequence[str]]) -> tuple[str, dict[i
     otherwise: it has it twice, or decimals behind it; or where those without it end below a
     thousand and go beyond a hundred, and those with it begin below ten thousand. Columns that do
     not say it go by others.
-
-    Raises:
-        LogError: Nothing says which of two marks is of decimals.
     """
     told = [*_marks_of(rows)]
     sure = {kind: {mark for _, mark, own, _ in told if own == kind} for kind in range(3)}

@@ -38,11 +38,7 @@ class MappedColumn:
 
 @dataclass(frozen=True)
 class ColumnMapping:
-    """Which column of a file is which quantity of which joint.
-
-    Raises:
-        ArgumentError: A joint has efforts of several kinds.
-    """
+    """Which column of a file is which quantity of which joint."""
 
     # Joint -> quantity -> column; quantities are those of a log, and the kinds of effort.
     joints: Mapping[str, Mapping[str, MappedColumn]]

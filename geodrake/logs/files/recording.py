@@ -35,11 +35,7 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
     """Return the log from a file's numbers, with units inferred from them.
 
     Every number is held once, but for those of a quantity: ten million rows of seven joints fill
-    more than a gigabyte.
-
-    Args:
-        numbers: (N,) of each column of the file, which are taken out.
-        torn: Bad rows among them.
+    more than a gigabyte. Numbers (N,) of the file's columns are taken out of the mapping.
     """
     rows = len(next(iter(numbers.values())))
     if rows < LEAST_ROWS:
