@@ -28,6 +28,9 @@ from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 
+_CONVINCING = 0.01
+"""Further candidates are listed if the probability that they are not needed is at most this."""
+
 
 def diagnose(
     model: RobotModel,
@@ -107,9 +110,9 @@ def _candidates(
     seen = {candidate.effect for candidate in candidates}
     for fit in additions(found.model, bare):
         (name, places), gain = names_and_places(fit.terms), fit.score - bare.score
-        if name not in seen and gain > 0.0:
+        chance = float(np.exp(-0.5 * np.clip(gain, 0.0, 1400.0)))
+        if name not in seen and chance <= _CONVINCING:
             seen.add(name)
-            chance = float(np.exp(-0.5 * min(gain, 1400.0)))
             nrms = found.model.validated(fit).nrms  # of bodies that can be
             candidates.append(Candidate(name, places, before, nrms, gain, chance, tied=False))
     return candidates

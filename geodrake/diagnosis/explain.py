@@ -15,6 +15,7 @@ from geodrake.diagnosis.findings import (
     holds,
     largest_residual,
     named,
+    places_not_held,
     probable,
     staged,
     verdict_of,
@@ -147,7 +148,10 @@ def explained(
 def _holding(
     case: Case, found: Found, findings: Sequence[Finding], *, forced: bool
 ) -> tuple[Found, Case, ModelFit, Hypothesis, tuple[Step, ...]]:
-    """Return the final fit and its steps, without last ones that lower no held-out error."""
+    """Return the final fit and its steps, without last ones that lower no held-out error.
+
+    An effect of several joints that does not hold may still hold at some of them.
+    """
     while True:
         if forced:
             start, stages = staged(found, findings)
@@ -159,7 +163,9 @@ def _holding(
         if forced or not steps:
             return found, after, fit, start, steps
         before = (stages[-2].validated if len(stages) > 1 else start).held_out
-        if holds(found, stages[-1].finding, before, fit.held_out):
-            return found, after, fit, start, steps
         findings = [stage.finding for stage in stages]
-        found, findings = without_finding(found, findings, findings[-1])
+        last = findings[-1]
+        if holds(found, last, before, fit.held_out):
+            return found, after, fit, start, steps
+        places = places_not_held(found, last, before, fit.held_out)
+        found, findings = without_finding(found, findings, last, places)

@@ -12,7 +12,7 @@ from geodrake.diagnosis.search import Found
 from geodrake.effects import FittedEffect, Role
 from geodrake.identification.logs.case import Case, reopen
 from geodrake.identification.logs.dataset import Dataset
-from geodrake.identification.logs.hypothesis import Hypothesis
+from geodrake.identification.logs.hypothesis import CrossValidation, Hypothesis
 from geodrake.identification.logs.model_fit import ModelFit, fit_model, model_unknowns
 from geodrake.identification.logs.unknowns import Unknowns, effect_prior
 from geodrake.model.robot_model import RobotModel
@@ -46,7 +46,11 @@ def final_fit(case: Case, found: Found) -> tuple[Case, ModelFit]:
     for effect, (mean, information) in loads.items():
         unknowns = unknowns.released(effect, information, mean)
     # The search's noise has no errors of gains, so that a joint whose gain is off keeps its weight.
-    settled = Hypothesis.of(dataset, unknowns, search.seen_noise(near))
+    weights = search.shares(near) / np.maximum(search.seen_noise(near), search.floor)
+    cv = CrossValidation(dataset, unknowns, weights)
+    settled = replace(
+        end, dataset=dataset, unknowns=unknowns, weights=weights, delay=cv.delay, cv=cv
+    )
     seen = tuple(dict.fromkeys((*case.model.fitted_to, *case.fingerprints)))
     base = replace(reopened.model, effects=case.model.effects, information=case.model.information)
     base = replace(base, phi=case.model.phi, fitted_to=seen, bandwidths=case.bandwidths)

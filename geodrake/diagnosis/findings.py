@@ -237,24 +237,29 @@ def probable(
 
 
 def without_finding(
-    found: Found, findings: Sequence[Finding], gone: Finding
+    found: Found, findings: Sequence[Finding], gone: Finding, places: Sequence[Term] = ()
 ) -> tuple[Found, list[Finding]]:
-    """Return the explanation without one finding and those that need it.
+    """Return the explanation without one finding, or only its terms at some places.
 
-    Where none is left, bodies that come closer to the logs than those of the file are one.
+    Findings that need what goes go with it. Where none is left, bodies that come closer to the logs
+    than those of the file are one.
     """
-    kept = _left(found, findings, gone)
+    rest = tuple(term for term in gone.terms if places and term not in places)
+    fewer = [replace(f, terms=rest) if f is gone else f for f in findings if f is not gone or rest]
+    kept = _compatible(found, fewer)
     if gone.name == INERTIA and not gone.terms:  # bodies go back to the file
         found = _refitted(found, replace(found.fit.choice, width=found.model.widths[0]))
     if kept:
-        return replace(found, fit=staged(found, kept)[1][-1].fit), kept
+        found = replace(found, fit=staged(found, kept)[1][-1].fit)
+        own = Posterior(found.model, found.fit).of_terms(rest) if rest else gone.certainty
+        return found, [replace(f, certainty=own) if f.terms == rest else f for f in kept]
     found = replace(found, fit=found.start)
     return found, [] if gone.name == INERTIA else findings_of(found)
 
 
-def _left(found: Found, findings: Sequence[Finding], gone: Finding) -> list[Finding]:
-    """Return the findings that do not need a given one."""
-    left, kept, terms = [f for f in findings if f is not gone], list[Finding](), tuple[Term, ...]()
+def _compatible(found: Found, findings: Sequence[Finding]) -> list[Finding]:
+    """Return findings without those that need what is not among them."""
+    left, kept, terms = [*findings], list[Finding](), tuple[Term, ...]()
     while able := [f for f in left if found.model.are_compatible((*terms, *f.terms))]:
         left.remove(able[0])
         kept.append(able[0])
@@ -272,7 +277,7 @@ def unknown_probabilities(
     """
     pairs = zip(pairwise(tables), findings, strict=True)
     own = [unknown_probability(found, f, [*pair, tables[-1]]) for pair, f in pairs]
-    left = [_left(found, findings, each) for each in findings]
+    left = [_compatible(found, [f for f in findings if f is not each]) for each in findings]
     return [
         min(u for f, u in zip(findings, own, strict=True) if f not in others) for others in left
     ]
@@ -326,14 +331,17 @@ def felt(found: Found, finding: Finding) -> NDArray[np.bool_]:
 def holds(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> bool:
     """Return whether held-out data agree with a finding.
 
-    Bodies that may be far from the file can replace a payload. So a payload is also judged with
-    bodies that stay near the file, unless it is there for a part of a log only.
+    Errors of gains, which the model does not have, may spoil what it predicts. So effects are also
+    judged beside gains that may be off. Bodies that may be far from the file can replace a payload,
+    which is also judged with bodies that stay near the file. An effect that is there for a part of
+    a log only is not.
     """
     pairs = [(before, after)]
-    if any(t.is_whole and not isinstance(t.effect, Episode) for t in finding.terms):
-        model = found.model
-        fits = [_beside(found, finding, w) for w in (model.widths[0], found.fit.choice.width)]
-        pairs = [(model.held_out(without), model.held_out(whole)) for without, whole in fits]
+    if finding.terms and not any(isinstance(t.effect, Episode) for t in finding.terms):
+        model, widths = found.model, [found.fit.choice.width]
+        widths += [model.widths[0]] if any(t.is_whole for t in finding.terms) else []
+        fits = [_beside(found, finding, width) for width in widths]
+        pairs += [(model.held_out(without), model.held_out(whole)) for without, whole in fits]
     return any(_falls(found, finding, *pair) for pair in pairs)
 
 
@@ -341,17 +349,48 @@ def _falls(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> b
     """Return whether held-out errors are smaller with a finding.
 
     The logarithms of the squared errors of the joints that feel it must fall, in the mean over the
-    folds, by more than the standard error of that mean: what shows in one fold alone just does. The
-    squared error of all joints, as nrms counts them, must not rise.
+    folds, by more than the standard error of that mean. The squared error of all joints, as nrms
+    counts them, must not rise.
     """
-    least = np.finfo(float).tiny
-    scale = np.maximum(found.model.dataset.effort_std, least)
-    ratios = np.log(np.maximum(before.sse, least) / np.maximum(after.sse, least))
-    falls, total = ratios @ felt(found, finding), (before.sse - after.sse) @ scale**-2.0
+    scale = np.maximum(found.model.dataset.effort_std, np.finfo(float).tiny)
+    falls = _log_ratios(before, after) @ felt(found, finding)
+    total = (before.sse - after.sse) @ scale**-2.0
+    return _is_fall(falls) and bool(total.mean() > -_ROUNDING * np.abs(total).mean())
+
+
+def places_not_held(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> list[Term]:
+    """Return terms of a finding at joints whose own held-out errors do not fall with it.
+
+    They must fall as those of all joints together must. There are none where all do, or none does,
+    or where several joints feel a term.
+    """
+    joints = [found.model.felt_by[term] for term in finding.terms]
+    if min(joints, default=-1) < 0:
+        return []
+    ratios, squares = _log_ratios(before, after), before.sse.sum(axis=0) > after.sse.sum(axis=0)
+    bad = [
+        term
+        for term, j in zip(finding.terms, joints, strict=True)
+        if not (squares[j] and _is_fall(ratios[before.samples[:, j] > 0, j]))
+    ]
+    return bad if len(bad) < len(joints) else []
+
+
+def _is_fall(falls: Array) -> bool:
+    """Return whether falls of folds are more than their standard error, in the mean.
+
+    What shows in one fold alone just is.
+    """
     error = 0.0
     if len(falls) > 1:
         error = (1.0 - _ROUNDING) * float(falls.std(ddof=1)) / np.sqrt(len(falls))
-    return bool(falls.mean() > error and total.mean() > -_ROUNDING * np.abs(total).mean())
+    return bool(falls.mean() > error)
+
+
+def _log_ratios(before: HeldOut, after: HeldOut) -> Array:
+    """Return (F, nv) logarithms of how many times smaller squared errors are; 0 without rows."""
+    least = np.finfo(float).tiny
+    return np.asarray(np.log(np.maximum(before.sse, least) / np.maximum(after.sse, least)))
 
 
 def largest_residual(found: Found) -> float:

@@ -30,6 +30,7 @@ from geodrake.diagnosis.normal_kernels import (
     RIDGE,
     Normal,
     add_normal,
+    calc_distance,
     calc_most_probable,
     calc_noise_changes,
     calc_packed,
@@ -85,8 +86,9 @@ _NOTABLE = 0.5  # of a squared error, that the error of a gain takes
 _MOST_PINNED, _PINNED = 4, 1e15
 _STATED = 1e-4  # share to which a file knows the values of effects, unless they are others
 _PSEUDO = pseudo_inertia_basis()
-_REVERSING = 0.1  # share of a row's time in which the direction of motion is not known
-_FEWEST_ROWS = 5  # that have noise of their own
+_REVERSING = 0.01, 0.1  # limits of the share of a row's time without a known direction
+_FEWEST_OTHERS = 0.25  # share of rows in which a joint does not reverse, to tell their noise
+_FARTHEST = 1e4  # squared distance of a body that cannot exist: farther is no less probable
 _DRAWS = np.random.default_rng(0).normal(size=(200, PARAMETERS_PER_BODY))
 
 
@@ -275,7 +277,7 @@ class LogModel:
             if name not in self._unsure or data.is_mixed or kept != joint.samples.sum():
                 continue  # of long logs some rows are kept
             own = np.concatenate([self.reverses(j, each) for each in rows])
-            if min(own.sum(), len(own) - own.sum()) < _FEWEST_ROWS:
+            if not own.any() or np.mean(~own) < _FEWEST_OTHERS:
                 continue
             A, b = (np.concatenate([getattr(each, f) for each in rows])[own] for f in "Ab")
             gram = np.hstack([A, b]).T @ np.hstack([A, b])
@@ -289,9 +291,21 @@ class LogModel:
         return int(joint.local(self.dataset.effect_columns(effect))[effect.unsure])
 
     def reverses(self, joint: int, rows: JointRows) -> NDArray[np.bool_]:
-        """Return (K,) in which rows the direction of a joint is unknown for a part of the time."""
-        at = self._unsure.get(self.dataset.joints[joint])
-        return np.zeros(len(rows.b), bool) if at is None else rows.A[:, at] > _REVERSING
+        """Return (K,) in which rows the direction of a joint is unknown for part of the time.
+
+        It is for so much of the time that dry friction may differ by more than the noise.
+        """
+        at, data = self._unsure.get(self.dataset.joints[joint]), self.dataset
+        if at is None:
+            return np.zeros(len(rows.b), bool)
+        noise, most = data.noise_floor[joint], data.effort_std[joint]
+        share = np.clip(noise / most, *_REVERSING) if 0.0 < noise < most else _REVERSING[1]
+        return np.asarray(np.abs(rows.A[:, at]) > share)  # filters make it negative beside these
+
+    def row_weights(self, fit: Fit, joint: int, rows: JointRows) -> Array:
+        """Return (K,) weights of a fit's squared residuals in rows of a joint."""
+        turning = fit.weights[self._reversing.get(joint, joint)]
+        return np.where(self.reverses(joint, rows), turning, fit.weights[joint])
 
     def even_hessian(self, fit: Fit) -> Array:
         """Return the Hessian (n, n) of a fit if its joints were no noisier where they reverse."""
@@ -542,18 +556,26 @@ class LogModel:
                 continue
             # Columns of L⁻¹ are zero above the diagonal, so that the last ones cost little.
             columns, first, mean = np.eye(len(x) - at.start, at.stop - at.start), at.start, x[at]
+            usual = term.mean
             if term.effect is None:
                 body = PARAMETERS_PER_BODY * self.dataset.bodies.index(term.where[0])
                 own = slice(body, body + PARAMETERS_PER_BODY)
                 columns, first, mean = np.zeros((len(x), PARAMETERS_PER_BODY)), 0, mean + x[own]
                 columns[at] = columns[own] = np.eye(PARAMETERS_PER_BODY)
+                usual = self.mean[own]
             root, _ = dtrtrs(factor[first:, first:], columns, lower=1)
             scale = np.sqrt(np.square(root).sum(axis=0))
             correlations = (root / scale).T @ (root / scale) + 1e-9 * np.eye(len(scale))
             draws = _DRAWS @ np.linalg.cholesky(correlations).T
             matrices = np.tensordot(mean + scale * draws, _PSEUDO, 1)
-            share = np.mean(np.linalg.eigvalsh(matrices)[:, 0] > 0.0)
-            total += 2.0 * np.log(max(float(share), 0.5 / len(_DRAWS)))
+            share = float(np.mean(np.linalg.eigvalsh(matrices)[:, 0] > 0.0))
+            if share > 0.0:
+                total += 2.0 * np.log(share)
+            else:  # then it is as far away as the nearest body that can exist
+                basis = scale[:, None, None] * _PSEUDO
+                bodies = mean / scale, usual / scale
+                far = calc_distance(*bodies, np.linalg.inv(correlations), basis)
+                total -= np.clip(far, 2.0 * np.log(2.0 * len(_DRAWS)), _FARTHEST)
         return total
 
     def efforts(self, delay: Delay) -> Indices:
@@ -581,9 +603,9 @@ class LogModel:
         if key not in self._shares:
             data, blocks = self.dataset, list[list[Array]]()
             for j, joint in enumerate(data.data):
-                share = np.sqrt(fit.weights[self._reversing.get(j, j)] / fit.weights[j])
                 left = zip(_rows(joint), self._residuals(fit, j), strict=True)
-                blocks.append([np.where(self.reverses(j, r), share, 1.0) * x for r, x in left])
+                one = fit.weights[j]
+                blocks.append([np.sqrt(self.row_weights(fit, j, r) / one) * x for r, x in left])
             found = effective_of_rows(blocks, self.rows)
             worth = np.minimum(found, self.beliefs.discrepancy)
             # All but the noise of efforts varies with the motion, however often that repeats: so

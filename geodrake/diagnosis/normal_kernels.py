@@ -27,6 +27,8 @@ _MOST_FITS = 8
 # Three deviations of how much the sum of squares of K rows of white noise, of unit variance and as
 # `design_filter` filters them, changes over √K if they are half of a period later.
 _MOST_NOISE = 1.07
+# Of paths to bodies that can exist.
+_LEAST_BARRIER, _NEAR, _MOST_STEPS, _MOST_BARRIERS, _ROUNDING = 0.05, 0.3, 30, 20, 1e-12
 _LATE_ROW = 0.1  # of a period: rows that are farther apart are not consecutive
 
 
@@ -284,3 +286,45 @@ def calc_noise_changes(
             limit = most * abs(np.sin(np.pi * lags[d] / usual))
             found[d] = min(max(all_rows - change * len(rows) / seen, -limit), 0.0)
     return found
+
+
+@inlined
+def _is_body(matrix: Array) -> bool:
+    """Return whether a pseudo-inertia (4, 4) is positive definite beyond rounding."""
+    values = np.linalg.eigvalsh(matrix)
+    return bool(values[0] > _ROUNDING * values[-1])
+
+
+@compiled
+def calc_distance(mean: Array, inside: Array, precision: Array, basis: Array) -> float:
+    """Return the squared distance from parameters (10,) to the nearest body that can exist.
+
+    It is that by a precision (10, 10), to within some tenths, or that from parameters `inside`
+    (10,), of a body, if rounding ends the way from there. Parameters times a basis (10, 4, 4) are
+    pseudo-inertias. Newton's method follows the central path of log det.
+    """
+    x, way = inside.copy(), inside - mean
+    farthest = float(way @ (precision @ way))
+    flat, barrier = basis.copy().reshape(len(x), -1), max(farthest, _LEAST_BARRIER)
+    if not _is_body((x @ flat).reshape(4, 4)):
+        return farthest
+    for _ in range(_MOST_BARRIERS):
+        for _ in range(_MOST_STEPS):
+            inverse = np.linalg.inv((x @ flat).reshape(4, 4))
+            turned = np.empty_like(flat)
+            for a in range(len(x)):
+                turned[a] = (inverse @ basis[a] @ inverse).copy().reshape(-1)
+            slope = precision @ (x - mean) - barrier * (flat @ inverse.copy().reshape(-1))
+            step = -np.linalg.solve(precision + barrier * (turned @ flat.T), slope)
+            decrement = np.sqrt(max(-float(slope @ step) / barrier, 0.0))
+            step /= 1.0 + decrement
+            while not _is_body(((x + step) @ flat).reshape(4, 4)):
+                step *= 0.5
+            x += step
+            if decrement < _NEAR or np.abs(step @ flat).max() < _ROUNDING:
+                break
+        if barrier <= _LEAST_BARRIER:
+            break
+        barrier = max(0.1 * barrier, _LEAST_BARRIER)
+    way = x - mean
+    return min(float(way @ (precision @ way)), farthest)

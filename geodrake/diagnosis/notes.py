@@ -60,15 +60,18 @@ def unnamed_notes(rest: Unnamed) -> list[str]:
 
 
 def left_out_notes(findings: Sequence[Finding], steps: Sequence[Step]) -> list[str]:
-    """Return notes on findings that are not steps."""
-    told, notes = {step.effect for step in steps}, []
+    """Return notes on findings, or places of them, that are not in steps."""
+    told, notes = dict[str, set[str]](), []
+    for step in steps:
+        told.setdefault(step.effect, set()).update(step.where)
     for finding in findings:
-        if finding.name not in told:
-            where = f" at {', '.join(finding.places)}" if finding.places else ""
-            notes.append(
-                f"{finding.name}{where} was found, but removes too little of the held-out "
-                "error to be a step"
-            )
+        left = [place for place in finding.places if place not in told.get(finding.name, ())]
+        if left or finding.name not in told:
+            where = f" at {', '.join(left)}" if left else ""
+            why = "removes too little of the held-out error to be a step"
+            if finding.name in told:
+                why = "does not lower the held-out error there"
+            notes.append(f"{finding.name}{where} was found, but {why}")
     return notes
 
 

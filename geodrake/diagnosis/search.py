@@ -323,18 +323,25 @@ class Search:
         Bodies that are free to change may explain an effect by themselves, such as a rotor at the
         first joint. Adding the effect then gains nothing until the bodies are held near the file.
         """
-        far, most = self.fit, self.model.wrong_beyond
+        far, delays, most = self.fit, self._delays_of_fit(), self.model.wrong_beyond
         if far.choice.width <= most:
             return
         near = [width for width in self.model.widths if width <= most]
         self.fit = self._best([replace(far.choice, width=width) for width in near], far)
         self._climb(hopeful=True)
         self._climb(hopeful=False)
-        self._keep_more_probable(far)
+        self._keep_more_probable(far, delays)
 
-    def _keep_more_probable(self, was: Fit) -> None:
-        """Go back to an earlier explanation unless the new one is more probable."""
-        was = self.model.refitted(was)
+    def _delays_of_fit(self) -> Array:
+        """Return (nv,) delays of the explanation, s."""
+        at = [*self.fit.choice.delay], np.arange(len(self._on_time))
+        return np.asarray(self.case.model.delays + self.case.dataset.delays[at])
+
+    def _keep_more_probable(self, was: Fit, delays: Array) -> None:
+        """Go back to an earlier explanation, of some delays (nv,), unless the new one is better."""
+        apart = np.abs(self.case.model.delays + self.case.dataset.delays - delays)
+        nearest = tuple(apart.argmin(axis=0).tolist())  # columns may have been made anew since
+        was = self.model.refitted(replace(was, choice=replace(was.choice, delay=nearest)))
         better = gain_of(self.model, was, self.fit)
         if better is None or better[0] <= 0.0:
             self.fit = was
@@ -416,13 +423,13 @@ class Search:
             more = self._suggested()
             if more:
                 self._offer(more)
-                was = self.fit
+                was, delays = self.fit, self._delays_of_fit()
                 if any(effect.role is Role.EPISODE for effect in more):
                     self.fit = self._start()  # what was found may have followed the contact
                     try:
                         self._climb_by_common_first()
                     finally:  # a stop keeps the best explanation so far
-                        self._keep_more_probable(was)
+                        self._keep_more_probable(was, delays)
                 else:
                     self._climb(hopeful=True)
                     self._climb(hopeful=False)

@@ -8,7 +8,7 @@ twentieth of the data, so that the outermost samples of neighbouring folds may s
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
 
@@ -98,16 +98,18 @@ def assign_folds(
     windows: Sequence[tuple[int, float, float]],
     *,
     pieces: int,
+    others: Mapping[int, int] | None = None,
 ) -> tuple[Fold, ...]:
     """Return folds of which windows are cut into pieces, every other one given to another fold.
 
     Args:
         windows: Index of the log, start and end of each window, s since the log began.
+        others: Fold -> the fold that pieces go to, by number; by default one half of all folds on.
     """
     dealt: dict[int, list[Block]] = defaultdict(list)
     windows = _merged(windows)
     for number, fold in enumerate(folds):
-        other = (number + len(folds) // 2) % len(folds)
+        other = (others or {}).get(number, (number + len(folds) // 2) % len(folds))
         for block in fold.blocks:
             cuts = {block.start: number}
             for start, stop in _outputs_within(block, trajectories[block.trajectory], windows):

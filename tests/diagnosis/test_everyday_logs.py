@@ -90,6 +90,15 @@ def test_friction_of_joints_that_move_in_turn_is_found_and_predicted():
     assert found.end.nrms < 0.03
 
 
+def test_no_fold_has_half_of_what_a_joint_shows():
+    """Joints that move one after the other are in two folds each, of which pieces are swapped."""
+    case = open_case(MODEL, [in_turn()], candidates=False, blocks=4)
+    for data in case.dataset.data:
+        assert data.samples.max() < 0.4 * data.samples.sum()
+    joint, other = (data.samples > 0 for data in case.dataset.data)
+    assert joint.sum() == other.sum() == 4
+
+
 def test_heavy_rotors_behind_noise_of_accelerations_are_found_at_a_lower_bandwidth():
     log = in_turn(noise=(0.003, 3e-5), rotors=np.array([20.0, 5.0]))
     found = explain(MODEL, [log])

@@ -3,12 +3,14 @@
 from dataclasses import replace
 from itertools import combinations
 from math import comb
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from pendulum_logs import JOINTS, friction, pendulum_log
 from pinocchio_logs import MODELS, effort_log
+from pydrake.solvers import ClarabelSolver, MathematicalProgram
 from scipy.linalg import block_diag, expm
 from scipy.stats import multivariate_normal
 
@@ -19,6 +21,7 @@ from geodrake.diagnosis.findings import (
     INERTIA,
     Unnamed,
     findings_of,
+    places_not_held,
     unknown_probability,
     verdict_of,
     without_finding,
@@ -26,8 +29,8 @@ from geodrake.diagnosis.findings import (
 from geodrake.diagnosis.log_model import Choice, LogModel
 from geodrake.diagnosis.moves import neighbours
 from geodrake.diagnosis.neighbourhood import Neighbourhood
-from geodrake.diagnosis.normal_kernels import calc_noise_changes
-from geodrake.diagnosis.notes import unnamed_notes
+from geodrake.diagnosis.normal_kernels import calc_distance, calc_noise_changes
+from geodrake.diagnosis.notes import left_out_notes, unnamed_notes
 from geodrake.diagnosis.posterior import Posterior
 from geodrake.diagnosis.refinements import fitted_delays
 from geodrake.diagnosis.search import Search, searched
@@ -44,6 +47,7 @@ from geodrake.identification.logs.dataset import Dataset, JointData
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable, JointError
 from geodrake.identification.logs.unknowns import pullback_information
 from geodrake.inertia import from_mass_com_inertia
+from geodrake.inertia.parameters import pseudo_inertia_basis
 from geodrake.logs.filtering import design_filter
 from geodrake.report import page_of
 
@@ -395,7 +399,10 @@ def test_a_delay_costs_its_odds_only_where_it_is_one(problem):
 
 
 def test_a_wrong_body_must_be_physical_with_its_change(problem):
-    """The change may be negative, as of a link that is lighter than the file says."""
+    """The change may be negative, as of a link that is lighter than the file says.
+
+    A body that cannot exist is as improbable as it is far, in deviations, from one that can.
+    """
     model, (_, link) = problem[0], PENDULUM.phi
     term = next(t for t in model.terms if t.effect is None and t.where == PAYLOAD.where)
     choice = Choice((term,), WIDTH, (0, 0))
@@ -404,7 +411,27 @@ def test_a_wrong_body_must_be_physical_with_its_change(problem):
     for share in (0.4, -0.4, -1.4):
         x = np.concatenate([model.mean[: model.first_term], share * link])
         told.append(model._physical(choice, x, sure))
-    assert told == pytest.approx([0.0, 0.0, -2.0 * np.log(400.0)])
+    assert told == pytest.approx([0.0, 0.0, -1e4])  # no less than that
+    few = model._physical(choice, x, 1e2 * np.eye(len(sure)))
+    assert -1e4 < few < -2.0 * np.log(400.0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_nearest_body_that_can_exist(seed):
+    """By a precision; a semidefinite program says the same."""
+    rng, basis = np.random.default_rng(seed), pseudo_inertia_basis()
+    inside = from_mass_com_inertia(1.0, np.array([0.02, 0.0, 0.05]), 4e-3 * np.eye(3))
+    factor = rng.normal(size=(10, 10)) * 10.0 ** rng.uniform(0.0, 1.5)
+    precision, mean = factor @ factor.T + np.eye(10), inside - np.eye(10)[0] * 2.0 * inside[0]
+    mean = mean + 0.05 * rng.normal(size=10)
+    program = MathematicalProgram()
+    x = program.NewContinuousVariables(10)
+    program.AddQuadraticErrorCost(precision, mean, x)
+    program.AddLinearMatrixInequalityConstraint([np.zeros((4, 4)), *basis], x)
+    least = ClarabelSolver().Solve(program).get_optimal_cost()
+    assert least > 0.0
+    found = calc_distance(mean, inside, precision, np.ascontiguousarray(basis))
+    assert least <= found <= least + 0.5
 
 
 @pytest.mark.parametrize("ball", [0.5, 2.0])
@@ -507,6 +534,22 @@ def test_noise_at_other_instants_is_no_evidence_of_a_delay():
     assert (np.array(left) >= raw).all()
 
 
+def test_the_less_noise_there_is_the_more_rows_reverse(problem):
+    """Dry friction of the size of the efforts, for the share of time, is compared with the noise.
+
+    Beside a reversal a filter makes the share of time less than none.
+    """
+    model = random_problem()[0]
+    model._unsure = {"elbow": 0}
+    share = np.array([0.0, -0.05, 0.02, 0.05, 0.2])
+    rows = SimpleNamespace(A=share[:, None], b=share)
+    for noise, turns in [(0.0, 1), (0.9, 1), (0.03, 3), (1e-5, 4)]:
+        floor = noise * model.dataset.effort_std
+        model.dataset = replace(model.dataset, noise_floor=floor)
+        assert model.reverses(1, rows).sum() == turns
+        assert not model.reverses(0, rows).any()
+
+
 def test_rows_in_which_a_joint_reverses_have_noise_of_their_own():
     """A drive that notices reversals too early or too late errs there, and nowhere else."""
     rng, friction_of = np.random.default_rng(3), np.array([3.0, 1.5])
@@ -546,9 +589,6 @@ def test_rows_in_which_a_joint_reverses_have_noise_of_their_own():
     np.testing.assert_allclose(model.even_hessian(even), even.hessian, rtol=1e-9)
 
 
-pytest.importorskip("pinocchio")
-
-
 PENDULUM_FILE = MODELS / "double_pendulum.urdf"
 
 
@@ -585,6 +625,29 @@ def test_what_needs_a_finding_goes_with_it(found):
     assert {term.name for term in fewer.fit.terms} == {"viscous_friction"}
     fewer, kept = without_finding(whole, findings, named(findings, stribeck))
     assert {each.name for each in kept} == {"coulomb_friction", "viscous_friction"}
+
+
+def test_what_holds_at_one_joint_alone_stays_there(found):
+    """Friction of the shoulder, which it does not have, takes nothing from that of the elbow."""
+    model, was = found.model, found.fit
+    known = [term for term in model.terms if term.name == "coulomb_friction"]
+    both = replace(
+        found, fit=model.unbounded(model.choice(was.choice, known), model.shares(was), was.noise)
+    )
+    findings = findings_of(both)
+    finding = named(findings, "coulomb_friction")
+    before, after = (model.held_out(fit) for fit in (model.bare(model.shares(was)), both.fit))
+    worse = np.array([[1.1 if name == "shoulder" else 0.5 for name in model.dataset.joints]])
+    changed = replace(after, sse=before.sse * worse)
+    (gone,) = places_not_held(both, finding, before, changed)
+    assert gone.where == ("shoulder",)
+    fewer, kept = without_finding(both, findings, finding, [gone])
+    assert [each.places for each in kept if each.name == finding.name] == [("elbow",)]
+    assert [term.where for term in fewer.fit.terms] == [("elbow",)]
+    assert places_not_held(both, finding, before, replace(after, sse=0.5 * before.sse)) == []
+    assert places_not_held(both, finding, before, replace(after, sse=1.1 * before.sse)) == []
+    (note,) = left_out_notes([finding], [SimpleNamespace(effect=finding.name, where=("elbow",))])
+    assert "shoulder was found" in note
 
 
 def test_bodies_are_the_finding_where_nothing_else_is_left(found):

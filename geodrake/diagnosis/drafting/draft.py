@@ -310,19 +310,20 @@ def _gains(found: Found, joint: str, words: Sequence[FormulaTerm]) -> Array:
     A, b = (np.concatenate([getattr(each, name) for each in rows]) for name in ("A", "b"))
     known, effort = model.row_columns(fit, j, A, b)
     at = next(e for e in joint_residuals(case, model.hypothesis(fit)) if e.joint == joint)
-    left, weight, covariance = effort - known @ fit.x, fit.weights[j], np.linalg.inv(fit.hessian)
+    left, covariance = effort - known @ fit.x, np.linalg.inv(fit.hessian)
+    weights = np.concatenate([model.row_weights(fit, j, each) for each in rows])
     motion, gains = full_motion(case), list[Array]()
     seen = [_seen(case, *each) for each in motion]
     for few in np.array_split(np.arange(len(words)), -(-len(words) // _AT_ONCE)):
         formula = Formula(joint, tuple(words[k] for k in few))
         columns = filtered_columns(case, motion, at, (formula.rows(each)[joint] for each in seen))
         there = np.isfinite(columns).all(axis=1)
-        C, A = columns[there], known[there]
-        half, power = A.T @ C, np.square(C).sum(axis=0)
+        C, weighted = columns[there], weights[there, None] * columns[there]
+        half, power = known[there].T @ weighted, np.square(C).sum(axis=0)
         size = model.beliefs.size * model.dataset.effort_std[j]
         prior = np.maximum(power / len(C), np.finfo(float).tiny) / size**2
-        schur = weight * power - weight**2 * (half * (covariance @ half)).sum(axis=0) + prior
-        gains.append((weight * left[there] @ C) ** 2 / schur - np.log(schur / prior))
+        schur = (weighted * C).sum(axis=0) - (half * (covariance @ half)).sum(axis=0) + prior
+        gains.append((left[there] @ weighted) ** 2 / schur - np.log(schur / prior))
     return np.concatenate(gains)
 
 

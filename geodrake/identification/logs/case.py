@@ -197,7 +197,9 @@ def open_case(
     return Case(*found, shared=shared)
 
 
-_MOST_MOTION, _PIECES = 0.6, 4
+_PIECES = 4
+_MOST_MOTION, _MORE_MOTION = 0.4, 1.5
+"""Largest share of a joint's motion that a fold has, and over its share of all joints' motion."""
 
 
 def _dealt(
@@ -205,22 +207,31 @@ def _dealt(
     trajectories: tuple[Trajectory, ...],
     reduce: Callable[[tuple[Fold, ...]], Dataset],
 ) -> tuple[tuple[Fold, ...], Dataset]:
-    """Return folds that do not have most of a joint's motion, if possible, and their dataset.
+    """Return folds that do not have much of a joint's motion, if possible, and their dataset.
 
-    Joints may move one after the other, in one log or in one log each. Without the fold that has
-    all of a joint's motion, nothing would be left to fit its friction.
+    Joints may move one after the other, in one log or in one log each. Without a fold that has half
+    of a joint's motion, too little would be left to fit its friction.
     """
-    dataset, windows = reduce(folds), list[tuple[int, float, float]]()
-    for data in dataset.data:
-        most = int(np.argmax(data.samples))
-        if data.samples[most] > _MOST_MOTION * data.samples.sum():
-            for block, rows in zip(folds[most].blocks, data.rows[most], strict=True):
+    dataset, windows, others = reduce(folds), list[tuple[int, float, float]](), dict[int, int]()
+    if len(folds) < 2:
+        return folds, dataset
+    samples = np.array([data.samples for data in dataset.data], float)
+    usual, joints = samples.sum(axis=0) / max(samples.sum(), 1.0), samples.sum(axis=1)
+    for j, data in enumerate(dataset.data):
+        most = np.maximum(_MOST_MOTION, _MORE_MOTION * usual) * joints[j]
+        for fold in np.flatnonzero(data.samples > most).tolist():
+            for block, rows in zip(folds[fold].blocks, data.rows[fold], strict=True):
                 if len(rows.time):
                     ends = rows.time[[0, -1]] - trajectories[block.trajectory].began
                     windows.append((block.trajectory, *ends.tolist()))
-    if not windows or len(folds) < 2:
+            if fold not in others:
+                there = samples[j].copy()
+                there[fold] = np.inf
+                others[fold] = int(there.argmin())
+                samples[j, others[fold]] += 0.5 * data.samples[fold]
+    if not windows:
         return folds, dataset
-    folds = assign_folds(folds, trajectories, windows, pieces=_PIECES)
+    folds = assign_folds(folds, trajectories, windows, pieces=_PIECES, others=others)
     return folds, reduce(folds)
 
 

@@ -28,7 +28,6 @@ Indices = NDArray[np.intp]
 _ROUNDING = 1e-12  # by which a parameter may be beyond its bound
 _SETTLED = 0.3  # weights are settled if they change by less than this share
 _MOST_REFITS = 8
-_MOST_COUNTS = 10
 _FIRST_SHARE = 0.05  # of the samples that count as effective ones in the first fit
 
 
@@ -210,25 +209,6 @@ class Hypothesis(Short):
         """(nv,) weighted sums of squared residuals; see `Dataset.passive_pull`."""
         inertias = self.dataset.inertias(self.unknowns.columns, self.held_out.x.mean(0))
         return np.asarray(self.weights * self.held_out.sse.sum(0) * inertias**2)
-
-    @classmethod
-    def of(cls, dataset: Dataset, unknowns: Unknowns, noise: Array) -> Hypothesis:
-        """Return unknowns with known noise (nv,), mean squares, efforts not delayed."""
-        effective = np.asarray(_FIRST_SHARE * dataset.rows, float)
-        noise = np.maximum(noise, 1e-12 * dataset.effort_std**2)
-        for _ in range(_MOST_COUNTS):  # a prior from another fit gives way step by step
-            weights = effective / np.maximum(dataset.rows, 1) / noise
-            cv = CrossValidation(dataset, unknowns, weights, physical=False)
-            x, before = cv.held_out.x, effective
-            left = residual_blocks(dataset, unknowns.columns, x, delay=cv.delay)
-            effective = effective_of_rows(left, dataset.rows)
-            power = effective * dataset.inertias(unknowns.columns, x.mean(0)) ** 2
-            unknowns = unknowns.pulled(dataset, x.mean(0), power)
-            if _alike(effective, before):
-                break
-        weights = effective / np.maximum(dataset.rows, 1) / noise
-        cv = CrossValidation(dataset, unknowns, weights)
-        return cls(dataset, unknowns, weights, cv.delay, 1.0, cv, effective)
 
 
 def residual_blocks(

@@ -86,6 +86,7 @@ class Unknowns:
             (*self.inertia_blocks, start) if is_body(effect) else self.inertia_blocks,
             (*self.effects, effect),
             (*self.starts, start),
+            np.append(self.pull, np.zeros(k)) if np.ndim(self.pull) else self.pull,
         )
 
     def released(self, effect: Effect, information: Array, mean: Array | None = None) -> Unknowns:
