@@ -32,11 +32,11 @@ from geodrake.excitation import (
 from geodrake.excitation.collisions import FLOOR, floor_of, read_obstacles
 from geodrake.excitation.design import DesignProgress, ExcitationResult, design_excitation
 from geodrake.excitation.families import MotionFamily
-from geodrake.excitation.feet import Foot
 from geodrake.excitation.identifiable import LogIdentifiability, log_identifiability
 from geodrake.excitation.limits import FULL_EFFORT, FULL_SPEED, motors_of, signal_limits
 from geodrake.excitation.objective import CRITERIA, NORMALIZATIONS
 from geodrake.excitation.solve import Budget
+from geodrake.excitation.stance import Foot
 from geodrake.excitation.starts import below_floor
 from geodrake.excitation.target import SIZE_WORDS, WRENCH, usual_noise, usual_target
 from geodrake.excitation.tell_apart import Placed, separation_of

@@ -10,7 +10,7 @@ from geodrake.cli.command import Command, Input, Output, run
 from geodrake.cli.input_options import tell_repairs
 from geodrake.cli.options import RolloutOptions
 from geodrake.control.rollout import Rollout, RolloutFit, fit_rollouts, roll_out
-from geodrake.control.rollout.rollout_values import rollout_values
+from geodrake.control.rollout.motion_search import rollout_values
 from geodrake.errors import ArgumentError
 from geodrake.model.holding import holding
 from geodrake.model.robot_model import RobotModel

@@ -55,11 +55,7 @@ class AdaptiveLoop:
 
     @property
     def plant(self) -> MultibodyPlant:
-        """The plant that the robot is in.
-
-        Raises:
-            ArgumentError: The loop was given the ports of a robot elsewhere.
-        """
+        """The plant that the robot is in."""
         return self._robot.plant
 
     @property
@@ -98,11 +94,7 @@ class AdaptiveLoop:
         return self.logged(simulator.get_context())
 
     def logged(self, context: Context) -> tuple[Array, dict[str, Array]]:
-        """Return times (N,) and what was logged until now (N, ·), by the Context of the diagram.
-
-        Raises:
-            ArgumentError: Nothing is logged.
-        """
+        """Return times (N,) and what was logged until now (N, ·), by the Context of the diagram."""
         if not self.logs:
             raise ArgumentError(
                 "The loop does not log.", advice="Pass log_period to add_adaptive_loop."

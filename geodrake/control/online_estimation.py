@@ -74,11 +74,7 @@ class FilteredRegressor:
         integer(self.order, "order", lower=1, upper=_MOST_FILTERS)
 
     def check_robot(self, control: ControlModel) -> None:
-        """Check that the filter is one for a robot.
-
-        Raises:
-            ArgumentError: It was made with another `ControlModel`.
-        """
+        """Check that the filter is one for a robot."""
         if self.control is not control:
             raise ArgumentError(
                 "The filter was constructed with another ControlModel.",
@@ -118,9 +114,6 @@ class FilteredRegressor:
 
         Args:
             memory: (size,) of the last sample, not changed.
-            q: (nq,) positions.
-            qd: (nv,) velocities.
-            effort: (nv,) efforts.
             sample: The robot at q, q̇ and v = q̇, if that is known already.
             repeated: Whether positions and velocities are no new measurement but the last one: then
                 the effort alone is new.
@@ -172,7 +165,6 @@ def calc_filtered(
 
     Args:
         both: (2, nv, p) Y_p and Y_c.
-        effort: (nv,) efforts.
         how: h, s; the share that a filter lets through in that time; whether the effort is the one
             that acted since the last instant; and whether only the effort is new.
         memory: How many h the interval had, 0 if it is left out, and then (order + 1) times
@@ -250,9 +242,6 @@ class SampleUpdate(Short):
         forgetting: Rate, 1/s, at which the gradient of the barrier at an estimate goes back to that
             at the prior, where no sample says otherwise; zero for never.
         prior: (n,) where it goes back to, inside of the manifold.
-
-    Raises:
-        ArgumentError: A number is out of range, or prior or constraints do not fit the manifold.
     """
 
     manifold: Product
@@ -311,8 +300,6 @@ class SampleUpdate(Short):
         Args:
             p: (n,) estimate inside of the manifold.
             Y: (nv, n) filtered regressor.
-            effort: (nv,) filtered efforts, N·m or N.
-            dt: Time since the last sample, s.
             earlier: Regressor and efforts of an earlier sample, which are to hold as well: what one
                 sample says of the parameters is little, and soon forgotten without.
         """
@@ -370,8 +357,6 @@ def calc_projected(
     is the estimate itself, and the error is infinite.
 
     Args:
-        p: (n,) estimate inside of the manifold.
-        rows: Those of a sample.
         earlier: Those of an earlier one, or none at all.
 
     Returns:
@@ -413,7 +398,6 @@ def slab_step(
     samples that contradict each other do little. With the truth in the slabs, it comes nearer.
 
     Args:
-        p: (n,) estimate inside of the manifold.
         Y: (k, n) rows, with (k,) efforts and tolerances ε > 0.
         relaxation: Share of the step that is made, in (0, 1]: less follows noise less.
 

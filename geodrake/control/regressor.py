@@ -78,9 +78,6 @@ class ControlModel:
             measured_friction: Whether effects see q̇ instead of the reference velocity v. The
                 source has v, [Lee2019] Eq. (5.2.10), which has less noise and needs friction to
                 grow with speed; q̇ is for friction that does not, such as Stribeck friction.
-
-        Raises:
-            ArgumentError: A sign width is negative or not finite, or they are not (nv,).
         """
         joints, bodies = instance(model, "model", RobotModel).joints, model.bodies
         single = np.isin(np.arange(len(joints)), model.single_places)

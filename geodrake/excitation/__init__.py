@@ -13,7 +13,6 @@ two effects are on it (`geodrake.excitation.tell_apart`).
 from geodrake.excitation.collisions import CollisionWorld, Solid
 from geodrake.excitation.design import design_excitation, random_excitation
 from geodrake.excitation.families import FourierMotion, FreeSamples, SplineMotion
-from geodrake.excitation.feet import Foot
 from geodrake.excitation.identifiable import (
     IdentifiableParameters,
     ReducedIdentification,
@@ -26,7 +25,7 @@ from geodrake.excitation.limits import MotionLimits, motion_limits
 from geodrake.excitation.objective import Criterion, Objective
 from geodrake.excitation.placing import make_stance
 from geodrake.excitation.problem import DesignOptions
-from geodrake.excitation.stance import Stance
+from geodrake.excitation.stance import Foot, Stance
 from geodrake.excitation.target import Target, make_target
 from geodrake.excitation.tell_apart import Separation, make_rival, make_separation
 from geodrake.excitation.trajectory import (

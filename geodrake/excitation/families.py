@@ -70,11 +70,7 @@ class MotionFamily(abc.ABC):
         return np.linspace(0.0, self.length, integer(samples, "samples", lower=1))
 
     def limit_times(self, share: float = 0.05) -> Array:
-        """Return instants so close that limits which hold there hold between them.
-
-        Raises:
-            ArgumentError: They are too many.
-        """
+        """Return instants so close that limits which hold there hold between them."""
         needed = self.length / (number(share, "share", lower=0.0, strict=True) * self.fastest)
         if 3 * needed * self.count > _LARGEST_BASIS:
             raise ArgumentError(
@@ -90,9 +86,6 @@ class MotionFamily(abc.ABC):
         Args:
             rest: Whether velocity and acceleration are zero at start and end.
             start: Whether the position at the start is given; it is the last row.
-
-        Raises:
-            ArgumentError: They leave no coefficient free.
         """
         position, velocity, acceleration = self.basis([0.0, self.length])
         rows = [*velocity, *acceleration] if rest else []
@@ -249,12 +242,10 @@ class FreeSamples(MotionFamily):
 
     def times(self, samples: int) -> Array:
         """Return a zero for each sample."""
-        del samples
         return np.zeros(self.samples)
 
     def limit_times(self, share: float = 0.05) -> Array:
         """Return a zero for each sample."""
-        del share
         return np.zeros(self.samples)
 
     def basis(self, times: ArrayLike, *, orders: int = 3) -> Array:
@@ -266,7 +257,6 @@ class FreeSamples(MotionFamily):
 
     def conditions(self, *, rest: bool, start: bool) -> Array:
         """Return no rows, as there is neither start nor end."""
-        del rest, start
         return np.zeros((0, self.count))
 
 

@@ -169,14 +169,18 @@ def identifiable_parameters(
     """Return the identifiable directions of data, [Lee2019] steps a.1 to a.4.
 
     Args:
-        target: What is unknown; its nominal parameters are the prior.
         factor: `measurement_factor` of the data, with or without what was measured.
         threshold: ε_λ, largest variance of what counts as identifiable; 10⁻² is a deviation of
             a tenth.
         kept: Number of directions instead of the threshold, as in step b.4.
     """
-    A = _regressor_factor(target, factor)
-    return _decompose(target, A, threshold, kept)[0]
+    array, size = real_array(factor, "factor"), instance(target, "target", Target).size
+    if array.shape not in ((size, size), (size + 1, size + 1)):
+        raise ArgumentError(
+            f"The factor has shape {array.shape}, but the target {size} parameters.",
+            advice="Compute it with `measurement_factor` of the same target.",
+        )
+    return _decompose(target, array[:, :size], threshold, kept)[0]
 
 
 def reduced_identification(
@@ -202,17 +206,6 @@ def reduced_identification(
     step = found.directions[:, :r] @ ((U[:, :r].T @ rest) / singular[:r])
     parameters = target.prior + step
     return ReducedIdentification(parameters, target.base.values(parameters), found)
-
-
-def _regressor_factor(target: Target, factor: ArrayLike) -> Array:
-    """Return rows of a factor without the column of measurements."""
-    array, size = real_array(factor, "factor"), instance(target, "target", Target).size
-    if array.shape not in ((size, size), (size + 1, size + 1)):
-        raise ArgumentError(
-            f"The factor has shape {array.shape}, but the target {size} parameters.",
-            advice="Compute it with `measurement_factor` of the same target.",
-        )
-    return array[:, :size]
 
 
 def _decompose(
@@ -360,8 +353,6 @@ def log_identifiability(
     """Return the identifiability of a model's inertias and effects from logs.
 
     Args:
-        model: The model; its parameters are the nominal ones.
-        effects: Effects to identify beside those of the model.
         threshold: ε_λ, largest variance of what counts as identifiable; 10⁻² is a deviation of
             a tenth.
         noise: Deviation of a filtered effort: one, or one a joint, N·m or N. By default what the

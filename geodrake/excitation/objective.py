@@ -71,11 +71,7 @@ class Criterion:
             integer(self.kept, "kept", lower=1)
 
     def value(self, eigenvalues: ArrayLike) -> float:
-        """Return the criterion itself, as in the table; infinite for a singular matrix.
-
-        Args:
-            eigenvalues: (n,) eigenvalues, none negative.
-        """
+        """Return the criterion itself, as in the table; infinite for a singular matrix."""
         kept = self._largest(real_array(eigenvalues, "eigenvalues", ("n",)))
         if not kept.min() > 0:
             return np.inf
@@ -136,7 +132,6 @@ def normalizing_map(
 
     Args:
         base: (n_B, p) B.
-        prior: (p,) nominal parameters φ⁰.
         metric_root: (p, p) root L of the inverse metric, G₀⁻¹ = L Lᵀ.
     """
     one_of(normalization, "normalization", NORMALIZATIONS)
@@ -215,11 +210,7 @@ class Objective(Short):
         return np.asarray(K @ V[:, told])
 
     def factor(self, measurement: Measurement) -> Array:
-        """Return the whitened and normalized regressor A K (N m, n_B) of a motion.
-
-        Raises:
-            ArgumentError: There are fewer measurements than base parameters.
-        """
+        """Return the whitened and normalized regressor A K (N m, n_B) of a motion."""
         X, K = measurement.regressor, self.normalizing_map
         if X.shape[0] * X.shape[1] < K.shape[1]:
             raise ArgumentError(

@@ -25,7 +25,7 @@ from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.families import MotionFamily
 from geodrake.excitation.limits import MotionLimits, motion_limits
 from geodrake.excitation.objective import Objective
-from geodrake.excitation.regressor_gradient import effort_gradient
+from geodrake.excitation.regressor_gradient import MotionGradient, effort_gradient
 from geodrake.excitation.stance import Stance
 from geodrake.excitation.trajectory import ExcitationTrajectory
 from geodrake.inertia import Array
@@ -313,13 +313,7 @@ class DesignProblem(Short):
         weights = np.tile(np.eye(nv)[self.loaded] / limits[:, None], (n, 1))
         seen = self.model.motion(each, sign_width=width)
         gradient = effort_gradient(self.model, each, seen, weights)
-        free = basis @ self.free
-        jacobian = sum(
-            np.einsum("nij,nk->nikj", part.reshape(n, k, nv), free[order])
-            for order, part in enumerate((gradient.q, gradient.v, gradient.vd))
-        )
-        jacobian = np.asarray(jacobian) * self.scale
-        return (effort / limits).ravel(), jacobian.reshape(n * k, -1)
+        return (effort / limits).ravel(), self._jacobian(basis, gradient, k)
 
     def excess(self, variables: Array) -> tuple[Array, Array]:
         """Return (n,) values of `Stance.excess`, and their Jacobian (n, f nv)."""
@@ -328,12 +322,18 @@ class DesignProblem(Short):
         trajectory, basis = self.trajectory(variables), self.effort_basis
         motion = self._motion(basis, trajectory)
         values, gradient = self.stance.excess(motion, self.sign_width)
+        return values, self._jacobian(basis, gradient)
+
+    def _jacobian(self, basis: Array, gradient: MotionGradient, each: int = 1) -> Array:
+        """Return the Jacobian (n k, f nv) of k numbers at each instant, by their gradients."""
         free = basis @ self.free
-        jacobian = sum(
-            part[:, None, :] * free[order][:, :, None]
-            for order, part in enumerate((gradient.q, gradient.v, gradient.vd))
+        n, nv = basis.shape[1], self.scale.shape[1]
+        parts = enumerate((gradient.q, gradient.v, gradient.vd))
+        found = sum(
+            np.einsum("nij,nk->nikj", part.reshape(n, each, nv), free[order])
+            for order, part in parts
         )
-        return values, (np.asarray(jacobian) * self.scale).reshape(len(values), -1)
+        return (np.asarray(found) * self.scale).reshape(n * each, -1)
 
     def nearness(self, variables: Array) -> tuple[Array, Array]:
         """Return (n,) values of `CollisionWorld.constraint`, and their Jacobian (n, f nv)."""
@@ -464,22 +464,17 @@ def _with_autodiff(
 ) -> Callable[[Any], Any]:
     """Return a function of numbers or of AutoDiffXd, from one that gives its value and Jacobian."""
 
-    def evaluate(y: Array) -> tuple[Any, Array]:
-        check()
-        return function(y)
-
     def call(x: Any) -> Any:
+        plain = x.dtype != object
         try:
-            return differentiated(x)
+            check()
+            value, jacobian = function(x if plain else ExtractValue(x).ravel())
         except BaseException as error:
             if raised is not None:
                 raised.append(error)
             raise
-
-    def differentiated(x: Any) -> Any:
-        if x.dtype != object:
-            return evaluate(x)[0]
-        value, jacobian = evaluate(ExtractValue(x).ravel())
+        if plain:
+            return value
         gradient = np.atleast_2d(jacobian) @ ExtractGradient(x)
         result = InitializeAutoDiff(np.atleast_1d(value), gradient).ravel()
         return result if np.ndim(value) else result[0]

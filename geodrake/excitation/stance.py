@@ -28,11 +28,10 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.tree import RigidBody
 from scipy.special import logsumexp
 
-from geodrake.boundary.arguments import instance, one_or_each, real_array
+from geodrake.boundary.arguments import instance, number, one_or_each, real_array
 from geodrake.boundary.showing import Short
 from geodrake.effects import Effect, FittedEffect
 from geodrake.errors import ArgumentError
-from geodrake.excitation.feet import Foot
 from geodrake.excitation.limits import MotionLimits
 from geodrake.excitation.regressor_gradient import (
     MotionGradient,
@@ -55,6 +54,50 @@ _RANDOM = 200
 _NEWTON, _CENTRAL, _ARRIVED = 12, 0.5, 1e-3  # steps to balance, share of the polygon, m
 _NOTHING = 1e-12  # m², of what postures move the centre of mass by
 _BATCH = 2000  # samples whose regressors are in memory
+
+
+@dataclass(frozen=True, eq=False)
+class Foot(Short):
+    """What of a robot stands on the ground: a sole, a ball that rolls, or a point.
+
+    Attributes:
+        frame: Name of a link, or of another frame of the model file.
+        points: (k, 3) corners of the sole in the frame, m; one for a foot that turns about it, or
+            for the center of a ball.
+        radius: Of the ball, m; 0 without.
+    """
+
+    frame: str
+    points: ArrayLike
+    radius: float = 0.0
+
+    def __post_init__(self) -> None:
+        instance(self.frame, "frame", str)
+        object.__setattr__(self, "points", real_array(self.points, "points", ("k", 3)))
+        count = len(np.asarray(self.points))
+        if count not in (1, *range(3, 10_000)):
+            raise ArgumentError(
+                f"Foot {self.frame!r} has {count} points.",
+                advice="A foot is one point, or a sole of at least three corners.",
+            )
+        if number(self.radius, "radius", lower=0.0) and count > 1:
+            raise ArgumentError(
+                f"Foot {self.frame!r} has {count} points and a radius of {self.radius:g} m.",
+                advice="A ball has one point, its center; a sole has no radius.",
+            )
+
+    @classmethod
+    def sole(cls, frame: str, length: float, width: float) -> Foot:
+        """Return a sole, length along x and width along y of the frame, about its origin."""
+        for name, value in (("length", length), ("width", width)):
+            number(value, name, lower=0.0, strict=True)
+        signs = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+        return cls(frame, np.hstack([0.5 * signs * [length, width], np.zeros((4, 1))]))
+
+    @property
+    def is_sole(self) -> bool:
+        """Whether moments act on it, too."""
+        return len(np.asarray(self.points)) > 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,8 +265,6 @@ class Stance(Short):
         Args:
             noise: Deviations of the efforts of motors, one or one for each, N·m or N; on a plate
                 those of its wrench, as for `make_target`.
-            bodies: As for `make_target`.
-            effects: As for `make_target`.
             on_plate: Whether a force plate under all feet is what measures, in place of the motors.
                 Its frame is that of the ground, amid the feet.
         """

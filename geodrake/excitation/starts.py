@@ -324,7 +324,6 @@ def within_limits(
 
     Args:
         variables: (f, nv) variables of a motion that keeps the limits, or nearly so.
-        inside: (f, nv) variables of a motion that keeps them.
         budget: When it is up, the nearest one found by then counts.
     """
     least, step = 0.0, _FIRST_STEP_BACK

@@ -212,7 +212,6 @@ def make_target(
     """Return the parameters that a motion of a robot should identify.
 
     Args:
-        model: The robot; its parameters are the nominal ones.
         noise: Deviation of the measurements: one, or one a joint (N·m or N); of a base wrench, one
             for each of nx, ny, nz, fx, fy, fz. Default: what the model was fitted with, else one.
         bodies: Names of the bodies with unknown inertial parameters. All by default; their prior

@@ -302,9 +302,6 @@ def drake_trajectory(trajectory: ExecutableMotion) -> str:
 
     The fields are those by which Drake's C++ classes go through YAML: `LoadYamlFile` of
     `BsplineTrajectory<double>` takes it as well.
-
-    Raises:
-        ArgumentError: The samples do not follow each other in time.
     """
     spline = instance(trajectory, "trajectory", ExecutableMotion).to_drake()
     basis = spline.basis()

@@ -17,10 +17,9 @@ from geodrake.control import fit_rollouts, roll_out
 from geodrake.control.rollout import FittedValue, RolloutFit
 from geodrake.control.rollout.fit_rollouts import better_model, held_out
 from geodrake.control.rollout.linearized_motion import LinearizedMotion
-from geodrake.control.rollout.motion_search import blinds
+from geodrake.control.rollout.motion_search import blinds, rollout_values, values_at, with_values
 from geodrake.control.rollout.passages import chosen_passages
 from geodrake.control.rollout.results import Rollout, Window
-from geodrake.control.rollout.rollout_values import rollout_values, values_at, with_values
 from geodrake.control.rollout.simulation import simulations
 from geodrake.effects import CoulombFriction, RotorInertia, ViscousFriction
 from geodrake.errors import ArgumentError, LogError, ModelError
@@ -40,8 +39,8 @@ def departures(case, *, horizon=0.4, most=2, commands=False):
     for passage in passages:
         found, _ = LinearizedMotion.of(made, passage).departure(case.model.effects, couplings)
         exact = made.positions(passage) - passage.segment.position
-        along = made.acting.along(passage) if commands else None
-        yield exact, found, along and bool((np.abs(along.effort) > along.gains.limit).any())
+        effort, _ = made.acting.along(passage)
+        yield exact, found, commands and bool((np.abs(effort) > made.acting.gains.limit).any())
 
 
 def rms(departure):

@@ -90,9 +90,6 @@ def body_limits(
 
     Args:
         rows: (k, 10) or (10,) coefficients; limits are (k,) or one.
-
-    Raises:
-        ArgumentError: There is no such body, or shapes do not fit.
     """
     rows = real_array(rows, "rows")
     rows = real_array(rows[None] if rows.ndim == 1 else rows, "rows", ("k", PARAMETERS_PER_BODY))
@@ -144,22 +141,14 @@ def inside_ellipsoid(size: int, body: int, quadric: ArrayLike) -> Polyhedron:
 def parameter_limits(
     size: int, indices: Sequence[int], lower: ArrayLike, upper: ArrayLike
 ) -> Polyhedron:
-    """Return limits on single parameters, such as friction coefficients, (k,) or one of each.
-
-    Raises:
-        ArgumentError: There is no such parameter, or shapes do not fit.
-    """
+    """Return limits on single parameters, such as friction coefficients, (k,) or one of each."""
     integer(size, "size", lower=1, upper=_MOST)
     matrix = np.eye(size)[list(integers(indices, "indices", lower=0, upper=size - 1))]
     return Polyhedron(matrix, _of_rows(lower, len(matrix)), _of_rows(upper, len(matrix)))
 
 
 def intersection(*polyhedra: Polyhedron) -> Polyhedron:
-    """Return the points that are in all polyhedra.
-
-    Raises:
-        ArgumentError: There are none, or they are of different numbers of parameters.
-    """
+    """Return the points that are in all polyhedra."""
     sizes = {instance(each, "a polyhedron", Polyhedron).matrix.shape[1] for each in polyhedra}
     if len(sizes) != 1:
         raise ArgumentError(

@@ -54,11 +54,7 @@ class UpdateLaw(abc.ABC):
         return 1.0
 
     def with_slowness(self, gamma: float) -> UpdateLaw:
-        """Return the same law with another γ.
-
-        Raises:
-            ArgumentError: It has none.
-        """
+        """Return the same law with another γ."""
         raise ArgumentError(f"{type(self).__name__} has no γ, so it cannot be set to {gamma}.")
 
     def contains(self, parameters: ArrayLike) -> bool:
@@ -160,10 +156,6 @@ class AdaptationLaw(UpdateLaw):
             in this metric. V̇ has another −γ σ (D(p‖p̂) + D(p̂‖p₀) − D(p‖p₀)), and may only rise
             where p̂ is nearer to the truth than p₀ is.
         toward: (n,) p₀, such as the parameters of the model.
-
-    Raises:
-        ArgumentError: A number is out of range, or there is leakage toward no point of the
-            manifold.
     """
 
     manifold: Manifold
@@ -259,7 +251,6 @@ def natural_adaptation(
 
     Args:
         manifold: Such as `parameter_manifold(model)`.
-        integrator: As in `AdaptationLaw`.
     """
     return AdaptationLaw(manifold, gamma, integrator)
 

@@ -136,9 +136,6 @@ class ProjectedLaw(_OuterLaw):
     Attributes:
         constraints: C; a `Polyhedron`, or any `ConvexSet`.
         margin: Distance in the manifold's metric below which a limit binds.
-
-    Raises:
-        ArgumentError: A polyhedron has another number of parameters, or the margin is negative.
     """
 
     law: AdaptationLaw

@@ -31,9 +31,6 @@ def parameter_manifold(
         weights: Weights of single bodies or of kinds of effects by name, instead of those.
         bodies: Manifolds of single bodies by name, such as a `ConstrainedInertia`; the others are
             `PhysicalInertia`.
-
-    Raises:
-        ArgumentError: There is no such body or effect, or a manifold is not one of a body.
     """
     positive(body_weight, "body_weight")
     positive(effect_weight, "effect_weight")
@@ -65,9 +62,6 @@ def adapted_parameters(model: RobotModel, names: Sequence[str]) -> NDArray[np.bo
 
     Returns:
         (p,) booleans, for a `PartialLaw`.
-
-    Raises:
-        ArgumentError: There is no such body or effect, or no name.
     """
     instance(model, "model", RobotModel)
     wanted = set([names] if isinstance(names, str) else instances(names, "names", str))

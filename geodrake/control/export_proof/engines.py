@@ -61,12 +61,7 @@ class Engine(abc.ABC):
 
     @abc.abstractmethod
     def effort(self, q: Array, v: Array, vd: Array) -> tuple[Array, Mask]:
-        """Return the effort that a motion needs.
-
-        Args:
-            q: (N, nv) positions, rad or m.
-            v: (N, nv) velocities.
-            vd: (N, nv) accelerations.
+        """Return the effort that a motion (N, nv) needs.
 
         Returns:
             (N, nv) efforts, N·m or N, and where they are meant to be those of the model.
@@ -77,13 +72,8 @@ class Engine(abc.ABC):
 
         Actuators are told `Drives.controls` of the efforts.
 
-        Args:
-            q: (nv,) first positions, rad or m.
-            v: (nv,) first velocities.
-            effort: (K, nv) efforts, each held for a step, N·m or N.
-            step: Length of a step, s.
+        Efforts (K, nv), N·m or N, are each held for a step, s.
         """
-        del q, v, effort, step
         return None
 
 

@@ -139,9 +139,6 @@ def export_with_proof(
 
     Args:
         folder: Where the files will be: relative paths in them lead from there.
-        logs: Logs, or their files, on whose motion the export is fitted and tried; without any,
-            random motion within the limits of the robot serves.
-        bandwidth: Bandwidth of the filter of the logs, Hz; by default that of the model's fit.
     """
     check_format(model, form)
     if bandwidth is not None:

@@ -60,7 +60,6 @@ def held_by(
     rotors. All these stay positive. What a drive does is left out: nothing passive pushes.
 
     Args:
-        holds: Whether the format holds an effect as it is.
         keep: Which effects stay although the format does not hold them, to see what others cost.
     """
     kept, lost = list[FittedEffect](), list[FittedEffect]()

@@ -78,7 +78,6 @@ class Drives:
 
         Args:
             controls: (W, K, n) control signals, each held for a step.
-            step: Length of a step, s.
         """
         at = np.where(self.delay > 0.0, np.clip(k + share - self.delay / step, 0.0, k), k)
         first, joints = at.astype(int), np.arange(len(at))
@@ -100,7 +99,6 @@ def roll_out_all(
 
     Args:
         model: The model, whose effects depend on nothing but q, v and v̇.
-        step: Length of a step, s.
         drives: Actuators that are told `Drives.controls` in the place of efforts, if any.
 
     Returns:

@@ -17,7 +17,18 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import instance
 from geodrake.control.rollout.linearized_motion import LinearizedMotion
-from geodrake.control.rollout.motion_search import MotionSearch, SearchWindow, blind_to, blinds
+from geodrake.control.rollout.motion_search import (
+    MotionSearch,
+    RolloutValue,
+    SearchWindow,
+    blind_to,
+    blinds,
+    forces_at_motors,
+    is_soft,
+    rollout_values,
+    values_at,
+    with_values,
+)
 from geodrake.control.rollout.passages import Acting, Passage, chosen_passages
 from geodrake.control.rollout.results import BROKEN, FittedValue, Rollout, RolloutFit, Window
 from geodrake.control.rollout.roll_out import (
@@ -26,14 +37,6 @@ from geodrake.control.rollout.roll_out import (
     Progress,
     check_windows,
     named_rollout,
-)
-from geodrake.control.rollout.rollout_values import (
-    RolloutValue,
-    forces_at_motors,
-    is_soft,
-    rollout_values,
-    values_at,
-    with_values,
 )
 from geodrake.control.rollout.simulation import simulations
 from geodrake.errors import LogError
@@ -160,10 +163,6 @@ def better_model(
 
     What else the model knows is as for values that are given: the efforts that led to it took its
     former ones for what they are not.
-
-    Args:
-        found: (k,) what was found.
-        deviations: (k,) its standard deviations.
     """
     better = with_values(model, values, found.tolist(), deviations.tolist())
     if model.information is None:

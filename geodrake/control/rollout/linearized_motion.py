@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.compiling import compiled, contiguous
-from geodrake.control.rollout.passages import EffortAlong, Passage
+from geodrake.control.rollout.passages import Acting, Passage
 from geodrake.control.rollout.simulation import (
     AT_START,
     Simulation,
@@ -34,7 +34,6 @@ from geodrake.control.rollout.simulation import (
 from geodrake.effects import FittedEffect, RobotMotion, Role
 from geodrake.effects.robot_motion import log_number
 from geodrake.inertia import Array
-from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.signal_efforts import calc_beyond
 from geodrake.model.simulation.effect_force import Coupling, ForceLaw, SoftJoints
@@ -59,20 +58,21 @@ class LinearizedServos:
 
     @classmethod
     def of(
-        cls, law: ForceLaw, along: EffortAlong, motors: NDArray[np.intp]
+        cls, law: ForceLaw, acting: Acting, passage: Passage, motors: NDArray[np.intp]
     ) -> tuple[LinearizedServos, Array]:
         """Return the servos, and efforts (N, nv) at joints without any."""
-        kp, kd, ki, limit, band, _ = along.gains
-        effort = law.applied(along.effort.T, law.mu).T
+        kp, kd, ki, limit, band, _ = acting.gains
+        effort, behind = acting.along(passage)
+        effort = law.applied(effort.T, law.mu).T
         columns = [law.applied(gain, law.mu) for gain in (kp, kd, ki, limit)]
         gains = np.stack([*columns, band], axis=1)
         some = gains[:, :3].any(axis=1)
         servos = cls(
             contiguous(effort[:, some]),
-            contiguous(along.behind[:, some]),
+            contiguous(behind[:, some]),
             motors[some],
             contiguous(gains[some]),
-            along.begun[some],
+            acting.begun(passage)[some],
         )
         return servos, np.where(some, 0.0, effort)
 
@@ -125,13 +125,13 @@ class LinearizedMotion:
                 change.
         """
         model, law, segment = simulation.model, simulation.law, passage.segment
-        seen, along = _seen(simulation, passage), simulation.acting.along(passage)
+        seen = _seen(simulation, passage)
         slopes, A, L = seen.effort_slopes, law.of_motors, law.of_links
         at_motors, own = _at_motors(model, seen)
         at_links = seen.load + _effort(model, seen, at_motor=False)
         soft, added = law.soft.velocities, law.added_inertia
         motors = A.argmax(axis=1)
-        servos, beside = LinearizedServos.of(law, along, motors)
+        servos, beside = LinearizedServos.of(law, simulation.acting, passage, motors)
         rest = (at_motors - beside) @ A + at_links @ L
         rest[:, len(L) :] += added * segment.acceleration[:, soft]
         position, velocity, acceleration = (
@@ -157,9 +157,10 @@ class LinearizedMotion:
             tuple(_motor_force(model, seen, motors, *each) for each in free),
         )
 
-    def under(self, along: EffortAlong, effects: Sequence[FittedEffect]) -> LinearizedMotion:
+    def under(self, acting: Acting, effects: Sequence[FittedEffect]) -> LinearizedMotion:
         """Return the passage under other servos of the same joints, and other forces at motors."""
-        servos, rest = LinearizedServos.of(self.law, along, self.motors)[0], self.rest.copy()
+        servos, _ = LinearizedServos.of(self.law, acting, self.passage, self.motors)
+        rest = self.rest.copy()
         stiffness, damping, inertia = (
             whole.copy() for whole in (self.stiffness, self.damping, self.inertia)
         )
@@ -230,14 +231,8 @@ class LinearizedMotion:
 
 def _seen(simulation: Simulation, passage: Passage) -> RobotMotion:
     """Return the measured motion as the effects of a model see it."""
-    model, segment = simulation.model, passage.segment
-    motion = Motion(
-        model.positions(segment.position),
-        segment.velocity,
-        segment.acceleration,
-        passage.time,
-        model.positions(passage.before),
-    )
+    model = simulation.model
+    motion = passage.motion(model)
     if simulation.temperatures is not None:
         warmth = simulation.temperatures.at(passage.time, model.joints)
         motion = replace(motion, temperature=warmth)
@@ -372,7 +367,6 @@ def calc_error(
     Args:
         behind: Commanded less measured position at the rows before and after.
         share: How far it is from the first to the second.
-        band: What is taken off errors.
         y: (1 + k,) how far the motor is from the measured motion, and changes of that.
     """
     error, (first, second) = -y, behind

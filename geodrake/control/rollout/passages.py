@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,7 @@ from geodrake.errors import ArgumentError, LogError
 from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.reduce import peak_speeds
 from geodrake.inertia import Array
-from geodrake.logs.motion import MEMORY, JointLog
+from geodrake.logs.motion import MEMORY, JointLog, Motion
 from geodrake.logs.smoothing import Segment, Stretch
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.signal_efforts import (
@@ -59,10 +58,19 @@ class Passage:
         first = self.stretch.first + self.start
         return self.stretch.piece[first : first + len(self.segment)].position
 
-    @property
-    def before(self) -> Array:
-        """(M, nv) positions right before the first sample, as far as effects look back."""
-        return self.stretch[max(0, self.start - MEMORY) : self.start].position
+    def motion(self, model: RobotModel, most: int | None = None) -> Motion:
+        """Return the measured motion of a model, with what was before as far as effects look back.
+
+        It ends after the first few samples if no more are asked for.
+        """
+        first, before = self.segment[:most], self.stretch[max(0, self.start - MEMORY) : self.start]
+        return Motion(
+            model.positions(first.position),
+            first.velocity,
+            first.acceleration,
+            self.time[:most],
+            model.positions(before.position),
+        )
 
 
 Span = tuple[str, float, float]
@@ -74,7 +82,6 @@ def chosen_passages(
     """Choose passages of a length, spread evenly over all in which the robot of a case moves.
 
     Args:
-        horizon: Length of each passage, s.
         within: Logs, and first and last instants of theirs, s, outside of which none is; anywhere
             if None.
     """
@@ -120,15 +127,6 @@ def _moving(
         if speed.mean(0).max() > _MOVING:
             effort = delayed_by(-delays, near.effort, stretch.period)
             yield start, replace(inner, effort=effort[ahead:][:count])
-
-
-class EffortAlong(NamedTuple):
-    """What acts along a measured motion, and what servos add where motors are elsewhere."""
-
-    effort: Array  # (K, n) efforts, N·m or N, without the integrals and limits of servos
-    behind: Array  # (K, n) commanded less measured position, rad or m; 0 without a servo
-    gains: ServoGains  # those of the servos (n,); 0 without one
-    begun: Array  # (n,) their integrals at first, rad·s or m·s
 
 
 class Acting:
@@ -182,18 +180,21 @@ class Acting:
             context = self._servo.GetMyMutableContextFromRoot(root)
             context.SetContinuousState(self.begun(passage))
 
-    def along(self, passage: Passage) -> EffortAlong:
-        """Return what acts in a passage whose motors move as they were measured."""
+    def along(self, passage: Passage) -> tuple[Array, Array]:
+        """Return what acts in a passage whose motors move as they were measured.
+
+        Returns:
+            Efforts (K, n), N·m or N, without the integrals and limits of servos, and commanded less
+            measured positions (K, n), rad or m, 0 without a servo.
+        """
         segment, beside = passage.segment, self._beside(passage)
         if not self._servoed:
-            none = np.zeros(len(self._ki))
-            return EffortAlong(beside, np.zeros_like(beside), self.gains, none)
+            return beside, np.zeros_like(beside)
         command, rate = self._commands(passage, passage.time)
         behind = np.where(self._told, command - segment.position, 0.0)
         error = ServoError(behind, rate - segment.velocity, np.zeros_like(behind), beside)
         unlimited = self.gains._replace(limit=np.full(len(self._ki), np.inf))
-        effort = servo_effort(unlimited, error)
-        return EffortAlong(effort, behind, self.gains, self.begun(passage))
+        return servo_effort(unlimited, error), behind
 
     def told(self, passage: Passage, time: Array) -> Array:
         """Return commands, their rates, and efforts beside servos (3, K, n) at instants (K,)."""

@@ -54,7 +54,6 @@ def simulations(
             flies apart, as under efforts in other units, takes ever smaller ones. Models that
             lacked all friction took up to 18 times the steps of calm ones on public logs (UR10e),
             and 256 times in the demo, some 74,000 for its twelve windows.
-        commands: Whether servos close the loop.
     """
     logs = {log.name: log for log in case.asked.logs}
     prepared = {trajectory.name: trajectory for trajectory in case.trajectories}
@@ -272,15 +271,8 @@ def hidden_states(model: RobotModel, passage: Passage, sign_width: Array) -> dic
     effects = [fitted.effect for fitted in model.effects if fitted.effect.state_count]
     if not effects:
         return {}
-    first = passage.segment[:2]  # the direction in which a log begins takes two samples
-    motion = Motion(
-        model.positions(first.position),
-        first.velocity,
-        first.acceleration,
-        passage.time[:2],
-        model.positions(passage.before),
-    )
-    seen = model.motion(motion, sign_width=sign_width)
+    # The direction in which a log begins takes two samples.
+    seen = model.motion(passage.motion(model, 2), sign_width=sign_width)
     return {effect: effect.states_along(seen)[0] for effect in effects}
 
 
@@ -296,7 +288,6 @@ def first_lag(
     Args:
         lags: (K, m) those that loads make at the first samples, rad or m.
         plays: (m,) half widths of dead bands, rad or m.
-        time: (K,) instants of these samples, s.
         loose: Gives lags in dead bands, and their rates; called only if there are any.
     """
     bends = lags - np.clip(lags, -plays, plays)

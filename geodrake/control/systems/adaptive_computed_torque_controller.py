@@ -75,10 +75,6 @@ class AdaptiveComputedTorqueController(AdaptiveController):
         Args:
             rate: λ of both poles of each joint's error, 1/s: K_v = 2 λ and K_p = λ². All else is as
                 for `PassivityBasedAdaptiveController`.
-
-        Raises:
-            ArgumentError: The robot has joints of several degrees of freedom, or an argument does
-                not fit.
         """
         nv = len(checked_control(control).joints)
         poles = one_or_each(rate, "rates", nv, strict=True)
@@ -98,14 +94,7 @@ class AdaptiveComputedTorqueController(AdaptiveController):
             self._measured_port = self.DeclareVectorInputPort("acceleration", BasicVector(nv))
 
     def set_gains(self, context: Context, rate: ArrayLike) -> None:
-        """Change the gains in a Context.
-
-        Args:
-            rate: λ of both poles of each joint's error, 1/s; one for all joints or (nv,).
-
-        Raises:
-            ArgumentError: They are not positive.
-        """
+        """Change the gains in a Context."""
         self._set_gains(context, one_or_each(rate, "rates", self._nv, strict=True))
 
     def _weight_at(self, poles: Array) -> Array:

@@ -221,11 +221,7 @@ class AdaptiveController(LeafSystem):
         return np.array(context.get_continuous_state_vector().CopyToVector())
 
     def set_parameters(self, context: Context, parameters: ArrayLike | None) -> None:
-        """Put an estimate (p,), ordered as `ControlModel.prior`, or None for that, into a Context.
-
-        Raises:
-            ArgumentError: It is not in the manifold of the law, or has the wrong length.
-        """
+        """Put an estimate (p,), or `ControlModel.prior` if None, into a Context."""
         check_context(self, context)
         p = checked_estimate(self.control, self.law, parameters)
         if self._time_step > 0:
@@ -235,11 +231,7 @@ class AdaptiveController(LeafSystem):
             context.SetContinuousState(p)
 
     def set_gamma(self, context: Context, gamma: float) -> None:
-        """Change γ > 0 of the law in a Context: adaptation is as fast as γ⁻¹.
-
-        Raises:
-            ArgumentError: It is not positive, or there is no law with a γ.
-        """
+        """Change γ > 0 of the law in a Context: adaptation is as fast as γ⁻¹."""
         positive(gamma, "gamma")
         if self.law is None:
             raise ArgumentError("The controller does not adapt, so it has no γ.")

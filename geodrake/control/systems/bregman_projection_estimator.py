@@ -118,17 +118,11 @@ class BregmanProjectionEstimator(LeafSystem):
 
         Args:
             filtered: The filter, its period the time step; one of 20 1/s if None.
-            time_step: Sampling period, s.
-            parameters: (p,) first estimate; that of the model if None.
             memory: For how long samples are seen again, s; zero for never. A change of the robot
                 shows at once, and is settled after this time.
             stale_time: How long the state may stand still, s.
             update_every: New samples from one projection to the next. The filter takes all of
                 them; samples much closer than its bandwidth say nearly the same.
-
-        Raises:
-            ArgumentError: The robot has joints of several degrees of freedom, or an argument does
-                not fit.
         """
         LeafSystem.__init__(self)
         require_single_joints(control)
@@ -182,11 +176,7 @@ class BregmanProjectionEstimator(LeafSystem):
         return np.array(context.get_discrete_state(_ESTIMATE).value())
 
     def set_parameters(self, context: Context, parameters: ArrayLike | None) -> None:
-        """Put an estimate (p,), ordered as `ControlModel.prior`, or None for that, into a Context.
-
-        Raises:
-            ArgumentError: It is not in the manifold of the update, or has the wrong length.
-        """
+        """Put an estimate (p,), or `ControlModel.prior` if None, into a Context."""
         check_context(self, context)
         p = checked_estimate(self.control, self._sample_update.manifold, parameters)
         context.SetDiscreteState(_ESTIMATE, p)

@@ -44,12 +44,7 @@ class ModelResidual(LeafSystem):
     """
 
     def __init__(self, control: ControlModel, *, filtered: FilteredRegressor | None = None) -> None:
-        """Construct the system.
-
-        Raises:
-            ArgumentError: The robot has joints of several degrees of freedom, or the filter is one
-                for another robot.
-        """
+        """Construct the system."""
         LeafSystem.__init__(self, converter=self._converter)
         require_single_joints(control)
         if filtered is not None:

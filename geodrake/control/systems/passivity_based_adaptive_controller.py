@@ -144,11 +144,7 @@ class PassivityBasedAdaptiveController(AdaptiveController):
         )
 
     def set_gains(self, context: Context, gains: VaryingGains | FixedGains) -> None:
-        """Change the gains in a Context.
-
-        Raises:
-            ArgumentError: They are of the other kind, or not as many as the joints.
-        """
+        """Change the gains in a Context."""
         vector = _gain_vector(gains, self._nv)
         if isinstance(gains, VaryingGains) != self._varying:
             raise ArgumentError(

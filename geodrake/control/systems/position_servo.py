@@ -111,10 +111,6 @@ class PositionServo(LeafSystem):
         limit: Largest effort, N·m or N.
         dead_band: Error of position up to which nothing is done about it, rad or m.
         rate_share: ρ, how much of the command's rate the damping knows; 0 damps the motion alone.
-
-    Raises:
-        ArgumentError: A gain is negative, a limit is not positive, a share is above 1, or they are
-            not as many.
     """
 
     def __init__(
@@ -224,9 +220,6 @@ class PositionServo(LeafSystem):
 
         Returns:
             The servos; `feedforward` is left to be connected.
-
-        Raises:
-            ModelError: The model has no servos, or joints of several degrees of freedom.
         """
         instance(builder, "builder", DiagramBuilder)
         instance(robot, "robot", RobotInDiagram)

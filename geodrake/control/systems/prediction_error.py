@@ -53,9 +53,6 @@ class PredictionError(Short):
         alone: Whether the tracking error does not move the estimate: indirect adaptation.
         memory: τ, for how long rows are remembered, s; zero for those of the moment alone. A robot
             of p parameters has p² numbers to keep then, and a step costs as much as p rows.
-
-    Raises:
-        ArgumentError: A number is out of range.
     """
 
     weight: ArrayLike = 0.1

@@ -47,9 +47,6 @@ class Safeguards(Short):
             before adaptation goes on, s.
         factor: How many times the parameters of the model, or the first estimate, an estimate may
             reach, see `adaptation.outer_laws.limited`; inf for no limits.
-
-    Raises:
-        ArgumentError: A number is out of range.
     """
 
     effort_limits: ArrayLike | None = None
@@ -72,11 +69,7 @@ class Safeguards(Short):
 
     @classmethod
     def of_plant(cls, plant: MultibodyPlant, *, stale_time: float = 0.05) -> Safeguards:
-        """Return the effort limits of a plant's actuators, which must be at single-degree joints.
-
-        Args:
-            stale_time: Age of a sample from which a sensor counts as failed, s.
-        """
+        """Return the effort limits of a plant's actuators, at joints of one degree of freedom."""
         check_plant(plant)
         limits = np.full(plant.num_velocities(), np.inf)
         for index in range(plant.num_actuators()):
@@ -260,7 +253,7 @@ def calc_looked(
 
 @inlined
 def is_usable(x: Array) -> bool:
-    """Return the result of `usable`, in compiled loops."""
+    """Return whether all of x (n,) are numbers, and not absurdly large ones."""
     size = 0.0
     for i in range(len(x)):
         size += x[i] * x[i]
@@ -278,7 +271,7 @@ def calc_applied(effort: Array, limits: Array, applied: Array) -> tuple[bool, bo
 
 
 def usable(x: Array) -> bool:
-    """Return whether all of x (n,) are numbers, and not absurdly large ones."""
+    """Return the result of `is_usable`, outside of compiled loops."""
     return math.isfinite(x @ x)
 
 
