@@ -89,12 +89,8 @@ class FilteredRegressor:
     @property
     def size(self) -> int:
         """Length of the memory: a number, and for every filter a regressor and its efforts."""
-        return 1 + (self.order + 1) * (self._entries + len(self.control.joints))
-
-    @cached_property
-    def _entries(self) -> int:
         rows, columns = self.shape
-        return rows * columns
+        return 1 + (self.order + 1) * rows * (columns + 1)
 
     def start(self) -> Array:
         """Return the memory before the first sample."""

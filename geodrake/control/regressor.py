@@ -41,6 +41,8 @@ class ControlModel:
         effects: The effects, in the order of their parameters.
         prior: (p,) parameters of the robot model.
         measured_friction: Whether effects see the measured velocity q̇ instead of the reference v.
+        single_joints: Whether every joint has one degree of freedom, so that q̇ is the rate of q.
+        floats: Whether nothing fixes the robot to the world.
     """
 
     tree: KinematicTree
@@ -49,13 +51,13 @@ class ControlModel:
     joints: tuple[str, ...]
     prior: Array
     measured_friction: bool
+    single_joints: bool
+    floats: bool
     _columns: EffectColumns
     _turning: bool  # whether effects other than payloads depend on accelerations
     _sign_width: Array
     _direction: Callable[[Array], Array]
     _single: NDArray[np.bool_]
-    _all_single: bool
-    _floats: bool
     _payloads: tuple[tuple[int, slice], ...]
     _scales: tuple[tuple[int, int], ...]
     _total_phi: Array
@@ -95,13 +97,13 @@ class ControlModel:
             joints=joints,
             prior=np.concatenate(values),
             measured_friction=measured_friction,
+            single_joints=bool(single.all()),
+            floats=bool(model.base_joints),
             _columns=columns,
             _turning="vd" in EffectColumns(joints, turning, trial).depends_on,
             _sign_width=sign_width,
             _direction=smoothed_sign(sign_width),
             _single=single,
-            _all_single=bool(single.all()),
-            _floats=bool(model.base_joints),
             _payloads=tuple((bodies.index(name), part) for name, part in _placed(model, Role.BODY)),
             _scales=tuple(
                 (joints.index(name), part.start) for name, part in _placed(model, Role.SCALE)
@@ -113,16 +115,6 @@ class ControlModel:
     def num_inertial(self) -> int:
         """Number 10 nb of inertial parameters, which come first."""
         return PARAMETERS_PER_BODY * len(self.bodies)
-
-    @property
-    def single_joints(self) -> bool:
-        """Whether every joint has one degree of freedom, so that q̇ is the rate of q."""
-        return self._all_single
-
-    @property
-    def floats(self) -> bool:
-        """Whether nothing fixes the robot to the world."""
-        return self._floats
 
     def phi(self, parameters: Array) -> Array:
         """Return inertial parameters (nb, 10) of a parameter vector (p,)."""
@@ -327,7 +319,7 @@ class ControlSample:
         if "load" in model._columns.depends_on:
             phi = model._total_phi if self._load_phi is None else self._load_phi
             load = self.rigid.effort(phi)
-        q_joint = q if model._all_single else np.where(model._single, q, np.nan)
+        q_joint = q if model.single_joints else np.where(model._single, q, np.nan)
         return JointMotion(q_joint, v, a, load, model._direction(v))
 
     def _seen(self, regressor: Array | None) -> Seen:

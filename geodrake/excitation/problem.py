@@ -328,10 +328,9 @@ class DesignProblem(Short):
         """Return the Jacobian (n k, f nv) of k numbers at each instant, by their gradients."""
         free = basis @ self.free
         n, nv = basis.shape[1], self.scale.shape[1]
-        parts = enumerate((gradient.q, gradient.v, gradient.vd))
         found = sum(
-            np.einsum("nij,nk->nikj", part.reshape(n, each, nv), free[order])
-            for order, part in parts
+            np.einsum("nij,nk->nikj", part.reshape(n, each, nv), order)
+            for part, order in zip(gradient, free, strict=True)
         )
         return (np.asarray(found) * self.scale).reshape(n * each, -1)
 

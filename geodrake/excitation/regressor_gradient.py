@@ -21,7 +21,8 @@ every velocity, so that with the row τ = t·f + s·n of `geodrake.robot.recursi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -77,6 +78,14 @@ from geodrake.robot.vectors import (
 
 _STEP = 1e-5  # of differences, of the largest value there is
 _IMAGINARY_STEP = 1e-30  # so small that its square is nothing: the derivative is exact
+
+
+class MotionGradient(NamedTuple):
+    """Gradient of a number with respect to the motion, sample by sample."""
+
+    q: Array  # (N, nq) with respect to the positions
+    v: Array  # (N, nv) with respect to the velocities
+    vd: Array  # (N, nv) with respect to the accelerations
 
 
 def inverse_dynamics_regressor_gradient(
@@ -147,9 +156,7 @@ def at_actuators(
     By θ̇ = J q̇ and θ̈ = J q̈ + J̇ q̇, with the slopes that `effort_slopes` has as well.
     """
     JT, q, v, vd = np.swapaxes(J, 1, 2), motion.q, motion.v, motion.vd
-    found = MotionGradient(
-        *(transmission.times(JT, x) for x in (gradient.q, gradient.v, gradient.vd))
-    )
+    found = MotionGradient(*(transmission.times(JT, x) for x in gradient))
     if actuation.constant is None:
         rate = np.swapaxes(actuation.jacobian_rate(q, v), 1, 2)
         bent = actuation.jacobian_rate(q, vd) + actuation.jacobian_rate_slope(q, v)
@@ -224,8 +231,8 @@ def _with_effects(
     total.vd[:] += direct.vd
     if unknown:
         rest = _by_differences(model, motion, unknown, seen.sign_width)
-        for name in ("q", "v", "vd"):
-            getattr(total, name)[:] += getattr(rest, name)
+        for into, part in zip(total, rest, strict=True):
+            into[:] += part
     return total
 
 
@@ -246,7 +253,7 @@ def _by_differences(
         return np.asarray(sum(shares))
 
     result = MotionGradient(*(np.zeros(x.shape) for x in (motion.q, motion.v, motion.vd)))
-    for name in ("q", "v", "vd"):
+    for name, found in zip(result._fields, result, strict=True):
         samples = getattr(motion, name)
         for k in range(samples.shape[1]):
             step = _STEP * max(float(np.abs(samples[:, k]).max(initial=0.0)), 1e-3)
@@ -255,35 +262,21 @@ def _by_differences(
                 moved = samples.copy()
                 moved[:, k] += by
                 ends.append(values(replace(motion, **{name: moved})))
-            getattr(result, name)[:, k] = (ends[0] - ends[1]) / (2.0 * step)
+            found[:, k] = (ends[0] - ends[1]) / (2.0 * step)
     return result
-
-
-Gradient = tuple[Array, Array, Array]
-"""With respect to positions (N, nq), velocities (N, nv) and accelerations (N, nv)."""
-
-
-@dataclass(frozen=True, eq=False)
-class MotionGradient:
-    """Gradient of a number with respect to the motion, sample by sample."""
-
-    q: Array  # (N, nq) with respect to the positions
-    v: Array  # (N, nv) with respect to the velocities
-    vd: Array  # (N, nv) with respect to the accelerations
 
 
 def reverse_recursion(tree: KinematicTree, samples: Samples, weights: Array) -> MotionGradient:
     """Return the gradient of Σ W ∘ Y with respect to samples, for weights W (N, nv, 10 nb)."""
     q, _, v, vd = samples
     result = MotionGradient(*(np.zeros(x.shape) for x in (q, v, vd)))
-    gradient = result.q, result.v, result.vd
-    calc_motion_gradient(tree.records, samples, contiguous(weights), gradient)
+    calc_motion_gradient(tree.records, samples, contiguous(weights), tuple(result))
     return result
 
 
 @compiled
 def calc_motion_gradient(
-    tree: TreeRecords, samples: Samples, weights: Array, out: Gradient
+    tree: TreeRecords, samples: Samples, weights: Array, out: tuple[Array, ...]
 ) -> None:
     """Write the gradient of Σ W ∘ Y, W (N, nv, 10 nb), into zeros (N, nq), (N, nv), (N, nv)."""
     mobilizers, dofs = tree

@@ -393,7 +393,7 @@ class Stance(Short):
             by = [parts[1 + 2 * k] - parts[2 + 2 * k] for k in range(3)]
             by = [x / reach[follow] for x, (_, reach) in zip(by, scales, strict=True)]
             found.append(self._by_following(motion, by))
-        sums = (np.sum([getattr(x, name) for x in found], axis=0) for name in ("q", "v", "vd"))
+        sums = (np.sum(parts, axis=0) for parts in zip(*found, strict=True))
         return total / _SHARP, MotionGradient(*sums)
 
     def _by_following(self, motion: Motion, weights: Sequence[Array]) -> MotionGradient:

@@ -161,8 +161,7 @@ class ExcitationTrajectory(ExecutableMotion):
 
     def coefficient_gradient(self, basis: Array, gradient: MotionGradient) -> Array:
         """Return the gradient (count, nv) by the coefficients, from one by a basis' motion."""
-        total = basis[0].T @ gradient.q + basis[1].T @ gradient.v + basis[2].T @ gradient.vd
-        return np.asarray(total)
+        return np.asarray(sum(Phi.T @ part for Phi, part in zip(basis, gradient, strict=True)))
 
     def _instants(self) -> Array:
         return self.family.limit_times(1.0 / _PER_FASTEST)

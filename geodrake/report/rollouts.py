@@ -9,7 +9,7 @@ import numpy as np
 
 from geodrake.control.rollout import Rollout, RolloutFit
 from geodrake.control.rollout.motion_search import is_soft
-from geodrake.control.rollout.results import JointDeparture
+from geodrake.control.rollout.roll_out import JointDeparture
 from geodrake.inertia import Array
 from geodrake.model.effort_signal import SERVO
 from geodrake.model.robot_model import RobotModel

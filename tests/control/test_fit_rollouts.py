@@ -19,7 +19,7 @@ from geodrake.control.rollout.fit_rollouts import better_model, held_out
 from geodrake.control.rollout.linearized_motion import LinearizedMotion
 from geodrake.control.rollout.motion_search import blinds, rollout_values, values_at, with_values
 from geodrake.control.rollout.passages import chosen_passages
-from geodrake.control.rollout.results import Rollout, Window
+from geodrake.control.rollout.roll_out import Rollout, Window
 from geodrake.control.rollout.simulation import simulations
 from geodrake.effects import CoulombFriction, RotorInertia, ViscousFriction
 from geodrake.errors import ArgumentError, LogError, ModelError

@@ -16,7 +16,7 @@ from report_results import JOINT, LOG, URDF
 from geodrake import load_model, save_model
 from geodrake.control import roll_out
 from geodrake.control.rollout import Rollout
-from geodrake.control.rollout.results import Window
+from geodrake.control.rollout.roll_out import Window
 from geodrake.diagnosis import compare
 from geodrake.errors import ArgumentError
 from geodrake.logs import JointLog, read_log

@@ -7,9 +7,8 @@ is alone with the efforts, or the commands, that were logged, until the window e
 
 from __future__ import annotations
 
-from geodrake.control.rollout.fit_rollouts import fit_rollouts
-from geodrake.control.rollout.results import FittedValue, Rollout, RolloutFit
-from geodrake.control.rollout.roll_out import case_rollout, commanded_motions, roll_out
+from geodrake.control.rollout.fit_rollouts import FittedValue, RolloutFit, fit_rollouts
+from geodrake.control.rollout.roll_out import Rollout, case_rollout, commanded_motions, roll_out
 
 __all__ = [
     "FittedValue",

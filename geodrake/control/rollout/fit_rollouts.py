@@ -8,7 +8,7 @@ block of windows; it counts only where it predicts the other windows better, by 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import instance
+from geodrake.boundary.showing import Short, Shown
 from geodrake.control.rollout.linearized_motion import LinearizedMotion
 from geodrake.control.rollout.motion_search import (
     MotionSearch,
@@ -30,24 +31,27 @@ from geodrake.control.rollout.motion_search import (
     with_values,
 )
 from geodrake.control.rollout.passages import Acting, Passage, chosen_passages
-from geodrake.control.rollout.results import BROKEN, FittedValue, Rollout, RolloutFit, Window
 from geodrake.control.rollout.roll_out import (
+    BROKEN,
     HORIZON,
     MOST_WINDOWS,
     Progress,
+    Rollout,
+    Window,
     check_windows,
     named_rollout,
 )
 from geodrake.control.rollout.simulation import simulations
 from geodrake.errors import LogError
 from geodrake.identification.logs.case import Case, checked_logs, open_case
+from geodrake.identification.logs.criteria import TIE
 from geodrake.identification.logs.evidence import tie_probability
 from geodrake.identification.logs.servo_fit import ServoFit
 from geodrake.identification.logs.servo_motion import PARAMETERS
 from geodrake.identification.logs.signal_calibration import BESIDE, with_servo_motions
 from geodrake.inertia import Array
 from geodrake.logs.motion import JointLog
-from geodrake.model.effort_signal import SERVO, signal_of
+from geodrake.model.effort_signal import COMMAND, SERVO, signal_of
 from geodrake.model.robot_model import RobotModel
 
 Mask = NDArray[np.bool_]
@@ -55,6 +59,70 @@ Mask = NDArray[np.bool_]
 _FEWEST = 2  # windows to fit, and to test
 _BLOCKS = 4  # of the windows of one log, every other of which is held out
 _SERVO = {"stiffness": "gain", "rate": "damping"}  # else they have the names of `EffortSignal`
+
+
+@dataclass(frozen=True)
+class FittedValue(Short):
+    """A value of an effect, or of a servo, that rollouts were fitted by."""
+
+    effect: str  # its name, or "servo"
+    joint: str
+    name: str  # name of the value; of a servo as in `EffortSignal`
+    before: float  # the model's value, where the fit began, SI
+    after: float
+    deviation: float  # its standard deviation, for what else the model has
+
+
+@dataclass(frozen=True, eq=False)
+class RolloutFit(Shown):
+    """What a model's soft joints, their play, servos and motors are by its simulated motion.
+
+    `before` and `after` say what they are under: logged efforts, or logged commands.
+    """
+
+    model: RobotModel  # the model with what was fitted, or as it was if that was not taken
+    values: tuple[FittedValue, ...]
+    before: Rollout  # the rollout of the model as it was, over all windows
+    after: Rollout  # that with what was fitted, taken or not
+    tested: tuple[bool, ...]  # which windows the fit did not see
+    chance: float  # chance that it is truly no better in those
+
+    @property
+    def taken(self) -> bool:
+        """Whether it predicts those better, by more than chance."""
+        before, after = self.held_out
+        worse = after.relative > before.relative or after.broken > before.broken
+        return self.chance <= TIE and not worse
+
+    @property
+    def held_out(self) -> tuple[Rollout, Rollout]:
+        """Before and after, over the windows that the fit did not see."""
+        return self.before.part(self.tested), self.after.part(self.tested)
+
+    @property
+    def fitted(self) -> tuple[Rollout, Rollout]:
+        """Before and after, over the windows that it saw."""
+        seen = [not tested for tested in self.tested]
+        return self.before.part(seen), self.after.part(seen)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was done to the logs, noticed about the model, and assumed in the simulation.
+
+        Servos of joints that were not fitted are taken for what they were found to be.
+        """
+        fitted = {value.joint for value in self.values if value.effect == SERVO}
+        unsure = [
+            signal.joint
+            for signal in self.model.effort_signals
+            if signal.kind == COMMAND
+            and (signal.deviation or signal.damping_deviation or signal.integral_deviation)
+            and signal.joint not in fitted
+        ]
+        if not (unsure and self.after.commands):
+            return self.after.notes
+        words = "elasticity and backlash may compensate for their errors"
+        return (*self.after.notes, f"servo gains of {', '.join(unsure)} are uncertain: {words}")
 
 
 def fit_rollouts(

@@ -1,16 +1,16 @@
-"""The rollout itself: windows chosen, simulated, and compared with what was measured."""
+"""Rollouts: windows chosen, simulated, and compared with what was measured."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from geodrake.boundary.arguments import function, instance, instances, integer, number, typed
+from geodrake.boundary.showing import Short, Shown
 from geodrake.control.rollout.passages import Passage, Span, chosen_passages, told_joints
-from geodrake.control.rollout.results import Rollout, Window
 from geodrake.control.rollout.simulation import simulations
 from geodrake.control.rollout.stepping import stepping, steps_alone
 from geodrake.effects import Role
@@ -22,6 +22,9 @@ from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.signal_efforts import servos_of
 
+BROKEN = 1e3
+"""By so much a simulation departs that broke off, rad or m."""
+
 HORIZON = 0.5
 """Length of a window, s."""
 
@@ -30,7 +33,91 @@ MOST_WINDOWS = 12
 
 _COMPARED = 6  # windows for what servos are like before and after a fit
 _SHORTEST, _LONGEST = 1e-3, 1e3  # horizons, s
+_AT_REST = 1e-9  # rad or m: rounding of a smoothed position
 Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Window(Short):
+    """One simulated stretch of a log."""
+
+    log: str
+    time: Array  # (K,) instants, s
+    measured: Array  # (K, nv) positions, rad or m
+    simulated: Array  # (K, nv) positions; NaN from where the simulation broke off
+
+    @property
+    def departure(self) -> Array:
+        """(K, nv) simulated − measured position."""
+        return self.simulated - self.measured
+
+
+@dataclass(frozen=True)
+class JointDeparture:
+    """How far one joint departs from what was measured."""
+
+    joint: str
+    rms: float  # RMS of simulated − measured position over all windows, rad or m
+    moved: float  # RMS of the joint's motion since the start of its window, rad or m
+    worst: tuple[str, float]  # log and start of the window in which it departs most, s
+
+    @property
+    def relative(self) -> float:
+        """RMS departure over RMS motion: 1 for a simulated joint that stands; NaN if it rests."""
+        return self.rms / self.moved if self.moved > _AT_REST else np.nan
+
+
+@dataclass(frozen=True, eq=False)
+class Rollout(Shown):
+    """A model simulated under logged efforts or commands."""
+
+    joints: tuple[JointDeparture, ...]
+    windows: tuple[Window, ...]
+    horizon: float  # length of the windows, s
+    broken: int  # windows in which the simulation could not go on to the end, or left all reason
+    # What was done to the logs, noticed about the model, and assumed in the simulation.
+    notes: tuple[str, ...] = ()
+    commands: bool = False  # whether servos closed the loop
+
+    @classmethod
+    def of(
+        cls,
+        names: Sequence[str],
+        windows: Sequence[Window],
+        horizon: float,
+        notes: tuple[str, ...] = (),
+        commands: bool = False,
+    ) -> Rollout:
+        """Return a rollout with the departures that the windows of the named joints have."""
+        departures = [np.nan_to_num(w.departure, nan=np.inf) for w in windows]
+        squares = np.array([np.mean(np.square(d), 0) for d in departures])
+        moved = np.array([np.mean(np.square(w.measured - w.measured[0]), 0) for w in windows])
+        rms, moves = np.sqrt(squares.mean(0)).tolist(), np.sqrt(moved.mean(0)).tolist()
+        worst = [windows[k] for k in squares.argmax(0)]
+        joints = tuple(
+            JointDeparture(name, departs, moves, (most.log, float(most.time[0])))
+            for name, departs, moves, most in zip(names, rms, moves, worst, strict=True)
+        )
+        broken = sum(bool(np.isnan(w.simulated).any()) for w in windows)
+        return cls(joints, tuple(windows), horizon, broken, notes, commands)
+
+    def part(self, chosen: Sequence[bool]) -> Rollout:
+        """Return the rollout of some of the W windows alone."""
+        windows = [w for w, taken in zip(self.windows, chosen, strict=True) if taken]
+        names = [joint.joint for joint in self.joints]
+        return Rollout.of(names, windows, self.horizon, self.notes, self.commands)
+
+    @property
+    def under(self) -> str:
+        """What the model was simulated under."""
+        return "commands" if self.commands else "efforts"
+
+    @property
+    def relative(self) -> float:
+        """Root mean square of departure over motion, over joints that move."""
+        shares = np.array([joint.relative for joint in self.joints])
+        moving = shares[~np.isnan(shares)]
+        return float(np.sqrt(np.mean(np.square(moving)))) if len(moving) else np.inf
 
 
 def roll_out(
