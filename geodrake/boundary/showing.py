@@ -60,7 +60,7 @@ def _views() -> Any:
 
 
 def short_repr(value: Any) -> str:
-    """Return a dataclass in a line: `Rollout(joints=(7 JointDeparture), windows=(12 Window), …)`.
+    """Return a dataclass in a line: `Rollout(names=(7 str), windows=(12 Window), …)`.
 
     What is None or empty is left out.
     """

@@ -320,7 +320,7 @@ def test_a_joint_that_rests_has_no_share_of_its_motion():
     time = np.linspace(0.0, 0.5, 6)
     measured = np.column_stack([time, np.full(6, 0.2)])
     window = Window("log", time, measured, 1.1 * measured)
-    rollout = Rollout.of(("moves", "rests"), [window], 0.5)
+    rollout = Rollout(("moves", "rests"), (window,), 0.5)
     moves, rests = rollout.joints
     assert np.isnan(rests.relative)
     assert rollout.relative == moves.relative == pytest.approx(0.1)

@@ -280,7 +280,7 @@ def test_a_rollout_is_replayed_as_a_measured_and_a_simulated_robot(before):
     simulated = measured + 0.1
     simulated[11:] = np.nan  # broke off
     window = Window("demo", time, measured, simulated)
-    found = Rollout((), (window, window), 0.2, 1)
+    found = Rollout((), (window, window), 0.2)
     page = rollout_replay_page(before, found, found)
     recorded = tracks(page)
     frames, turned = recorded["/drake/measured/arm6::column", "quaternion"]

@@ -138,7 +138,6 @@ def _pose(X: RigidTransform) -> tuple[str, str]:
 
 
 def _urdf(links: Sequence[Link], name: str, gravity: Array) -> Element:
-    del gravity
     root = Element("robot", {"name": name, "xmlns:drake": _DRAKE})
     SubElement(root, "link", name="world")
     for link in links:
@@ -172,7 +171,6 @@ def _urdf_joint(root: Element, link: Link) -> None:
 
 def _sdf(links: Sequence[Link], name: str, gravity: Array) -> Element:
     """Return an SDF, in which a link that is called like a joint has another name."""
-    del gravity
     taken = unused({link.joint.name for link in links})
     names = {link.name: taken(link.name) for link in links}
     links = [

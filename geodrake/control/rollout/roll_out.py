@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -71,41 +72,35 @@ class JointDeparture:
 class Rollout(Shown):
     """A model simulated under logged efforts or commands."""
 
-    joints: tuple[JointDeparture, ...]
+    names: tuple[str, ...]  # of the joints
     windows: tuple[Window, ...]
     horizon: float  # length of the windows, s
-    broken: int  # windows in which the simulation could not go on to the end, or left all reason
     # What was done to the logs, noticed about the model, and assumed in the simulation.
     notes: tuple[str, ...] = ()
     commands: bool = False  # whether servos closed the loop
 
-    @classmethod
-    def of(
-        cls,
-        names: Sequence[str],
-        windows: Sequence[Window],
-        horizon: float,
-        notes: tuple[str, ...] = (),
-        commands: bool = False,
-    ) -> Rollout:
-        """Return a rollout with the departures that the windows of the named joints have."""
-        departures = [np.nan_to_num(w.departure, nan=np.inf) for w in windows]
+    @cached_property
+    def joints(self) -> tuple[JointDeparture, ...]:
+        """How far each joint departs over the windows."""
+        departures = [np.nan_to_num(w.departure, nan=np.inf) for w in self.windows]
         squares = np.array([np.mean(np.square(d), 0) for d in departures])
-        moved = np.array([np.mean(np.square(w.measured - w.measured[0]), 0) for w in windows])
-        rms, moves = np.sqrt(squares.mean(0)).tolist(), np.sqrt(moved.mean(0)).tolist()
-        worst = [windows[k] for k in squares.argmax(0)]
-        joints = tuple(
+        moved = [np.mean(np.square(w.measured - w.measured[0]), 0) for w in self.windows]
+        rms, moves = np.sqrt(squares.mean(0)).tolist(), np.sqrt(np.mean(moved, 0)).tolist()
+        worst = [self.windows[k] for k in squares.argmax(0)]
+        return tuple(
             JointDeparture(name, departs, moves, (most.log, float(most.time[0])))
-            for name, departs, moves, most in zip(names, rms, moves, worst, strict=True)
+            for name, departs, moves, most in zip(self.names, rms, moves, worst, strict=True)
         )
-        broken = sum(bool(np.isnan(w.simulated).any()) for w in windows)
-        return cls(joints, tuple(windows), horizon, broken, notes, commands)
+
+    @property
+    def broken(self) -> int:
+        """Windows in which the simulation could not go on to the end, or left all reason."""
+        return sum(bool(np.isnan(w.simulated).any()) for w in self.windows)
 
     def part(self, chosen: Sequence[bool]) -> Rollout:
         """Return the rollout of some of the W windows alone."""
         windows = [w for w, taken in zip(self.windows, chosen, strict=True) if taken]
-        names = [joint.joint for joint in self.joints]
-        return Rollout.of(names, windows, self.horizon, self.notes, self.commands)
+        return replace(self, windows=tuple(windows))
 
     @property
     def under(self) -> str:
@@ -243,8 +238,8 @@ def case_rollout(
         (passage,) = group
         found[passage] = simulation(passage.log).positions(passage)
         notes |= dict.fromkeys(simulation(passage.log).notes)
-    windows = [Window(p.log, p.segment.time, p.segment.position, found[p]) for p in chosen]
-    return Rollout.of(model.joints, windows, horizon, (*case.notes, *notes), commands)
+    windows = (Window(p.log, p.segment.time, p.segment.position, found[p]) for p in chosen)
+    return Rollout(model.joints, tuple(windows), horizon, (*case.notes, *notes), commands)
 
 
 def named_rollout(
