@@ -86,7 +86,7 @@ _NOTABLE = 0.5  # of a squared error, that the error of a gain takes
 _MOST_PINNED, _PINNED = 4, 1e15
 _STATED = 1e-4  # share to which a file knows the values of effects, unless they are others
 _PSEUDO = pseudo_inertia_basis()
-_REVERSING = 0.01, 0.1  # limits of the share of a row's time without a known direction
+_REVERSING = 0.03, 0.1  # limits of the share of a row's time without a known direction
 _FEWEST_OTHERS = 0.25  # share of rows in which a joint does not reverse, to tell their noise
 _FARTHEST = 1e4  # squared distance of a body that cannot exist: farther is no less probable
 _DRAWS = np.random.default_rng(0).normal(size=(200, PARAMETERS_PER_BODY))
