@@ -40,7 +40,6 @@ from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.inertia import from_mass_com_inertia, to_spatial_inertia
 from geodrake.logs import JointLog, write_log
 from geodrake.robot import joint_names
-from geodrake.robot.plant import position_limits, velocity_limits
 
 Array = NDArray[np.float64]
 
@@ -154,10 +153,10 @@ def random_motion(plant: MultibodyPlant, *, scenario: Scenario) -> PiecewisePoly
     rate = 2 * np.pi * (FREQUENCIES[:, None] + rng.uniform(-0.04, 0.04, shape))
     time = np.arange(0.0, max(scenario.duration, LONGEST) + 0.02, 0.01)
     q, v, _ = sines(time, amplitude, rate, phase)
-    low, high = position_limits(plant)
+    low, high = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
     half = np.minimum((high - low) / 2, np.pi / 2)
     center = np.clip(0.0, low + half, high - half)
-    fastest = np.minimum(velocity_limits(plant), FASTEST)
+    fastest = np.minimum(plant.GetVelocityUpperLimits(), FASTEST)
     scale = np.maximum(np.abs(q).max(0) / (REACH * half), np.abs(v).max(0) / (PACE * fastest))
     return PiecewisePolynomial.CubicHermite(time, (center + q / scale).T, (v / scale).T)
 

@@ -124,7 +124,8 @@ class Reading:
     joints: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "columns", instances(self.columns, "columns", str))
+        for name in ("columns", "joints"):
+            object.__setattr__(self, name, instances(getattr(self, name), name, str))
         instance(self.units, "units", Mapping)
         for name in ("gains", "gain_deviations", "kinds", "motors", "limits"):
             instance(getattr(self, name), name, Mapping)

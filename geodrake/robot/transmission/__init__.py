@@ -155,7 +155,7 @@ class JointlyEvaluated(Transmission):
 
     def jacobian_rate(self, q: Array, v: Array) -> Array:
         """J̇."""
-        return self.along(q, v)[2]
+        return self.along(q, instance(v, "v", np.ndarray))[2]
 
 
 def times(matrices: Array, vectors: Array) -> Array:
