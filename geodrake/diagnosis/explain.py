@@ -15,9 +15,9 @@ from geodrake.diagnosis.findings import (
     holds,
     largest_residual,
     named,
-    places_not_held,
     probable,
     staged,
+    terms_not_held,
     verdict_of,
     without_finding,
 )
@@ -167,5 +167,5 @@ def _holding(
         last = findings[-1]
         if holds(found, last, before, fit.held_out):
             return found, after, fit, start, steps
-        places = places_not_held(found, last, before, fit.held_out)
-        found, findings = without_finding(found, findings, last, places)
+        bad = terms_not_held(found, last, before, fit.held_out)
+        found, findings = without_finding(found, findings, last, bad)

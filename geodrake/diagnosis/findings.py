@@ -237,14 +237,14 @@ def probable(
 
 
 def without_finding(
-    found: Found, findings: Sequence[Finding], gone: Finding, places: Sequence[Term] = ()
+    found: Found, findings: Sequence[Finding], gone: Finding, terms: Sequence[Term] = ()
 ) -> tuple[Found, list[Finding]]:
-    """Return the explanation without one finding, or only its terms at some places.
+    """Return the explanation without one finding, or without some of its terms if any are given.
 
     Findings that need what goes go with it. Where none is left, bodies that come closer to the logs
     than those of the file are one.
     """
-    rest = tuple(term for term in gone.terms if places and term not in places)
+    rest = tuple(term for term in gone.terms if terms and term not in terms)
     fewer = [replace(f, terms=rest) if f is gone else f for f in findings if f is not gone or rest]
     kept = _compatible(found, fewer)
     if gone.name == INERTIA and not gone.terms:  # bodies go back to the file
@@ -331,10 +331,10 @@ def felt(found: Found, finding: Finding) -> NDArray[np.bool_]:
 def holds(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> bool:
     """Return whether held-out data agree with a finding.
 
-    Errors of gains, which the model does not have, may spoil what it predicts. So effects are also
-    judged beside gains that may be off. Bodies that may be far from the file can replace a payload,
-    which is also judged with bodies that stay near the file. An effect that is there for a part of
-    a log only is not.
+    Gains of efforts that are off may spoil what the model predicts, so effects are also judged with
+    gains fitted. Bodies that may be far from the file can replace a payload, so a payload is also
+    judged with bodies that stay near the file. Effects that are there for a
+    part of a log only are judged by what the model predicts.
     """
     pairs = [(before, after)]
     if finding.terms and not any(isinstance(t.effect, Episode) for t in finding.terms):
@@ -358,7 +358,7 @@ def _falls(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> b
     return _is_fall(falls) and bool(total.mean() > -_ROUNDING * np.abs(total).mean())
 
 
-def places_not_held(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> list[Term]:
+def terms_not_held(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> list[Term]:
     """Return terms of a finding at joints whose own held-out errors do not fall with it.
 
     They must fall as those of all joints together must. There are none where all do, or none does,
@@ -379,7 +379,7 @@ def places_not_held(found: Found, finding: Finding, before: HeldOut, after: Held
 def _is_fall(falls: Array) -> bool:
     """Return whether falls of folds are more than their standard error, in the mean.
 
-    What shows in one fold alone just is.
+    A fall in one fold alone just counts.
     """
     error = 0.0
     if len(falls) > 1:

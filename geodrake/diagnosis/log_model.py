@@ -293,14 +293,15 @@ class LogModel:
     def reverses(self, joint: int, rows: JointRows) -> NDArray[np.bool_]:
         """Return (K,) in which rows the direction of a joint is unknown for part of the time.
 
-        It is for so much of the time that dry friction may differ by more than the noise.
+        Such a part is long enough for dry friction, as large as the efforts, to differ by more than
+        the noise.
         """
         at, data = self._unsure.get(self.dataset.joints[joint]), self.dataset
         if at is None:
             return np.zeros(len(rows.b), bool)
         noise, most = data.noise_floor[joint], data.effort_std[joint]
         share = np.clip(noise / most, *_REVERSING) if 0.0 < noise < most else _REVERSING[1]
-        return np.asarray(np.abs(rows.A[:, at]) > share)  # filters make it negative beside these
+        return np.asarray(np.abs(rows.A[:, at]) > share)  # filters ring: it may be negative
 
     def row_weights(self, fit: Fit, joint: int, rows: JointRows) -> Array:
         """Return (K,) weights of a fit's squared residuals in rows of a joint."""

@@ -27,8 +27,10 @@ _MOST_FITS = 8
 # Three deviations of how much the sum of squares of K rows of white noise, of unit variance and as
 # `design_filter` filters them, changes over √K if they are half of a period later.
 _MOST_NOISE = 1.07
-# Of paths to bodies that can exist.
-_LEAST_BARRIER, _NEAR, _MOST_STEPS, _MOST_BARRIERS, _ROUNDING = 0.05, 0.3, 30, 20, 1e-12
+_LEAST_BARRIER = 0.05  # weight of log det at the end of a path, which is off by its fourfold
+_NEAR = 0.3  # Newton decrement below which the next barrier follows
+_MOST_STEPS, _MOST_BARRIERS, _MOST_HALVINGS = 30, 20, 60
+_ROUNDING = 1e-12  # least over largest eigenvalue of a pseudo-inertia
 _LATE_ROW = 0.1  # of a period: rows that are farther apart are not consecutive
 
 
@@ -299,9 +301,9 @@ def _is_body(matrix: Array) -> bool:
 def calc_distance(mean: Array, inside: Array, precision: Array, basis: Array) -> float:
     """Return the squared distance from parameters (10,) to the nearest body that can exist.
 
-    It is that by a precision (10, 10), to within some tenths, or that from parameters `inside`
-    (10,), of a body, if rounding ends the way from there. Parameters times a basis (10, 4, 4) are
-    pseudo-inertias. Newton's method follows the central path of log det.
+    Distances are by a precision (10, 10). Newton's method follows the central path of log det, from
+    parameters `inside` (10,) of a body, to within some tenths; their own distance is the largest
+    that is returned. Parameters times a basis (10, 4, 4) are pseudo-inertias.
     """
     x, way = inside.copy(), inside - mean
     farthest = float(way @ (precision @ way))
@@ -318,9 +320,11 @@ def calc_distance(mean: Array, inside: Array, precision: Array, basis: Array) ->
             step = -np.linalg.solve(precision + barrier * (turned @ flat.T), slope)
             decrement = np.sqrt(max(-float(slope @ step) / barrier, 0.0))
             step /= 1.0 + decrement
-            while not _is_body(((x + step) @ flat).reshape(4, 4)):
+            for _ in range(_MOST_HALVINGS):
+                if _is_body(((x + step) @ flat).reshape(4, 4)):
+                    x += step
+                    break
                 step *= 0.5
-            x += step
             if decrement < _NEAR or np.abs(step @ flat).max() < _ROUNDING:
                 break
         if barrier <= _LEAST_BARRIER:

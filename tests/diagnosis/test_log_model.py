@@ -21,7 +21,7 @@ from geodrake.diagnosis.findings import (
     INERTIA,
     Unnamed,
     findings_of,
-    places_not_held,
+    terms_not_held,
     unknown_probability,
     verdict_of,
     without_finding,
@@ -639,13 +639,13 @@ def test_what_holds_at_one_joint_alone_stays_there(found):
     before, after = (model.held_out(fit) for fit in (model.bare(model.shares(was)), both.fit))
     worse = np.array([[1.1 if name == "shoulder" else 0.5 for name in model.dataset.joints]])
     changed = replace(after, sse=before.sse * worse)
-    (gone,) = places_not_held(both, finding, before, changed)
+    (gone,) = terms_not_held(both, finding, before, changed)
     assert gone.where == ("shoulder",)
     fewer, kept = without_finding(both, findings, finding, [gone])
     assert [each.places for each in kept if each.name == finding.name] == [("elbow",)]
     assert [term.where for term in fewer.fit.terms] == [("elbow",)]
-    assert places_not_held(both, finding, before, replace(after, sse=0.5 * before.sse)) == []
-    assert places_not_held(both, finding, before, replace(after, sse=1.1 * before.sse)) == []
+    assert terms_not_held(both, finding, before, replace(after, sse=0.5 * before.sse)) == []
+    assert terms_not_held(both, finding, before, replace(after, sse=1.1 * before.sse)) == []
     (note,) = left_out_notes([finding], [SimpleNamespace(effect=finding.name, where=("elbow",))])
     assert "shoulder was found" in note
 

@@ -199,7 +199,7 @@ def open_case(
 
 _PIECES = 4
 _MOST_MOTION, _MORE_MOTION = 0.4, 1.5
-"""Largest share of a joint's motion that a fold has, and over its share of all joints' motion."""
+"""A fold has at most this share of a joint's motion, or so many times its share of all motion."""
 
 
 def _dealt(
