@@ -332,14 +332,15 @@ def holds(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> bo
     """Return whether held-out data agree with a finding.
 
     Gains of efforts that are off may spoil what the model predicts, so effects are also judged with
-    gains fitted. Bodies that may be far from the file can replace a payload, so a payload is also
-    judged with bodies that stay near the file. Effects that are there for a
+    gains fitted. Bodies that may be far from the file can replace a payload, so a payload is judged
+    in this way alone, and also with bodies that stay near the file. Effects that are there for a
     part of a log only are judged by what the model predicts.
     """
     pairs = [(before, after)]
     if finding.terms and not any(isinstance(t.effect, Episode) for t in finding.terms):
         model, widths = found.model, [found.fit.choice.width]
-        widths += [model.widths[0]] if any(t.is_whole for t in finding.terms) else []
+        if any(t.is_whole for t in finding.terms):
+            pairs, widths = [], [model.widths[0], *widths]
         fits = [_beside(found, finding, width) for width in widths]
         pairs += [(model.held_out(without), model.held_out(whole)) for without, whole in fits]
     return any(_falls(found, finding, *pair) for pair in pairs)
