@@ -204,8 +204,8 @@ def check_base(robot: RobotInstance, controller: AdaptiveController) -> None:
     control = controller.control
     if control.tree.actuation is not None and control.tree.actuation.places:
         raise ArgumentError(
-            "The controller's model has a transmission, but a plant has state and efforts "
-            "of joints.",
+            "The controller's model has a transmission, or joints that follow others, but a plant "
+            "has state and efforts of all joints.",
             advice="Pass the ports of the actuators to add_adaptive_loop: "
             "model.add_to_builder(builder).ports().",
         )

@@ -147,6 +147,7 @@ def _on_loops(robot: RobotModel, closures: Sequence[Closure], how: LoopJoints) -
     model = replace(
         robot,
         transmission=(*robot.transmission, Drive.of_loop(loop)),
+        followers={own: tie for own, tie in robot.followers.items() if own not in loops.taken},
         information=None,
         effort_noise=None,
         fading_speed=None,

@@ -17,10 +17,10 @@ from geodrake.logs.resting import LARGEST, logged_ranges, readings, resting, tra
 from geodrake.model.floating_logs import with_base
 from geodrake.model.holding import holding
 from geodrake.model.robot_model import RobotModel, is_of_file, read_again
+from geodrake.robot.coordinates import Places
 from geodrake.robot.joints import joint_names
 from geodrake.robot.plant import motor_joints, scoped_joint_names
 from geodrake.robot.transmission.loop import LoopTransmission
-from geodrake.robot.transmission.statements import Drive
 
 _FAR = 0.05  # rad or m, that a joint which rests does not go by its velocities, less their mean
 _CLEAR = 5.0  # deviations of noise, beyond which a joint is not where a loop has it
@@ -37,7 +37,8 @@ def reading_for(model: RobotModel, reading: Reading | None = None) -> Reading:
     motors = motor_joints(model.plant)
     names = zip(joint_names(model.plant), scoped_joint_names(model.plant), strict=True)
     driven = {name for name, scoped in names if scoped in motors}
-    followers = {joint for pair in model.led.items() for joint in (pair[0], pair[1][0])}
+    leaders = model.coordinates.leaders
+    followers = {model.coordinates.joints[at] for at in (*leaders, *leaders.values())}
     others = (*driven, *followers, *model.base_joints)
     none = set(model.single_joints).difference(others) if driven else set()
     reading = reading or Reading()
@@ -172,34 +173,37 @@ def log_of_model(log: JointLog, model: RobotModel) -> JointLog:
 
 
 def _with_followers(log: JointLog, model: RobotModel) -> JointLog:
-    """Return the log with τ_q = Jᵀ τ_θ at the joints that lead others, where both were logged."""
-    efforts, notes = log.effort, list(log.notes)
-    for joint, (leader, ratio) in model.led.items():
-        if joint in log.joints and leader in log.joints:
-            at, own = log.joints.index(joint), log.joints.index(leader)
-            efforts = efforts.copy() if efforts is log.effort else efforts
-            efforts[:, own] += ratio * np.nan_to_num(log.effort[:, at])
-            notes.append(f"the effort of {joint} is added to that of {leader}, which it follows")
-    for drive in model.transmission:
-        if isinstance(drive.map, LoopTransmission) and set(drive.actuators) <= set(log.joints):
-            more, said = _of_loop(log, drive, drive.map)
+    """Return the log with τ_q = Jᵀ τ_θ at actuators that others follow, where both were logged."""
+    efforts, notes, joints = log.effort, list(log.notes), model.coordinates.joints
+    for place in model.coordinates.places:
+        if set(place.drive.actuators) <= set(log.joints):
+            more, said = _of_followers(log, place, [joints[at] for at in place.joints])
             efforts, notes = efforts + more, [*notes, *said]
     return replace(log, effort=efforts, notes=tuple(notes)) if notes else log
 
 
-def _of_loop(log: JointLog, drive: Drive, loop: LoopTransmission) -> tuple[Array, list[str]]:
-    """Return a closed loop's efforts at its independent joints, and notes."""
+def _of_followers(log: JointLog, place: Places, joints: Sequence[str]) -> tuple[Array, list[str]]:
+    """Return efforts at a drive's actuators of joints that follow them, and notes.
+
+    Those are the joints of a closed loop; of another drive, whose joints are given, those that
+    follow its own.
+    """
+    drive, motion, where = place.drive, place.map.along, ""
+    others, driven = joints[len(place.own) :], tuple[str, ...]()
+    if isinstance(loop := drive.map, LoopTransmission):
+        joints, motion, driven = loop.joints, loop.of_all, loop.driven
+        others = [joint for joint in joints if joint not in drive.actuators]
+        where = f" in the closed loop of {loop.name}"
     free = [log.joints.index(name) for name in drive.actuators]
-    others = [joint for joint in loop.joints if joint not in drive.actuators]
     at = {joint: log.joints.index(joint) for joint in others if joint in log.joints}
     efforts_of = {joint: log.effort[:, k] for joint, k in at.items()}
     places_of = {joint: x for joint, x in log.alone.items() if len(x) == len(log)}
     places_of |= {joint: log.position[:, k] for joint, k in at.items()}
-    for joint in loop.driven:
+    for joint in driven:
         if not np.isfinite(efforts_of.get(joint, np.array([np.nan]))).any():
             raise LogError(
                 f"Log {log.name!r} has no effort of {joint}, which has a motor in addition "
-                f"to {', '.join(drive.actuators)} in the closed loop of {loop.name}.",
+                f"to {', '.join(drive.actuators)}{where}.",
                 advice=f"Log its effort too; or if {joint} has no motor, remove it from the "
                 "model file.",
             )
@@ -210,11 +214,11 @@ def _of_loop(log: JointLog, drive: Drive, loop: LoopTransmission) -> tuple[Array
         return efforts, notes
     q, names = log.position[there][:, free], ", ".join(drive.actuators)
     try:
-        theta, G, _ = loop.of_all(q, np.zeros_like(q))
+        theta, G, _ = motion(q, np.zeros_like(q))
     except ArgumentError as error:
         raise LogError(f"Log {log.name!r}: {error.problem}", advice=error.advice) from error
     for joint in seen:
-        own = loop.joints.index(joint)
+        own = joints.index(joint)
         effort = np.nan_to_num(efforts_of.get(joint, np.zeros(len(log))))[there]
         if effort.any():
             block = np.ix_(np.flatnonzero(there), np.array(free))
@@ -225,10 +229,9 @@ def _of_loop(log: JointLog, drive: Drive, loop: LoopTransmission) -> tuple[Array
         apart = readings(places_of[joint][there] - theta[:, own])
         if len(apart) and np.sqrt(np.mean(apart**2)) > _CLEAR * noise + _STILL:
             notes.append(
-                f"{joint} differs from its position in the closed loop of {loop.name} with "
-                f"{names} by {apart.mean():.3g} on average, with standard deviation "
-                f"{apart.std():.3g} and noise {noise:.2g} rad or m (check zero positions and "
-                "lengths)"
+                f"{joint} differs from its position{where} with {names} by {apart.mean():.3g} on "
+                f"average, with standard deviation {apart.std():.3g} and noise {noise:.2g} rad or "
+                "m (check zero positions and lengths)"
             )
     return efforts, notes
 

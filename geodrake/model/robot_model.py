@@ -34,13 +34,13 @@ from geodrake.robot.arrangement import base_joints, moving_joints
 from geodrake.robot.coordinates import RobotCoordinates
 from geodrake.robot.files import Given
 from geodrake.robot.files.mjcf import MjcfText
-from geodrake.robot.joints import Follower, joint_names
+from geodrake.robot.joints import Tie, joint_names
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.plant import LoadedPlant, effort_limits, load_plant, set_inertial_parameters
 from geodrake.robot.regressor import body_regressor, inverse_dynamics
 from geodrake.robot.robot_instance import RobotInstance
 from geodrake.robot.transmission.loop import LoopTransmission
-from geodrake.robot.transmission.statements import Drive
+from geodrake.robot.transmission.statements import Drive, Followers
 
 _STATES, _TOLERANCE = 3, 1e-9  # at which MJCFs are compared, and what of the largest effort
 
@@ -67,7 +67,8 @@ class RobotModel(Short):
         fading_speed: (nv,) speed below which dry friction fades, rad/s or m/s; 0, or None for all,
             where it was not seen to.
         held: Joint of the file that is held, and none of the model -> where, rad or m.
-        followers: Joints of the plant that follow others, and are none of the model.
+        followers: Joint of the plant that is none of the model -> what it follows, both by their
+            scoped names.
         transmission: What moves joints of the plant in their place, closed loops among it; joints
             without a drive move by themselves. All that is the model's, q, v, efforts and effects,
             is at the actuators.
@@ -94,7 +95,7 @@ class RobotModel(Short):
     bandwidths: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     held: Mapping[str, float] = field(default_factory=dict)
     given: Given = field(default_factory=Given)
-    followers: tuple[Follower, ...] = ()
+    followers: Mapping[str, Tie] = field(default_factory=dict)
     known_joints: tuple[str, ...] = ()
     transmission: tuple[Drive, ...] = ()
     effort_signals: tuple[EffortSignal, ...] = ()
@@ -152,16 +153,6 @@ class RobotModel(Short):
         if not (self.followers or self.transmission):
             return None
         return DrivenPlant(self, plant, sign_width, log, temperatures)
-
-    @cached_property
-    def led(self) -> Mapping[str, tuple[str, float]]:
-        """Following joint -> its leader, and its motion per unit of the leader's."""
-        names, driven = joint_names(self.plant), {j for d in self.transmission for j in d.joints}
-        return {
-            names[to]: (names[of], ratio)
-            for to, (of, ratio, _) in self.coordinates.leads.items()
-            if names[of] not in driven
-        }
 
     @cached_property
     def position_limits(self) -> tuple[Array, Array]:
@@ -223,7 +214,7 @@ class RobotModel(Short):
     def joint_pairs(self) -> tuple[tuple[str, str], ...]:
         """Pairs of single-degree joints of one type that follow each other along the tree."""
         mobilizers, pairs = self.joint_tree.mobilizers, []
-        leaders = {to: lead.of for to, lead in self.coordinates.leads.items()}
+        leaders = self.coordinates.leaders
         for mobilizer in mobilizers:
             if mobilizer.parent < 0:
                 continue
@@ -470,7 +461,7 @@ class RobotModel(Short):
         """
         instance(builder, "builder", DiagramBuilder)
         if self.followers or self.transmission:
-            aside = [follower.joint.rpartition("::")[2] for follower in self.followers]
+            aside = [joint.rpartition("::")[2] for joint in self.followers]
             aside += [name for drive in self.transmission for name in drive.joints]
             raise ModelError(
                 "A plant with other robots cannot have joints that follow others or are "
@@ -516,8 +507,11 @@ def from_loaded_plant(
                 f"loop of {loaded.path.name}: {', '.join(loop.joints)}.",
                 advice="Log the joints of the loop, and remove this part of the transmission.",
             )
-    known, notes, left_out = [d.statement for d in drives], list[str](), loaded.left_out
-    drives += tuple(Drive.of(part) for part in loaded.bent if part not in known)
+    # Saved models of before have those of the file in their transmission.
+    tied = {joint.rpartition("::")[2] for joint in loaded.followers}
+    of_file = [isinstance(d.statement, Followers) and tied.issuperset(d.joints[1:]) for d in drives]
+    drives = tuple(drive for drive, again in zip(drives, of_file, strict=True) if not again)
+    notes, left_out = list[str](), loaded.left_out
     bare = RobotModel(
         loaded.plant,
         loaded.path,

@@ -37,7 +37,7 @@ from scipy.sparse.csgraph import shortest_path
 
 from geodrake.errors import ModelError
 from geodrake.inertia.bodies import BASE_FRAMES, is_base_frame
-from geodrake.robot.joints import Tie, followers_of, joints_of, scoped
+from geodrake.robot.joints import Tie, joints_of, scoped
 from geodrake.robot.stated import CLOSING, Closure, CutJoint
 
 COORDINATES = ("x", "y", "z", "yaw", "pitch", "roll")
@@ -173,6 +173,7 @@ def _opened(joint: Joint, name: str, actuators: list[JointActuator]) -> Closure:
 
 
 _SLACK = 1e-9  # rad or m, by which a held joint may be beyond its limits
+_SAME = 1e-6  # rad or m, by which a held joint may be off where it follows its leader
 _ASIDE = " stands"  # after the name of a joint of a robot that is not the one asked for
 _WORLD = 0
 
@@ -257,7 +258,7 @@ def checked_held(
         held: Such a name -> where it is held, rad or m.
     """
     names = {scoped(joint): name for name, joint in joints.items()}
-    leaders = {names[f.joint]: names[f.leader] for f in followers_of(followers)}
+    ties = {names[own]: tie for own, tie in followers.items()}
     places: dict[str, float] = {}
     for name, value in held.items():
         if name not in joints:
@@ -265,11 +266,13 @@ def checked_held(
                 f"{path} has no joint {name!r} that can be fixed.",
                 advice=f"Joints are: {', '.join(joints)}.",
             )
-        if name in leaders:
-            raise ModelError(
-                f"Joint {name!r} cannot be fixed, as it follows {leaders[name]!r}.",
-                advice=f"Hold {leaders[name]!r}.",
-            )
+        if (tie := ties.get(name)) is not None:
+            leader = names[tie.leader]
+            if leader not in held or not abs(tie.at(held[leader]) - value) <= _SAME:
+                raise ModelError(
+                    f"Joint {name!r} cannot be fixed, as it follows {leader!r}.",
+                    advice=f"Hold {leader!r}.",
+                )
         joint = joints[name]
         low, high = joint.position_lower_limits()[0], joint.position_upper_limits()[0]
         if not low - _SLACK <= value <= high + _SLACK:  # NaN is refused too

@@ -2,7 +2,8 @@
 
 Joints that a drive moves give their places to its actuators, the i-th joint to the i-th actuator,
 or a joint to the actuator of its name where all have such; other joints are their own actuators, a
-floating base among them. Joints that follow others by constant ratios come last, behind either.
+floating base among them. Joints that follow others are moved by the drives of those, in which a
+joint without one is its own actuator.
 
 Limits of joints are limits of their actuators: boxes within which every joint keeps its own. Joints
 that each follow one actuator have exact ones. Where several actuators move a joint together, the
@@ -23,17 +24,24 @@ from geodrake.compiling import contiguous
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.robot.joints import (
-    Follower,
     Following,
     Indices,
+    Tie,
     joint_names,
     joints_of,
     scoped,
     single_joints,
 )
-from geodrake.robot.transmission import JointlyEvaluated, times
+from geodrake.robot.transmission import (
+    InSequence,
+    JointlyEvaluated,
+    LinearTransmission,
+    SideBySide,
+    Transmission,
+    times,
+)
 from geodrake.robot.transmission.loop import LoopTransmission
-from geodrake.robot.transmission.statements import Drive
+from geodrake.robot.transmission.statements import Drive, power_series
 
 _STEP = 1e-4  # rad or m
 _FAR = 10.0  # rad or m, up to where limits are looked for where the map has none
@@ -45,15 +53,28 @@ class Places:
     """Where a drive's actuators are in the robot's q and v, and its joints in those of the tree."""
 
     drive: Drive
+    map: Transmission  # that of the drive, and then of the joints that follow its own
     seats: Indices  # velocities of the tree in whose place the actuators are
     actuators: Indices
     joints: Indices
 
+    @property
+    def own(self) -> Indices:
+        """Where the drive's own joints are in the tree."""
+        return self.joints[: len(self.drive.joints)]
 
-def leads_of(plant: MultibodyPlant, followers: Sequence[Follower]) -> dict[int, Following]:
-    """Velocity of each follower in a plant -> what it follows."""
-    at = {scoped(joint): int(joint.velocity_start()) for joint in single_joints(plant)}
-    return {at[f.joint]: Following(at[f.leader], f.ratio, f.offset) for f in followers}
+
+def _with_followers(drive: Drive, ties: Sequence[Tie], leaders: Sequence[int]) -> Transmission:
+    """Return the map of a drive, and then of joints that follow its joints at some numbers."""
+    if not ties:
+        return drive.map
+    own = np.eye(len(drive.joints))
+    copies = LinearTransmission.of(np.vstack([own, own[list(leaders)]]))
+    laws = [power_series([tie.coefficients]) for tie in ties]
+    whole = InSequence((drive.map, copies, SideBySide((LinearTransmission.of(own), *laws))))
+    if (J := whole.constant_jacobian) is None:
+        return whole
+    return LinearTransmission.of(J, whole.joint_positions(np.zeros((1, J.shape[1])))[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,21 +85,24 @@ class RobotCoordinates(JointlyEvaluated):
 
     Attributes:
         kept: (2, ·) where joints without a drive are in the robot's q and v, and in the tree's.
-        leads: Velocity of each of the tree's joints that follow others -> what it follows.
+        leaders: Velocity of each of the tree's joints that follow others -> that of its leader.
     """
 
     names: tuple[str, ...]  # names of the robot's nv velocities
     places: tuple[Places, ...]
     kept: Indices
-    size: int  # number of the tree's velocities
+    joints: tuple[str, ...]  # names of the tree's velocities
     single: frozenset[int]  # velocities of the tree's joints of one degree of freedom
-    leads: Mapping[int, Following]
+    leaders: Mapping[int, int]
 
     @classmethod
     def of(
-        cls, plant: MultibodyPlant, followers: Sequence[Follower] = (), drives: Sequence[Drive] = ()
+        cls, plant: MultibodyPlant, followers: Mapping[str, Tie], drives: Sequence[Drive] = ()
     ) -> RobotCoordinates:
-        """Return the indices in a plant with following joints and drives."""
+        """Return the indices in a plant with drives, and joints that follow others.
+
+        Those are by their scoped names, as are their leaders, which follow none.
+        """
         for joint in joints_of(plant):
             if joint.num_positions() != joint.num_velocities():
                 raise ModelError(
@@ -86,29 +110,46 @@ class RobotCoordinates(JointlyEvaluated):
                     f"{joint.num_velocities()} velocities.",
                     advice="Load the model from its file: a free base is on six joints there.",
                 )
-        joints, leads = joint_names(plant), leads_of(plant, followers)
-        single = frozenset(int(joint.velocity_start()) for joint in single_joints(plant))
-        by_name = {joints[at]: at for at in sorted(single.difference(leads))}
+        joints = joint_names(plant)
+        by_scoped = {scoped(joint): int(joint.velocity_start()) for joint in single_joints(plant)}
+        single, ties = (
+            frozenset(by_scoped.values()),
+            {by_scoped[x]: t for x, t in followers.items()},
+        )
+        leaders = {at: by_scoped[tie.leader] for at, tie in ties.items()}
+        by_name = {joints[at]: at for at in sorted(single.difference(leaders))}
         _check(drives, by_name)
+        moving = {joint for drive in drives for joint in drive.joints}
+        alone = dict.fromkeys(joints[at] for at in leaders.values() if joints[at] not in moving)
+        drives = [*drives, *map(Drive.of_joint, alone)]
         moved = [[by_name[joint] for joint in drive.joints] for drive in drives]
         seated = [seated_at(drive, own) for drive, own in zip(drives, moved, strict=True)]
         driven = {at for own in moved for at in own}
-        gone = driven.difference(*seated).union(leads)  # joints without an actuator of their own
+        gone = driven.difference(*seated).union(leaders)  # joints without an actuator of their own
         there = np.setdiff1d(np.arange(len(joints)), [*gone])
         kept = np.setdiff1d(there, [*driven])
         names, places = dict(enumerate(joints)), []
         for drive, own, seats in zip(drives, moved, seated, strict=True):
             names |= dict(zip(seats, drive.actuators, strict=True))
+            led = [at for at, leader in leaders.items() if leader in own]
+            whole = _with_followers(
+                drive, [ties[at] for at in led], [own.index(leaders[at]) for at in led]
+            )
             at = np.searchsorted(there, seats)
-            places.append(Places(drive, np.array(seats), at, np.array(own)))
+            places.append(Places(drive, whole, np.array(seats), at, np.array([*own, *led])))
         return cls(
             tuple(names[at] for at in there.tolist()),
             tuple(places),
             np.array([np.searchsorted(there, kept), kept]),
-            len(joints),
+            joints,
             single,
-            leads,
+            leaders,
         )
+
+    @property
+    def size(self) -> int:
+        """Number of the tree's velocities."""
+        return len(self.joints)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -118,7 +159,7 @@ class RobotCoordinates(JointlyEvaluated):
     @cached_property
     def constant(self) -> Array | None:
         """J (nv of the tree, nv) if all ratios are constant; else None."""
-        if any(place.drive.map.constant_jacobian is None for place in self.places):
+        if any(place.map.constant_jacobian is None for place in self.places):
             return None
         return self._along(np.zeros((1, len(self.names))), None)[1][0]
 
@@ -148,11 +189,8 @@ class RobotCoordinates(JointlyEvaluated):
         for place in self.places:
             block = np.ix_(np.arange(len(q)), place.joints, place.actuators)
             rates = None if v is None else v[:, place.actuators]
-            found = place.drive.map.along(q[:, place.actuators], rates)
+            found = place.map.along(q[:, place.actuators], rates)
             whole[:, place.joints], J[block], rate[block] = found
-        for at, (of, ratio, offset) in self.leads.items():
-            J[:, at], rate[:, at] = ratio * J[:, of], ratio * rate[:, of]
-            whole[:, at] = ratio * whole[:, of] + offset
         return whole, J, rate
 
     def jacobian_rate_slope(self, q: Array, v: Array) -> Array:
@@ -226,7 +264,7 @@ class RobotCoordinates(JointlyEvaluated):
         own, tree = self.kept
         q[:, own] = theta[:, tree]
         for place in self.places:
-            J, at = place.drive.map.constant_jacobian, theta[:, place.joints]
+            J, at = place.drive.map.constant_jacobian, theta[:, place.own]
             if J is None:
                 start = middle(*place.drive.map.range)
                 q[:, place.actuators] = place.drive.map.actuator_positions(at, start=start)
@@ -237,7 +275,7 @@ class RobotCoordinates(JointlyEvaluated):
 
     def rates_of(self, q: Array, rates: Array) -> Array:
         """Return velocities (nv,) of the robot at q (nq,), nearest to those (·,) of its joints."""
-        own = np.setdiff1d(np.arange(self.size), [*self.leads])
+        own = np.setdiff1d(np.arange(self.size), [*self.leaders])
         return np.asarray(np.linalg.pinv(self.jacobian(q[None])[0, own]) @ rates[own])
 
     @cached_property
@@ -259,30 +297,28 @@ class RobotCoordinates(JointlyEvaluated):
         for to, at in zip(*self.kept.tolist(), strict=True):
             found[at] = Following(self.names[to])
         for place in self.places:
-            if (J := place.drive.map.constant_jacobian) is not None:
-                still = place.drive.map.joint_positions(np.zeros((1, J.shape[1])))[0]
+            if (J := place.map.constant_jacobian) is not None:
+                still = place.map.joint_positions(np.zeros((1, J.shape[1])))[0]
                 for at, row, shift in zip(place.joints.tolist(), J, still.tolist(), strict=True):
                     if np.count_nonzero(row) == 1:
                         (i,) = np.flatnonzero(row)
                         name = self.names[place.actuators[i]]
                         found[at] = Following(name, float(row[i]), shift)
-        for at, (of, ratio, offset) in self.leads.items():
-            name, inner, start = found[of]
-            found[at] = Following(name, ratio * inner, ratio * start + offset)
         return found
 
     @cached_property
     def behind(self) -> dict[str, int]:
         """Joint of a drive that is no actuator -> where it is in the tree's positions.
 
-        Those of joints that close loops come after them, as `all_samples` has them.
+        Joints that follow others by constant ratios are not among them. Those of joints that close
+        loops come after them, as `all_samples` has them.
         """
         beyond = (loop.joints[k] for _, loop in self._loops for k in loop.cut)
         tree = {
-            joint: at
+            self.joints[at]: at
             for place in self.places
-            for joint, at in zip(place.drive.joints, place.joints.tolist(), strict=True)
-            if joint not in self.names
+            for at in (place.own if place.map.constant_jacobian is not None else place.joints)
+            if self.joints[at] not in self.names
         }
         return tree | {name: self.size + k for k, name in enumerate(beyond)}
 
@@ -297,12 +333,11 @@ class RobotCoordinates(JointlyEvaluated):
     def positions_between(self, lower: Array, upper: Array) -> tuple[Array, Array]:
         """Least and greatest positions (nq,) of the robot, of those (nq of the tree,) of joints."""
         low, high = np.full((2, len(self.names)), np.nan)
-        lower, upper = limited(self.leads, lower, upper)
         own, tree = self.kept
         low[own], high[own] = lower[tree], upper[tree]
         for place in self.places:
             at, ends = place.actuators, (lower[place.joints], upper[place.joints])
-            low[at], high[at] = _positions(place.drive, *ends)
+            low[at], high[at] = _positions(place.map, *ends)
         return low, high
 
     def rates(self, limits: Array, within: tuple[Array, Array]) -> Array:
@@ -310,42 +345,45 @@ class RobotCoordinates(JointlyEvaluated):
 
         `within` are its least and greatest positions (nq,).
         """
-        limits = limits.copy()
-        for at, (of, ratio, _) in self.leads.items():
-            limits[of] = min(limits[of], limits[at] / abs(ratio))
         return self._each(limits, within, lambda J, most: _box(np.abs(J).max(axis=0), most))
 
     def effort_limits(self, limits: Array, within: tuple[Array, Array]) -> Array:
         """Return largest efforts (nv,) of the robot's actuators, of those of joints; see `rates`.
 
         Free joints of a closed loop have their own: a motor at another joint adds to what is
-        possible.
+        possible. Joints that follow others have no motors.
         """
-        found = self._each(limits, within, _efforts)
+        found = self._each(limits, within, _efforts, of_drives=True)
         for place in self.places:
             if place.drive.is_loop:
                 found[place.actuators] = limits[place.seats]
         return found
 
     def _each(
-        self, limits: Array, within: tuple[Array, Array], of: Callable[[Array, Array], Array]
+        self,
+        limits: Array,
+        within: tuple[Array, Array],
+        of: Callable[[Array, Array], Array],
+        *,
+        of_drives: bool = False,
     ) -> Array:
         """Return limits (nv,) of the robot, of those (nv of the tree,) of its joints.
 
         `of` makes those (n,) of a drive's actuators of its J (N, k, n) where they may be, and of
-        the limits (k,) of its joints.
+        the limits (k,) of its joints; if not `of_drives`, those that follow are among them.
         """
         found = np.full(len(self.names), np.inf)
         own, tree = self.kept
         found[own] = limits[tree]
         for place in self.places:
-            at, J = place.actuators, place.drive.map.constant_jacobian
+            motion = place.drive.map if of_drives else place.map
+            at, J, most = place.actuators, motion.constant_jacobian, limits[place.joints]
             if J is None:  # where the actuators may be
                 low, high = (ends[at] for ends in within)
                 q = _grid(low, high) if len(low) == 1 else middle(low, high)[None]
-                found[at] = of(place.drive.map.jacobian(q), limits[place.joints])
+                found[at] = of(motion.jacobian(q), most[: motion.num_joints])
             else:
-                found[at] = of(J[None], limits[place.joints])
+                found[at] = of(J[None], most[: motion.num_joints])
         return found
 
     @cached_property
@@ -355,21 +393,10 @@ class RobotCoordinates(JointlyEvaluated):
         own, tree = self.kept
         moves[tree, own] = True
         for place in self.places:
-            J = place.drive.map.constant_jacobian
+            J = place.map.constant_jacobian
             block = np.ix_(place.joints, place.actuators)
             moves[block] = True if J is None else J != 0.0
-        for at, lead in self.leads.items():
-            moves[at] = moves[lead.of]
         return moves
-
-
-def limited(leads: Mapping[int, Following], lower: Array, upper: Array) -> tuple[Array, Array]:
-    """Return limits (nq,) of positions, those of leaders such that followers keep theirs."""
-    low, high = lower.copy(), upper.copy()
-    for at, (of, ratio, offset) in leads.items():
-        first, last = sorted((end[at] - offset) / ratio for end in (lower, upper))
-        low[of], high[of] = max(low[of], first), min(high[of], last)
-    return low, high
 
 
 def seated_at(drive: Drive, joints: Sequence[int]) -> list[int]:
@@ -421,13 +448,13 @@ def _efforts(J: Array, most: Array) -> Array:
     return np.asarray(shares.min(axis=(0, 1)))
 
 
-def _positions(drive: Drive, lower: Array, upper: Array) -> tuple[Array, Array]:
+def _positions(motion: Transmission, lower: Array, upper: Array) -> tuple[Array, Array]:
     """Return the least and greatest positions (n,) of the actuators."""
-    low, high = (ends.copy() for ends in drive.map.range)
-    J = drive.map.constant_jacobian
+    low, high = (ends.copy() for ends in motion.range)
+    J = motion.constant_jacobian
     if J is None:
-        return _of_curve(drive, lower, upper) if len(low) == 1 else (low, high)
-    shift = drive.map.joint_positions(np.zeros((1, len(low))))[0]
+        return _of_curve(motion, lower, upper) if len(low) == 1 else (low, high)
+    shift = motion.joint_positions(np.zeros((1, len(low))))[0]
     lower, upper = lower - shift, upper - shift
     if (np.count_nonzero(J, axis=1) <= 1).all():
         for row, ends in zip(J, zip(lower, upper, strict=True), strict=True):
@@ -454,11 +481,11 @@ def _box(A: Array, most: Array) -> Array:
     return np.asarray(np.where(np.isfinite(alone), share * alone, np.inf))
 
 
-def _of_curve(drive: Drive, lower: Array, upper: Array) -> tuple[Array, Array]:
+def _of_curve(motion: Transmission, lower: Array, upper: Array) -> tuple[Array, Array]:
     """Return the interval around an actuator's middle in which all joints keep their limits."""
-    low, high = drive.map.range
+    low, high = motion.range
     grid = _grid(low, high)
-    theta = drive.map.joint_positions(grid)
+    theta = motion.joint_positions(grid)
     inside = np.asarray(((theta >= lower) & (theta <= upper)).all(axis=1))
     if not inside.any():
         return low, high

@@ -222,16 +222,6 @@ def joint_names(plant: MultibodyPlant) -> tuple[str, ...]:
     )
 
 
-@dataclass(frozen=True)
-class Follower:
-    """A joint θ with one degree of freedom that follows another one by a constant ratio."""
-
-    joint: str  # scoped name of the joint
-    leader: str  # scoped name of the joint that it follows
-    ratio: float  # r in θ = r θ_leader + θ₀
-    offset: float  # θ₀, rad or m
-
-
 class Following(NamedTuple):
     """That a position is ratio q + offset of another one; that of a held joint has ratio 0."""
 
@@ -246,9 +236,19 @@ class Tie(NamedTuple):
     leader: str  # scoped name of the joint that it follows
     coefficients: tuple[float, ...]  # c₀, c₁, …
 
+    @property
+    def is_linear(self) -> bool:
+        """Return whether the ratio is constant."""
+        return not any(self.coefficients[2:])
+
     def at(self, place: float) -> float:
         """Return the position where the leader is at one."""
         return float(Polynomial(self.coefficients)(place))
+
+    def leader_at(self, place: float) -> float:
+        """Return the position of the leader nearest to 0 where the joint is at one, or NaN."""
+        roots = Polynomial([self.coefficients[0] - place, *self.coefficients[1:]]).roots()
+        return float(min(roots[np.isreal(roots)].real, key=abs, default=np.nan))
 
 
 def resolved(stated: Mapping[str, Tie], joints: Collection[str]) -> dict[str, Tie]:
@@ -276,9 +276,3 @@ def resolved(stated: Mapping[str, Tie], joints: Collection[str]) -> dict[str, Ti
         if tie.leader not in seen:
             found[own] = tie
     return found
-
-
-def followers_of(ties: Mapping[str, Tie]) -> tuple[Follower, ...]:
-    """Return the joints that follow by a constant ratio."""
-    linear = ((own, tie) for own, tie in ties.items() if len(tie.coefficients) == 2)
-    return tuple(Follower(own, t.leader, *reversed(t.coefficients)) for own, t in linear)

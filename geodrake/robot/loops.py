@@ -26,12 +26,12 @@ from pydrake.multibody.plant import MultibodyPlant
 
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
-from geodrake.robot.coordinates import leads_of, limited
 from geodrake.robot.joints import (
     Features,
-    Follower,
+    Tie,
     axis_motion,
     joint_names,
+    scoped,
     single_joints,
     slide_motion,
 )
@@ -46,7 +46,6 @@ from geodrake.robot.transmission.loop import (
     miss,
     solved,
 )
-from geodrake.robot.transmission.statements import Followers
 
 _FREE = 1e-5  # share of the largest column, at which one counts as no combination of others
 _WELL = 0.1, 0.01, 0.0  # shares of itself that others leave of a column, in the order of trials
@@ -55,7 +54,6 @@ _CLOSED, _NEARLY = 1e-9, 1e-3  # shares of the size by which a loop misses, the 
 _STILL = 1e-14  # rad or shares, by which the last iteration moves
 _MOST_ITERATIONS, _LONGEST = 100, 0.3  # on the way to the posture of the file; rad or shares
 _NUDGE = 0.02  # rad or shares of the size, by which a posture is left to see whether it is singular
-_COEFFICIENTS = 5  # of polynomials by which joints follow others
 _FARTHEST = 1e6  # m, of a closure from its body
 
 
@@ -64,14 +62,14 @@ class LoopJoints:
     """Facts about joints in closed loops.
 
     Attributes:
+        followers: Scoped name of a joint -> what it follows.
         sprung: Names of joints with springs, the stiffest first: where motors do not determine how
             a loop moves, these are free beside them, as they hardly move.
         start: Joint -> where it is on the way to the loops' posture, rad or m; otherwise as the
             plant has it.
     """
 
-    followers: tuple[Follower, ...] = ()
-    bent: tuple[Followers, ...] = ()  # joints that follow others by a ratio that changes
+    followers: Mapping[str, Tie] = field(default_factory=dict)
     driven: Collection[str] = ()
     sprung: Sequence[str] = ()
     first: Collection[str] = ()  # names of joints that are to be free before all others
@@ -83,13 +81,13 @@ class Loops:
     """The closed loops of a robot.
 
     Attributes:
-        taken: Joints that follow others by a ratio that changes within them.
+        taken: Scoped names of joints that follow others, and are among theirs.
         held: Joint -> where it is held as loops and other constraints let it not move, rad or m.
     """
 
     loops: tuple[LoopTransmission, ...] = ()
     left_out: tuple[str, ...] = ()
-    taken: tuple[Followers, ...] = ()
+    taken: tuple[str, ...] = ()
     held: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -131,22 +129,19 @@ class _Link(NamedTuple):
     apart: set[int]
 
 
-_Group = tuple[set[int], list[_Link], list[Followers]]
-"""Velocities, and the bodies they move."""
+_Group = tuple[set[int], list[_Link], list[str]]
+"""Velocities, what closes their loops, and those that follow others by their scoped names."""
 
 
 class _LoopFinder:
     def __init__(self, plant: MultibodyPlant, path: object, how: LoopJoints) -> None:
         self.plant, self.names, self.path, self.how = plant, joint_names(plant), path, how
-        self.tree, self.leads = KinematicTree.from_plant(plant), leads_of(plant, how.followers)
+        self.tree = KinematicTree.from_plant(plant)
+        self.at = {scoped(joint): int(joint.velocity_start()) for joint in single_joints(plant)}
         q = plant.GetPositions(plant.CreateDefaultContext())
-        limits = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
-        lower, upper = limited(self.leads, *limits)
-        self.place, self.limits = dict[int, float](), dict[int, tuple[float, float]]()
-        for at in (int(joint.velocity_start()) for joint in single_joints(plant)):
-            if at not in self.leads:
-                self.place[at] = how.start.get(self.names[at], float(q[at]))
-                self.limits[at] = float(lower[at]), float(upper[at])
+        lower, upper = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
+        self.place = {at: how.start.get(self.names[at], float(q[at])) for at in self.at.values()}
+        self.limits = {at: (float(lower[at]), float(upper[at])) for at in self.place}
         # Scoped name of a body -> its mobilizer, -1 for what stands still, and its pose there.
         moving = {
             self.tree.bodies[m.body]: k for k, m in enumerate(self.tree.mobilizers) if m.body >= 0
@@ -174,24 +169,21 @@ class _LoopFinder:
         new: list[_Group] = [
             ({self._velocity(i) for i in link.apart}, [link], []) for link in links
         ]
-        free = {name for at, name in enumerate(self.names) if at not in self.leads}
-        for part in self.how.bent:
-            if free.issuperset(part.joint_names()):
-                new.append((set(map(self.names.index, part.joint_names())), [], [part]))
+        for own, tie in self.how.followers.items():
+            new.append(({self.at[own], self.at[tie.leader]}, [], [own]))
         for group in new:  # those that have velocities in common become one
             together = [other for other in groups if not group[0].isdisjoint(other[0])]
             groups = [other for other in groups if group[0].isdisjoint(other[0])]
-            every, own, ties = zip(*together, group, strict=True)
-            groups.append((set().union(*every), list(chain(*own)), list(chain(*ties))))
+            every, own_links, ties = zip(*together, group, strict=True)
+            groups.append((set().union(*every), list(chain(*own_links)), list(chain(*ties))))
         loops = [self._loop(sorted(at), own, ties) for at, own, ties in groups if own]
-        taken = [part for _, own, ties in groups if own for part in ties]
+        taken = [joint for _, own, ties in groups if own for joint in ties]
         moving = tuple(loop for loop in loops if len(loop.shown))
         return Loops(moving, tuple(left_out), tuple(taken))
 
     def _velocity(self, mobilizer: int) -> int:
-        """Return the velocity of a mobilizer, or the one that it follows."""
-        own = int(self.tree.mobilizers[mobilizer].velocities.start)
-        return self.leads[own][0] if own in self.leads else own
+        """Return the velocity of a mobilizer."""
+        return int(self.tree.mobilizers[mobilizer].velocities.start)
 
     def _link(self, closure: Closure) -> _Link:
         ends, chains = list[tuple[int, RigidTransform]](), list[list[int]]()
@@ -213,16 +205,18 @@ class _LoopFinder:
         return _Link(closure, ends, set(chains[0]) ^ set(chains[1]))
 
     def _loop(
-        self, velocities: list[int], links: Sequence[_Link], ties: Sequence[Followers]
+        self, velocities: list[int], links: Sequence[_Link], ties: Sequence[str]
     ) -> LoopTransmission:
         name = " and ".join(dict.fromkeys(link.closure.name for link in links))
         cuts = [link.closure.cut for link in links if link.closure.cut is not None]
         joints = (*(self.names[v] for v in velocities), *(cut.name for cut in cuts))
         shape, slides = self._shape(velocities, links, ties)
-        driven = tuple(n for n in joints if n in self.how.driven)
+        tied = {self.names[self.at[own]] for own in ties}
+        leading = [n for n in joints if n not in tied]
+        driven = tuple(n for n in leading if n in self.how.driven)
         first = [n for n in joints if n in self.how.first]
-        sprung = [n for n in self.how.sprung if driven and n in joints]
-        ranks = [first, list(driven), sprung, list(joints)]
+        sprung = [n for n in self.how.sprung if driven and n in leading]
+        ranks = [first, list(driven), sprung, leading, list(joints)]
         order = [[joints.index(n) for n in names] for names in ranks]
         x = np.array([*(self.place[v] for v in velocities), *(0.0 for _ in cuts)])
         own = f"{self.path}: the closed loop of {name}"
@@ -257,19 +251,18 @@ class _LoopFinder:
         )
 
     def _shape(
-        self, velocities: list[int], links: Sequence[_Link], ties: Sequence[Followers]
+        self, velocities: list[int], links: Sequence[_Link], ties: Sequence[str]
     ) -> tuple[LoopRecords, tuple[bool, ...]]:
         """Return the loop without a choice of free joints, and which of its joints slide."""
         own, mobilizers = sorted({i for link in links for i in link.apart}), list[Mobilizer]()
         local = {-1: -1, **{i: at for at, i in enumerate(own)}}
         for i in own:
             mobilizer, at = self.tree.mobilizers[i], velocities.index(self._velocity(i))
-            leader, motion = self.leads.get(int(mobilizer.velocities.start)), mobilizer.motion
-            motion = motion if leader is None else motion.following(*leader[1:])
-            parent = local.get(mobilizer.parent, -1)
+            parent, motion = local.get(mobilizer.parent, -1), mobilizer.motion
             mobilizers.append(in_loop(mobilizers, parent, at, motion, mobilizer.p_MoBo_B))
-        slides = {m.velocities.start for m in mobilizers if m.motion.features is Features.CONSTANT}
-        count = len(velocities)
+        sliding = [m for m in self.tree.mobilizers if m.motion.features is Features.CONSTANT]
+        along = {int(m.velocities.start) for m in sliding}
+        slides, count = {k for k, v in enumerate(velocities) if v in along}, len(velocities)
         closures = np.zeros(len(links), CLOSURE)
         for closure, link in zip(closures, links, strict=True):
             ends = [(local.get(at, -1), X) for at, X in link.ends]
@@ -286,12 +279,12 @@ class _LoopFinder:
             closure["turns"], closure["radius"] = link.closure.turns, link.closure.radius
         size = _size(mobilizers, closures)
         units = np.array([*(size if k in slides else 1.0 for k in range(count)), size])
-        tied = [(part, joint) for part in ties for joint in part.joints]
-        couplings = np.zeros((len(tied), count, _COEFFICIENTS))
-        for row, (part, joint) in zip(couplings, tied, strict=True):  # p(x) − y
-            polynomial = part.joints[joint]
-            row[velocities.index(self.names.index(part.leader)), : len(polynomial)] = polynomial
-            row[velocities.index(self.names.index(joint)), 1] -= 1.0
+        most = max((len(self.how.followers[tied].coefficients) for tied in ties), default=2)
+        couplings = np.zeros((len(ties), count, most))
+        for row, tied in zip(couplings, ties, strict=True):  # p(x) − y
+            leader, polynomial = self.how.followers[tied]
+            row[velocities.index(self.at[leader]), : len(polynomial)] = polynomial
+            row[velocities.index(self.at[tied]), 1] -= 1.0
         tree, none = records_of(mobilizers, np.zeros(3)), np.zeros(0, np.int64)
         shape = LoopRecords(tree, closures, couplings, none, none, np.zeros(count), units)
         return shape, tuple(k in slides for k in range(count))

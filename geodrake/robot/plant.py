@@ -43,9 +43,7 @@ from geodrake.robot.files.description import drake_errors, drake_messages, read_
 from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.named_robots import robot_file
 from geodrake.robot.joints import (
-    Follower,
     Tie,
-    followers_of,
     joint_names,
     joints_of,
     resolved,
@@ -56,7 +54,7 @@ from geodrake.robot.loops import LoopJoints, Loops, closed_loops
 from geodrake.robot.repairs import Repair, repair_inertias
 from geodrake.robot.stated import Closure, CutJoint, FileTerms, StatedLength
 from geodrake.robot.transmission.loop import LoopTransmission
-from geodrake.robot.transmission.statements import Followers, Gear
+from geodrake.robot.transmission.statements import Gear
 
 _WORLD = 0
 _LIMIT = "limit of "  # before the names of actuators that only have a limit of efforts
@@ -89,9 +87,8 @@ class LoadedPlant:
     held: Mapping[str, float]  # joint that does not move, though it does in the file -> where
     places: Mapping[str, float]  # the same by scoped names, those that follow held ones included
     given: Given
-    followers: tuple[Follower, ...]
+    followers: Mapping[str, Tie]  # joint of the plant by its scoped name -> what it follows
     joints: tuple[str, ...]  # all of one degree of freedom of the file, held ones and followers too
-    bent: tuple[Followers, ...]  # joints that follow by ratios that change, among the plant's own
     geared: tuple[str, ...]  # joints of which the file states motors that move otherwise
     mjcf: MjcfText | None  # the text, where it is of an MJCF all of whose inertias are known
 
@@ -143,8 +140,8 @@ def load_plant(
     others = plant.num_constraints() or plant.num_force_elements() > 1  # than gravity
     left_out = ["Constraints and springs that only Drake reads are ignored."] if others else []
     left_out += [*terms.left_out, *(terms.of_bases if floating else ()), *apart, *loops.left_out]
-    ties = followers_of(arrangement.followers)
-    pairs = ", ".join(f"{_last(f.joint)} follows {_last(f.leader)}" for f in ties)
+    ties = {own: t for own, t in arrangement.followers.items() if own not in loops.taken}
+    pairs = ", ".join(f"{_last(own)} follows {_last(tie.leader)}" for own, tie in ties.items())
     follow = [f"{pairs}, and is not independent."] if pairs else []
     notes = [*origin, *terms.notes, *built.notes, *follow, *loops.notes]
     lines = [message.partition("\n")[0].rpartition("warning: ")[2] for message in messages]
@@ -170,7 +167,6 @@ def load_plant(
         given=given,
         followers=ties,
         joints=(*arrangement.joints, *(cut.name for cut in closing)),
-        bent=tuple(part for part in _bent(arrangement.followers) if part not in loops.taken),
         # Gears of MJCF's actuators do not count: most scale efforts and are no gears.
         geared=tuple(joint for is_alike, joint in _motors(description) if not is_alike),
         mjcf=whole,
@@ -208,9 +204,9 @@ def _draft(
     followers = resolved(description.terms.followers, [scoped(joint) for joint in joints.values()])
     arrangement = replace(arrangement, followers=followers, joints=tuple(joints))
     stated = dict(description.terms.fixed)
-    for f in followers_of(followers):  # which hold what they follow
-        if f.joint in stated:
-            stated.setdefault(f.leader, (stated.pop(f.joint) - f.offset) / f.ratio)
+    for own, tie in followers.items():  # which hold what they follow
+        if own in stated:
+            stated.setdefault(tie.leader, tie.leader_at(stated.pop(own)))
     fixed = {name: stated[scoped(j)] for name, j in joints.items() if scoped(j) in stated}
     held = {**fixed, **held}
     base = {joint.name() for joint in chain(*base_joints(draft.plant))}
@@ -263,8 +259,7 @@ def _loops(
             own = share**2 * length.spring.coefficients[1]
             stiffness[single[joint]] = stiffness.get(single[joint], 0.0) + own
     sprung = sorted((n for n, k in stiffness.items() if k > 0.0), key=lambda n: -stiffness[n])
-    linear, bent = followers_of(followers), _bent(followers)
-    how = replace(how, followers=linear, bent=bent, driven=driven, sprung=sprung)
+    how = replace(how, followers=followers, driven=driven, sprung=sprung)
     found = closed_loops(plant, closures, path=description.path, how=how)
     if found.left_out and built.opened:
         raise ModelError(
@@ -292,16 +287,6 @@ def _ignored(description: ModelDescription, arrangement: Arrangement) -> list[st
     what = "<equality>" if description.texts[0].kind == "xml" else "<mimic>"
     words = f"{what} is ignored, as it has no joint to follow: {', '.join(apart)}."
     return [words] if apart else []
-
-
-def _bent(ties: Mapping[str, Tie]) -> tuple[Followers, ...]:
-    """Return the joints that follow by a ratio that changes, by names, of each leader together."""
-    found = dict[str, Followers]()
-    for own, (leader, coefficients) in ties.items():
-        if len(coefficients) > 2:
-            part = found.setdefault(leader, Followers(_last(leader), {}))
-            part.joints[_last(own)] = list(coefficients)
-    return tuple(found.values())
 
 
 def _last(name: str) -> str:

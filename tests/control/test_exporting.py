@@ -267,7 +267,7 @@ def test_joints_that_follow_others_follow_them_in_all_formats(tmp_path):
     for to in ("sdf", "mjcf", "urdf"):
         path, *_ = exported(model, to, tmp_path / to)
         model = load_model(path)
-        assert [(f.ratio, f.offset) for f in model.followers] == [(-0.5, 0.1)]
+        assert [f.coefficients for f in model.followers.values()] == [(0.1, -0.5)]
         np.testing.assert_allclose(model.effort(moved), first.effort(moved), atol=1e-9)
         theirs = first.effort(moved)
         if to == "mjcf":

@@ -443,7 +443,7 @@ def test_a_joint_that_an_actuator_does_not_move_does_not_limit_it():
         world = plant.world_frame()
         plant.AddJoint(PrismaticJoint(name, world, body.body_frame(), axis))
     plant.Finalize()
-    robot = RobotCoordinates.of(plant, (), (idle,))
+    robot = RobotCoordinates.of(plant, {}, (idle,))
     within = np.full(1, -1.0), np.full(1, 1.0)
     most = np.array([5.0, np.inf])
     np.testing.assert_array_equal(robot.effort_limits(most, within), [10.0])

@@ -161,7 +161,7 @@ def test_joints_of_an_sdf_are_stated_where_their_nested_children_are(tmp_path):
     outer = joint.format("base", "a", "wrist", dynamics)
     model = load_model(write(tmp_path / "robot.sdf", sdf(body("a") + wrist + outer)))
     assert set(model.joints) == {"a_joint", "base", "lead"}
-    assert [f.joint for f in model.followers] == ["robot::wrist::tip::follow"]
+    assert [*model.followers] == ["robot::wrist::tip::follow"]
     for name in ("coulomb_friction", "joint_spring"):
         places = [f.effect.where for f in model.effects if f.effect.name == name]
         assert sorted(places) == [("base",), ("lead",)]

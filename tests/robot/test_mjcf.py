@@ -486,10 +486,10 @@ def test_tendons_that_tie_two_joints_have_one_follow_the_other(tmp_path, tendons
     path = write(tmp_path, mjcf(tip('ref="20"'), tail=tail))
     model, theirs = load_model(path), mujoco.MjModel.from_xml_path(str(path))
     assert model.joints == ("t",) and not model.left_out
-    (follower,) = model.followers
+    ((_, (offset, ratio)),) = model.followers.values()
     data = mujoco.MjData(theirs)
     for q in (-0.4, 0.0, 0.9):
-        data.qpos[:] = (follower.ratio * q + follower.offset, q)
+        data.qpos[:] = (ratio * q + offset, q)
         mujoco.mj_forward(theirs, data)
         assert data.efc_pos[: data.ne] == pytest.approx([0.0], abs=1e-12)
 

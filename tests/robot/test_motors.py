@@ -158,10 +158,54 @@ def test_a_leader_of_a_polynomial_holds_its_follower(tmp_path):
     held = load_model(tmp_path / "m.xml", lock={"j": 0.1})
     assert held.joints == ("s",)
     place = 0.1 + 0.1 + 0.4 * 0.01 - 0.3 * 1e-3 + 0.2e-4
-    assert held.held == pytest.approx({"j": 0.1, "k": place})
+    assert held.held == {"j": 0.1}
+    weld = held.plant.GetJointByName("k").X_FM()
+    assert place == pytest.approx(
+        weld.rotation().ToAngleAxis().angle() + np.linalg.norm(weld.translation())
+    )
     assert_close(held.phi, holding(model, {"j": 0.1}).phi)
     save_model(model, tmp_path / "saved.yaml")
     assert load_model(tmp_path / "saved.yaml").joints == ("j", "s")
+
+
+def test_motors_of_leaders_of_polynomials_move_followers_too(tmp_path):
+    """With j = θ / 50 + 0.2, the effort is (τ_j + p′(j) τ_k) / 50, those of MuJoCo at joints."""
+    gear = "gears: [{actuator: motor, joint: j, ratio: 50, offset: 0.2}]"
+    (tmp_path / "m.transmission.yaml").write_text(gear)
+    model, text = loaded(tmp_path, MJCF.format(BENT), "m.xml"), MJCF.format(BENT)
+    assert model.joints == ("motor", "s")
+    motion = np.random.default_rng(0).uniform(-0.8, 0.8, (3, 5, 2))
+    x, w, a = motion[..., 0]
+    y = 0.1 + x + 0.4 * x**2 - 0.3 * x**3 + 0.2 * x**4
+    slope, bend = 1 + 0.8 * x - 0.9 * x**2 + 0.8 * x**3, 0.8 - 1.8 * x + 2.4 * x**2
+    follower = np.stack([y, slope * w, slope * a + bend * w**2])[..., None]
+    rows = np.concatenate([motion, follower], axis=-1)
+    j, s, k = mujoco_efforts(mujoco.MjModel.from_xml_string(text), "jsk", *rows).T
+    q, v, vd = motion * [50.0, 1.0]
+    own = Motion(q - [10.0, 0.0], v, vd)
+    assert_close(model.motion(own).load, np.stack([(j + slope * k) / 50, s], axis=1))
+    assert_close(model.coordinates.nearest(model.plant_positions(own.q)), own.q)
+    save_model(model, tmp_path / "saved.yaml")
+    assert_close(load_model(tmp_path / "saved.yaml").effort(own), model.effort(own))
+    held = load_model(tmp_path / "m.xml", lock={"motor": 0.0})
+    assert_close(held.phi, holding(model, {"motor": 0.0}).phi)
+    with pytest.raises(ModelError, match="'k' cannot be fixed, as it follows"):
+        load_model(tmp_path / "m.xml", transmission="none", lock={"k": 0.1})
+
+
+def test_logged_efforts_of_followers_of_polynomials_count_at_their_leaders(tmp_path):
+    model, time = loaded(tmp_path, MJCF.format(BENT), "m.xml"), np.arange(0.0, 1.0, 0.01)
+    values = 0.1 * np.random.default_rng(0).normal(size=(3, len(time))).cumsum(axis=1).T
+    x = values[:, 0]
+    values[:, 2] = 0.1 + x + 0.4 * x**2 - 0.3 * x**3 + 0.2 * x**4
+    efforts = np.random.default_rng(1).normal(size=values.shape)
+    log = log_of_model(JointLog("log", ("j", "s", "k"), time, values, efforts), model)
+    slope = 1 + 0.8 * x - 0.9 * x**2 + 0.8 * x**3
+    np.testing.assert_allclose(log.effort[:, 0], efforts[:, 0] + slope * efforts[:, 2])
+    assert [note for note in log.notes if " k " in note] == [
+        "the effort of k is added to that of j, which it follows"
+    ]
+    assert model.default_position("j") == 0.0
 
 
 def test_the_newer_form_of_ros_control(tmp_path):
@@ -324,8 +368,8 @@ def test_sdf_followers(tmp_path):
     )
     model = loaded(tmp_path, SDF.format(links), "m.sdf")
     assert model.joints == ("j",)
-    (follower,) = model.followers
-    assert (follower.ratio, follower.offset) == (-2.0, pytest.approx(0.5))
+    (tie,) = model.followers.values()
+    assert tie.coefficients == pytest.approx((0.5, -2.0))
 
 
 def test_efforts_of_followers_are_added_to_their_leaders(tmp_path):

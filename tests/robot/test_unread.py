@@ -259,8 +259,8 @@ def test_a_plugin_that_has_a_joint_follow_is_read(tmp_path):
         (URDF, {"robot": INNER + CONTROL}),
     ):
         model = load(tmp_path, text, **parts)
-        (follower,) = model.followers
-        assert (model.joints, follower.ratio, follower.offset) == (("a",), -2.0, 0.1)
+        (tie,) = model.followers.values()
+        assert (model.joints, tie.coefficients) == (("a",), (0.1, -2.0))
 
 
 @pytest.mark.parametrize(

@@ -236,6 +236,12 @@ def check_format(model: RobotModel, form: ExportFormat) -> None:
             f"{loops[0]}.",
             advice="Export only the inertias into the model's file: geodrake identify --export.",
         )
+    if bent := [joint for joint, tie in model.followers.items() if not tie.is_linear]:
+        raise ModelError(
+            f"The format {form.name} cannot express that {bent[0].rpartition('::')[2]} follows "
+            "another joint by a ratio that changes.",
+            advice="Export only the inertias into the model's file: geodrake identify --export.",
+        )
     if model.transmission and not form.at_actuators:
         actuators = ", ".join(name for drive in model.transmission for name in drive.actuators)
         raise ModelError(

@@ -79,7 +79,7 @@ def exported_joints(model: RobotModel) -> dict[str, ExportedJoint]:
     names = tuple(model.joints)
     if not model.transmission:  # else joints are behind a transmission
         every = scoped_joint_names(model.plant)
-        names = tuple(every[k] for k in model.coordinates.kept[1])
+        names = tuple(every[k] for k in sorted(model.coordinates.standing))
     limits = model.velocity_limits.tolist(), model.known_effort_limits.tolist()
     drives = servos_of(model), model.delays.tolist()
     found = {}

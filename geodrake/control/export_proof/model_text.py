@@ -59,7 +59,6 @@ class Link:
 def _links_of(model: RobotModel) -> tuple[Link, ...]:
     """Return the links of a model from the base on, each after its parent, payloads included."""
     plant, joints = model.plant, exported_joints(model)
-    followers = {follower.joint: follower for follower in model.followers}
     context = plant.CreateDefaultContext()
     plant.SetPositions(context, np.zeros(plant.num_positions()))
     lumps = lumped_bodies(plant)
@@ -90,9 +89,10 @@ def _links_of(model: RobotModel) -> tuple[Link, ...]:
             axis = joint.revolute_axis() if turns else joint.translation_axis()
             mover, *_ = model.coordinates.moved_by([joint.velocity_start()])
             shown, follows = joints[model.joints[mover]], None
-            if (follower := followers.get(scoped(joint))) is not None:
-                follows = shown.name, follower.ratio, follower.offset
-                shown = ExportedJoint(joint.name(), follower.joint, turns)
+            if (tie := model.followers.get(scoped(joint))) is not None:
+                offset, ratio, *_ = tie.coefficients
+                follows = shown.name, ratio, offset
+                shown = ExportedJoint(joint.name(), scoped(joint), turns)
             found[k] = Link(
                 names[k],
                 None if above is None else names[above],

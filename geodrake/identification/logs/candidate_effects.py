@@ -28,6 +28,7 @@ LONGEST_DELAY = 0.05
 
 _FROM_RESIDUAL = (Proposer.WAVES, Proposer.EPISODE, Proposer.HANDLING)
 _LEAST_WARMING = 2.0  # °C; readings come in whole degrees, and friction changes by some % in one
+_ALIKE = 1e-9  # of the cosine between speeds of joints that move alike
 
 
 def candidate_effects(
@@ -121,19 +122,26 @@ def _acts_behind(effect: type[Effect]) -> bool:
 
 
 def _speeds_behind(model: RobotModel, segments: Sequence[Segment]) -> dict[str, float]:
-    """Joint that follows others by a ratio that changes -> its largest speed, rad/s or m/s."""
+    """Joint that follows others by a ratio that changes -> its largest speed, rad/s or m/s.
+
+    Of joints that move alike there is one.
+    """
     actuation, found = model.coordinates, dict[str, float]()
-    if actuation.constant is not None:
+    if actuation.constant is not None or not segments:
         return found
-    constant = [p.drive for p in actuation.places if p.drive.map.constant_jacobian is not None]
-    aside = {joint for drive in constant for joint in drive.joints}
+    known, rates = list[Array](), list[Array]()
     for segment in segments:
         q, v = model.positions(segment.position), segment.velocity
-        peaks = np.abs(actuation.all_samples(q, v, np.zeros_like(v))[1]).max(axis=0, initial=0.0)
-        for joint in set(actuation.behind).difference(aside):
-            peak = float(peaks[actuation.behind[joint]])
-            found[joint] = max(found.get(joint, 0.0), peak)
-    return {joint: found[joint] for joint in actuation.behind if found.get(joint, 0.0) > 0.0}
+        known.append(v)
+        rates.append(actuation.all_samples(q, v, np.zeros_like(v))[1])
+    others = [v / max(float(np.linalg.norm(v)), 1e-300) for v in np.concatenate(known).T]
+    for joint, at in actuation.behind.items():
+        v = np.concatenate(rates)[:, at]
+        own = v / max(float(np.linalg.norm(v)), 1e-300)
+        if own.any() and not any(abs(own @ other) > 1.0 - _ALIKE for other in others):
+            found[joint] = float(np.abs(v).max())
+            others.append(own)
+    return found
 
 
 def _at_joint(

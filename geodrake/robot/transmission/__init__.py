@@ -284,6 +284,12 @@ class SideBySide(JointlyEvaluated):
         theta, J, rate = zip(*(part.along(x, xd) for part, x, xd in inputs), strict=True)
         return np.hstack(theta), self._blocks(J), self._blocks(rate)
 
+    @property
+    def range(self) -> tuple[Array, Array]:
+        """Return the parts' own."""
+        low, high = zip(*(part.range for part in self.parts), strict=True)
+        return np.concatenate(low), np.concatenate(high)
+
     def inside(self, q: Array) -> Array:
         """Return the parts' own."""
         inputs = zip(self.parts, self._split(q), strict=True)
@@ -328,6 +334,11 @@ class InSequence(JointlyEvaluated):
     def shape(self) -> tuple[int, int]:
         """Joints of the last stage, and actuators of the first."""
         return self.stages[-1].num_joints, self.stages[0].num_actuators
+
+    @property
+    def range(self) -> tuple[Array, Array]:
+        """Return that of the first stage."""
+        return self.stages[0].range
 
     def inside(self, q: Array) -> Array:
         """Return the interval where the first stage is known."""

@@ -509,7 +509,10 @@ class LoopTransmission(JointlyEvaluated, Short):
 
     @cached_property
     def range(self) -> tuple[Array, Array]:
-        """Least and greatest positions (n,) of the free joints between which the loop closes."""
+        """Least and greatest positions (n,) of the free joints between which the loop closes.
+
+        Of several free joints, the others keep their limits there, too.
+        """
         (lower, upper), there = self.limits[:, self.free], self.reference[self.free]
         units = self.records.units[self.free]
         ends = [np.maximum(lower, there - _FAR * units), np.minimum(upper, there + _FAR * units)]
@@ -519,10 +522,14 @@ class LoopTransmission(JointlyEvaluated, Short):
             stops = there + (1.0 - _OFF_THE_END) * share * (end - there)
             ends[k] = np.where(share < 1.0, stops, own)
         if 1 < len(there) <= _CORNERS:
+            least, most = self.limits
+            least, most = np.minimum(least, self.reference), np.maximum(most, self.reference)
             for _ in range(_MOST_TRIALS):
                 near = [np.clip(end, there - _FAR * units, there + _FAR * units) for end in ends]
                 corners = np.array(list(product(*zip(*near, strict=True))))
-                if (solved(self.records, corners)[2] == 1.0).all():
+                theta, _, share = solved(self.records, corners)
+                within = (theta >= least - _SAME) & (theta <= most + _SAME)
+                if (share == 1.0).all() and within.all():
                     break
                 ends = [there + _SMALLER * (end - there) for end in near]
         return ends[0], ends[1]

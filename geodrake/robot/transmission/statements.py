@@ -191,8 +191,7 @@ class Followers(Statement):
 
     def transmission(self) -> Transmission:
         """Return θ = q, and the polynomials of q."""
-        own = [0.0, 1.0], *self.joints.values()
-        return Curves(tuple(polynomial(np.array(c, float)) for c in own))
+        return power_series([[0.0, 1.0], *self.joints.values()])
 
 
 def polynomial(coefficients: Array) -> Law:
@@ -201,6 +200,14 @@ def polynomial(coefficients: Array) -> Law:
     if not c[1:].any():
         raise ArgumentError(f"coefficients need a nonzero one besides c₀; got {c}.")
     return partial(_of_polynomial, c)
+
+
+def power_series(laws: Sequence[Sequence[float]]) -> Transmission:
+    """Return polynomials of one actuator; a linear transmission where all ratios are constant."""
+    made = Curves(tuple(polynomial(np.array(c, float)) for c in laws))
+    if any(any(c[2:]) for c in laws):
+        return made
+    return LinearTransmission.of([[c[1]] for c in laws], [c[0] for c in laws])
 
 
 def _of_polynomial(c: Array, q: Array, order: int) -> Array:
@@ -228,7 +235,7 @@ class Polynomial(OneJoint):
 
     def transmission(self) -> Transmission:
         """Return the polynomial."""
-        return Curves((polynomial(np.array(self.coefficients, float)),))
+        return power_series([self.coefficients])
 
 
 class PositionTable(OneJoint):
@@ -395,6 +402,11 @@ class Drive(Short):
     def is_loop(self) -> bool:
         """Whether it is a closed loop of the model file."""
         return isinstance(self.map, LoopTransmission) and self.statement is None
+
+    @classmethod
+    def of_joint(cls, joint: str) -> Drive:
+        """Return a joint that moves by itself as a drive."""
+        return cls((joint,), (joint,), LinearTransmission.of([[1.0]]))
 
     @classmethod
     def of_loop(cls, loop: LoopTransmission) -> Drive:
