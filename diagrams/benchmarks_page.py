@@ -47,7 +47,7 @@ def where(rows: Iterable[Mapping[str, Any]], *pairs: Any) -> list[Mapping[str, A
 
 
 def hits(line: Mapping[str, Any]) -> int:
-    """Return in how many logs a line of shares (`benchmarks/hidden/bars.py`) came true."""
+    """Return in how many logs a line of shares (`benchmarks/simulated/scoring.py`) came true."""
     return round(line["value"] * line["logs"])
 
 

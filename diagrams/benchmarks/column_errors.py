@@ -16,71 +16,61 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
-from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 
-from diagrams.benchmarks.hidden.robots import (
+from diagrams.benchmarks.simulated.engines import (
     ENGINES,
-    MOTIONS,
+    PENDULUM,
+    Array,
     Engine,
+    Generator,
     congruent,
     make_engine,
-    make_motion,
+    number_of,
+    pseudo,
     robot_file,
     robot_model,
     robot_names,
 )
-from diagrams.benchmarks.hidden.truths import smooth_sign
+from diagrams.benchmarks.simulated.motions import MOTIONS
+from diagrams.benchmarks.simulated.truths import DRY, ROTOR, WET, Seen, smooth_sign
 from diagrams.harness import positive_number, run_draws, script_parser, show, write
 from geodrake.diagnosis import check_columns
 from geodrake.effects import FittedEffect, make_effect
 from geodrake.logs import JointLog
 from geodrake.model import RobotModel
 
-Array = NDArray[np.float64]
-
 _STEPS = 8  # between two rows
 _STIFFNESS, _DAMPING = 150.0, 25.0  # 1/s² and 1/s, of the controller
 
 
-@dataclass(frozen=True, eq=False)
-class Limited:
-    """A controlled motion: positions, velocities and what was asked for, (N, n) each."""
-
-    q: Array
-    v: Array
-    asked: Array
-
-
-def follow(
-    engine: Engine,
-    wanted: tuple[Array, Array, Array, Array],
-    friction: Callable[[Array], Array],
-    inertia: Array,
-    given: Callable[[Array, Array], Array],
-) -> Limited:
+def follow(motion: Motion, given: Callable[[Array, Array], Array]) -> tuple[Array, Array, Array]:
     """Return forward dynamics under a computed torque that the motors give in part.
 
     Accelerations solve (M + h F') a = given − bias − friction, by the slope F' of the friction over
     a step h; M and the bias are inverse dynamics of unit accelerations and of none.
 
     Args:
-        wanted: Instants (N,), positions, velocities and accelerations (N, n).
-        friction: Efforts (n,) of friction at velocities.
-        inertia: (n,) of the rotors, kg·m².
         given: Efforts (n,) that the motors give, by what is asked for and the velocities.
+
+    Returns:
+        Positions, velocities and what was asked for, (N, n) each.
     """
-    time, *motion = wanted
+    seen, time, inertia = motion.seen, motion.seen.time, motion.inertia
     step = float(time[1] - time[0]) / _STEPS
     fine = time[0] + step * np.arange((len(time) - 1) * _STEPS + 1)
-    goals = [np.column_stack([np.interp(fine, time, own) for own in w.T]) for w in motion]
+    wanted = (seen.q, seen.v, seen.a)
+    goals = [np.column_stack([np.interp(fine, time, own) for own in w.T]) for w in wanted]
+
+    def friction(v: Array) -> Array:
+        return motion.dry * smooth_sign(v) + motion.viscous * v
+
     q, v = goals[0][0].copy(), goals[1][0].copy()
     n, rows = len(q), []
     units = np.vstack([np.zeros(n), np.eye(n)])
     for k, (q_wanted, v_wanted, a_wanted) in enumerate(zip(*goals, strict=True)):
-        found = engine.efforts(np.tile(q, (n + 1, 1)), np.tile(v, (n + 1, 1)), units)
+        found = seen.engine.efforts(np.tile(q, (n + 1, 1)), np.tile(v, (n + 1, 1)), units)
         bias, M = found[0], (found[1:] - found[0]).T + np.diag(inertia)
         a = a_wanted + _DAMPING * (v_wanted - v) + _STIFFNESS * (q_wanted - q)
         asked = M @ a + bias + friction(v)
@@ -90,7 +80,8 @@ def follow(
         a = np.linalg.solve(M + step * np.diag(slope), given(asked, v) - bias - friction(v))
         v = v + step * a
         q = q + step * v
-    return Limited(*(np.array(column) for column in zip(*rows, strict=True)))
+    q, v, asked = (np.array(column) for column in zip(*rows, strict=True))
+    return q, v, asked
 
 
 ENCODER, TACHO, NOISE = 1e-5, 2e-4, 0.01  # rad, rad/s, and a share of the effort's deviation
@@ -116,25 +107,24 @@ class WrongLog:
 class Motion:
     """A robot's motion, and what its joints' efforts are made of, (N, n) each."""
 
-    time: Array  # (N,) instants, s
-    q: Array
-    v: Array
-    a: Array
-    bodies: Array
-    weight: Array  # those that hold them against gravity
+    seen: Seen  # its load is that of the bodies
+    weight: Array  # efforts that hold the bodies against gravity
     friction: Array
-    rotors: Array
-    ratios: Array  # (n,) gear ratios
-    engine: Engine
-    # dry, viscous: (n,) coefficients of the friction.
+    # ratios: Of gears; dry, viscous: of friction; inertia: of rotors, kg·m²; (n,) each.
+    ratios: Array
     dry: Array
     viscous: Array
-    inertia: Array  # (n,) of the rotors
+    inertia: Array
+
+    @property
+    def rotors(self) -> Array:
+        """Efforts of rotors."""
+        return self.inertia * self.seen.a
 
     @property
     def effort(self) -> Array:
         """Efforts of the joints."""
-        return self.bodies + self.friction + self.rotors
+        return self.seen.load + self.friction + self.rotors
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,16 +137,16 @@ class Secret:
 
 
 Found = tuple[JointLog, tuple[Secret, ...]]
-Wrong = Callable[[JointLog, Motion, np.random.Generator], Found]
+Wrong = Callable[[JointLog, Motion, Generator], Found]
 
 
 def _at_joint(
-    quantities: tuple[str, ...], kind: str, factor: Callable[[np.random.Generator], float]
+    quantities: tuple[str, ...], kind: str, factor: Callable[[Generator], float]
 ) -> Wrong:
     """Return one joint's columns multiplied."""
 
-    def wrong(columns: JointLog, motion: Motion, rng: np.random.Generator) -> Found:
-        j, by = int(rng.integers(motion.q.shape[1])), factor(rng)
+    def wrong(columns: JointLog, motion: Motion, rng: Generator) -> Found:
+        j, by = int(rng.integers(motion.weight.shape[1])), factor(rng)
         changed = {name: getattr(columns, name).copy() for name in quantities}
         for values in changed.values():
             values[:, j] *= by
@@ -168,9 +158,9 @@ def _at_joint(
 def _swapped(quantities: tuple[str, ...], kind: str) -> Wrong:
     """Return two joints' columns swapped."""
 
-    def wrong(columns: JointLog, motion: Motion, rng: np.random.Generator) -> Found:
-        i, j = sorted(rng.choice(motion.q.shape[1], 2, replace=False).tolist())
-        order = np.arange(motion.q.shape[1])
+    def wrong(columns: JointLog, motion: Motion, rng: Generator) -> Found:
+        i, j = sorted(rng.choice(motion.weight.shape[1], 2, replace=False).tolist())
+        order = np.arange(motion.weight.shape[1])
         order[[i, j]] = j, i
         changed = {name: getattr(columns, name)[:, order] for name in quantities}
         return replace(columns, **changed), (Secret(kind, (i, j)),)
@@ -178,12 +168,12 @@ def _swapped(quantities: tuple[str, ...], kind: str) -> Wrong:
     return wrong
 
 
-def _other_zero(columns: JointLog, motion: Motion, rng: np.random.Generator) -> Found:
+def _other_zero(columns: JointLog, motion: Motion, rng: Generator) -> Found:
     """Return a joint whose position is counted from elsewhere.
 
     Not the first one, of which that is a turned base, nor the last, of which it is a turned body.
     """
-    n = motion.q.shape[1]
+    n = motion.weight.shape[1]
     j = int(rng.integers(1, n - 1)) if n > 2 else n - 1
     by = rng.choice([-1.0, 1.0]) * np.exp(rng.uniform(np.log(0.1), np.log(1.6)))
     position = columns.position.copy()
@@ -194,14 +184,14 @@ def _other_zero(columns: JointLog, motion: Motion, rng: np.random.Generator) -> 
 def _taken_out(part: str, kind: str) -> Wrong:
     """Return a part of the efforts that the drives do not report."""
 
-    def wrong(columns: JointLog, motion: Motion, rng: np.random.Generator) -> Found:
+    def wrong(columns: JointLog, motion: Motion, rng: Generator) -> Found:
         del rng
         return replace(columns, effort=columns.effort - getattr(motion, part)), (Secret(kind, ()),)
 
     return wrong
 
 
-def _motor_side(columns: JointLog, motion: Motion, rng: np.random.Generator) -> Found:
+def _motor_side(columns: JointLog, motion: Motion, rng: Generator) -> Found:
     """Return torques of the motors in place of those of the joints."""
     del rng
     return replace(columns, effort=columns.effort / motion.ratios), (Secret("effort_gains", ()),)
@@ -210,10 +200,10 @@ def _motor_side(columns: JointLog, motion: Motion, rng: np.random.Generator) -> 
 def _limited(falling: bool) -> Wrong:
     """Return efforts that were asked for of a motor that cannot give them, but holds the robot."""
 
-    def wrong(columns: JointLog, motion: Motion, rng: np.random.Generator) -> Found:
+    def wrong(columns: JointLog, motion: Motion, rng: Generator) -> Found:
         share = rng.uniform(1.3, 2.0) if falling else np.inf
-        fastest = share * np.abs(motion.v).max(axis=0)
-        needed = np.abs(motion.effort) / (1.0 - np.sign(motion.effort) * motion.v / fastest)
+        fastest = share * np.abs(motion.seen.v).max(axis=0)
+        needed = np.abs(motion.effort) / (1.0 - np.sign(motion.effort) * motion.seen.v / fastest)
         peak, held = needed.max(axis=0), _HELD * np.abs(motion.weight).max(axis=0)
         limits = np.maximum(rng.uniform(0.6, 0.8) * peak, held)
         able = np.flatnonzero(limits < _BITING * peak)
@@ -225,16 +215,10 @@ def _limited(falling: bool) -> Wrong:
             found[j] = max(min(asked[j], most * (1.0 - share)), -most * (1.0 + share))
             return found
 
-        moved = follow(
-            motion.engine,
-            (motion.time, motion.q, motion.v, motion.a),
-            lambda rate: motion.dry * smooth_sign(rate) + motion.viscous * rate,
-            motion.inertia,
-            given,
-        )
+        q, v, asked = follow(motion, given)
         given_size, size = (np.abs(each).sum(axis=0) for each in (columns.effort, motion.effort))
         gains = given_size / size
-        changed = replace(columns, position=moved.q, velocity=moved.v, effort=moved.asked * gains)
+        changed = replace(columns, position=q, velocity=v, effort=asked * gains)
         return changed, (Secret("effort_limit", (j,), float(most * gains[j])),)
 
     return wrong
@@ -243,7 +227,7 @@ def _limited(falling: bool) -> Wrong:
 def _all_times(quantities: tuple[str, ...], kind: str, values: tuple[float, ...]) -> Wrong:
     """Return all columns of some quantities multiplied."""
 
-    def wrong(columns: JointLog, motion: Motion, rng: np.random.Generator) -> Found:
+    def wrong(columns: JointLog, motion: Motion, rng: Generator) -> Found:
         del motion
         by = float(rng.choice(values))
         changed = {quantity: getattr(columns, quantity) * by for quantity in quantities}
@@ -255,7 +239,7 @@ def _all_times(quantities: tuple[str, ...], kind: str, values: tuple[float, ...]
 def _two(first: Wrong, second: Wrong) -> Wrong:
     """Return two mistakes at once."""
 
-    def wrong(columns: JointLog, motion: Motion, rng: np.random.Generator) -> Found:
+    def wrong(columns: JointLog, motion: Motion, rng: Generator) -> Found:
         columns, one = first(columns, motion, rng)
         columns, other = second(columns, motion, rng)
         return columns, (*one, *other)
@@ -263,7 +247,7 @@ def _two(first: Wrong, second: Wrong) -> Wrong:
     return wrong
 
 
-def _gain(rng: np.random.Generator) -> float:
+def _gain(rng: Generator) -> float:
     return float(np.exp(rng.choice([-1.0, 1.0]) * rng.uniform(np.log(1.6), np.log(4.0))))
 
 
@@ -306,22 +290,23 @@ RIGHT = ("as it is", "payload", "tilted base", "bodies far off", "spring", "load
 def make_log(draw: WrongLog) -> tuple[RobotModel, JointLog, tuple[Secret, ...]]:
     """Return the model file's robot, the log of a draw, and what is wrong with its columns."""
     key = f"{draw.mistake} {draw.robot} {draw.engine} {draw.motion}"
-    seeds = np.random.SeedSequence([draw.seed, crc32(key.encode()), draw.number]).spawn(4)
+    seeds = np.random.SeedSequence([draw.seed, number_of(key), draw.number]).spawn(4)
     on_robot, on_motion, on_mistake, on_noise = map(np.random.default_rng, seeds)
     engine = make_engine(draw.engine, robot_file(draw.robot))
     motion = _moved(draw, engine, on_robot, on_motion)
     model = robot_model(draw.robot)
     if draw.mistake in STATED:
         model = _stating(model, motion)
-    gains = np.exp(USUAL_GAIN * on_noise.normal(size=motion.q.shape[1]))
+    gains = np.exp(USUAL_GAIN * on_noise.normal(size=motion.weight.shape[1]))
     effort = motion.effort * gains
     name = f"{draw.robot} {draw.number}"
-    columns = JointLog(name, engine.joints, motion.time, motion.q, effort, motion.v)
+    seen = motion.seen
+    columns = JointLog(name, engine.joints, seen.time, seen.q, effort, seen.v)
     secrets: tuple[Secret, ...] = ()
     if draw.mistake in MISTAKES:
         columns, secrets = MISTAKES[draw.mistake](columns, motion, on_mistake)
-    noise = on_noise.normal(size=(3, *motion.q.shape))
-    size = np.abs(columns.position).max(axis=0) / np.maximum(np.abs(motion.q).max(axis=0), 1e-9)
+    noise = on_noise.normal(size=(3, *motion.weight.shape))
+    size = np.abs(columns.position).max(axis=0) / np.maximum(np.abs(seen.q).max(axis=0), 1e-9)
     size = np.where(size > 10.0, size, 1.0)  # of degrees
     log = replace(
         columns,
@@ -332,52 +317,47 @@ def make_log(draw: WrongLog) -> tuple[RobotModel, JointLog, tuple[Secret, ...]]:
     return model, log, secrets
 
 
-def _moved(
-    draw: WrongLog, engine: Engine, on_robot: np.random.Generator, on_motion: np.random.Generator
-) -> Motion:
+def _moved(draw: WrongLog, engine: Engine, on_robot: Generator, on_motion: Generator) -> Motion:
     """Return a motion of a robot that is not that of its file, with friction and rotors."""
     file = engine.bodies()
     off = 3.0 * OFF if draw.mistake == "bodies far off" else OFF
     bodies = congruent(file, off, on_robot)
     if draw.mistake == "payload":
         mass = float(on_robot.uniform(0.05, 0.15)) * file[:, 3, 3].sum()
-        center = np.append(on_robot.uniform(-0.05, 0.05, 2), [0.1, 1.0])
-        held = mass * (np.outer(center, center) + np.diag([1e-3, 1e-3, 1e-3, 0.0]))
-        bodies[-1] = bodies[-1] + held
+        center = np.append(on_robot.uniform(-0.05, 0.05, 2), 0.1)
+        bodies[-1] += pseudo(mass, center, mass * 2e-3 * np.eye(3))
     engine.set_bodies(bodies)
     if draw.mistake == "tilted base":
         leaning = np.sin(on_robot.choice([-1.0, 1.0], 2) * on_robot.uniform(0.05, 0.3, 2))
         down = -np.sqrt(1.0 - np.square(leaning).sum())
         engine.set_gravity(9.81 * np.append(leaning, down))
     time = np.arange(0.0, draw.duration, 1.0 / RATE)
-    q, v, a = make_motion(draw.motion, engine, time, on_motion)
-    load, weight = engine.efforts(q, v, a), engine.efforts(q, 0.0 * q, 0.0 * q)
+    seen = Seen.of(engine, draw.motion, time, on_motion)
+    q, v, load, still = seen.q, seen.v, seen.load, 0.0 * seen.q
     n = q.shape[1]
-    size = load.std(0) * on_robot.uniform(0.05, 0.25, n)
-    viscous = 0.5 * size * on_robot.uniform(0.3, 1.5, n)
-    friction = size * smooth_sign(v) + viscous * v
+    dry = load.std(0) * on_robot.uniform(0.05, 0.25, n)
+    viscous = 0.5 * dry * on_robot.uniform(0.3, 1.5, n)
+    friction = dry * smooth_sign(v) + viscous * v
     if draw.mistake == "spring":
         j = int(on_robot.integers(n))
         friction[:, j] += 0.3 * load[:, j].std() / q[:, j].std() * (q[:, j] - q[:, j].mean())
     if draw.mistake == "load friction":
         friction += 0.1 * np.abs(load) * smooth_sign(v)
-    inertia = load.std(0) * on_robot.uniform(0.1, 0.3, n) / a.std(0)
-    ratios, own = on_robot.uniform(50.0, 160.0, n), (engine, size, viscous, inertia)
-    return Motion(time, q, v, a, load, weight, friction, inertia * a, ratios, *own)
+    inertia = load.std(0) * on_robot.uniform(0.1, 0.3, n) / seen.a.std(0)
+    ratios = on_robot.uniform(50.0, 160.0, n)
+    weight = engine.efforts(q, still, still)
+    return Motion(seen, weight, friction, ratios, dry, viscous, inertia)
 
 
 def _stating(model: RobotModel, motion: Motion) -> RobotModel:
     """Return the model with friction and rotors stated, off by a fifth."""
-    rng, effects = np.random.default_rng(len(motion.time)), []
+    rng, effects = np.random.default_rng(len(motion.weight)), []
     for j, joint in enumerate(model.joints):
-        X = np.column_stack([np.sign(motion.v[:, j]), motion.v[:, j]])
+        v, a = motion.seen.v[:, j], motion.seen.a[:, j]
+        X = np.column_stack([np.sign(v), v])
         dry, viscous = np.linalg.lstsq(X, motion.friction[:, j], rcond=None)[0].tolist()
-        rotor = float(motion.rotors[:, j] @ motion.a[:, j] / (motion.a[:, j] @ motion.a[:, j]))
-        for name, value in (
-            ("coulomb_friction", dry),
-            ("viscous_friction", viscous),
-            ("rotor_inertia", rotor),
-        ):
+        rotor = float(motion.rotors[:, j] @ a / (a @ a))
+        for name, value in ((DRY, dry), (WET, viscous), (ROTOR, rotor)):
             stated = value * np.exp(0.2 * rng.normal())
             effects.append(FittedEffect(make_effect(name, (joint,)), np.array([stated])))
     return replace(model, effects=tuple(effects))
@@ -417,7 +397,7 @@ def draws(count: int, seed: int) -> list[WrongLog]:
     """
     engines, found = tuple(ENGINES), list[WrongLog]()
     for mistake in (*MISTAKES, *RIGHT):
-        able = [r for r in robot_names() if (mistake, r) != ("another zero", "double_pendulum")]
+        able = [r for r in robot_names() if (mistake, r) != ("another zero", PENDULUM)]
         found += [
             WrongLog(
                 mistake,
@@ -460,7 +440,7 @@ def main() -> None:
     wanted = draws(options.logs, options.seed)
     if options.quick:
         wanted = [
-            WrongLog(mistake, "double_pendulum", "pinocchio", MOTIONS[0], 0, options.seed, 8.0)
+            WrongLog(mistake, PENDULUM, "pinocchio", MOTIONS[0], 0, options.seed, 8.0)
             for mistake in QUICK
         ]
     rows = run_draws(parser, options, run_draw, wanted)

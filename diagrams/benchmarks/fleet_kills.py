@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from diagrams.benchmarks.fleets.logs import TYPES, FleetDraw, write_fleet_file, write_logs
+from diagrams.benchmarks.simulated.fleet import TYPES, FleetDraw, write_fleet_file, write_logs
 from diagrams.harness import positive_number, script_parser, show_values, write
 from geodrake.fleet import digest_files
 

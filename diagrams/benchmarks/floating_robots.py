@@ -21,8 +21,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from diagrams.benchmarks.floating.simulation import Recording, simulate
-from diagrams.benchmarks.floating.world import (
+from diagrams.benchmarks.simulated.legged import (
     DRIVES,
     FLAGS,
     FOOT,
@@ -33,22 +32,28 @@ from diagrams.benchmarks.floating.world import (
     SWAY,
     TROT,
     Draw,
+    Recording,
     all_draws,
+    simulate,
 )
-from diagrams.benchmarks.hidden.bars import Line, median, share, tell_draws, told
-from diagrams.benchmarks.ordinary_robots import (
+from diagrams.benchmarks.simulated.scoring import (
+    Line,
+    Places,
+    Row,
     calibration,
+    judged,
     judged_words,
-    mass_row,
+    median,
     not_found,
-    step_words,
+    share,
+    step_row,
+    tell_draws,
+    told,
 )
+from diagrams.benchmarks.simulated.truths import DRY, HELD, ROTOR, WET, WRONG_INERTIA
 from diagrams.harness import cpu_clock, positive_number, run_draws, script_parser, write
 from geodrake.model.floating_logs import contact_frames
 from geodrake.model.robot_model import load_description
-
-Truth = Mapping[str, Sequence[str]]
-_DRIVES = ("coulomb_friction", "viscous_friction", "rotor_inertia")
 
 
 def score_draw(draw: Draw) -> dict[str, Any]:
@@ -65,7 +70,13 @@ def score_draw(draw: Draw) -> dict[str, Any]:
         told, row["explain_seconds"], error = _said("explain", recording, Path(folder))
     if told is None:
         return {**row, "failed": error, "steps": [], "missing": [draw.hidden], "wrong": []}
-    steps = [_step_row(step, truth) for step in told["steps"]]
+    steps = [step_row(step, truth) for step in told["steps"]]
+    missing = [draw.hidden]  # until it is named at any place; friction and rotors at every one
+    if draw.hidden == DRIVES:
+        missing = not_found(steps, truth)
+    elif draw.hidden == QUIET or any(step["right"] for step in steps):
+        missing = []
+    held_by = truth[HELD] if draw.hidden == PAYLOAD else ()
     return {
         **row,
         "failed": None,
@@ -73,12 +84,9 @@ def score_draw(draw: Draw) -> dict[str, Any]:
         "compare_notes": [] if compared is None else compared["notes"],
         "compared": None if compared is None else _of_deviations(compared, recording.deviations),
         "notes": told["notes"],
-        "steps": steps,
-        "missing": _missing(draw, steps, truth),
-        "wrong": [step_words(step) for step in steps if not step["right"]],
         "start_error": _share(told["error"]["start"], recording.deviations),
         "end_error": _share(told["error"]["end"], recording.deviations),
-        **_payload_row(draw, steps, recording),
+        **judged(steps, missing, held_by, recording.secret.mass),
     }
 
 
@@ -103,41 +111,19 @@ def _said(
     return json.loads(path.read_text(encoding="utf-8")), seconds, ""
 
 
-def truth_of(draw: Draw, recording: Recording) -> Truth:
+def truth_of(draw: Draw, recording: Recording) -> Places:
     """Return the names that are right, with the places where they are."""
     secret = recording.secret
-    match draw.hidden:
-        case s if s == PAYLOAD:
-            return {"payload": recording.same}
-        case s if s == LIMB:
-            return {"wrong_inertia": (secret.limb,), "payload": (secret.limb,)}
-        case s if s == DRIVES:
-            return dict.fromkeys(_DRIVES, tuple(recording.deviations))
-        case s if s == GAIN and secret.gain is not None:
-            return {"effort_scale": (secret.gain[0],)}
-        case s if s == FOOT and secret.offset is not None:
-            model = load_description(recording.model, floating=True)
-            return {"wrench_offset": (contact_frames(model, secret.offset[:1])[0].body,)}
-    return {}
-
-
-def _step_row(step: Mapping[str, Any], truth: Truth) -> dict[str, Any]:
-    wanted = ("effect", "where", "probability", "parameters", "deviations", "systematic")
-    right = step["effect"] in truth and set(step["where"]) <= set(truth[step["effect"]])
+    if draw.hidden == FOOT and secret.offset is not None:
+        model = load_description(recording.model, floating=True)
+        return {"wrench_offset": (contact_frames(model, secret.offset[:1])[0].body,)}
+    joints, gained = tuple(recording.deviations), (secret.gain or ("",))[:1]
     return {
-        **{name: step[name] for name in wanted},
-        "rivals": step["indistinguishable_from"],
-        "right": right,
-    }
-
-
-def _missing(draw: Draw, steps: Sequence[Mapping[str, Any]], truth: Truth) -> list[str]:
-    """Return what no step has: of friction and rotors place by place, of others any place."""
-    found = {(step["effect"], place) for step in steps for place in step["where"]}
-    if draw.hidden == DRIVES:
-        return not_found(found, truth)
-    named = any(step["right"] for step in steps)
-    return [] if named or draw.hidden == QUIET else [draw.hidden]
+        PAYLOAD: {HELD: recording.same},
+        LIMB: {WRONG_INERTIA: (secret.limb,), HELD: (secret.limb,)},
+        DRIVES: dict.fromkeys((DRY, WET, ROTOR), joints),
+        GAIN: {"effort_scale": gained},
+    }.get(draw.hidden, {})
 
 
 def _share(errors: Mapping[str, float], deviations: Mapping[str, float]) -> float | None:
@@ -155,19 +141,6 @@ def _of_deviations(compared: Mapping[str, Any], joints: Collection[str]) -> floa
     return math.sqrt(sum(squares) / len(squares)) if squares else None
 
 
-def _payload_row(
-    draw: Draw, steps: Sequence[Mapping[str, Any]], recording: Recording
-) -> dict[str, Any]:
-    """Return the payload's mass as found, and whether the truth is in its interval."""
-    found = [step for step in steps if step["effect"] == "payload" and step["right"]]
-    if draw.hidden != PAYLOAD or not found:
-        return {}
-    (place, *_), step = found[-1]["where"], found[-1]
-    systematic = step["systematic"].get(place, {}).get("mass", 0.0)
-    deviations = step["deviations"][place]["mass"], systematic
-    return mass_row(step["parameters"][place]["mass"], deviations, recording.secret.mass)
-
-
 def is_missed(row: Mapping[str, Any]) -> bool:
     """Return whether anything is missing, or named and wrong."""
     return bool(row["failed"] or row["missing"] or row["wrong"])
@@ -183,7 +156,6 @@ def miss_words(row: Mapping[str, Any]) -> str:
     return judged_words(text, row)
 
 
-Row = Mapping[str, Any]
 _EXACT = 1e-9
 
 

@@ -13,21 +13,680 @@ hard, `--smallest N` of the smallest effect that is found, by bisection.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
 
-from diagrams.benchmarks.hidden.bars import (
-    bars,
-    coverage_lines,
-    kind_lines,
+import numpy as np
+
+from diagrams.benchmarks.simulated.engines import (
+    ENGINES,
+    PENDULUM,
+    Array,
+    Engine,
+    Generator,
+    congruent,
+    make_engine,
+    number_of,
+    robot_file,
+    robot_model,
+    robot_names,
+)
+from diagrams.benchmarks.simulated.motions import FAST, MOTIONS, SLOW
+from diagrams.benchmarks.simulated.recording import TIME_CONSTANTS, Sensors, between
+from diagrams.benchmarks.simulated.scoring import (
+    Line,
+    Row,
+    median,
+    share,
     show_lines,
-    smallest_lines,
+    step_row,
     told,
 )
-from diagrams.benchmarks.hidden.logs import COVERAGE, SMALLEST, Draw, all_draws, study_draws
-from diagrams.benchmarks.hidden.scoring import coverage_of, score_draw, smallest_of
+from diagrams.benchmarks.simulated.truths import (
+    ANY,
+    BODY,
+    COLOURED,
+    HELD,
+    KINDS,
+    LATE,
+    LINK,
+    OFFSET,
+    OTHER,
+    OUTSIDE,
+    OWN,
+    PAIR,
+    ROBOT,
+    TIME,
+    TRUTHS,
+    WRONG_INERTIA,
+    Seen,
+    Site,
+    Truth,
+    scaled,
+    smooth_sign,
+    truth_of,
+)
 from diagrams.harness import positive_number, run_draws, script_parser, show, whole_number, write
+from geodrake.diagnosis import Step, explain
+from geodrake.diagnosis.drafting import Correlate
+from geodrake.diagnosis.drafting.draft import draft_rest
+from geodrake.diagnosis.explain import Investigation, investigate
+from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.compare import compare
+from geodrake.logs import JointLog
+from geodrake.model import RobotModel
+from geodrake.report.words import correlate_words
+
+ONE, TWO, NONE, UNKNOWN = "one", "two", "none", "outside"
+COVERAGE, SMALLEST, TIMING = "coverage", "smallest", "timing"
+KIND = "kind"
+WHITE = "white"
+EXACT, OFF = "exact", "off"
+NOISES = (0.005, 0.01, 0.02)
+LEAST_SHARE, MOST_SHARE = 0.03, 0.25
+_LEAST_OF_TWO = 0.05
+OFF_BY = 0.2
+COVERED = ("viscous_friction", "coulomb_friction", "effort_offset", "rotor_inertia", "payload")
+_MOTION_ODDS = (0.45, 0.25, 0.3)
+_EXACT_ODDS = 0.7
+_FIRST_COLOURED = 100_000
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One log."""
+
+    case: str
+    hidden: tuple[str, ...]
+    robot: str
+    engine: str
+    motion: str
+    noise: float  # deviation of the effort's noise, as a share of that of the effort
+    colour: str
+    prior: str  # whether the model file's bodies are "exact", or "off" by 20 %
+    # RMS of every hidden effect, as a share of the deviation of the effort; at its joint, or at the
+    # median of the joints that an effect of a body or of the robot acts upon.
+    shares: tuple[float, ...]
+    number: int
+    seed: int
+    duration: float = 24.0
+    rate: float = 200.0
+
+
+def draw(case: str, hidden: Sequence[str], number: int, seed: int, **fixed: object) -> Draw:
+    """Return a random draw of a case; `fixed` has the fields that are not left to chance."""
+    words = f"{case} {' '.join(hidden)}"
+    rng = np.random.default_rng([seed, number_of(words), number])
+    least = _LEAST_OF_TWO if len(hidden) > 1 else LEAST_SHARE
+    robots = robot_names()
+    if any(name in OUTSIDE and OUTSIDE[name].in_space for name in hidden):
+        robots = tuple(name for name in robots if name != PENDULUM)
+    shares = np.exp(rng.uniform(np.log(least), np.log(MOST_SHARE), len(hidden)))
+    chosen = {
+        "robot": str(rng.choice(robots)),
+        "engine": str(rng.choice(ENGINES)),
+        "motion": str(rng.choice(MOTIONS, p=_MOTION_ODDS)),
+        "noise": float(rng.choice(NOISES)),
+        "colour": WHITE,
+        "prior": EXACT if rng.random() < _EXACT_ODDS else OFF,
+        "shares": tuple(shares.round(4).tolist()),
+    }
+    values = {**chosen, **fixed}
+    return Draw(case, tuple(hidden), number=number, seed=seed, **values)  # type: ignore[arg-type]
+
+
+def pair(number: int, seed: int) -> tuple[str, str]:
+    """Return two effects that may come together."""
+    rng = np.random.default_rng([seed, 2, number])
+    names = [name for name, truth in TRUTHS.items() if not truth.alone]
+    first, second = rng.choice(names, 2, replace=False)
+    return str(first), str(second)
+
+
+def all_draws(
+    draws: int,
+    seed: int,
+    *,
+    effects: Sequence[str] = tuple(TRUTHS),
+    outside: Sequence[str] = tuple(OUTSIDE),
+    others: tuple[int, int] | None = None,
+    **fixed: object,
+) -> list[Draw]:
+    """Return every case, `draws` logs an effect.
+
+    Args:
+        draws: Logs an effect of the catalogue; other counts follow from it.
+        effects: Effects that are hidden alone.
+        outside: Effects of no catalogue; finding words for them takes longest.
+        others: Logs that hide two effects, and that hide none, of either colour; 4 and 6 times
+            `draws` if None.
+        fixed: Fields of the draws that are not left to chance.
+    """
+    pairs, empty = others or (4 * draws, 6 * draws)
+    found = []
+    for name in effects:
+        # Where every body is wrong, the one that is more so is no truth to be found.
+        sure = {"prior": EXACT} if name == WRONG_INERTIA else {}
+        found += [draw(ONE, (name,), k, seed, **{**fixed, **sure}) for k in range(draws)]
+    for name in outside:
+        found += [draw(UNKNOWN, (name,), k, seed, **fixed) for k in range((draws + 1) // 2)]
+    found += [draw(TWO, pair(k, seed), k, seed, **fixed) for k in range(pairs)]
+    for colour in (WHITE, COLOURED):
+        sure = {"colour": colour, "prior": EXACT, "shares": ()}
+        # The number says which log: that of the other colour is another one.
+        first = 0 if colour == WHITE else _FIRST_COLOURED
+        found += [draw(NONE, (), first + k, seed, **{**fixed, **sure}) for k in range(empty)]
+    return found
+
+
+_SURE = {"motion": FAST, "prior": EXACT}
+STUDIES: Mapping[str, tuple[str, Sequence[str], Mapping[str, object]]] = {
+    "kinds": (KIND, tuple(KINDS), {}),
+    "coverage": (COVERAGE, COVERED, {**_SURE, "colour": COLOURED, "shares": (0.1,)}),
+    "disturbed": (COVERAGE, COVERED, {**_SURE, "shares": (0.1, 0.05)}),
+    "smallest": (SMALLEST, tuple(TRUTHS), {**_SURE, "noise": 0.01, "shares": ()}),
+    "timing": (
+        TIMING,
+        ("coulomb_friction", "payload"),
+        {"robot": "arm6", "motion": FAST, "duration": 50.0, "rate": 200.0},
+    ),
+}
+"""Further studies: the case, its effects, and what is not left to chance.
+
+Those of coverage are large enough to be found, and have one of no catalogue beside if disturbed.
+"""
+
+
+def study_draws(
+    study: str, draws: int, seed: int, *, effects: Sequence[str] = (), **fixed: object
+) -> list[Draw]:
+    """Return the draws of a study, so many logs for each of its effects or of some."""
+    case, names, sure = STUDIES[study]
+    found = []
+    for at, name in enumerate(effects or names):
+        given = {**sure, **(KINDS[name][1] if case == KIND else {}), **fixed}
+        for k in range(draws):
+            hidden = (name,)
+            if study == "disturbed":
+                beside = np.random.default_rng([seed, 3, at, k]).choice(tuple(OUTSIDE))
+                hidden = (name, str(beside))
+            found.append(draw(case, hidden, k, seed, **given))
+    return found
+
+
+_ENCODER, _TACHO = 1e-5, 2e-4  # rad, rad/s
+_TURN = {HELD: 0, LATE: 2}
+_CLOSE = 0.03
+_ACTED_UPON = 0.5
+_ONE_AT_A_JOINT: tuple[set[str], ...] = (
+    {"joint_spring", OFFSET},
+    {"asymmetric_friction", OFFSET},
+    {"asymmetric_friction", "coulomb_friction"},
+    {"asymmetric_friction", "viscous_friction"},
+)
+"""A spring with an offset is one of another rest; asymmetric friction with an offset, or with more
+friction, is asymmetric friction of other heights and slopes."""
+_TURNS = 6  # changes of the load's sign
+_RUBBING = 0.08
+
+
+@dataclass(frozen=True, eq=False)
+class Secret:
+    """What a log hides."""
+
+    name: str
+    where: tuple[str, ...]  # joints or body that are to be named; none for one of the whole robot
+    joints: tuple[str, ...]
+    share: float  # its RMS as a share of the deviation of the effort, as in `Draw.shares`
+    values: Mapping[str, float]  # parameters that geodrake should find
+    # For an effect of no catalogue, joints and signals that it varies with.
+    follows: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A log with its secrets."""
+
+    log: JointLog
+    secrets: tuple[Secret, ...]  # what it hides
+    bare: JointLog  # the log of the same motion and noise if the robot were that of the model file
+    # A log of the same robot before, without the effects; None where the model file is all that is
+    # known.
+    known: JointLog | None = None
+
+
+def make_recording(draw: Draw, bodies: tuple[str, ...]) -> Recording:
+    """Return the log of a draw.
+
+    Args:
+        draw: The draw; its shares may be other ones for the same log otherwise.
+        bodies: Names that geodrake has for the bodies, in the order of the joints.
+    """
+    key = f"{draw.case} {draw.hidden} {draw.robot}"
+    seeds = np.random.SeedSequence([draw.seed, number_of(key), draw.number]).spawn(4)
+    on_robot, on_motion, on_site, on_noise = map(np.random.default_rng, seeds)
+    engine = make_engine(draw.engine, robot_file(draw.robot))
+    file = engine.bodies()
+    if draw.prior == OFF:
+        engine.set_bodies(congruent(engine.bodies(), OFF_BY, on_robot))
+    seen = _seen(draw, engine, on_motion)
+    kinds = [truth_of(name) for name in draw.hidden]
+    known = None
+    if any(kind.needs_known_inertia for kind in kinds):
+        before = _seen(draw, engine, on_motion)
+        sizes = _RUBBING * before.load.std(0)
+        known = _measured(draw, before, before.load + _rubbing(before, sizes), on_noise)
+        seen = replace(seen, load=seen.load + _rubbing(seen, sizes))
+    sites = _sites(kinds, seen.load, on_site)
+    total, secrets = seen.load.copy(), dict[int, Secret]()
+    # Gears bear what the last body holds; a delay, in the measurement, is that of all efforts.
+    for k in sorted(range(len(kinds)), key=lambda k: _TURN.get(kinds[k].name, 1)):
+        if kinds[k].name == LATE:
+            seen = replace(seen, load=total)
+        effort, secrets[k] = _hide(kinds[k], sites[k], draw.shares[k], seen, bodies)
+        total = total + effort
+        if kinds[k].name == HELD:
+            seen = replace(seen, load=total)
+    log = _measured(draw, seen, total, on_noise)
+    engine.set_bodies(file)
+    bare = replace(log, effort=log.effort - total + engine.efforts(seen.q, seen.v, seen.a))
+    return Recording(log, tuple(secrets[k] for k in range(len(kinds))), bare, known)
+
+
+def _seen(draw: Draw, engine: Engine, rng: np.random.Generator) -> Seen:
+    return Seen.of(engine, draw.motion, np.arange(0.0, draw.duration, 1.0 / draw.rate), rng)
+
+
+def _rubbing(seen: Seen, sizes: Array) -> Array:
+    """Return dry and viscous friction at all joints."""
+    return np.asarray(sizes * (smooth_sign(seen.v) + 0.7 * seen.v))
+
+
+def _measured(draw: Draw, seen: Seen, effort: Array, rng: Generator) -> JointLog:
+    """Return what sensors make of it."""
+    memory = partial(between, TIME_CONSTANTS) if draw.colour == COLOURED else None
+    sensors = Sensors(draw.noise, _ENCODER, _TACHO, memory=memory)
+    return sensors.log(f"{draw.robot} {draw.number}", seen, effort, rng, effort_uncertainty=0.0)
+
+
+def _sites(kinds: list[Truth], load: Array, rng: Generator) -> list[Site]:
+    """Where effects act; two on joints share one in half of the logs."""
+    found: list[Site] = []
+    n, turns = load.shape[1], (np.diff(np.sign(load), axis=0) != 0).sum(0)
+    turning = np.flatnonzero(turns >= min(_TURNS, turns.max()))
+    for kind in kinds:
+        own = rng.spawn(1)[0]
+        joint = int(rng.integers(n))
+        if found and rng.random() < 0.5:
+            joint = found[0].joint
+        if found and joint == found[0].joint and {kind.name for kind in kinds} in _ONE_AT_A_JOINT:
+            joint = (joint + 1) % n
+        other = int(rng.choice([j for j in range(n) if j != joint]))
+        if kind.reverses:
+            joint = int(turning[joint % len(turning)])
+        elif kind.places == PAIR:
+            joint = min(joint, n - 2)
+            other = joint + 1
+        elif kind.name == HELD:
+            joint = n - 1
+        elif kind.places in (BODY, LINK) and kind.name != WRONG_INERTIA:
+            joint = int(rng.integers(n // 2, n))
+        found.append(Site(joint, other, own))
+    return found
+
+
+def _hide(
+    kind: Truth, site: Site, wanted: float, seen: Seen, bodies: tuple[str, ...]
+) -> tuple[Array, Secret]:
+    """Return the effort of an effect of a share, and what is to be found of it."""
+    deviation = seen.load.std(0)
+
+    def shares(effort: Array) -> tuple[Array, float]:
+        own = np.sqrt(np.mean(effort**2, 0)) / deviation
+        some = own[own > 1e-3 * own.max()] if kind.places in (LINK, BODY, ROBOT) else own.max()
+        return own, float(np.median(some))
+
+    def reached(size: float) -> float:
+        return shares(kind.law(seen, site, size))[1]
+
+    size = scaled(wanted, reached, kind, close=_CLOSE, tries=10)
+    effort, joints = kind.law(seen, site, size), seen.engine.joints
+    found, share = shares(effort)
+    acted = tuple(joints[j] for j in np.flatnonzero(found >= _ACTED_UPON * found.max()))
+    own, other = joints[site.joint], joints[site.other]
+    where = {PAIR: (own, other), BODY: (bodies[site.joint],), ROBOT: ()}.get(kind.places, (own,))
+    names = {OWN: own, OTHER: other}
+    follows = tuple((names.get(whose, whose), what) for whose, what in kind.follows)
+    return effort, Secret(kind.name, where, acted, share, kind.found(site, size), follows)
+
+
+_SIGNALS = {"position": ("position",), "speed": ("velocity", "direction of motion")}
+_RANGE = (0.0005, 0.256)
+_HALVINGS = 6
+
+
+def score_draw(draw: Draw) -> dict[str, Any]:
+    """Return a row of the table: the draw, what it hid, what was found, and what of it is right."""
+    recording = make_recording(draw, robot_model(draw.robot).bodies)
+    model = _told(draw, recording)
+    began = time.process_time()
+    case = open_case(model, [recording.log], candidates=True)
+    found = investigate(case)
+    seconds = time.process_time() - began
+    explanation = found.explanation
+    steps = explanation.steps
+    row = {
+        **asdict(draw),
+        "secrets": [asdict(secret) for secret in recording.secrets],
+        "steps": [
+            {**step_row(s, {}), "before": s.error_before, "after": s.error_after, "right": right}
+            for s in steps
+            for right in (_expected(s, draw, recording.secrets),)
+        ],
+        "verdict": explanation.verdict,
+        "over_floor": _over_floor(draw, recording, found),
+        "start_nrms": explanation.start.nrms,
+        "end_nrms": explanation.end.nrms,
+        "seconds": seconds,
+        "extra": [s.effect for s in steps if not _expected(s, draw, recording.secrets)],
+        **_judged(steps, recording.secrets, draw),
+    }
+    if draw.case == UNKNOWN:
+        row |= _drafted(found, recording.secrets[0])
+    return row
+
+
+def _told(draw: Draw, recording: Recording) -> RobotModel:
+    """Return what geodrake knows of the robot: its model file, fitted to an earlier log if any."""
+    model = robot_model(draw.robot)
+    return model if recording.known is None else explain(model, [recording.known]).model
+
+
+def _over_floor(draw: Draw, recording: Recording, found: Investigation) -> float:
+    """Final held-out error over that of the true model, which noise of all sensors makes alone."""
+    bandwidth = found.case.trajectories[0].filter.bandwidth
+    bare = compare(robot_model(draw.robot), [recording.bare], bandwidth=bandwidth).errors
+    pairs = zip(bare.joints, found.explanation.end.joints, strict=True)
+    floor = np.sqrt(np.mean([(alone.rms / joint.std) ** 2 for alone, joint in pairs]))
+    return float(found.explanation.end.nrms / floor)
+
+
+def _expected(step: Step, draw: Draw, secrets: Sequence[Secret]) -> bool:
+    """Return whether a step is what was hidden, at its place, or something that comes with it."""
+    if step.effect == WRONG_INERTIA and draw.prior == OFF:
+        return True
+    places = {
+        place for secret in secrets if step.effect in _names(secret) for place in secret.where
+    }
+    names = {name for secret in secrets for name in _names(secret)}
+    return step.effect in names and set(step.where) <= places
+
+
+def _names(secret: Secret) -> tuple[str, ...]:
+    """Return names of an effect and of those that it comes with."""
+    truth = TRUTHS.get(secret.name)
+    return (secret.name,) if truth is None else (truth.name, *truth.companions)
+
+
+def _judged(steps: Sequence[Step], secrets: Sequence[Secret], draw: Draw) -> dict[str, Any]:
+    """Return what is right about the steps; None where there is nothing to be right about."""
+    row: dict[str, Any] = dict.fromkeys(("named", "first", "in_set", "placed"))
+    if not secrets or any(secret.name not in TRUTHS for secret in secrets):
+        return row
+    named = [_named(steps, secret) for secret in secrets]
+    row["named"] = all(named)
+    row["in_set"] = all(
+        any(s.effect == secret.name or secret.name in s.indistinguishable_from for s in steps)
+        for secret in secrets
+    )
+    first = next((s for s in steps if s.effect != WRONG_INERTIA or draw.prior != OFF), None)
+    first = first or next(iter(steps), None)
+    if len(secrets) == 1:
+        (secret,) = secrets
+        row["first"] = first is not None and first.effect in _names(secret) and named[0]
+        if secret.where:
+            # What comes with the truth, a coupled rotor's own rotors, may come first.
+            there = next((s for s in steps if s.effect == secret.name and row["first"]), first)
+            row["placed"] = there is not None and set(there.where) == set(secret.where)
+        row["answer"] = None if first is None else first.effect
+    return row
+
+
+def _named(steps: Sequence[Step], secret: Secret) -> bool:
+    """Return whether a step has the effect, at its place if it has one."""
+    return any(s.effect == secret.name and set(secret.where) <= set(s.where) for s in steps)
+
+
+def _drafted(found: Investigation, secret: Secret) -> dict[str, Any]:
+    """Return what geodrake says of the rest, and whether joint and kind are right."""
+    began = time.process_time()
+    draft = draft_rest(found)
+    correlates = draft.correlates
+    there = [c for c in correlates if c.joint in secret.joints]
+    return {
+        "correlates": [correlate_words(c) for c in correlates],
+        "right_joint": bool(correlates) and correlates[0].joint in secret.joints,
+        "right_correlate": any(_goes_with(c, secret) for c in there),
+        "drafted_over_floor": draft.after.nrms / draft.after.floor_nrms,
+        "draft_seconds": time.process_time() - began,
+    }
+
+
+def _goes_with(correlate: Correlate, secret: Secret) -> bool:
+    """Return whether a correlate names a signal that the hidden effect is a function of."""
+    for whose, what in secret.follows:
+        if what == TIME:
+            if correlate.words.startswith(("time", "the clock")):
+                return True
+        elif any(_says(correlate, whose, signal) for signal in _SIGNALS[what]):
+            return True
+    return False
+
+
+def _says(correlate: Correlate, whose: str, signal: str) -> bool:
+    if whose == ANY:
+        return signal in correlate.words
+    own = whose == correlate.joint and f"its {signal}" in correlate.words
+    return own or f"{signal} of {whose}" in correlate.words
+
+
+def smallest_of(draw: Draw) -> dict[str, Any]:
+    """The smallest share of the effort at which an effect is found in one log, by bisection."""
+    low, high = _RANGE
+    bodies = robot_model(draw.robot).bodies
+    known: RobotModel | None = None
+    seconds, found_at = 0.0, None
+    for _ in range(_HALVINGS):
+        middle = float(np.sqrt(low * high))
+        recording = make_recording(replace(draw, shares=(middle,)), bodies)
+        known = known or _told(draw, recording)
+        began = time.process_time()
+        steps = explain(known, [recording.log]).steps
+        seconds += time.process_time() - began
+        (secret,) = recording.secrets
+        if _seen_at(steps, secret):
+            high = found_at = min(middle, secret.share)
+        else:
+            low = middle
+    return {**asdict(draw), "smallest": found_at, "seconds": seconds}
+
+
+def _seen_at(steps: Sequence[Step], secret: Secret) -> bool:
+    """Return whether a step has the effect among what it may be, at its place."""
+    return any(
+        (s.effect == secret.name or secret.name in s.indistinguishable_from)
+        and set(secret.where) <= set(s.where)
+        for s in steps
+    )
+
+
+def coverage_of(draw: Draw) -> dict[str, Any]:
+    """Return how many of its standard deviations every found parameter is off."""
+    recording = make_recording(draw, robot_model(draw.robot).bodies)
+    secret, off = recording.secrets[0], list[float]()
+    for step in explain(robot_model(draw.robot), [recording.log]).steps:
+        if step.effect == secret.name:
+            place = secret.where[0] if secret.where else next(iter(step.parameters))
+            off = _deviations(step, place, secret)
+    return {**asdict(draw), "off": off}
+
+
+def _deviations(step: Step, place: str, secret: Secret) -> list[float]:
+    """How many deviations, from noise and what is systematic, the secret's values are off."""
+    found, own = step.parameters.get(place, {}), step.deviations.get(place, {})
+    beside = step.systematic.get(place, {})
+    return [
+        float((found[name] - value) / np.hypot(own[name], beside.get(name, 0.0)))
+        for name, value in secret.values.items()
+        if name in found and own.get(name, np.nan) > 0.0
+    ]
+
+
+FOUND_IN = 0.9
+"""Share of the logs in which the smallest effect is found."""
+
+
+def bars(rows: Sequence[Row]) -> list[Line]:
+    """Return the lines that draws of the product give."""
+    one = [r for r in _of(rows, ONE) if r["secrets"][0]["share"] >= LEAST_SHARE]
+    brisk = [r for r in one if r["motion"] != SLOW]
+    main = [r for r in brisk if r["prior"] == EXACT]
+    off = [r for r in brisk if r["prior"] == OFF]
+    slow = [r for r in one if r["motion"] == SLOW]
+    two = _of(rows, TWO)
+    plain = [r for r in two if r["motion"] != SLOW and r["prior"] == EXACT]
+    named = [r["over_floor"] for r in (*one, *two) if r["named"]]
+    outside = _of(rows, UNKNOWN)
+    return [
+        share("one effect: truth first", _get(main, "first"), 0.95),
+        share("… truth in the set", _get(main, "in_set"), 0.99),
+        share("… right joint or body", _get(main, "placed"), 0.98),
+        share("… and nothing else", [not r["extra"] for r in main]),
+        *(
+            share(
+                f"nothing hidden, {colour} noise: false alarms",
+                _alarms(rows, colour),
+                0.01,
+                most=True,
+            )
+            for colour in ("white", "coloured")
+        ),
+        share(
+            "outside effects: unexplained, joint and correlate", [_honest(r) for r in outside], 0.95
+        ),
+        share("… unexplained", [r["verdict"] == "unexplained" for r in outside]),
+        share("… right joint", _get(outside, "right_joint")),
+        share("… right correlate", _get(outside, "right_correlate")),
+        share("two effects: both, nothing else", [_both(r) for r in plain], 0.92),
+        share(
+            "… in slow motion or with inertia 20 % off", [_both(r) for r in two if r not in plain]
+        ),
+        *_sureness(rows),
+        median("error after / noise floor where named, median", named, 1.05),
+        share("inertia 20 % off: truth in the set", _get(off, "in_set"), 0.97),
+        share("… truth first", _get(off, "first")),
+        share(
+            "slow motion: truth in the set",
+            _get([r for r in slow if r["prior"] == EXACT], "in_set"),
+            0.95,
+        ),
+        share(
+            "… with inertia 20 % off, too", _get([r for r in slow if r["prior"] == OFF], "in_set")
+        ),
+        median(
+            "seconds for one log of 24 s, median",
+            [r["seconds"] for r in rows if r["case"] in (ONE, TWO, NONE, UNKNOWN)],
+            10.0,
+        ),
+        median(
+            "seconds for 6 joints, 10,000 samples", [r["seconds"] for r in _of(rows, TIMING)], 10.0
+        ),
+    ]
+
+
+def _sureness(rows: Sequence[Row]) -> list[Line]:
+    """Return how many findings are right, by the probability that they were given."""
+    steps = [step for row in rows for step in row.get("steps", ())]
+    return [
+        share(
+            f"findings given {words}: right",
+            [step["right"] for step in steps if low <= step["probability"] < high],
+            bar,
+        )
+        for words, low, high, bar in (
+            ("99 % or more", 0.99, 2.0, None),
+            ("90 to 99 %", 0.9, 0.99, 0.85),
+            ("less than 90 %", -1.0, 0.9, None),
+        )
+    ]
+
+
+def coverage_lines(rows: Sequence[Row]) -> list[Line]:
+    """How often 95 % intervals hold the truth: under coloured noise, and beside outside effects."""
+    lines = []
+    for beside, hidden in (("coloured noise", 1), ("an outside effect beside", 2)):
+        off = [z for r in _of(rows, COVERAGE) if len(r["hidden"]) == hidden for z in r["off"]]
+        inside = [abs(z) <= 1.96 for z in off]
+        lines.append(share(f"coverage of 95 % intervals, {beside}", inside, 0.9, highest=0.98))
+    return lines
+
+
+def kind_lines(rows: Sequence[Row]) -> list[Line]:
+    """Return how often each of the hard kinds is among what a log may hide, and at its place."""
+    hard = _of(rows, KIND)
+    return [
+        share(
+            f"{name}: in the set, placed",
+            [r["in_set"] and r["placed"] is not False for r in hard if r["hidden"] == [name]],
+            0.9,
+        )
+        for name in KINDS
+    ]
+
+
+def smallest_lines(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """Return the share of the effort at which each effect is found in nine of ten logs."""
+    lines = []
+    for name in TRUTHS:
+        found = [r["smallest"] for r in rows if r["hidden"] == [name]]
+        sizes = np.sort([np.inf if size is None else size for size in found])
+        if len(sizes):
+            # The least size with which at least this share of the logs gives the effect away.
+            at = float(sizes[int(np.ceil(FOUND_IN * len(sizes))) - 1])
+            middle = float(np.median(sizes))
+            lines.append(
+                {
+                    "effect": name,
+                    "smallest": at if np.isfinite(at) else None,
+                    "median": middle if np.isfinite(middle) else None,
+                    "logs": len(sizes),
+                }
+            )
+    return lines
+
+
+def _of(rows: Sequence[Row], case: str) -> list[Row]:
+    return [row for row in rows if row["case"] == case]
+
+
+def _get(rows: Sequence[Row], key: str) -> list[Any]:
+    return [row[key] for row in rows if row.get(key) is not None]
+
+
+def _alarms(rows: Sequence[Row], colour: str) -> list[bool]:
+    return [bool(row["steps"]) for row in _of(rows, NONE) if row["colour"] == colour]
+
+
+def _honest(row: Row) -> bool:
+    return bool(row["verdict"] == "unexplained" and row["right_joint"] and row["right_correlate"])
+
+
+def _both(row: Row) -> bool:
+    return bool(row["named"] and not row["extra"])
+
 
 QUICK_EFFECTS = ("coulomb_friction", "effort_offset", "payload")
 QUICK_OUTSIDE = ("oscillation in time",)

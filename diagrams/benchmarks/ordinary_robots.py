@@ -12,133 +12,248 @@ with a probability, how much is true.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
 
-from diagrams.benchmarks.hidden.bars import Line, share, tell_draws, told
-from diagrams.benchmarks.hidden.robots import robot_model
-from diagrams.benchmarks.ordinary.logs import (
-    COLOURS,
-    ORDINARY,
-    OUTSIDE,
-    QUIET,
-    TOOL,
-    Draw,
+from diagrams.benchmarks.simulated.engines import (
+    ENGINES,
+    Generator,
+    congruent,
+    make_engine,
+    number_of,
+    robot_file,
+    robot_model,
+)
+from diagrams.benchmarks.simulated.motions import FAST, POINTS, motion_range
+from diagrams.benchmarks.simulated.recording import (
+    TIME_CONSTANTS,
     Recording,
-    all_draws,
-    draw,
-    make_recording,
+    Sensors,
+    Sizes,
+    between,
+    random_tool,
+)
+from diagrams.benchmarks.simulated.scoring import (
+    Line,
+    Row,
+    calibration,
+    explained,
+    is_clean,
+    is_sure_and_wrong,
+    judged_words,
+    quantiles,
+    share,
+    tell_draws,
+    told,
+)
+from diagrams.benchmarks.simulated.truths import (
+    COLOURED,
+    DRY,
+    HELD,
+    IN_A_LINK,
+    OF_ALL_MOTIONS,
+    ROTOR,
+    WET,
+    Seen,
+    Site,
+    Usual,
+    scaled,
 )
 from diagrams.harness import positive_number, run_draws, script_parser, write
-from geodrake.diagnosis import Step, explain
-from geodrake.errors import GeodrakeError
+from geodrake.logs import JointLog
 
-WRONG_INERTIA = "wrong_inertia"
+ORDINARY, OUTSIDE, QUIET = "ordinary", "outside", "quiet"
+ARMS = ("ur5", "xarm7", "z1", "kinova")
+WHITE = "white"
+COLOURS = (WHITE, COLOURED)
+_OFF = (0.0, 0.15, 0.3)
+_RATES = (50.0, 100.0, 200.0, 500.0)
+_QUIET = 2  # logs a colour and seed
+
+
+@dataclass(frozen=True)
+class Draw:
+    """A robot and its two logs."""
+
+    case: str
+    robot: str
+    engine: str
+    kind: str
+    friction: bool  # whether there is dry and viscous friction at all joints
+    rotors: bool
+    tool: float  # mass of the tool at the last link, as a share of the robot's; 0 without one
+    off: float  # how far bodies of the model file are off, as a share of their mass
+    rate: float
+    velocities: bool
+    noise: float  # deviation of an effort's noise, as a share of that of the effort
+    colour: str
+    quantised: bool  # whether positions and efforts are multiples of a resolution
+    calibrated: bool  # whether logs state that gains of efforts are exact, as they are in all
+    number: int
+    seed: int
+    duration: float = 40.0
+
+    def rng(self, purpose: str) -> Generator:
+        """Return a generator of random numbers for a purpose of this draw."""
+        words = f"{self.case} {self.robot} {self.kind} {purpose}"
+        return np.random.default_rng([self.seed, self.number, number_of(words)])
+
+
+def draw(case: str, robot: str, number: int, seed: int, **fixed: object) -> Draw:
+    """Return a random draw of a case; `fixed` has the fields that are not left to chance."""
+    rng = np.random.default_rng([seed, number, number_of(f"{case} {robot}")])
+    ordinary = case == ORDINARY
+    has_tool = rng.random() < 2.0 / 3.0
+    tool = round(float(rng.uniform(0.05, 0.15)), 4) if has_tool else 0.0
+    chosen = {
+        "engine": ENGINES[(number + seed) % 2],
+        "kind": "",
+        "friction": ordinary,
+        "rotors": bool(rng.random() < 0.5) and ordinary,
+        "tool": tool if ordinary else 0.0,
+        "off": float(rng.choice(_OFF)) if ordinary else 0.0,
+        "rate": float(rng.choice(_RATES)),
+        "velocities": bool(rng.random() < 0.5),
+        "noise": round(float(np.exp(rng.uniform(*np.log((0.005, 0.02))))), 4),
+        "colour": WHITE,
+        "quantised": bool(rng.random() < 1.0 / 3.0),
+        "calibrated": bool(rng.random() < 0.5),
+    }
+    values = {**chosen, **fixed}
+    return Draw(case, robot, number=number, seed=seed, **values)  # type: ignore[arg-type]
+
+
+def all_draws(seed: int, **fixed: object) -> list[Draw]:
+    """Return a seed's draws, the cases in turn, so that the first few show some of all of them."""
+    ordinary = [draw(ORDINARY, arm, k, seed, **fixed) for k, arm in enumerate(ARMS)]
+    outside = [
+        draw(
+            OUTSIDE,
+            ARMS[(k + seed) % len(ARMS)],
+            k,
+            seed,
+            **{"kind": kind, "engine": "mujoco", "friction": (k + seed) % 2 == 0, **fixed},
+        )
+        for k, kind in enumerate(OF_ALL_MOTIONS)
+    ]
+    quiet = [
+        draw(QUIET, ARMS[(k + seed) % len(ARMS)], k, seed, **{"colour": COLOURS[k % 2], **fixed})
+        for k in range(_QUIET * len(COLOURS))
+    ]
+    # As many of the many between two of the few.
+    groups = zip_longest(ordinary, outside[0::3], outside[1::3], quiet, outside[2::3])
+    return [each for group in groups for each in group if each is not None]
+
+
+_BREAKAWAY = (0.005, 0.02)  # rad/s
+_SHARE = (0.05, 0.25)  # of an effect of no catalogue
+_LEAST_USUAL = 0.05  # N·m
+_ENCODER, _TACHO = (1e-5, 5e-5), (2e-4, 2e-3)  # rad, rad/s
+_LEAST_NOISY = 0.005  # of the motor's limit: sensors are noisy at joints without load, too
+
+
+def make_recording(draw: Draw) -> Recording:
+    """Return the logs of a draw, and its truth."""
+    engine, model = make_engine(draw.engine, robot_file(draw.robot)), robot_model(draw.robot)
+    limits, rng = np.asarray(model.effort_limits), draw.rng("robot")
+    if draw.off:
+        engine.set_bodies(congruent(engine.bodies(), draw.off, rng))
+    bodies, mass = engine.bodies(), 0.0
+    if draw.tool:
+        mass = draw.tool * float(bodies[:, 3, 3].sum())
+        bodies[-1] += random_tool(mass, 0.15, 0.07, rng)
+        engine.set_bodies(bodies)
+    time = np.arange(0.0, draw.duration, 1.0 / draw.rate)
+    motions = [Seen.of(engine, kind, time, draw.rng(kind)) for kind in (FAST, POINTS)]
+    totals, sizes = [seen.load.copy() for seen in motions], Sizes.of(motions, limits)
+    hidden: dict[str, tuple[str, ...]] = {}
+    values: dict[str, list[float]] = {}
+    if draw.friction:
+        dry, wet = sizes.friction(rng)
+        width, is_tanh = float(between(_BREAKAWAY, rng)), rng.random() < 0.5
+        for k, seen in enumerate(motions):
+            sign = np.tanh(seen.v / width) if is_tanh else seen.v / np.hypot(seen.v, width)
+            totals[k] += dry * sign + wet * seen.v
+        values = {DRY: dry.tolist(), WET: wet.tolist(), "breakaway": [width]}
+        hidden |= dict.fromkeys((DRY, WET), model.joints)
+    if draw.rotors:
+        inertias = sizes.rotors(rng)
+        for k, seen in enumerate(motions):
+            totals[k] += inertias * seen.a
+        hidden[ROTOR], values[ROTOR] = model.joints, inertias.tolist()
+    if draw.tool:
+        hidden[HELD] = (model.bodies[-1],)
+    joints: tuple[str, ...] = ()
+    if draw.kind:
+        joints = _hide(draw, motions, totals, sizes)
+    companions = OF_ALL_MOTIONS[draw.kind].companions if draw.kind else ()
+    logs = _measured(draw, motions, totals, limits)
+    return Recording(logs, hidden, dict.fromkeys(companions, joints[:1]), mass, joints, values)
+
+
+def _hide(
+    draw: Draw, motions: Sequence[Seen], totals: list[np.ndarray], sizes: Sizes
+) -> tuple[str, ...]:
+    """Add an effect of no catalogue to efforts, and return its joints.
+
+    Its RMS in all motions is a drawn share of its joint's effort.
+    """
+    kind, rng, engine = OF_ALL_MOTIONS[draw.kind], draw.rng("site"), motions[0].engine
+    n = len(engine.joints)
+    joint, other = (int(k) for k in rng.choice(n, 2, replace=False))
+    if draw.kind == IN_A_LINK:
+        joint = int(rng.integers(n // 2, n))
+    usual = Usual(robot_file(draw.robot), *motion_range(engine), sizes.load)
+    site = Site(joint, other, rng, usual)
+    loads = np.concatenate([seen.load for seen in motions]).std(0)
+
+    def reached(size: float) -> float:
+        efforts = np.concatenate([kind.law(seen, site, size) for seen in motions])
+        return float(np.max(np.sqrt(np.mean(efforts**2, 0)) / np.maximum(loads, _LEAST_USUAL)))
+
+    wanted = float(between(_SHARE, draw.rng("size")))
+    size = scaled(wanted, reached, kind, close=0.05, tries=6)
+    for k, seen in enumerate(motions):
+        totals[k] += kind.law(seen, site, size)
+    return engine.joints[joint], engine.joints[other]
+
+
+def _measured(
+    draw: Draw, motions: Sequence[Seen], totals: Sequence[np.ndarray], limits: np.ndarray
+) -> tuple[JointLog, ...]:
+    """Return what a draw's sensors, the same for all its logs, make of motions and efforts."""
+    rng = draw.rng("sensors")
+    encoder, tacho = (float(between(each, rng)) for each in (_ENCODER, _TACHO))
+    memory = partial(between, TIME_CONSTANTS) if draw.colour == COLOURED else None
+    least = _LEAST_NOISY * limits
+    sensors = Sensors(draw.noise, encoder, tacho, least, memory, quantised=draw.quantised)
+    stated = {"effort_uncertainty": 0.0} if draw.calibrated else {}
+    logs = []
+    for k, (seen, total) in enumerate(zip(motions, totals, strict=True)):
+        log = sensors.log(f"log {k + 1}", seen, total, rng, **stated)
+        logs.append(log if draw.velocities else replace(log, velocity=None))
+    return tuple(logs)
 
 
 def score_draw(draw: Draw) -> dict[str, Any]:
     """Return a row of the table: the draw, what it hid, what was named, and what of it is right."""
     recording = make_recording(draw)
-    row = {**asdict(draw), "hidden": recording.hidden, "beside": recording.beside}
-    row |= {"mass": recording.mass, "joints": recording.joints, "values": recording.values}
-    model = robot_model(draw.robot)
-    began = time.process_time()
-    try:
-        explanation = explain(model, list(recording.logs))
-    except GeodrakeError as error:
-        return {**row, "failed": str(error), "steps": [], "missing": ["everything"], "wrong": []}
-    seconds = time.process_time() - began
-    return {
-        **row,
-        "failed": None,
-        "seconds": seconds,
-        "verdict": explanation.verdict,
-        "start_nrms": explanation.start.nrms,
-        "end_nrms": explanation.end.nrms,
-        "notes": list(explanation.notes),
-        **judged(explanation.steps, recording, is_off=draw.off > 0.0),
-    }
+    truth = ("hidden", "beside", "mass", "joints", "values")
+    row = {**asdict(draw), **{name: getattr(recording, name) for name in truth}}
+    return row | explained(robot_model(draw.robot), recording, is_off=draw.off > 0.0)
 
 
-def judged(steps: Sequence[Step], recording: Recording, *, is_off: bool) -> dict[str, Any]:
-    """Return rows of steps, what is missing and wrong among them, and the tool's mass.
-
-    Where bodies of the file are off (`is_off`), wrong inertias are right.
-    """
-    rows = [_step_row(step, recording, is_off=is_off) for step in steps]
-    return {
-        "steps": rows,
-        "missing": _missing(steps, recording.hidden),
-        "wrong": [step_words(row) for row in rows if not row["right"]],
-        **_tool_row(steps, recording),
-    }
-
-
-def _step_row(step: Step, recording: Recording, *, is_off: bool) -> dict[str, Any]:
-    truth: Mapping[str, Sequence[str]] = {**recording.beside, **recording.hidden}
-    right = step.effect in truth and set(step.where) <= set(truth[step.effect])
-    return {
-        "effect": step.effect,
-        "where": list(step.where),
-        "probability": float(step.probability),
-        "rivals": list(step.indistinguishable_from),
-        "parameters": {place: dict(values) for place, values in step.parameters.items()},
-        "right": right or (step.effect == WRONG_INERTIA and is_off),
-    }
-
-
-def step_words(step: Mapping[str, Any]) -> str:
-    """Return a step in writing."""
-    return f"{step['effect']} at {', '.join(step['where'])} ({step['probability']:.3f})"
-
-
-def _missing(steps: Sequence[Step], hidden: Mapping[str, Sequence[str]]) -> list[str]:
-    """Return what no step has, place by place."""
-    return not_found({(step.effect, place) for step in steps for place in step.where}, hidden)
-
-
-def not_found(found: set[tuple[str, str]], wanted: Mapping[str, Sequence[str]]) -> list[str]:
-    """Return wanted effects at places at which they were not found."""
-    at = [(name, place) for name, places in wanted.items() for place in places]
-    return [f"{name} at {place}" for name, place in at if (name, place) not in found]
-
-
-def _tool_row(steps: Sequence[Step], recording: Recording) -> dict[str, Any]:
-    """The tool's mass as found, and how well it is said to be known; nothing without a tool."""
-    (body,) = recording.hidden.get(TOOL, (None,))
-    found = [step for step in steps if step.effect == TOOL and body in step.where]
-    if body is None or not found:
-        return {}
-    step = found[-1]
-    systematic = step.systematic.get(body, {}).get("mass", 0.0)
-    return mass_row(
-        step.parameters[body]["mass"], (step.deviations[body]["mass"], systematic), recording.mass
-    )
-
-
-def mass_row(found: float, deviations: tuple[float, float], truth: float) -> dict[str, Any]:
-    """Return a mass as found, with deviations of noise and of what is systematic, and the truth."""
-    half = 2.0 * float(np.hypot(*deviations))
-    return {
-        "found_mass": found,
-        "mass_deviation": deviations[0],
-        "mass_systematic": deviations[1],
-        "mass_inside": bool(abs(found - truth) <= half),
-        "mass_half_width": half / truth,
-        "mass_error": abs(found - truth) / truth,
-    }
-
-
-def is_missed(row: Mapping[str, Any]) -> bool:
+def is_missed(row: Row) -> bool:
     """Return whether a name is wrong or, of an ordinary robot, something is missing."""
     return bool(row["wrong"] or row["failed"] or (row["missing"] and row["case"] == ORDINARY))
 
 
-def miss_words(row: Mapping[str, Any]) -> str:
+def miss_words(row: Row) -> str:
     """Return what went wrong with a draw, in a line."""
     what = [f"{row['off']:.0%} off", f"{row['rate']:.0f} Hz", f"noise {row['noise']:.1%}"]
     what += [row["colour"]] if row["colour"] != "white" else []
@@ -157,21 +272,6 @@ def miss_words(row: Mapping[str, Any]) -> str:
     return f"{text}; nrms {row['start_nrms']:.3g} → {row['end_nrms']:.3g}, {row['seconds']:.1f} s"
 
 
-def judged_words(text: str, row: Mapping[str, Any]) -> str:
-    """Return what was missed, and what was right, behind what it is about."""
-    if row["failed"]:
-        return f"{text}; FAILED: {row['failed']}"
-    for title in ("missing", "wrong"):
-        text += f"; {title.upper()}: {', '.join(row[title])}" if row[title] else ""
-    right = "; ".join(step_words(step) for step in row["steps"] if step["right"])
-    return f"{text}; right: {right or 'nothing'}"
-
-
-Row = Mapping[str, Any]
-BINS = ((0.5, 0.7), (0.7, 0.9), (0.9, 0.99), (0.99, 1.0))
-SURE = 0.9
-
-
 def lines_of(rows: Sequence[Row]) -> list[Line]:
     """Return all lines."""
     ordinary = [row for row in rows if row["case"] == ORDINARY]
@@ -183,8 +283,8 @@ def lines_of(rows: Sequence[Row]) -> list[Line]:
     widths = [row["mass_half_width"] for row in found]
     return [
         share("ordinary: everything named", [not row["missing"] for row in ordinary], 0.95),
-        share("ordinary: nothing else named", [_is_clean(row) for row in ordinary], 0.95),
-        share("… both", [not row["missing"] and _is_clean(row) for row in ordinary], 0.95),
+        share("ordinary: nothing else named", [is_clean(row) for row in ordinary], 0.95),
+        share("… both", [not row["missing"] and is_clean(row) for row in ordinary], 0.95),
         share("tool named", ["found_mass" in row for row in tools], 0.98),
         share(
             "tool's mass inside its interval",
@@ -193,17 +293,17 @@ def lines_of(rows: Sequence[Row]) -> list[Line]:
             highest=0.98,
         ),
         share("… of calibrated efforts", [row["mass_inside"] for row in said]),
-        *_quantiles("half width of a tool's mass", widths, 0.15),
-        *_quantiles("… calibrated", [row["mass_half_width"] for row in said], 0.15),
-        *_quantiles("error of a tool's mass", [row["mass_error"] for row in found], None),
-        *_quantiles("seconds of CPU", seconds, 5.0),
+        *quantiles("half width of a tool's mass", widths, 0.15),
+        *quantiles("… calibrated", [row["mass_half_width"] for row in said], 0.15),
+        *quantiles("error of a tool's mass", [row["mass_error"] for row in found]),
+        *quantiles("seconds of CPU", seconds, 5.0),
         share(
             "no catalogue has it: a wrong name at > 0.9",
-            [_is_sure_and_wrong(row) for row in outside],
+            [is_sure_and_wrong(row) for row in outside],
             0.1,
             most=True,
         ),
-        share("… a wrong name at all", [not _is_clean(row) for row in outside], most=True),
+        share("… a wrong name at all", [not is_clean(row) for row in outside], most=True),
         *(
             share(
                 f"nothing hidden, {colour} noise: something named",
@@ -214,44 +314,6 @@ def lines_of(rows: Sequence[Row]) -> list[Line]:
             for colour in COLOURS
         ),
         *calibration(rows),
-    ]
-
-
-def calibration(rows: Sequence[Row]) -> list[Line]:
-    """Return how many of the things said with a probability in a bin are true."""
-    steps = [step for row in rows for step in row["steps"]]
-    bars = {(0.9, 0.99): {"bar": 0.85, "highest": 0.99}}
-    return [
-        share(
-            f"said at {low:g} – {high:g}: true" if high < 1.0 else f"said at > {low:g}: true",
-            [step["right"] for step in steps if low < step["probability"] <= high],
-            **bars.get((low, high), {}),
-        )
-        for low, high in BINS
-    ]
-
-
-def _is_clean(row: Row) -> bool:
-    return not (row["wrong"] or row["failed"])
-
-
-def _is_sure_and_wrong(row: Row) -> bool:
-    return any(step["probability"] > SURE and not step["right"] for step in row["steps"])
-
-
-def _quantiles(figure: str, values: Sequence[float], bar: float | None) -> list[Line]:
-    """Return the median, which the bar is for, and what nine of ten are below."""
-    levels = (("median", 0.5, bar), ("90 %", 0.9, None))
-    return [
-        Line(
-            f"{figure}, {name}",
-            most,
-            True,
-            float(np.quantile(values, level)) if values else None,
-            *((min(values), max(values)) if values else (None, None)),
-            len(values),
-        )
-        for name, level, most in levels
     ]
 
 

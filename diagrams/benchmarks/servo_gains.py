@@ -29,15 +29,14 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from diagrams.benchmarks.hidden.robots import (
+from diagrams.benchmarks.simulated.engines import (
     ENGINES,
-    FAST,
     PinocchioEngine,
     RobotFile,
-    make_motion,
     robot_file,
     robot_names,
 )
+from diagrams.benchmarks.simulated.motions import FAST, make_motion
 from diagrams.harness import positive_number, run_draws, script_parser, show_values, sines, write
 from geodrake.control.rollout import commanded_motions, roll_out
 from geodrake.diagnosis import Explanation, explain
@@ -334,7 +333,7 @@ def servo_file(name: str) -> RobotFile:
     """Return the model file of a robot: one of the benchmark of effects, or a pendulum."""
     if name != PENDULUM:
         return robot_file(name)
-    return RobotFile.holding(name, robot_file("double_pendulum"), ["elbow"])
+    return robot_file("double_pendulum").holding(name, ["elbow"])
 
 
 def limited_model(name: str, joints: Sequence[str], limits: Array) -> RobotModel:

@@ -23,11 +23,28 @@ from functools import cache, partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from pydrake.multibody.parsing import Parser
-from pydrake.multibody.plant import MultibodyPlant
 
-from diagrams.harness import MODELS, run_draws, script_parser, show, sines, write
+from diagrams.benchmarks.simulated.engines import (
+    PENDULUM,
+    Array,
+    Generator,
+    PinocchioEngine,
+    robot_file,
+    robot_model,
+)
+from diagrams.benchmarks.simulated.motions import Motion as Moved
+from diagrams.benchmarks.simulated.recording import Sensors
+from diagrams.benchmarks.simulated.truths import (
+    DRY,
+    OFFSET,
+    TRUTHS,
+    WET,
+    Law,
+    Seen,
+    Site,
+    of_joint,
+)
+from diagrams.harness import run_draws, script_parser, show, sines, write
 from geodrake.diagnosis import Diagnosis, diagnose
 from geodrake.effects import effect_class
 from geodrake.excitation import (
@@ -45,120 +62,11 @@ from geodrake.excitation.problem import make_problem
 from geodrake.excitation.starts import possible_postures, random_guess
 from geodrake.identification.logs.unknowns import pullback_information
 from geodrake.logs import JointLog, Motion
-from geodrake.model import RobotModel, load_model
+from geodrake.model import RobotModel
 from geodrake.report.words import effect_label
-from geodrake.robot import inverse_dynamics
 
-Array = NDArray[np.float64]
-# A simulated robot that tracks a motion, with hidden efforts in formulas of their own.
-#
-# Drake gives mass matrix, bias and gravity. Drives add stiff PD control to the inverse dynamics
-# of the model file. Steps are linearly implicit in friction and control, so that they are stable
-# however stiff those are. Dry friction is v/√(v² + ε²), not the tanh of `geodrake.effects`.
-
-Reference = Callable[[Array], tuple[Array, Array, Array]]
-
-STEP = 1e-3  # s
-EVERY = 5  # steps from one sample to the next
-BANDWIDTH = 120.0  # of the drives, rad/s
-DAMPING = 0.7
-LEAST_INERTIA = 0.1  # kg·m² that drives are tuned for at least
-BREAKAWAY = 5e-3  # rad/s
-ENCODER = 1e-5  # rad
-
-
-@dataclass(frozen=True)
-class Hidden:
-    """What the robot has and the model file lacks; (n,) by joint, SI units."""
-
-    coulomb: Array  # dry friction
-    load_factor: Array  # share of the gear's load that dry friction takes
-    viscous: Array  # viscous friction, forwards and backwards alike
-    one_way: Array  # further viscous friction forwards
-    quadratic: Array  # friction that grows with the square of the speed
-    offset: Array  # constant effort
-    stiffness: Array  # of springs at rest at q = 0
-    tilt: Array  # (2,) angles by which the base is turned about x and y, rad
-
-    @classmethod
-    def of(cls, joints: int, **effects: dict[int, float] | tuple[float, float]) -> Hidden:
-        """Return some effects by joint number; the others are zero."""
-        values = {name: np.zeros(joints) for name in cls.__annotations__} | {"tilt": np.zeros(2)}
-        for name, given in effects.items():
-            pairs = given.items() if isinstance(given, dict) else enumerate(given)
-            for at, value in pairs:
-                values[name][at] = value
-        return cls(**values)
-
-    def effort(self, q: Array, v: Array, load: Array) -> tuple[Array, Array]:
-        """Return (n,) effort needed, and its slope in v."""
-        root = np.sqrt(v * v + BREAKAWAY**2)
-        height = self.coulomb + self.load_factor * np.abs(load)
-        wet = self.viscous + self.one_way * (v > 0)
-        needed = height * v / root + wet * v + self.quadratic * np.abs(v) * v
-        slope = height * BREAKAWAY**2 / root**3 + wet + 2.0 * self.quadratic * np.abs(v)
-        return needed + self.offset + self.stiffness * q, slope
-
-
-def tilted(plant: MultibodyPlant, tilt: Array) -> None:
-    """Turn the gravity of a plant as a base turned by small angles about x and y sees it."""
-    field = plant.mutable_gravity_field()
-    turn = np.array([tilt[0], tilt[1], 0.0])
-    field.set_gravity_vector(field.gravity_vector() + np.cross(field.gravity_vector(), turn))
-
-
-def simulate(
-    plant: MultibodyPlant, model: RobotModel, hidden: Hidden, motion: Reference, duration: float
-) -> tuple[Array, Array, Array]:
-    """Return positions, velocities and applied efforts (steps, n) of the robot on a motion.
-
-    Args:
-        plant: The robot itself, finalized, its positions in the order of its joints.
-        motion: Position, velocity and acceleration (N, n) at instants (N,).
-    """
-    steps = round(duration / STEP)
-    q_ref, v_ref, a_ref = motion(STEP * np.arange(steps + 1))
-    forward = inverse_dynamics(model.tree, q_ref, v_ref, a_ref, model.total_phi)
-    context = plant.CreateDefaultContext()
-    plant.SetPositions(context, q_ref[0])
-    inertia = LEAST_INERTIA + np.diag(plant.CalcMassMatrix(context))
-    stiffness, damping = BANDWIDTH**2 * inertia, 2.0 * DAMPING * BANDWIDTH * inertia
-    implicit = damping + STEP * stiffness
-    q, v, load = q_ref[0].copy(), v_ref[0].copy(), np.zeros(len(inertia))
-    rows = np.empty((3, steps, len(inertia)))
-    for k in range(steps):
-        middle = q + 0.5 * STEP * v
-        plant.SetPositions(context, middle)
-        plant.SetVelocities(context, v)
-        u = forward[k] + stiffness * (q_ref[k + 1] - q - STEP * v) + damping * (v_ref[k + 1] - v)
-        f, slope = hidden.effort(middle, v, load)
-        rest = plant.CalcBiasTerm(context) - plant.CalcGravityGeneralizedForces(context)
-        mass = plant.CalcMassMatrix(context)
-        a = np.linalg.solve(mass + np.diag(STEP * (slope + implicit)), u - f - rest)
-        u -= STEP * implicit * a
-        load = mass @ a + rest
-        rows[:, k] = q, v, u
-        q, v = q + STEP * (v + 0.5 * STEP * a), v + STEP * a
-    return rows[0], rows[1], rows[2]
-
-
-def record(
-    name: str, model: RobotModel, rows: tuple[Array, Array, Array], noise: Array, seed: int
-) -> JointLog:
-    """What sensors make of a simulation: white noise (n,) on efforts, an encoder's on positions."""
-    q, v, u = rows
-    rng = np.random.default_rng(seed)
-    at = np.arange(1, len(q), EVERY)
-    effort = 0.5 * (u[at] + u[at - 1])  # an effort is held over a step
-    return JointLog(
-        name,
-        model.joints,
-        STEP * at,
-        q[at] + ENCODER * rng.normal(size=effort.shape),
-        effort + noise * rng.normal(size=effort.shape),
-        v[at] + 20.0 * ENCODER * rng.normal(size=effort.shape),
-    )
-
+Reference = Callable[[Array], Moved]
+"""Position, velocity and acceleration (N, n) at instants (N,)."""
 
 # The robots of the study: which effect they have, which one it may be taken for, a first motion.
 #
@@ -177,37 +85,37 @@ class Case:
     truth: str
     rival: str
     joint: str
-    hidden: str
+    law: Law
     size: float
     motion: str
-    parameters: tuple[float, ...] = (1.0,)
+    parameters: tuple[float, ...] = (1.0,)  # of the truth, for a size of one
 
-    def drawn_size(self, rng: np.random.Generator) -> float:
+    def drawn_size(self, rng: Generator) -> float:
         """Return up to a fifth more or less than usual."""
         return self.size * rng.uniform(0.8, 1.2)
 
-    def robot(self, size: float) -> Hidden:
-        """Return a robot with the effect."""
-        if self.hidden == "tilt":
-            return Hidden.of(len(JOINTS), tilt=(0.0, size))
-        return Hidden.of(len(JOINTS), **{self.hidden: {JOINTS.index(self.joint): size}})
+    def seen(self, motion: Reference, times: Array) -> Seen:
+        """Return a motion of the robot without the effect."""
+        engine, (q, v, a) = PinocchioEngine(robot_file(PENDULUM)), motion(times)
+        return Seen(times, q, v, a, engine.efforts(q, v, a), engine)
 
-    def first_motion(self, rng: np.random.Generator) -> Reference:
-        """Return the first motion, a little different each time."""
-        return MOTIONS[self.motion][0](rng)
+    def effort(self, seen: Seen, size: float) -> Array:
+        """Return (N, n) effort of the effect."""
+        joint = JOINTS.index(self.joint)
+        return self.law(seen, Site(joint, 1 - joint, np.random.default_rng(0)), size)
 
 
 def about(center: Array, *waves: Array) -> Reference:
     """Return sines about a posture, of sizes, rates and phases."""
 
-    def motion(t: Array) -> tuple[Array, Array, Array]:
+    def motion(t: Array) -> Moved:
         q, v, a = sines(t, *waves)
         return center + q, v, a
 
     return motion
 
 
-def sway(rng: np.random.Generator) -> Reference:
+def sway(rng: Generator) -> Reference:
     """Return a slow sway of a degree or two."""
     center = CENTER + rng.uniform(-0.01, 0.01, 2)
     rates = 2.0 * np.pi * np.array([0.11, 0.24])[:, None] * rng.uniform(0.9, 1.1, (2, 2))
@@ -215,7 +123,7 @@ def sway(rng: np.random.Generator) -> Reference:
     return about(center, sizes, rates, phases)
 
 
-def shuttle(rng: np.random.Generator, reach: float = 0.08) -> Reference:
+def shuttle(rng: Generator, reach: float = 0.08) -> Reference:
     """Back and forth at one speed through a few degrees: a triangle wave with rounded corners."""
     rates = 2.0 * np.pi * np.array([0.13, 0.19]) * rng.uniform(0.9, 1.1, 2)
     phases, order = rng.uniform(0.0, 2.0 * np.pi, 2), np.arange(1, 24, 2)[:, None]
@@ -225,19 +133,19 @@ def shuttle(rng: np.random.Generator, reach: float = 0.08) -> Reference:
     return about(center, weights, order * rates, order * phases)
 
 
-def sweep(rng: np.random.Generator) -> Reference:
+def sweep(rng: Generator) -> Reference:
     """In one direction at one slow speed."""
     start = np.array([-0.3, 0.6]) + rng.uniform(-0.05, 0.05, 2)
     speed = 0.08 * rng.uniform(0.9, 1.1, 2)
 
-    def motion(t: Array) -> tuple[Array, Array, Array]:
+    def motion(t: Array) -> Moved:
         v = np.broadcast_to(speed, (len(t), 2))
         return start + t[:, None] * speed, v, np.zeros((len(t), 2))
 
     return motion
 
 
-MOTIONS: Mapping[str, tuple[Callable[[np.random.Generator], Reference], str]] = {
+MOTIONS: Mapping[str, tuple[Callable[[Generator], Reference], str]] = {
     "sway": (sway, "a sway of a degree or two"),
     "shuttle": (shuttle, "back and forth, 5° at one speed"),
     "long shuttle": (partial(shuttle, reach=0.4), "back and forth, 25° at one speed"),
@@ -245,24 +153,29 @@ MOTIONS: Mapping[str, tuple[Callable[[np.random.Generator], Reference], str]] = 
 }
 """First motions, and what they are like."""
 
-DRY, LOAD = "coulomb_friction", "load_dependent_friction"
-VISCOUS, QUADRATIC = "viscous_friction", "nonlinear_viscous_friction"
-OFFSET, ASYMMETRIC = "effort_offset", "asymmetric_friction"
-SPRING, TILT = "joint_spring", "gravity_tilt"
+LOAD, QUADRATIC = "load_dependent_friction", "nonlinear_viscous_friction"
+ASYMMETRIC, SPRING, TILT = "asymmetric_friction", "joint_spring", "gravity_tilt"
+_DRY, _LOAD, _WET, _SHIFT = (TRUTHS[name].law for name in (DRY, LOAD, WET, OFFSET))
+_square = of_joint(lambda own, other, rng: np.abs(own.v) * own.v)
+_one_way = of_joint(lambda own, other, rng: (own.v > 0.0) * own.v)
+_spring = of_joint(lambda own, other, rng: own.q)
+
+
+def _tilt(seen: Seen, site: Site, size: float) -> Array:
+    return seen.tilted(0.0, size)
+
 
 CASES = (
-    Case(DRY, LOAD, "elbow", "coulomb", 0.15, "shuttle"),
-    Case(LOAD, DRY, "elbow", "load_factor", 0.1, "shuttle"),
-    Case(VISCOUS, QUADRATIC, "elbow", "viscous", 0.25, "long shuttle"),
-    Case(QUADRATIC, VISCOUS, "elbow", "quadratic", 0.8, "long shuttle"),
-    Case(OFFSET, ASYMMETRIC, "elbow", "offset", 0.1, "sweep"),
-    Case(ASYMMETRIC, OFFSET, "elbow", "one_way", 1.2, "sweep", (0.0, 0.0, 1.0, 0.0)),
-    Case(SPRING, TILT, "shoulder", "stiffness", 0.2, "sway", (1.0, 0.0)),
-    Case(TILT, SPRING, "shoulder", "tilt", 0.03, "sway", (0.0, 1.0)),
+    Case(DRY, LOAD, "elbow", _DRY, 0.15, "shuttle"),
+    Case(LOAD, DRY, "elbow", _LOAD, 0.1, "shuttle"),
+    Case(WET, QUADRATIC, "elbow", _WET, 0.25, "long shuttle"),
+    Case(QUADRATIC, WET, "elbow", _square, 0.8, "long shuttle"),
+    Case(OFFSET, ASYMMETRIC, "elbow", _SHIFT, 0.1, "sweep"),
+    Case(ASYMMETRIC, OFFSET, "elbow", _one_way, 1.2, "sweep", (0.0, 0.0, 1.0, 0.0)),
+    Case(SPRING, TILT, "shoulder", _spring, 0.2, "sway", (1.0, 0.0)),
+    Case(TILT, SPRING, "shoulder", _tilt, 0.03, "sway", (0.0, 1.0)),
 )
-
-
-ROBOT = MODELS / "double_pendulum.urdf"
+_ENCODER, _RATE = 1e-5, 200.0  # rad, 1/s
 NOISE = 0.06  # N·m, white, at 200 Hz
 KNOWN = 0.01  # how well the inertias are known, as a geometric distance
 FIRST = 16.0  # s, length of the first log
@@ -282,21 +195,10 @@ class Draw:
 @cache
 def known_model() -> RobotModel:
     """Return the model file, its inertias identified before to within 1 %."""
-    model = load_model(ROBOT)
+    model = robot_model(PENDULUM)
     information = pullback_information(model.phi, KNOWN)
     noise = np.full(len(model.joints), NOISE)
     return replace(model, information=information, effort_noise=noise)
-
-
-def real_robot(hidden: Hidden) -> MultibodyPlant:
-    """Return the robot itself: the model file on a base that may be tilted."""
-    plant = MultibodyPlant(0.0)
-    (arm,) = Parser(plant).AddModels(str(ROBOT))
-    root = plant.get_body(plant.GetBodyIndices(arm)[0])
-    plant.WeldFrames(plant.world_frame(), root.body_frame())
-    tilted(plant, hidden.tilt)
-    plant.Finalize()
-    return plant
 
 
 def allowed() -> MotionLimits:
@@ -330,8 +232,8 @@ def run(draw: Draw, *, iterations: int) -> dict[str, Any]:
     """
     case, rng = CASES[draw.case], np.random.default_rng([draw.seed, draw.case])
     size = case.drawn_size(rng)
-    hidden, motion = case.robot(size), case.first_motion(rng)
-    first = measured(draw, "first", hidden, motion, FIRST)
+    motion = MOTIONS[case.motion][0](rng)
+    first = diagnose(known_model(), [measured(draw, "first", size, motion, FIRST)])
     row: dict[str, Any] = {
         "case": draw.case,
         "seed": draw.seed,
@@ -345,8 +247,8 @@ def run(draw: Draw, *, iterations: int) -> dict[str, Any]:
     if row["ambiguous"]:
         for name, trajectory in motions(case, draw.seed, iterations).items():
             reference = partial(moved, trajectory)
-            found = measured(draw, name, hidden, reference, SECOND)
-            row[name] = verdict(case, found)
+            log = measured(draw, name, size, reference, SECOND)
+            row[name] = verdict(case, diagnose(known_model(), [log]))
             row[f"{name}_deviations"] = deviations(case, size, reference, SECOND)
     return row
 
@@ -365,21 +267,19 @@ def motions(case: Case, seed: int, iterations: int) -> dict[str, ExcitationTraje
     return {"random": problem.trajectory(guess), "designed": result.trajectory}
 
 
-def moved(trajectory: ExcitationTrajectory, t: Array) -> tuple[Array, Array, Array]:
+def moved(trajectory: ExcitationTrajectory, t: Array) -> Moved:
     """Return position, velocity and acceleration by joint, which stay as they are at the end."""
     q, v, vd = trajectory.states(np.minimum(t, trajectory.length))
     return q, v, vd
 
 
-def measured(
-    draw: Draw, name: str, hidden: Hidden, motion: Callable[..., Any], duration: float
-) -> Diagnosis:
-    """Return a diagnosis of the log of a motion."""
-    model = known_model()
-    rows = simulate(real_robot(hidden), model, hidden, motion, duration)
-    seed = 1000 * draw.seed + 10 * draw.case + len(name)
-    log = record(name, model, rows, np.full(len(model.joints), NOISE), seed)
-    return diagnose(model, [log])
+def measured(draw: Draw, name: str, size: float, motion: Reference, duration: float) -> JointLog:
+    """Return the log of a motion."""
+    case, seed = CASES[draw.case], 1000 * draw.seed + 10 * draw.case + len(name)
+    seen = case.seen(motion, np.arange(0.0, duration, 1.0 / _RATE))
+    effort = seen.load + case.effort(seen, size)
+    sensors = Sensors(1.0, _ENCODER, 20.0 * _ENCODER, deviation=NOISE)
+    return sensors.log(name, seen, effort, np.random.default_rng(seed))
 
 
 def deviations(case: Case, size: float, motion: Reference, duration: float) -> float:

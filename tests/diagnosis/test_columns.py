@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from diagrams.benchmarks.column_errors import DURATION, WrongLog, make_log
-from diagrams.benchmarks.hidden.robots import make_engine, robot_file
+from diagrams.benchmarks.simulated.engines import make_engine, robot_file
 from geodrake import load_model
 from geodrake.cli.command import unchecked_words
 from geodrake.control.export_proof.joints import exported_joints

@@ -3,33 +3,31 @@
 from __future__ import annotations
 
 import json
-import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 from typing import TypeVar
-from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 
-from diagrams.benchmarks.hidden.robots import (
-    FAST,
-    POINTS,
+from diagrams.benchmarks.simulated.engines import (
+    Array,
+    Generator,
     PinocchioEngine,
     RobotFile,
     congruent,
-    make_motion,
+    number_of,
     pseudo,
     robot_file,
 )
+from diagrams.benchmarks.simulated.motions import FAST, POINTS
+from diagrams.benchmarks.simulated.recording import Sensors
+from diagrams.benchmarks.simulated.truths import Seen
 from geodrake.boundary.whole_files import write_whole
 from geodrake.logs.files import write_log
 from geodrake.logs.motion import JointLog
-
-Array = NDArray[np.float64]
 
 TYPES = ("arm3", "arm6")
 WEAR, STICKIER, PAYLOAD, GAIN = "wear", "friction step", "payload", "gain"
@@ -58,10 +56,10 @@ class FleetDraw:
         """The robot's name."""
         return f"{self.kind}_{self.number:03d}"
 
-    def random(self, purpose: str) -> np.random.Generator:
+    def random(self, purpose: str) -> Generator:
         """Return a generator for one purpose, which no other changes."""
         words = f"{self.kind} {self.number} {purpose}"
-        return np.random.default_rng([self.seed, crc32(words.encode())])
+        return np.random.default_rng([self.seed, number_of(words)])
 
     @property
     def change(self) -> HiddenChange | None:
@@ -140,12 +138,7 @@ def _typical_efforts(kind: str) -> Array:
         np.maximum(engine.low, -1.5), np.minimum(engine.high, 1.5), (200, len(engine.low))
     )
     v, a = rng.normal(size=(2, *q.shape))
-    strongest = {
-        joint.get("name"): float(joint.find("limit").get("effort"))  # type: ignore[union-attr,arg-type]
-        for joint in ET.fromstring(type_file(kind).text).iter("joint")
-        if joint.find("limit") is not None
-    }
-    least = [_LEAST_EFFORT * strongest[joint] for joint in engine.joints]
+    least = _LEAST_EFFORT * np.asarray(type_file(kind).model.effort_limits)
     return np.maximum(engine.efforts(q, v, 2.0 * a).std(axis=0), least)
 
 
@@ -154,7 +147,7 @@ def type_file(kind: str) -> RobotFile:
     """Return the model file of a type; arm3 is arm6 whose wrist is held."""
     if kind != "arm3":
         return robot_file(kind)
-    return RobotFile.holding(kind, robot_file("arm6"), _HELD)
+    return robot_file("arm6").holding(kind, _HELD)
 
 
 def type_engine(kind: str) -> PinocchioEngine:
@@ -200,17 +193,15 @@ def robot_logs(draw: FleetDraw) -> Iterator[JointLog]:
                 viscous[change.joint] *= 1.0 + much
         engine.set_bodies(bodies)
         kind = POINTS if rng.uniform() < 0.3 else FAST
-        q, v, a = make_motion(kind, engine, time, rng)
-        slow = 1.0 + _RISE * np.exp(-np.square(v / _SLOW))
-        friction = dry * slow * np.tanh(v / _BREAKAWAY) + viscous * v
-        effort = gain * (engine.efforts(q, v, a) + friction) + own.offset
-        effort += _NOISE * effort.std(axis=0) * rng.normal(size=effort.shape)
-        position = q + _ENCODER * rng.normal(size=q.shape)
-        name = f"{_date_name(FIRST + day * DAY)}.npz"
-        yield JointLog(name, engine.joints, time, position, effort)
+        seen = Seen.of(engine, kind, time, rng)
+        slow = 1.0 + _RISE * np.exp(-np.square(seen.v / _SLOW))
+        friction = dry * slow * np.tanh(seen.v / _BREAKAWAY) + viscous * seen.v
+        effort = gain * (seen.load + friction) + own.offset
+        sensors = Sensors(_NOISE, _ENCODER, None)
+        yield sensors.log(f"{_date_name(FIRST + day * DAY)}.npz", seen, effort, rng)
 
 
-Times = TypeVar("Times", float, NDArray[np.float64])
+Times = TypeVar("Times", float, Array)
 
 FIRST, DAY = 1.7776e9 // 86400 * 86400, 86400.0
 """Seconds since 1970 of the first day of logs, and of a day."""

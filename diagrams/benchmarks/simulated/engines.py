@@ -1,4 +1,4 @@
-"""Arms: their model files, inverse dynamics by Pinocchio and by MuJoCo, and their motions.
+"""Arms: their model files, and inverse dynamics by Pinocchio and by MuJoCo.
 
 Engines take nothing from geodrake. Bodies are numbered as the joints that move them.
 """
@@ -13,18 +13,23 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from zlib import crc32
 
 import mujoco
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from diagrams.harness import MODELS, sines
+from diagrams.harness import MODELS
 from diagrams.public_data import installed_model
 from geodrake import load_model
 from geodrake.model import RobotModel
 
-OWN = ("double_pendulum", "arm6", "arm7")
+Array = NDArray[np.float64]
+Generator = np.random.Generator
+
+PENDULUM = "double_pendulum"
+OWN = (PENDULUM, "arm6", "arm7")
 PUBLIC: Mapping[str, str] = {
     "ur5": "ur_description/urdf/ur5_joint_limited_robot.urdf",
     "panda": "panda_description/urdf/panda.urdf",
@@ -39,8 +44,13 @@ FURTHER: Mapping[str, str] = {
     "baxter": "baxter_description/urdf/baxter.urdf",
     "tiago": "tiago_description/robots/tiago_no_hand.urdf",
 }
-"""Public arms of other studies, which are not drawn here."""
+"""Public arms of some studies alone."""
 _FINGERS = ("jointGripper",)
+
+
+def number_of(words: str) -> int:
+    """Return a number for words, by which random numbers of a purpose differ from others."""
+    return crc32(words.encode())
 
 
 @dataclass(frozen=True)
@@ -50,14 +60,24 @@ class RobotFile:
     name: str
     text: str  # the URDF
 
-    @classmethod
-    def holding(cls, name: str, file: RobotFile, held: Sequence[str]) -> RobotFile:
-        """Return a file whose joints of some names do not move."""
-        root = ET.fromstring(file.text)
+    def changed(self, name: str, **attributes: Mapping[str, str]) -> RobotFile:
+        """Return a file whose joints of some names have another type, or limit of effort.
+
+        Args:
+            name: The new file's name.
+            attributes: `type` or `effort` -> joint -> its value.
+        """
+        root = ET.fromstring(self.text)
         for joint in root.iter("joint"):
-            if joint.get("name") in held:
-                joint.set("type", "fixed")
-        return cls(name, ET.tostring(root, encoding="unicode"))
+            for key, values in attributes.items():
+                place = joint if key == "type" else joint.find("limit")
+                if place is not None and joint.get("name") in values:
+                    place.set(key, values[joint.get("name", "")])
+        return RobotFile(name, ET.tostring(root, encoding="unicode"))
+
+    def holding(self, name: str, held: Sequence[str]) -> RobotFile:
+        """Return a file whose joints of some names do not move."""
+        return self.changed(name, type=dict.fromkeys(held, "fixed"))
 
     @cached_property
     def model(self) -> RobotModel:
@@ -74,12 +94,21 @@ def _folder() -> TemporaryDirectory[str]:
     return folder
 
 
-PLANAR = ("double_pendulum",)
-
-
 def robot_names() -> tuple[str, ...]:
     """Return the robots that are installed."""
     return (*OWN, *(name for name, path in PUBLIC.items() if installed_model(path).is_file()))
+
+
+def bare(path: Path) -> ET.Element:
+    """Return the root of a URDF without shapes, and without what it states of friction."""
+    root = ET.parse(path).getroot()
+    for link in root.iter("link"):
+        for shape in (*link.findall("visual"), *link.findall("collision")):
+            link.remove(shape)
+    for joint in root.iter("joint"):
+        for stated in joint.findall("dynamics"):
+            joint.remove(stated)
+    return root
 
 
 @cache
@@ -90,13 +119,9 @@ def robot_file(name: str) -> RobotFile:
     fingers are held fixed. Joints that turn without end have limits.
     """
     public = {**PUBLIC, **FURTHER}
-    own = MODELS / f"{name}.urdf"
-    root = ET.parse(installed_model(public[name]) if name in public else own).getroot()
-    for link in root.iter("link"):
-        for shape in (*link.findall("visual"), *link.findall("collision")):
-            link.remove(shape)
+    root = bare(installed_model(public[name]) if name in public else MODELS / f"{name}.urdf")
     for joint in root.iter("joint"):
-        for stated in (*joint.findall("dynamics"), *joint.findall("mimic")):
+        for stated in joint.findall("mimic"):
             joint.remove(stated)
         if joint.get("type") == "prismatic" or joint.get("name") in _FINGERS:
             joint.set("type", "fixed")
@@ -110,8 +135,7 @@ def robot_model(name: str) -> RobotModel:
     return robot_file(name).model
 
 
-Array = NDArray[np.float64]
-GRAVITY = 9.81
+GRAVITY = np.array([0.0, 0.0, -9.81])
 Body = tuple[float, Array, Array]
 """Mass, centre (3,), and inertia (3, 3) about the centre."""
 
@@ -141,13 +165,17 @@ class Engine(ABC):
         """Return (N, n) efforts that a motion, (N, n) each, needs."""
         return np.array([self._effort(*sample) for sample in zip(q, v, a, strict=True)])
 
-    def jacobians(self, body: int, point: Array, q: Array) -> Array:
-        """(N, 6, n) Jacobians of a body in the world frame: of a point's velocity, of rotation."""
-        return np.array([self._jacobian(body, point, at) for at in q])
+    def frames(self, body: int, point: Array, q: Array) -> tuple[Array, Array]:
+        """Return what a body does in the world at positions (N, n).
 
-    def rotations(self, body: int, q: Array) -> Array:
-        """Return (N, 3, 3) orientations of a body in the world."""
-        return np.array([self._rotation(body, at) for at in q])
+        Returns:
+            (N, 6, n) Jacobians of a point's velocity and of the rotation, and (N, 3, 3)
+            orientations.
+        """
+        jacobians, rotations = zip(*(self._frame(body, at) for at in q), strict=True)
+        J, R = np.array(jacobians), np.array(rotations)
+        J[:, :3] -= np.cross((R @ point)[:, :, None], J[:, 3:], axis=1)
+        return J, R
 
     @abstractmethod
     def _bodies(self) -> list[Body]: ...
@@ -159,10 +187,8 @@ class Engine(ABC):
     def _effort(self, q: Array, v: Array, a: Array) -> Array: ...
 
     @abstractmethod
-    def _jacobian(self, body: int, point: Array, q: Array) -> Array: ...
-
-    @abstractmethod
-    def _rotation(self, body: int, q: Array) -> Array: ...
+    def _frame(self, body: int, q: Array) -> tuple[Array, Array]:
+        """Return the Jacobian (6, n) of a body's origin, and its orientation (3, 3)."""
 
 
 class PinocchioEngine(Engine):
@@ -189,15 +215,10 @@ class PinocchioEngine(Engine):
     def _effort(self, q: Array, v: Array, a: Array) -> Array:
         return pin.rnea(self._model, self._data, q, v, a)
 
-    def _jacobian(self, body: int, point: Array, q: Array) -> Array:
+    def _frame(self, body: int, q: Array) -> tuple[Array, Array]:
         pin.computeJointJacobians(self._model, self._data, q)
         J = pin.getJointJacobian(self._model, self._data, body + 1, pin.LOCAL_WORLD_ALIGNED)
-        arm = pin.skew(self._data.oMi[body + 1].rotation @ point)
-        return np.vstack([J[:3] - arm @ J[3:], J[3:]])
-
-    def _rotation(self, body: int, q: Array) -> Array:
-        pin.forwardKinematics(self._model, self._data, q)
-        return self._data.oMi[body + 1].rotation.copy()
+        return J, self._data.oMi[body + 1].rotation.copy()
 
 
 class MuJoCoEngine(Engine):
@@ -243,19 +264,21 @@ class MuJoCoEngine(Engine):
         mujoco.mj_inverse(self._model, d)
         return d.qfrc_inverse.copy()
 
-    def _jacobian(self, body: int, point: Array, q: Array) -> Array:
-        found, number, d = np.empty((6, len(q))), int(self._model.jnt_bodyid[body]), self._data
+    def _frame(self, body: int, q: Array) -> tuple[Array, Array]:
+        J, number, d = np.empty((6, len(q))), int(self._model.jnt_bodyid[body]), self._data
         d.qpos[:] = q
         mujoco.mj_kinematics(self._model, d)
         mujoco.mj_comPos(self._model, d)
-        world = d.xpos[number] + d.xmat[number].reshape(3, 3) @ point
-        mujoco.mj_jac(self._model, d, found[:3], found[3:], world, number)
-        return found
+        mujoco.mj_jac(self._model, d, J[:3], J[3:], d.xpos[number], number)
+        return J, d.xmat[number].reshape(3, 3).copy()
 
-    def _rotation(self, body: int, q: Array) -> Array:
-        self._data.qpos[:] = q
-        mujoco.mj_kinematics(self._model, self._data)
-        return self._data.xmat[int(self._model.jnt_bodyid[body])].reshape(3, 3).copy()
+
+ENGINES = ("pinocchio", "mujoco")
+
+
+def make_engine(kind: str, file: RobotFile) -> Engine:
+    """Return one of `ENGINES` with the bodies of a model file."""
+    return {"pinocchio": PinocchioEngine, "mujoco": MuJoCoEngine}[kind](file)
 
 
 def pseudo(mass: float, com: Array, inertia: Array) -> Array:
@@ -272,15 +295,7 @@ def mass_com_inertia(P: Array) -> Body:
     return float(P[3, 3]), com, np.trace(second) * np.eye(3) - second
 
 
-def make_engine(kind: str, file: RobotFile) -> Engine:
-    """Return an engine "pinocchio" or "mujoco" with the bodies of a model file."""
-    return {"pinocchio": PinocchioEngine, "mujoco": MuJoCoEngine}[kind](file)
-
-
-ENGINES = ("pinocchio", "mujoco")
-
-
-def congruent(P: Array, distance: float, rng: np.random.Generator) -> Array:
+def congruent(P: Array, distance: float, rng: Generator) -> Array:
     """Bodies near (n, 4, 4) ones: L exp(S) Lᵀ with P = L Lᵀ and random symmetric S.
 
     S is isotropic in the affine-invariant metric tr(P⁻¹ dP P⁻¹ dP): a mass changes by a share of
@@ -294,75 +309,3 @@ def congruent(P: Array, distance: float, rng: np.random.Generator) -> Array:
     tiny = 1e-9 * np.trace(P, axis1=1, axis2=2)[:, None, None] * np.eye(4)
     L = np.linalg.cholesky(P + tiny)
     return L @ change @ L.transpose(0, 2, 1)
-
-
-Motion = tuple[Array, Array, Array]
-
-FAST, SLOW, POINTS = "fast", "slow", "point to point"
-MOTIONS = (FAST, SLOW, POINTS)
-SLOW_SPEED = 0.3  # rad/s
-_FASTEST = 4.0  # rad/s, where limits are looser
-_REACH, _PACE = 0.6, 0.6  # of the limits
-_SHORTEST = 0.8  # s, of a move
-
-
-def make_motion(kind: str, engine: Engine, time: Array, rng: np.random.Generator) -> Motion:
-    """Return positions, velocities and accelerations, (N, n) each, within limits of a robot."""
-    center, reach, speed = motion_range(engine)
-    if kind == POINTS:
-        return _point_to_point(center, reach, speed, time, rng)
-    if kind == SLOW:
-        speed = np.minimum(speed, SLOW_SPEED)
-    return _multisine(center, reach, speed, time, rng)
-
-
-def motion_range(engine: Engine) -> tuple[Array, Array, Array]:
-    """Return the middle of motions, how far they go from it, and how fast, (n,) each."""
-    half = np.minimum((engine.high - engine.low) / 2.0, np.pi / 2.0)
-    center = np.clip(0.0, engine.low + half, engine.high - half)
-    return center, _REACH * half, _PACE * np.minimum(engine.fastest, _FASTEST)
-
-
-def coloured(noise: Array, memory: float) -> Array:
-    """Return white noise (N, …) with a memory from one sample to the next, as large as before."""
-    found = noise.copy()
-    found[1:] *= np.sqrt(1.0 - memory**2)
-    for k in range(1, len(found)):
-        found[k] += memory * found[k - 1]
-    return found
-
-
-def _multisine(
-    center: Array, reach: Array, speed: Array, time: Array, rng: np.random.Generator
-) -> Motion:
-    """Sums of sines q = centre + Σ a sin(ω t + φ), which do not repeat; slow ones if slow."""
-    n = len(center)
-    # A wave that fills the reach at this speed, and its multiples.
-    base = float(np.clip(np.median(speed / reach) / 2.5, 0.25, 0.65))
-    rate = base * (np.arange(1, 7)[:, None] + rng.uniform(-0.4, 0.4, (6, n)))
-    phase = rng.uniform(0.0, 2.0 * np.pi, (6, n))
-    amplitude = rng.uniform(0.3, 1.0, (6, n)) / np.sqrt(np.arange(1, 7))[:, None]
-    q, v, a = sines(time, amplitude, rate, phase)
-    scale = 1.0 / np.maximum(np.abs(q).max(0) / reach, np.abs(v).max(0) / speed)
-    return center + scale * q, scale * v, scale * a
-
-
-def _point_to_point(
-    center: Array, reach: Array, speed: Array, time: Array, rng: np.random.Generator
-) -> Motion:
-    """Return moves of least jerk between random points, with rests of 0.2 to 0.6 s."""
-    q, v, a = (np.zeros((len(time), len(center))) for _ in range(3))
-    at, t = center, 0.0
-    while t < time[-1]:
-        goal = center + reach * rng.uniform(-1.0, 1.0, len(center))
-        # The peak speed of such a move is 15/8 of its mean speed.
-        length = 1.875 * float(np.max(np.abs(goal - at) / speed)) / rng.uniform(0.5, 1.0)
-        length = max(length, _SHORTEST)
-        s = np.clip((time - t) / length, 0.0, 1.0)[:, None]
-        now = (time >= t)[:, None]
-        step = goal - at
-        q = np.where(now, at + step * s**3 * (10.0 - 15.0 * s + 6.0 * s**2), q)
-        v = np.where(now, step * 30.0 * s**2 * (1.0 - s) ** 2 / length, v)
-        a = np.where(now, step * 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / length**2, a)
-        at, t = goal, t + length + rng.uniform(0.2, 0.6)
-    return q, v, a

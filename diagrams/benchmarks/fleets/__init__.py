@@ -1,1 +1,0 @@
-"""Simulated fleets whose robots change, by formulas of their own, and what is found in them."""

@@ -1,1 +1,0 @@
-"""Ordinary robots: arms with friction, rotors and tools, and what a diagnosis says of them."""
