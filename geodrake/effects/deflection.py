@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
+from geodrake.compiling import compiled, contiguous
 from geodrake.effects.base import (
     Array,
     FittedEffect,
@@ -51,10 +52,31 @@ class Deflection:
 
         −(∂τ/∂q_j s + ∂τ/∂v_j ṡ + M_{·j} s̈), with the bodies' effort τ(q, v, v̇).
         """
-        change = slopes.position[:, :, joint] * self.lag[:, None]
-        change += slopes.velocity[:, :, joint] * self.rate[:, None]
-        change += slopes.acceleration[:, :, joint] * self.acceleration[:, None]
-        return np.asarray(-change)
+        change = np.empty(slopes.position.shape[:2])
+        by_q, by_v, by_a = (
+            contiguous(np.swapaxes(each, 1, 2))  # as they are in memory
+            for each in (slopes.position, slopes.velocity, slopes.acceleration)
+        )
+        of_link = contiguous(self.lag), contiguous(self.rate), contiguous(self.acceleration)
+        calc_change((by_q, by_v, by_a), joint, of_link, change)
+        return change
+
+
+@compiled
+def calc_change(
+    slopes: tuple[Array, Array, Array], joint: int, link: tuple[Array, Array, Array], out: Array
+) -> None:
+    """Write the change of efforts (N, nv); see `Deflection.effort`.
+
+    Args:
+        slopes: (N, nv, nv) by whose position, velocity and acceleration.
+        link: (N,) lag, its rate, and its acceleration.
+    """
+    (by_q, by_v, by_a), (lag, rate, acceleration) = slopes, link
+    for n in range(len(out)):
+        for i in range(out.shape[1]):
+            change = by_q[n, joint, i] * lag[n] + by_v[n, joint, i] * rate[n]
+            out[n, i] = -(change + by_a[n, joint, i] * acceleration[n])
 
 
 @dataclass(frozen=True)

@@ -281,20 +281,28 @@ class Backlash(DeflectionEffect):
 
     def deflection(self, motion: RobotMotion) -> Deflection:
         """At the side to which the load pushes the link, or loose between both sides."""
-        at, time = motion.index(self.joint), motion.time
-        load = motion.load[:, at]
+        load, time = motion.load[:, motion.index(self.joint)], motion.time
         if time is None or len(time) < 3:
             return Deflection.along(self.half_width * np.sign(load), time)
-        inertias = motion.effort_slopes.acceleration[:, at]  # (N, nv)
-        noise = np.linalg.norm(inertias * motion.acceleration_noise, axis=1)
         period = float(np.median(np.diff(time)))
+        load, unsure = motion.once((Backlash, self.joint), lambda: self._loosening(motion, period))
+        lag = link_lag(self.half_width, load, time, unsure)
+        bend = np.diff(lag, 2, prepend=lag[:1], append=lag[-1:])
+        return Deflection(lag, np.gradient(lag, time), bend / period**2)
+
+    def _loosening(self, motion: RobotMotion, period: float) -> tuple[Array, Array]:
+        """Return accelerations (N,) of a loose link, and those up to which it does not get loose.
+
+        Gaps of any width have the same.
+        """
+        at = motion.index(self.joint)
+        load, inertias = motion.load[:, at], motion.effort_slopes.acceleration[:, at]  # (N, nv)
+        noise = np.linalg.norm(inertias * motion.acceleration_noise, axis=1)
         bandwidth = _SLOWER * motion.bandwidth
         if bandwidth * period < HIGHEST_BANDWIDTH:
             load = design_filter(period, bandwidth).smooth(load)
         inertia = np.maximum(inertias[:, at], 1e-9)
-        lag = link_lag(self.half_width, load / inertia, time, _UNSURE * noise / inertia)
-        bend = np.diff(lag, 2, prepend=lag[:1], append=lag[-1:])
-        return Deflection(lag, np.gradient(lag, time), bend / period**2)
+        return load / inertia, _UNSURE * noise / inertia
 
     def give(self, parameters: Array) -> Give:
         """Play of half the width h to either side, times the share g."""

@@ -6,7 +6,7 @@ import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from geodrake.errors import ArgumentError
 from geodrake.robot.effort_slopes import EffortSlopes, effort_slopes
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,12 +90,16 @@ class RobotMotion(Short):
         Raises:
             ArgumentError: There is no such joint.
         """
-        if name not in self._joint_motions:
-            self._joint_motions[name] = self._joint(name)
-        return self._joint_motions[name]
+        return self.once((JointMotion, name), lambda: self._joint(name))
+
+    def once(self, key: tuple[Any, str], make: Callable[[], T]) -> T:
+        """Return what effects of several shapes make of the motion, made when first asked for."""
+        if key not in self._made:
+            self._made[key] = make()
+        return cast(T, self._made[key])
 
     @cached_property
-    def _joint_motions(self) -> dict[str, JointMotion]:
+    def _made(self) -> dict[tuple[Any, str], Any]:
         return {}
 
     def _joint(self, name: str) -> JointMotion:

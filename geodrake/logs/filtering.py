@@ -24,19 +24,32 @@ from geodrake.boundary.arguments import Array
 from geodrake.compiling import compiled, contiguous
 from geodrake.errors import ArgumentError, LogError
 
-SHARP = "blackmanharris"
-"""The window whose side lobes, below −92 dB, hide nothing of a spectrum's dynamic range."""
+HANN = (0.5, -0.5)
+"""Cosines of the usual window of a spectrum."""
+
+SHARP = (0.35875, -0.48829, 0.14128, -0.01168)
+"""Those of Blackman and Harris, whose side lobes, below −92 dB, hide nothing of a spectrum."""
 
 
 def spectral_density(
-    signal: ArrayLike, rate: float, length: int, *, window: str = "hann", centered: bool = True
+    signal: ArrayLike,
+    rate: float,
+    length: int,
+    *,
+    window: Sequence[float] = HANN,
+    centered: bool = True,
 ) -> tuple[Array, Array]:
     """Return frequencies (K,), Hz, and spectral densities (K, n) of signals, by Welch's method."""
-    from scipy.signal import welch  # which takes a while to import
+    from matplotlib import mlab  # a quarter of the time that scipy.signal takes, import and all
 
-    detrend = "constant" if centered else False
-    frequency, density = welch(signal, rate, window, length, axis=0, detrend=detrend)
-    return frequency, density
+    turns = 2.0 * np.pi * np.arange(length) / length
+    weights = np.array(window) @ np.cos(np.outer(np.arange(len(window)), turns))
+    detrend = mlab.detrend_mean if centered else mlab.detrend_none
+    found = [
+        mlab.psd(column, length, rate, detrend, weights, length // 2)
+        for column in np.asarray(signal, float).T
+    ]
+    return np.asarray(found[0][1]), np.stack([density for density, _ in found], axis=1)
 
 
 _LEAST_BINS = 12  # of a spectrum in a band
