@@ -338,7 +338,7 @@ class RobotCoordinates(JointlyEvaluated):
         for place in self.places:
             at, ends = place.actuators, (lower[place.joints], upper[place.joints])
             low[at], high[at] = _positions(place.map, *ends)
-        return low, high
+        return low + 0.0, high + 0.0  # as NumPy takes -0.0 for less than 0.0
 
     def rates(self, limits: Array, within: tuple[Array, Array]) -> Array:
         """Largest speeds or accelerations (nv,) of the robot, of those (nv of the tree,) of joints.
