@@ -417,13 +417,18 @@ def test_a_second_constraint_of_a_joint_is_left_out(tmp_path, both):
     assert len(model.joints) == 1
 
 
-def test_a_joint_that_cannot_follow_is_left_out(tmp_path):
+def test_a_joint_that_follows_by_a_ratio_of_zero_is_fixed(tmp_path):
     text = mjcf(
-        tip() + f'<body><joint name="b" type="hinge"/>{GEOM}</body>',
-        tail='<equality><joint joint1="t" joint2="b" polycoef="0 0 0 0 0"/></equality>',
+        tip('ref="20"') + f'<body><joint name="b" type="hinge"/>{GEOM}</body>',
+        tail='<equality><joint joint1="t" joint2="b" polycoef=".1 0 0 0 0"/></equality>',
     )
-    (said,) = load_model(write(tmp_path, text)).left_out
-    assert said.startswith("<equality> is ignored, as it has no joint to follow: t")
+    path = write(tmp_path, text)
+    model, theirs = load_model(path), mujoco.MjModel.from_xml_path(str(path))
+    assert (model.joints, model.left_out) == (("a", "b"), ())
+    data = mujoco.MjData(theirs)
+    data.joint("t").qpos[:] = model.held["t"]
+    mujoco.mj_forward(theirs, data)
+    assert data.efc_pos[: data.ne] == pytest.approx([0.0], abs=1e-12)
 
 
 def test_deformable_bodies_are_read_and_their_elasticity_is_told(tmp_path):
@@ -500,6 +505,11 @@ def test_tendons_that_tie_two_joints_have_one_follow_the_other(tmp_path, tendons
         ('<tendon tendon1="q" tendon2="r" polycoef=".1 2 0 0 0"/>', ("a",), {}),
         ('<joint joint1="t" joint2="b" polycoef=".1 3 0 0 0"/>', ("a",), {}),
         ('<joint joint1="t" polycoef=".3"/>', ("b",), {"a": pytest.approx(0.15 / 2)}),
+        (
+            '<joint joint1="t" joint2="b" polycoef=".3 0 0 0 0"/>',
+            ("b",),
+            {"a": pytest.approx(0.15 / 2)},
+        ),
     ],
 )
 def test_what_ties_a_joint_that_follows_already_ties_the_other(tmp_path, tie, moving, held):
@@ -517,6 +527,22 @@ def test_what_ties_a_joint_that_follows_already_ties_the_other(tmp_path, tie, mo
         data.qpos[:] = model.plant_positions(np.array([[0.7]]))[0]
         mujoco.mj_forward(theirs, data)
         assert data.efc_pos[: data.ne] == pytest.approx([0.0, 0.0], abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("tail", "wrong"),
+    [
+        ('<equality><weld body1="t" relpose="0 0 0 0 0 0 nan"/></equality>', "<weld> has relpose"),
+        ('<equality><joint joint1="t" polycoef="1e300"/></equality>', r"1e\+300 is above 1e\+12"),
+        ('<tendon><fixed><joint joint="t" coef="nan"/></fixed></tendon>', "coef='nan'"),
+        ('<option viscosity="-1"/>', "-1 is below 0"),
+    ],
+)
+def test_numbers_that_mujoco_takes_and_no_robot_has_are_refused(tmp_path, tail, wrong):
+    path = write(tmp_path, mjcf(tip(), tail=tail))
+    mujoco.MjModel.from_xml_path(str(path))
+    with pytest.raises(ModelError, match=wrong):
+        load_model(path)
 
 
 def test_frames_within_frames_without_end_are_read_or_refused(tmp_path):

@@ -168,13 +168,17 @@ SDF_NUMBERS: Numeric = {
 }
 MJCF_NUMBERS: Numeric = {
     "": {
-        **dict.fromkeys(("pos", "axis", "euler", "zaxis", "gravity"), _VECTOR),
+        **dict.fromkeys(("pos", "axis", "euler", "zaxis", "gravity", "wind", "anchor"), _VECTOR),
+        **dict.fromkeys(("ref", "springref", "coef", "gravcomp"), _ONE),
+        **dict.fromkeys(("springlength", "springdamper"), Numbers(range(1, 3))),
+        "polycoef": Numbers(range(1, 6)),
+        "relpose": Numbers(range(7, 8)),
         **dict.fromkeys(("quat", "axisangle"), _FOUR),
         **dict.fromkeys(("xyaxes", "fromto"), _SIX),
         "size": Numbers(range(1, 5)),
         "gear": Numbers(range(1, 7)),
         **dict.fromkeys(("range", "ctrlrange", "forcerange", "actuatorfrcrange"), _RANGE),
-        **dict.fromkeys(("armature", "frictionloss", "density", "mass"), _POSITIVE),
+        **dict.fromkeys(("armature", "frictionloss", "density", "viscosity", "mass"), _POSITIVE),
         "damping": Numbers(range(1, 4), least=0.0),
         "stiffness": Numbers(range(1, 4)),
     },

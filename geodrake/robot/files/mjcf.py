@@ -488,6 +488,9 @@ class MjcfTerms:
     def _follow(self, at: int, first: int, second: int, data: Array) -> None:
         """Take that Y − y₀ = p(x − x₀), y₀ and x₀ at the file's own pose."""
         starts = [float(self.m.qpos0[self.m.jnt_qposadr[j]]) for j in (first, second)]
+        if not data[1:].any():
+            self.found.fixed[self._joint(first)] = starts[0] + float(data[0])
+            return
         own = data if data[2:].any() else data[:2]
         moved = np.zeros(len(own))
         polynomial = np.polynomial.Polynomial(own)(np.polynomial.Polynomial([-starts[1], 1.0]))
