@@ -14,6 +14,7 @@ from operator import attrgetter
 
 import numpy as np
 
+from geodrake.boundary.arguments import Array
 from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.motion import Trajectory
 
@@ -92,10 +93,54 @@ def validation_blocks(
     return folds
 
 
+_PIECES = 4
+_MOST_MOTION, _MORE_MOTION = 0.4, 1.5
+"""A fold has at most this share of a joint's motion, or so many times its share of all motion."""
+
+
+def share_motion(
+    folds: tuple[Fold, ...],
+    trajectories: Sequence[Trajectory],
+    samples: Array,
+    instants: Sequence[Sequence[Sequence[Array]]],
+) -> tuple[Fold, ...]:
+    """Return folds of which none has much of a joint's motion, if possible; else these.
+
+    Joints may move one after the other, in one log or in one log each. Without a fold that has half
+    of a joint's motion, too little would be left to fit its friction.
+
+    Args:
+        samples: How many samples of motion (n, folds) of each joint are in each fold.
+        instants: Of each joint, fold and block, the time stamps of these samples, s.
+    """
+    if len(folds) < 2:
+        return folds
+    samples, windows, others = samples.astype(float), list[Window](), dict[int, int]()
+    usual, whole = samples.sum(axis=0) / max(samples.sum(), 1.0), samples.sum(axis=1)
+    for here, total, times in zip(samples, whole, instants, strict=True):
+        most = np.maximum(_MOST_MOTION, _MORE_MOTION * usual) * total
+        counts = here.copy()
+        for fold in np.flatnonzero(counts > most).tolist():
+            for block, time in zip(folds[fold].blocks, times[fold], strict=True):
+                if len(time):
+                    first, last = (time[[0, -1]] - trajectories[block.trajectory].began).tolist()
+                    windows.append((block.trajectory, first, last))
+            if fold not in others:
+                others[fold] = int(np.where(np.arange(len(folds)) == fold, np.inf, here).argmin())
+                here[others[fold]] += 0.5 * counts[fold]
+    if not windows:
+        return folds
+    return assign_folds(folds, trajectories, windows, pieces=_PIECES, others=others)
+
+
+Window = tuple[int, float, float]
+"""Index of a log, start and end of a part of it, s since the log began."""
+
+
 def assign_folds(
     folds: Sequence[Fold],
     trajectories: Sequence[Trajectory],
-    windows: Sequence[tuple[int, float, float]],
+    windows: Sequence[Window],
     *,
     pieces: int,
     others: Mapping[int, int] | None = None,
@@ -103,7 +148,6 @@ def assign_folds(
     """Return folds of which windows are cut into pieces, every other one given to another fold.
 
     Args:
-        windows: Index of the log, start and end of each window, s since the log began.
         others: Fold -> the fold that pieces go to, by number; by default one half of all folds on.
     """
     dealt: dict[int, list[Block]] = defaultdict(list)
@@ -125,9 +169,9 @@ def assign_folds(
     return tuple(replace(f, blocks=tuple(sorted(dealt[number], key=order))) for number, f in parts)
 
 
-def _merged(windows: Sequence[tuple[int, float, float]]) -> list[tuple[int, float, float]]:
+def _merged(windows: Sequence[Window]) -> list[Window]:
     """Merge windows that overlap."""
-    found: list[tuple[int, float, float]] = []
+    found: list[Window] = []
     for log, start, end in sorted(windows):
         if found and found[-1][0] == log and start <= found[-1][2]:
             found[-1] = (log, found[-1][1], max(end, found[-1][2]))
@@ -137,7 +181,7 @@ def _merged(windows: Sequence[tuple[int, float, float]]) -> list[tuple[int, floa
 
 
 def _outputs_within(
-    block: Block, trajectory: Trajectory, windows: Sequence[tuple[int, float, float]]
+    block: Block, trajectory: Trajectory, windows: Sequence[Window]
 ) -> Iterator[tuple[int, int]]:
     """Yield the first and last filtered sample of each window in a block."""
     low_pass, segment = trajectory.filter, trajectory.segments[block.segment]

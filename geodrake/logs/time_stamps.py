@@ -16,6 +16,12 @@ _LATEST = 1e20  # s; nanoseconds since 1970 are 2e18
 
 _EPOCH = 9e8, 4.2e9  # s since 1970 at which a robot may have been logged: from 1998 to 2103
 _UNITS = {"ns": 1e-9, "µs": 1e-6, "ms": 1e-3}
+_SINCE = {f"{unit} since 1970": (factor, 0.0) for unit, factor in _UNITS.items()} | {
+    "100 ns since 1601": (1e-7, 11_644_473_600.0),
+    "100 ns since the year 1": (1e-7, 62_135_596_800.0),
+}
+"""Stamps by their size -> s of a step, and s from their zero to 1970."""
+
 _DAYS = {"Excel": (36526.0, 73051.0), "MATLAB": (730486.0, 767011.0)}  # of 2000 to 2099
 _DAY = 86400.0  # s
 _RATES = 5.0, 5000.0  # rows a second of a log
@@ -23,7 +29,7 @@ _ROWS = 100_000  # that tell the unit
 _SLOWEST = 0.5  # s between rows: what has more says nothing about accelerations
 _SMOOTH = 0.01  # of its range, by which a position that is logged often bends from row to row
 _ALIKE = 0.1  # of a unit, by which joints may differ in what their speeds say of it
-_MOST_SETS = 5  # of a clock, in a log
+_MOST_SETS = 40  # of a clock, in a log
 _SMOOTHER = 0.5  # times as much as before positions bend in the order of time
 _EVEN = 0.02  # share of the rows before and after, at least, and ten of them
 _REPEATED = 0.05  # share of rows that may have the stamp of the row before
@@ -36,6 +42,7 @@ _WHOLE = 1e-6  # by which stamps that count are off
 _WRAPS = [2.0**bits * unit for bits in (16, 24, 32) for unit in (1.0, 1e-3, 1e-6, 1e-9)]
 """Times at which a counter in some unit begins anew, s."""
 
+_CLOCKS = 3600.0, 43_200.0, 86_400.0  # s after which clocks begin anew
 _GAP = 1.0  # s that are taken to lie between rows before and after a clock was set back
 
 
@@ -57,9 +64,9 @@ def time_unit(
     if len(known) < 2:
         return None
     typical, period = float(np.median(known)), float(np.median(np.abs(np.diff(known))))
-    for unit, factor in _UNITS.items():
-        if _EPOCH[0] < factor * typical < _EPOCH[1]:
-            return factor, f"time is in {unit} since 1970, judging by its size: converted"
+    for unit, (factor, before) in _SINCE.items():
+        if _EPOCH[0] < factor * typical - before < _EPOCH[1]:
+            return factor, f"time is in {unit}, judging by its size: converted"
     for program, (first, last) in _DAYS.items():
         if first <= typical < last and _RATES[0] <= 1.0 / max(_DAY * period, _INSTANT) <= _RATES[1]:
             return _DAY, f"time is in days as in {program}, judging by its size: converted"
@@ -92,10 +99,11 @@ def _is_certain(factor: float, time: Array, position: Array | None, velocity: Ar
     return bool(reach.any() and (np.median(bends, axis=0) <= _SMOOTH * reach).all())
 
 
-def unwrapped(time: Array) -> tuple[Array, tuple[str, ...]]:
+def unwrapped(time: Array, *, of_day: bool = False) -> tuple[Array, tuple[str, ...]]:
     """Return time stamps (N,) of a counter that begins anew as if it went on, and a note.
 
-    It ends at a power of two of its units, between one row and the next.
+    It ends at a power of two of its units, between one row and the next; a time `of_day` after an
+    hour, half a day or a day.
     """
     rows = np.flatnonzero(np.isfinite(time))
     steps = np.diff(time[rows])
@@ -105,6 +113,8 @@ def unwrapped(time: Array) -> tuple[Array, tuple[str, ...]]:
     most = _GAP_STEPS * float(np.median(steps))
     last, first = time[rows[back]], time[rows[back + 1]]
     ends = [w for w in _WRAPS if np.all((last < w) & (w - last <= most) & (np.abs(first) <= most))]
+    if of_day:
+        ends = [w for w in _CLOCKS if np.all((last < first + w) & (first + w <= last + most))]
     if len(ends) != 1:
         return time, ()
     found = time.copy()
@@ -118,7 +128,7 @@ def unwrapped(time: Array) -> tuple[Array, tuple[str, ...]]:
 
 
 def with_clock_set_back(time: Array) -> tuple[Array, tuple[str, ...]]:
-    """Return time stamps that increase where a clock was set back, with a gap there, and notes.
+    """Return time stamps that increase where a clock was set back, with a gap there, and a note.
 
     Before and after it there must be many rows: a few of another time are damaged ones.
     """
@@ -132,14 +142,12 @@ def with_clock_set_back(time: Array) -> tuple[Array, tuple[str, ...]]:
     # After damaged rows, and before them, time is what it was: steps of one size lead there.
     if (-steps[back] < 10.0 * period).any() or steps.max() > 0.5 * -steps[back].max():
         return time, ()
-    found, notes, gap = time.copy(), [], max(_GAP, 20.0 * period)
+    found, gap = time.copy(), max(_GAP, 20.0 * period)
     for k in back.tolist():
-        notes.append(
-            f"the clock was set back by {period - steps[k]:.3g} s at row {rows[k + 1] + 1}, "
-            "which is treated as a gap"
-        )
         found[rows[k + 1] :] += gap - steps[k]
-    return found, tuple(notes)
+    times = f"{len(back)} times, first " if len(back) > 1 else ""
+    words = f"the clock was set back {times}by {period - steps[back[0]]:.3g} s at row "
+    return found, (f"{words}{rows[back[0] + 1] + 1}, which is treated as a gap",)
 
 
 def order_of_time(time: Array, position: Array) -> NDArray[np.intp] | None:

@@ -160,7 +160,7 @@ def test_a_unit_in_brackets_says_the_quantity_in_any_language():
     names = [
         "Soll-Winkel 2 [°]",
         "Ist-Winkel 2 [°]",
-        "Snelheid elleboog (rad/s)",
+        "Hastighet armbåge (rad/s)",
         "Par 1 [N·m]",
         "Zeit [ms]",
     ]
@@ -168,7 +168,28 @@ def test_a_unit_in_brackets_says_the_quantity_in_any_language():
     assert [m.quantity for m in told] == ["position", "position", "velocity", "effort", "time"]
     assert [m.number for m in told[:2]] == [2, 2]
     assert told[0].role > told[1].role
-    assert (told[2].joint, told[3].number) == ("Snelheid elleboog", 1)
+    assert (told[2].joint, told[3].number) == ("Hastighet armbåge", 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "quantity", "factor"),
+    [
+        ("关节3实际位置（度）", "position", np.pi / 180),
+        ("軸3トルク", "effort", 1.0),
+        ("Положение 3, град", "position", np.pi / 180),
+        ("Момент 3 [Нм]", "effort", 1.0),
+        ("hoek 3 [graden]", "position", np.pi / 180),
+        ("Istposition Achse 3 [Grad]", "position", np.pi / 180),
+        ("position_3［deg］", "position", np.pi / 180),
+        ("vel3_turns_per_s", "velocity", 2 * np.pi),
+        ("tau3_cNm", "effort", 0.01),
+        ("q3 [arcmin]", "position", np.pi / 10800),
+    ],
+)
+def test_words_and_units_of_many_languages(name, quantity, factor):
+    found = meaning_of(name)
+    assert (found.column, found.quantity, found.number) == (name, quantity, 3)
+    assert found.factor == pytest.approx(factor)
 
 
 def test_measured_before_desired():

@@ -314,6 +314,9 @@ DATES = {
     "another zone": "{:%Y-%m-%dT%H:%M:%S.%f}+02:00",
     "day first": "{:%d.%m.%Y %H:%M:%S.%f}",
     "month first": "{:%m/%d/%Y %H:%M:%S.%f}",
+    "compact": "{:%Y%m%dT%H%M%S.%f}",
+    "of a file's name": "{:%Y-%m-%d-%H-%M-%S.%f}",
+    "month's name": "{:%d-%b-%Y %H:%M:%S.%f}",
     "noon and zone": "{:%m/%d/%Y %I:%M:%S.%f %p}+02:00",
 }
 
@@ -414,6 +417,131 @@ def test_two_robots_alike_are_asked_about(tmp_path, form):
         log = read_log(path, joints=UR, reading=Reading(topic=side))
         check(log, UR, scale * q, None, scale * tau)
         assert not any("no meaning" in note for note in log.notes)
+
+
+ARMS = {
+    "from 0": "{side}_{what}_{k}",
+    "from 1": "{side}_{what}_{one}",
+    "arrays": "{side}.{what}[{k}]",
+    "letters": "{letter}{one}_{what}",
+    "groups": "/{side}/joint_states/{what}[{k}]",
+    "joints in groups": "{side}/joint{one}/{what}",
+}
+
+
+@pytest.mark.parametrize("form", ARMS.values(), ids=ARMS)
+@pytest.mark.parametrize("model", ["{side}_arm_joint_{one}", "yumi_{one}_joint_{letter}"])
+def test_joints_numbered_by_arm(tmp_path, form, model):
+    sides = [{"side": side, "letter": side[0]} for side in ("right", "left")]
+    joints = tuple(model.format(**side, one=k + 1) for side in sides for k in range(4))
+    time, q, _, tau = motion(joints)
+    names = ["time"]
+    for what in ("position", "torque"):
+        names += [
+            form.format(**s, what=what, k=k, one=k + 1) for s in sides[::-1] for k in range(4)
+        ]
+    turned = [np.hstack([values[:, 4:], values[:, :4]]) for values in (q, tau)]
+    path = write(tmp_path / "log.csv", names, [time, *turned])
+    check(read_log(path, joints=joints), joints, q, None, tau)
+    with pytest.raises(LogError, match=r"each joint twice: of l(eft)? and of r(ight)?"):
+        read_log(path, joints=PANDA[:4])
+
+
+def test_one_name_that_fits_by_chance_is_not_the_only_joint(tmp_path):
+    time, q, _, tau = motion(IIWA[:4])
+    names = ["time", *(f"{what}_{letter}" for what in ("q", "tau") for letter in "ABCD")]
+    path = write(tmp_path / "log.csv", names, [time, q, tau])
+    with pytest.raises(LogError, match="of which the model has none"):
+        read_log(path, joints=IIWA[:4])
+
+
+@pytest.mark.parametrize("robots", [("1", "2"), ("a", "b")])
+def test_rows_of_several_robots(tmp_path, robots):
+    time, q, _, tau = motion(("a",))
+    rows = [
+        f"{robot},{t!r},{scale * x!r},{scale * y!r}"
+        for t, x, y in zip(time.tolist(), q[:, 0].tolist(), tau[:, 0].tolist(), strict=True)
+        for robot, scale in zip(robots, (1.0, 0.5), strict=True)
+    ]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["robot_id,time,q,tau", *rows]))
+    asks = f"rows of 2 robots, by column 'robot_id': .*Choose one: --topic {robots[0]}"
+    with pytest.raises(LogError, match=asks):
+        read_log(path)
+    for robot, scale in zip(robots, (1.0, 0.5), strict=True):
+        log = read_log(path, joints=("a",), reading=Reading(topic=robot))
+        check(log, ("a",), scale * q, None, scale * tau)
+        assert not any("no meaning" in note for note in log.notes)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_recordings_in_one_table_follow_each_other(tmp_path, suffix):
+    time, q, _, tau = motion(("a",))
+    number, row = np.divmod(np.arange(ROWS), 25)
+    columns = {"trial": number, "time": time[row], "q": q[:, 0], "tau": tau[:, 0]}
+    frame = pandas.DataFrame(columns)
+    path = tmp_path / f"log{suffix}"
+    frame.to_csv(path, index=False) if suffix == ".csv" else frame.to_parquet(path)
+    log = read_log(path, joints=("a",))
+    np.testing.assert_allclose(log.position, q)
+    assert np.count_nonzero(np.diff(log.time) > 0.5) == 7
+    assert "8 episodes, concatenated" in log.notes
+    one = read_log(path, joints=("a",), reading=Reading(episode=3))
+    np.testing.assert_allclose(one.position, q[number == 3])
+
+
+@pytest.mark.parametrize("unit", ["furlong", "V"])
+def test_units_that_are_not_known_are_asked_for(tmp_path, unit):
+    time, q, _, tau = motion(UR)
+    names = ["t [s]", *(f"q{k} [{unit}]" for k in range(6)), *(f"tau{k} [Nm]" for k in range(6))]
+    path = write(tmp_path / "log.csv", names, [time, q, tau])
+    with pytest.raises(LogError, match=f"is in '{unit}', which is no known unit of position"):
+        read_log(path, joints=UR)
+    log = read_log(path, joints=UR, reading=Reading(units={"position": "0.5rad"}))
+    check(log, UR, 0.5 * q, None, tau)
+
+
+@pytest.mark.parametrize(
+    ("head", "unit"), [("%H:%M:%S.%f", 0.0), ("%I:%M:%S.%f", 3600.0), ("%M:%S.%f", 0.0)]
+)
+def test_times_of_day_go_on_after_midnight(tmp_path, head, unit):
+    time, q, v, tau = motion(("a",))
+    start = datetime(2026, 5, 1, 23, 59, 59, 900000, UTC) + timedelta(seconds=unit)
+    stamps = [(start + timedelta(seconds=t)).strftime(head) for t in time.tolist()]
+    columns = {"Time": stamps, "a.position": q[:, 0], "a.velocity": v[:, 0], "a.effort": tau[:, 0]}
+    pandas.DataFrame(columns).to_csv(tmp_path / "log.csv", index=False)
+    log = read_log(tmp_path / "log.csv")
+    check(log, ("a",), q, v, tau)
+    np.testing.assert_allclose(np.diff(log.time), np.diff(time), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("names", "parts"),
+    [
+        (("ZeitSek", "ZeitNanoSek"), 1e9),
+        (("sec", "usec"), 1e6),
+        (("tv_sec", "tv_usec"), 1e6),
+        (("sec", "msec"), 1e3),
+    ],
+)
+def test_parts_of_seconds_in_a_column_of_their_own(tmp_path, names, parts):
+    time, q, v, tau = motion(("a",), rate=100.0)
+    seconds, rest = np.divmod(np.rint(parts * time), parts)
+    own = [*names, "a.position", "a.velocity", "a.effort"]
+    path = write(tmp_path / "log.csv", own, [seconds + 1.7e9, rest, q, v, tau])
+    log = read_log(path)
+    check(log, ("a",), q, v, tau)
+    np.testing.assert_allclose(log.time - log.time[0], time, atol=1e-9)
+
+
+@pytest.mark.parametrize("before", [11_644_473_600, 62_135_596_800])
+def test_stamps_of_windows(tmp_path, before):
+    time, q, v, tau = motion(("a",))
+    stamps = np.rint(1e7 * (time + before + 1.77e9))
+    own = ["timestamp", "a.position", "a.velocity", "a.effort"]
+    log = read_log(write(tmp_path / "log.csv", own, [stamps, q, v, tau]))
+    np.testing.assert_allclose(log.time - log.time[0], time, atol=2e-5)
+    assert any("time is in 100 ns since" in note for note in log.notes)
 
 
 @pytest.mark.parametrize("words", [("raw", "filtered"), ("abs", "inc")])

@@ -212,6 +212,10 @@ SHAPES = {
     "long.parquet": A_ROW_A_JOINT.to_parquet,
     "messages.jsonl": lambda path: records().to_json(path, orient="records", lines=True,
         double_precision=15),
+    "lines.json": lambda path: records().to_json(path, orient="records", lines=True,
+        double_precision=15),
+    "rows_under_names.json": text(json.dumps({"robot": "x", "header": [*PLAIN],
+        "rows": PLAIN.to_numpy().tolist()})),
     "object.json": text(json.dumps({**listed(LISTS), "robot": "x", "remarks": []})),
     "episode.hdf5": in_hdf5({**OBSERVED, "images/top": np.zeros((ROWS, 2, 2, 3), np.uint8)}),
     "one_demonstration.hdf5": in_hdf5({"data/demo_7/obs/joint_pos": POSITION,
@@ -480,6 +484,23 @@ def test_a_row_a_joint_by_its_number(tmp_path, kind):
     log = read_log(path)
     assert log.joints == ("joint_11", "joint_12")
     np.testing.assert_allclose(log.effort, EFFORT)
+
+
+def test_a_last_record_that_is_cut_off_is_left_out(tmp_path):
+    path = tmp_path / "log.jsonl"
+    path.write_text(
+        "\n".join(json.dumps(each) for each in LIST_RECORDS) + '\n{"time": 9.0, "position": [0.1'
+    )
+    log = read_log(path, joints=JOINTS)
+    assert len(log) == len(LIST_RECORDS)
+    assert any('the last record is cut off and not used: \'{"time": 9.0' in n for n in log.notes)
+
+
+def test_names_of_joints_that_are_pickled_are_not_left_out_silently(tmp_path):
+    path = tmp_path / "log.npz"
+    np.savez(path, joint_names=np.array(JOINTS[::-1], object), **TURNED)
+    with pytest.raises(LogError, match=r"'joint_names', an array of Python objects"):
+        read_log(path, joints=JOINTS)
 
 
 @pytest.mark.parametrize("many", [False, True])

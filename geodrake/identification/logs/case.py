@@ -29,7 +29,7 @@ from geodrake.identification.logs.reduce import reduce_logs, sign_widths
 from geodrake.identification.logs.signal_calibration import calibrate_efforts
 from geodrake.identification.logs.unknowns import Unknowns
 from geodrake.logs.files import read_log
-from geodrake.logs.folds import Fold, assign_folds, validation_blocks
+from geodrake.logs.folds import Fold, share_motion, validation_blocks
 from geodrake.logs.log_checks import check_commands, check_repeated, check_saturation
 from geodrake.logs.motion import GROUND, PASSIVE, UNMEASURED, JointLog, Trajectory
 from geodrake.logs.preparation import motion_bandwidth_of, prepare_logs
@@ -179,7 +179,7 @@ def open_case(
         fitted=fitted and not candidates,
         shared=shared,
     )
-    folds, dataset = _dealt(folds, trajectories, reduce)
+    folds, dataset = _reduced_evenly(folds, trajectories, reduce)
     changed += [_filtered_note(t, fitted=fitted or candidates) for t in trajectories]
     left_out = [f"{t.name}: {t.left_out}" for t in trajectories if t.left_out]
     first = tuple(dict.fromkeys([*hints, *unused, *left_out]))
@@ -197,42 +197,17 @@ def open_case(
     return Case(*found, shared=shared)
 
 
-_PIECES = 4
-_MOST_MOTION, _MORE_MOTION = 0.4, 1.5
-"""A fold has at most this share of a joint's motion, or so many times its share of all motion."""
-
-
-def _dealt(
+def _reduced_evenly(
     folds: tuple[Fold, ...],
-    trajectories: tuple[Trajectory, ...],
+    trajectories: Sequence[Trajectory],
     reduce: Callable[[tuple[Fold, ...]], Dataset],
 ) -> tuple[tuple[Fold, ...], Dataset]:
-    """Return folds that do not have much of a joint's motion, if possible, and their dataset.
-
-    Joints may move one after the other, in one log or in one log each. Without a fold that has half
-    of a joint's motion, too little would be left to fit its friction.
-    """
-    dataset, windows, others = reduce(folds), list[tuple[int, float, float]](), dict[int, int]()
-    if len(folds) < 2:
-        return folds, dataset
-    samples = np.array([data.samples for data in dataset.data], float)
-    usual, joints = samples.sum(axis=0) / max(samples.sum(), 1.0), samples.sum(axis=1)
-    for j, data in enumerate(dataset.data):
-        most = np.maximum(_MOST_MOTION, _MORE_MOTION * usual) * joints[j]
-        for fold in np.flatnonzero(data.samples > most).tolist():
-            for block, rows in zip(folds[fold].blocks, data.rows[fold], strict=True):
-                if len(rows.time):
-                    ends = rows.time[[0, -1]] - trajectories[block.trajectory].began
-                    windows.append((block.trajectory, *ends.tolist()))
-            if fold not in others:
-                there = samples[j].copy()
-                there[fold] = np.inf
-                others[fold] = int(there.argmin())
-                samples[j, others[fold]] += 0.5 * data.samples[fold]
-    if not windows:
-        return folds, dataset
-    folds = assign_folds(folds, trajectories, windows, pieces=_PIECES, others=others)
-    return folds, reduce(folds)
+    """Return folds of which none has most of a joint's motion, and the logs reduced in them."""
+    dataset = reduce(folds)
+    samples = np.array([data.samples for data in dataset.data])
+    times = [[[rows.time for rows in blocks] for blocks in data.rows] for data in dataset.data]
+    shared = share_motion(folds, trajectories, samples, times)
+    return (folds, dataset) if shared is folds else (shared, reduce(shared))
 
 
 def checked_logs(

@@ -37,7 +37,8 @@ from geodrake.logs.files.formats import (
     parts_of,
     table_of,
 )
-from geodrake.logs.files.joined_tables import RARE, reshaped
+from geodrake.logs.files.grouped_arrays import regrouped
+from geodrake.logs.files.joined_tables import RARE
 from geodrake.logs.files.mapping_file import read_mapping
 from geodrake.logs.files.name_rules import is_time, meanings_of
 from geodrake.logs.files.reading import Reading
@@ -142,7 +143,7 @@ def log_of(
 def _understood(
     table: LogTable, joints: Sequence[str] | None, reading: Reading, *, partial: bool
 ) -> tuple[JointLog, Columns]:
-    table = reshaped(table, reading)
+    table = regrouped(table, reading)
     _check_silent(table, reading, joints)
     columns = columns_of(table, joints, reading, partial=partial)
     log = recorded(columns, *table.read(columns.files, skip=reading.skip_bad_rows))

@@ -31,7 +31,15 @@ from geodrake.logs.files.grouped_arrays import (
     is_of_episode,
     records_table,
 )
-from geodrake.logs.files.name_rules import OF_JOINTS, is_time, meaning_of, numbers_joints
+from geodrake.logs.files.name_rules import (
+    OF_JOINTS,
+    is_time,
+    meaning_of,
+    names_joints,
+    numbers_joints,
+    tells_recordings,
+    tells_robots,
+)
 from geodrake.logs.files.packed_files import open_log, unpacked
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import (
@@ -47,6 +55,7 @@ from geodrake.logs.files.text_file import renamed
 
 _LINES = (".jsonl", ".ndjson")
 _JSON_SHARE = 0.05  # of the memory, for its text: what it becomes takes many times as much
+_SHOWN = 40  # letters of what is cut off
 _JSON_ADVICE = (
     'Write {"time": [...], "joint.position": [...], ...}, or a record of these in each line.'
 )
@@ -56,11 +65,28 @@ def read_json(path: Path, reading: Reading) -> LogTable:
     """Return the columns of a JSON file: fields of records by their paths, as in `state.q[0]`."""
     with readable(path, "JSON file", _JSON_ADVICE):
         text = _whole(path, "JSON").decode("utf-8-sig")
-        if unpacked(path).suffix.lower() in _LINES:
-            content: Any = [json.loads(line) for line in text.splitlines() if line.strip()]
-        else:
-            content = json.loads(text)
-        return content_table(path, _of_pandas(content), reading, _JSON_ADVICE)
+        values, rest = _json_values(text)
+        if len(values) < 2 and rest:
+            json.loads(text)  # which tells what is wrong
+        is_one = len(values) == 1 and unpacked(path).suffix.lower() not in _LINES
+        content = _of_rows(values[0]) if is_one else values
+        table = content_table(path, content, reading, _JSON_ADVICE)
+        cut = f"the last record is cut off and not used: {rest[:_SHOWN]!r}"
+        return table.noting(*[cut] * bool(rest))
+
+
+def _json_values(text: str) -> tuple[list[Any], str]:
+    """Return the values that follow each other in a text, as in lines, and what is cut off."""
+    values, at, decoder, blank = list[Any](), 0, json.JSONDecoder(), re.compile(r"\s*")
+    while (at := blank.match(text, at).end()) < len(text):  # type: ignore[union-attr]
+        try:
+            value, at = decoder.raw_decode(text, at)
+        except json.JSONDecodeError:
+            if "\n" in text[at:].strip():
+                raise
+            return values, text[at:].strip()
+        values.append(value)
+    return values, ""
 
 
 def read_yaml(path: Path, reading: Reading) -> LogTable:
@@ -129,12 +155,17 @@ def _whole(path: Path, kind: str) -> bytes:
     return text
 
 
-def _of_pandas(content: Any) -> Any:
-    """Return the columns of a data frame that was written as JSON."""
+def _of_rows(content: Any) -> Any:
+    """Return the columns of a data frame that was written as JSON, or of names above rows."""
     if not isinstance(content, Mapping):
         return content
     if {"columns", "data"} <= content.keys() <= {"columns", "index", "data"}:
         return [dict(zip(content["columns"], row, strict=True)) for row in content["data"]]
+    lists = [x for x in content.values() if isinstance(x, list) and x]
+    if len(lists) == 2 and all(isinstance(name, str) and meaning_of(name) for name in lists[0]):
+        names, table = lists
+        if all(isinstance(row, list) and len(row) == len(names) for row in table):
+            return [dict(zip(names, row, strict=True)) for row in table]
     rows = [tuple(each) if isinstance(each, Mapping) else () for each in content.values()]
     if len(rows) > 1 and rows[0][:2] == ("0", "1") and set(rows) == {rows[0]}:
         return {name: [*each.values()] for name, each in content.items()}
@@ -285,7 +316,8 @@ def read_parquet(path: Path, reading: Reading) -> LogTable:
         check_room(path, rows * width, f"{rows} rows of {width} columns")
         names = file.schema_arrow.names
         is_plain = all(_PLAIN.fullmatch(str(field.type)) for field in file.schema_arrow)
-        if is_plain and not any(map(numbers_joints, names)):
+        told = [n for n in names if numbers_joints(n) or tells_robots(n) or tells_recordings(n)]
+        if is_plain and not told:
             check_once(path, names)
             return LogTable(path, ParquetColumns(path, file, names))
         return arrow_table(path, file.read())
@@ -391,6 +423,12 @@ def read_npz(path: Path, reading: Reading) -> LogTable:
                 raise LogError(
                     f"Array {name!r} in log {str(path)!r} is not 1-D: its shape is {shape}.",
                     advice=_NPZ_ADVICE,
+                )
+            if dtype.hasobject and names_joints(name) and reading.mapping is None:
+                raise LogError(
+                    f"Log {str(path)!r} names its joints in {name!r}, an array of Python objects, "
+                    "which may run any program when read.",
+                    advice="Save it as numpy.array(names, dtype=str).",
                 )
             if dtype.hasobject:
                 objects.append(name)

@@ -21,9 +21,12 @@ from geodrake.logs.files.name_rules import (
     NUMBERED,
     OF_JOINTS,
     ONLY,
+    PART,
     PLAIN,
     ROLES,
     Meaning,
+    bracketed,
+    is_unknown_word,
     matched,
     meaning_of,
     meanings_of,
@@ -33,7 +36,7 @@ from geodrake.logs.files.name_rules import (
 from geodrake.logs.files.packed_files import log_name
 from geodrake.logs.files.reading import ColumnMapping, MappedColumn, Reading
 from geodrake.logs.files.table import LogTable, date_words
-from geodrake.logs.files.units import find_unit, unit_of
+from geodrake.logs.files.units import UNITS, find_unit, unit_advice, unit_of
 from geodrake.logs.floating import floating_name
 from geodrake.logs.motion import (
     EFFORT_KINDS,
@@ -56,12 +59,14 @@ SIGNAL_ADVICE = "<joint>.current, .voltage, .pwm or .command may replace effort.
 def read_column(meaning: Meaning, numbers: dict[str, Array], *, since_first: bool = True) -> Array:
     """Take the numbers (N,) of a column out of those of a file, in SI units.
 
-    Seconds with nanoseconds beside them may be from the first second on, to lose no digits.
+    Seconds with a column of parts beside them may be from the first second on, to lose no digits.
     """
     values = numbers.pop(meaning.column)
-    if meaning.nanoseconds is not None:
+    if meaning.beside is not None:
         start = float(values[np.isfinite(values)][:1].sum()) if since_first else 0.0
-        values = (values - start) + 1e-9 * numbers.pop(meaning.nanoseconds)
+        part = meaning.beside.factor * numbers.pop(meaning.beside.column)
+        if not np.any(part >= 1.0):  # or it is a time of its own
+            values = (values - start) + part
     values = values if meaning.factor == 1.0 else meaning.factor * values
     return values + meaning.offset if meaning.offset else values
 
@@ -70,7 +75,7 @@ def in_seconds(
     meaning: Meaning, time: Array, motion: Sequence[Array | None] = ()
 ) -> tuple[Array, tuple[str, ...]]:
     """Return time stamps (N,) of unknown unit in s, and a note; `motion` as for `time_unit`."""
-    said = meaning.unit is not None or meaning.nanoseconds is not None
+    said = meaning.unit is not None or meaning.beside is not None
     found = None if said else time_unit(meaning.column, time, *motion)
     return (time, ()) if found is None else (found[0] * time, (found[1],))
 
@@ -124,7 +129,7 @@ Best = dict[tuple[str, str], list[Meaning]]
 
 _MOST_CLOCKS, _EVEN = 50, 0.9  # columns that are looked at, and share of steps that are even
 _CLOCKS = frozenset(("time", "timestamp", "stamp", "ts", "clock", "duration", "uptime", "elapsed"))
-_KEPT = {"filtered": 1, "filt": 1, "smoothed": 1, "raw": 2}
+_KEPT = {"m": 1, "filtered": 1, "filt": 1, "smoothed": 1, "raw": 2}
 _STEADY = 0.2  # of its mean, by which the voltage of a supply may vary
 
 
@@ -171,7 +176,7 @@ def _is_own(meaning: Meaning) -> bool:
 def _preference(meaning: Meaning, said: str | None) -> tuple[bool, bool, bool, int, int, int]:
     """Return the sort key of several columns of one quantity of a joint, best first.
 
-    What was filtered hides its noise, and what is raw is often in counts.
+    What was filtered hides its noise, what is raw is often in counts, and m may be of the motor.
     """
     kept = max((_KEPT[word] for word in plain_words(meaning.column) if word in _KEPT), default=0)
     if meaning.log_quantity != "effort":
@@ -379,7 +384,11 @@ def likely_clock(table: LogTable) -> tuple[str, str, bool]:
     It is if it increases evenly and its name says so, or if it is the first and not of whole steps.
     """
     told = [(name, meaning_of(name)) for name in table.names[:_MOST_CLOCKS]]
-    others = [n for n, m in told if m is None or (m.quantity == "temperature" and m.is_bare)]
+    others = [
+        n
+        for n, m in told
+        if m is None or m.quantity == PART or (m.is_bare and m.quantity == "temperature")
+    ]
     with suppress(LogError):  # of cells that are no numbers
         for name, values in table.read(others, skip=True)[0].items():
             steps = np.diff(values)
@@ -389,7 +398,8 @@ def likely_clock(table: LogTable) -> tuple[str, str, bool]:
             counts = step == 1.0 and not is_called  # rows
             if step > 0.0 and not counts and even.mean() > _EVEN:
                 words = f"{name!r} increases by {step:.4g} from row to row"
-                return name, words, is_called or (name == table.names[0] and step % 1.0 != 0.0)
+                is_first = name == table.names[0] or name.startswith("__index_level")
+                return name, words, is_called or (is_first and step % 1.0 != 0.0)
     close = difflib.get_close_matches("time", [name.lower() for name in table.names[:100]], 1)
     return "", f"Is it {close[0]!r}? " if close else "", False
 
@@ -413,6 +423,7 @@ def _by_names(table: LogTable, joints: Sequence[str] | None, reading: Reading) -
         (joint, quantity): settled(path, same[0], joint, reading, units)
         for (joint, quantity), same in best.items()
     }
+    _check_units(table, places)
     if (time := time_source(table, reading)) is not None:
         places = {("", "time"): time, **places}
     own = frozenset(m.joint for m in of_joints if m.style[0] == "own")
@@ -444,6 +455,29 @@ def _check_one_robot(path: Path, best: Best) -> None:
             f"Log {str(path)!r} has each joint twice: of {robots[0]} and of {robots[1]}.",
             advice=f"Choose one: --topic {robots[0]}.",
         )
+
+
+def _check_units(table: LogTable, places: Mapping[tuple[str, str], Meaning]) -> None:
+    """Raise for columns whose unit is not known, in a table that has units of others.
+
+    Units stand in a row of their own, or in brackets behind names, the same for several joints.
+    """
+    stated = {n: unit for n in table.names if (unit := bracketed(n))} | {**table.units}
+    known = {unit for unit in {*stated.values()} if any(find_unit(unit, each) for each in UNITS)}
+    odd = {n for n, unit in stated.items() if known and (unit in known or is_unknown_word(unit))}
+    bare = [
+        s for s in places.values() if s.unit is None and s.column in odd and s.quantity in UNITS
+    ]
+    counts = Counter((source.quantity, stated[source.column]) for source in bare)
+    for source in bare:
+        unit = stated[source.column]
+        if counts[source.quantity, unit] > 1:
+            raise LogError(
+                f"Column {source.column!r} of log {str(table.path)!r} is in {unit!r}, which is no "
+                f"known unit of {source.quantity}.",
+                advice=f"Give it, as in --units {source.quantity}=UNIT. "
+                f"{unit_advice(source.quantity)}",
+            )
 
 
 _TARGET = "tq"  # torques, or targets of positions q
@@ -721,7 +755,7 @@ def _mapped(name: str, column: MappedColumn, table: LogTable, reading: Reading) 
 
 
 def time_source(table: LogTable, reading: Reading) -> Meaning | None:
-    """Return the column of time, and one of nanoseconds if there is one."""
+    """Return the column of time, with one of parts of a second if there is one."""
     mapped = reading.mapping.time if reading.mapping else None
     if mapped is not None and mapped.among(table.counted) in table.names:
         source = _mapped("time", mapped, table, reading)
@@ -734,12 +768,11 @@ def time_source(table: LogTable, reading: Reading) -> Meaning | None:
         source = settled(table.path, best, "", reading, table.units)
     if source.column in table.origins:  # whatever its name says
         return Meaning(source.column, "time", unit=unit_of("s", "time"))
-    beside = _nanoseconds(source.column, table.names) if source.factor == 1.0 else None
-    return replace(source, nanoseconds=beside)
+    return replace(source, beside=_beside(table, source)) if source.factor == 1.0 else source
 
 
-def _nanoseconds(time: str, names: Sequence[str]) -> str | None:
-    """Return the column of nanoseconds that belongs to a column of seconds."""
-    seconds, known = meaning_of(time), filter(None, map(meaning_of, names))
-    beside = (m for m in known if m.quantity == "nanoseconds")
-    return next((m.column for m in beside if seconds and m.style == seconds.style), None)
+def _beside(table: LogTable, time: Meaning) -> Meaning | None:
+    """Return the column with the parts of a second that belong to a column of whole seconds."""
+    known, own = [*filter(None, map(meaning_of, table.names))], meaning_of(time.column)
+    beside = [m for m in known if m.quantity == PART and own is not None and m.style == own.style]
+    return next(iter(beside), None)

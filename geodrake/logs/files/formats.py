@@ -23,10 +23,18 @@ from geodrake.logs.files.array_files import (
     read_rsi,
     read_yaml,
 )
-from geodrake.logs.files.joined_tables import joined_tables, reshaped
+from geodrake.logs.files.grouped_arrays import regrouped
+from geodrake.logs.files.joined_tables import joined_tables
 from geodrake.logs.files.lcm_log import MAGIC, read_lcm
 from geodrake.logs.files.lerobot_dataset import INFO, read_lerobot
-from geodrake.logs.files.name_rules import OF_JOINTS, meanings_of, plain_words, quantity_of
+from geodrake.logs.files.name_rules import (
+    OF_JOINTS,
+    meanings_of,
+    plain_words,
+    quantity_of,
+    tells_recordings,
+    tells_robots,
+)
 from geodrake.logs.files.packed_files import unpacked
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.ros_bag import read_bag
@@ -103,8 +111,10 @@ def table_of(path: Path, reading: Reading) -> LogTable:
         return table
     words = frozenset().union(*map(plain_words, table.names))  # of which one may tell a robot
     topics = ", ".join(t for t in reading.topics if not plain_words(t) & words)
-    topics = topics if kind not in _SHEETS else ""
-    said = {"topic": topics or None, "episode": reading.episode}
+    names = [*table.names, *table.words]
+    topics = topics if kind not in _SHEETS and not any(map(tells_robots, names)) else ""
+    episode = None if any(map(tells_recordings, names)) else reading.episode
+    said = {"topic": topics or None, "episode": episode}
     notes = [
         f"{path.name} has no {name}s, so {value!r} has no meaning"
         for name, value in said.items()
@@ -180,7 +190,7 @@ def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
 
 def _named_table(path: Path, reading: Reading) -> LogTable:
     """Return the columns of one file; bare names of joints get the quantity of the file's name."""
-    table = reshaped(table_of(path, reading).loaded(skip=reading.skip_bad_rows), reading)
+    table = regrouped(table_of(path, reading).loaded(skip=reading.skip_bad_rows), reading)
     stem, meanings = unpacked(path).stem, meanings_of(table.columns)
     quantity = quantity_of(stem) or ("command" if _TOLD.search(stem.lower()) else None)
     if quantity is None or any(m.quantity == quantity for m in meanings):

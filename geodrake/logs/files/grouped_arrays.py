@@ -14,10 +14,17 @@ import numpy as np
 from geodrake.boundary.arguments import Array
 from geodrake.errors import LogError
 from geodrake.logs.files.column_mapping import listed
-from geodrake.logs.files.joined_tables import joined_tables
-from geodrake.logs.files.name_rules import OF_JOINTS, is_time, meanings_of, names_joints
+from geodrake.logs.files.joined_tables import joined_tables, reshaped
+from geodrake.logs.files.name_rules import (
+    OF_JOINTS,
+    is_time,
+    meanings_of,
+    names_joints,
+    tells_recordings,
+    tells_robots,
+)
 from geodrake.logs.files.reading import Reading
-from geodrake.logs.files.table import LogTable, check_room, numeric_table, rate_in, rows_of
+from geodrake.logs.files.table import LogTable, Texts, check_room, numeric_table, rate_in, rows_of
 from geodrake.logs.time_stamps import longest_step
 
 _MOST_PARTS = 200  # more records are samples, and no joints
@@ -218,6 +225,79 @@ def one_after_another(tables: Sequence[LogTable], reading: Reading) -> LogTable:
     lost = dict.fromkeys(n for table in tables for n in table.columns if n not in columns)
     notes += [f"columns missing in some episodes: {listed([*lost])}"] if lost else []
     return replace(first, columns=columns, notes=(*notes, *first.notes))
+
+
+_MOST_ROBOTS = 50  # different words or numbers in a column that tells them
+
+
+def regrouped(table: LogTable, reading: Reading) -> LogTable:
+    """Return a table of one robot, recordings one after the other, with a column for each joint."""
+    cells = {n: np.array([*map(str, words)], object) for n, words in table.words.items()}
+    told = [n for n in (*table.columns, *cells) if tells_robots(n) or tells_recordings(n)]
+    for name in told:
+        own = cells.get(name)
+        own = np.array([f"{x:g}" for x in table.columns[name]], object) if own is None else own
+        table = (_of_one_robot if tells_robots(name) else _of_recordings)(table, name, own, reading)
+        cells = {n: np.array([*map(str, words)], object) for n, words in table.words.items()}
+    return reshaped(table, reading)
+
+
+def _of_one_robot(table: LogTable, name: str, cells: Texts, reading: Reading) -> LogTable:
+    """Return the rows of the robot that is asked for, if a column tells several."""
+    robots = list(dict.fromkeys(cells.tolist()))
+    if not 1 < len(robots) <= _MOST_ROBOTS or not _are_together(table, cells, robots):
+        return table
+    if not (asked := [robot for robot in robots if robot in reading.topics]):
+        raise LogError(
+            f"Log {str(table.path)!r} has rows of {len(robots)} robots, by column {name!r}: "
+            f"{listed(robots)}.",
+            advice=f"Choose one: --topic {robots[0]}.",
+        )
+    own = _rows(table, cells == asked[0]).noting(f"rows with {asked[0]!r} in {name!r} are read")
+    return replace(own, words={n: words for n, words in own.words.items() if n != name})
+
+
+def _are_together(table: LogTable, cells: Texts, robots: Sequence[str]) -> bool:
+    """Return whether robots are logged at the same time; flags of 0 and 1 say nothing otherwise."""
+    time = next((x for n, x in table.columns.items() if table.is_time(n)), None)
+    if time is None or {*robots} - {"0", "1"}:
+        return True
+    spans = sorted((np.nanmin(x), np.nanmax(x)) for x in (time[cells == each] for each in robots))
+    changes = np.count_nonzero(cells[1:] != cells[:-1])
+    return bool(spans[1][0] < spans[0][1] and 4 * changes > len(cells))
+
+
+def _of_recordings(table: LogTable, name: str, cells: Texts, reading: Reading) -> LogTable:
+    """Return the rows of the recording that is asked for, or of all with gaps between them.
+
+    A column that tells recordings does so if time begins anew where it changes.
+    """
+    edges = np.flatnonzero(cells[1:] != cells[:-1]) + 1
+    time = next((x for n, x in table.columns.items() if table.is_time(n)), None)
+    if time is None or not len(edges):
+        return table
+    back = np.flatnonzero(np.diff(time) < 0.0) + 1
+    if not {*back} <= {*edges}:
+        return table
+    if reading.episode is not None:
+        if not (here := cells == str(reading.episode)).any():
+            raise LogError(
+                f"Log {str(table.path)!r} has no {name!r} of {reading.episode}; it has "
+                f"{listed(list(dict.fromkeys(cells.tolist())))}.",
+                advice="Choose one of these, or omit --episode to read all.",
+            )
+        return _rows(table, here)
+    if not len(back):
+        return table
+    parts = np.split(np.arange(len(cells)), edges)
+    return one_after_another([replace(_rows(table, part), words={}) for part in parts], reading)
+
+
+def _rows(table: LogTable, rows: Any) -> LogTable:
+    """Return some rows of a table in memory."""
+    columns = {name: values[rows] for name, values in table.columns.items()}
+    words = {name: cells[rows] for name, cells in table.words.items()}
+    return replace(table, columns=columns, words=words)
 
 
 def _going_on(before: Array, time: Array) -> Array:

@@ -8,13 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import Array
 from geodrake.errors import LogError
 from geodrake.logs.files.column_mapping import in_seconds, listed, read_column, time_source
 from geodrake.logs.files.name_rules import (
     OF_JOINTS,
+    PART,
     PLAIN,
     Meaning,
     Words,
@@ -29,7 +29,7 @@ from geodrake.logs.files.name_rules import (
     words_of,
 )
 from geodrake.logs.files.reading import Reading
-from geodrake.logs.files.table import LogTable
+from geodrake.logs.files.table import LogTable, Texts
 from geodrake.logs.floating import FLAG, floating_name, vectors
 from geodrake.logs.motion import EFFORT_KINDS
 from geodrake.logs.time_stamps import longest_step
@@ -172,7 +172,7 @@ def _slow_parts(
         if not slow:
             found.append(table)
             continue
-        may = {"temperature", FLAG, "time", "nanoseconds"}
+        may = {"temperature", FLAG, "time", PART}
         may |= {"base.orientation"} if has_imu and _turns_slowly(table.columns) else set()
         told = {column: _what(column, reading) for column in table.columns}
         lost = {column: told[column] for column in told if told[column][1] not in may}
@@ -309,8 +309,6 @@ def at_instants(instants: Array, time: Array, values: Array, *, holds: bool = Fa
     return np.where(gap, values[after - 1] if holds else np.nan, found)
 
 
-Texts = NDArray[np.object_]
-
 _NAMES = frozenset(["name", "names"])
 _ITEM = re.compile(r"[^\s,;'\"\[\]()]+")  # of a list of names
 _MOST_CHANGES = 0.05  # of the rows, after which another joint follows in tables of one at a time
@@ -347,7 +345,8 @@ def _spread_values(
     table: LogTable, words: Mapping[str, Texts], reading: Reading
 ) -> LogTable | None:
     """Return a table with a column for each signal, of one with a row for each of their values."""
-    signal = next(filter(names_signals, words), None)
+    signals = sorted(filter(names_signals, words), key=lambda n: len({*words[n]}) < 2)
+    signal = next(iter(signals), None)
     value = [n for n in table.columns if meaning_of(n) is None and "value" in plain_words(n)]
     has_time = any(map(table.is_time, table.columns))
     has_joints = any(m.quantity in OF_JOINTS for m in meanings_of(table.columns))

@@ -11,15 +11,19 @@ from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import zip_longest
+from typing import Any
 
 from geodrake.logs.files.units import WORDS, Unit, find_unit, scaled_unit
 from geodrake.logs.motion import EFFORT_KINDS, PARTIAL, PASSIVE, QUANTITIES, SIGNAL_KINDS
 
 Words = tuple[str | int, ...]
+
+PART = "part of a second"
+"""Quantity of a column beside one of whole seconds, such as nanoseconds."""
 
 OF_JOINTS = (*QUANTITIES, *SIGNAL_KINDS, PASSIVE)
 """Quantities of a joint's column."""
@@ -53,7 +57,8 @@ MAPPED = ("mapped",)
 _COMMAND, _SHORT, _FILLERS = map(_words, ("commands", "short", "fillers"))
 _NO_SIGNAL, _SUPPLY, _NAMING = map(_words, ("no_signal", "supply", "naming"))
 _TIMES, _NANOSECONDS, _SAMPLES = map(_words, ("times", "nanoseconds", "samples"))
-_SIGNALS = _words("signals")
+_ROBOTS, _RECORDINGS, _COUNTING = map(_words, ("robots", "recordings", "counting"))
+_SIGNALS, _SIDES = _words("signals"), _by_word(WORDS["sides"])
 _TIME_OF_DAY = _TIMES - {"date"}
 _BESIDE_TIME = _TIMES | _NANOSECONDS | _words("beside_time")
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[^\W\d_A-Z]+|[A-Z]+|\d+")
@@ -69,6 +74,12 @@ _BRACKETS = re.compile(r"\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]\s*$")
 _INDEX = re.compile(r"\[(\d+)\]")
 _FIRST_SENSOR = re.compile(r"(?<=\][./]temperature)\[0\]$")  # of several in the same motor
 _FURTHER_SENSOR = re.compile(r"\][./]temperature\[[1-9]\d*\]$")
+_BRACKET_FORMS = str.maketrans("（）［］【】｛｝", "()[][]{}")
+_UNSPACED = re.compile(  # words between which no blanks are written
+    "|".join(
+        sorted(re.findall(r"[\u3040-\u30ff\u4e00-\u9fff]+", str(WORDS)), key=len, reverse=True)
+    )
+)
 _NO_WORD = "zzz"  # which says nothing
 _FEW_OF_FAMILY = 3  # words that are enough
 _LONGEST_NAME = 200  # letters of a name of words
@@ -79,21 +90,22 @@ class Meaning:
     """The meaning of a column by its name."""
 
     column: str
-    quantity: str  # time, nanoseconds beside seconds, or of `OF_JOINTS`
+    quantity: str  # time, `PART`, or of `OF_JOINTS`
     joint: str = ""  # what the name calls the joint; "" if it has a number at most
     words: Words = ()  # the words of that, without those that say nothing, and its number
     role: int = PLAIN
     unit: Unit | None = None
-    # What columns have in common whose joints are told apart by words alone.
+    # What columns have in common whose joints are told apart by words alone, and by their groups.
     style: tuple[str, ...] = ()
+    group: Words = ()  # the words of groups that the column is in, as in `left/joint_states/q[0]`
     is_wanted: bool = False  # whether it is what was asked for, and not what was
     gain: float = 1.0  # what its numbers are multiplied by, beside the unit
-    nanoseconds: str | None = None  # column of what is to be added to time, ns
+    beside: Meaning | None = None  # column of what is to be added to time, such as nanoseconds
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Columns of the file."""
-        return (self.column,) if self.nanoseconds is None else (self.column, self.nanoseconds)
+        return (self.column,) if self.beside is None else (self.column, self.beside.column)
 
     @property
     def factor(self) -> float:
@@ -128,7 +140,9 @@ def meaning_of(name: str) -> Meaning | None:
     own = _own(name)
     if own is not None or len(name) > _LONGEST_NAME:
         return own
-    return next((found for rule in RULES if (found := rule(name)) is not None), None)
+    plain = _UNSPACED.sub(r" \g<0> ", name.translate(_BRACKET_FORMS)).strip()
+    found = next((found for rule in RULES if (found := rule(plain)) is not None), None)
+    return None if found is None else replace(found, column=name)
 
 
 def meanings_of(names: Iterable[str], joints: Sequence[str] = ()) -> list[Meaning]:
@@ -193,14 +207,26 @@ def _of_joint(name: str, joints: Mapping[Words, str]) -> Meaning | None:
 
 
 def is_time(name: str) -> bool:
-    """Return whether a column name means time, or its nanoseconds."""
+    """Return whether a column name means time, or a part of it."""
     meaning = meaning_of(name)
-    return meaning is not None and meaning.quantity in ("time", "nanoseconds")
+    return meaning is not None and meaning.quantity in ("time", PART)
 
 
 def quantity_of(text: str) -> str | None:
     """Return the quantity that a text names, such as the name of a file."""
     return _quantity(_split(text))
+
+
+def bracketed(column: str) -> str:
+    """Return the text in brackets behind a name."""
+    found = _BRACKETS.search(column.translate(_BRACKET_FORMS))
+    return found[1] if found else ""
+
+
+def is_unknown_word(text: str) -> bool:
+    """Return whether a text is a word that names of columns do not have otherwise."""
+    known = _FILLERS | ROLE_WORDS.keys() | QUANTITY_WORDS.keys() | _SIDES.keys()
+    return bool(re.fullmatch(r"[^\W\d_][^\d\s]*", text)) and known.isdisjoint(_split(text))
 
 
 def names_joints(column: str) -> bool:
@@ -213,6 +239,20 @@ def names_signals(column: str) -> bool:
     """Return whether a column of words, by its name, has the signal of each row."""
     words = _split(column)
     return bool(words) and _SIGNALS.issuperset(words)
+
+
+def tells_robots(column: str) -> bool:
+    """Return whether a column, by its name, says of which robot each row is."""
+    return _is_of(_split(column), _ROBOTS)
+
+
+def tells_recordings(column: str) -> bool:
+    """Return whether a column, by its name, says of which recording each row is."""
+    return _is_of(_split(column), _RECORDINGS)
+
+
+def _is_of(words: Words, kind: frozenset[str]) -> bool:
+    return any(word in kind for word in words) and (kind | _COUNTING).issuperset(words)
 
 
 def numbers_joints(column: str) -> bool:
@@ -277,15 +317,20 @@ def _time(name: str) -> Meaning | None:
         suffix = unit is not None
         plain = "_".join(parts[:-1]) if suffix else plain
     words = _split(plain)
-    if not words or not (_BESIDE_TIME | ROLE_WORDS.keys()).issuperset(words):
+    if words[-2:-1] == ("nano",):
+        words = (*words[:-2], "nanosec")
+    if unit is None and len(words) == 1 and (own := find_unit(plain, "time")) is not None:
+        words, unit, suffix = ((), own, True) if own.factor < 1.0 else (words, None, False)
+    is_part = unit is not None and unit.factor < 1.0 and not _TIMES.intersection(words)
+    if not (words or is_part) or not (_BESIDE_TIME | ROLE_WORDS.keys()).issuperset(words):
         group, *inside = _GROUP.split(name, maxsplit=1)  # a group of any name
         if not inside or (found := _time(inside[0])) is None:
             return None
         return replace(found, column=name, role=found.role + 1, style=(group, *found.style))
     asked = DESIRED in (ROLE_WORDS.get(str(w)) for w in words)  # by a plan's clock
     context = tuple(map(str, words if suffix else words[:-1]))
-    if words[-1] in _NANOSECONDS:
-        return Meaning(name, "nanoseconds", style=context)
+    if is_part or words[-1] in _NANOSECONDS:  # beside seconds
+        return Meaning(name, PART, unit=unit or find_unit("ns", "time"), style=context)
     if not _TIMES.intersection(words):
         return None
     if name.startswith("%"):
@@ -344,9 +389,9 @@ def _joint(column: str) -> Meaning | None:
     words = words_of(joint) if named else tuple(numbers[-1:])
     roles = [ROLE_WORDS[w] for w in _split(name) if isinstance(w, str) and w in ROLE_WORDS]
     role = OTHER if _FURTHER_SENSOR.search(column) else max(roles, default=PLAIN)
-    style = (quantity, *sorted(used), *parts[:place])
-    called = joint if named else ""
-    return Meaning(column, quantity, called, words, role, unit, style, DESIRED in roles)
+    group = tuple(word for part in parts[:place] for word in _telling(_split(part)))
+    called, style = joint if named else "", (quantity, *sorted(used))
+    return Meaning(column, quantity, called, words, role, unit, style, group, DESIRED in roles)
 
 
 def _measured_in(name: str) -> Meaning | None:
@@ -417,7 +462,7 @@ def _without_unit(name: str, quantity: str, *, alone: bool = True) -> tuple[str,
     if unit is not None:
         return plain, unit
     parts = re.split(r"[_\s]+", name)
-    for count in (2, 1):
+    for count in (3, 2, 1):
         for first in range(len(parts) - count, 0, -1):
             text = "_".join(parts[first : first + count])
             last = first + count == len(parts)
@@ -449,11 +494,11 @@ def matched(
     ordered: dict[int, set[str]] = defaultdict(set)  # number -> joints
     for style in sorted(styles.values(), key=len, reverse=True):
         names, by_order = _as_others(style, ordered), False
-        if not names:
-            names, by_order = _match_style(style, joints)
-        own = _by_their_own_words(style)
-        kept = own if style[0].style[0] == "own" or not names else {}
-        found |= kept | names
+        for part, own in () if names else _parts_of_robot(style, joints):
+            told, is_ordered = _match_style(part, own)
+            names, by_order = {**names, **told}, by_order or is_ordered
+        is_own = style[0].style[0] == "own"
+        found |= (_by_their_own_words(style) if is_own or not names else {}) | names
         if by_order:
             for meaning in style:
                 if meaning.number is not None and meaning.column in names:
@@ -493,12 +538,59 @@ def _by_their_own_words(meanings: Sequence[Meaning]) -> dict[str, str]:
     return found
 
 
+Part = tuple[Words, Words | None]
+"""Words of a group of the file, and of names without their number; None for those without one."""
+
+
+def _parts_of_robot(
+    style: Sequence[Meaning], joints: Sequence[str]
+) -> Iterator[tuple[Sequence[Meaning], Sequence[str]]]:
+    """Yield columns that are named alike, those of each arm apart, and the joints they may be of.
+
+    Joints of the model are of the part of the robot with whose own words they are called. Where
+    none is, parts of which only numbers are told may be robots alike.
+    """
+    parts: dict[Part, list[Meaning]] = defaultdict(list)
+    for meaning in style:
+        is_named = meaning.words and _number(meaning.words) is None
+        parts[meaning.group, None if is_named else _unnumbered(meaning.words)].append(meaning)
+    if len(parts) < 2:
+        yield style, joints
+        return
+    said = dict(zip(parts, _sides([(*head, *(rest or ())) for head, rest in parts]), strict=True))
+    common = frozenset.intersection(*said.values())
+    said = {part: words - common for part, words in said.items()}
+    own: dict[Part, list[str]] = {part: [] for part in parts}
+    for joint, words in zip(joints, _sides([words_of(joint) for joint in joints]), strict=True):
+        near = [part for part in parts if said[part] <= words]
+        most = max((len(said[part]) for part in near), default=0)
+        for part in near:
+            own[part] += [joint] if len(said[part]) == most else []
+    are_told = any(own[part] and said[part] for part in parts)
+    sizes = [len(columns) for (_, rest), columns in parts.items() if rest is not None]
+    size = len(joints) if len(joints) in sizes else max(sizes, default=0)
+    for part, columns in parts.items():
+        if own[part] or part[1] is None:
+            yield columns, own[part] or joints
+        elif not are_told and len(columns) == size:
+            yield columns, joints
+
+
+def _sides(names: Sequence[Words]) -> list[frozenset[str | int]]:
+    """Return the words of names; where these tell sides of a robot, each side by one word."""
+    sides = {_SIDES[word] for words in names for word in words if word in _SIDES}
+    known: Mapping[Any, str] = _SIDES if len(sides) == 2 else {}
+    return [frozenset(known.get(word, word) for word in words) for words in names]
+
+
 def _match_style(style: Sequence[Meaning], joints: Sequence[str]) -> tuple[dict[str, str], bool]:
     """Return column -> joint of columns that are named alike, and whether it is by their order."""
     exact = {m.column: m.joint for m in style if m.joint in set(joints)}
     if len(exact) == len(style):
         return exact, False
     by_words = {m.words: m for m in style}
+    if list(by_words) == [()]:  # which names no joint
+        return {m.column: joints[0] for m in style if len(joints) == 1 and m.role < OTHER}, False
     names = _by_name(by_words, joints)
     numbers = _numbers(list(by_words))
     by_order = False
@@ -538,22 +630,31 @@ def _by_name(keys: Mapping[Words, Meaning], joints: Sequence[str]) -> dict[Words
 
 def _numbers(keys: Sequence[Words]) -> dict[Words, int]:
     """Return the number in which the columns differ, if that is all in which they do."""
-    if list(keys) == [()]:
-        return {(): 0}
     told = [key for key in keys if key]  # one without any is of the whole robot
-    if len({key[:-1] for key in told}) > 1:
+    if len({_unnumbered(key) for key in told}) > 1:
         return {}
-    found = {key: key[-1] for key in told if isinstance(key[-1], int)}
+    found = {key: number for key in told if (number := _number(key)) is not None}
     return found if len(found) == len(told) else {}
 
 
+def _number(words: Words) -> int | None:
+    """Return the last number among words."""
+    return next((word for word in reversed(words) if isinstance(word, int)), None)
+
+
+def _unnumbered(words: Words) -> Words:
+    """Return words without the last number among them."""
+    last = max((k for k, word in enumerate(words) if isinstance(word, int)), default=len(words))
+    return (*words[:last], *words[last + 1 :])
+
+
 def _by_number(numbers: Mapping[Words, int], joints: Sequence[str]) -> dict[Words, str] | None:
-    """Return the joints whose names end in these numbers, from 0 or 1; None if any is missing."""
+    """Return the joints whose names have these numbers, from 0 or 1; None if any is missing."""
     ends: dict[int, list[tuple[int, str]]] = defaultdict(list)
     for joint in joints:
         words = words_of(joint)
-        if isinstance(words[-1], int):
-            ends[words[-1]].append((len(words), joint))
+        if (last := _number(words)) is not None:
+            ends[last].append((len(words), joint))
     lowest = min(numbers.values())
     for shift in (0, 1) if lowest == 0 and 0 not in ends else (0,):
         found = {}

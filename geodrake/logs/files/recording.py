@@ -21,6 +21,7 @@ from geodrake.logs.time_stamps import evened, order_of_time, repeats, unwrapped,
 
 LEAST_ROWS = 10
 TICKS = 4096  # of a turn, of servos with twelve bits
+_DAY = 86_400_000_000_000  # ns
 _FIRST = 1000  # rows that mostly tell that numbers are no whole ones
 _RUN, _ENOUGH_ROWS = 20, 100  # rows without an empty cell that are of use, and of a column
 _STILL = 2e-3  # rad or m, by which a joint may move and still stand
@@ -65,7 +66,7 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
     else:
         time, notes = in_seconds(stamps, given, (data["position"], data.get("velocity")))
 
-    time, wrapped = unwrapped(time)
+    time, wrapped = unwrapped(time, of_day=columns.origin is not None and columns.origin < _DAY)
     time, more = with_clock_set_back(time)
     order = None if torn.rows else order_of_time(time, data["position"])
     if order is not None:  # rows that are torn are known by their place in the file

@@ -59,17 +59,20 @@ def check_room(path: Path, count: int, words: str) -> None:
 
 
 DATE = re.compile(
-    r"""(?: (?P<year>\d{4}) [-/] (?P<month>\d\d) [-/] (?P<day>\d\d) [Tt ]
+    r"""(?: (?P<year>\d{4}) (?P<dash>[-/]?) (?P<month>\d\d) (?P=dash) (?P<day>\d\d) [Tt _-]
           | (?P<first>\d\d?) (?P<mark>[./]) (?P<second>\d\d?) (?P=mark) (?P<last>\d{4}) [Tt ]
+          | (?P<on>\d\d?) [ -] (?P<named>[A-Za-z]{3}) [ -] (?P<in>\d{4}) [ ]
           | (?: (?P<days>\d{1,9}) [ ] days? [ ] )? (?= \d\d?:\d\d:\d\d ) )
-        (?P<time> \d\d? : \d\d (?: : \d\d )? )
+        (?P<time> \d\d? : \d\d (?: : \d\d )? | (?<=[Tt_-]) \d\d -? \d\d -? \d\d )
         (?: (?: [.,] | (?<=:\d\d:\d\d) : (?=\d{3}\b) ) (?P<part>\d{1,9}) \d* )?
         (?: \s* (?P<half> [AaPp][Mm] ) \b )?
         (?: \s* (?: [Zz] | UTC | (?P<sign>[+-]) (?P<hours>\d\d) :? (?P<minutes>\d\d)? ) )?""",
     re.VERBOSE,
 )
+_MONTHS = ["jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec"]
 _LAST_MONTH = _NOON = 12
 _SECONDS = re.compile(r"(\d+)(?:[.,](\d{1,9})\d*)? ?s(?:ec)?")  # as MATLAB writes durations
+_MINUTES = re.compile(r"(\d{1,3}):([0-5]\d)[.,](\d{1,9})\d*")  # as Excel writes them, and seconds
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _SECOND, _DAY = 1_000_000_000, 86_400  # ns, s
 
@@ -79,20 +82,25 @@ def date_of(text: str, *, day_first: bool = False) -> int | None:
 
     Args:
         text: In ISO 8601, with a blank for the T or strokes if need be; or day, month and year with
-            points, or month, day and year with strokes. Without a time zone it is in UTC; AM or PM
-            may stand behind it. A time of day alone, days and a time, or seconds with their unit,
-            are those since 1970.
+            points or the month's name, or month, day and year with strokes. Without a time zone it
+            is in UTC; AM or PM may stand behind it. A time of day alone, days and a time, minutes
+            and seconds with decimals, or seconds with their unit, are those since 1970.
         day_first: Whether the day comes before the month with strokes, too.
     """
     if (found := _SECONDS.fullmatch(text.strip())) is not None:
         return int(found[1]) * _SECOND + int((found[2] or "").ljust(9, "0"))
+    if (found := _MINUTES.fullmatch(text.strip())) is not None:
+        return (60 * int(found[1]) + int(found[2])) * _SECOND + int(found[3].ljust(9, "0"))
     if (found := DATE.fullmatch(text.strip())) is None:
         return None
     date = found.group("year", "month", "day")
+    if found["named"]:
+        named = found["named"].lower()
+        date = found["in"], 1 + _MONTHS.index(named) if named in _MONTHS else 0, found["on"]
     if found["last"]:
         in_order = found["mark"] == "/" and not day_first
         date = found.group("last", *(("first", "second") if in_order else ("second", "first")))
-    hour, minute, second = map(int, f"{found['time']}:00".split(":")[:3])
+    hour, minute, second = map(int, [*re.findall(r"\d\d?", found["time"]), 0][:3])
     if found["half"]:
         if not 0 < hour <= _NOON:
             return None
@@ -161,6 +169,7 @@ def _since_first(stamps: NDArray[np.int64]) -> tuple[Array, int]:
 
 
 Mask = NDArray[np.bool_]
+Texts = NDArray[np.object_]
 
 MOST = 0.01
 """Share of the rows that may be left out."""
@@ -275,7 +284,7 @@ class LogTable:
     # Columns that were left out -> why, in words.
     silent: Mapping[str, str] = field(default_factory=dict)
     # (N,) texts of columns without numbers.
-    words: Mapping[str, NDArray[np.object_]] = field(default_factory=dict)
+    words: Mapping[str, Texts] = field(default_factory=dict)
     # Cells of the first row, where nobody names the columns: they are called by their numbers from
     # 1 on.
     unnamed: tuple[str, ...] = ()
@@ -427,7 +436,7 @@ def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
     row, or the rows a second.
     """
     columns, notes = dict[str, Array](), dict[str, None]()
-    origins, silent, words = {}, {}, dict[str, NDArray[np.object_]]()
+    origins, silent, words = {}, {}, dict[str, Texts]()
     rates = {name: rate for name, x in arrays.items() if (rate := rate_in(name, x)) is not None}
     for name, given in arrays.items():
         if name in rates:
@@ -467,7 +476,7 @@ def rate_in(name: str, value: Any) -> float | None:
     return rate if 1.0 <= rate <= _HIGHEST_RATE else None
 
 
-def _texts(name: str, values: Any, rows: int) -> dict[str, NDArray[np.object_]]:
+def _texts(name: str, values: Any, rows: int) -> dict[str, Texts]:
     """Return the texts of an array, or its lists of texts, (N,).
 
     A list of different names alone, as of joints, is that of each row.

@@ -33,6 +33,8 @@ from geodrake.logs.files.name_rules import (
     names_joints,
     names_signals,
     numbers_joints,
+    tells_recordings,
+    tells_robots,
 )
 from geodrake.logs.files.number_marks import ADVICE as MARKS_ADVICE
 from geodrake.logs.files.number_marks import may_be_grouped, number_marks, plain
@@ -356,7 +358,7 @@ def _units(header: Sequence[str], cells: Sequence[str]) -> dict[str, str]:
     asked = [cell for cell in cells if cell != key or cell in known]
     if 2 * sum(cell in known for cell in asked) <= len(asked):
         return {}
-    return {n: cell for n, cell in zip(header, cells, strict=True) if cell in known}
+    return {n: c for n, c in zip(header, cells, strict=True) if c and (c != key or c in known)}
 
 
 def _with_units(names: Sequence[str], units: Mapping[str, str]) -> list[str]:
@@ -616,6 +618,7 @@ def _text_table(path: Path, reading: Reading, opened: Opener) -> LogTable:
     names_rows = any(map(names_joints, layout.words)) or any(map(numbers_joints, layout.names))
     names_rows |= any(layout.first[name].lstrip().startswith(("[", "(")) for name in layout.words)
     is_long = any(map(names_signals, layout.words)) or (names_rows and reading.mapping is None)
+    is_long |= any(tells_robots(name) or tells_recordings(name) for name in layout.names)
     return table.loaded(skip=reading.skip_bad_rows) if is_long else table
 
 

@@ -69,6 +69,11 @@ class Unit:
         return next((kind for kind, units in _SIGNALS.items() if self.name in units), None)
 
 
+def unit_advice(quantity: str) -> str:
+    """Return the units of a quantity, in words."""
+    return f"Known are {_known(quantity)}; {_FORM}"
+
+
 def unit_names() -> str:
     """Return the units of each quantity, in words."""
     return "; ".join(f"{quantity} {_known(quantity)}" for quantity in UNITS)
@@ -89,7 +94,7 @@ def unit_of(text: str, quantity: str) -> Unit:
     if unit is None or math.isnan(unit.factor):
         raise ArgumentError(
             f"{text!r} is not a known unit of {quantity}.",
-            advice=f"Known are {_known(quantity)}; {_FORM}",
+            advice=unit_advice(quantity),
         )
     return unit
 
@@ -133,7 +138,7 @@ def _scaled(text: str, quantity: str) -> Unit | None:
 def _spelled(text: str) -> tuple[str, ...]:
     """Return spellings of a unit: unchanged, without dots, with a slash, in lower case."""
     plain = re.sub(r"[·*\s.⋅-]", "", text).replace("^2", "²").replace("s2", "s²")
-    over = re.sub(r"(?i:_|per)([Ss]|[Mm]in)", lambda found: f"/{found[1].lower()}", plain)
+    over = re.sub(r"(?i:_per_|_|per)([Ss]|[Mm]in)", lambda found: f"/{found[1].lower()}", plain)
     over = over.replace("/s/s", "/s²").replace("/sec", "/s")
     found = [plain, over]
     for each in (plain, over):
