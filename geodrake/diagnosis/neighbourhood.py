@@ -23,7 +23,7 @@ from geodrake.diagnosis.normal_kernels import (
 )
 from geodrake.diagnosis.terms import Term, Terms
 from geodrake.identification.normal_equations import scaled_cholesky
-from geodrake.model.signal_efforts import servos_of
+from geodrake.model.servos import servos_of
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

@@ -6,19 +6,17 @@ measured, and they begin anew after it. Arrays are (N,), of the rows of a log; N
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.compiling import compiled, contiguous, inlined
-from geodrake.errors import ModelError
+from geodrake.compiling import compiled, contiguous
 from geodrake.inertia import Array
 from geodrake.logs.motion import GROUND, PASSIVE, UNMEASURED, JointLog
 from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal, MotorLimit, signal_of
-from geodrake.model.robot_model import RobotModel
+from geodrake.model.servos import beyond
 
 LONGEST_BRIDGE = 0.1
 """Gaps over which an error is taken as on a straight line, s; in longer ones it is not known."""
@@ -210,58 +208,3 @@ def constants_beside_friction(effort: Array, velocity: Array, runs: NDArray[np.i
     within = columns - means[run]
     friction = np.linalg.lstsq(within[:, :2], within[:, 2], rcond=None)[0]
     return np.asarray((means[:, 2] - means[:, :2] @ friction)[runs])
-
-
-def servos_of(model: RobotModel) -> tuple[EffortSignal | None, ...]:
-    """Return the servo of each of a model's joints; None for other effort signals."""
-    signals = (signal_of(model.effort_signals, joint) for joint in model.joints)
-    return tuple(each if each and each.kind == COMMAND else None for each in signals)
-
-
-class ServoGains(NamedTuple):
-    """Gains of servos, all (n,), as in `PositionServo`; `limit` is infinite without a limit."""
-
-    kp: Array
-    kd: Array
-    ki: Array
-    limit: Array
-    dead_band: Array
-    rate_share: Array
-
-
-NO_SERVO = ServoGains(*np.array([0.0, 0.0, 0.0, np.inf, 0.0, 1.0]))
-"""Gains of a joint without a servo."""
-
-
-def beyond(error: Array, band: Array | float) -> Array:
-    """Return errors less a dead band: e − b above b, e + b below −b, 0 between."""
-    return np.maximum(error - band, 0.0) + np.minimum(error + band, 0.0)
-
-
-calc_beyond = cast(Callable[[float, float], float], inlined(beyond))
-"""`beyond` of numbers, for compiled functions."""
-
-
-def servo_gains(model: RobotModel) -> ServoGains:
-    """Return the gains of the servos of a model's joints."""
-    servos = servos_of(model)
-    if not any(servos):
-        raise ModelError(
-            "The model has no servos: none of its efforts is computed from a command.",
-            advice="Add effort_signals of the kind 'command'.",
-        )
-    if len(model.single_joints) < len(model.joints):
-        raise ModelError(
-            "Servos need joints with one degree of freedom.",
-            advice="Weld the base, or remove such joints from the model.",
-        )
-    rows = [
-        (s.gain, s.damping, s.integral, s.limit, s.dead_band, s.rate_share) if s else NO_SERVO
-        for s in servos
-    ]
-    return ServoGains(*np.array(rows).T)
-
-
-def command_delays(model: RobotModel) -> Array:
-    """Return (n,) times by which commands act late, s; 0 at joints without a servo."""
-    return np.array([servo.delay if servo else 0.0 for servo in servos_of(model)])

@@ -13,8 +13,6 @@ from diagrams.benchmarks.servo_gains import HIDDEN, ServoDraw, score_servo
 from geodrake import load_model
 from geodrake.control import PositionServo, roll_out
 from geodrake.control.export_proof import export_to
-from geodrake.control.systems.position_servo import ServoError, integral_rate
-from geodrake.control.systems.position_servo import servo_effort as effort_of
 from geodrake.effects import CoulombFriction, FittedEffect, RotorInertia, ViscousFriction
 from geodrake.effects.of_files import SquaredLoadFriction
 from geodrake.errors import LogError
@@ -36,8 +34,8 @@ from geodrake.logs.preparation import prepare_logs
 from geodrake.model import EffortSignal, save_model
 from geodrake.model.carried_payloads import carrying
 from geodrake.model.logged_joints import log_of_model
+from geodrake.model.servos import ServoError, ServoGains
 from geodrake.model.signal_efforts import (
-    ServoGains,
     error_integral,
     in_efforts,
     runs_between_gaps,
@@ -380,11 +378,11 @@ def test_simulation_is_that_of_position_servo(band):
 
     def rates(t, state):
         told, (x, v, _) = error(t, state), state
-        force = effort_of(servo, told)[0] - d * v - b - K * x - D * v
-        return [v, force / (M + armature), integral_rate(servo, told)[0]]
+        force = servo.effort(told)[0] - d * v - b - K * x - D * v
+        return [v, force / (M + armature), servo.integral_rate(told)[0]]
 
     exact = solve_ivp(rates, (0.0, time[-1]), np.zeros(3), t_eval=time, max_step=4e-3, rtol=1e-6)
-    efforts = [effort_of(servo, error(*each))[0] for each in zip(time, exact.y.T, strict=True)]
+    efforts = [servo.effort(error(*each))[0] for each in zip(time, exact.y.T, strict=True)]
     assert 0.1 < np.mean(np.abs(efforts) >= limit) < 0.6
     rows = np.zeros((count, 8))
     rows[:, :4], rows[:, 7] = (b, M, K, D), np.sin(3.0 * time)
@@ -517,7 +515,7 @@ def test_an_integral_in_a_log_is_held_as_that_of_position_servo():
     servo, z = gains(40.0, 0.0, 50.0, 9.0), np.zeros(len(time))
     for k, step in enumerate(np.diff(time)):
         acting = (error[k], 0.0, z[k], 0.0)
-        z[k + 1] = z[k] + step * integral_rate(servo, ServoError(*map(np.atleast_1d, acting)))[0]
+        z[k + 1] = z[k] + step * servo.integral_rate(ServoError(*map(np.atleast_1d, acting)))[0]
     found = error_integral(time, error, 40.0 * error, 50.0, 9.0)
     np.testing.assert_allclose(found, z, atol=1e-3)
     assert np.abs(error_integral(time, error) - z).max() > 0.05

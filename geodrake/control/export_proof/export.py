@@ -43,7 +43,7 @@ from geodrake.logs.motion import JointLog, Motion
 from geodrake.model.export import reasons
 from geodrake.model.file_terms import DryFriction
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.signal_efforts import servos_of
+from geodrake.model.servos import servos_of
 
 _SEVERAL = (
     "the robot has joints of several degrees of freedom, so the export was not tested in simulators"

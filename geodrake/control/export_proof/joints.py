@@ -12,7 +12,7 @@ import numpy as np
 from geodrake.effects import Effect
 from geodrake.model.file_terms import Damping, DryFriction, Rotor, Spring
 from geodrake.model.robot_model import RobotModel, from_loaded_plant
-from geodrake.model.signal_efforts import servos_of
+from geodrake.model.servos import servos_of
 from geodrake.robot.files.checks import words
 from geodrake.robot.files.description import model_text_of
 from geodrake.robot.files.mjcf import MjcfText

@@ -35,7 +35,7 @@ from geodrake.effects import FittedEffect, RobotMotion, Role
 from geodrake.effects.robot_motion import log_number
 from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.signal_efforts import calc_beyond
+from geodrake.model.servos import calc_beyond
 from geodrake.model.simulation.effect_force import Coupling, ForceLaw, SoftJoints
 
 _Held = tuple[NDArray[np.intp], NDArray[np.intp], Array]  # links, motors, what couples them

@@ -24,7 +24,7 @@ from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.model.effort_signal import SERVO, EffortSignal
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.signal_efforts import servos_of
+from geodrake.model.servos import servos_of
 
 _FARTHEST = 30.0  # times what a value begins with
 _BESIDE = ("damping", "integral")  # of a servo, known beside its gain

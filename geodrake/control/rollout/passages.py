@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
-from geodrake.control.systems.position_servo import PositionServo, ServoError, servo_effort
+from geodrake.control.systems.position_servo import PositionServo
 from geodrake.effects.sensors import delayed_by
 from geodrake.errors import ArgumentError, LogError
 from geodrake.identification.logs.case import Case
@@ -20,17 +21,24 @@ from geodrake.identification.logs.reduce import peak_speeds
 from geodrake.inertia import Array
 from geodrake.logs.motion import MEMORY, JointLog, Motion
 from geodrake.logs.smoothing import Segment, Stretch
+from geodrake.logs.temperatures import Temperatures
+from geodrake.model.carried_payloads import carrying
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.signal_efforts import (
+from geodrake.model.servos import (
     NO_SERVO,
+    ServoError,
     ServoGains,
     command_delays,
-    integral_effort,
-    late_commands,
     servo_gains,
     servos_of,
 )
+from geodrake.model.signal_efforts import integral_effort, late_commands
 
+FASTEST = 1e6
+"""Peak speeds of the log, beyond which no robot is simulated any more."""
+
+_LEAST_SPEED = 1e-3  # rad/s or m/s, that counts as a peak
+_SIGN_WIDTH = 5e-3  # share of a joint's peak speed below which dry friction fades
 _MOVING = 0.05  # share of the peak speeds that the mean speed of a passage must have
 _APART = 1e-9  # s, between instants of a trajectory
 _COMMANDS = ("commanded_position", "commanded_velocity")
@@ -193,8 +201,7 @@ class Acting:
         command, rate = self._commands(passage, passage.time)
         behind = np.where(self._told, command - segment.position, 0.0)
         error = ServoError(behind, rate - segment.velocity, np.zeros_like(behind), beside)
-        unlimited = self.gains._replace(limit=np.full(len(self._ki), np.inf))
-        return servo_effort(unlimited, error), behind
+        return self.gains.unlimited(error), behind
 
     def told(self, passage: Passage, time: Array) -> Array:
         """Return commands, their rates, and efforts beside servos (3, K, n) at instants (K,)."""
@@ -251,3 +258,39 @@ def told_joints(model: RobotModel, log: JointLog) -> NDArray[np.bool_]:
         return np.zeros(len(model.joints), bool)
     known = (np.isfinite(log.command) & np.isfinite(log.time)[:, None]).any(axis=0)
     return np.array([servo is not None for servo in servos_of(model)]) & known
+
+
+class LoggedRobot(NamedTuple):
+    """The robot of a log."""
+
+    model: RobotModel  # with what it carries there
+    acting: Acting
+    temperatures: Temperatures | None
+
+
+@dataclass(frozen=True, eq=False)
+class Conditions:
+    """What rollouts of a case are made under."""
+
+    case: Case
+    commands: bool  # whether servos close the loop
+
+    @cached_property
+    def robots(self) -> dict[str, LoggedRobot]:
+        """The robot of each log, by its name."""
+        logs, found = {log.name: log for log in self.case.asked.logs}, dict[str, LoggedRobot]()
+        for each in self.case.trajectories:
+            model = carrying(self.case.model, each.payloads)
+            acting = Acting(model, logs[each.name], commands=self.commands)
+            found[each.name] = LoggedRobot(model, acting, each.temperatures)
+        return found
+
+    @cached_property
+    def fastest(self) -> Array:
+        """(nv,) peak speeds of the measured motion, rad/s or m/s."""
+        return np.maximum(peak_speeds(self.case.trajectories), _LEAST_SPEED)
+
+    @cached_property
+    def sign_width(self) -> Array:
+        """(nv,) speeds below which dry friction fades, rad/s or m/s."""
+        return self.case.model.sign_widths(_SIGN_WIDTH * self.fastest)

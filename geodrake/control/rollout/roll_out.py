@@ -21,7 +21,7 @@ from geodrake.identification.logs.case import Case, checked_logs, open_case
 from geodrake.inertia import Array
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.signal_efforts import servos_of
+from geodrake.model.servos import servos_of
 
 BROKEN = 1e3
 """By so much a simulation departs that broke off, rad or m."""

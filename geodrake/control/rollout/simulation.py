@@ -10,16 +10,13 @@ import numpy as np
 from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator, SimulatorStatus
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
 
-from geodrake.control.rollout.passages import Acting, Passage
+from geodrake.control.rollout.passages import FASTEST, Conditions, Passage
 from geodrake.effects import Effect, FittedEffect, RobotMotion
 from geodrake.effects.deflection import DeflectionEffect
 from geodrake.errors import LogError
 from geodrake.identification.logs.case import Case
-from geodrake.identification.logs.reduce import peak_speeds
 from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
-from geodrake.logs.temperatures import Temperatures
-from geodrake.model.carried_payloads import carrying
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.simulation.effect_force import EffectForce, ForceLaw
 from geodrake.model.simulation.robot_in_diagram import FORCES
@@ -33,10 +30,7 @@ AT_START = 9
 LARGEST_STEP = 5e-3  # of the integrator, s
 _ACCURACY = 1e-3
 _STEPS, _TIMES = 60_000, 20  # that a rollout may take in all, and times those without a care
-FASTEST = 1e6  # peak speeds of the log, beyond which no robot is simulated any more
-LEAST_SPEED = 1e-3  # rad/s or m/s, that counts as a peak
 _STIFF = 4e3  # rate of decay from which on an implicit integrator is the faster one, 1/s
-SIGN_WIDTH = 5e-3  # share of a joint's peak speed below which dry friction fades
 _BEFORE = 0.5  # s before a passage, from which on links are followed through dead bands
 _CHANGE = 1e-6  # of velocities, for rates of decay
 
@@ -55,8 +49,6 @@ def simulations(
             lacked all friction took up to 18 times the steps of calm ones on public logs (UR10e),
             and 256 times in the demo, some 74,000 for its twelve windows.
     """
-    logs = {log.name: log for log in case.asked.logs}
-    prepared = {trajectory.name: trajectory for trajectory in case.trajectories}
     for trajectory in case.trajectories:
         if trajectory.unmeasured:
             raise LogError(
@@ -71,66 +63,45 @@ def simulations(
                 advice="Log forces at the feet: <link>.force.x, .y and .z; or use geodrake "
                 "compare.",
             )
-    fastest = np.maximum(peak_speeds(case.trajectories), LEAST_SPEED)
-    sign_width = case.model.sign_widths(SIGN_WIDTH * fastest)
+    conditions = Conditions(case, commands)
     calm = sum(max(len(p.time), (p.time[-1] - p.time[0]) / LARGEST_STEP) for p in passages)
     steps = iter(range(_STEPS + round(_TIMES * calm)))
-
-    @cache
-    def made(log: str) -> Simulation:
-        loaded, warmth = carrying(case.model, prepared[log].payloads), prepared[log].temperatures
-        acting = Acting(loaded, logs[log], commands=commands)
-        return Simulation(
-            loaded, sign_width, log, warmth, acting=acting, fastest=fastest, steps=steps
-        )
-
-    return made
+    return cache(lambda log: Simulation(conditions, log, steps))
 
 
 class Simulation:
     """The diagram: efforts, effects, and the plant, in the time of a log.
 
     Args:
-        sign_width: (nv,) speeds below which dry friction fades, rad/s or m/s.
-        fastest: (nv,) peak speeds of the measured motion, rad/s or m/s.
         steps: One item for each step of the integrator that is left.
     """
 
-    def __init__(
-        self,
-        model: RobotModel,
-        sign_width: Array,
-        log: str,
-        temperatures: Temperatures | None,
-        *,
-        acting: Acting,
-        fastest: Array,
-        steps: Iterator[int],
-    ) -> None:
-        self.model, self.sign_width, self.temperatures = model, sign_width, temperatures
-        self.acting, self._fastest, self._steps = acting, fastest, steps
+    def __init__(self, conditions: Conditions, log: str, steps: Iterator[int]) -> None:
+        self.model, self.acting, self.temperatures = conditions.robots[log]
+        self.sign_width, self._fastest = conditions.sign_width, conditions.fastest
+        self._steps, model = steps, self.model
         builder, phi, nv = DiagramBuilder(), model.total_phi, len(model.joints)
         loaded = load_plant(model.path, floating=model.floating, held=model.held, given=model.given)
         self._plant = plant = builder.AddSystem(loaded.plant)
         places = model.positions(np.arange(nv, dtype=float)[None])[0]
         self._order = np.argsort(places)  # where the position of each velocity stands
         own = np.concatenate([self._order, len(places) + np.arange(nv)])
-        self._driving = model.driving(plant, sign_width, log, temperatures)
+        self._driving = model.driving(plant, self.sign_width, log, self.temperatures)
         effects = [fitted for fitted in model.effects if fitted.effect.role in FORCES]
         self._force = force = EffectForce.AddToBuilder(
             builder,
             self._driving or plant,
             effects,
-            sign_width=sign_width,
+            sign_width=self.sign_width,
             phi=phi,
             log=log,
-            temperatures=temperatures,
+            temperatures=self.temperatures,
         )
         self._soft = bool(force.soft_joints)
         state = plant.get_state_output_port()
         self._apart = self._soft or self._driving is not None
         measured = force.GetOutputPort("motor_state") if self._apart else state
-        effort = acting.add(builder, selected(builder, measured, own))
+        effort = self.acting.add(builder, selected(builder, measured, own))
         builder.Connect(effort, force.GetInputPort("applied_effort"))
         if self._driving is None:
             add_generalized_force(builder, plant, effort)

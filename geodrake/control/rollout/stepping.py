@@ -21,23 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from geodrake.control.rollout.passages import Acting, Passage
-from geodrake.control.rollout.simulation import FASTEST, LEAST_SPEED, SIGN_WIDTH, hidden_states
-from geodrake.control.systems.position_servo import (
-    ServoError,
-    integral_rate,
-    servo_effort,
-)
+from geodrake.control.rollout.passages import FASTEST, Conditions, LoggedRobot, Passage
+from geodrake.control.rollout.simulation import hidden_states
 from geodrake.effects import RobotMotion, Role
 from geodrake.effects.robot_motion import log_number
 from geodrake.identification.logs.case import Case
-from geodrake.identification.logs.reduce import peak_speeds
 from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
-from geodrake.logs.temperatures import Temperatures
-from geodrake.model.carried_payloads import carrying
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.signal_efforts import ServoGains
+from geodrake.model.servos import ServoError, ServoGains
 from geodrake.robot.effort_slopes import effort_slopes
 from geodrake.robot.regressor import inverse_dynamics
 
@@ -70,36 +62,27 @@ def steps_alone(model: RobotModel) -> bool:
 
 def stepping(case: Case, passages: Sequence[Passage], *, commands: bool) -> Stepping:
     """Return the simulation of passages of a case, in whose logs the robot carries the same."""
-    logs = {log.name: log for log in case.asked.logs}
-    prepared = {trajectory.name: trajectory for trajectory in case.trajectories}
-    model = carrying(case.model, prepared[passages[0].log].payloads)
-    acting = {
-        name: Acting(model, logs[name], commands=commands)
-        for name in dict.fromkeys(passage.log for passage in passages)
-    }
-    fastest = np.maximum(peak_speeds(case.trajectories), LEAST_SPEED)
-    return Stepping(
-        model,
-        passages,
-        [acting[passage.log] for passage in passages],
-        model.sign_widths(SIGN_WIDTH * fastest),
-        fastest,
-        [prepared[passage.log].temperatures for passage in passages],
-    )
+    return Stepping(Conditions(case, commands), passages)
 
 
 @dataclass(frozen=True, eq=False)
 class Stepping:
     """The N passages that are simulated together."""
 
-    model: RobotModel
+    conditions: Conditions
     passages: Sequence[Passage]
-    acting: Sequence[Acting]  # what acts in each
-    sign_width: Array  # (n,) speeds below which dry friction fades, rad/s or m/s
-    fastest: Array  # (n,) peak speeds of the measured motion, rad/s or m/s
-    temperatures: Sequence[Temperatures | None]  # those of the joints in the log of each
     finer: int = 1  # how many steps take the place of a usual one
     followed: Array | float = 0.0  # (N,) time for which longer steps followed each, s
+
+    @cached_property
+    def robots(self) -> list[LoggedRobot]:
+        """The robot of each passage."""
+        return [self.conditions.robots[passage.log] for passage in self.passages]
+
+    @property
+    def model(self) -> RobotModel:
+        """The model of all of them."""
+        return self.robots[0].model
 
     def positions(self) -> list[Array]:
         """Return positions (K, n) of each passage; NaN from where a robot flies apart."""
@@ -118,7 +101,9 @@ class Stepping:
         rough &= followed > self.followed  # what shorter steps lose as early is given up
         if rough.any() and self.finer < _FINEST:
             few = np.flatnonzero(rough).tolist()
-            for i, own in zip(few, self._finer(few, followed[few]).positions(), strict=True):
+            part = [self.passages[i] for i in few]
+            shorter = Stepping(self.conditions, part, _FINER * self.finer, followed[few])
+            for i, own in zip(few, shorter.positions(), strict=True):
                 found[i] = own
         return found
 
@@ -134,8 +119,8 @@ class Stepping:
         count = max(1, int(np.ceil(self.finer * spans.max() / self._step(state) - 1e-9)))
         h = spans / count
         times = first + h * np.add.outer(np.arange(count), [_GAMMA, 1.0]).ravel()  # ends of stages
-        rows = zip(self.acting, self.passages, times, strict=True)
-        acts = np.stack([acting.told(passage, own) for acting, passage, own in rows], axis=2)
+        rows = zip(self.robots, self.passages, times, strict=True)
+        acts = np.stack([robot.acting.told(passage, own) for robot, passage, own in rows], axis=2)
         nodes, a = [state], np.zeros_like(state.velocity)
         lost = [np.zeros(len(h), bool)]
         for k in range(count):
@@ -155,23 +140,12 @@ class Stepping:
         q, v = (np.stack([node[i] for node in nodes], axis=1) for i in range(2))
         return first + h * np.arange(len(nodes)), q, v, np.stack(lost, axis=1)
 
-    def _finer(self, few: Sequence[int], followed: Array) -> Stepping:
-        """Return the simulation of some of the passages by shorter steps."""
-        return replace(
-            self,
-            passages=[self.passages[i] for i in few],
-            acting=[self.acting[i] for i in few],
-            temperatures=[self.temperatures[i] for i in few],
-            finer=_FINER * self.finer,
-            followed=followed,
-        )
-
     def _step(self, state: State) -> float:
         """Return how long steps may be, s: what swings freely is followed."""
         still = np.zeros_like(state.velocity)
         acts = np.broadcast_to(still, (3, *still.shape))
         now = Instant(np.zeros(len(still)), still[:, :1], self._mass(state), acts)
-        moving = state.position, still + self.fastest, still
+        moving = state.position, still + self.conditions.fastest, still
         (by_q, by_v, by_a, _), (kp, kd) = (
             self._needed(state, moving, now)[1],
             self._given(state, moving[:2], now)[2],
@@ -185,28 +159,27 @@ class Stepping:
     @property
     def _most(self) -> Array:
         """Speeds (n,) that no robot has."""
-        return FASTEST * self.fastest
+        return FASTEST * self.conditions.fastest
 
     @cached_property
     def _gains(self) -> ServoGains:
         """Gains (N, n) of the servos."""
-        return ServoGains(
-            *map(np.array, zip(*(acting.gains for acting in self.acting), strict=True))
-        )
+        gains = (robot.acting.gains for robot in self.robots)
+        return ServoGains(*map(np.array, zip(*gains, strict=True)))
 
     def _begin(self) -> State:
         """Return how the passages begin."""
-        pairs = list(zip(self.acting, self.passages, strict=True))
+        pairs = list(zip(self.robots, self.passages, strict=True))
         return State(
             np.array([passage.segment.position[0] for passage in self.passages]),
             np.array([passage.segment.velocity[0] for passage in self.passages]),
-            np.array([acting.begun(passage) for acting, passage in pairs]),
+            np.array([robot.acting.begun(passage) for robot, passage in pairs]),
             np.array([self._remembered(passage) for passage in self.passages]),
         )
 
     def _remembered(self, passage: Passage) -> Array:
         """Return hidden states (h,) as the measured motion before a passage leaves them."""
-        states = hidden_states(self.model, passage, self.sign_width)
+        states = hidden_states(self.model, passage, self.conditions.sign_width)
         return np.concatenate([np.zeros(0), *states.values()])
 
     def _mass(self, state: State) -> Array:
@@ -227,7 +200,7 @@ class Stepping:
 
         Newton's steps end when the robots that are counted (N,) have settled.
         """
-        width, step = self.sign_width, now.step
+        width, step = self.conditions.sign_width, now.step
         for round_ in range(_MOST_ROUNDS):
             v = base.velocity + step * a
             q = base.position + step * v
@@ -258,12 +231,12 @@ class Stepping:
         told = gains.kp + gains.ki + gains.kd > 0.0
         behind = np.where(told, command - at[0], 0.0)
         error = ServoError(behind, rate - at[1], base.integral, beside)
-        integral = base.integral + now.step * integral_rate(gains, error)
-        effort = servo_effort(gains, error._replace(integral=integral))
+        integral = base.integral + now.step * gains.integral_rate(error)
+        effort = gains.effort(error._replace(integral=integral))
         free = np.abs(effort) < gains.limit
         acts = free & (np.abs(behind) > gains.dead_band)
         slopes = acts * (gains.kp + now.step * gains.ki), free * gains.kd
-        share = np.ones(len(self.fastest))
+        share = np.ones(len(self.conditions.fastest))
         for fitted in self.model.effects:
             if fitted.effect.role is Role.SCALE:
                 share[self.model.joints.index(fitted.effect.where[0])] += fitted.parameters[0]
@@ -279,20 +252,20 @@ class Stepping:
         q, v, a = at
         model, count = self.model, len(q)
         load = inverse_dynamics(model.tree, model.positions(q), v, a, model.total_phi)
-        sizes = [_MOVED + 0.0 * q, _MOVED * self.sign_width + 0.0 * v, 1.0 + 0.0 * a]
+        sizes = [_MOVED + 0.0 * q, _MOVED * self.conditions.sign_width + 0.0 * v, 1.0 + 0.0 * a]
         sizes.append(_MOVED * (1.0 + np.abs(load)))
         seen = [np.tile(x, (5, 1)) for x in (q, v, a, load)]
         for k, size in enumerate(sizes):
             seen[k][(k + 1) * count : (k + 2) * count] += size
         warmth = None
-        if any(each is not None for each in self.temperatures):
-            rows = zip(self.temperatures, now.time.tolist(), strict=True)
-            none = np.full((1, len(self.fastest)), np.nan)
+        if any(robot.temperatures is not None for robot in self.robots):
+            rows = zip((r.temperatures for r in self.robots), now.time.tolist(), strict=True)
+            none = np.full((1, len(self.conditions.fastest)), np.nan)
             each = [none if w is None else w.at(t, model.joints) for w, t in rows]
             warmth = np.tile(np.concatenate(each), (5, 1))
         time = np.tile(now.time, 5)
         motion = Motion(model.positions(seen[0]), seen[1], seen[2], time, temperature=warmth)
-        whole = model.motion(motion, sign_width=self.sign_width, load=seen[3])
+        whole = model.motion(motion, sign_width=self.conditions.sign_width, load=seen[3])
         whole = replace(whole, log=log_number(self.passages[0].log))
         whole, hidden = self._with_states(whole, base.hidden, now.step)
         effort = np.zeros_like(seen[3])

@@ -32,8 +32,8 @@ from geodrake.control.systems.safeguards import (
     Watch,
     calc_applied,
     checked_estimate,
+    is_usable,
     require_single_joints,
-    usable,
 )
 from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.inertia import Array
@@ -340,11 +340,11 @@ class AdaptiveController(LeafSystem):
             b = _covector(context, result, len(p))
             if prediction is not None and seen.trusted and result is not None:
                 b = b + prediction.covector(law, p, memory)
-            moves = usable(b) and b.any()
+            moves = is_usable(b) and b.any()
             following = law.calc_step(p, b, self._time_step) if moves else p
         except (GeodrakeError, np.linalg.LinAlgError):
             return p
-        return following if usable(following) else p
+        return following if is_usable(following) else p
 
     def _filtered(
         self, context: Context, prediction: Prediction, seen: Seen, result: ControlResult | None
@@ -380,7 +380,7 @@ class AdaptiveController(LeafSystem):
             return np.zeros(len(p))
         try:
             b = _covector(context, result, len(p))
-            rate = law.calc_rate(p, b) if usable(b) else np.zeros(len(p))
+            rate = law.calc_rate(p, b) if is_usable(b) else np.zeros(len(p))
         except (GeodrakeError, np.linalg.LinAlgError):
             return np.zeros(len(p))
         return rate if np.isfinite(rate).all() else np.zeros(len(p))

@@ -34,8 +34,8 @@ from geodrake.control.systems.safeguards import (
     Watch,
     calc_measured,
     checked_estimate,
+    is_usable,
     require_single_joints,
-    usable,
 )
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
@@ -209,7 +209,7 @@ class BregmanProjectionEstimator(LeafSystem):
     def _filtered(self, x: Array, effort: Array, watched: Array, memory: Array) -> bool:
         """Pass a sample through watch and filter, step by step; return whether it is a new one."""
         measured, new = self._watch.measure(watched, x)
-        if not (measured and usable(effort)):
+        if not (measured and is_usable(effort)):
             memory[0] = 0.0
             return False
         q, qd = x[: self._nv], x[self._nv :]

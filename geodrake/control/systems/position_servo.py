@@ -1,8 +1,6 @@
-"""Servos that hold positions that they are told, and their law."""
+"""Servos that hold positions that they are told."""
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,43 +18,9 @@ from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import check_context
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.signal_efforts import ServoGains, beyond, command_delays, servo_gains
+from geodrake.model.servos import ServoError, ServoGains, command_delays, servo_gains
 from geodrake.model.simulation.robot_in_diagram import RobotInDiagram, late
 from geodrake.model.simulation.scalar_system import differenced
-
-
-class ServoError(NamedTuple):
-    """What servos act upon, all (..., n)."""
-
-    position: Array  # commanded less measured position, rad or m
-    velocity: Array  # the known share of the commanded velocity less the measured one
-    integral: Array  # integral of the error of position beyond the dead band, rad·s or m·s
-    feedforward: Array  # effort that is added, N·m or N
-
-
-def servo_effort(gains: ServoGains, error: ServoError) -> Array:
-    """Return the efforts (..., n) of servos, N·m or N.
-
-        τ = sat(kp e + kd ė + ki z + τ_ff),   e = dead(c − q),   ż = e,   ė = ρ ċ − v
-
-    where dead takes the dead band off an error, and sat keeps the limit.
-    """
-    return np.maximum(np.minimum(_unlimited(gains, error), gains.limit), -gains.limit)
-
-
-def integral_rate(gains: ServoGains, error: ServoError) -> Array:
-    """Return the rates ż (..., n); 0 where the effort is at its limit and would go beyond."""
-    effort, e = _unlimited(gains, error), beyond(error.position, gains.dead_band)
-    wound_up = np.logical_or(
-        np.logical_and(effort > gains.limit, e > 0.0),
-        np.logical_and(effort < -gains.limit, e < 0.0),
-    )
-    return np.where(wound_up, 0.0, e)
-
-
-def _unlimited(gains: ServoGains, error: ServoError) -> Array:
-    e = beyond(error.position, gains.dead_band)
-    return gains.kp * e + gains.kd * error.velocity + gains.ki * error.integral + error.feedforward
 
 
 def _checked(name: str, value: ArrayLike, count: int) -> Array:
@@ -172,11 +136,11 @@ class PositionServo(LeafSystem):
     def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
         """Rates of the integrals, rad or m; see `LeafSystem`."""
         if derivatives.size():
-            rates = integral_rate(self.gains(context), self._error(context))
+            rates = self.gains(context).integral_rate(self._error(context))
             derivatives.get_mutable_vector().SetFromVector(rates)
 
     def _calc_actuation(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(servo_effort(self.gains(context), self._error(context)))
+        output.SetFromVector(self.gains(context).effort(self._error(context)))
 
     def _error(self, context: Context) -> ServoError:
         n, state = self._count, self._state_port.Eval(context)

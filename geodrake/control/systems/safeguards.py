@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -268,11 +267,6 @@ def calc_applied(effort: Array, limits: Array, applied: Array) -> tuple[bool, bo
         beyond |= abs(effort[i]) > limits[i]
         applied[i] = min(max(effort[i], -limits[i]), limits[i])
     return is_usable(effort), beyond
-
-
-def usable(x: Array) -> bool:
-    """Return the result of `is_usable`, outside of compiled loops."""
-    return math.isfinite(x @ x)
 
 
 def require_single_joints(control: ControlModel) -> None:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from geodrake.compiling import compiled, inlined
 from geodrake.effects.of_files import BRAKING_SHARE
-from geodrake.model.signal_efforts import calc_beyond
+from geodrake.model.servos import calc_beyond
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

@@ -36,7 +36,8 @@ from geodrake.model.carried_payloads import carried_phi, carrying
 from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal, signal_of
 from geodrake.model.file_terms import Damping, DryFriction, LoadFriction, Offset, Rotor
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.signal_efforts import in_efforts, kind_of, servos_of
+from geodrake.model.servos import servos_of
+from geodrake.model.signal_efforts import in_efforts, kind_of
 
 Array = NDArray[np.float64]
 
