@@ -58,7 +58,7 @@ CHECKED = {
     },
     "logs/files/lerobot_dataset.py": {"read_table"},
     "logs/files/ros_bag.py": {"Reader"},
-    "robot/files/description.py": {"ProcessModelDirectives"},
+    "robot/files/description.py": {"AddModels", "ProcessModelDirectives"},
     # Directives that were read through the door, and files of text.
     "robot/shapes.py": {"MemoryFile", "ProcessModelDirectives"},
 }

@@ -272,14 +272,37 @@ def test_a_plugin_that_has_a_joint_follow_is_read(tmp_path):
         "",
     ],
 )
-def test_what_only_drake_reads_of_an_included_urdf_is_told(tmp_path, part):
-    load(tmp_path, URDF, robot=part)
+def test_an_included_urdf_is_the_one_that_is_loaded_alone(tmp_path, part):
+    part += '<gazebo reference="a"><springStiffness>4</springStiffness></gazebo>'
+    alone = load(tmp_path, URDF, robot=part, joint='<dynamics friction="0.3"/>')
     include = "<include><uri>r.urdf</uri><name>in</name></include>"
-    weld = '<joint name="c" type="fixed"><parent>l1</parent><child>in::base</child></joint>'
-    said = load(tmp_path, SDF, model=include + weld).left_out
-    told = [x for x in said if "line 2: dry friction, springs, followers" in x]
-    assert len(told) == bool(part)
-    assert len(said) == len(told) + ("<mimic" in part)  # a constraint, which Drake's plant has
+    weld = '<joint name="{0}" type="fixed"><parent>{1}</parent><child>{2}</child></joint>'
+    inside = include + weld.format("c", "l", "in::base") + weld.format("d", "world", "l")
+    text = f'<sdf version="1.9"><model name="m"><link name="l"/>{inside}</model></sdf>'
+    model = load(tmp_path, text)
+    assert not model.left_out and not alone.left_out
+    states = Motion(*np.random.default_rng(0).normal(size=(3, 4, len(alone.joints))))
+    np.testing.assert_allclose(model.effort(states), alone.effort(states), atol=1e-12)
+    assert [f.effect for f in model.effects] == [f.effect for f in alone.effects]
+
+
+def test_one_of_several_models_may_be_without_gravity(tmp_path):
+    off = "<link name='x'><gravity>0</gravity><inertial><mass>3</mass></inertial></link>"
+    (tmp_path / "p.sdf").write_text(f'<sdf version="1.9"><model name="p">{off}</model></sdf>')
+    include = "<include><uri>p.sdf</uri><pose>.5 0 0 0 0 0</pose></include>"
+    hold = '<joint name="c" type="fixed"><parent>l1</parent><child>p::x</child></joint>'
+    alone, model = load(tmp_path, SDF), load(tmp_path, SDF, model=include + hold)
+    np.testing.assert_allclose(held(model), held(alone), atol=1e-12)
+    (tmp_path / "two.dmd.yaml").write_text(
+        "directives:\n- add_model: {name: r, file: package://x/r.sdf}\n"
+        "- add_model: {name: p, file: package://x/p.sdf}\n"
+        "- add_weld: {parent: r::l1, child: p::x}\n"
+    )
+    (tmp_path / "package.xml").write_text("<package><name>x</name></package>")
+    load(tmp_path, SDF)
+    both = load_model(tmp_path / "two.dmd.yaml")
+    assert not both.left_out
+    np.testing.assert_allclose(held(both), held(alone), atol=1e-12)
 
 
 def test_what_an_include_changes_in_its_model_is_changed(tmp_path):

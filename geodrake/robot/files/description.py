@@ -18,6 +18,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from xml.etree.ElementTree import tostring
 
+import numpy as np
 from pydrake.multibody.parsing import (
     FlattenModelDirectives,
     LoadModelDirectivesFromString,
@@ -50,7 +51,7 @@ from geodrake.robot.stated import FileTerms
 from geodrake.robot.transmission.statements import Statement
 
 _MOST_LINKS = 2000  # as the time grows with their square, to 3 s
-_LINE = re.compile(r"(?:<literal-string>|\S*?/(\d+))\.\w+:(\d+): ")
+_LINE = re.compile(r"\S*?/(\d+)\.\w+:(\d+): ")
 
 
 @dataclass(frozen=True)
@@ -68,9 +69,18 @@ class ModelDescription:
     given: Given = field(default_factory=Given)
 
     @cached_property
+    def every(self) -> list[ModelText]:
+        """The texts, and those of files that they include."""
+        return [each for text in self.texts for each in text.every()]
+
+    @cached_property
     def terms(self) -> FileTerms:
-        """What the texts do not have of their files."""
-        return FileTerms.joined([text.terms for text in self.texts])
+        """What the texts do not have of their files; no gravity if no link has."""
+        terms = FileTerms.joined([text.terms for text in self.every])
+        heavy, carried = {n for text in self.every for n in text.heavy}, terms.carried
+        if heavy and heavy <= carried.keys() and {*carried.values()} == {1.0} and not terms.acting:
+            terms.gravity, terms.carried = np.zeros(3), {}
+        return terms
 
     def motors(self) -> tuple[Statement, ...]:
         """Return what the texts state of motors behind transmissions."""
@@ -88,38 +98,42 @@ class ModelDescription:
 
     def set_inertia(self, link: str, phi: Array | None) -> bool:
         """Give a link inertial parameters (10,), or none; False if no text has the link."""
-        return any(text.set_inertia(link, phi) for text in self.texts)
+        return any(text.set_inertia(link, phi) for text in self.every)
+
+    def _written(self, text: ModelText, *, simplified: bool) -> tuple[bytes, list[str]]:
+        """Return a text, and where its lines are from; if not simplified, what its file has."""
+        if simplified:
+            lines, where = numbered_text(text.root)
+            return lines.encode(), where
+        data = read_expanded(text.path, self.given)
+        if self.directives is None:
+            root = parse_xml_bytes(data, self.path)
+            Includes(self.path, self.given.packages).name_by_urls(root)
+            # Beside springs, Drake lets no joint be taken out.
+            drop(root, "spring_stiffness", *DRAKES_SPRINGS)
+            data = tostring(root)
+        return data, []
 
     def add_to(self, plant: MultibodyPlant, *, simplified: bool = True) -> None:
         """Add the models to a plant; if not simplified, as in their files but for geometry."""
-        parser = Parser(plant)
-        if simplified:
-            names = {name for text in self.texts for name in text.packages}
-            add_packages(parser.package_map(), self.path, names, self.given.packages)
-            texts = [numbered_text(text.root) for text in self.texts]
-        else:
+        parser, places = Parser(plant), list[list[str]]()
+        if not simplified:
             self.add_every_package(parser.package_map())
-            files = (read_expanded(text.path, self.given) for text in self.texts)
-            texts = [(data.decode(errors="replace"), list[str]()) for data in files]
-        with (
-            drake_errors(self.path, [places for _, places in texts]),
-            TemporaryDirectory() as folder,
-        ):
-            if self.directives is None and not simplified:
-                root = parse_xml_bytes(texts[0][0].encode(), self.path)
-                Includes(self.path, self.given.packages).name_by_urls(root)
-                # Beside springs, Drake lets no joint be taken out.
-                drop(root, "spring_stiffness", *DRAKES_SPRINGS)
-                parser.AddModelsFromString(tostring(root, encoding="unicode"), self.texts[0].kind)
-            elif self.directives is None:
-                for own, (text, _) in zip(self.texts, texts, strict=True):
-                    parser.AddModelsFromString(text, own.kind)
+        with drake_errors(self.path, places), TemporaryDirectory() as folder:
+            every = self.every if simplified else list(self.texts)
+            files = [Path(folder) / f"{k}.{text.kind}" for k, text in enumerate(every)]
+            for text, file in zip(every, files, strict=True):
+                for include, inner in text.inside if simplified else ():
+                    include.findall("uri")[0].text = files[every.index(inner)].as_uri()
+                own, where = self._written(text, simplified=simplified)
+                file.write_bytes(own)
+                places.append(where)
+            if self.directives is None:
+                parser.AddModels(str(files[0]))
             else:
                 models = [d.add_model for d in self.directives.directives if d.add_model]
-                for k, (model, own) in enumerate(zip(models, self.texts, strict=True)):
-                    file = Path(folder) / f"{k}.{own.kind}"
-                    file.write_text(texts[k][0], encoding="utf-8")
-                    model.file = file.as_uri()
+                for model, text in zip(models, self.texts, strict=True):
+                    model.file = files[every.index(text)].as_uri()
                 ProcessModelDirectives(self.directives, parser)
             for link, X_WB in self.terms.floating.items():
                 model, _, name = link.rpartition("::")
@@ -145,7 +159,7 @@ def read_description(path: Path, given: Given | None = None) -> ModelDescription
             f"{path} is not a xacro file, so argument {next(iter(given.xacro))!r} cannot be used.",
             advice="Omit it.",
         )
-    count = sum(len(text.links) for text in found.texts)
+    count = sum(len(text.links) for text in found.every)
     if count > _MOST_LINKS:
         raise ModelError(
             f"{path} has {count} links; geodrake reads up to {_MOST_LINKS}.",

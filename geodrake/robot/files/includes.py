@@ -11,26 +11,20 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from itertools import islice
 from pathlib import Path
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree.ElementTree import Element
 
 from pydrake.multibody.parsing import PackageMap
 
 from geodrake.boundary.input_files import read_regular, regular_file
 from geodrake.errors import ModelError
-from geodrake.robot.files.checks import is_off
 from geodrake.robot.files.xml_text import (
     LARGEST_FILE,
     parse_xml,
     parse_xml_bytes,
     place_of,
-    wrong_at,
 )
 
 _SCENERY = re.compile(r"(?<![a-z])(sun|ground|light|plane)+s?(?![a-z])", re.I)
-_LIKE_LATER = (1, 7)  # version of SDF from which on poses and axes mean the same
-_MODEL = "__model__"  # the frame of a model in SDF
-_OF_MODELS = ("pose", "static", "self_collide", "allow_auto_disable", "enable_wind", "plugin")
-_CHANGES = "experimental:params"  # of an include to its model, which Drake makes
 _DEEPEST = 30  # files that include each other in a row
 
 
@@ -39,18 +33,20 @@ class Includes:
 
     Args:
         folders: Package -> folder, which come before those that are found.
+        chain: Files that led to the file, itself the last; none for the first one.
 
     Attributes:
         packages: The packages that were named on the way.
         absent: Sentences on suns and grounds that a world includes, and that lead nowhere.
         missing: Sentences on what else it includes, and leads nowhere: perhaps a part of a robot.
-        unread: Sentences on forces in joints of models that only Drake reads.
     """
 
-    def __init__(self, path: Path, folders: Mapping[str, Path]) -> None:
+    def __init__(
+        self, path: Path, folders: Mapping[str, Path], chain: tuple[Path, ...] = ()
+    ) -> None:
         self.path, self.packages, self.names = path, PackageMap(), set[str]()
-        self._folders = folders
-        self.absent, self.missing, self.unread = list[str](), list[str](), list[str]()
+        self.chain, self._folders = chain or (path.resolve(),), folders
+        self.absent, self.missing = list[str](), list[str]()
 
     def resolve(self, url: str, folder: Path) -> Path:
         """Return where a URL, or a path relative to a folder, leads; a file need not be there."""
@@ -84,54 +80,33 @@ class Includes:
             raise self._endless(f"includes are nested more than {_DEEPEST} deep")
         return (*chain, file)
 
-    def insert(self, root: Element, folder: Path, chain: tuple[Path, ...] = ()) -> None:
-        """Replace an SDF's includes with the models that they name.
+    def model_of(self, include: Element) -> tuple[Path, tuple[Path, ...]]:
+        """Return the file of an SDF's include, and the files that led to it, itself the last.
 
-        URDFs, and models of such an old version of SDF that they mean other things, are left to
-        Drake, but followed too.
+        Of a model with several files it is that of the latest version of SDF.
         """
-        chain = chain or (self.path.resolve(),)
-        self._drop_absent(root, folder)
-        for parent in list(root.iter()):
-            for include in parent.findall("include"):
-                url = include.findtext("uri", "").strip()
-                found, others = dict[tuple[int, ...], Element](), list[Element]()
-                for file in _models_of(self.resolve(url, folder), "://" in url):
-                    below = self.enter(chain, file)
-                    included = parse_xml(file)
-                    self.insert(included, file.parent, below)
-                    model, version = included.find("model"), _version(included)
-                    versions = version, _version(root)
-                    alike = versions[0] == versions[1] or min(versions) >= _LIKE_LATER
-                    if model is not None and alike and include.find(_CHANGES) is None:
-                        found[version] = model
-                    else:
-                        others.append(included)
-                        include.findall("uri")[0].text = f"file://{file.resolve()}"
-                if found:
-                    self._replace(parent, include, found[max(found)])
-                elif any(map(_has_forces, others)):
-                    self.unread.append(
-                        f"{place_of(include, self.path)}: dry friction, springs, followers and "
-                        f"links without gravity of {url}, an included URDF, or SDF of an older "
-                        "version, are ignored."
-                    )
+        url = include.findtext("uri", "").strip()
+        files = _models_of(self.resolve(url, self.path.parent), "://" in url)
+        file = files[0]
+        if files[1:]:
+            file = max(files, key=lambda each: _version(parse_xml(self.checked(each))))
+        return file, self.enter(self.chain, file)
 
     def name_by_urls(self, root: Element) -> None:
         """Name the files of an SDF's includes, and remove missing ones."""
-        self._drop_absent(root, self.path.parent)
+        self.drop_absent(root)
         for uri in root.iterfind(".//include/uri"):
             place = (uri.text or "").strip()
             found = _models_of(self.resolve(place, self.path.parent.resolve()), "://" in place)
             uri.text = f"file://{found[-1].resolve()}"
 
-    def _drop_absent(self, root: Element, folder: Path) -> None:
+    def drop_absent(self, root: Element) -> None:
         """Remove the includes of worlds whose models do not exist."""
         for world in root.iter("world"):
             for include in world.findall("include"):
                 url = include.findtext("uri", "").strip()
                 try:
-                    self.resolve(url, folder)
+                    self.resolve(url, self.path.parent)
                 except ModelError:
                     world.remove(include)
                     parts = [part for part in url.split("/") if part and not part.isdecimal()]
@@ -139,23 +114,6 @@ class Includes:
                     where = place_of(include, self.path)
                     said = self.absent if scenery else self.missing
                     said.append(f"{where}: {url} is not found, and is omitted from the world.")
-
-    def _replace(self, parent: Element, include: Element, model: Element) -> None:
-        """Replace an include with its model, which the include may move, rename and merge."""
-        model.set("name", include.findtext("name", model.get("name", "")).strip())
-        for element in (e for tag in ("pose", "static") for e in include.findall(tag)):
-            for old in model.findall(element.tag):
-                model.remove(old)
-            model.append(element)
-        placed = include.findtext("placement_frame", "").strip()
-        if placed:
-            model.set("placement_frame", placed)
-        merges = include.get("merge", "").strip().lower() in ("true", "1")
-        if merges and model.get("placement_frame"):
-            what = "<include> merges a model that is placed by a frame, which is not supported."
-            raise wrong_at(include, self.path, what)
-        at = list(parent).index(include)
-        parent[at : at + 1] = _merged(model) if merges else [model]
 
     def insert_elements(self, root: Element, chain: tuple[Path, ...] = ()) -> None:
         """Replace an MJCF's includes with the contents of the files that they name.
@@ -195,45 +153,6 @@ def _models_of(place: Path, by_url: bool) -> list[Path]:
 def _version(root: Element) -> tuple[int, ...]:
     """Return the version of SDF that a file has."""
     return tuple(int(word) for word in re.findall(r"\d{1,9}", root.get("version", "")))
-
-
-def _has_forces(root: Element) -> bool:
-    """Return whether a URDF or SDF states what Drake does not read.
-
-    That is dry friction and springs, joints that follow others, and links without gravity.
-    """
-    tags = ("friction", "spring_stiffness", "springStiffness", "turnGravityOff")
-    words = [each.text or "" for tag in tags for each in root.iter(tag)]
-    words += [each.get("friction", "") for each in root.iter("dynamics")]
-    off = any(is_off(each.text or "") for each in root.iter("gravity"))
-    return off or root.find(".//mimic") is not None or not all(map(is_off, words))
-
-
-def _merged(model: Element) -> list[Element]:
-    """Return the parts of a merged model, and its own frame.
-
-    Parts whose poses are relative to the model are relative to that frame.
-    """
-    name, pose = f"_merged__{model.get('name')}__model__", model.find("pose")
-    frame = Element("frame", name=name)
-    frame.append(Element("pose") if pose is None else pose)
-    frame[0].attrib.setdefault("relative_to", _MODEL)
-    links = [model.get("canonical_link"), *(link.get("name") for link in model.findall("link"))]
-    if canonical := next(filter(None, links), ""):
-        frame.set("attached_to", canonical)
-    parts = [part for part in model if part.tag not in _OF_MODELS]
-    for part in parts:
-        if part.tag in ("link", "frame", "model", "include") and not part.get("attached_to"):
-            pose = part.find("pose")
-            pose = SubElement(part, "pose") if pose is None else pose
-            pose.attrib.setdefault("relative_to", name)
-        nested = part.tag in ("model", "include")
-        for element in part.findall("pose") if nested else part.iter():
-            for key in [key for key, word in element.attrib.items() if word == _MODEL]:
-                element.set(key, name)
-            if (element.text or "").strip() == _MODEL:  # an end of a joint
-                element.text = name
-    return [frame, *parts]
 
 
 _URL = re.compile(r"(?:package|model)://([^/\n\"'<>]+)")

@@ -236,21 +236,38 @@ def sdf_joints(root: Element, first: str = "") -> Iterator[tuple[str, str, Eleme
 
 def _home(scope: str, model: Element, frame: str) -> str:
     """Return the scoped name of the model whose link a frame is, or is attached to."""
-    own, tried = {each.get("name", ""): each for each in model}, set[str]()
+    own, tried, models = dict(_parts(model)), set[str](), ("model", "robot")
     while frame not in tried:
         tried.add(frame)
         if frame in ("", "__model__"):
-            parts = (*model.findall("link"), *model.findall("model"))
-            frame = model.get("canonical_link") or next((x.get("name", "") for x in parts), "")
+            links = (name for tags in (("link",), models) for name in own if own[name].tag in tags)
+            frame = model.get("canonical_link") or next(links, "")
         head, _, rest = frame.partition("::")
         there = own.get(head)
         kind = "" if there is None else there.tag
-        if there is not None and kind == "model":
+        if there is not None and kind in models:
             return _home(f"{scope}::{head}", there, rest)
         if there is not None and kind in ("frame", "joint"):
             child = there.findtext("child", "").strip()
             frame = there.get("attached_to", "") if kind == "frame" else child
     return scope
+
+
+def _parts(model: Element) -> Iterator[tuple[str, Element]]:
+    """Yield names and elements in a model, included models in the place of their includes."""
+    for part in model:
+        inside = part.model if isinstance(part, LocatedElement) else None
+        if inside is None:
+            yield part.get("name", ""), part
+        elif merges(part):
+            yield from _parts(inside)
+        else:
+            yield part.findtext("name", inside.get("name", "")).strip(), inside
+
+
+def merges(include: Element) -> bool:
+    """Return whether an include puts the parts of its model among those around it."""
+    return include.get("merge", "").strip().lower() in ("true", "1")
 
 
 def sdf_pose(pose: Element) -> tuple[Array, Array]:

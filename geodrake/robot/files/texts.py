@@ -41,8 +41,14 @@ from geodrake.robot.files.checks import (
     symmetric,
 )
 from geodrake.robot.files.includes import PACKAGE_ADVICE, Includes
-from geodrake.robot.files.model_edits import put_inertia, sdf_joints, sdf_models, sdf_pose
-from geodrake.robot.files.xml_text import LocatedElement, place_of, wrong_at
+from geodrake.robot.files.model_edits import (
+    merges,
+    put_inertia,
+    sdf_joints,
+    sdf_models,
+    sdf_pose,
+)
+from geodrake.robot.files.xml_text import LocatedElement, parse_xml, place_of, wrong_at
 from geodrake.robot.joints import Tie
 from geodrake.robot.stated import (
     CLOSING,
@@ -71,6 +77,9 @@ SDF_UNREAD: Mapping[str, Collection[str]] = {
     "model": ("enable_wind",),
 }
 """Tag -> tags of its children, or of theirs, that bear on efforts unless they are zero."""
+
+_CHANGED = {"dynamics": ("friction", "spring_stiffness")}
+"""The same in what an include changes of its model, which is left to Drake."""
 
 URDF_ATTRIBUTES: Mapping[str, Collection[str]] = {
     "origin": ("quat_xyzw",),
@@ -146,24 +155,33 @@ class ModelText(abc.ABC):
     Attributes:
         numeric: Numbers of the format and what they may be.
         terms: What the file states that is not in the text.
-        packages: Names of packages whose files are left for Drake to include.
+        inside: Elements that include other files, and the texts of those.
         folders: Package -> folder, which come before those that are found.
+        chain: Files that led to this one by includes, itself the last; none for the first one.
     """
 
     kind: ClassVar[str]
     numeric: ClassVar[Numeric]
 
     def __init__(
-        self, root: Element, path: Path, scope: str | None, folders: Mapping[str, Path]
+        self,
+        root: Element,
+        path: Path,
+        scope: str | None,
+        folders: Mapping[str, Path],
+        chain: tuple[Path, ...] = (),
     ) -> None:
         self.root, self.path, self.scope, self.folders = root, path, scope, folders
-        self.terms, self.packages = FileTerms(), set[str]()
+        self.terms, self.chain = FileTerms(), chain
+        self.inside = list[tuple[Element, ModelText]]()
         self._links: dict[str, Element] = {}
         # Scoped names of joints that are fixed, and of those of several degrees of freedom.
         self._still, self._several = set[str](), set[str]()
         self._read()
         check_numbers(self.root, self.numeric, path)
         check_limits(self.root, path)
+        for dynamics in self.root.iter("dynamics"):
+            dynamics.attrib.pop("friction", None)  # of which Drake warns, and included files fail
         for name, link in self._links.items():
             phi = self._stated(link)
             check_link(link, phi, path)
@@ -176,9 +194,21 @@ class ModelText(abc.ABC):
         """Scoped names of the links."""
         return tuple(self._links)
 
+    def every(self) -> Iterator[ModelText]:
+        """Yield the text, and those that it includes, with theirs."""
+        yield self
+        for _, text in self.inside:
+            yield from text.every()
+
+    @property
+    def heavy(self) -> set[str]:
+        """Scoped names of links with an inertia."""
+        return {name for name, link in self._links.items() if link.find("inertial") is not None}
+
     def included(self, links: Container[str]) -> dict[str, Path]:
         """Return which of some links are in files that the file includes, and in which."""
-        found = {name.rpartition("::")[2]: e for name, e in self._links.items() if name in links}
+        every = {name: link for text in self.every() for name, link in text._links.items()}
+        found = {name.rpartition("::")[2]: e for name, e in every.items() if name in links}
         elements = {n: e for n, e in found.items() if isinstance(e, LocatedElement)}
         return {n: Path(e.path) for n, e in elements.items() if Path(e.path) != self.path}
 
@@ -227,6 +257,7 @@ class ModelText(abc.ABC):
     def _take_drakes_springs(self, scope: str, model: Element) -> None:
         """Take Drake's springs of joints, and between points of two links, out of a model."""
         joints = {e.get("name", ""): e.get("type") for e in model if e.tag in _JOINTS}
+        known = {name for text in self.every() for name in text.links}
         for spring in [each for each in model if each.tag in DRAKES_SPRINGS]:
             model.remove(spring)
 
@@ -239,7 +270,7 @@ class ModelText(abc.ABC):
             if (rest := DRAKES_SPRINGS[spring.tag]) is None:
                 ends = [_of_drake(spring, key) for key in ("body_A", "body_B")]
                 links = [f"{scope}::{end}" for end in ends]
-                if not {*links} <= self._links.keys() or links[0] == links[1]:
+                if not {*links} <= known or links[0] == links[1]:
                     what = f"<{spring.tag}> does not name two links, but {' and '.join(ends)}."
                     raise wrong_at(spring, self.path, what)
                 points = value("p_AP", 3), value("p_BQ", 3)
@@ -261,14 +292,6 @@ class ModelText(abc.ABC):
             what = f"{place_of(element, self.path)}: <{element.tag}> is ignored"
             self.terms.left_out.append(f"{what}: the robot is read as an open tree.")
         drop(self.root, *tags)
-
-    def _take_weightless(self, off: Collection[str]) -> None:
-        """Read scoped names of links without gravity; if all, there is no gravity."""
-        heavy = {name for name, link in self._links.items() if link.find("inertial") is not None}
-        if off and heavy.issubset(off):
-            self.terms.gravity = np.zeros(3)
-        else:
-            self.terms.carried = dict.fromkeys(off, 1.0)
 
     def _take_axes(self, names: Sequence[str], joint: Element, *, damping: bool) -> None:
         """Take friction and springs of each axis of a joint of SDF, and perhaps damping."""
@@ -357,11 +380,8 @@ class SdfText(ModelText):
     numeric = SDF_NUMBERS
 
     def _read(self) -> None:
-        includes, terms = Includes(self.path, self.folders), self.terms
-        includes.insert(self.root, self.path.parent)
-        self.packages = includes.names
-        terms.notes += includes.absent
-        terms.left_out += [*includes.missing, *includes.unread]
+        terms = self.terms
+        nowhere = self._take_includes()
         terms.left_out += unread(self.root, SDF_UNREAD, self.path)
         self._take_gravity()
         for parent, joint in [(e, j) for e in self.root.iter() for j in e.findall("joint")]:
@@ -386,7 +406,7 @@ class SdfText(ModelText):
         self._drop_loops()
         joints = list(sdf_joints(self.root, first=self.scope or ""))
         names = {stated: name for stated, name, _ in joints}
-        self._still = {stated for stated, _, joint in joints if joint.get("type") == "fixed"}
+        self._still |= {stated for stated, _, joint in joints if joint.get("type") == "fixed"}
         for stated, name, joint in joints:
             self._take_mimic(stated, stated.rpartition("::")[0], joint)
             twice = joint.get("type") == "universal"
@@ -400,15 +420,45 @@ class SdfText(ModelText):
             names.get(own, own): Tie(names.get(tie.leader, tie.leader), tie.coefficients)
             for own, tie in terms.followers.items()
         }
-        nowhere = [*includes.missing, *includes.absent]
-        if nowhere and not self._links:
+        if nowhere and not any(text.links for text in self.every()):
             raise ModelError(
                 f"{self.path} has no model that can be found: {nowhere[0]}", advice=PACKAGE_ADVICE
             )
         of_links = {name: link.findtext("gravity") for name, link in self._links.items()}
-        self._take_weightless(
-            [name for name, text in of_links.items() if text is not None and is_off(text)]
-        )
+        off = [name for name, text in of_links.items() if text is not None and is_off(text)]
+        terms.carried = dict.fromkeys(off, 1.0)
+
+    def _take_includes(self) -> list[str]:
+        """Read included files; return sentences on those that are not there."""
+        includes = Includes(self.path, self.folders, self.chain)
+        includes.drop_absent(self.root)
+        self.terms.notes += includes.absent
+        self.terms.left_out += includes.missing
+        places = [("", world) for world in self.root.iter("world")]
+        places += sdf_models(self.root, first=self.scope or "")
+        for scope, include in [(scope, e) for scope, at in places for e in at.findall("include")]:
+            file, chain = includes.model_of(include)
+            root = parse_xml(file)
+            urdf, model = root.tag == "robot", root.find("model")
+            model = root if urdf else model
+            if model is None:
+                what = f"<include> has the file {file}, which has no model."
+                raise wrong_at(include, self.path, what)
+            name = include.findtext("name", model.get("name", "")).strip()
+            inner = scope if merges(include) else "::".join(filter(None, (scope, name)))
+            text: ModelText = (UrdfText if urdf else SdfText)(
+                root, file, inner, self.folders, chain
+            )
+            text.terms.floating = {}
+            self.inside.append((include, text))
+            self._still |= text._still
+            self._several |= text._several
+            if isinstance(include, LocatedElement):
+                include.model = model
+            for change in include.iter("experimental:params"):  # which Drake makes
+                drop(change, "collision")
+                self.terms.left_out += unread(change, _CHANGED, self.path)
+        return [*includes.missing, *includes.absent]
 
     def _take_gravity(self) -> None:
         places = ("world/physics/gravity", "world/gravity")  # that of older versions first
@@ -601,7 +651,7 @@ class UrdfText(ModelText):
             falls += [not is_off(each.text or "") for each in element.findall("turnGravityOff")]
             if any(falls) and name in self._links:
                 off.append(name)
-        self._take_weightless(off)
+        self.terms.carried = dict.fromkeys(off, 1.0)
 
     def motors(self) -> tuple[Statement, ...]:
         """Return the transmissions of ros_control."""

@@ -25,6 +25,7 @@ class LocatedElement(Element):
     line: int  # the line of the file, from one
     start: int  # where its start tag begins, in bytes from the start of the file
     end: int  # where its end tag begins
+    model: Element | None = None  # the model that it stands for, if it is an include of SDF
 
 
 def place_of(element: Element, path: Path | str = "") -> str:
