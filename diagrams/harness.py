@@ -14,6 +14,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import suppress
 from dataclasses import asdict, is_dataclass, replace
 from functools import partial
 from multiprocessing import get_context
@@ -182,62 +183,40 @@ def run_draws(
     draws: Sequence[Any],
     **key: Any,
 ) -> list[Any]:
-    """Return what a task makes of all draws; `key` is what else than the seed tells runs apart."""
-    cache = options.cache or (options.json and options.json.with_suffix(".draws.jsonl"))
-    if cache is not None:
-        cache.parent.mkdir(parents=True, exist_ok=True)
-    study = Path(parser.prog).stem.rpartition(".")[2]
-    own = {"version": VERSION, "study": study, "seed": options.seed, **key}
-    jobs = options.jobs or (1 if options.quick else JOBS)
-    try:
-        return results_of(task, draws, key=own, cache=cache, workers=jobs)
-    except KeyboardInterrupt:
-        where = f"Finished draws are in {cache}; the same command goes on." if cache else ""
-        parser.exit(130, f"Interrupted. {where}\n")
-
-
-def results_of(
-    task: Callable[[Any], Any],
-    draws: Sequence[Any],
-    *,
-    key: Mapping[str, Any],
-    cache: Path | None,
-    workers: int,
-) -> list[Any]:
-    """Return what a task makes of every draw, from the cache as far as it is there.
+    """Return what a task makes of all draws, those of an earlier run from the file that keeps them.
 
     Args:
         task: A function that can be pickled; its results can be written as JSON.
-        key: What else a kept result must have been made with.
-        cache: A JSON-lines file, which need not exist; None to keep nothing.
+        key: What else than the seed tells runs apart.
     """
-    done = kept(cache, key)
+    cache = options.cache or (options.json and options.json.with_suffix(".draws.jsonl"))
+    study = Path(parser.prog).stem.rpartition(".")[2]
+    own = {"version": VERSION, "study": study, "seed": options.seed, **key}
+    own = json.loads(json.dumps(own))
+    done = {name_of(line["draw"]): line["rows"] for line in _kept(cache) if line["key"] == own}
     missing = [draw for draw in draws if name_of(draw) not in done]
-    found = finished(task, missing, workers)
-    for draw, result in track(found, description="draws", total=len(missing), transient=True):
-        # As it would be read again, so that a resumed run gives the same in every digit.
-        line = json.dumps({"key": dict(key), "draw": plain(draw), "rows": result})
-        done[name_of(draw)] = json.loads(line)["rows"]
-        if cache is not None:
-            with cache.open("a", encoding="utf-8") as file:
-                file.write(line + "\n")
+    found = finished(task, missing, options.jobs or (1 if options.quick else JOBS))
+    try:
+        for draw, rows in track(found, "draws", len(missing), transient=True):
+            # As it would be read again, so that a resumed run gives the same in every digit.
+            line = json.dumps({"key": own, "draw": plain(draw), "rows": rows})
+            done[name_of(draw)] = json.loads(line)["rows"]
+            if cache is not None:
+                cache.parent.mkdir(parents=True, exist_ok=True)
+                with cache.open("a", encoding="utf-8") as file:
+                    file.write(line + "\n")
+    except KeyboardInterrupt:
+        where = f"Finished draws are in {cache}; the same command goes on." if cache else ""
+        parser.exit(130, f"Interrupted. {where}\n")
     return [done[name_of(draw)] for draw in draws]
 
 
-def kept(cache: Path | None, key: Mapping[str, Any]) -> dict[str, Any]:
-    """Return results in a cache by name; a last line cut short by an interruption is left out."""
-    done: dict[str, Any] = {}
-    if cache is None or not cache.is_file():
-        return done
-    wanted = json.loads(json.dumps(dict(key)))
-    for line in cache.read_text(encoding="utf-8").splitlines():
-        try:
-            found = json.loads(line)
-        except json.JSONDecodeError:
-            continue
-        if found["key"] == wanted:
-            done[name_of(found["draw"])] = found["rows"]
-    return done
+def _kept(cache: Path | None) -> Iterator[dict[str, Any]]:
+    """Yield the lines of a file, if it is there, but a last one that was cut short."""
+    if cache is not None and cache.is_file():
+        for line in cache.read_text(encoding="utf-8").splitlines():
+            with suppress(json.JSONDecodeError):
+                yield json.loads(line)
 
 
 def name_of(draw: Any) -> str:
@@ -305,29 +284,6 @@ def peak_memory(code: str, *arguments: object) -> tuple[float, list[str]]:
     return float(peak), said
 
 
-def titled(ax: Axes, title: str, grid: str = "both") -> Axes:
-    """Give axes the common look and a title."""
-    style.polish(ax, grid=grid)
-    ax.set_title(title, loc="left", **style.plain(fontweight="bold"))
-    return ax
-
-
-def panels(
-    height: float, titles: Sequence[str], *, x: str = "", grid: str = "both", **how: Any
-) -> tuple[Figure, list[Axes]]:
-    """Return a figure with a panel for each title, three in a line; `how` is that of subplots."""
-    count = min(len(titles), _BESIDE)
-    lines = -(-len(titles) // max(count, 1))
-    figure = style.new_figure(height * lines)
-    axes = figure.subplots(lines, count, squeeze=False, **how).ravel()
-    for ax, title in zip(axes, titles, strict=False):
-        titled(ax, style.label(title, 60), grid)
-        ax.set_xlabel(x, **style.plain(style.SMALL, style.QUIET))
-    for ax in axes[len(titles) :]:
-        ax.set_axis_off()
-    return figure, list(axes[: len(titles)])
-
-
 def chart(
     rows: Sequence[Mapping[str, Any]],
     x: str,
@@ -342,51 +298,49 @@ def chart(
     """Draw columns of rows over column x: a panel for each, and each value of column `panel`.
 
     What has the same value of column `by` has one color. Over words there are bars. A list is a
-    line of its own, over the list x or, without one, over its places. `NAME_deviation` is an error,
-    or a pair of what is below and above.
+    line of its own, over the list x or, without one, over its places. `NAME_deviation` is an error.
 
     Args:
         levels: Name -> a row whose values are lines across all of a panel.
         joined: Whether points are joined.
     """
     names = (ys,) if isinstance(ys, str) else tuple(ys)
-    parts, kinds, places = (_values(rows, name) for name in (panel, by, x))
-    is_words = isinstance(places[0], str) and bool(x)
-    cells = [(name, part) for part in parts for name in names]
-    titles = [", ".join(_word(each) for each in cell if each not in (None, "")) for cell in cells]
-    height = 0.9 + 0.05 * len(places) * (len(kinds) + 3) if is_words else 3.4
-    how = {"sharey": True} if is_words else {}
-    figure, axes = panels(height, titles, x="" if is_words else _word(x), **how)
-    for ax, (name, part) in zip(axes, cells, strict=True):
-        is_wide = _spans([row.get(name) for row in rows], 50.0)
+    kinds, parts = (list(dict.fromkeys(row.get(key) for row in rows)) for key in (by, panel))
+    has_words = bool(x) and isinstance(rows[0][x], str)
+    places = list(dict.fromkeys(row[x] for row in rows)) if has_words else []
+    cells = [(part, name) for part in parts for name in names]
+    beside = min(len(cells), _BESIDE)
+    height = 0.9 + 0.05 * len(places) * (len(kinds) + 3) if has_words else 3.4
+    figure = style.new_figure(height * -(-len(cells) // beside))
+    axes = figure.subplots(
+        -(-len(cells) // beside), beside, squeeze=False, sharey=has_words
+    ).ravel()
+    for ax in axes[len(cells) :]:
+        ax.set_axis_off()
+    for ax, (part, name) in zip(axes, cells, strict=False):
+        title = ", ".join(_word(each) for each in (name, part) if each not in (None, ""))
+        style.polish(ax)
+        ax.set_title(style.label(title, 60), loc="left", **style.plain(fontweight="bold"))
+        ax.set_xlabel("" if has_words else _word(x), **style.plain(style.SMALL, style.QUIET))
+        own = [row for row in rows if row.get(panel) == part and row.get(name) is not None]
         for k, kind in enumerate(kinds):
-            of_panel = [row for row in rows if row.get(panel) == part and row.get(by) == kind]
-            own = [row for row in of_panel if row.get(name) is not None]
             look = {"color": SHADES[k % len(SHADES)], "label": _word(kind)}
-            values = [row[name] for row in own]
-            spreads = [np.broadcast_to(row.get(f"{name}_deviation", 0.0), 2) for row in own]
-            errors = np.transpose(spreads) if np.any(spreads) else None
-            if errors is not None and is_wide:  # logarithms begin above zero
-                errors = [np.minimum(errors[0], 0.9 * np.abs(values)), errors[1]]
-            if own and isinstance(values[0], list):
-                for row in own:
-                    at = row[x] if x else range(1, len(row[name]) + 1)
-                    ax.plot(at, [np.nan if y is None else y for y in row[name]], lw=1.1, **look)
-            elif is_words:
+            drawn = [row for row in own if row.get(by) == kind]
+            if has_words:
                 width = 0.8 / len(kinds)
-                at = [places.index(row[x]) + width * (k + 0.5) - 0.4 for row in own]
-                ax.barh(at, values, 0.9 * width, xerr=errors, ecolor=style.INK, **look)
-            elif own:
-                marks = {"fmt": "o-" if joined else "o", "markersize": 3.5, "capsize": 2}
-                ax.errorbar([row[x] for row in own], values, errors, lw=1.2, **marks, **look)
+                at = [places.index(row[x]) + width * (k + 0.5) - 0.4 for row in drawn]
+                errors = [row.get(f"{name}_deviation", 0.0) for row in drawn]
+                ax.barh(at, [row[name] for row in drawn], 0.9 * width, xerr=errors, **look)
+            else:
+                _draw_lines(ax, drawn, x, name, joined=joined, **look)
         for (level, row), dashes in zip((levels or {}).items(), ("--", ":", "-."), strict=False):
             across = {"color": style.QUIET, "linestyle": dashes, "linewidth": 1.2, "label": level}
             if row.get(name) is not None:
-                (ax.axvline if is_words else ax.axhline)(row[name], **across)
-        _scale(ax, "x" if is_words else "y", is_wide)
-        if not is_words and x != "time":
-            _scale(ax, "x", _spans([row.get(x) for row in rows if row.get(name) is not None], 20.0))
-    if is_words:
+                (ax.axvline if has_words else ax.axhline)(row[name], **across)
+        _scale(ax, "x" if has_words else "y", [row.get(name) for row in rows], 50.0)
+        if not has_words and x != "time":
+            _scale(ax, "x", [row.get(x) for row in own], 20.0)
+    if has_words:
         axes[0].set_yticks(range(len(places)), [_word(place) for place in places])
         axes[0].invert_yaxis()
     shown = {one.get_label(): one for ax in axes for one in ax.get_legend_handles_labels()[0]}
@@ -395,10 +349,22 @@ def chart(
     return figure
 
 
-def _values(rows: Sequence[Mapping[str, Any]], name: str) -> list[Any]:
-    """Return the different values of a column, in their order; None alone without a column."""
-    values = (row.get(name) for row in rows)
-    return list(dict.fromkeys(None if isinstance(each, list) else each for each in values))
+def _draw_lines(
+    ax: Axes, rows: Sequence[Mapping[str, Any]], x: str, name: str, *, joined: bool, **look: Any
+) -> None:
+    """Draw a list as a line, and numbers as points with their errors."""
+    for row in rows:
+        if isinstance(row[name], list):
+            values = [np.nan if y is None else y for y in row[name]]
+            ax.plot(row[x] if x else range(1, len(values) + 1), values, lw=1.1, **look)
+    points = [row for row in rows if not isinstance(row[name], list)]
+    if points:
+        values = np.array([row[name] for row in points])
+        above = np.array([row.get(f"{name}_deviation", 0.0) for row in points])
+        # Logarithms begin above zero.
+        errors = [np.minimum(above, 0.9 * np.abs(values)), above] if above.any() else None
+        marks = {"fmt": "o-" if joined else "o", "markersize": 3.5, "capsize": 2}
+        ax.errorbar([row[x] for row in points], values, errors, lw=1.2, **marks, **look)
 
 
 def _word(value: Any) -> str:
@@ -407,17 +373,11 @@ def _word(value: Any) -> str:
     return "" if value is None else str(value).replace("_", " ")
 
 
-def _spans(values: Sequence[Any], most: float) -> bool:
-    """Return whether values are positive, and some that many times larger than others."""
-    flat = [one for each in values for one in (each if isinstance(each, list) else [each])]
-    numbers = np.array([one for one in flat if isinstance(one, int | float)], float)
-    numbers = numbers[np.isfinite(numbers)]
-    return bool(len(numbers)) and 0.0 < most * numbers.min() < numbers.max()
-
-
-def _scale(ax: Axes, axis: str, is_wide: bool) -> None:
-    """Make an axis of values that span much logarithmic."""
-    if is_wide:
+def _scale(ax: Axes, axis: str, values: Sequence[Any], most: float) -> None:
+    """Make an axis logarithmic if values are positive, and some that many times others."""
+    flat = np.hstack([np.array(each, float) for each in values if each is not None])
+    flat = flat[np.isfinite(flat)]
+    if len(flat) and 0.0 < most * flat.min() < flat.max():
         style.log_scale(ax, axis)
     else:
         ax.locator_params(axis=axis, nbins=6)

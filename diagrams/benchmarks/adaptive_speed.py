@@ -205,12 +205,10 @@ def summary(times: dict[str, list[float]]) -> dict[str, Any]:
 
 def main() -> None:
     """Measure, print, and write what was asked for."""
-    parser = script_parser(__doc__, "a short run, once")
-    parser.add_argument("--repeats", type=int, help="of every time")
-    options = parser.parse_args()
+    options = script_parser(__doc__, "a short run, once").parse_args()
     duration, repeats = (0.05, 1) if options.quick else (2.0, 7)
     arm = Arm.load(options.seed)
-    times = measure(arm, duration=duration, repeats=options.repeats or repeats)
+    times = measure(arm, duration=duration, repeats=repeats)
     tell(options, summary(times))
 
 

@@ -108,14 +108,14 @@ def merged_difference(
 
 def main() -> None:
     """Measure, print, and write what was asked for."""
-    parser = script_parser(__doc__, "one short log of two joints")
-    parser.add_argument("--times", type=int, default=3, help="how often times are taken")
-    options = parser.parse_args()
-    model = load_model(MODELS / ("double_pendulum.urdf" if options.quick else "arm7.urdf"))
-    cases = [(100.0, 1.0)] if options.quick else [(100.0, 1.0), (500.0, 1.0), (1000.0, 3.0)]
-    how = {"seconds": 15.0 if options.quick else 60.0, "seed": options.seed}
-    times = 1 if options.quick else options.times
-    tell(options, [measure(model, rate, pace, times=times, **how) for rate, pace in cases])
+    options = script_parser(__doc__, "one short log of two joints").parse_args()
+    name, cases = "arm7", [(100.0, 1.0), (500.0, 1.0), (1000.0, 3.0)]
+    how = {"seconds": 60.0, "times": 3, "seed": options.seed}
+    if options.quick:
+        name, cases = "double_pendulum", cases[:1]
+        how |= {"seconds": 15.0, "times": 1}
+    model = load_model(MODELS / f"{name}.urdf")
+    tell(options, [measure(model, rate, pace, **how) for rate, pace in cases])
 
 
 if __name__ == "__main__":

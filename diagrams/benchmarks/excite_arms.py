@@ -18,6 +18,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -26,17 +27,15 @@ from xml.etree import ElementTree
 import coal
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from diagrams.harness import script_parser, show, write
+from diagrams.harness import cpu_time, script_parser, show, write
 from diagrams.public_data import installed_model
 from geodrake import load_model
 from geodrake.excitation import CollisionWorld, motion_limits
 from geodrake.excitation.collisions import floor_of
 from geodrake.excitation.starts import possible_postures
+from geodrake.inertia import Array
 from geodrake.robot import joint_names
-
-Array = NDArray[np.float64]
 
 ARMS = {
     "UR5": "ur_description/urdf/ur5_robot.urdf",
@@ -79,22 +78,12 @@ class Checked:
 
 def excited(path: Path, folder: Path, options: Sequence[str]) -> tuple[dict[str, Any], Any, float]:
     """Run the command; returns its numbers, the table it saved, and its CPU time, s."""
-    files = ["--json", str(folder / "numbers.json"), "--save", str(folder / "motion.csv")]
-    rate = ["--rate", f"{RATE:g}"]
-    command = [sys.executable, "-m", "geodrake", "excite", str(path), *files, *rate, *options]
-    timed = ["-c", _TIMED, *command]
-    done = subprocess.run([sys.executable, *timed], check=True, capture_output=True, text=True)
-    numbers = json.loads((folder / "numbers.json").read_text())
-    table = np.genfromtxt(folder / "motion.csv", delimiter=",", names=True, deletechars="")
-    return numbers, table, float(done.stdout.rpartition("cpu ")[2])
-
-
-_TIMED = """
-import resource, subprocess, sys
-subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL)
-used = resource.getrusage(resource.RUSAGE_CHILDREN)
-print("cpu", used.ru_utime + used.ru_stime)
-"""
+    numbers, motion = folder / "numbers.json", folder / "motion.csv"
+    files = ["--json", str(numbers), "--save", str(motion), "--rate", f"{RATE:g}"]
+    command = [sys.executable, "-m", "geodrake", "excite", str(path), *files, *options]
+    seconds = cpu_time(lambda: subprocess.run(command, check=True, stdout=subprocess.DEVNULL))
+    table = np.genfromtxt(motion, delimiter=",", names=True, deletechars="")
+    return json.loads(numbers.read_text()), table, seconds
 
 
 def checked(name: str, options: Sequence[str]) -> Checked:
@@ -176,36 +165,28 @@ def distances(robot: pin.Model, path: Path, q: Array, notes: Sequence[str]) -> t
 
 def neighbours(path: Path) -> set[frozenset[str]]:
     """Return pairs of links that a joint connects, or that are welded together."""
-    joints = []
+    group, pairs = dict[str, str](), list[tuple[str, str]]()
     for joint in ElementTree.parse(path).getroot().iter("joint"):
-        parent, child = joint.find("parent"), joint.find("child")
-        if parent is not None and child is not None:
-            ends = parent.get("link", ""), child.get("link", "")
-            joints.append((*ends, joint.get("type") == "fixed"))
-    group = {name: name for pair in joints for name in pair[:2]}
-    for parent_link, child_link, is_welded in joints:
-        if is_welded:
-            old, new = group[child_link], group[parent_link]
-            group = {name: new if g == old else g for name, g in group.items()}
-    touching = {frozenset((group[a], group[b])) for a, b, _ in joints}
-    every = list(group)
-    return {
-        frozenset((a, b))
-        for a in every
-        for b in every
-        if group[a] == group[b] or frozenset((group[a], group[b])) in touching
-    }
+        ends = [getattr(joint.find(end), "attrib", {}).get("link") for end in ("parent", "child")]
+        if None in ends:
+            continue
+        parent, child = (group.setdefault(end, end) for end in ends)
+        pairs.append(tuple(ends))
+        if joint.get("type") == "fixed":
+            group = {name: parent if own == child else own for name, own in group.items()}
+    touching = {frozenset(group[end] for end in ends) for ends in pairs}
+    touching |= {frozenset({name}) for name in group.values()}
+    every = product(group, repeat=2)
+    return {frozenset(two) for two in every if frozenset(group[end] for end in two) in touching}
 
 
 def main() -> None:
     """Run from the command line."""
-    parser = script_parser(__doc__, "one start of each of two arms")
-    parser.add_argument("--arms", nargs="*", choices=list(ARMS), default=list(ARMS))
-    chosen = parser.parse_args()
+    chosen = script_parser(__doc__, "one start of each of two arms").parse_args()
     options = ["--seed", str(chosen.seed)]
     if chosen.quick:
         options += ["--seeds", "1", "--seconds", "20", "--iterations", "10", "--samples", "100"]
-    found = [checked(name, options) for name in chosen.arms[: 2 if chosen.quick else None]]
+    found = [checked(name, options) for name in list(ARMS)[: 2 if chosen.quick else None]]
     rows = [{**asdict(one), "safe": one.is_safe} for one in found]
     lines = [{**row, "statuses": ", ".join(row["statuses"])} for row in rows]
     show("Motions of arms: s, m, shares of limits and rad/s²", lines)

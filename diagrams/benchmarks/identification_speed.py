@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ from geodrake.identification.identify import build_problem
 from geodrake.identification.newton import solve_newton
 from geodrake.identification.problem import whitened_factor
 from geodrake.identification.regularizer import Entropic
-from geodrake.inertia import inertial_parameters, pseudo_inertia
+from geodrake.inertia import Ellipsoid, inertial_parameters, pseudo_inertia
 from geodrake.inertia.parameters import pseudo_inertia_basis
 from geodrake.inertia.positive_definite import distance
 from geodrake.robot import KinematicTree, inverse_dynamics_regressor
@@ -38,6 +39,7 @@ from geodrake.robot import KinematicTree, inverse_dynamics_regressor
 ROLLING = (2, 5, 8)  # Joints that share their motor with the joint after them, half a turn each.
 NOISE = 0.02  # N·m
 GAMMA = 0.03
+HAS_CVXPY = all(find_spec(name) for name in ("cvxpy", "clarabel"))  # of the bench extra
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,13 +78,13 @@ def arm_case(*, samples: int, seed: int) -> Case:
     A = np.concatenate([J.T @ joints, rotors], -1).reshape(7 * samples, 107)
     parameters = np.append(truth.ravel(), np.full(7, 0.02))
     stretch = np.exp(rng.normal(0.0, 0.2, (10, 1)))
-    radii = np.array([0.12, 0.12, 0.25])
-    com = truth[:, 1:4] / truth[:, :1]
+    radii, axes = np.tile([0.12, 0.12, 0.25], (10, 1)), np.tile(np.eye(3), (10, 1, 1))
+    hulls = Ellipsoid(truth[:, 1:4] / truth[:, :1], radii, axes)
     return Case(
         A=A,
         b=A @ parameters + rng.normal(0.0, NOISE, 7 * samples),
         prior=truth * stretch,
-        ellipsoids=np.array([_ellipsoid(centre, radii) for centre in com]),
+        ellipsoids=hulls.quadric,
         extra_bounds=np.tile([0.0, np.inf], (7, 1)),
         truth=parameters,
     )
@@ -103,25 +105,6 @@ def _arm() -> MultibodyPlant:
         parent = body
     plant.Finalize()
     return plant
-
-
-def _ellipsoid(centre: np.ndarray, radii: np.ndarray) -> np.ndarray:
-    """Return Q with [x;1]ᵀ Q [x;1] ≥ 0 inside."""
-    Q = np.zeros((4, 4))
-    shape = np.diag(radii**-2.0)
-    Q[:3, :3], Q[:3, 3], Q[3, :3] = -shape, shape @ centre, shape @ centre
-    Q[3, 3] = 1.0 - centre @ shape @ centre
-    return Q
-
-
-def has_cvxpy() -> bool:
-    """Return whether CVXPY and Clarabel are installed (the bench extra)."""
-    try:
-        import clarabel  # noqa: F401
-        import cvxpy  # noqa: F401
-    except ImportError:
-        return False
-    return True
 
 
 def cvxpy_solution(problem: FitProblem) -> np.ndarray:
@@ -158,32 +141,27 @@ def cost(problem: FitProblem, x: np.ndarray) -> float:
     return float(value)
 
 
-def solver_ratios(case: Case, *, repeats: int) -> dict[str, Any]:
+def solver_ratios(case: Case, repeats: int) -> dict[str, Any]:
     """Newton against Drake's program and CVXPY's on the same triangular factor, one cold solve."""
     problem = case.problem(GAMMA)
-    solutions: dict[str, np.ndarray] = {}
-
-    def keep(name: str, x: np.ndarray) -> None:
-        solutions[name] = x
-
-    methods: dict[str, Callable[[], None]] = {
-        "newton": lambda: keep("newton", solve_newton(problem).x),
-        "drake": lambda: keep("drake", solve_fit(problem).x),
+    methods: dict[str, Callable[[], np.ndarray]] = {
+        "newton": lambda: solve_newton(problem).x,
+        "drake": lambda: solve_fit(problem).x,
     }
-    if has_cvxpy():
-        methods["cvxpy"] = lambda: keep("cvxpy", cvxpy_solution(problem))
+    if HAS_CVXPY:
+        methods["cvxpy"] = lambda: cvxpy_solution(problem)
     times = medians(methods, repeats)
-    least = cost(problem, solutions["newton"])
+    costs = {name: cost(problem, solve()) for name, solve in methods.items()}
     table: dict[str, Any] = {
         "seconds": times,
         "newton / drake": times["newton"] / times["drake"],
-        "cost difference, drake": cost(problem, solutions["drake"]) / least - 1.0,
+        "cost difference, drake": costs["drake"] / costs["newton"] - 1.0,
     }
     if "cvxpy" in times:
         table |= {
             "newton / cvxpy": times["newton"] / times["cvxpy"],
             "drake / cvxpy": times["drake"] / times["cvxpy"],
-            "cost difference, cvxpy": cost(problem, solutions["cvxpy"]) / least - 1.0,
+            "cost difference, cvxpy": costs["cvxpy"] / costs["newton"] - 1.0,
         }
     return table
 
@@ -224,21 +202,18 @@ def geodesic_rows(
 
 def main() -> None:
     """Measure, print, and write what was asked for."""
-    parser = script_parser(__doc__, "fewer samples and repeats")
-    parser.add_argument("--repeats", type=int, help="of every time")
-    options = parser.parse_args()
-    samples = 300 if options.quick else 4100
-    repeats = options.repeats or (1 if options.quick else 9)
-    if not has_cvxpy():
+    options = script_parser(__doc__, "fewer samples and repeats").parse_args()
+    samples, repeats = (300, 1) if options.quick else (4100, 9)
+    if not HAS_CVXPY:
         print("CVXPY is not installed (pip install geodrake[dev]): no comparison with it.")
     case = arm_case(samples=samples, seed=options.seed)
     few = ((10,), (1.0,)) if options.quick else ((10, 30), (1.0, 10.0))
     found = {
         "size": list(case.A.shape),
-        "from the factor": solver_ratios(case, repeats=repeats),
+        "from the factor": solver_ratios(case, repeats),
         "geodesic least squares": geodesic_rows(case, *few),
     }
-    tell(options, {"cvxpy": has_cvxpy(), "arm": found})
+    tell(options, {"cvxpy": HAS_CVXPY, "arm": found})
 
 
 if __name__ == "__main__":

@@ -45,11 +45,9 @@ from geodrake.effects import (
     ViscousFriction,
 )
 from geodrake.identification import IdentificationSettings, identify_model
-from geodrake.inertia import from_mass_com_inertia, pseudo_inertia
+from geodrake.inertia import Array, from_mass_com_inertia, pseudo_inertia
 from geodrake.logs import JointLog, read_log
 from geodrake.model import RobotModel, load_model
-
-Array = NDArray[np.float64]
 
 STANDING = 0.02  # rad/s, below which a joint's friction is not known
 

@@ -19,19 +19,16 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from diagrams.harness import script_parser, sines, tell
 from geodrake import effects, load_model
 from geodrake.boundary.whole_files import write_whole
 from geodrake.effects import Effect, RobotMotion, catalogue
 from geodrake.effects.lookup import table_rows
-from geodrake.inertia import from_mass_com_inertia
+from geodrake.inertia import Array, from_mass_com_inertia
 from geodrake.logs.motion import Motion
 from geodrake.model import RobotModel
 from geodrake.report import style
-
-Array = NDArray[np.float64]
 
 PERIOD = 0.004  # s
 DURATION = 20.0  # s

@@ -22,7 +22,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import JointIndex, PdControllerGains
@@ -37,11 +36,9 @@ from geodrake.control.systems import add_tracking_drives
 from geodrake.effects import Effect, EffortDelay, make_effect
 from geodrake.effects.sensors import delays_of
 from geodrake.errors import ArgumentError, GeodrakeError
-from geodrake.inertia import from_mass_com_inertia, to_spatial_inertia
+from geodrake.inertia import Array, from_mass_com_inertia, to_spatial_inertia
 from geodrake.logs import JointLog, write_log
 from geodrake.robot import joint_names
-
-Array = NDArray[np.float64]
 
 ROBOTS = ("arm6", "arm7", "double_pendulum")
 FREQUENCIES = 0.1 * np.arange(1, 7)  # 1/s, of the motion, about

@@ -8,8 +8,8 @@ so that an interrupted run goes on.
 
 With the Euclidean distance, kilograms are dear and moments of inertia cost next to nothing. So
 masses, and with them the zero-moment point, stay as wrong as they were, and moments go where noise
-and uneven friction drive them, until P ⪰ 0 or the hull stops them: its error grows with --hull,
-those of the others do not. Whether it is better than the prior depends on that too (--delta).
+and uneven friction drive them, until P ⪰ 0 or the hull stops them: its error grows with the hull,
+those of the others do not. Whether it is better than the prior depends on how wrong that is.
 
     python -m diagrams.studies.ambidex_arm --json ambidex.json --figures figures
 """
@@ -19,7 +19,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from functools import partial
 from statistics import fmean, pstdev
 from typing import Any
@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from diagrams.harness import SHADES, chart, plain, run_draws, script_parser, show, write
+from diagrams.harness import SHADES, chart, run_draws, script_parser, show, write
 from diagrams.studies.ambidex.arm import (
     LINKS,
     PERIOD,
@@ -57,23 +57,20 @@ from geodrake.robot import zero_moment_point
 
 NAMES = ("euclidean", "point_mass_euclidean", "point_mass_kl", "pullback", "entropic", "riemannian")
 """In the order of the figures."""
+GAMMA = 0.03  # of the entropic divergence, the source's, (N·m)²; others get its residual
+DELTA = 0.4  # share of its mass by which a link of a prior is off, at most
+HULL = 2.0  # semi-axes of hulls over those of the equivalent uniform ellipsoids
+COUNTS, QUICK_COUNTS = (10, 30, 100, 300, 1000, TRAINING), (30, TRAINING)  # of training samples
+DRAWS, QUICK_DRAWS = 30, 4
+SHOWN = 400  # samples of the ZMP, 4 s
+EXAMPLE = 30  # training samples of the fits that are drawn
 
 
-@dataclass(frozen=True)
-class Plan:
-    """What is to be done."""
-
-    draws: int
-    counts: tuple[int, ...]
-    gamma: float  # γ of the entropic divergence, (N·m)²; the other regularizers get its residual
-    delta: float  # share δ of its mass by which a prior is off, at most
-    hull: float  # semi-axes of hulls over those of the equivalent uniform ellipsoids
-    seed: int
-
-
-def run_draw(draw: int, *, plan: Plan, measured: Measurements) -> list[dict[str, object]]:
+def run_draw(
+    draw: int, *, counts: Sequence[int], seed: int, measured: Measurements
+) -> list[dict[str, object]]:
     """Return all fits of one draw as rows of a table; a fit that fails is left out."""
-    rng, prior = prior_of(draw, plan, measured)
+    rng, prior = prior_of(draw, seed, measured)
     points = point_masses(prior, ellipsoid_of_quadric(measured.hulls), rng)
     kinds: dict[str, Regularizer | str] = {
         "euclidean": "euclidean",
@@ -82,54 +79,48 @@ def run_draw(draw: int, *, plan: Plan, measured: Measurements) -> list[dict[str,
         "point_mass_euclidean": PointMassEuclidean(points),
         "point_mass_kl": PointMassKL(points),
     }
-    friction = full_friction(prior, plan, measured)
+    friction = identified(prior, measured).extra
     rows = [row_of(measured, prior, friction, (draw, 0, "prior"))]
-    for count in plan.counts:
-        data = training_data(draw, count, friction, plan, measured)
+    for count in counts:
+        data = training_data(draw, count, friction, seed, measured)
         begin = time.process_time()
-        entropic = fit(data, prior, "entropic", measured, gamma=plan.gamma)
+        entropic = fit(data, prior, "entropic", measured, gamma=GAMMA)
         name = (draw, count, "entropic")
         rows.append(row_of(measured, entropic, friction, name, time.process_time() - begin))
         for kind, regularizer in kinds.items():
             begin = time.process_time()
-            try:
+            with suppress(IdentificationError):
                 found = compared(data, points.parameters(), regularizer, measured, entropic)
-            except IdentificationError:
-                continue
-            seconds = time.process_time() - begin
-            rows.append(row_of(measured, found, friction, (draw, count, kind), seconds))
+                seconds = time.process_time() - begin
+                rows.append(row_of(measured, found, friction, (draw, count, kind), seconds))
     return rows
 
 
-def prior_of(draw: int, plan: Plan, measured: Measurements) -> tuple[np.random.Generator, Array]:
+def prior_of(draw: int, seed: int, measured: Measurements) -> tuple[np.random.Generator, Array]:
     """Return random numbers of a draw, and its prior (17, 10)."""
-    rng = np.random.default_rng([plan.seed, 1 + draw])
-    return rng, perturbed(measured.truth, rng, plan.delta)
+    rng = np.random.default_rng([seed, 1 + draw])
+    return rng, perturbed(measured.truth, rng, DELTA)
 
 
-def full_friction(prior: Array, plan: Plan, measured: Measurements) -> Array:
-    """Friction parameters (14,) identified from all training samples, as the source fixes them."""
+def identified(prior: Array, measured: Measurements) -> IdentificationResult:
+    """Return what all training samples say, of bodies and friction, as the source fixes the latter.
+
+    Its `extra` has the friction (14,).
+    """
     A, b = measured.full[:, :-1], measured.full[:, -1]
-    return identify(
-        A,
-        b,
-        prior,
-        regularizer="entropic",
-        gamma=plan.gamma,
-        ellipsoids=measured.hulls,
-        extra_bounds=np.tile([0.0, np.inf], (A.shape[1] - prior.size, 1)),
-        solver="newton",
-    ).extra
+    bounds = np.tile([0.0, np.inf], (A.shape[1] - prior.size, 1))
+    more = {"ellipsoids": measured.hulls, "extra_bounds": bounds, "solver": "newton"}
+    return identify(A, b, prior, regularizer="entropic", gamma=GAMMA, **more)
 
 
 def training_data(
-    draw: int, count: int, friction: Array, plan: Plan, measured: Measurements
+    draw: int, count: int, friction: Array, seed: int, measured: Measurements
 ) -> Array:
     """Triangular factor of [bodies | torque without friction] of consecutive random samples."""
     if count == len(measured.torque):
         bodies, rest = np.split(measured.full, [measured.truth.size], axis=1)
         return np.column_stack([bodies, rest[:, -1] - rest[:, :-1] @ friction])
-    rng = np.random.default_rng([plan.seed, 1 + draw, count])
+    rng = np.random.default_rng([seed, 1 + draw, count])
     start = int(rng.integers(0, len(measured.torque) - count + 1))
     part = slice(start, start + count)
     torque = measured.torque[part] - measured.friction[part] @ friction
@@ -141,22 +132,17 @@ def fit(
     prior: Array,
     regularizer: str | Regularizer,
     measured: Measurements,
-    *,
-    gamma: float | None = None,
-    residual_bound: float | None = None,
+    **weight: float,
 ) -> IdentificationResult:
-    """Return a fit to a triangular factor, with all bodies inside their hulls."""
+    """Return a fit to a triangular factor, with all bodies inside their hulls.
+
+    Args:
+        weight: Its `gamma` or `residual_bound`.
+    """
     by_points = isinstance(regularizer, PointMassEuclidean | PointMassKL)
-    return identify(
-        data[:, :-1],
-        data[:, -1],
-        prior,
-        regularizer=regularizer,
-        gamma=gamma,
-        residual_bound=residual_bound,
-        ellipsoids=None if by_points else measured.hulls,
-        solver="newton" if gamma is not None else "clarabel",
-    )
+    how = {"ellipsoids": None if by_points else measured.hulls}
+    how["solver"] = "newton" if "gamma" in weight else "clarabel"
+    return identify(data[:, :-1], data[:, -1], prior, regularizer=regularizer, **how, **weight)
 
 
 def compared(
@@ -222,28 +208,22 @@ def zmp(measured: Measurements, phi: Array) -> Array:
     return zero_moment_point(measured.wrenches(phi))
 
 
-SHOWN = 400  # samples of the ZMP, 4 s
-EXAMPLE = 30  # training samples of the fits that are drawn
-TRUTH, PRIOR = "true bodies", "prior"
-
-
 def figures_of(
-    summary: Sequence[dict[str, Any]], plan: Plan, made: tuple[Arm, Measurements]
+    summary: Sequence[dict[str, Any]], seed: int, made: tuple[Arm, Measurements]
 ) -> dict[str, Figure]:
     """Return all figures of a run."""
     arm, measured = made
-    models = example(measured, plan)
+    models = example(measured, seed)
     return {
-        "ambidex_errors": error_figure(summary, plan),
+        "ambidex_errors": error_figure(summary),
         **zmp_figures(measured, models),
         "ambidex_ellipsoids": link_figure(arm, models),
     }
 
 
-def error_figure(summary: Sequence[dict[str, Any]], plan: Plan) -> Figure:
+def error_figure(summary: Sequence[dict[str, Any]]) -> Figure:
     """Return errors against the number of training samples, like figure 3.7 of the source."""
-    fits = [line for line in summary if line["regularizer"] != "prior"]
-    prior = next(line for line in summary if line["regularizer"] == "prior")
+    prior, *fits = summary
     entropic = [line for line in fits if line["regularizer"] == "entropic"]
     last = max(entropic, key=lambda line: line["samples"])
     return chart(
@@ -252,9 +232,9 @@ def error_figure(summary: Sequence[dict[str, Any]], plan: Plan) -> Figure:
         ("training", "test", "rigid", "distance"),
         "regularizer",
         levels={"prior": prior, "entropic, all samples": last},
-        note=f"N·m; means and standard deviations over {plan.draws} draws of prior and samples. "
-        f"All at the training residual of the entropic divergence with γ = {plan.gamma:g} (N·m)², "
-        "the Riemannian distance at its γ.",
+        note=f"N·m; means and standard deviations over {prior['draws']} draws of prior and "
+        "samples. All at the training residual of the entropic divergence with "
+        f"γ = {GAMMA:g} (N·m)², the Riemannian distance at its γ.",
     )
 
 
@@ -289,19 +269,19 @@ def link_figure(arm: Arm, models: Sequence[EllipsoidSet]) -> Figure:
     return ellipsoid_figure(arm.plant, links, context=context)
 
 
-def example(measured: Measurements, plan: Plan) -> list[EllipsoidSet]:
+def example(measured: Measurements, seed: int) -> list[EllipsoidSet]:
     """Truth, prior, and fits to 30 samples of the first draw, as far as there are solutions."""
-    _, prior = prior_of(0, plan, measured)
-    friction = full_friction(prior, plan, measured)
-    data = training_data(0, EXAMPLE, friction, plan, measured)
-    entropic = fit(data, prior, "entropic", measured, gamma=plan.gamma)
+    _, prior = prior_of(0, seed, measured)
+    friction = identified(prior, measured).extra
+    data = training_data(0, EXAMPLE, friction, seed, measured)
+    entropic = fit(data, prior, "entropic", measured, gamma=GAMMA)
     fits = {"entropic": entropic}
     with suppress(IdentificationError):
         found = compared(data, prior, "euclidean", measured, entropic)
         fits = {"euclidean": found, **fits}
     models = [
-        EllipsoidSet.of(TRUTH, measured.truth, color=style.INK),
-        EllipsoidSet.of(PRIOR, prior, color=style.QUIET),
+        EllipsoidSet.of("true bodies", measured.truth, color=style.INK),
+        EllipsoidSet.of("prior", prior, color=style.QUIET),
     ]
     for shade, (name, one) in zip(SHADES, fits.items(), strict=False):
         flat = [column // PARAMETERS_PER_BODY for column in one.active_blocks]
@@ -309,15 +289,11 @@ def example(measured: Measurements, plan: Plan) -> list[EllipsoidSet]:
     return models
 
 
-GAMMA = 0.03  # the source's, (N·m)²
-COUNTS = (10, 30, 100, 300, 1000, TRAINING)
-
-
-def summarize(rows: Sequence[Any], plan: Plan) -> list[dict[str, Any]]:
+def summarize(rows: Sequence[Any], counts: Sequence[int]) -> list[dict[str, Any]]:
     """Return means and deviations over the draws, for the prior and every fit."""
     summary = []
-    cells = [(0, "prior")] + [(count, name) for count in plan.counts for name in NAMES]
-    for count, name in cells:
+    priors = {r["draw"]: r["test"] for r in rows if r["regularizer"] == "prior"}
+    for count, name in [(0, "prior")] + [(count, name) for count in counts for name in NAMES]:
         found = [r for r in rows if (r["samples"], r["regularizer"]) == (count, name)]
         if not found:
             continue
@@ -326,47 +302,26 @@ def summarize(rows: Sequence[Any], plan: Plan) -> list[dict[str, Any]]:
             values = [r[column] for r in found if r[column] is not None]
             if values:
                 line[column], line[f"{column}_deviation"] = fmean(values), pstdev(values)
-        priors = {r["draw"]: r["test"] for r in rows if r["regularizer"] == "prior"}
         line["worse_than_prior"] = fmean(r["test"] > priors[r["draw"]] for r in found)
         summary.append(line)
     return summary
 
 
-def tell(summary: Sequence[dict[str, Any]]) -> None:
-    """Print the summary."""
-    show("RMS errors of motor torques in N·m, of zero-moment points in m", summary)
-
-
 def main() -> None:
     """Run the study from the command line."""
     parser = script_parser(__doc__, "few draws, 30 and all samples", draws=True, figures=True)
-    parser.add_argument("--draws", type=int, help="number of draws (30; 4 with --quick)")
-    parser.add_argument("--gamma", type=float, default=GAMMA, help="of the entropic divergence")
-    parser.add_argument("--delta", type=float, default=0.4, help="how wrong the prior's links are")
-    parser.add_argument("--hull", type=float, default=2.0, help="size of the hulls over the links'")
-    parser.add_argument("--counts", type=int, nargs="+", help="numbers of training samples")
     options = parser.parse_args()
-    counts = options.counts or ((30, TRAINING) if options.quick else COUNTS)
-    if not all(0 < count <= TRAINING for count in counts):
-        parser.error(f"--counts are between 1 and {TRAINING}.")
-    draws = options.draws or (4 if options.quick else 30)
-    plan = Plan(
-        draws=draws,
-        counts=tuple(counts),
-        gamma=options.gamma,
-        delta=options.delta,
-        hull=options.hull,
-        seed=options.seed,
-    )
+    counts, draws = (QUICK_COUNTS, QUICK_DRAWS) if options.quick else (COUNTS, DRAWS)
     arm = Arm.load()
-    measured = measure(arm, seed=plan.seed, hull=plan.hull)
-    task, key = partial(run_draw, plan=plan, measured=measured), {**asdict(plan), "draws": None}
-    found = run_draws(parser, options, task, range(draws), plan=plain(key))
+    measured = measure(arm, seed=options.seed, hull=HULL)
+    task = partial(run_draw, counts=counts, seed=options.seed, measured=measured)
+    found = run_draws(parser, options, task, range(draws), counts=counts)
     rows = [row for own in found for row in own]
-    summary = summarize(rows, plan)
-    tell(summary)
-    table = {"plan": plan, "summary": summary, "rows": rows}
-    write(options, table, ambidex=lambda: figures_of(summary, plan, (arm, measured)))
+    summary = summarize(rows, counts)
+    show("RMS errors of motor torques in N·m, of zero-moment points in m", summary)
+    made = arm, measured
+    table = {"gamma": GAMMA, "delta": DELTA, "hull": HULL, "summary": summary, "rows": rows}
+    write(options, table, ambidex=lambda: figures_of(summary, options.seed, made))
 
 
 if __name__ == "__main__":

@@ -43,7 +43,7 @@ from diagrams.studies.ambidex.arm import (
     Array,
     measure,
 )
-from diagrams.studies.ambidex_arm import Plan, prior_of
+from diagrams.studies.ambidex_arm import HULL, identified, prior_of
 from geodrake.control import (
     ControlModel,
     EffectForce,
@@ -63,7 +63,6 @@ from geodrake.effects import (
     RotorInertia,
     ViscousFriction,
 )
-from geodrake.identification import identify
 from geodrake.inertia import from_mass_com_inertia, is_physical, to_spatial_inertia
 from geodrake.manifolds import Product
 from geodrake.model import RobotModel, load_description
@@ -270,24 +269,13 @@ def _true_rotors() -> Array:
 
 
 DURATION = 1.5  # s of a motion, [Lee2019] §5.6
-GAMMA, DELTA, HULL = 0.03, 0.4, 2.0  # of the identification, as in ambidex_arm.py
 
 
-def identified(seed: int) -> Known:
+@cache
+def known_arm(seed: int) -> Known:
     """The arm as identified from the motions of `ambidex_arm.py` with the entropic divergence."""
-    arm = Arm.load()
-    measured = measure(arm, seed=seed, hull=HULL)
-    plan = Plan(draws=1, counts=(), gamma=GAMMA, delta=DELTA, hull=HULL, seed=seed)
-    result = identify(
-        measured.full[:, :-1],
-        measured.full[:, -1],
-        prior_of(0, plan, measured)[1],
-        regularizer="entropic",
-        gamma=GAMMA,
-        ellipsoids=measured.hulls,
-        extra_bounds=np.tile([0.0, np.inf], (14, 1)),
-        solver="newton",
-    )
+    measured = measure(Arm.load(), seed=seed, hull=HULL)
+    result = identified(prior_of(0, seed, measured)[1], measured)
     return Known(result.phi, result.extra[:7], result.extra[7:])
 
 
@@ -378,12 +366,6 @@ class Draw:
     speed: float
     motions: int = MOTIONS
     end: float | None = None  # when to stop, s; None for the end of the last motion
-
-
-@cache
-def known_arm(seed: int) -> Known:
-    """Return what was identified, once in a process."""
-    return identified(seed)
 
 
 def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:

@@ -88,6 +88,8 @@ FAMILY = SplineMotion(3.0, 10, 5)
 MARGIN = 0.95  # of the sole, within which the zero-moment point is to be
 NOISE = np.array([1.5, 1.5, 1.5, 0.5, 0.5, 0.5])  # N·m and N
 RATE = 300  # samples a second
+THRESHOLD = 1e-2  # ε_λ, of identifiable variances
+UNCERTAINTY = 0.8  # how wrong the masses of the prior's links are, at most
 
 
 @dataclass(frozen=True)
@@ -97,8 +99,6 @@ class Plan:
     shared: str | None  # folder with the description of Atlas; None for the small robot
     motions: int = 20
     rate: int = RATE
-    threshold: float = 1e-2  # ε_λ
-    uncertainty: float = 0.8  # how wrong the masses of the prior's links are, at most
     seed: int = 0
 
 
@@ -141,21 +141,17 @@ def sampled(stance: Stance, found: dict[str, Any], rate: float) -> Motion:
 def identify(
     stance: Stance, motions: list[Motion], plan: Plan
 ) -> tuple[Target, ReducedIdentification, ReducedIdentification]:
-    """The target with its prior, and what full and reduced identification make of noisy wrenches.
-
-    Raises:
-        ArgumentError: The threshold keeps nothing.
-    """
+    """Return the target with its prior, and full and reduced fits to noisy wrenches."""
     rng = np.random.default_rng([plan.seed, plan.motions, 1])
     truth = stance.model.phi
-    prior = perturb(truth, 1, rng=rng, mass_uncertainty=plan.uncertainty).phi[0]
+    prior = perturb(truth, 1, rng=rng, mass_uncertainty=UNCERTAINTY).phi[0]
     target = target_of(stance, prior)
     wrenches = [
         target.measure(motion).regressor @ truth.ravel() + NOISE * rng.normal(size=(len(motion), 6))
         for motion in motions
     ]
     factor = measurement_factor(target, motions, wrenches)
-    reduced = reduced_identification(target, factor, threshold=plan.threshold)
+    reduced = reduced_identification(target, factor, threshold=THRESHOLD)
     return target, reduced_identification(target, factor, threshold=np.inf), reduced
 
 
@@ -217,23 +213,10 @@ def run(found: Sequence[dict[str, Any]], plan: Plan) -> dict[str, Any]:
     }
 
 
-def tell(table: dict[str, Any]) -> None:
-    """Print tables 4.3 and 4.4."""
-    plan, rows = table["plan"], table["rows"]
-    print(
-        f"{table['identifiable']} of {table['base_parameters']} base parameters have a variance of "
-        f"at most {plan['threshold']:g}; zero-moment points stay within "
-        f"{100 * table['largest_zmp']:.0f} % of the sole's half sizes"
-    )
-    show("Errors of parameters; RMS errors in N, N·m and rad/s²", rows)
-    print(f"Full over reduced parameter error: {table['error_full_over_reduced']:.3g}")
-
-
 def figures_of(table: dict[str, Any]) -> dict[str, Figure]:
     """Return figure 4.7: variances along principal directions, and errors of accelerations."""
-    threshold = table["plan"]["threshold"]
     variances = [
-        {"direction": k + 1, "variance": x, "identifiable": "yes" if x <= threshold else "no"}
+        {"direction": k + 1, "variance": x, "identifiable": "yes" if x <= THRESHOLD else "no"}
         for k, x in enumerate(table["variances"])
         if np.isfinite(x)
     ]
@@ -243,7 +226,7 @@ def figures_of(table: dict[str, Any]) -> dict[str, Figure]:
         for kind in ("effort", "acceleration")
         for joint in row[kind]
     ]
-    levels = {"threshold": {"variance": threshold}}
+    levels = {"threshold": {"variance": THRESHOLD}}
     by = {"levels": levels, "joined": False}
     return {
         "atlas_variances": chart(variances, "direction", "variance", "identifiable", **by),
@@ -255,26 +238,22 @@ def main() -> None:
     """Run the study from the command line."""
     parser = script_parser(__doc__, draws=True, figures=True)
     add_folder_option(parser, "with Atlas")
-    parser.add_argument("--motions", type=int, help="how many (20; 6 with --quick)")
-    parser.add_argument("--threshold", type=float, default=1e-2, help="of identifiable variances")
-    parser.add_argument("--uncertainty", type=float, default=0.8, help="of the prior's masses")
     options = parser.parse_args()
     small = options.quick or not (options.shared / ATLAS).is_file()
-    plan = Plan(
-        shared=None if small else str(options.shared),
-        motions=options.motions or (6 if options.quick else 20),
-        rate=60 if options.quick else RATE,
-        threshold=options.threshold,
-        uncertainty=options.uncertainty,
-        seed=options.seed,
-    )
-    if plan.motions < 2 or not 0 < plan.uncertainty < 1:
-        parser.error("--motions are at least two, and --uncertainty is between 0 and 1.")
-    if small and not options.quick:
+    plan = Plan(None if small else str(options.shared), seed=options.seed)
+    if options.quick:
+        plan = replace(plan, motions=6, rate=60)
+    elif small:
         print(f"Without {options.shared / ATLAS}, a small robot of our own is on one foot.")
     task, numbers = partial(one_motion, plan=plan), range(plan.motions)
     table = run(run_draws(parser, options, task, numbers, shared=not small), plan)
-    tell(table)
+    print(
+        f"{table['identifiable']} of {table['base_parameters']} base parameters have a variance of "
+        f"at most {THRESHOLD:g}; zero-moment points stay within "
+        f"{100 * table['largest_zmp']:.0f} % of the sole's half sizes"
+    )
+    show("Errors of parameters; RMS errors in N, N·m and rad/s²", table["rows"])
+    print(f"Full over reduced parameter error: {table['error_full_over_reduced']:.3g}")
     write(options, table, atlas_identification=lambda: figures_of(table))
 
 

@@ -146,10 +146,8 @@ def draw(found: dict[str, Any]) -> Figure:
 
 def main() -> None:
     """Run the study from the command line."""
-    parser = script_parser(__doc__, figures=True)
-    parser.add_argument("--points", type=int, help="of the grid in each direction (121)")
-    options = parser.parse_args()
-    found = run(options.points or (41 if options.quick else 121), 200)
+    options = script_parser(__doc__, figures=True).parse_args()
+    found = run(41 if options.quick else 121, 200)
     hidden = ("values", "index")
     rows = [{k: v for k, v in row.items() if k not in hidden} for row in found["rows"]]
     lines = sorted(rows, key=lambda row: NORMALIZATIONS.index(row["normalization"]))

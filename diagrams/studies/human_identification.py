@@ -35,12 +35,11 @@ from geodrake.identification import (
     RegularizerComparison,
     compare_regularizers,
 )
-from geodrake.inertia import pseudo_inertia
+from geodrake.inertia import Array, pseudo_inertia
 from geodrake.inertia.parameters import central_second_moment
 from geodrake.inertia.positive_definite import distance, relative_logarithms
 from geodrake.report import style
 
-Array = NDArray[np.float64]
 Steps = NDArray[np.intp]
 
 DATA = "data/human_force_plate.npz"

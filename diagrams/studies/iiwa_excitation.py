@@ -11,15 +11,13 @@ place. Finished designs are kept beside the table, so that an interrupted run go
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diagrams.harness import MODELS, run_draws, script_parser, show, show_values, write
 from diagrams.public_data import add_folder_option
@@ -38,13 +36,11 @@ from geodrake.excitation import (
     motion_limits,
 )
 from geodrake.excitation.objective import NORMALIZATIONS
-from geodrake.inertia import perturb
+from geodrake.inertia import Array, perturb
 from geodrake.logs import Motion
 from geodrake.model import RobotModel, load_description
 from geodrake.robot import BaseParameters, inverse_dynamics_regressor
 from geodrake.robot.base_parameters import pushforward_metric
-
-Array = NDArray[np.float64]
 
 # Errors to be expected of least squares, from its covariance: exact, and without drawing noise.
 #
@@ -188,7 +184,6 @@ class Plan:
     modes: int = 5
     samples: int = 300
     iterations: int = 150  # most iterations of the solver, in each of its two stages
-    seeds: int = 1
     validation: int = 2000  # number of random samples at which efforts are predicted
     seed: int = 0
 
@@ -218,7 +213,7 @@ def design(cell: Cell, *, plan: Plan) -> dict[str, Any]:
         options=DesignOptions(
             samples=plan.samples, rest=False, iterations=plan.iterations, quick=False
         ),
-        seeds=range(plan.seed, plan.seed + plan.seeds),
+        seeds=[plan.seed],
     ).trajectory
     motion = trajectory.motion(trajectory.family.times(plan.samples))
     return {
@@ -239,59 +234,51 @@ def values_by_base(found: dict[str, Any], bases: int, plan: Plan) -> list[float]
     return [Objective(one, normalization=way).value(Motion(q, v, vd)) for one in targets]
 
 
-def spread(rows: Sequence[dict[str, Any]], normalization: str) -> dict[str, float]:
-    """Return how much base representations matter to the error and to the motion's coefficients."""
-    own = [row for row in rows if row["normalization"] == normalization]
-    error, motion = [r["error"] for r in own], np.array([r["coefficients"] for r in own])
-    value = [row["geometric_e"] for row in own]
-    return {
-        "error_largest_over_smallest_less_1": max(error) / min(error) - 1.0,
-        "value_largest_over_smallest_less_1": max(value) / min(value) - 1.0,
-        "coefficients_apart": float(np.abs(motion - motion[0]).max()),
+def ratio_less_1(values: Iterable[float]) -> float:
+    """Return the largest value over the smallest, less 1."""
+    numbers = list(values)
+    return max(numbers) / min(numbers) - 1.0
+
+
+def apart(rows: Sequence[dict[str, Any]]) -> float:
+    """Return how far coefficients of motions are from those of the first one."""
+    motions = np.array([row["coefficients"] for row in rows])
+    return float(np.abs(motions - motions[0]).max())
+
+
+def spread(rows: Sequence[dict[str, Any]], name: str, bases: int, plan: Plan) -> dict[str, float]:
+    """Return how much base representations matter to errors, criteria and motions."""
+    own = [row for row in rows if row["normalization"] == name]
+    values = {
+        "error": [row["error"] for row in own],
+        "value": [row["geometric_e"] for row in own],
+        "criterion": values_by_base(own[0], bases, plan),
     }
-
-
-def run(
-    parser: argparse.ArgumentParser, options: argparse.Namespace, plan: Plan, bases: int
-) -> dict[str, Any]:
-    """Return table 4.2."""
-    cells = [Cell(name, base + 1) for name in NORMALIZATIONS for base in range(bases)]
-    key = {**asdict(plan), "shared": plan.shared is not None}
-    rows = run_draws(parser, options, partial(design, plan=plan), cells, plan=key)
-    best = min(row["geometric_e"] for row in rows if row["normalization"] == "geometric")
-    spreads = {name: spread(rows, name) for name in NORMALIZATIONS}
-    for name in NORMALIZATIONS:
-        first = next(row for row in rows if row["normalization"] == name)
-        values = values_by_base(first, bases, plan)
-        spreads[name]["criterion_largest_over_smallest_less_1"] = max(values) / min(values) - 1.0
-    for row in rows:
-        del row["coefficients"]
-        row["criterion_over_best_geometric"] = row["geometric_e"] / best
-    return {"plan": key, "rows": rows, "spread": spreads}
+    ratios = {f"{key}_largest_over_smallest_less_1": ratio_less_1(x) for key, x in values.items()}
+    return {**ratios, "coefficients_apart": apart(own)}
 
 
 def main() -> None:
     """Run the study from the command line."""
     parser = script_parser(__doc__, draws=True)
     add_folder_option(parser, "with the iiwa")
-    parser.add_argument("--bases", type=int, help="base representations (4; 2 with --quick)")
-    parser.add_argument("--iterations", type=int, help="of the solver (150; 5 with --quick)")
-    parser.add_argument("--seeds", type=int, default=1, help="number of random starts")
     options = parser.parse_args()
     own = options.quick or not (options.shared / IIWA).is_file()
-    plan = Plan(
-        shared=None if own else str(options.shared),
-        modes=3 if options.quick else 5,
-        samples=60 if options.quick else 300,
-        iterations=options.iterations or (5 if options.quick else 150),
-        seeds=options.seeds,
-        validation=200 if options.quick else 2000,
-        seed=options.seed,
-    )
-    table = run(parser, options, plan, options.bases or (2 if options.quick else 4))
-    show("Errors by normalization and base representation", table["rows"])
-    show_values("Differences between representations", table["spread"])
-    write(options, table)
+    plan = Plan(None if own else str(options.shared), seed=options.seed)
+    if options.quick:
+        plan = replace(plan, modes=3, samples=60, iterations=5, validation=200)
+    bases = 2 if options.quick else 4
+    cells = [Cell(name, base + 1) for name in NORMALIZATIONS for base in range(bases)]
+    key = {**asdict(plan), "shared": not own}
+    rows = run_draws(parser, options, partial(design, plan=plan), cells, plan=key)
+    best = min(row["geometric_e"] for row in rows if row["normalization"] == "geometric")
+    spreads = {name: spread(rows, name, bases, plan) for name in NORMALIZATIONS}
+    for row in rows:
+        del row["coefficients"]
+        row["criterion_over_best_geometric"] = row["geometric_e"] / best
+    show("Errors by normalization and base representation", rows)
+    show_values("Differences between representations", spreads)
+    write(options, {"plan": key, "rows": rows, "spread": spreads})
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 [Lee2019] §4.6.1 and table 4.1: 50 free samples minimize the condition number, for the mass, centre
 and moment of inertia of the payload. With the geometric normalization, the optimum is the same in
 every frame, until rounding has made the solver's ways part: some 300 steps along a flat valley,
-hence the limit of --iterations. Errors are those to be expected, exactly, by the covariance of
+hence the limit of iterations. Errors are those to be expected, exactly, by the covariance of
 least squares. Finished designs are kept beside the table, so that an interrupted run goes on.
 
     python -m diagrams.studies.scara_excitation --json scara.json
@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
@@ -29,7 +28,13 @@ from pydrake.multibody.tree import (
 )
 
 from diagrams.harness import run_draws, script_parser, show, show_values, write
-from diagrams.studies.iiwa_excitation import identified_by, parameter_error, root_covariance
+from diagrams.studies.iiwa_excitation import (
+    apart,
+    identified_by,
+    parameter_error,
+    ratio_less_1,
+    root_covariance,
+)
 from geodrake.excitation import (
     Criterion,
     DesignOptions,
@@ -41,11 +46,9 @@ from geodrake.excitation import (
     design_excitation,
     make_target,
 )
-from geodrake.excitation.objective import CRITERIA, NORMALIZATIONS
-from geodrake.inertia import inertial_parameters
+from geodrake.excitation.objective import NORMALIZATIONS
+from geodrake.inertia import Array, inertial_parameters
 from geodrake.model import RobotModel
-
-Array = NDArray[np.float64]
 
 # The SCARA arm of [Lee2019] §4.6.1: two links in a plane, a payload, and frames to see it from.
 #
@@ -132,19 +135,6 @@ def errors_in_frame_3(covariance: Array) -> dict[str, float]:
     }
 
 
-COLUMNS = {"m": "m, kg", "px": "p^x, mm", "py": "p^y, mm", "rz": "r^z, mm", "error": "error"}
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What every design has in common."""
-
-    criterion: str = "condition_number"
-    iterations: int = 100  # most iterations of the solver, in each of its two stages
-    seeds: int = 1
-    seed: int = 0
-
-
 @dataclass(frozen=True)
 class Cell:
     """A line of the table."""
@@ -153,37 +143,37 @@ class Cell:
     frame: str
 
 
-def design(cell: Cell, *, plan: Plan) -> dict[str, Any]:
-    """Return the best samples by one normalization in one frame, and the errors that they leave."""
-    target = payload_target(cell.frame)
+CRITERION = Criterion("condition_number")
+
+
+def design(cell: Cell, *, iterations: int, seed: int) -> dict[str, Any]:
+    """Return the best samples by one normalization in one frame, and the errors that they leave.
+
+    "value_by_frame" has the criterion of the same samples in every frame, and "geometric_value"
+    that with geometric normalization, by which all motions can be compared.
+
+    Args:
+        iterations: Most iterations of the solver, in each of its two stages.
+    """
     result = design_excitation(
-        target,
+        payload_target(cell.frame),
         limits(),
-        criterion=plan.criterion,
+        criterion=CRITERION.name,
         normalization=cell.normalization,
         trajectory=FreeSamples(SAMPLES),
-        options=DesignOptions(iterations=plan.iterations, quick=False),
-        seeds=range(plan.seed, plan.seed + plan.seeds),
+        options=DesignOptions(iterations=iterations, quick=False),
+        seeds=[seed],
     )
+    motion, way = result.trajectory.motion(np.zeros(SAMPLES)), cell.normalization
+    by_frame = {f: Objective(payload_target(f), CRITERION, way).value(motion) for f in FRAMES}
     return {
         **asdict(cell),
         "value": result.value,
         "random_value": result.outcomes[0].random_value,
         "coefficients": result.trajectory.coefficients.tolist(),
         **errors(result.trajectory),
-        **geometric_value(result.trajectory, plan),
-        "value_by_frame": values_by_frame(result.trajectory, cell.normalization, plan),
-    }
-
-
-def values_by_frame(
-    trajectory: ExcitationTrajectory, normalization: str, plan: Plan
-) -> dict[str, float]:
-    """Return the criterion of the same samples in every frame."""
-    criterion, motion = Criterion(plan.criterion), trajectory.motion(np.zeros(SAMPLES))
-    return {
-        frame: Objective(payload_target(frame), criterion, normalization).value(motion)
-        for frame in FRAMES
+        "geometric_value": Objective(payload_target("3"), CRITERION).value(motion),
+        "value_by_frame": by_frame,
     }
 
 
@@ -194,41 +184,30 @@ def errors(trajectory: ExcitationTrajectory) -> dict[str, float]:
     return {**errors_in_frame_3(R @ R.T), "error": parameter_error(found, truth)}
 
 
-def geometric_value(trajectory: ExcitationTrajectory, plan: Plan) -> dict[str, float]:
-    """Return the criterion with geometric normalization, by which all motions can be compared."""
-    objective = Objective(payload_target("3"), Criterion(plan.criterion))
-    return {"geometric_value": objective.value(trajectory.motion(np.zeros(SAMPLES)))}
-
-
 def spread(rows: Sequence[dict[str, Any]], normalization: str) -> dict[str, float]:
     """How much frames matter: to the criterion of the same samples, to errors, and to samples."""
     own = [row for row in rows if row["normalization"] == normalization]
-    error = [row["error"] for row in own]
-    samples = np.array([row["coefficients"] for row in own])
-    values = [[*row["value_by_frame"].values()] for row in own]
     return {
-        "criterion_largest_over_smallest_less_1": max(max(v) / min(v) - 1.0 for v in values),
-        "error_largest_over_smallest_less_1": max(error) / min(error) - 1.0,
-        "samples_apart": float(np.abs(samples - samples[0]).max()),
+        "criterion_largest_over_smallest_less_1": max(
+            ratio_less_1(row["value_by_frame"].values()) for row in own
+        ),
+        "error_largest_over_smallest_less_1": ratio_less_1([row["error"] for row in own]),
+        "samples_apart": apart(own),
     }
 
 
 def main() -> None:
     """Run the study from the command line."""
     parser = script_parser(__doc__, draws=True)
-    parser.add_argument("--criterion", choices=CRITERIA, default="condition_number")
-    parser.add_argument("--iterations", type=int, help="of the solver (100; 10 with --quick)")
-    parser.add_argument("--seeds", type=int, default=1, help="number of random starts")
     options = parser.parse_args()
-    iterations = options.iterations or (10 if options.quick else 100)
-    plan = Plan(options.criterion, iterations, options.seeds, options.seed)
+    how = {"iterations": 10 if options.quick else 100, "seed": options.seed}
     cells = [Cell(name, frame) for name in NORMALIZATIONS for frame in FRAMES]
-    rows = run_draws(parser, options, partial(design, plan=plan), cells, plan=asdict(plan))
+    rows = run_draws(parser, options, partial(design, **how), cells, plan=how)
     spreads = {name: spread(rows, name) for name in NORMALIZATIONS}
     rows = [{k: v for k, v in row.items() if k != "coefficients"} for row in rows]
     show("RMS errors of m in kg, and of p^x, p^y and r^z in mm", rows)
     show_values("Differences between frames", spreads)
-    write(options, {"plan": plan, "rows": rows, "spread": spreads})
+    write(options, {"plan": how, "rows": rows, "spread": spreads})
 
 
 if __name__ == "__main__":

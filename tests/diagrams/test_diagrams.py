@@ -5,6 +5,7 @@ without a second start of Python and Drake.
 """
 
 import json
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from statistics import mean
@@ -18,35 +19,7 @@ from diagrams import benchmarks_page
 from geodrake.logs import read_log
 
 RUNS = json.loads(benchmarks_page.FIGURES.read_text(encoding="utf-8"))
-
 APART = "excitation_contours"
-LONG = {  # more than 3 s of the processor
-    "adaptive_soak",
-    "ambidex_arm",
-    "ambidex_sandbags",
-    "atlas_identification",
-    "cheetah_gallop",
-    "cheetah_leg",
-    "everyday_robots",
-    "excite_arms",
-    "fleet_kills",
-    "fleet_study",
-    "floating_robots",
-    "hidden_effects",
-    "hobby_arm",
-    "human_identification",
-    "long_log",
-    "online_payload",
-    "ordinary_robots",
-    "pages_and_exports",
-    "readme_figures",
-    "real_robots",
-    "scara_excitation",
-    "servo_gains",
-    "tell_apart",
-    "wam_adaptation",
-}
-NAMES = sorted({*SCRIPTS} - {"iiwa_messages", "run_scenario"})  # which have tests of their own
 
 
 def reaches_its_bars(table):
@@ -256,18 +229,11 @@ def reads_random_files_as_mujoco(table):
     assert table["files with something left out"] == 0
 
 
-TABLE = {  # [Lee2019] table 3.1, training: N, cm, cm
-    "prior": (13.79, 2.09, 1.58),
-    "euclidean": (12.89, 1.61, 0.82),
-    "pullback": (12.52, 1.66, 0.81),
-    "entropic": (12.51, 1.66, 0.81),
-}
-
-
 def predicts_a_human_better_than_its_prior(tables):
     """Blocks that were not fitted, with equal residuals and bodies that stay bodies."""
     found = {line["regularizer"]: line for line in tables["errors"]}
-    np.testing.assert_allclose(found["prior"]["test"], TABLE["prior"], atol=0.005)
+    prior = (13.79, 2.09, 1.58)  # [Lee2019] table 3.1: N, cm, cm
+    np.testing.assert_allclose(found["prior"]["test"], prior, atol=0.005)
     for name in set(found) - {"prior"}:
         test = np.array(found[name]["test"])
         assert (test < 0.95 * np.array(found["prior"]["test"])).all(), name
@@ -283,80 +249,86 @@ def predicts_a_human_better_than_its_prior(tables):
         assert row["starts_agree"] in ((True,) if row["regularizer"] == "riemannian" else (None,))
 
 
-SHOWS = {
-    "ambidex_arm": euclidean_bodies_are_flat_and_far,
-    "body_distances": distances_of_bodies_know_no_frames_and_units,
-    "cheetah_gallop": a_leg_predicts_the_gallop,
-    "cheetah_leg": few_samples_need_a_distance_of_bodies,
-    "column_errors": names_mistakes_of_columns_and_nothing_else,
-    "random_mjcf": reads_random_files_as_mujoco,
-    "identification_speed": newton_and_others_have_the_same_cost,
-    "hobby_arm": moves_as_the_arm_does,
-    "human_identification": predicts_a_human_better_than_its_prior,
-    "adaptive_soak": survives_its_faults,
-    "ambidex_sandbags": adapts_to_a_sandbag_and_stays_physical,
-    "atlas_identification": identifies_less_but_better,
-    "iiwa_excitation": orders_normalizations_as_the_source,
-    "scara_excitation": orders_normalizations_as_the_source,
-    "wam_adaptation": orders_laws_as_the_source,
-    "wam_payload": orders_laws_as_the_source,
-    "floating_robots": logs_of_feet_agree_with_inverse_dynamics,
-    "fleet_kills": goes_on_where_it_was_killed,
-    "fleet_study": finds_changes_of_a_fleet,
-    "hidden_effects": reaches_its_bars,
-    "everyday_robots": names_what_an_arm_hides,
-    "ordinary_robots": names_friction_and_tool_of_an_arm,
-    "servo_gains": finds_servos,
-    "digest_speed": digests_are_small_and_merge,
-    "long_log": takes_little_memory,
-    "real_robots": says_what_diagnose_names_and_days_tell,
+@dataclass(frozen=True)
+class Run:
+    """A script as it is run here."""
+
+    shows: object = None  # what its numbers must show
+    long: bool = False  # whether it takes more than 3 s of the processor
+    draws: bool = False  # whether it has figures
+    alike: bool = False  # whether what --quick writes has all figures of docs/benchmarks.md
+    needs: tuple = ()  # measurements below their folder
+
+
+TABLE = {
+    "adaptive_soak": Run(survives_its_faults, long=True, alike=True),
+    "adaptive_speed": Run(alike=True),
+    "ambidex_arm": Run(euclidean_bodies_are_flat_and_far, long=True, draws=True),
+    "ambidex_sandbags": Run(adapts_to_a_sandbag_and_stays_physical, long=True, draws=True),
+    "atlas_identification": Run(identifies_less_but_better, long=True, draws=True, alike=True),
+    "body_distances": Run(distances_of_bodies_know_no_frames_and_units, draws=True),
+    "cheetah_gallop": Run(a_leg_predicts_the_gallop, long=True, draws=True),
+    "cheetah_leg": Run(few_samples_need_a_distance_of_bodies, long=True, draws=True),
+    "column_errors": Run(names_mistakes_of_columns_and_nothing_else),
+    "digest_speed": Run(digests_are_small_and_merge),
+    "effect_pictures": Run(draws=True),
+    "everyday_robots": Run(names_what_an_arm_hides, long=True),
+    APART: Run(draws=True),
+    "excitation_speed": Run(alike=True),
+    "excite_arms": Run(long=True),
+    "fleet_kills": Run(goes_on_where_it_was_killed, long=True, alike=True),
+    "fleet_speed": Run(),
+    "fleet_study": Run(finds_changes_of_a_fleet, long=True, alike=True),
+    "floating_robots": Run(logs_of_feet_agree_with_inverse_dynamics, long=True),
+    "hidden_effect_log": Run(),
+    "hidden_effects": Run(reaches_its_bars, long=True),
+    "hobby_arm": Run(
+        moves_as_the_arm_does,
+        long=True,
+        needs=("data/so101/*.csv", "data/xl330/*.csv", "reference/so101.urdf"),
+    ),
+    "human_identification": Run(
+        predicts_a_human_better_than_its_prior,
+        long=True,
+        draws=True,
+        needs=("data/human_force_plate.npz",),
+    ),
+    "identification_speed": Run(newton_and_others_have_the_same_cost),
+    "iiwa_excitation": Run(orders_normalizations_as_the_source),
+    "long_log": Run(takes_little_memory, long=True),
+    "online_payload": Run(long=True, needs=("data/ur10e_*.csv", "reference/ur10e.urdf")),
+    "ordinary_robots": Run(names_friction_and_tool_of_an_arm, long=True),
+    "pages_and_exports": Run(long=True),
+    "random_mjcf": Run(reads_random_files_as_mujoco),
+    "readme_figures": Run(long=True, draws=True),
+    "real_robots": Run(
+        says_what_diagnose_names_and_days_tell,
+        long=True,
+        needs=("data/double_pendulum_c1_*.csv",),
+    ),
+    "regressor_speed": Run(alike=True),
+    "scara_excitation": Run(orders_normalizations_as_the_source, long=True),
+    "servo_gains": Run(finds_servos, long=True),
+    "tell_apart": Run(long=True, alike=True),
+    "wam_adaptation": Run(orders_laws_as_the_source, long=True, draws=True),
+    "wam_payload": Run(orders_laws_as_the_source, draws=True),
 }
-DRAWN = {
-    "ambidex_arm",
-    "ambidex_sandbags",
-    "atlas_identification",
-    "body_distances",
-    "cheetah_gallop",
-    "cheetah_leg",
-    "effect_pictures",
-    "excitation_contours",
-    "human_identification",
-    "readme_figures",
-    "wam_adaptation",
-    "wam_payload",
-}
-ALIKE = {  # what --quick writes has all figures of docs/benchmarks.md
-    "adaptive_soak",
-    "adaptive_speed",
-    "atlas_identification",
-    "excitation_speed",
-    "fleet_kills",
-    "fleet_study",
-    "regressor_speed",
-    "tell_apart",
-}
-MEASUREMENTS = {
-    "hobby_arm": ("data/so101/*.csv", "data/xl330/*.csv", "reference/so101.urdf"),
-    "human_identification": ("data/human_force_plate.npz",),
-    "online_payload": ("data/ur10e_*.csv", "reference/ur10e.urdf"),
-    "real_robots": ("data/double_pendulum_c1_*.csv",),
-}
-NEEDING = {name: pytest.mark.measurements(*paths) for name, paths in MEASUREMENTS.items()}
+"""All scripts but those with tests of their own."""
 
 
-def marks_of(name):
-    marks = [NEEDING[name]] if name in NEEDING else []
-    return [*marks, pytest.mark.thorough] if name in LONG else marks
+def marks_of(run):
+    marks = [pytest.mark.measurements(*run.needs)] if run.needs else []
+    return [*marks, pytest.mark.thorough] if run.long else marks
 
 
-CASES = [pytest.param(name, marks=marks_of(name)) for name in NAMES]
+def test_every_script_is_run():
+    assert {*SCRIPTS} - {"iiwa_messages", "run_scenario"} == {*TABLE}
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=marks_of(r)) for n, r in TABLE.items()])
 def test_script(name, tmp_path):
-    table, figures = tmp_path / "table.json", tmp_path / "figures"
-    drawn = name in DRAWN
-    arguments = ("--quick", "--seed", 3, "--json", table, *drawn * ("--figures", figures))
+    run, table, figures = TABLE[name], tmp_path / "table.json", tmp_path / "figures"
+    arguments = ("--quick", "--seed", 3, "--json", table, *run.draws * ("--figures", figures))
     if name == APART:
         done = start(name, *arguments)
         assert done.returncode == 0, done.stderr
@@ -364,21 +336,21 @@ def test_script(name, tmp_path):
         call(name, *arguments)
     found = json.loads(table.read_text(encoding="utf-8"))
     assert found
-    if name in SHOWS:
-        SHOWS[name](found)
-    if name in ALIKE:
+    if run.shows:
+        run.shows(found)
+    if run.alike:
         benchmarks_page.read(RUNS[name], found)
-    assert not drawn or list(figures.glob("*.png"))
+    assert not run.draws or list(figures.glob("*.png"))
 
 
-@pytest.mark.parametrize("name", MEASUREMENTS)
+@pytest.mark.parametrize("name", [name for name, run in TABLE.items() if run.needs])
 def test_absent_measurements_are_said_clearly(name, tmp_path, capsys):
     with pytest.raises(SystemExit) as ended:
         call(name, "--quick", "--shared", tmp_path)
     assert ended.value.code == 2
     said = capsys.readouterr().err
     assert said.startswith(f"There are no measurements in {tmp_path}: it lacks\n")
-    for path in MEASUREMENTS[name]:
+    for path in TABLE[name].needs:
         assert path.partition("*")[0] in said
     assert "GEODRAKE_MEASUREMENTS" in said
 

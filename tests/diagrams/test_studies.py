@@ -37,8 +37,6 @@ from geodrake.logs import Motion, read_log, write_log
 from geodrake.robot import base_parameters, base_wrench_regressor, inverse_dynamics, joint_names
 from geodrake.robot.regressor import body_poses
 
-PLAN = draws.Plan(draws=1, counts=(30,), gamma=0.03, delta=0.5, hull=2.0, seed=4)
-
 
 @pytest.fixture(scope="module")
 def arm():
@@ -47,7 +45,7 @@ def arm():
 
 @pytest.fixture(scope="module")
 def measured(arm):
-    return robot.measure(arm, seed=PLAN.seed, hull=PLAN.hull)
+    return robot.measure(arm, seed=4, hull=draws.HULL)
 
 
 class TestArm:
@@ -100,8 +98,8 @@ class TestMeasurements:
 
 class TestPriors:
     def test_653_point_masses_have_its_parameters(self, measured):
-        rng, prior = draws.prior_of(0, PLAN, measured)
-        hulls = equivalent_ellipsoid(measured.truth).scaled(PLAN.hull)
+        rng, prior = draws.prior_of(0, 4, measured)
+        hulls = equivalent_ellipsoid(measured.truth).scaled(draws.HULL)
         points = robot.point_masses(prior, hulls, rng)
         assert len(points.prior) == 653
         assert (points.prior > 0).all()

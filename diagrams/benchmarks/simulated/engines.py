@@ -18,14 +18,13 @@ from zlib import crc32
 import mujoco
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from diagrams.harness import MODELS
 from diagrams.public_data import installed_model
 from geodrake import load_model
+from geodrake.inertia import Array
 from geodrake.model import RobotModel
 
-Array = NDArray[np.float64]
 Generator = np.random.Generator
 
 PENDULUM = "double_pendulum"

@@ -24,7 +24,7 @@ from diagrams.benchmarks.simulated.engines import (
     congruent,
     pseudo,
 )
-from diagrams.benchmarks.simulated.motions import SLOW, make_motion
+from diagrams.benchmarks.simulated.motions import make_motion
 
 COLOURED = "coloured"
 DRY, WET, ROTOR, HELD = "coulomb_friction", "viscous_friction", "rotor_inertia", "payload"
@@ -248,15 +248,11 @@ def _coupled_rotor(seen: Seen, site: Site, size: float) -> Array:
     return seen.at(site.joint, torque) - seen.at(site.other, torque)
 
 
-def _fading(floor: float, power: int) -> Law:
-    """Return friction that falls as 1 / (1 + t / T) to a power, to a floor."""
-
-    @of_joint
-    def law(own: Signals, other: Signals, rng: Generator) -> Array:
-        left = floor + (1.0 + own.time / rng.uniform(5.0, 10.0)) ** -power
-        return left * (smooth_sign(own.v) + 0.7 * own.v)
-
-    return law
+@of_joint
+def _warming(own: Signals, other: Signals, rng: Generator) -> Array:
+    """Friction that falls as 1 / (1 + t / T), to a half at least."""
+    left = 0.5 + 1.0 / (1.0 + own.time / rng.uniform(5.0, 10.0))
+    return left * (smooth_sign(own.v) + 0.7 * own.v)
 
 
 def _late(seen: Seen, site: Site, size: float) -> Array:
@@ -325,25 +321,16 @@ def _drag(seen: Seen, site: Site, size: float) -> Array:
     return size * np.einsum("nij,ni->nj", J, v * np.linalg.norm(v, axis=1)[:, None])
 
 
-def _push(*, turning: bool) -> Law:
-    """Return a push at a point of a body during a few seconds, as of leaning on something soft.
-
-    Args:
-        turning: Whether the force turns with the body, as that of a jet or a tool.
-    """
-
-    def law(seen: Seen, site: Site, size: float) -> Array:
-        rng = site.rng
-        point, direction = rng.uniform(-0.1, 0.1, 3), rng.normal(size=3)
-        direction /= np.linalg.norm(direction)
-        begin, length = rng.uniform(0.2, 0.7), rng.uniform(2.0, 4.0)
-        J, R = seen.engine.frames(site.joint, point, seen.q)
-        s = np.clip((seen.time - begin * seen.time[-1]) / length, 0.0, 1.0)
-        push = np.minimum(1.0, 4.0 * np.sin(np.pi * s))
-        along = R @ direction if turning else np.broadcast_to(direction, (len(J), 3))
-        return size * push[:, None] * np.einsum("nij,ni->nj", J[:, :3], along)
-
-    return law
+def _push(seen: Seen, site: Site, size: float) -> Array:
+    """A push at a point of a body during a few seconds, as of leaning on something soft."""
+    rng = site.rng
+    point, direction = rng.uniform(-0.1, 0.1, 3), rng.normal(size=3)
+    direction /= np.linalg.norm(direction)
+    begin, length = rng.uniform(0.2, 0.7), rng.uniform(2.0, 4.0)
+    J = seen.engine.frames(site.joint, point, seen.q)[0][:, :3]
+    s = np.clip((seen.time - begin * seen.time[-1]) / length, 0.0, 1.0)
+    push = np.minimum(1.0, 4.0 * np.sin(np.pi * s))
+    return size * push[:, None] * np.einsum("nij,i->nj", J, direction)
 
 
 def _soft_gear(seen: Seen, site: Site, size: float) -> Array:
@@ -409,7 +396,7 @@ _CATALOGUE = (
         {"load_factor": 1.0},
     ),
     Truth("coupled_friction", PAIR, _belt),
-    Truth("friction_drift", JOINT, _fading(0.5, 1), companions=(DRY, WET), alone=True),
+    Truth("friction_drift", JOINT, _warming, companions=(DRY, WET), alone=True),
     Truth("hysteresis", JOINT, _hysteresis, alone=True),
     Truth(OFFSET, JOINT, of_joint(lambda own, other, rng: 0.0 * own.q + 1.0), {"offset": 1.0}),
     Truth(
@@ -443,23 +430,11 @@ _CATALOGUE = (
     Truth(HELD, BODY, _payload, {"mass": 1.0}),
     Truth(WRONG_INERTIA, BODY, _wrong_body, unit=0.5, largest=2.0, alone=True),
     Truth("gravity_tilt", ROBOT, _tilt, _level, unit=0.05, largest=0.2, alone=True),
-    Truth("contact", BODY, _push(turning=False), alone=True),
+    Truth("contact", BODY, _push, alone=True),
     Truth("aerodynamic_drag", BODY, _drag, {"drag": 1.0}, alone=True),
 )
 TRUTHS = {truth.name: truth for truth in _CATALOGUE}
 """Effects of the catalogue by name."""
-
-KINDS = {
-    "wrench that turns with its body": (Truth("contact", BODY, _push(turning=True)), {}),
-    "friction that fades to nothing": (
-        Truth("friction_drift", JOINT, _fading(0.0, 3), companions=(DRY, WET)),
-        {},
-    ),
-    "delay in slow motion, coloured noise": (TRUTHS[LATE], {"motion": SLOW, "colour": COLOURED}),
-    "tilt": (TRUTHS["gravity_tilt"], {}),
-}
-"""Kinds that other engines' logs showed to be hard, each with what of the draws is given."""
-
 
 # Effects of no catalogue
 
@@ -653,4 +628,4 @@ OF_ALL_MOTIONS = {
 
 def truth_of(name: str) -> Truth:
     """Return what is hidden by a name of any of the tables."""
-    return KINDS[name][0] if name in KINDS else {**TRUTHS, **OUTSIDE, **OF_ALL_MOTIONS}[name]
+    return {**TRUTHS, **OUTSIDE, **OF_ALL_MOTIONS}[name]

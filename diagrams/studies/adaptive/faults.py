@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import (
@@ -20,9 +19,8 @@ from pydrake.trajectories import Trajectory
 
 from geodrake.control import add_adaptive_loop
 from geodrake.control.systems import AdaptiveController
+from geodrake.inertia import Array
 from geodrake.robot import RobotPorts
-
-Array = NDArray[np.float64]
 
 PERIOD = 2e-3  # s, between samples of a sensor
 DELAY = 10  # samples
@@ -48,82 +46,49 @@ class Sample:
         return self.number % every < length
 
 
-def noise(sample: Sample) -> Array:
-    """Gaussian noise on positions and velocities."""
-    return sample.true + NOISE * sample.rng.normal(size=len(sample.true))
+def _put(sample: Sample, place: int, value: float) -> Array:
+    changed = sample.true.copy()
+    changed[place] = value
+    return changed
 
 
-def huge(sample: Sample) -> Array:
-    """One value of every eighth sample is 1e12."""
-    return _put(sample, sample.one(), 1e12) if sample.often(8) else sample.true
-
-
-def turns(sample: Sample) -> Array:
-    """The first position of every tenth sample is a turn off."""
-    return _put(sample, 0, sample.true[0] + 2.0 * np.pi) if sample.often(10) else sample.true
-
-
-def dropped(sample: Sample) -> Array:
-    """No samples at all for two thirds of the time, 100 ms each."""
-    return np.full(len(sample.true), np.nan) if sample.often(75, 50) else sample.true
-
-
-def frozen(sample: Sample) -> Array:
-    """The last state before the fault."""
-    return sample.held
-
-
-def frozen_positions(sample: Sample) -> Array:
-    """Positions that are 0.1 rad for 50 ms of every 200, with velocities as they are."""
+def _frozen_positions(sample: Sample) -> Array:
     if not sample.often(100, 25):
         return sample.true
     half = len(sample.true) // 2
     return np.concatenate([np.full(half, 0.1), sample.true[half:]])
 
 
-def not_numbers(sample: Sample) -> Array:
-    """One value of every third sample is NaN."""
-    return _put(sample, sample.one(), np.nan) if sample.often(3) else sample.true
-
-
-def flips(sample: Sample) -> Array:
-    """Every fifth sample has the wrong sign."""
-    return -sample.true if sample.often(5) else sample.true
-
-
-def reversed_joint(sample: Sample) -> Array:
-    """The first joint is measured in the other direction."""
-    turned = sample.true.copy()
-    turned[:: len(turned) // 2] *= -1.0
-    return turned
-
-
-def stuck(sample: Sample) -> Array:
-    """The encoder of the last joint says what it said; velocities are as they are."""
+def _stuck(sample: Sample) -> Array:
     last = len(sample.true) // 2 - 1
     return _put(sample, last, sample.held[last])
 
 
-def delayed(sample: Sample) -> Array:
-    """The state of 20 ms before."""
-    return sample.earlier
-
-
 SENSOR_FAULTS: dict[str, Callable[[Sample], Array]] = {
-    fault.__name__.replace("_", " "): fault
-    for fault in (
-        noise,
-        huge,
-        turns,
-        dropped,
-        frozen,
-        frozen_positions,
-        not_numbers,
-        flips,
-        reversed_joint,
-        stuck,
-        delayed,
-    )
+    # Gaussian, on positions and velocities
+    "noise": lambda s: s.true + NOISE * s.rng.normal(size=len(s.true)),
+    # one value of every eighth sample is 1e12
+    "huge": lambda s: _put(s, s.one(), 1e12) if s.often(8) else s.true,
+    # the first position of every tenth sample is a turn off
+    "turns": lambda s: _put(s, 0, s.true[0] + 2.0 * np.pi) if s.often(10) else s.true,
+    # no samples at all for two thirds of the time, 100 ms each
+    "dropped": lambda s: np.full(len(s.true), np.nan) if s.often(75, 50) else s.true,
+    # the last state before the fault
+    "frozen": lambda s: s.held,
+    # positions that are 0.1 rad for 50 ms of every 200, with velocities as they are
+    "frozen positions": _frozen_positions,
+    # one value of every third sample is NaN
+    "not numbers": lambda s: _put(s, s.one(), np.nan) if s.often(3) else s.true,
+    # every fifth sample has the wrong sign
+    "flips": lambda s: -s.true if s.often(5) else s.true,
+    # the first joint is measured in the other direction
+    "reversed joint": lambda s: (
+        s.true * np.where(np.arange(len(s.true)) % (len(s.true) // 2), 1, -1)
+    ),
+    # the encoder of the last joint says what it said; velocities are as they are
+    "stuck": _stuck,
+    # the state of 20 ms before
+    "delayed": lambda s: s.earlier,
 }
 WEAK = "weak actuators"
 FAULTS = (*SENSOR_FAULTS, WEAK)
@@ -199,12 +164,6 @@ class WeakActuators(LeafSystem):
         if any(each.start <= t < each.end for each in self._episodes):
             effort = np.clip(effort, -self._limits, self._limits)
         output.SetFromVector(effort)
-
-
-def _put(sample: Sample, place: int, value: float) -> Array:
-    changed = sample.true.copy()
-    changed[place] = value
-    return changed
 
 
 class NoisyVelocities(LeafSystem):

@@ -14,15 +14,12 @@ from functools import partial
 from statistics import fmean, pstdev
 from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from diagrams.harness import positive_number, run_draws, script_parser, show, write
 from geodrake.control import euclidean_adaptation, natural_adaptation, pullback_adaptation
 from geodrake.control.adaptation import UpdateLaw
 from geodrake.manifolds import Manifold
-
-Array = NDArray[np.float64]
 
 NONE, EUCLIDEAN, PULLBACK, NATURAL = "none", "euclidean", "pullback", "natural"
 LAWS = (NONE, EUCLIDEAN, PULLBACK, NATURAL)

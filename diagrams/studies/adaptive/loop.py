@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, System
@@ -15,8 +14,7 @@ from pydrake.trajectories import PiecewisePolynomial, Trajectory
 
 from geodrake.control import AdaptiveLoop, add_adaptive_loop
 from geodrake.control.systems import AdaptiveController
-
-Array = NDArray[np.float64]
+from geodrake.inertia import Array
 
 LOG_PERIOD = 1e-2  # s
 _SHOWN = 5  # logged samples between those of time series

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
@@ -14,11 +13,9 @@ from diagrams.harness import MODELS
 from diagrams.studies.adaptive.laws import make_law
 from geodrake.control import ControlModel, PartialLaw, parameter_manifold
 from geodrake.effects import FittedEffect, Payload
-from geodrake.inertia import from_mass_com_inertia, is_physical, to_spatial_inertia
+from geodrake.inertia import Array, from_mass_com_inertia, is_physical, to_spatial_inertia
 from geodrake.manifolds import PhysicalInertia, Product
 from geodrake.model import RobotModel, load_description
-
-Array = NDArray[np.float64]
 
 MODEL = MODELS / "wam_like.urdf"
 RATE = 10.0  # λ, 1/s, [Lee2019] §5.5

@@ -13,7 +13,6 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.multibody.plant import MultibodyPlant
 from scipy.signal import savgol_filter
 
@@ -21,6 +20,7 @@ from diagrams.harness import MODELS
 from geodrake.identification import PointMasses
 from geodrake.inertia import (
     PARAMETERS_PER_BODY,
+    Array,
     Ellipsoid,
     equivalent_ellipsoid,
     from_mass_com_inertia,
@@ -41,8 +41,6 @@ from geodrake.robot import (
 )
 from geodrake.robot.plant import load_plant
 from geodrake.robot.reduction import triangular_factor
-
-Array = NDArray[np.float64]
 
 MODEL = MODELS / "ambidex_like.urdf"
 REDUCTION = 30.0

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
 from diagrams.harness import MODELS, sines
@@ -20,15 +19,13 @@ from geodrake.identification import (
     Riemannian,
     identify,
 )
-from geodrake.inertia import Ellipsoid
+from geodrake.inertia import Array, Ellipsoid
 from geodrake.inertia.ellipsoids import ellipsoid_of_quadric
 from geodrake.logs import Motion
 from geodrake.model import RobotModel, load_model
 from geodrake.robot import LinearTransmission, inverse_dynamics_regressor
 from geodrake.robot.reduction import triangular_factor
 from geodrake.robot.transmission.statements import Drive
-
-Array = NDArray[np.float64]
 
 JOINTS = ("hip_roll", "hip_pitch", "knee")
 # Hip, thigh and shank about their origins, as identified on the robot.
