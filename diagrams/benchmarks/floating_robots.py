@@ -21,21 +21,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from diagrams.benchmarks.simulated.legged import (
-    DRIVES,
-    FLAGS,
-    FOOT,
-    GAIN,
-    LIMB,
-    PAYLOAD,
-    QUIET,
-    SWAY,
-    TROT,
-    Draw,
-    Recording,
-    all_draws,
-    simulate,
-)
+from diagrams.benchmarks.simulated import legged, truths
 from diagrams.benchmarks.simulated.scoring import (
     Line,
     Places,
@@ -50,16 +36,15 @@ from diagrams.benchmarks.simulated.scoring import (
     tell_draws,
     told,
 )
-from diagrams.benchmarks.simulated.truths import DRY, HELD, ROTOR, WET, WRONG_INERTIA
 from diagrams.harness import cpu_clock, positive_number, run_draws, script_parser, write
 from geodrake.model.floating_logs import contact_frames
 from geodrake.model.robot_model import load_description
 
 
-def score_draw(draw: Draw) -> dict[str, Any]:
+def score_draw(draw: legged.Draw) -> dict[str, Any]:
     """Return a row of the table: the draw, what was named, and what of it is right."""
     with TemporaryDirectory() as folder:
-        recording = simulate(draw, Path(folder))
+        recording = legged.simulate(draw, Path(folder))
         row = {
             **asdict(draw),
             "secret": asdict(recording.secret),
@@ -72,11 +57,11 @@ def score_draw(draw: Draw) -> dict[str, Any]:
         return {**row, "failed": error, "steps": [], "missing": [draw.hidden], "wrong": []}
     steps = [step_row(step, truth) for step in told["steps"]]
     missing = [draw.hidden]  # until it is named at any place; friction and rotors at every one
-    if draw.hidden == DRIVES:
+    if draw.hidden == legged.DRIVES:
         missing = not_found(steps, truth)
-    elif draw.hidden == QUIET or any(step["right"] for step in steps):
+    elif draw.hidden == legged.QUIET or any(step["right"] for step in steps):
         missing = []
-    held_by = truth[HELD] if draw.hidden == PAYLOAD else ()
+    held_by = truth[truths.HELD] if draw.hidden == legged.PAYLOAD else ()
     return {
         **row,
         "failed": None,
@@ -91,7 +76,7 @@ def score_draw(draw: Draw) -> dict[str, Any]:
 
 
 def _said(
-    command: str, recording: Recording, folder: Path
+    command: str, recording: legged.Recording, folder: Path
 ) -> tuple[dict[str, Any] | None, float, str]:
     """Return what a command writes as JSON, None where it fails; its CPU time, and its error."""
     path = folder / f"{command}.json"
@@ -111,18 +96,18 @@ def _said(
     return json.loads(path.read_text(encoding="utf-8")), seconds, ""
 
 
-def truth_of(draw: Draw, recording: Recording) -> Places:
+def truth_of(draw: legged.Draw, recording: legged.Recording) -> Places:
     """Return the names that are right, with the places where they are."""
     secret = recording.secret
-    if draw.hidden == FOOT and secret.offset is not None:
+    if draw.hidden == legged.FOOT and secret.offset is not None:
         model = load_description(recording.model, floating=True)
         return {"wrench_offset": (contact_frames(model, secret.offset[:1])[0].body,)}
     joints, gained = tuple(recording.deviations), (secret.gain or ("",))[:1]
     return {
-        PAYLOAD: {HELD: recording.same},
-        LIMB: {WRONG_INERTIA: (secret.limb,), HELD: (secret.limb,)},
-        DRIVES: dict.fromkeys((DRY, WET, ROTOR), joints),
-        GAIN: {"effort_scale": gained},
+        legged.PAYLOAD: {truths.HELD: recording.same},
+        legged.LIMB: {truths.WRONG_INERTIA: (secret.limb,), truths.HELD: (secret.limb,)},
+        legged.DRIVES: dict.fromkeys((truths.DRY, truths.WET, truths.ROTOR), joints),
+        legged.GAIN: {"effort_scale": gained},
     }.get(draw.hidden, {})
 
 
@@ -161,9 +146,9 @@ _EXACT = 1e-9
 
 def lines_of(rows: Sequence[Row]) -> list[Line]:
     """Return all lines."""
-    hiding = [row for row in rows if row["hidden"] != QUIET]
-    quiet = [row for row in rows if row["hidden"] == QUIET]
-    loads = [row for row in rows if row["hidden"] == PAYLOAD]
+    hiding = [row for row in rows if row["hidden"] != legged.QUIET]
+    quiet = [row for row in rows if row["hidden"] == legged.QUIET]
+    loads = [row for row in rows if row["hidden"] == legged.PAYLOAD]
     found = [row for row in loads if "found_mass" in row]
     told = [row for row in rows if not row["failed"] and row["end_error"] is not None]
     measured = [row["end_error"] for row in told if row["wrenches"]]
@@ -193,12 +178,12 @@ def _is_named(row: Row) -> bool:
     return not (row["failed"] or row["missing"])
 
 
-def quick_draws(seed: int) -> list[Draw]:
+def quick_draws(seed: int) -> list[legged.Draw]:
     """Return short logs of the smallest robot, with and without a payload."""
-    short = {"contacts": FLAGS, "wrenches": True, "duration": 4.0, "seed": seed}
+    short = {"contacts": legged.FLAGS, "wrenches": True, "duration": 4.0, "seed": seed}
     return [
-        Draw("a1", PAYLOAD, motions=(SWAY,), number=0, **short),  # type: ignore[arg-type]
-        Draw("a1", QUIET, motions=(TROT,), number=1, **short),  # type: ignore[arg-type]
+        legged.Draw("a1", legged.PAYLOAD, motions=(legged.SWAY,), number=0, **short),  # type: ignore[arg-type]
+        legged.Draw("a1", legged.QUIET, motions=(legged.TROT,), number=1, **short),  # type: ignore[arg-type]
     ]
 
 
@@ -207,7 +192,11 @@ def main() -> None:
     parser = script_parser(__doc__, draws=True)
     parser.add_argument("--most", type=positive_number, metavar="N", help="only the first N draws")
     options = parser.parse_args()
-    wanted = quick_draws(options.seed) if options.quick else all_draws(options.seed)[: options.most]
+    wanted = (
+        quick_draws(options.seed)
+        if options.quick
+        else legged.all_draws(options.seed)[: options.most]
+    )
     rows = run_draws(parser, options, score_draw, wanted)
     lines = lines_of(rows)
     missed = [miss_words(row) for row in rows if is_missed(row)]

@@ -21,55 +21,20 @@ from typing import Any
 
 import numpy as np
 
-from diagrams.benchmarks.simulated.engines import (
-    ENGINES,
-    PENDULUM,
-    Array,
-    Engine,
-    Generator,
-    congruent,
-    make_engine,
-    number_of,
-    robot_file,
-    robot_model,
-    robot_names,
-)
-from diagrams.benchmarks.simulated.motions import FAST, MOTIONS, SLOW
+from diagrams.benchmarks.simulated import engines, motions, truths
 from diagrams.benchmarks.simulated.recording import TIME_CONSTANTS, Sensors, between
 from diagrams.benchmarks.simulated.scoring import (
     Line,
     Row,
+    calibration,
     median,
     share,
     show_lines,
     step_row,
     told,
 )
-from diagrams.benchmarks.simulated.truths import (
-    ANY,
-    BODY,
-    COLOURED,
-    HELD,
-    LATE,
-    LINK,
-    OFFSET,
-    OTHER,
-    OUTSIDE,
-    OWN,
-    PAIR,
-    ROBOT,
-    TIME,
-    TRUTHS,
-    WRONG_INERTIA,
-    Seen,
-    Site,
-    Truth,
-    scaled,
-    smooth_sign,
-    truth_of,
-)
 from diagrams.harness import positive_number, run_draws, script_parser, show, whole_number, write
-from geodrake.diagnosis import Step, explain
+from geodrake.diagnosis import explain
 from geodrake.diagnosis.drafting import Correlate
 from geodrake.diagnosis.drafting.draft import draft_rest
 from geodrake.diagnosis.explain import Investigation, investigate
@@ -117,16 +82,16 @@ class Draw:
 def draw(case: str, hidden: Sequence[str], number: int, seed: int, **fixed: object) -> Draw:
     """Return a random draw of a case; `fixed` has the fields that are not left to chance."""
     words = f"{case} {' '.join(hidden)}"
-    rng = np.random.default_rng([seed, number_of(words), number])
+    rng = np.random.default_rng([seed, engines.number_of(words), number])
     least = _LEAST_OF_TWO if len(hidden) > 1 else LEAST_SHARE
-    robots = robot_names()
-    if any(name in OUTSIDE and OUTSIDE[name].in_space for name in hidden):
-        robots = tuple(name for name in robots if name != PENDULUM)
+    robots = engines.robot_names()
+    if any(name in truths.OUTSIDE and truths.OUTSIDE[name].in_space for name in hidden):
+        robots = tuple(name for name in robots if name != engines.PENDULUM)
     shares = np.exp(rng.uniform(np.log(least), np.log(MOST_SHARE), len(hidden)))
     chosen = {
         "robot": str(rng.choice(robots)),
-        "engine": str(rng.choice(ENGINES)),
-        "motion": str(rng.choice(MOTIONS, p=_MOTION_ODDS)),
+        "engine": str(rng.choice(engines.ENGINES)),
+        "motion": str(rng.choice(motions.MOTIONS, p=_MOTION_ODDS)),
         "noise": float(rng.choice(NOISES)),
         "colour": WHITE,
         "prior": EXACT if rng.random() < _EXACT_ODDS else OFF,
@@ -139,7 +104,7 @@ def draw(case: str, hidden: Sequence[str], number: int, seed: int, **fixed: obje
 def pair(number: int, seed: int) -> tuple[str, str]:
     """Return two effects that may come together."""
     rng = np.random.default_rng([seed, 2, number])
-    names = [name for name, truth in TRUTHS.items() if not truth.alone]
+    names = [name for name, truth in truths.TRUTHS.items() if not truth.alone]
     first, second = rng.choice(names, 2, replace=False)
     return str(first), str(second)
 
@@ -148,8 +113,8 @@ def all_draws(
     draws: int,
     seed: int,
     *,
-    effects: Sequence[str] = tuple(TRUTHS),
-    outside: Sequence[str] = tuple(OUTSIDE),
+    effects: Sequence[str] = tuple(truths.TRUTHS),
+    outside: Sequence[str] = tuple(truths.OUTSIDE),
     others: tuple[int, int] | None = None,
     **fixed: object,
 ) -> list[Draw]:
@@ -167,12 +132,12 @@ def all_draws(
     found = []
     for name in effects:
         # Where every body is wrong, the one that is more so is no truth to be found.
-        sure = {"prior": EXACT} if name == WRONG_INERTIA else {}
+        sure = {"prior": EXACT} if name == truths.WRONG_INERTIA else {}
         found += [draw(ONE, (name,), k, seed, **{**fixed, **sure}) for k in range(draws)]
     for name in outside:
         found += [draw(UNKNOWN, (name,), k, seed, **fixed) for k in range((draws + 1) // 2)]
     found += [draw(TWO, pair(k, seed), k, seed, **fixed) for k in range(pairs)]
-    for colour in (WHITE, COLOURED):
+    for colour in (WHITE, truths.COLOURED):
         sure = {"colour": colour, "prior": EXACT, "shares": ()}
         # The number says which log: that of the other colour is another one.
         first = 0 if colour == WHITE else _FIRST_COLOURED
@@ -180,15 +145,15 @@ def all_draws(
     return found
 
 
-_SURE = {"motion": FAST, "prior": EXACT}
+_SURE = {"motion": motions.FAST, "prior": EXACT}
 STUDIES: Mapping[str, tuple[str, Sequence[str], Mapping[str, object]]] = {
-    "coverage": (COVERAGE, COVERED, {**_SURE, "colour": COLOURED, "shares": (0.1,)}),
+    "coverage": (COVERAGE, COVERED, {**_SURE, "colour": truths.COLOURED, "shares": (0.1,)}),
     "disturbed": (COVERAGE, COVERED, {**_SURE, "shares": (0.1, 0.05)}),
-    "smallest": (SMALLEST, tuple(TRUTHS), {**_SURE, "noise": 0.01, "shares": ()}),
+    "smallest": (SMALLEST, tuple(truths.TRUTHS), {**_SURE, "noise": 0.01, "shares": ()}),
     "timing": (
         TIMING,
         ("coulomb_friction", "payload"),
-        {"robot": "arm6", "motion": FAST, "duration": 50.0, "rate": 200.0},
+        {"robot": "arm6", "motion": motions.FAST, "duration": 50.0, "rate": 200.0},
     ),
 }
 """Further studies: the case, its effects, and what is not left to chance.
@@ -207,19 +172,19 @@ def study_draws(
         for k in range(draws):
             hidden = (name,)
             if study == "disturbed":
-                beside = np.random.default_rng([seed, 3, at, k]).choice(tuple(OUTSIDE))
+                beside = np.random.default_rng([seed, 3, at, k]).choice(tuple(truths.OUTSIDE))
                 hidden = (name, str(beside))
             found.append(draw(case, hidden, k, seed, **{**sure, **fixed}))
     return found
 
 
 _ENCODER, _TACHO = 1e-5, 2e-4  # rad, rad/s
-_TURN = {HELD: 0, LATE: 2}
+_TURN = {truths.HELD: 0, truths.LATE: 2}
 _CLOSE = 0.03
 _ACTED_UPON = 0.5
 _ONE_AT_A_JOINT: tuple[set[str], ...] = (
-    {"joint_spring", OFFSET},
-    {"asymmetric_friction", OFFSET},
+    {"joint_spring", truths.OFFSET},
+    {"asymmetric_friction", truths.OFFSET},
     {"asymmetric_friction", "coulomb_friction"},
     {"asymmetric_friction", "viscous_friction"},
 )
@@ -262,14 +227,14 @@ def make_recording(draw: Draw, bodies: tuple[str, ...]) -> Recording:
         bodies: Names that geodrake has for the bodies, in the order of the joints.
     """
     key = f"{draw.case} {draw.hidden} {draw.robot}"
-    seeds = np.random.SeedSequence([draw.seed, number_of(key), draw.number]).spawn(4)
+    seeds = np.random.SeedSequence([draw.seed, engines.number_of(key), draw.number]).spawn(4)
     on_robot, on_motion, on_site, on_noise = map(np.random.default_rng, seeds)
-    engine = make_engine(draw.engine, robot_file(draw.robot))
+    engine = engines.make_engine(draw.engine, engines.robot_file(draw.robot))
     file = engine.bodies()
     if draw.prior == OFF:
-        engine.set_bodies(congruent(engine.bodies(), OFF_BY, on_robot))
+        engine.set_bodies(engines.congruent(engine.bodies(), OFF_BY, on_robot))
     seen = _seen(draw, engine, on_motion)
-    kinds = [truth_of(name) for name in draw.hidden]
+    kinds = [truths.truth_of(name) for name in draw.hidden]
     known = None
     if any(kind.needs_known_inertia for kind in kinds):
         before = _seen(draw, engine, on_motion)
@@ -280,11 +245,11 @@ def make_recording(draw: Draw, bodies: tuple[str, ...]) -> Recording:
     total, secrets = seen.load.copy(), dict[int, Secret]()
     # Gears bear what the last body holds; a delay, in the measurement, is that of all efforts.
     for k in sorted(range(len(kinds)), key=lambda k: _TURN.get(kinds[k].name, 1)):
-        if kinds[k].name == LATE:
+        if kinds[k].name == truths.LATE:
             seen = replace(seen, load=total)
         effort, secrets[k] = _hide(kinds[k], sites[k], draw.shares[k], seen, bodies)
         total = total + effort
-        if kinds[k].name == HELD:
+        if kinds[k].name == truths.HELD:
             seen = replace(seen, load=total)
     log = _measured(draw, seen, total, on_noise)
     engine.set_bodies(file)
@@ -292,25 +257,29 @@ def make_recording(draw: Draw, bodies: tuple[str, ...]) -> Recording:
     return Recording(log, tuple(secrets[k] for k in range(len(kinds))), bare, known)
 
 
-def _seen(draw: Draw, engine: Engine, rng: np.random.Generator) -> Seen:
-    return Seen.of(engine, draw.motion, np.arange(0.0, draw.duration, 1.0 / draw.rate), rng)
+def _seen(draw: Draw, engine: engines.Engine, rng: np.random.Generator) -> truths.Seen:
+    return truths.Seen.of(engine, draw.motion, np.arange(0.0, draw.duration, 1.0 / draw.rate), rng)
 
 
-def _rubbing(seen: Seen, sizes: Array) -> Array:
+def _rubbing(seen: truths.Seen, sizes: engines.Array) -> engines.Array:
     """Return dry and viscous friction at all joints."""
-    return np.asarray(sizes * (smooth_sign(seen.v) + 0.7 * seen.v))
+    return np.asarray(sizes * (truths.smooth_sign(seen.v) + 0.7 * seen.v))
 
 
-def _measured(draw: Draw, seen: Seen, effort: Array, rng: Generator) -> JointLog:
+def _measured(
+    draw: Draw, seen: truths.Seen, effort: engines.Array, rng: engines.Generator
+) -> JointLog:
     """Return what sensors make of it."""
-    memory = partial(between, TIME_CONSTANTS) if draw.colour == COLOURED else None
+    memory = partial(between, TIME_CONSTANTS) if draw.colour == truths.COLOURED else None
     sensors = Sensors(draw.noise, _ENCODER, _TACHO, memory=memory)
     return sensors.log(f"{draw.robot} {draw.number}", seen, effort, rng, effort_uncertainty=0.0)
 
 
-def _sites(kinds: list[Truth], load: Array, rng: Generator) -> list[Site]:
+def _sites(
+    kinds: list[truths.Truth], load: engines.Array, rng: engines.Generator
+) -> list[truths.Site]:
     """Where effects act; two on joints share one in half of the logs."""
-    found: list[Site] = []
+    found: list[truths.Site] = []
     n, turns = load.shape[1], (np.diff(np.sign(load), axis=0) != 0).sum(0)
     turning = np.flatnonzero(turns >= min(_TURNS, turns.max()))
     for kind in kinds:
@@ -323,137 +292,134 @@ def _sites(kinds: list[Truth], load: Array, rng: Generator) -> list[Site]:
         other = int(rng.choice([j for j in range(n) if j != joint]))
         if kind.reverses:
             joint = int(turning[joint % len(turning)])
-        elif kind.places == PAIR:
+        elif kind.places == truths.PAIR:
             joint = min(joint, n - 2)
             other = joint + 1
-        elif kind.name == HELD:
+        elif kind.name == truths.HELD:
             joint = n - 1
-        elif kind.places in (BODY, LINK) and kind.name != WRONG_INERTIA:
+        elif kind.places in (truths.BODY, truths.LINK) and kind.name != truths.WRONG_INERTIA:
             joint = int(rng.integers(n // 2, n))
-        found.append(Site(joint, other, own))
+        found.append(truths.Site(joint, other, own))
     return found
 
 
 def _hide(
-    kind: Truth, site: Site, wanted: float, seen: Seen, bodies: tuple[str, ...]
-) -> tuple[Array, Secret]:
+    kind: truths.Truth, site: truths.Site, wanted: float, seen: truths.Seen, bodies: tuple[str, ...]
+) -> tuple[engines.Array, Secret]:
     """Return the effort of an effect of a share, and what is to be found of it."""
     deviation = seen.load.std(0)
 
-    def shares(effort: Array) -> tuple[Array, float]:
+    def shares(effort: engines.Array) -> tuple[engines.Array, float]:
         own = np.sqrt(np.mean(effort**2, 0)) / deviation
-        some = own[own > 1e-3 * own.max()] if kind.places in (LINK, BODY, ROBOT) else own.max()
+        some = (
+            own[own > 1e-3 * own.max()]
+            if kind.places in (truths.LINK, truths.BODY, truths.ROBOT)
+            else own.max()
+        )
         return own, float(np.median(some))
 
     def reached(size: float) -> float:
         return shares(kind.law(seen, site, size))[1]
 
-    size = scaled(wanted, reached, kind, close=_CLOSE, tries=10)
+    size = truths.scaled(wanted, reached, kind, close=_CLOSE, tries=10)
     effort, joints = kind.law(seen, site, size), seen.engine.joints
     found, share = shares(effort)
     acted = tuple(joints[j] for j in np.flatnonzero(found >= _ACTED_UPON * found.max()))
     own, other = joints[site.joint], joints[site.other]
-    where = {PAIR: (own, other), BODY: (bodies[site.joint],), ROBOT: ()}.get(kind.places, (own,))
-    names = {OWN: own, OTHER: other}
+    where = {truths.PAIR: (own, other), truths.BODY: (bodies[site.joint],), truths.ROBOT: ()}.get(
+        kind.places, (own,)
+    )
+    names = {truths.OWN: own, truths.OTHER: other}
     follows = tuple((names.get(whose, whose), what) for whose, what in kind.follows)
     return effort, Secret(kind.name, where, acted, share, kind.found(site, size), follows)
 
 
-_SIGNALS = {"position": ("position",), "speed": ("velocity", "direction of motion")}
+_SIGNALS = {
+    "position": ("position",),
+    "speed": ("velocity", "direction of motion"),
+    truths.TIME: (),
+}
 _RANGE = (0.0005, 0.256)
 _HALVINGS = 6
 
 
 def score_draw(draw: Draw) -> dict[str, Any]:
     """Return a row of the table: the draw, what it hid, what was found, and what of it is right."""
-    recording = make_recording(draw, robot_model(draw.robot).bodies)
+    recording = make_recording(draw, engines.robot_model(draw.robot).bodies)
     model = _told(draw, recording)
     began = time.process_time()
     case = open_case(model, [recording.log], candidates=True)
     found = investigate(case)
     seconds = time.process_time() - began
-    explanation = found.explanation
-    steps = explanation.steps
+    explanation, secrets = found.explanation, recording.secrets
+    right: dict[str, tuple[str, ...]] = {}
+    for secret in secrets:
+        for name in (secret.name, *truths.truth_of(secret.name).companions):
+            right[name] = (*right.get(name, ()), *secret.where)
+    if draw.prior == OFF:
+        right[truths.WRONG_INERTIA] = model.bodies
+    steps = [
+        {**step_row(step, right), "before": step.error_before, "after": step.error_after}
+        for step in explanation.steps
+    ]
     row = {
         **asdict(draw),
-        "secrets": [asdict(secret) for secret in recording.secrets],
-        "steps": [
-            {**step_row(s, {}), "before": s.error_before, "after": s.error_after, "right": right}
-            for s in steps
-            for right in (_expected(s, draw, recording.secrets),)
-        ],
+        "secrets": [asdict(secret) for secret in secrets],
+        "steps": steps,
         "verdict": explanation.verdict,
         "over_floor": _over_floor(draw, recording, found),
         "start_nrms": explanation.start.nrms,
         "end_nrms": explanation.end.nrms,
         "seconds": seconds,
-        "extra": [s.effect for s in steps if not _expected(s, draw, recording.secrets)],
-        **_judged(steps, recording.secrets, draw),
+        "extra": [step["effect"] for step in steps if not step["right"]],
+        **_judged(steps, secrets, draw),
     }
-    if draw.case == UNKNOWN:
-        row |= _drafted(found, recording.secrets[0])
-    return row
+    return row | (_drafted(found, secrets[0]) if draw.case == UNKNOWN else {})
 
 
 def _told(draw: Draw, recording: Recording) -> RobotModel:
     """Return what geodrake knows of the robot: its model file, fitted to an earlier log if any."""
-    model = robot_model(draw.robot)
+    model = engines.robot_model(draw.robot)
     return model if recording.known is None else explain(model, [recording.known]).model
 
 
 def _over_floor(draw: Draw, recording: Recording, found: Investigation) -> float:
     """Final held-out error over that of the true model, which noise of all sensors makes alone."""
     bandwidth = found.case.trajectories[0].filter.bandwidth
-    bare = compare(robot_model(draw.robot), [recording.bare], bandwidth=bandwidth).errors
+    bare = compare(engines.robot_model(draw.robot), [recording.bare], bandwidth=bandwidth).errors
     pairs = zip(bare.joints, found.explanation.end.joints, strict=True)
     floor = np.sqrt(np.mean([(alone.rms / joint.std) ** 2 for alone, joint in pairs]))
     return float(found.explanation.end.nrms / floor)
 
 
-def _expected(step: Step, draw: Draw, secrets: Sequence[Secret]) -> bool:
-    """Return whether a step is what was hidden, at its place, or something that comes with it."""
-    if step.effect == WRONG_INERTIA and draw.prior == OFF:
-        return True
-    places = {
-        place for secret in secrets if step.effect in _names(secret) for place in secret.where
-    }
-    names = {name for secret in secrets for name in _names(secret)}
-    return step.effect in names and set(step.where) <= places
-
-
-def _names(secret: Secret) -> tuple[str, ...]:
-    """Return names of an effect and of those that it comes with."""
-    truth = TRUTHS.get(secret.name)
-    return (secret.name,) if truth is None else (truth.name, *truth.companions)
-
-
-def _judged(steps: Sequence[Step], secrets: Sequence[Secret], draw: Draw) -> dict[str, Any]:
+def _judged(steps: Sequence[Row], secrets: Sequence[Secret], draw: Draw) -> dict[str, Any]:
     """Return what is right about the steps; None where there is nothing to be right about."""
     row: dict[str, Any] = dict.fromkeys(("named", "first", "in_set", "placed"))
-    if not secrets or any(secret.name not in TRUTHS for secret in secrets):
+    if not secrets or any(secret.name not in truths.TRUTHS for secret in secrets):
         return row
-    named = [_named(steps, secret) for secret in secrets]
-    row["named"] = all(named)
-    row["in_set"] = all(
-        any(s.effect == secret.name or secret.name in s.indistinguishable_from for s in steps)
-        for secret in secrets
+    row["named"] = all(
+        any(s["effect"] == one.name and set(one.where) <= set(s["where"]) for s in steps)
+        for one in secrets
     )
-    first = next((s for s in steps if s.effect != WRONG_INERTIA or draw.prior != OFF), None)
+    row["in_set"] = all(any(_may_be(s, one) for s in steps) for one in secrets)
+    first = next(
+        (s for s in steps if s["effect"] != truths.WRONG_INERTIA or draw.prior != OFF), None
+    )
     first = first or next(iter(steps), None)
     if len(secrets) == 1:
-        (secret,) = secrets
-        row["first"] = first is not None and first.effect in _names(secret) and named[0]
+        (secret,), answer = secrets, first and first["effect"]
+        names = (secret.name, *truths.TRUTHS[secret.name].companions)
+        row |= {"answer": answer, "first": answer in names and row["named"]}
         if secret.where:
             # What comes with the truth, a coupled rotor's own rotors, may come first.
-            there = next((s for s in steps if s.effect == secret.name and row["first"]), first)
-            row["placed"] = there is not None and set(there.where) == set(secret.where)
-        row["answer"] = None if first is None else first.effect
+            there = next((s for s in steps if s["effect"] == secret.name and row["first"]), first)
+            row["placed"] = there is not None and set(there["where"]) == set(secret.where)
     return row
 
 
-def _named(steps: Sequence[Step], secret: Secret) -> bool:
-    """Return whether a step has the effect, at its place if it has one."""
-    return any(s.effect == secret.name and set(secret.where) <= set(s.where) for s in steps)
+def _may_be(step: Row, secret: Secret) -> bool:
+    """Return whether a step has the effect among what it may be."""
+    return secret.name in (step["effect"], *step["rivals"])
 
 
 def _drafted(found: Investigation, secret: Secret) -> dict[str, Any]:
@@ -473,26 +439,24 @@ def _drafted(found: Investigation, secret: Secret) -> dict[str, Any]:
 
 def _goes_with(correlate: Correlate, secret: Secret) -> bool:
     """Return whether a correlate names a signal that the hidden effect is a function of."""
+    words = correlate.words
     for whose, what in secret.follows:
-        if what == TIME:
-            if correlate.words.startswith(("time", "the clock")):
-                return True
-        elif any(_says(correlate, whose, signal) for signal in _SIGNALS[what]):
+        names = [f"{signal} of {whose}" for signal in _SIGNALS[what]]
+        if whose == truths.ANY:
+            names = [*_SIGNALS[what]]
+        elif whose == correlate.joint:
+            names += [f"its {signal}" for signal in _SIGNALS[what]]
+        if any(name in words for name in names):
             return True
-    return False
-
-
-def _says(correlate: Correlate, whose: str, signal: str) -> bool:
-    if whose == ANY:
-        return signal in correlate.words
-    own = whose == correlate.joint and f"its {signal}" in correlate.words
-    return own or f"{signal} of {whose}" in correlate.words
+    return secret.follows == ((truths.TIME, truths.TIME),) and words.startswith(
+        ("time", "the clock")
+    )
 
 
 def smallest_of(draw: Draw) -> dict[str, Any]:
     """The smallest share of the effort at which an effect is found in one log, by bisection."""
     low, high = _RANGE
-    bodies = robot_model(draw.robot).bodies
+    bodies = engines.robot_model(draw.robot).bodies
     known: RobotModel | None = None
     seconds, found_at = 0.0, None
     for _ in range(_HALVINGS):
@@ -500,45 +464,31 @@ def smallest_of(draw: Draw) -> dict[str, Any]:
         recording = make_recording(replace(draw, shares=(middle,)), bodies)
         known = known or _told(draw, recording)
         began = time.process_time()
-        steps = explain(known, [recording.log]).steps
+        steps = [step_row(step, {}) for step in explain(known, [recording.log]).steps]
         seconds += time.process_time() - began
         (secret,) = recording.secrets
-        if _seen_at(steps, secret):
+        if any(_may_be(s, secret) and set(secret.where) <= set(s["where"]) for s in steps):
             high = found_at = min(middle, secret.share)
         else:
             low = middle
     return {**asdict(draw), "smallest": found_at, "seconds": seconds}
 
 
-def _seen_at(steps: Sequence[Step], secret: Secret) -> bool:
-    """Return whether a step has the effect among what it may be, at its place."""
-    return any(
-        (s.effect == secret.name or secret.name in s.indistinguishable_from)
-        and set(secret.where) <= set(s.where)
-        for s in steps
-    )
-
-
 def coverage_of(draw: Draw) -> dict[str, Any]:
-    """Return how many of its standard deviations every found parameter is off."""
-    recording = make_recording(draw, robot_model(draw.robot).bodies)
+    """Return how many of its deviations, of noise and systematic, each found parameter is off."""
+    recording = make_recording(draw, engines.robot_model(draw.robot).bodies)
     secret, off = recording.secrets[0], list[float]()
-    for step in explain(robot_model(draw.robot), [recording.log]).steps:
+    for step in explain(engines.robot_model(draw.robot), [recording.log]).steps:
         if step.effect == secret.name:
             place = secret.where[0] if secret.where else next(iter(step.parameters))
-            off = _deviations(step, place, secret)
+            found, own = step.parameters.get(place, {}), step.deviations.get(place, {})
+            beside = step.systematic.get(place, {})
+            off = [
+                float((found[name] - value) / np.hypot(own[name], beside.get(name, 0.0)))
+                for name, value in secret.values.items()
+                if name in found and own.get(name, np.nan) > 0.0
+            ]
     return {**asdict(draw), "off": off}
-
-
-def _deviations(step: Step, place: str, secret: Secret) -> list[float]:
-    """How many deviations, from noise and what is systematic, the secret's values are off."""
-    found, own = step.parameters.get(place, {}), step.deviations.get(place, {})
-    beside = step.systematic.get(place, {})
-    return [
-        float((found[name] - value) / np.hypot(own[name], beside.get(name, 0.0)))
-        for name, value in secret.values.items()
-        if name in found and own.get(name, np.nan) > 0.0
-    ]
 
 
 FOUND_IN = 0.9
@@ -548,75 +498,51 @@ FOUND_IN = 0.9
 def bars(rows: Sequence[Row]) -> list[Line]:
     """Return the lines that draws of the product give."""
     one = [r for r in _of(rows, ONE) if r["secrets"][0]["share"] >= LEAST_SHARE]
-    brisk = [r for r in one if r["motion"] != SLOW]
-    main = [r for r in brisk if r["prior"] == EXACT]
-    off = [r for r in brisk if r["prior"] == OFF]
-    slow = [r for r in one if r["motion"] == SLOW]
-    two = _of(rows, TWO)
-    plain = [r for r in two if r["motion"] != SLOW and r["prior"] == EXACT]
+    two, outside = _of(rows, TWO), _of(rows, UNKNOWN)
+    slow, brisk = (
+        [r for r in one if (r["motion"] == motions.SLOW) == own] for own in (True, False)
+    )
+    main, off = ([r for r in brisk if r["prior"] == prior] for prior in (EXACT, OFF))
+    exactly_slow, slow_and_off = ([r for r in slow if r["prior"] == p] for p in (EXACT, OFF))
+    plain = [r for r in two if r["motion"] != motions.SLOW and r["prior"] == EXACT]
+    both, both_of_others = (
+        [r["named"] and not r["extra"] for r in two if (r in plain) == own] for own in (True, False)
+    )
+    alarms = {
+        colour: [bool(r["steps"]) for r in _of(rows, NONE) if r["colour"] == colour]
+        for colour in (WHITE, truths.COLOURED)
+    }
+    honest = [
+        bool(r["verdict"] == "unexplained" and r["right_joint"] and r["right_correlate"])
+        for r in outside
+    ]
+    usual = [r["seconds"] for r in rows if r["case"] in (ONE, TWO, NONE, UNKNOWN)]
     named = [r["over_floor"] for r in (*one, *two) if r["named"]]
-    outside = _of(rows, UNKNOWN)
     return [
         share("one effect: truth first", _get(main, "first"), 0.95),
         share("… truth in the set", _get(main, "in_set"), 0.99),
         share("… right joint or body", _get(main, "placed"), 0.98),
         share("… and nothing else", [not r["extra"] for r in main]),
         *(
-            share(
-                f"nothing hidden, {colour} noise: false alarms",
-                _alarms(rows, colour),
-                0.01,
-                most=True,
-            )
-            for colour in ("white", "coloured")
+            share(f"nothing hidden, {colour} noise: false alarms", found, 0.01, most=True)
+            for colour, found in alarms.items()
         ),
-        share(
-            "outside effects: unexplained, joint and correlate", [_honest(r) for r in outside], 0.95
-        ),
+        share("outside effects: unexplained, joint and correlate", honest, 0.95),
         share("… unexplained", [r["verdict"] == "unexplained" for r in outside]),
         share("… right joint", _get(outside, "right_joint")),
         share("… right correlate", _get(outside, "right_correlate")),
-        share("two effects: both, nothing else", [_both(r) for r in plain], 0.92),
-        share(
-            "… in slow motion or with inertia 20 % off", [_both(r) for r in two if r not in plain]
-        ),
-        *_sureness(rows),
+        share("two effects: both, nothing else", both, 0.92),
+        share("… in slow motion or with inertia 20 % off", both_of_others),
+        *calibration(rows),
         median("error after / noise floor where named, median", named, 1.05),
         share("inertia 20 % off: truth in the set", _get(off, "in_set"), 0.97),
         share("… truth first", _get(off, "first")),
-        share(
-            "slow motion: truth in the set",
-            _get([r for r in slow if r["prior"] == EXACT], "in_set"),
-            0.95,
-        ),
-        share(
-            "… with inertia 20 % off, too", _get([r for r in slow if r["prior"] == OFF], "in_set")
-        ),
-        median(
-            "seconds for one log of 24 s, median",
-            [r["seconds"] for r in rows if r["case"] in (ONE, TWO, NONE, UNKNOWN)],
-            10.0,
-        ),
+        share("slow motion: truth in the set", _get(exactly_slow, "in_set"), 0.95),
+        share("… with inertia 20 % off, too", _get(slow_and_off, "in_set")),
+        median("seconds for one log of 24 s, median", usual, 10.0),
         median(
             "seconds for 6 joints, 10,000 samples", [r["seconds"] for r in _of(rows, TIMING)], 10.0
         ),
-    ]
-
-
-def _sureness(rows: Sequence[Row]) -> list[Line]:
-    """Return how many findings are right, by the probability that they were given."""
-    steps = [step for row in rows for step in row.get("steps", ())]
-    return [
-        share(
-            f"findings given {words}: right",
-            [step["right"] for step in steps if low <= step["probability"] < high],
-            bar,
-        )
-        for words, low, high, bar in (
-            ("99 % or more", 0.99, 2.0, None),
-            ("90 to 99 %", 0.9, 0.99, 0.85),
-            ("less than 90 %", -1.0, 0.9, None),
-        )
     ]
 
 
@@ -633,7 +559,7 @@ def coverage_lines(rows: Sequence[Row]) -> list[Line]:
 def smallest_lines(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """Return the share of the effort at which each effect is found in nine of ten logs."""
     lines = []
-    for name in TRUTHS:
+    for name in truths.TRUTHS:
         found = [r["smallest"] for r in rows if r["hidden"] == [name]]
         sizes = np.sort([np.inf if size is None else size for size in found])
         if len(sizes):
@@ -657,18 +583,6 @@ def _of(rows: Sequence[Row], case: str) -> list[Row]:
 
 def _get(rows: Sequence[Row], key: str) -> list[Any]:
     return [row[key] for row in rows if row.get(key) is not None]
-
-
-def _alarms(rows: Sequence[Row], colour: str) -> list[bool]:
-    return [bool(row["steps"]) for row in _of(rows, NONE) if row["colour"] == colour]
-
-
-def _honest(row: Row) -> bool:
-    return bool(row["verdict"] == "unexplained" and row["right_joint"] and row["right_correlate"])
-
-
-def _both(row: Row) -> bool:
-    return bool(row["named"] and not row["extra"])
 
 
 QUICK_EFFECTS = ("coulomb_friction", "effort_offset", "payload")

@@ -68,16 +68,6 @@ class Streamed:
         return np.sqrt(np.mean(self.residual[part] ** 2, axis=0))
 
 
-def without_standing(log: JointLog) -> JointLog:
-    """Return a log whose effort is missing while a joint stands.
-
-    A standing joint holds whatever effort dry friction takes; no model predicts it.
-    """
-    effort = log.effort.copy()
-    effort[(np.abs(log.velocity) < STANDING).any(axis=1)] = np.nan
-    return replace(log, effort=effort)
-
-
 def stream(
     log: JointLog, control: ControlModel, update: SampleUpdate, start: Array, *, period: float
 ) -> Streamed:
@@ -180,7 +170,7 @@ def learn(draw: Draw) -> Arm:
     log = read(draw, LEARNED)
     if draw.way == "offline":
         kinds = (CoulombFriction, ViscousFriction, RotorInertia, LoadDependentFriction)
-        raw = cut(read_log(path_of(draw, LEARNED)), draw.end)
+        raw = read(draw, LEARNED, moving=False)
         effects = [kind(joint) for kind in kinds for joint in model.joints]
         settings = IdentificationSettings(compare=False)
         model = identify_model(model, [raw], settings, effects=effects).model
@@ -211,21 +201,18 @@ def learn(draw: Draw) -> Arm:
     return Arm(model, control, np.concatenate([known, GUESS]), error, share)
 
 
-def path_of(draw: Draw, name: str) -> Path:
-    """Return file of a log."""
-    return Path(draw.shared) / "data" / f"{name}.csv"
+def read(draw: Draw, name: str, *, moving: bool = True) -> JointLog:
+    """Return the first seconds of a log, as it is streamed.
 
-
-def read(draw: Draw, name: str) -> JointLog:
-    """Return a log as it is streamed."""
-    return without_standing(cut(read_log(path_of(draw, name)), draw.end))
-
-
-def cut(log: JointLog, end: float | None) -> JointLog:
-    """Return the first seconds of a log."""
-    if end is None:
-        return log
-    return first_samples(log, int(np.searchsorted(log.time - log.time[0], end)))
+    A standing joint holds whatever effort dry friction takes; no model predicts it. So efforts are
+    missing while one stands, if the log is to be of a `moving` robot.
+    """
+    log = read_log(Path(draw.shared) / "data" / f"{name}.csv")
+    if draw.end is not None:
+        log = first_samples(log, int(np.searchsorted(log.time - log.time[0], draw.end)))
+    effort = log.effort.copy()
+    effort[moving & (np.abs(log.velocity) < STANDING).any(axis=1)] = np.nan
+    return replace(log, effort=effort)
 
 
 def numbers(found: Streamed) -> dict[str, Any]:

@@ -231,7 +231,7 @@ BINS = ((0.5, 0.7), (0.7, 0.9), (0.9, 0.99), (0.99, 1.0))
 
 def calibration(rows: Sequence[Row]) -> list[Line]:
     """Return how many of the things said with a probability in a bin are true."""
-    steps = [step for row in rows for step in row["steps"]]
+    steps = [step for row in rows for step in row.get("steps", ())]
     bars = {(0.9, 0.99): {"bar": 0.85, "highest": 0.99}}
     return [
         share(
