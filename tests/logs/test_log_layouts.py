@@ -447,6 +447,25 @@ def test_joints_numbered_by_arm(tmp_path, form, model):
         read_log(path, joints=PANDA[:4])
 
 
+@pytest.mark.parametrize("other", ["q{}_hat", "q_prev_{}", "q_{}_predicted", "q_filtered_{}"])
+def test_the_plainest_name_is_that_of_what_was_measured(tmp_path, other):
+    time, q, _, tau = motion(PANDA)
+    names = ["time", *(other.format(k) for k in range(7)), *indexed("q", 7, "{}{}")]
+    names += [*indexed("tau_ff", 7), *indexed("tau_rnea", 7), *indexed("tau", 7)]
+    path = write(tmp_path / "log.csv", names, [time, q + 1.0, q, tau + 1.0, tau + 2.0, tau])
+    check(read_log(path, joints=PANDA), PANDA, q, None, tau)
+
+
+def test_positions_of_two_robots_with_efforts_of_one_are_asked_about(tmp_path):
+    time, q, _, tau = motion(PANDA)
+    names = ["time", *(f"{who}_q[{k}]" for who in ("master", "slave") for k in range(7))]
+    names += [f"slave_tau[{k}]" for k in range(7)]
+    path = write(tmp_path / "log.csv", names, [time, q + 1.0, q, tau])
+    with pytest.raises(LogError, match="each joint twice: of master and of slave"):
+        read_log(path, joints=PANDA)
+    check(read_log(path, joints=PANDA, reading=Reading(topic="slave")), PANDA, q, None, tau)
+
+
 def test_one_name_that_fits_by_chance_is_not_the_only_joint(tmp_path):
     time, q, _, tau = motion(IIWA[:4])
     names = ["time", *(f"{what}_{letter}" for what in ("q", "tau") for letter in "ABCD")]

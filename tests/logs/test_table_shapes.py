@@ -486,6 +486,41 @@ def test_a_row_a_joint_by_its_number(tmp_path, kind):
     np.testing.assert_allclose(log.effort, EFFORT)
 
 
+def message(each, topic=None, joints=None, scale=1.0, since=0.0):
+    stamp = {"sec": int(each["time"]), "nanosec": round(1e9 * (each["time"] % 1.0 + since))}
+    numbers = {k: [scale * x for x in each[k]] for k in ("position", "effort")}
+    told = {"header": {"stamp": stamp}, "name": joints or each["name"], **numbers}
+    return told if topic is None else {"topic": topic, "log_time": each["time"], "data": told}
+
+
+def test_messages_of_several_topics_and_publishers_in_one_file(tmp_path):
+    path = tmp_path / "log.jsonl"
+
+    def read(messages, **how):
+        path.write_text("\n".join(map(json.dumps, messages)))
+        return read_log(path, joints=JOINTS, reading=Reading(**how))
+
+    fingers = [f"finger_{k}" for k in range(len(JOINTS))]
+    both = [
+        each for r in LIST_RECORDS for each in (message(r), message(r, None, fingers, 0.1, 0.001))
+    ]
+    plain = read(message(r) for r in LIST_RECORDS)
+    np.testing.assert_allclose(read(both).position, plain.position)
+    arms = {"/left/joint_states": 1.0, "/right/joint_states": 0.5}
+    both = [message(r, topic, None, scale) for r in LIST_RECORDS for topic, scale in arms.items()]
+    with pytest.raises(LogError, match=r"2 topics .*--topic /left/joint_states"):
+        read(both)
+    for topic, scale in arms.items():
+        log = read(both, topic=topic)
+        np.testing.assert_allclose(log.position, scale * plain.position)
+        np.testing.assert_allclose(log.effort, scale * plain.effort)
+    beside = [{"topic": "/imu", "log_time": r["time"], "data": {"x": 1.0}} for r in LIST_RECORDS]
+    log = read(
+        [x for r, b in zip(LIST_RECORDS, beside, strict=True) for x in (message(r, "/q"), b)]
+    )
+    np.testing.assert_allclose(log.position, plain.position)
+
+
 def test_a_last_record_that_is_cut_off_is_left_out(tmp_path):
     path = tmp_path / "log.jsonl"
     path.write_text(

@@ -52,6 +52,7 @@ from geodrake.logs.files.table import (
     rows_of,
 )
 from geodrake.logs.files.text_file import renamed
+from geodrake.logs.files.topics import messages_table
 
 _LINES = (".jsonl", ".ndjson")
 _JSON_SHARE = 0.05  # of the memory, for its text: what it becomes takes many times as much
@@ -70,7 +71,8 @@ def read_json(path: Path, reading: Reading) -> LogTable:
             json.loads(text)  # which tells what is wrong
         is_one = len(values) == 1 and unpacked(path).suffix.lower() not in _LINES
         content = _of_rows(values[0]) if is_one else values
-        table = content_table(path, content, reading, _JSON_ADVICE)
+        table = messages_table(path, content, reading)
+        table = table or content_table(path, content, reading, _JSON_ADVICE)
         cut = f"the last record is cut off and not used: {rest[:_SHOWN]!r}"
         return table.noting(*[cut] * bool(rest))
 
@@ -98,7 +100,8 @@ def read_yaml(path: Path, reading: Reading) -> LogTable:
         whole = text.rpartition(b"\n---")[0] or text  # the last message may be cut off
         content, *more = yaml.load_all(whole, yaml.CSafeLoader)
         documents = [each for each in (content, *more) if isinstance(each, Mapping)]
-        table = content_table(path, documents if more else content, reading, advice)
+        table = messages_table(path, documents, reading)
+        table = table or content_table(path, documents if more else content, reading, advice)
     if not any(map(meaning_of, table.names)):
         raise LogError(f"Log {str(path)!r} has neither time nor joints.", advice=model)
     return table

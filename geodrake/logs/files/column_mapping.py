@@ -21,6 +21,7 @@ from geodrake.logs.files.name_rules import (
     NUMBERED,
     OF_JOINTS,
     ONLY,
+    PAIRS,
     PART,
     PLAIN,
     ROLES,
@@ -173,17 +174,18 @@ def _is_own(meaning: Meaning) -> bool:
     return meaning.style[0] == "own"
 
 
-def _preference(meaning: Meaning, said: str | None) -> tuple[bool, bool, bool, int, int, int]:
+def _preference(meaning: Meaning, said: str | None) -> tuple[bool | int, ...]:
     """Return the sort key of several columns of one quantity of a joint, best first.
 
-    What was filtered hides its noise, what is raw is often in counts, and m may be of the motor.
+    What was filtered hides its noise, what is raw is often in counts, and m may be of the motor;
+    what else names have more than others is of something else.
     """
     kept = max((_KEPT[word] for word in plain_words(meaning.column) if word in _KEPT), default=0)
+    own, rest = not _is_own(meaning), (meaning.role, kept, len(plain_words(meaning.column)))
     if meaning.log_quantity != "effort":
-        return False, not _is_own(meaning), False, 0, meaning.role, kept
-    kind = EFFORT_KINDS.index(meaning.quantity)
+        return own, *rest
     other = said is not None and said != meaning.quantity
-    return other, not _is_own(meaning), meaning.role >= DESIRED, kind, meaning.role, kept
+    return other, own, meaning.role >= DESIRED, EFFORT_KINDS.index(meaning.quantity), *rest
 
 
 def settled(
@@ -449,6 +451,8 @@ def _check_one_robot(path: Path, best: Best) -> None:
         differ = set.symmetric_difference(*words) if first.role == second.role else set()
         apart.setdefault(quantity, set()).add(frozenset(differ))
     told = apart.get("position", set()) | apart.get("effort", set())
+    if any(words and PAIRS.issuperset(words) for words in told):
+        told.discard(frozenset())  # of a quantity that only one of them has
     robots = sorted(next(iter(told), ()))
     if len(told) == 1 and len(robots) == 2:
         raise LogError(

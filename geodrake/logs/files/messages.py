@@ -9,6 +9,7 @@ from functools import lru_cache
 from math import isnan
 from operator import itemgetter
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -250,10 +251,23 @@ class JointMessages(Messages):
 def stamp_of(message: Any) -> int:
     """Return the time stamp of a message of ROS or LCM, ns; 0 if it has none."""
     stamp = getattr(getattr(message, "header", message), "stamp", None)
-    if stamp is None or not hasattr(stamp, "sec"):
+    seconds, part = (
+        next((int(getattr(stamp, name)) for name in names if hasattr(stamp, name)), None)
+        for names in (("sec", "secs"), ("nanosec", "nsec", "nsecs"))
+    )
+    if seconds is None:
         return 1000 * int(getattr(message, "utime", 0))
-    part = getattr(stamp, "nanosec", None)
-    return int(stamp.sec) * 1_000_000_000 + int(getattr(stamp, "nsec", 0) if part is None else part)
+    return seconds * 1_000_000_000 + (part or 0)
+
+
+def as_message(value: Any) -> Any:
+    """Return JSON as a message: objects have fields, and lists of numbers are arrays."""
+    if isinstance(value, dict):
+        return SimpleNamespace(**{str(name): as_message(each) for name, each in value.items()})
+    if not isinstance(value, list):
+        return value
+    are_numbers = all(isinstance(each, float | int) for each in value)
+    return np.array(value, float) if value and are_numbers else [as_message(x) for x in value]
 
 
 _LEAVES = (str, int, float, np.ndarray)

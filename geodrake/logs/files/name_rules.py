@@ -17,7 +17,7 @@ from functools import lru_cache
 from itertools import zip_longest
 from typing import Any
 
-from geodrake.logs.files.units import WORDS, Unit, find_unit, scaled_unit
+from geodrake.logs.files.units import UNITS, WORDS, Unit, find_unit, scaled_unit
 from geodrake.logs.motion import EFFORT_KINDS, PARTIAL, PASSIVE, QUANTITIES, SIGNAL_KINDS
 
 Words = tuple[str | int, ...]
@@ -41,6 +41,7 @@ def _by_word(said: Mapping[str, str]) -> dict[str, str]:
 QUANTITY_WORDS: Mapping[str, str] = _by_word(WORDS["quantities"])
 """Words that name a quantity."""
 
+_QUALIFIES = "load"  # a position or a velocity, as well as it is a torque
 _DERIVED = {"dot": {"position": "velocity"}, "ddot": {"position": "acceleration"}}
 _CURRENT = WORDS["quantities"]["current"].split()
 MEASURED, PLAIN, MOTOR, DESIRED, OTHER = range(5)
@@ -58,6 +59,9 @@ _COMMAND, _SHORT, _FILLERS = map(_words, ("commands", "short", "fillers"))
 _NO_SIGNAL, _SUPPLY, _NAMING = map(_words, ("no_signal", "supply", "naming"))
 _TIMES, _NANOSECONDS, _SAMPLES = map(_words, ("times", "nanoseconds", "samples"))
 _ROBOTS, _RECORDINGS, _COUNTING = map(_words, ("robots", "recordings", "counting"))
+PAIRS = _words("pairs")
+"""Words that tell two robots apart."""
+
 _SIGNALS, _SIDES = _words("signals"), _by_word(WORDS["sides"])
 _TIME_OF_DAY = _TIMES - {"date"}
 _BESIDE_TIME = _TIMES | _NANOSECONDS | _words("beside_time")
@@ -351,10 +355,12 @@ def _joint(column: str) -> Meaning | None:
     cut = brackets.start() if brackets else len(name)
     parts = [part for part in name[:cut].split("/") if part] or [name]
     parts[-1] += name[cut:] if parts[-1] != name else ""
-    place = next((k for k in reversed(range(len(parts))) if _quantity(_split(parts[k]))), None)
+    has_unit = brackets is not None and any(find_unit(brackets[1], each) for each in UNITS)
+    told = [_quantity(_split(_BRACKETS.sub("", part) if has_unit else part)) for part in parts]
+    place = next((k for k in reversed(range(len(parts))) if told[k]), None)
     if place is None:
         return None
-    quantity = _quantity(_split(parts[place])) or ""
+    quantity = told[place] or ""
     said = frozenset(w for w in _split(name) if isinstance(w, str))
     if quantity == "command":  # of what, another part may say
         other = _quantity(tuple(w for w in _split(name) if w not in _COMMAND)) or "position"
@@ -425,7 +431,7 @@ def _quantity(words: Words) -> str | None:
     counted = any(isinstance(w, int) or ROLE_WORDS.get(w) == MEASURED for w in words)
     named = [w for w in words if w in QUANTITY_WORDS and (counted or w not in _SHORT)]
     if len(named) > 1:  # the current position is no motor current, and voltage in V no velocity
-        named = [w for w in named if w not in (*_CURRENT, *_SHORT)] or named
+        named = [w for w in named if w not in (*_CURRENT, *_SHORT, _QUALIFIES)] or named
     found = {QUANTITY_WORDS[w] for w in named}  # type: ignore[index]
     quantity = next((each for each in WORDS["quantities"] if each in found), None)
     for word, derived in _DERIVED.items():

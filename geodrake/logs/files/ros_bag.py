@@ -5,15 +5,12 @@ from __future__ import annotations
 import importlib
 import json
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import groupby, islice
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, TypeVar
-
-import numpy as np
 
 from geodrake.boundary.input_files import open_regular, regular_files
 from geodrake.boundary.optional_packages import optional_package
@@ -22,11 +19,19 @@ from geodrake.logs.files.messages import (
     BaseMessages,
     JointMessages,
     Messages,
+    as_message,
     base_sources,
 )
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable, readable
-from geodrake.logs.files.topics import Topic, chosen_topics, topics_table
+from geodrake.logs.files.topics import (
+    WANTED,
+    Received,
+    Topic,
+    chosen_topics,
+    topics_of,
+    topics_table,
+)
 from geodrake.logs.files.units import WORDS
 
 _FIRST = 20  # messages by which a topic is known; publishers of other joints may take turns
@@ -35,7 +40,6 @@ _DYNAMIC_STATE = "control_msgs/msg/DynamicJointState"
 _TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 _NUMBERS = re.compile(r"std_msgs/msg/(Float|Int)\d+MultiArray")
 _WORDS = re.compile(r"effort|torque|trq|\btau")  # in the definition of a type that has efforts
-_WANTED = re.compile(r"command|cmd|goal|target|desired|reference|setpoint", re.IGNORECASE)
 _IDL_RULE = "=" * 80 + "\n"  # between definitions in IDL
 _LONGEST_DEFINITION = 50_000  # letters of a type and of those in it, which take seconds to parse
 _LONG_ARRAY = re.compile(r"\[\d{5,}\]")  # in a definition, that a message need not have data for
@@ -83,11 +87,11 @@ def _profile(path: Path) -> str | None:
 def _read_channels(path: Path, reading: Reading, profile: str) -> LogTable:
     """Return the columns of an MCAP file of messages in JSON or protobuf, as of Foxglove."""
     package = optional_package("mcap_protobuf.decoder", "logs", "MCAP files", LogError)
-    factory, topics = package.DecoderFactory(), dict[str, Topic]()
-    make = importlib.import_module("mcap.reader").make_reader
+    factory, make = package.DecoderFactory(), importlib.import_module("mcap.reader").make_reader
     plain = importlib.import_module("google.protobuf.json_format").MessageToDict
     whole = {"preserving_proto_field_name": True, "always_print_fields_with_no_presence": True}
-    with readable(path, "MCAP file", _REPAIR), open_regular(path, "log", LogError) as file:
+
+    def messages(file: Any) -> Iterator[Received]:
         for schema, channel, message in make(file).iter_messages():
             decode = factory.decoder_for(channel.message_encoding, schema)
             if decode is None and channel.message_encoding != "json":
@@ -99,23 +103,12 @@ def _read_channels(path: Path, reading: Reading, profile: str) -> LogTable:
             read = (
                 json.loads(message.data) if decode is None else plain(decode(message.data), **whole)
             )
-            name = channel.topic
-            is_wanted = bool(_WANTED.search(name))
             kind = schema.name if schema else "json"
-            new = Topic(name, kind, JointMessages(name), is_wanted=is_wanted)
-            topics.setdefault(name, new).messages.add(_as_message(read), message.log_time)
-    told = [*topics.values()]
-    return topics_table(path, chosen_topics(path, told, reading), told, reading)
+            yield channel.topic, kind, as_message(read), message.log_time
 
-
-def _as_message(value: Any) -> Any:
-    """Return JSON as a message: objects have fields, and lists of numbers are arrays."""
-    if isinstance(value, dict):
-        return SimpleNamespace(**{name: _as_message(each) for name, each in value.items()})
-    if not isinstance(value, list):
-        return value
-    are_numbers = all(isinstance(each, float | int) for each in value)
-    return np.array(value, float) if value and are_numbers else [_as_message(x) for x in value]
+    with readable(path, "MCAP file", _REPAIR), open_regular(path, "log", LogError) as file:
+        topics = topics_of(messages(file))
+    return topics_table(path, chosen_topics(path, topics, reading), topics, reading)
 
 
 def _base(
@@ -126,7 +119,7 @@ def _base(
         return [], [], set()
     asked = [name.strip("/") for name in reading.topics]
     topics = {c.topic.strip("/"): c for c in connections}
-    kinds = {n: c.msgtype for n, c in topics.items() if n in asked or not _WANTED.search(n)}
+    kinds = {n: c.msgtype for n, c in topics.items() if n in asked or not WANTED.search(n)}
     found, others, sources = list[BaseMessages](), list[str](), base_sources(kinds, asked)
     for names in sources:
         for k, name in enumerate(names):
@@ -165,7 +158,7 @@ def _probed(reader: Any, connections: Sequence[Any], method: str) -> Topic:
     """Return a topic by its first messages."""
     name, kind, definition = (getattr(connections[0], x) for x in ("topic", "msgtype", "msgdef"))
     is_state = kind == _JOINT_STATE
-    is_wanted = bool(_WANTED.search(name))
+    is_wanted = bool(WANTED.search(name))
     topic = Topic(name, kind, JointMessages(name), is_state and not is_wanted, is_wanted)
     for text in _definitions(kind, definition):
         try:

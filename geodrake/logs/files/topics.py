@@ -3,29 +3,40 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from geodrake.boundary.arguments import Array
 from geodrake.errors import LogError
+from geodrake.logs.files.grouped_arrays import are_records
 from geodrake.logs.files.joined_tables import joined_tables
 from geodrake.logs.files.messages import (
     NUMBERS,
     BaseMessages,
     JointMessages,
     Messages,
+    as_message,
     is_complete,
     on_clock,
+    stamp_of,
 )
-from geodrake.logs.files.name_rules import meaning_of
+from geodrake.logs.files.name_rules import is_time, meaning_of, names_joints
 from geodrake.logs.files.reading import Reading
-from geodrake.logs.files.table import LogTable
+from geodrake.logs.files.table import LogTable, number_in
 from geodrake.logs.motion import EFFORT_KINDS, QUANTITIES
+from geodrake.logs.time_stamps import time_unit
 
 _MOST_LISTED = 8
+WANTED = re.compile(r"command|cmd|goal|target|desired|reference|setpoint", re.IGNORECASE)
+"""Words in names of topics of what joints are told."""
+
+Received = tuple[str, str, Any, int]
+"""Topic and type of a message, itself, and when it was received, ns."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +73,49 @@ class Topic:
         told = [q for q in (*QUANTITIES, *EFFORT_KINDS[1:]) if q in self.part]
         words = f", {len(self.messages.joints)} joints with {', '.join(told)}" if told else ""
         return f"{self.name} ({self.kind}{words})"
+
+
+def topics_of(messages: Iterable[Received]) -> list[Topic]:
+    """Return topics with what all of their messages say of joints."""
+    topics = dict[str, Topic]()
+    for name, kind, message, received in messages:
+        if name not in topics:
+            is_wanted = bool(WANTED.search(name))
+            topics[name] = Topic(name, kind, JointMessages(name), is_wanted=is_wanted)
+        topics[name].messages.add(message, received)
+    return list(topics.values())
+
+
+_TOPIC, _INSIDE = ("topic", "channel"), ("msg", "message", "data", "payload")
+
+
+def messages_table(path: Path, records: Any, reading: Reading) -> LogTable | None:
+    """Return the columns of records that are messages of several topics or joints; else None."""
+    if not are_records(records):
+        return None
+    said = [*map(_topic_and_message, records)]
+    names = (x for _, each in said for n, x in each.items() if names_joints(n))
+    named = {tuple(sorted(map(str, x))) for x in names if isinstance(x, list)}
+    if len({topic for topic, _ in said}) < 2 and len(named) < 2:
+        return None
+    clock = next((n for n, x in records[0].items() if is_time(n) and not isinstance(x, dict)), "")
+    times = np.array([number_in(each.get(clock)) or 0.0 for each in records])
+    unit = time_unit("", times)
+    stamps = np.rint(times * 1e9 * (unit[0] if unit else 1.0)).astype(np.int64).tolist()
+    messages = [(topic, as_message(x)) for topic, x in said]
+    received = stamps if clock else [stamp_of(message) for _, message in messages]
+    both = zip(messages, received, strict=True)
+    topics = topics_of((topic, "records", message, time) for (topic, message), time in both)
+    if not any(topic.messages.quantities for topic in topics):
+        return None
+    return topics_table(path, chosen_topics(path, topics, reading), topics, reading)
+
+
+def _topic_and_message(record: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
+    """Return the topic of a record, or "", and the message in it."""
+    topic = next((x for name in _TOPIC if isinstance(x := record.get(name), str)), "")
+    inside = next((x for name in _INSIDE if isinstance(x := record.get(name), Mapping)), None)
+    return (topic, record) if inside is None or not topic else (topic, inside)
 
 
 def chosen_topics(path: Path, topics: Sequence[Topic], reading: Reading) -> tuple[Topic, ...]:
