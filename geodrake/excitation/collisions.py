@@ -7,7 +7,7 @@ in memory; those of STL files too, which Drake does not read.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from itertools import count
@@ -44,11 +44,10 @@ from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files import Given, read_description
 from geodrake.robot.files.checks import drop
-from geodrake.robot.files.description import drake_errors, drake_messages
+from geodrake.robot.files.description import Where, drake_errors, drake_messages
 from geodrake.robot.plant import arrange_as
 from geodrake.robot.shapes import (
     SHAPES_ADVICE,
-    Where,
     geometries_of,
     mjcf_geoms,
     move_meshes,
@@ -261,9 +260,8 @@ def solids_of_file(path: Path, given: Given) -> dict[str, list[Solid]]:
     found, how = dict[str, list[Solid]](), " with its collision geometry"
     errors = drake_errors(path, how=how, advice=SHAPES_ADVICE)
     with drake_messages(), errors, TemporaryDirectory() as folder:
-        plant, scene = scene_of(
-            path, given, lambda root, where: _prepare(root, where, Path(folder))
-        )
+        files = (Path(folder) / f"{at}.obj" for at in count())
+        plant, scene = scene_of(path, given, lambda root, where: _prepare(root, where, files))
         inspector = scene.model_inspector()
         for link, own in geometries_of(plant, scene, Role.kProximity):
             found[link] = []
@@ -274,10 +272,9 @@ def solids_of_file(path: Path, given: Given) -> dict[str, list[Solid]]:
     return found
 
 
-def _prepare(root: Element, where: Where, folder: Path) -> None:
-    """Keep collision geometry only; hulls of STL files are written to a folder as OBJ."""
+def _prepare(root: Element, where: Where, files: Iterator[Path]) -> None:
+    """Keep collision geometry only; hulls of STL files are written to OBJ files."""
     drop(root, "visual")
-    files = (folder / f"{at}.obj" for at in count())
     move_meshes(root, lambda name: _readable(name, where, next(files)))
 
 

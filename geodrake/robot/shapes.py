@@ -15,7 +15,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 from urllib.parse import unquote
-from xml.etree.ElementTree import Element, tostring
+from xml.etree.ElementTree import Element
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,6 @@ from pydrake.geometry import (
     Sphere,
 )
 from pydrake.math import RigidTransform
-from pydrake.multibody.parsing import Parser, ProcessModelDirectives
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
@@ -48,11 +47,15 @@ from geodrake.boundary.input_files import read_regular
 from geodrake.errors import GeodrakeError, ModelError
 from geodrake.inertia import Array
 from geodrake.robot.files.checks import drop
-from geodrake.robot.files.description import drake_errors, drake_messages, read_description
+from geodrake.robot.files.description import (
+    Where,
+    drake_errors,
+    drake_messages,
+    read_description,
+)
 from geodrake.robot.files.given import Given
 from geodrake.robot.files.includes import Includes
 from geodrake.robot.files.mjcf_source import CompiledMjcf, load_mujoco, pose_of
-from geodrake.robot.files.texts import DRAKES_SPRINGS
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import LARGEST_FILE, parse_xml_bytes
 from geodrake.robot.stated import WORLD_LINK
@@ -435,39 +438,20 @@ def _read(
     return links, ()
 
 
-Where = Callable[[str], Path]
-"""Mesh references of URDF or SDF -> files, or a ModelError if not found."""
-
-
 def scene_of(
     path: Path, given: Given, prepare: Callable[[Element, Where], None]
 ) -> tuple[MultibodyPlant, SceneGraph]:
     """Return a plant of a file with the geometry of its links.
 
-    Before, geometry of a URDF or SDF is prepared such that Drake reads it (`move_meshes`).
+    Before, geometry of URDFs and SDFs is prepared such that Drake reads it (`move_meshes`).
     """
     plant, scene = AddMultibodyPlantSceneGraph(DiagramBuilder(), 1e-3)
-    parser, description = Parser(plant), read_description(path, given)
-    packages = parser.package_map()
-    description.add_every_package(packages)
-    if description.directives is not None:
-        ProcessModelDirectives(description.directives, parser)
-        return plant, scene
-    root = parse_xml_bytes(read_expanded(path, given), path)
 
-    def where(place: str) -> Path:  # as Drake does not know where a text is from
-        url = place if "://" in place else f"file://{path.resolve().parent / place}"
-        try:
-            return Path(packages.ResolveUrl(url))
-        except RuntimeError as error:
-            reason = str(error).strip().partition("\n")[0].rpartition("error: ")[2]
-            raise ModelError(reason.rpartition(" refers to ")[2]) from error
+    def shapes_alone(root: Element, where: Where) -> None:
+        drop(root, "inertial", "mimic", "transmission", "sensor", "plugin", "gazebo", "surface")
+        prepare(root, where)
 
-    drop(root, "inertial", "mimic", "transmission", "sensor", "plugin", "gazebo", "surface")
-    drop(root, *DRAKES_SPRINGS)
-    prepare(root, where)
-    Includes(path, given.packages).name_by_urls(root)
-    parser.AddModelsFromString(tostring(root, encoding="unicode"), description.texts[0].kind)
+    read_description(path, given).add_to(plant, simplified=False, prepare=shapes_alone)
     return plant, scene
 
 

@@ -10,7 +10,7 @@ from pydrake.geometry import Box, Mesh
 
 from geodrake import load_model
 from geodrake.errors import ModelError
-from geodrake.excitation.collisions import CollisionWorld
+from geodrake.excitation.collisions import CollisionWorld, corners_of, solids_of_file
 from geodrake.report.meshcat_scene import replay_page
 from geodrake.robot.files.given import Given
 from geodrake.robot.shapes import MOST_TRIANGLES, regular_mesh, robot_shapes, wavefront
@@ -141,6 +141,29 @@ def test_an_stl_visual_is_shown_and_hides_collisions(tmp_path):
     assert "/drake/robot/r::arm/shapes/0" in drawn(page)
     turned = tracks(page)["/drake/robot/r::arm", "quaternion"][1]
     np.testing.assert_allclose(turned[-1], [0, 0, np.sin(0.25), np.cos(0.25)], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["both.dmd.yaml", "both.sdf"])
+def test_stl_meshes_of_models_in_other_files_are_shown_and_collide(tmp_path, name):
+    folder = tmp_path / "arms"
+    folder.mkdir()
+    write_stl(folder / "arm.stl")
+    (tmp_path / "package.xml").write_text("<package><name>x</name></package>")
+    shapes = "".join(MESH.format(kind=kind, file="arm.stl") for kind in ("visual", "collision"))
+    (folder / "r.urdf").write_text(ROBOT.format(shapes=shapes))
+    add = "- add_model: {{name: {0}, file: package://x/arms/r.urdf}}\n"
+    include = "<include><name>{0}</name><uri>arms/r.urdf</uri></include>"
+    text = "directives:\n" + "".join(map(add.format, "ab"))
+    if name.endswith("sdf"):
+        inside = "".join(map(include.format, "ab"))
+        text = f'<sdf version="1.9"><world name="w">{inside}</world></sdf>'
+    (tmp_path / name).write_text(text)
+    found, solids = robot_shapes(tmp_path / name, Given()), solids_of_file(tmp_path / name, Given())
+    assert not found.notes and {*found.links} == {"a::arm", "b::arm"}
+    assert all(isinstance(own.shape, Mesh) for (own,) in found.links.values())
+    for link in ("a::arm", "b::arm"):
+        (own,) = solids[link]
+        assert corners_of(own.shape).max(axis=0) == pytest.approx([0.5, 2.0, 3.0])
 
 
 def test_missing_meshes_are_said_and_collision_shapes_shown(tmp_path):

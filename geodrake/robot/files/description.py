@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from xml.etree.ElementTree import tostring
+from xml.etree.ElementTree import Element
 
 import numpy as np
 from pydrake.multibody.parsing import (
@@ -49,6 +49,9 @@ from geodrake.robot.files.xml_text import (
 )
 from geodrake.robot.stated import FileTerms
 from geodrake.robot.transmission.statements import Statement
+
+Where = Callable[[str], Path]
+"""Mesh references of URDF or SDF -> files, or a ModelError if not found."""
 
 _MOST_LINKS = 2000  # as the time grows with their square, to 3 s
 _LINE = re.compile(r"\S*?/(\d+)\.\w+:(\d+): ")
@@ -100,40 +103,45 @@ class ModelDescription:
         """Give a link inertial parameters (10,), or none; False if no text has the link."""
         return any(text.set_inertia(link, phi) for text in self.every)
 
-    def _written(self, text: ModelText, *, simplified: bool) -> tuple[bytes, list[str]]:
-        """Return a text, and where its lines are from; if not simplified, what its file has."""
-        if simplified:
-            lines, where = numbered_text(text.root)
-            return lines.encode(), where
-        data = read_expanded(text.path, self.given)
-        if self.directives is None:
-            root = parse_xml_bytes(data, self.path)
-            Includes(self.path, self.given.packages).name_by_urls(root)
-            # Beside springs, Drake lets no joint be taken out.
-            drop(root, "spring_stiffness", *DRAKES_SPRINGS)
-            data = tostring(root)
-        return data, []
+    def add_to(
+        self,
+        plant: MultibodyPlant,
+        *,
+        simplified: bool = True,
+        prepare: Callable[[Element, Where], None] = lambda root, where: None,
+    ) -> None:
+        """Add the models to a plant.
 
-    def add_to(self, plant: MultibodyPlant, *, simplified: bool = True) -> None:
-        """Add the models to a plant; if not simplified, as in their files but for geometry."""
+        Args:
+            simplified: Whether as their texts are, or else as in their files; then what Drake
+                raises is left to the caller.
+            prepare: Changes URDFs and SDFs that are not simplified, such that Drake reads them.
+        """
         parser, places = Parser(plant), list[list[str]]()
         if not simplified:
             self.add_every_package(parser.package_map())
-        with drake_errors(self.path, places), TemporaryDirectory() as folder:
-            every = self.every if simplified else list(self.texts)
-            files = [Path(folder) / f"{k}.{text.kind}" for k, text in enumerate(every)]
-            for text, file in zip(every, files, strict=True):
-                for include, inner in text.inside if simplified else ():
-                    include.findall("uri")[0].text = files[every.index(inner)].as_uri()
-                own, where = self._written(text, simplified=simplified)
-                file.write_bytes(own)
-                places.append(where)
+        errors = drake_errors(self.path, places) if simplified else nullcontext()
+        with errors, TemporaryDirectory() as folder:
+            files = {text: Path(folder) / f"{k}.{text.kind}" for k, text in enumerate(self.every)}
+            for text in self.every:
+                if simplified or text.kind != "xml":
+                    root = text.root
+                    if not simplified:
+                        root = self._as_it_stands(text)
+                        prepare(root, partial(_file_of, parser.package_map(), text.path))
+                    text.link_includes(root, files)
+                    lines, where = numbered_text(root)
+                    files[text].write_text(lines, encoding="utf-8")
+                    places.append(where)
+                else:  # whose meshes are beside it
+                    files[text] = text.path
+                    places.append([])
             if self.directives is None:
-                parser.AddModels(str(files[0]))
+                parser.AddModels(str(files[self.texts[0]]))
             else:
                 models = [d.add_model for d in self.directives.directives if d.add_model]
                 for model, text in zip(models, self.texts, strict=True):
-                    model.file = files[every.index(text)].as_uri()
+                    model.file = files[text].resolve().as_uri()
                 ProcessModelDirectives(self.directives, parser)
             for link, X_WB in self.terms.floating.items():
                 model, _, name = link.rpartition("::")
@@ -142,6 +150,24 @@ class ModelDescription:
                     plant.SetDefaultFloatingBaseBodyPose(body, X_WB)
             if self.terms.gravity is not None:
                 plant.mutable_gravity_field().set_gravity_vector(self.terms.gravity)
+
+    def _as_it_stands(self, text: ModelText) -> Element:
+        """Return the root of a text's file, without what keeps Drake from reading it."""
+        root = parse_xml_bytes(read_expanded(text.path, self.given), text.path)
+        Includes(text.path, self.given.packages).drop_absent(root)
+        # Beside springs, Drake lets no joint be taken out.
+        drop(root, "spring_stiffness", *DRAKES_SPRINGS)
+        return root
+
+
+def _file_of(packages: PackageMap, path: Path, place: str) -> Path:
+    """Return where a mesh that a file names is, as Drake does not know where a text is from."""
+    url = place if "://" in place else f"file://{path.resolve().parent / place}"
+    try:
+        return Path(packages.ResolveUrl(url))
+    except RuntimeError as error:
+        reason = str(error).strip().partition("\n")[0].rpartition("error: ")[2]
+        raise ModelError(reason.rpartition(" refers to ")[2]) from error
 
 
 @typed

@@ -92,14 +92,6 @@ class Includes:
             file = max(files, key=lambda each: _version(parse_xml(self.checked(each))))
         return file, self.enter(self.chain, file)
 
-    def name_by_urls(self, root: Element) -> None:
-        """Name the files of an SDF's includes, and remove missing ones."""
-        self.drop_absent(root)
-        for uri in root.iterfind(".//include/uri"):
-            place = (uri.text or "").strip()
-            found = _models_of(self.resolve(place, self.path.parent.resolve()), "://" in place)
-            uri.text = f"file://{found[-1].resolve()}"
-
     def drop_absent(self, root: Element) -> None:
         """Remove the includes of worlds whose models do not exist."""
         for world in root.iter("world"):

@@ -200,6 +200,13 @@ class ModelText(abc.ABC):
         for _, text in self.inside:
             yield from text.every()
 
+    def link_includes(self, root: Element, files: Mapping[ModelText, Path]) -> None:
+        """Have includes below a root of the text's file name other files in place of theirs."""
+        there = {e.start: e for e in root.iter("include") if isinstance(e, LocatedElement)}
+        for include, text in self.inside:
+            if isinstance(include, LocatedElement):
+                there[include.start].findall("uri")[0].text = files[text].as_uri()
+
     @property
     def heavy(self) -> set[str]:
         """Scoped names of links with an inertia."""
