@@ -447,6 +447,29 @@ def test_joints_numbered_by_arm(tmp_path, form, model):
         read_log(path, joints=PANDA[:4])
 
 
+@pytest.mark.parametrize("form", ["{letter}_{joint}", "{joint}_{side}", "{capital} {joint}"])
+def test_joints_named_by_side(tmp_path, form):
+    sides = [{"side": s, "letter": s[0], "capital": s[0].upper()} for s in ("left", "right")]
+    joints = tuple(f"{s['side']}_{joint}_joint" for s in sides for joint in ("hip_yaw", "knee"))
+    time, q, _, tau = motion(joints)
+    called = [form.format(**s, joint=joint) for s in sides for joint in ("hip_yaw", "knee")]
+    names = ["time", *(f"{name} {what}" for what in ("pos", "torque") for name in called)]
+    path = write(tmp_path / "log.csv", names, [time, q, tau])
+    check(read_log(path, joints=joints), joints, q, None, tau)
+
+
+def test_a_file_for_each_arm(tmp_path):
+    joints = tuple(f"{side}_arm_{k}" for side in ("left", "right") for k in (1, 2, 3))
+    time, q, _, tau = motion(joints)
+    names = ["time", *indexed("q", 3), *indexed("tau", 3)]
+    for side, arm in (("left", slice(0, 3)), ("right", slice(3, 6))):
+        write(tmp_path / f"{side}.csv", names, [time, q[:, arm], tau[:, arm]])
+    path = f"{tmp_path / 'right.csv'}+{tmp_path / 'left.csv'}"
+    check(read_log(path, joints=joints), joints, q, None, tau)
+    with pytest.raises(LogError, match="each joint twice: of left and of right"):
+        read_log(path, joints=PANDA[:3])
+
+
 @pytest.mark.parametrize("other", ["q{}_hat", "q_prev_{}", "q_{}_predicted", "q_filtered_{}"])
 def test_the_plainest_name_is_that_of_what_was_measured(tmp_path, other):
     time, q, _, tau = motion(PANDA)

@@ -543,7 +543,7 @@ def test_words_for_nothing(tmp_path, monkeypatch, many):
     monkeypatch.setattr(text_file, "_MANY", 20 if many else 10**6)
     effort = EFFORT.copy()
     effort[0, 0] = effort[30, 1] = np.nan
-    for word in ("NA", "N/A", "null", "None", "-", "#N/A", "NaN"):
+    for word in ("NA", "N/A", "null", "None", "-", "#N/A", "NaN", "1.#QNAN", "#DIV/0!"):
         frame = PLAIN.astype(object)
         frame.iloc[0, 3] = frame.iloc[30, 4] = word
         np.testing.assert_allclose(read_log(csv_of(tmp_path, frame)).effort, effort)

@@ -29,6 +29,7 @@ from geodrake.logs.files.lcm_log import MAGIC, read_lcm
 from geodrake.logs.files.lerobot_dataset import INFO, read_lerobot
 from geodrake.logs.files.name_rules import (
     OF_JOINTS,
+    PAIRS,
     meanings_of,
     plain_words,
     quantity_of,
@@ -173,10 +174,13 @@ def file_names(path: Path) -> str:
 def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
     """Return the columns of several files, at the time stamps of the one with the fewest a second.
 
-    The name of a file may say the quantity of its columns, as that of `efforts.csv` does; or the
-    joint, where columns of several name none.
+    The name of a file may say the quantity of its columns, as that of `efforts.csv` does; the arm,
+    as `left.csv` does; or the joint, where columns of several name none.
     """
     named = [replace(_named_table(path, reading), path=Path(path.name)) for path in paths]
+    arms = {frozenset(PAIRS & plain_words(unpacked(path).stem)) for path in paths}
+    if len(arms) == len(paths) and all(arms) and reading.mapping is None:
+        named = [_of_group(table) for table in named]
     bare = [
         {m.column: f"{unpacked(path).stem}.{m.quantity}" for m in told if m.is_bare}
         for path, told in zip(paths, [meanings_of(each.columns) for each in named], strict=True)
@@ -205,6 +209,12 @@ def _named_table(path: Path, reading: Reading) -> LogTable:
     return _renamed(
         table, {c: f"{quantity}_{c}" if c.isdecimal() else f"{c}.{quantity}" for c in bare}
     )
+
+
+def _of_group(table: LogTable) -> LogTable:
+    """Return the table of a file with the file's name before those of joints' columns."""
+    told = [m.column for m in meanings_of(table.columns) if m.quantity in OF_JOINTS]
+    return _renamed(table, {column: f"{unpacked(table.path).stem}/{column}" for column in told})
 
 
 def _renamed(table: LogTable, names: Mapping[str, str]) -> LogTable:

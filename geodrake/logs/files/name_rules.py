@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import zip_longest
-from typing import Any
 
 from geodrake.logs.files.units import UNITS, WORDS, Unit, find_unit, scaled_unit
 from geodrake.logs.motion import EFFORT_KINDS, PARTIAL, PASSIVE, QUANTITIES, SIGNAL_KINDS
@@ -563,12 +562,12 @@ def _parts_of_robot(
     if len(parts) < 2:
         yield style, joints
         return
-    said = dict(zip(parts, _sides([(*head, *(rest or ())) for head, rest in parts]), strict=True))
-    common = frozenset.intersection(*said.values())
-    said = {part: words - common for part, words in said.items()}
+    called = _with_side_first([(*head, *(rest or ())) for head, rest in parts])
+    common = set.intersection(*({*words} for words in called))
+    said = {part: {*words} - common for part, words in zip(parts, called, strict=True)}
     own: dict[Part, list[str]] = {part: [] for part in parts}
-    for joint, words in zip(joints, _sides([words_of(joint) for joint in joints]), strict=True):
-        near = [part for part in parts if said[part] <= words]
+    for joint, words in zip(joints, _with_side_first([*map(words_of, joints)]), strict=True):
+        near = [part for part in parts if said[part].issubset(words)]
         most = max((len(said[part]) for part in near), default=0)
         for part in near:
             own[part] += [joint] if len(said[part]) == most else []
@@ -582,11 +581,13 @@ def _parts_of_robot(
             yield columns, joints
 
 
-def _sides(names: Sequence[Words]) -> list[frozenset[str | int]]:
-    """Return the words of names; where these tell sides of a robot, each side by one word."""
-    sides = {_SIDES[word] for words in names for word in words if word in _SIDES}
-    known: Mapping[Any, str] = _SIDES if len(sides) == 2 else {}
-    return [frozenset(known.get(word, word) for word in words) for words in names]
+def _with_side_first(names: Sequence[Words]) -> list[Words]:
+    """Return words of names; where they tell both sides of a robot, first the side by one word."""
+    sides = [tuple(_SIDES[w] for w in map(str, words) if w in _SIDES) for words in names]
+    if len(set[str]().union(*sides)) < 2:
+        return [*names]
+    rest = [tuple(word for word in words if str(word) not in _SIDES) for words in names]
+    return [side + words for side, words in zip(sides, rest, strict=True)]
 
 
 def _match_style(style: Sequence[Meaning], joints: Sequence[str]) -> tuple[dict[str, str], bool]:
@@ -614,19 +615,20 @@ def _match_style(style: Sequence[Meaning], joints: Sequence[str]) -> tuple[dict[
 def _by_name(keys: Mapping[Words, Meaning], joints: Sequence[str]) -> dict[Words, str]:
     """Return joints whose words end as those of a column, or the reverse; each as often."""
     ends: dict[Words, list[tuple[int, str]]] = defaultdict(list)
-    for joint in joints:
-        words = words_of(joint)
+    for joint, words in zip(joints, _with_side_first([*map(words_of, joints)]), strict=True):
         for first in range(len(words)):
             ends[words[first:]].append((first, joint))
+    sided = dict(zip(keys, _with_side_first([*keys]), strict=True))
     found = {}
     for key, meaning in keys.items():
         if meaning.number is not None:
             continue  # a number alone may count from 0: see _by_number
-        tails = (key[first:] for first in range(len(key)))
+        words = sided[key]
+        tails = (words[first:] for first in range(len(words)))
         near = next((ends[tail] for tail in tails if tail in ends), [])
         least = [joint for extra, joint in near if extra == min(near)[0]]
         whole = [joint for extra, joint in near if extra == 0]
-        if len(least) == 1 and (key in ends or whole):
+        if len(least) == 1 and (words in ends or whole):
             found[key] = least[0]
     taken = Counter(found.values())
     if len({*taken.values()}) == 1:  # each of several robots may have all of them

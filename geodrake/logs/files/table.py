@@ -345,9 +345,8 @@ _MOST_NAMES = 8
 _LONGEST_TEXT = 60
 _SAYS_NOTHING = ("", "nan", "nat", "none", "null", "na", "n/a", "<na>", "#n/a", "-", "--")
 NOTHING = frozenset(f(word) for word in _SAYS_NOTHING for f in (str, str.upper, str.title)) | {
-    "NaN",
-    "[]",
-    "()",
+    *("NaN", "[]", "()", "NaN (ind)", "nan(ind)", "-nan(ind)", "1.#QNAN", "-1.#IND", "1.#IND"),
+    *("#NUM!", "#DIV/0!", "#VALUE!", "#REF!"),
 }
 """Cells that mean a missing value."""
 
