@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
+from scipy.interpolate import CubicHermiteSpline
 
 from geodrake.control.systems.position_servo import PositionServo
 from geodrake.effects.sensors import delayed_by
@@ -32,7 +33,7 @@ from geodrake.model.servos import (
     servo_gains,
     servos_of,
 )
-from geodrake.model.signal_efforts import integral_effort, late_commands
+from geodrake.model.signal_efforts import command_curve, commands_at, integral_effort
 
 FASTEST = 1e6
 """Peak speeds of the log, beyond which no robot is simulated any more."""
@@ -140,7 +141,7 @@ def _moving(
 class Acting:
     """The efforts of a log, and in their place servos at joints that follow its commands.
 
-    Commands and their rates are straight lines between the log's samples.
+    Efforts are straight lines between the log's samples, and commands curves (`command_curve`).
     """
 
     def __init__(self, model: RobotModel, log: JointLog, *, commands: bool) -> None:
@@ -163,8 +164,7 @@ class Acting:
         self._sources = {name: builder.AddSystem(TrajectorySource(zero)) for name in names}
         if not self._servoed:
             return self._sources["feedforward"].get_output_port()
-        known = self.gains._replace(rate_share=np.ones(len(self._told)))  # as of `_late`
-        servo = PositionServo(**known._asdict())
+        servo = PositionServo(**self.gains._asdict())
         self._servo = builder.AddSystem(servo)
         builder.Connect(state, servo.GetInputPort("estimated_state"))
         for name, source in self._sources.items():
@@ -173,14 +173,15 @@ class Acting:
 
     def begin(self, passage: Passage) -> None:
         """Have a passage act, in the time since its log began."""
-        courses = {"feedforward": (passage.time, self._beside(passage))}
+        lines = PiecewisePolynomial.FirstOrderHold(passage.time, self._beside(passage).T)
+        curves = [lines]
         if self._servoed:
             time = self._bends(passage)
-            own = zip(_COMMANDS, self._commands(passage, time), strict=True)
-            courses |= {name: (time, values) for name, values in own}
-        for name, (time, values) in courses.items():
-            lines = PiecewisePolynomial.FirstOrderHold(time, values.T)
-            self._sources[name].UpdateTrajectory(lines)
+            command, rate = self._commands(passage, time)
+            cubic = PiecewisePolynomial.CubicHermite(time, command.T, rate.T)
+            curves += [cubic, cubic.MakeDerivative()]
+        for source, curve in zip(self._sources.values(), curves, strict=True):
+            source.UpdateTrajectory(curve)
 
     def remember(self, passage: Passage, root: Context) -> None:
         """Set integrals to what they have grown to in the log, by its efforts."""
@@ -195,19 +196,21 @@ class Acting:
             Efforts (K, n), N·m or N, without the integrals and limits of servos, and commanded less
             measured positions (K, n), rad or m, 0 without a servo.
         """
-        segment, beside = passage.segment, self._beside(passage)
-        if not self._servoed:
-            return beside, np.zeros_like(beside)
-        command, rate = self._commands(passage, passage.time)
-        behind = np.where(self._told, command - segment.position, 0.0)
-        error = ServoError(behind, rate - segment.velocity, np.zeros_like(behind), beside)
+        command, known, beside = self.told(passage, passage.time)
+        behind = np.where(self._told, command - passage.segment.position, 0.0)
+        rate = known - passage.segment.velocity
+        error = ServoError(behind, rate, np.zeros_like(behind), beside)
         return self.gains.unlimited(error), behind
 
     def told(self, passage: Passage, time: Array) -> Array:
-        """Return commands, their rates, and efforts beside servos (3, K, n) at instants (K,)."""
+        """Return what acts (3, K, n) at instants (K,).
+
+        That is commands, what servos know of their rates, and efforts beside servos.
+        """
         beside = self._beside(passage)
         efforts = [np.interp(time, passage.time, column) for column in beside.T]
-        return np.array([*self._commands(passage, time), np.transpose(efforts)])
+        command, rate = self._commands(passage, time)
+        return np.array([command, self.gains.rate_share * rate, np.transpose(efforts)])
 
     def begun(self, passage: Passage) -> Array:
         """Return the integrals (n,) when a passage begins, rad·s or m·s."""
@@ -231,32 +234,32 @@ class Acting:
         """Return the instants (K,) at which late commands bend, and both ends of the passage."""
         first, last = passage.time[0], passage.time[-1]
         bends = [np.array([first, last])]
-        for late, _, _ in self._late(passage).values():
+        for curve in self._curves.values():
+            late = curve.x - passage.began
             bends.append(late[(late > first + _APART) & (late < last - _APART)])
         time = np.unique(np.concatenate(bends))
         return time[np.append(np.diff(time) > _APART, True)]
 
     def _commands(self, passage: Passage, time: Array) -> tuple[Array, Array]:
-        """Return late commands and what servos know of their rates (K, n) at instants (K,)."""
+        """Return late commands and their rates (K, n) at instants (K,)."""
         commands, rates = np.zeros((2, len(time), len(self._told)))
-        for j, (late, column, rate) in self._late(passage).items():
-            commands[:, j], rates[:, j] = np.interp(time, late, column), np.interp(time, late, rate)
+        for j, curve in self._curves.items():
+            commands[:, j], rates[:, j] = commands_at(curve, passage.began + time)
         return commands, rates
 
-    def _late(self, passage: Passage) -> dict[int, tuple[Array, Array, Array]]:
-        """Return instants, s, commands and known rates by the index of each commanded joint."""
-        found = {}
-        for j in np.flatnonzero(self._told).tolist():
-            late, told, rate = late_commands(self._log, j, self._delays[j])
-            found[j] = late - passage.began, told, self.gains.rate_share[j] * rate
-        return found
+    @cached_property
+    def _curves(self) -> dict[int, CubicHermiteSpline]:
+        """Joint that is commanded -> the curve of its command."""
+        delays = {j: self._delays[j] for j in np.flatnonzero(self._told).tolist()}
+        curves = {j: command_curve(self._log, j, delay) for j, delay in delays.items()}
+        return {j: curve for j, curve in curves.items() if curve is not None}
 
 
 def told_joints(model: RobotModel, log: JointLog) -> NDArray[np.bool_]:
     """Return (n,) whether each joint has a servo, and a command in a log."""
     if log.command is None:
         return np.zeros(len(model.joints), bool)
-    known = (np.isfinite(log.command) & np.isfinite(log.time)[:, None]).any(axis=0)
+    known = (np.isfinite(log.command) & np.isfinite(log.time)[:, None]).sum(axis=0) > 1
     return np.array([servo is not None for servo in servos_of(model)]) & known
 
 
