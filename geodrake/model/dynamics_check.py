@@ -11,7 +11,7 @@ Others, SDF and directives that put several together, Drake reads once more as t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from pydrake.multibody.tree import MultibodyForces
@@ -20,15 +20,13 @@ from geodrake.boundary.arguments import instance, integer
 from geodrake.boundary.showing import Short
 from geodrake.errors import ModelError
 from geodrake.inertia import Array, inertial_parameters
-from geodrake.logs.motion import Motion
-from geodrake.model.file_terms import CoupledDry, DryFriction
 from geodrake.model.other_programs import (
     OtherProgram,
     Places,
     by_drake,
-    by_mujoco,
     by_pinocchio,
     joint_units,
+    with_mujoco,
 )
 from geodrake.model.robot_model import RobotModel, is_of_file
 from geodrake.robot.files import read_description
@@ -54,7 +52,6 @@ def second_opinion(model: RobotModel, states: States) -> tuple[str, Array, Array
     """
     if model.given.robot is not None:
         return "one of several robots was chosen, and only Drake reads part of a file"
-    joints = joint_units(model.plant)
     try:
         with drake_messages():
             texts = read_description(model.path, model.given).texts
@@ -65,19 +62,17 @@ def second_opinion(model: RobotModel, states: States) -> tuple[str, Array, Array
     bodies_differ = not np.array_equal(model.total_phi, inertial_parameters(model.plant))
     if own or bodies_differ or model.fitted_to:
         return "the model was changed after loading its file"
-    found: OtherProgram | str
-    ours = inverse_dynamics(model.tree, *states, model.total_phi)
     held = {name: place for text in texts for name, place in _held(model, text).items()}
     if alone and isinstance(texts[0], MjcfText):
-        found = by_mujoco(texts[0].compiled, held, joints)
-        still = [f for f in model.effects if not isinstance(f.effect, DryFriction | CoupledDry)]
-        ours = replace(model, effects=tuple(still)).effort(Motion(*states))
-    elif len(texts) == 1 and texts[0].kind == "urdf":
-        found = by_pinocchio(model, texts[0], held, joints)
+        return with_mujoco(model, texts[0].compiled, held, states)
+    found: OtherProgram | str
+    if len(texts) == 1 and texts[0].kind == "urdf":
+        found = by_pinocchio(model, texts[0], held, joint_units(model.plant))
     else:
         found = by_drake(model)
     if isinstance(found, str):
         return found
+    ours = inverse_dynamics(model.tree, *states, model.total_phi)
     return found.by, found.efforts_of(model.coordinates, states), ours
 
 

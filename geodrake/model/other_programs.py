@@ -13,7 +13,7 @@ and efforts Tᵀ times theirs. The six joints of a free base have u = (ṗ, rate
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from types import ModuleType
 from typing import Any
@@ -26,8 +26,10 @@ from pydrake.multibody.tree import Joint, MultibodyForces
 
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
+from geodrake.logs.motion import Motion
+from geodrake.model.file_terms import CoupledDry, DryFriction
 from geodrake.model.simulation.terms import Model
-from geodrake.robot.arrangement import base_joints, moving_joints, open_loops, weld_joints, welds_of
+from geodrake.robot.arrangement import base_joints, moving_joints
 from geodrake.robot.coordinates import RobotCoordinates
 from geodrake.robot.files import read_description
 from geodrake.robot.files.description import drake_errors, drake_messages
@@ -37,7 +39,7 @@ from geodrake.robot.files.texts import ModelText
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import numbered_text, parse_xml_bytes
 from geodrake.robot.joints import scoped, single_joints
-from geodrake.robot.plant import weld_roots
+from geodrake.robot.plant import arrange_as
 from geodrake.robot.transmission import times
 
 _APART = 1e-4  # of the size, by which loops of rounded numbers may be open
@@ -168,6 +170,24 @@ def by_mujoco(theirs: Any, held: Places, units: Units) -> OtherProgram | str:
     return OtherProgram(by, units, rest, places, inverse_dynamics, free)
 
 
+def with_mujoco(
+    model: Model, theirs: Any, held: Places, states: tuple[Array, Array, Array]
+) -> tuple[str, Array, Array] | str:
+    """Return MuJoCo's name, its efforts (N, nv) with a compiled model, and those of a model.
+
+    Dry friction takes no part. If MuJoCo is of no use, that is why.
+
+    Args:
+        states: Positions, velocities and accelerations (N, ·) of the model.
+    """
+    found = by_mujoco(theirs, held, joint_units(model.plant))
+    if isinstance(found, str):
+        return found
+    smooth = [f for f in model.effects if not isinstance(f.effect, DryFriction | CoupledDry)]
+    ours = replace(model, effects=tuple(smooth)).effort(Motion(*states))
+    return found.by, found.efforts_of(model.coordinates, states), ours
+
+
 def joint_units(plant: MultibodyPlant) -> list[tuple[Joint, ...]]:
     """Return joints that move, the six of a free base as one."""
     bases = base_joints(plant)
@@ -268,14 +288,10 @@ def by_pinocchio(model: Model, text: ModelText, held: Places, units: Units) -> O
 def by_drake(model: Model) -> OtherProgram | str:
     """Return Drake with the original file, which geodrake otherwise simplifies."""
     plant, units = MultibodyPlant(time_step=0.0), [(j,) for j in moving_joints(model.plant)]
-    bases = (base[-1].child_body() for base in base_joints(model.plant))
-    floating = {body.scoped_name().get_full() for body in bases}
     try:
         with drake_messages(), drake_errors(model.path):
             read_description(model.path, model.given).add_to(plant, simplified=False)
-            open_loops(plant)
-            weld_joints(plant, welds_of(model.plant))
-            weld_roots(plant, lambda body: body.scoped_name().get_full() in floating)
+            arrange_as(plant, model.plant)
             for index in plant.GetJointActuatorIndices():
                 plant.get_mutable_joint_actuator(index).set_default_rotor_inertia(0.0)
             plant.mutable_gravity_field().set_gravity_vector(model.tree.gravity)

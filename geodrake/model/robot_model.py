@@ -25,8 +25,7 @@ from geodrake.inertia import Array, inertial_parameters
 from geodrake.logs.motion import Motion
 from geodrake.logs.temperatures import Temperatures
 from geodrake.model.effort_signal import EffortSignal, signal_of
-from geodrake.model.file_terms import CoupledDry, DryFriction
-from geodrake.model.other_programs import BUG, by_mujoco, check_loops, joint_units
+from geodrake.model.other_programs import BUG, check_loops, with_mujoco
 from geodrake.model.simulation.robot_in_diagram import RobotInDiagram, add_robot, make_act
 from geodrake.model.simulation.terms import DrivenPlant
 from geodrake.model.stated_terms import stated_effects
@@ -555,22 +554,18 @@ def _check_against_mujoco(model: RobotModel, text: MjcfText, held: Mapping[str, 
 
     Dry friction, limits and contacts, which are soft in MuJoCo, take no part. Free bodies rest.
     """
-    rng, units, m = np.random.default_rng(0), joint_units(model.plant), text.compiled
+    rng, m = np.random.default_rng(0), text.compiled
     if not {m.joint(k).name for k in range(m.njnt)}.issuperset(held):
         return  # as a part of a free base is held
-    q = rng.uniform(-1.0, 1.0, (_STATES, len(model.joints)))
-    q = model.coordinates.inside(q)
-    motion = Motion(q, *rng.uniform(-2.0, 2.0, (2, _STATES, len(model.joints))))
-    check_loops(
-        text, model.plant, held, *model.coordinates.tree_samples(q, motion.v, motion.vd)[:2]
-    )
+    q = model.coordinates.inside(rng.uniform(-1.0, 1.0, (_STATES, len(model.joints))))
+    v, vd = rng.uniform(-2.0, 2.0, (2, _STATES, len(model.joints)))
+    states = q, v, vd
+    check_loops(text, model.plant, held, *model.coordinates.tree_samples(*states)[:2])
     if text.terms.set_aside or text.path != model.path:
         return  # of a thin body, say, whose repair is told of
-    some = [f for f in model.effects if not isinstance(f.effect, DryFriction | CoupledDry)]
-    ours = replace(model, effects=tuple(some)).effort(motion)
-    engine, what, off = by_mujoco(text.reference, held, units), "all joints", ""
-    if not isinstance(engine, str):
-        theirs = engine.efforts_of(model.coordinates, (motion.q, motion.v, motion.vd))
+    found, what, off = with_mujoco(model, text.reference, held, states), "all joints", ""
+    if not isinstance(found, str):
+        _, theirs, ours = found
         kept = [k for k, joint in enumerate(model.joints) if joint not in model.base_joints]
         errors = np.abs(ours - theirs)[:, kept].max(axis=0, initial=0.0)
         largest = float(np.abs(theirs).max(initial=0.0))

@@ -12,7 +12,7 @@ both, τ_q = Jᵀ τ_θ ([Lee2019] Eq. (3.6.57)).
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, NamedTuple
 
@@ -69,23 +69,6 @@ class FrameMotion:
     angular: Array  # (3, nv_j) matrix S: the angular velocity is S v, rad/s
     linear: Array  # (3, nv_j) matrix S: the velocity of Mo is S v, m/s
     offset: Array = field(default_factory=lambda: np.zeros(3))  # (3,) position of Mo at q = 0, m
-    ratio: float = 1.0  # factor of the angle's position, 1 unless the joint follows another one
-
-    def following(self, ratio: float, offset: float) -> FrameMotion:
-        """Return the motion of a joint of one position ratio q + offset, as one of q."""
-        rotation = self.rotation
-        if self.features is Features.ANGLE:  # cos and sin of a sum
-            c, s = np.cos(offset), np.sin(offset)
-            rotation = rotation @ np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-        return replace(
-            self,
-            rotation=rotation,
-            offset=self.offset + offset * self.translation[:, 0],
-            translation=ratio * self.translation,
-            angular=ratio * self.angular,
-            linear=ratio * self.linear,
-            ratio=self.ratio * ratio,
-        )
 
     def between(self, X_PF: RigidTransform, R_MB: Array) -> FrameMotion:
         """Return the same motion, of a frame turned by R_MB, seen from P.
@@ -102,7 +85,6 @@ class FrameMotion:
             angular=R_PF @ self.angular,
             linear=R_PF @ self.linear,
             offset=X_PF.multiply(self.offset),
-            ratio=self.ratio,
         )
 
 

@@ -88,7 +88,6 @@ MOBILIZER = np.dtype(
         ("velocities", np.int64, (2,)),
         ("count", np.int64),  # of the velocities that move the body
         ("features", np.int64),
-        ("ratio", float),  # of the angle to the position that it follows
         ("rotation", float, (9, 9)),
         ("offset", float, (3,)),
         ("translation", float, (3, 7)),
@@ -138,7 +137,6 @@ def records_of(mobilizers: Sequence[Mobilizer], gravity: Array) -> TreeRecords:
         record["parent"], record["body"] = mobilizer.parent, mobilizer.body
         record["positions"], record["velocities"] = ((x.start, x.stop - x.start) for x in (q, v))
         record["count"], record["features"] = len(mobilizer.dofs), joint.features
-        record["ratio"] = joint.ratio
         for name in ("rotation", "translation", "angular", "linear"):
             matrix = getattr(joint, name)
             record[name][:, : matrix.shape[1]] = matrix
@@ -156,7 +154,7 @@ def features_of(mobilizer: Record, q: Numbers, n: int, out: Numbers) -> int:
         out[0] = 1.0
         return 1
     if kind == _ANGLE:
-        angle = mobilizer.ratio * q[n, first + number - 1]
+        angle = q[n, first + number - 1]
         out[0], out[1], out[2] = 1.0, np.cos(angle), np.sin(angle)
         return 3
     x, y, z = q[n, first], q[n, first + 1], q[n, first + 2]

@@ -24,7 +24,7 @@ from typing import Literal, get_args, get_type_hints
 
 import numpy as np
 from numpy.polynomial.polynomial import polyder, polyval
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RotationMatrix
 from scipy.interpolate import CubicSpline
 
 from geodrake.boundary.arguments import file_path, instance, instances, number, real_array
@@ -56,9 +56,9 @@ _AXES = np.eye(3)
 _TURN = axis_motion(_AXES[2])
 
 
-def _at(motion: FrameMotion, x: float) -> FrameMotion:
-    """Return a motion at a place on the x axis, m."""
-    return motion.between(RigidTransform([x, 0.0, 0.0]), _AXES)
+def _at(motion: FrameMotion, x: float, angle: float = 0.0) -> FrameMotion:
+    """Return a motion at a place on the x axis, m, turned about z by an angle, rad."""
+    return motion.between(RigidTransform(RotationMatrix.MakeZRotation(angle), [x, 0.0, 0.0]), _AXES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,9 +298,9 @@ class FourBarLinkage(OneJoint):
         return linkage(
             f"the four-bar linkage of {self.actuator}",
             [
-                (self.actuator, -1, _TURN.following(1.0, self.crank_angle)),
+                (self.actuator, -1, _at(_TURN, 0.0, self.crank_angle)),
                 ("coupler", 0, _at(_TURN, self.crank)),
-                (self.joint, -1, _at(_TURN, self.ground).following(1.0, self.rocker_angle)),
+                (self.joint, -1, _at(_TURN, self.ground, self.rocker_angle)),
             ],
             [(1, self.coupler), (2, self.rocker)],
             [0.0, coupler, half],
@@ -333,8 +333,8 @@ class LinearActuator(OneJoint):
             f"the cylinder {self.actuator}",
             [
                 ("pivot", -1, _at(_TURN, self.base)),
-                (self.actuator, 0, slide_motion(_AXES[0]).following(1.0, self.length)),
-                (self.joint, -1, _TURN.following(side, self.angle)),
+                (self.actuator, 0, _at(slide_motion(_AXES[0]), self.length)),
+                (self.joint, -1, _at(axis_motion(side * _AXES[2]), 0.0, self.angle)),
             ],
             [(1, 0.0), (2, self.lever)],
             [
