@@ -149,7 +149,8 @@ def test_stl_meshes_of_models_in_other_files_are_shown_and_collide(tmp_path, nam
     folder.mkdir()
     write_stl(folder / "arm.stl")
     (tmp_path / "package.xml").write_text("<package><name>x</name></package>")
-    shapes = "".join(MESH.format(kind=kind, file="arm.stl") for kind in ("visual", "collision"))
+    places = {"visual": "package://x/arms/arm.stl", "collision": "arm.stl"}
+    shapes = "".join(MESH.format(kind=kind, file=file) for kind, file in places.items())
     (folder / "r.urdf").write_text(ROBOT.format(shapes=shapes))
     add = "- add_model: {{name: {0}, file: package://x/arms/r.urdf}}\n"
     include = "<include><name>{0}</name><uri>arms/r.urdf</uri></include>"

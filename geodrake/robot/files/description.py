@@ -91,7 +91,7 @@ class ModelDescription:
 
     def add_every_package(self, packages: PackageMap) -> None:
         """Make packages known, geometry's too; folders above the file by their own names."""
-        files = {self.path, *(text.path for text in self.texts)}
+        files = {self.path, *(text.path for text in self.every)}
         texts = (read_expanded(file, self.given).decode(errors="replace") for file in files)
         names = {name for text in texts for name in named_packages(text)}
         add_packages(packages, self.path, names, self.given.packages)
