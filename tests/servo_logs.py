@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from diagrams.benchmarks.servo_gains import STEP, Servos, simulated
+from diagrams.benchmarks.simulated.servos import STEP, Servos, simulated
 from geodrake.logs import JointLog
 
 PENDULUM = """

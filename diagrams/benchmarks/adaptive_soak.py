@@ -205,7 +205,7 @@ def judge(
 
 
 def distances(control: ControlModel, estimates: Array) -> Array:
-    """Geodesic distances (N,) of estimates from the truth: of all bodies and effects together."""
+    """Return geodesic distances (N,) of estimates from the truth, bodies and effects together."""
     bodies = control.num_inertial
     truth = pseudo_inertia(control.phi(control.prior))
     phi = estimates[:, :bodies].reshape(len(estimates), -1, 10)

@@ -175,7 +175,7 @@ def cpu_times(made: tuple[Diagram, Context], duration: float) -> list[float]:
 
 
 def measure(arm: Arm, *, duration: float, repeats: int) -> dict[str, list[float]]:
-    """CPU seconds a simulated second of all pieces of everything, `repeats` times in turn."""
+    """Return CPU seconds a simulated second of all pieces, `repeats` times in turn."""
     work: dict[str, Callable[[], tuple[Diagram, Context]]] = {
         "plant": lambda: plant_alone(arm),
         "loop": lambda: closed_loop(arm),

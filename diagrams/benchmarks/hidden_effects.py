@@ -278,7 +278,7 @@ def _measured(
 def _sites(
     kinds: list[truths.Truth], load: engines.Array, rng: engines.Generator
 ) -> list[truths.Site]:
-    """Where effects act; two on joints share one in half of the logs."""
+    """Return where effects act; two on joints share one in half of the logs."""
     found: list[truths.Site] = []
     n, turns = load.shape[1], (np.diff(np.sign(load), axis=0) != 0).sum(0)
     turning = np.flatnonzero(turns >= min(_TURNS, turns.max()))
@@ -384,7 +384,7 @@ def _told(draw: Draw, recording: Recording) -> RobotModel:
 
 
 def _over_floor(draw: Draw, recording: Recording, found: Investigation) -> float:
-    """Final held-out error over that of the true model, which noise of all sensors makes alone."""
+    """Return the final held-out error over that of the true model, which is noise alone."""
     bandwidth = found.case.trajectories[0].filter.bandwidth
     bare = compare(engines.robot_model(draw.robot), [recording.bare], bandwidth=bandwidth).errors
     pairs = zip(bare.joints, found.explanation.end.joints, strict=True)
@@ -454,7 +454,7 @@ def _goes_with(correlate: Correlate, secret: Secret) -> bool:
 
 
 def smallest_of(draw: Draw) -> dict[str, Any]:
-    """The smallest share of the effort at which an effect is found in one log, by bisection."""
+    """Return the smallest share at which an effect is found in one log, by bisection."""
     low, high = _RANGE
     bodies = engines.robot_model(draw.robot).bodies
     known: RobotModel | None = None
@@ -547,7 +547,7 @@ def bars(rows: Sequence[Row]) -> list[Line]:
 
 
 def coverage_lines(rows: Sequence[Row]) -> list[Line]:
-    """How often 95 % intervals hold the truth: under coloured noise, and beside outside effects."""
+    """Return how often 95 % intervals hold the truth, in coloured noise or beside others."""
     lines = []
     for beside, hidden in (("coloured noise", 1), ("an outside effect beside", 2)):
         off = [z for r in _of(rows, COVERAGE) if len(r["hidden"]) == hidden for z in r["off"]]

@@ -23,10 +23,10 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize_scalar
 from scipy.signal import cont2discrete, lfilter
 
+from diagrams.benchmarks.simulated.servos import servo_spec, set_damping
 from diagrams.harness import script_parser, show, write
 from diagrams.public_data import add_folder_option, require
 from geodrake import load_model
@@ -38,12 +38,11 @@ from geodrake.identification.logs.signal_calibration import (
     servo_motions,
     with_servo_motions,
 )
+from geodrake.inertia import Array
 from geodrake.logs.files import Reading, read_log
 from geodrake.logs.motion import JointLog
 from geodrake.logs.motors import motor_named
 from geodrake.model.logged_joints import reading_for
-
-Array = NDArray[np.float64]
 
 FITTED = ("multisine", "friction_gravity")
 TESTED = ("reaching_points", "step_response", "backlash_detection")
@@ -76,19 +75,10 @@ class Fit:
 
 def arm_spec(urdf: Path, step: float) -> mujoco.MjSpec:
     """Return the arm with a servo at each joint, without its meshes and contacts."""
-    text = urdf.read_text(encoding="utf-8")
-    spec = mujoco.MjSpec.from_string(text)
-    for geom in list(spec.geoms):
-        spec.delete(geom)
-    spec.option.timestep = step
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec = servo_spec(urdf.read_text(encoding="utf-8"), step)
     for joint in spec.joints:
-        joint.limited = 0
         # By MuJoCo's defaults joints creep under dry friction, in two minutes by centimetres.
         joint.solref_friction, joint.solimp_friction = [2.0 * step, 1.0], _STIFF
-        servo = spec.add_actuator(name=joint.name, target=joint.name)
-        servo.trntype = mujoco.mjtTrn.mjTRN_JOINT
-        servo.gaintype, servo.biastype = (mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE)
         spec.add_sensor(
             name=f"{joint.name}_pos",
             type=mujoco.mjtSensor.mjSENS_JOINTPOS,
@@ -106,7 +96,7 @@ def put(spec: mujoco.MjSpec, joint: str, name: str, value: float) -> None:
     elif name == "offset":
         servo.biasprm[0] = -value
     elif name == "damping":
-        own.damping = np.array([value, 0.0, 0.0]) if np.ndim(own.damping) else value
+        set_damping(own, value)
     elif name == "coulomb":
         own.frictionloss = value
     elif name == "armature":

@@ -142,7 +142,7 @@ def cost(problem: FitProblem, x: np.ndarray) -> float:
 
 
 def solver_ratios(case: Case, repeats: int) -> dict[str, Any]:
-    """Newton against Drake's program and CVXPY's on the same triangular factor, one cold solve."""
+    """Return Newton's time against Drake's and CVXPY's on one triangular factor, from cold."""
     problem = case.problem(GAMMA)
     methods: dict[str, Callable[[], np.ndarray]] = {
         "newton": lambda: solve_newton(problem).x,
@@ -169,7 +169,7 @@ def solver_ratios(case: Case, repeats: int) -> dict[str, Any]:
 def geodesic_rows(
     case: Case, sizes: Sequence[int], gammas: Sequence[float]
 ) -> list[dict[str, Any]]:
-    """Geodesic least squares ([Lee2019] §3.4) of few samples, and the entropic fit at its residual.
+    """Return geodesic fits ([Lee2019] §3.4) to few samples, and entropic ones as near to data.
 
     The motors' inertia is known. Errors are of all samples, and RMS distances of the bodies.
     """

@@ -71,7 +71,7 @@ class Streamed:
 def stream(
     log: JointLog, control: ControlModel, update: SampleUpdate, start: Array, *, period: float
 ) -> Streamed:
-    """Plays a log to an estimator.
+    """Play a log to an estimator.
 
     Args:
         start: (p,) first estimate.

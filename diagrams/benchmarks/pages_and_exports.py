@@ -38,7 +38,7 @@ def cpu_seconds(folder: Path, *words: str | Path) -> float:
 def measured(
     folder: Path, model: Path, logs: Sequence[Path], formats: Sequence[str], seconds: float
 ) -> dict[str, Any]:
-    """One robot: times, pages, a replay of some seconds, and exports of what `explain` saves."""
+    """Return times, pages, a replay of some seconds, and exports of what `explain` saves."""
     page, saved = folder / "page.html", folder / "robot.yaml"
     explain = cpu_seconds(folder, "explain", model, *logs, "--report", page, "--save", saved)
     replay = ("--out", folder / "play.html", "--seconds", str(seconds))

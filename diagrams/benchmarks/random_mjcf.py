@@ -272,7 +272,7 @@ def reference(path: Path, left_out: set[str]) -> mujoco.MjModel:
 
 
 def difference(path: Path, rng: np.random.Generator) -> tuple[float, int, bool]:
-    """Largest difference of efforts, as a share of the largest, of joints, and if parts are out."""
+    """Return the largest relative difference of efforts, joints, and whether parts are out."""
     model = load_model(path)
     left_out = set(re.findall(r"The tendon (\w+) with stiffness", " ".join(model.left_out)))
     theirs = reference(path, left_out)

@@ -122,7 +122,7 @@ def placed(found: Candidate | Step) -> str:
 def pairs_of_days(
     model: str, logs: Sequence[str], shared: Path, pairs: Sequence[Sequence[str]] | None = None
 ) -> list[dict[str, Any]]:
-    """Steps on each log with the model of each other one, and the nrms of all others with them."""
+    """Return steps on each log with the model of another, and the nrms of the rest with them."""
     paths, file = {log: shared / "data" / log for log in logs}, model_file(model, shared)
     pairs = pairs or tuple(permutations(logs, 2))
     fits = {
@@ -144,7 +144,7 @@ def pairs_of_days(
 def left_out(
     study: Study, explanation: Explanation, shared: Path
 ) -> list[tuple[str, dict[str, float]]]:
-    """What every step of a study is worth on other logs: the nrms there, unfitted, without it.
+    """Return the nrms on logs that took no part, without each step of a study.
 
     Returns:
         "as found", and "none" and each effect left out of a fit of all others, one after another,

@@ -17,191 +17,30 @@ second, and of encoders with 4096 steps a turn.
 from __future__ import annotations
 
 import time
-import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from typing import Any
-from zlib import crc32
 
-import mujoco
 import numpy as np
-import pinocchio as pin
-from numpy.typing import NDArray
 
 from diagrams.benchmarks.simulated.engines import (
     ENGINES,
+    Array,
     PinocchioEngine,
     RobotFile,
+    number_of,
     robot_file,
     robot_names,
 )
 from diagrams.benchmarks.simulated.motions import FAST, make_motion
+from diagrams.benchmarks.simulated.servos import STEP, Servos, simulated
 from diagrams.harness import positive_number, run_draws, script_parser, show_values, sines, write
 from geodrake.control.rollout import commanded_motions, roll_out
 from geodrake.diagnosis import Explanation, explain
 from geodrake.effects import FittedEffect, make_effect
 from geodrake.logs.motion import JointLog
 from geodrake.model import EffortSignal, RobotModel
-
-Array = NDArray[np.float64]
-
-# Arms moved by servos, in formulas other than geodrake's.
-#
-# Pinocchio gives accelerations, and friction, armature and servos are added here by hand; MuJoCo
-# has position actuators, armature, damping and friction of its own. Nothing here comes from
-# geodrake.
-
-STEP = 0.001  # s
-_FADING = 0.002  # rad/s below which dry friction fades
-_FINER = 4  # steps in the place of one, where links have play
-_SIDES_OF_GAPS = [0.99, 0.999, 1e-5, 0.5, 2.0]  # MuJoCo's solimp
-
-
-@dataclass(frozen=True)
-class Servos:
-    """What moves the joints of an arm, and what hinders them; (n,) each."""
-
-    stiffness: Array  # kp, N·m/rad
-    damping: Array  # kd, N·m·s/rad
-    # Whether the damping acts on the rate of the command less the velocity, and not on the velocity
-    # alone.
-    knows_rate: bool
-    delay: float  # how late commands act, s, a whole number of steps
-    viscous: Array  # n·m·s/rad
-    coulomb: Array  # n·m
-    armature: Array  # kg·m²
-    limit: Array  # largest torque, N·m
-    # ki, N·m/(rad·s); it stays where the torque is at its limit and would go beyond.
-    integral: Array
-    play: Array  # half width of the gap between motor and link, rad
-
-
-def simulated(engine: str, urdf: str, servos: Servos, command: Array) -> tuple[Array, Array, Array]:
-    """Return positions, velocities and torques (N, n) of an arm that is told where to go.
-
-    Args:
-        command: (N, n) positions it is told to go to, `STEP` apart; it begins there, at rest.
-    """
-    late = round(servos.delay / STEP)
-    told = np.concatenate([np.repeat(command[:1], late, axis=0), command])[: len(command)]
-    rate = np.gradient(told, STEP, axis=0) if servos.knows_rate else np.zeros_like(told)
-    run = _by_pinocchio if engine == "pinocchio" else _by_mujoco
-    return run(urdf, servos, told, rate)
-
-
-def _by_pinocchio(
-    urdf: str, servos: Servos, told: Array, rate: Array
-) -> tuple[Array, Array, Array]:
-    model = pin.buildModelFromXML(urdf)
-    data = model.createData()
-    model.armature = servos.armature
-    q, v, summed = told[0].copy(), np.zeros(model.nv), np.zeros(model.nv)
-    positions, velocities, torques = (np.empty_like(told) for _ in range(3))
-    for k in range(len(told)):
-        raw = servos.stiffness * (told[k] - q) + servos.damping * (rate[k] - v)
-        raw = raw + servos.integral * summed
-        summed = _summed(summed, told[k] - q, raw, servos.limit)
-        torque = np.clip(raw, -servos.limit, servos.limit)
-        positions[k], velocities[k], torques[k] = q, v, torque
-        # Friction at the end of the step, so that joints that stick do not shake.
-        pin.computeAllTerms(model, data, q, v)
-        M = pin.crba(model, data, q)
-        M = np.triu(M) + np.triu(M, 1).T
-        M[np.diag_indices(model.nv)] += 0.0 if _has_armature() else servos.armature
-        free = torque - data.nle
-        v = _with_friction(M, v, free, servos)
-        q = q + STEP * v
-    return positions, velocities, torques
-
-
-def _summed(summed: Array, error: Array, raw: Array, limit: Array) -> Array:
-    """Return integrals after a step; those of joints at their limit do not go on beyond it."""
-    beyond = (np.abs(raw) > limit) & (np.sign(raw) == np.sign(error))
-    return np.where(beyond, summed, summed + STEP * error)
-
-
-def _has_armature() -> bool:
-    """Return whether `crba` adds the armature, as Pinocchio 3 does."""
-    return int(pin.__version__.split(".")[0]) >= 3
-
-
-def _with_friction(M: Array, v: Array, free: Array, servos: Servos) -> Array:
-    """Return velocities after a step, friction F tanh(v/ε) + c v implicit, by Newton's method."""
-    after = v + STEP * np.linalg.solve(M, free - servos.viscous * v)
-    for _ in range(6):
-        sign = np.tanh(after / _FADING)
-        slope = servos.viscous + servos.coulomb * (1.0 - sign**2) / _FADING
-        left = M @ (after - v) - STEP * (free - servos.viscous * after - servos.coulomb * sign)
-        step = np.linalg.solve(M + STEP * np.diag(slope), -left)
-        after = after + np.clip(step, -0.05, 0.05) if np.abs(step).max() > 0.5 else after + step
-        if np.abs(step).max() < 1e-10:
-            break
-    return after
-
-
-def _by_mujoco(urdf: str, servos: Servos, told: Array, rate: Array) -> tuple[Array, Array, Array]:
-    spec = mujoco.MjSpec.from_string(urdf)
-    spec.option.timestep = STEP
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    motors = list(spec.joints)
-    for i, joint in enumerate(motors):
-        joint.limited = 0
-        if servos.play[i]:
-            _add_play(joint, float(servos.play[i]))
-        joint.damping = _first(joint.damping, servos.viscous[i])
-        joint.armature, joint.frictionloss = servos.armature[i], servos.coulomb[i]
-        kp, kd = float(servos.stiffness[i]), float(servos.damping[i])
-        actuator = spec.add_actuator(name=f"servo{i}", target=joint.name)
-        actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
-        actuator.gaintype, actuator.biastype = (
-            mujoco.mjtGain.mjGAIN_FIXED,
-            mujoco.mjtBias.mjBIAS_AFFINE,
-        )
-        # u = kp c + kd dc/dt, so that the force is u − kp q − kd v.
-        actuator.gainprm[0], actuator.biasprm[1], actuator.biasprm[2] = 1.0, -kp, -kd
-        actuator.forcelimited = 1
-        actuator.forcerange = [-servos.limit[i], servos.limit[i]]
-    steps = 1
-    if servos.play.any():  # its sides are stiff
-        steps, spec.option.timestep = _FINER, STEP / _FINER
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    at_q, at_v = (
-        np.array([getattr(model.joint(joint.name), name)[0] for joint in motors])
-        for name in ("qposadr", "dofadr")
-    )
-    data.qpos[at_q] = told[0]
-    positions, velocities, torques = (np.empty_like(told) for _ in range(3))
-    summed = np.zeros(len(motors))
-    for k in range(len(told)):
-        data.ctrl[:] = servos.stiffness * told[k] + servos.damping * rate[k]
-        data.ctrl[:] += servos.integral * summed
-        raw = data.ctrl - servos.stiffness * data.qpos[at_q] - servos.damping * data.qvel[at_v]
-        summed = _summed(summed, told[k] - data.qpos[at_q], raw, servos.limit)
-        positions[k], velocities[k] = data.qpos[at_q], data.qvel[at_v]
-        mujoco.mj_step(model, data, steps)
-        torques[k] = data.actuator_force
-    return positions, velocities, torques
-
-
-def _add_play(joint: mujoco.MjsJoint, half_width: float) -> None:
-    """Add a joint after that of the motor, about the same axis, which turns within a gap."""
-    play = joint.parent.add_joint(name=f"{joint.name}_play", axis=joint.axis, pos=joint.pos)
-    play.type = joint.type
-    play.limited, play.range = 1, [-half_width, half_width]
-    play.solref_limit, play.solimp_limit = [2.0 * STEP / _FINER, 1.0], _SIDES_OF_GAPS
-
-
-def _first(values: object, number: float) -> object:
-    """Return a number in the form that a field of MuJoCo has: alone, or the first of several."""
-    if np.ndim(values) == 0:
-        return number
-    filled = np.zeros(np.shape(values))
-    filled[0] = number
-    return filled
-
 
 PENDULUM = "pendulum"
 _EVERY = 0.004  # s, between rows of a log
@@ -264,7 +103,7 @@ def make_servo_log(draw: ServoDraw) -> ServoLog:
     without.
     """
     words = f"{draw.robot} {draw.engine} {draw.knows_rate}"
-    rng = np.random.default_rng([draw.seed, draw.number, crc32(words.encode())])
+    rng = np.random.default_rng([draw.seed, draw.number, number_of(words)])
     file = servo_file(draw.robot)
     engine = PinocchioEngine(file)
     time = np.arange(0.0, draw.duration + _SETTLED, STEP)
@@ -336,16 +175,6 @@ def servo_file(name: str) -> RobotFile:
     return robot_file("double_pendulum").holding(name, ["elbow"])
 
 
-def limited_model(name: str, joints: Sequence[str], limits: Array) -> RobotModel:
-    """Return the same with limits (n,) of torques, N·m, in the file."""
-    root, largest = ET.fromstring(servo_file(name).text), dict(zip(joints, limits, strict=True))
-    for joint in root.iter("joint"):
-        limit = joint.find("limit")
-        if limit is not None and joint.get("name") in largest:
-            limit.set("effort", repr(float(largest[joint.get("name", "")])))
-    return RobotFile(f"{name}_limited", ET.tostring(root, encoding="unicode")).model
-
-
 ARMATURE = "rotor_inertia"
 HIDDEN = {"coulomb_friction": "coulomb", "viscous_friction": "viscous", ARMATURE: "inertia"}
 """Effects that every joint has, and the parameter of each that is reported."""
@@ -359,7 +188,9 @@ def score_servo(draw: ServoDraw) -> dict[str, Any]:
     """Return a row of the table."""
     made, model = make_servo_log(draw), servo_file(draw.robot).model
     if draw.limited:
-        model = limited_model(draw.robot, made.log.joints, made.servos.limit)
+        limits = map(repr, made.servos.limit.tolist())
+        stated = dict(zip(made.log.joints, limits, strict=True))
+        model = servo_file(draw.robot).changed(f"{draw.robot}_limited", effort=stated).model
     began = time.process_time()
     found = explain(model, [made.log])
     seconds = time.process_time() - began
@@ -407,7 +238,7 @@ def _damping(signals: Sequence[EffortSignal]) -> list[str]:
 
 
 def _in_set(made: ServoLog, found: Explanation) -> dict[str, Any]:
-    """Whether every notable effect is among what was found, or what cannot be told from it."""
+    """Return whether what was found, or cannot be told from it, has every notable effect."""
     position = made.log.position
     velocity = np.gradient(position, made.log.time, axis=0)
     motions = {
@@ -428,7 +259,7 @@ def _in_set(made: ServoLog, found: Explanation) -> dict[str, Any]:
 
 
 def _motion(made: ServoLog, model: RobotModel, found: Explanation) -> dict[str, Any]:
-    """Departures from the motion under the commands: of what was found and of the true model.
+    """Return departures from the motion under the commands, of what was found and of the truth.
 
     They are shares of what each joint moves; those on the way are before and after every step.
     """

@@ -124,7 +124,7 @@ def sway(rng: Generator) -> Reference:
 
 
 def shuttle(rng: Generator, reach: float = 0.08) -> Reference:
-    """Back and forth at one speed through a few degrees: a triangle wave with rounded corners."""
+    """Return a triangle wave with rounded corners, a few degrees back and forth at one speed."""
     rates = 2.0 * np.pi * np.array([0.13, 0.19]) * rng.uniform(0.9, 1.1, 2)
     phases, order = rng.uniform(0.0, 2.0 * np.pi, 2), np.arange(1, 24, 2)[:, None]
     triangle = 8.0 / np.pi**2 * (-1.0) ** ((order - 1) // 2) / order**2
@@ -134,7 +134,7 @@ def shuttle(rng: Generator, reach: float = 0.08) -> Reference:
 
 
 def sweep(rng: Generator) -> Reference:
-    """In one direction at one slow speed."""
+    """Return in one direction at one slow speed."""
     start = np.array([-0.3, 0.6]) + rng.uniform(-0.05, 0.05, 2)
     speed = 0.08 * rng.uniform(0.9, 1.1, 2)
 
@@ -225,7 +225,7 @@ def separation_of(case: Case) -> Separation:
 
 
 def run(draw: Draw, *, iterations: int) -> dict[str, Any]:
-    """What the first log leaves ambiguous, and, if that is the pair, what other motions show.
+    """Return what the first log leaves ambiguous and, if it is the pair, what others show.
 
     Args:
         iterations: Most iterations of the solver in each of its two stages.
@@ -283,7 +283,7 @@ def measured(draw: Draw, name: str, size: float, motion: Reference, duration: fl
 
 
 def deviations(case: Case, size: float, motion: Reference, duration: float) -> float:
-    """By how many deviations of the noise the robot differs from the best that its rival can do."""
+    """Return by how many deviations of the noise a robot differs from the best of its rival."""
     q, v, vd = motion(np.linspace(0.0, duration, SAMPLES))
     separation = separation_of(case)
     pair = next(p for p in separation.pairs if p.truth == case.truth)

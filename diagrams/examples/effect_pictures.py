@@ -136,7 +136,7 @@ BY_THEMSELVES: dict[type[Effect], Callable[[RobotMotion], Array]] = {
 
 
 def draw(residual: Array, motion: RobotMotion, joint: str, path: Path) -> None:
-    """The residual over time, speed and position of its joint."""
+    """Draw the residual over time, speed and position of its joint."""
     j = motion.index(joint)
     t, q, v = np.asarray(motion.time), motion.q[:, j], motion.v[:, j]
     figure = Figure(figsize=(7.2, 1.7), dpi=100, layout="constrained")

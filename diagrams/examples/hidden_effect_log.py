@@ -104,7 +104,7 @@ DEMO = Scenario(
 
 
 def simulate(*, scenario: Scenario) -> JointLog:
-    """Simulates a scenario and logs it.
+    """Simulate a scenario and log it.
 
     Raises:
         ArgumentError: There is no such robot, effect or place.
@@ -116,7 +116,7 @@ def simulate(*, scenario: Scenario) -> JointLog:
 
 
 def load(scenario: Scenario, *, hidden: bool = True) -> MultibodyPlant:
-    """The plant of the model file with a drive at every joint, and with the bodies it hides."""
+    """Return the plant of the model file with drives at its joints, and with hidden bodies."""
     if scenario.robot not in ROBOTS:
         raise ArgumentError(f"There is no robot {scenario.robot!r}.", advice=f"Choose of {ROBOTS}.")
     plant = MultibodyPlant(TIME_STEP)
@@ -236,7 +236,7 @@ def scenario_of(options: argparse.Namespace) -> Scenario:
 
 
 def main() -> None:
-    """Simulates, prints, and writes what was asked for."""
+    """Simulate, print, and write what was asked for."""
     options = read_options()
     try:
         scenario = scenario_of(options)

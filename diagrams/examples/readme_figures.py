@@ -35,7 +35,7 @@ def explain_demo(*, quick: bool) -> Explanation:
 
 
 def pictures_of_pages(found: Explanation, folder: Path) -> None:
-    """Pictures of the pages that commands make of the demo, and of what it finds."""
+    """Draw the pages that commands make of the demo, and of what it finds."""
     with as_file(files("geodrake") / "demo") as demo, TemporaryDirectory() as work:
         model, log, saved = demo / "demo.urdf", demo / "demo.csv", Path(work) / "arm.yaml"
         save_model(found.model, saved)

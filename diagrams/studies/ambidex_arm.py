@@ -116,7 +116,7 @@ def identified(prior: Array, measured: Measurements) -> IdentificationResult:
 def training_data(
     draw: int, count: int, friction: Array, seed: int, measured: Measurements
 ) -> Array:
-    """Triangular factor of [bodies | torque without friction] of consecutive random samples."""
+    """Return the factor of [bodies | torque without friction] of consecutive random samples."""
     if count == len(measured.torque):
         bodies, rest = np.split(measured.full, [measured.truth.size], axis=1)
         return np.column_stack([bodies, rest[:, -1] - rest[:, :-1] @ friction])
@@ -270,7 +270,7 @@ def link_figure(arm: Arm, models: Sequence[EllipsoidSet]) -> Figure:
 
 
 def example(measured: Measurements, seed: int) -> list[EllipsoidSet]:
-    """Truth, prior, and fits to 30 samples of the first draw, as far as there are solutions."""
+    """Return truth, prior, and fits to 30 samples of the first draw, if there are solutions."""
     _, prior = prior_of(0, seed, measured)
     friction = identified(prior, measured).extra
     data = training_data(0, EXAMPLE, friction, seed, measured)

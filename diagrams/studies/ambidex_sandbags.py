@@ -93,7 +93,7 @@ PLANT_STEP = 5e-4  # s
 
 
 def joint_map() -> Array:
-    """J (10, 7)."""
+    """Return J (10, 7)."""
     J = np.zeros((10, 7))
     J[FIRST, range(7)] = SHARES
     for first, second in PAIRS:
@@ -234,7 +234,7 @@ class CoupledArm:
 
 
 def make_coupled_plant(bags: Sequence[int]) -> MultibodyPlant:
-    """The true arm with sandbags at links, to be simulated: ten joints, coupled by constraints."""
+    """Return the true arm with sandbags at links: ten joints, coupled by constraints."""
     plant = MultibodyPlant(PLANT_STEP)
     plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
     (instance,) = Parser(plant).AddModels(str(MODEL))
@@ -273,7 +273,7 @@ DURATION = 1.5  # s of a motion, [Lee2019] §5.6
 
 @cache
 def known_arm(seed: int) -> Known:
-    """The arm as identified from the motions of `ambidex_arm.py` with the entropic divergence."""
+    """Return the arm as it is identified from the motions of `ambidex_arm.py`."""
     measured = measure(Arm.load(), seed=seed, hull=HULL)
     result = identified(prior_of(0, seed, measured)[1], measured)
     return Known(result.phi, result.extra[:7], result.extra[7:])
@@ -319,7 +319,7 @@ def simulate_coupled(
     seed: int,
     end: float | None = None,
 ) -> loop.Record:
-    """Simulates the arm with sandbags over a motion of its turns, to `end`, or until it is lost."""
+    """Simulate the arm with sandbags over a motion of its turns, to `end`, or until it is lost."""
     builder = DiagramBuilder()
     plant = builder.AddSystem(make_coupled_plant(bags))
     turns = np.linalg.pinv(joint_map())
@@ -335,7 +335,7 @@ def simulate_coupled(
 
 
 def _add_friction(builder: DiagramBuilder, plant: MultibodyPlant, seed: int) -> None:
-    """Friction that parameters explain, and friction that they do not."""
+    """Add friction that parameters explain, and friction that they do not."""
     joints = [plant.get_joint(index).name() for index in plant.GetJointIndices()]
     moving = [name for name in joints if plant.GetJointByName(name).num_velocities()]
     known = Known.true(Arm.load().phi).friction(moving)

@@ -156,7 +156,7 @@ def identify(
 
 
 def validate(stance: Stance, motions: list[Motion], delta: np.ndarray) -> dict[str, Any]:
-    """RMS errors of wrenches, of efforts and of accelerations, for errors δ (p,) of parameters."""
+    """Return RMS errors of wrenches, efforts and accelerations for errors δ (p,) of parameters."""
     truth = stance.model
     context, wrench, effort, acceleration = truth.plant.CreateDefaultContext(), [], [], []
     target = target_of(stance, truth.phi)

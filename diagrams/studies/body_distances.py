@@ -75,7 +75,7 @@ def normalized(name: str, unit: str, x: np.ndarray, bodies: tuple[Any, Any], at:
 
 
 def position_curves(points: int) -> Curves:
-    """Figure 3.3(a): the same body with its centre moved by one length in every direction."""
+    """Return figure 3.3(a): the same body with its centre moved in every direction."""
     angle = np.linspace(0.0, 180.0, points)
     target = long_body()
     direction = turns(np.deg2rad(angle))[..., 0]
@@ -156,7 +156,7 @@ def measure(*, quick: bool, seed: int) -> dict[str, Any]:
 
 
 def add_body(axes: Any, phi: np.ndarray, **look: Any) -> None:
-    """The outline of a body's equivalent ellipsoid in the xy-plane."""
+    """Draw the outline of a body's equivalent ellipsoid in the xy-plane."""
     body = equivalent_ellipsoid(phi)
     shape = (body.rotation * body.semi_axes**2) @ body.rotation.T
     squares, sides = np.linalg.eigh(shape[:2, :2])
@@ -216,7 +216,7 @@ def draw_curves(curves: Sequence[Curves], note: str = "") -> Figure:
 
 
 def main() -> None:
-    """Measures, prints, and writes what was asked for."""
+    """Measure, print, and write what was asked for."""
     options = script_parser(__doc__, figures=True).parse_args()
     table = measure(quick=options.quick, seed=options.seed)
     print(json.dumps({key: value for key, value in table.items() if key != "curves"}, indent=2))

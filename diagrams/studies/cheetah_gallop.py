@@ -59,7 +59,7 @@ class Quantity:
     components: int  # number of components that a sample has
 
     def rms(self, error: Array) -> float:
-        """RMS over samples of the size of the error that errors (6, 10) of the parameters make."""
+        """Return the RMS size over samples of what errors (6, 10) of the parameters make."""
         values = (self.rows @ error.ravel()).reshape(-1, self.components)
         return float(np.sqrt(np.mean(np.square(values).sum(1))))
 
@@ -109,7 +109,7 @@ def gallop(time: Array) -> Motion:
 
 
 def quantities(model: RobotModel, motion: Motion) -> dict[str, Quantity]:
-    """Joint torques, and force and moment on the trunk, in its frame."""
+    """Return joint torques, and force and moment on the trunk, in its frame."""
     tree, state = model.tree, (motion.q, motion.v, motion.vd)
     trunk = body_poses(tree, motion.q)[:, tree.bodies.index("trunk")]
     wrench = base_wrench_regressor(tree, *state, X_WP=trunk)

@@ -51,7 +51,7 @@ COORDINATES = (
 
 
 def motions(A: Array, offset: Array, samples: int) -> tuple[Array, Array]:
-    """Columns g cos q and q̈ (..., samples) of motions with amplitudes and offsets (...), rad."""
+    """Return g cos q and q̈ (..., samples) of motions with amplitudes and offsets (...), rad."""
     t = np.linspace(0.0, 2.0, samples)
     q = A[..., None] * np.sin(2 * np.pi * t) + offset[..., None]
     return GRAVITY * np.cos(q), -((2 * np.pi) ** 2) * A[..., None] * np.sin(2 * np.pi * t)
@@ -86,7 +86,7 @@ def criterion_map(coordinates: Coordinates, K: Array, columns: tuple[Array, Arra
 
 
 def run(points: int, samples: int) -> dict[str, Any]:
-    """Maps of every normalization in every coordinates, and where they are least."""
+    """Return maps of every normalization in every coordinates, and where they are least."""
     A = np.linspace(0.05, LARGEST, points)
     offset = np.linspace(-np.pi / 2, np.pi / 2, points + 1 - points % 2)
     grid = np.meshgrid(A, offset, indexing="ij")

@@ -82,7 +82,7 @@ class Human:
         return float(self.prior[:, 0].sum())
 
     def gamma(self, alpha: float) -> float:
-        """γ = α tr(AᵀΣ⁻¹A)."""
+        """Return γ = α tr(AᵀΣ⁻¹A)."""
         return alpha * float(np.square(self.A / self.sigma[:, None]).sum())
 
     def at(self, steps: Steps) -> Human:
@@ -91,7 +91,7 @@ class Human:
         return replace(self, A=self.A[rows], b=self.b[rows], sigma=self.sigma[rows])
 
     def errors(self, phi: Array) -> Array:
-        """(T, 3) errors of the vertical force, N, and of the zero-moment point's x and y, cm."""
+        """Return (T, 3) errors of the vertical force, N, and of the zero-moment point, cm."""
         wrenches = np.stack([self.A @ phi.ravel(), self.b]).reshape(2, -1, ROWS)
         points = 100.0 * wrenches[..., [1, 0]] / wrenches[..., 2:]
         predicted, measured = np.concatenate([wrenches[..., 2:], points], axis=-1)
@@ -255,7 +255,7 @@ def compare(human: Human, alpha: float, points: PointMasses) -> RegularizerCompa
 
 
 def held_out(human: Human, points: PointMasses, number: int) -> dict[str, list[Array]]:
-    """Errors (t, 3) of each of as many blocks, from fits to the others, for every regularizer."""
+    """Return errors (t, 3) of each block, from fits to the others, for every regularizer."""
     found: dict[str, list[Array]] = {name: [] for name in REGULARIZERS}
     for training, test in track(list(blocks(human.steps, number, GAP)), "blocks", transient=True):
         for name, fit in compare(human.at(training), BASELINE, points).results.items():

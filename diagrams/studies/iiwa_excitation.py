@@ -62,12 +62,12 @@ def identified_by(
 
 
 def root_covariance(found: IdentifiableParameters) -> Array:
-    """(p, n_B) R with R Rᵀ the covariance of parameters, up to changes that data cannot see."""
+    """Return R (p, n_B), R Rᵀ the covariance of parameters but for what data cannot see."""
     return np.asarray(found.directions * np.sqrt(found.variances))
 
 
 def parameter_error(found: IdentifiableParameters, truth: Array) -> float:
-    """√(E⟨δ, δ⟩/n_B) in the pushforward metric at the true bodies (nb, 10), [Lee2019] §4.6.2."""
+    """Return √(E⟨δ, δ⟩/n_B) in the pushforward metric at the truth (nb, 10), [Lee2019] §4.6.2."""
     B = found.target.base.matrix
     H = pushforward_metric(B, truth)
     R = B @ root_covariance(found)
@@ -165,7 +165,7 @@ class Validation:
         return cls(model, inverse_dynamics_regressor(model.tree, q, v, vd), np.array(mass))
 
     def errors(self, target: Target, trajectory: ExcitationTrajectory) -> dict[str, object]:
-        """Expected errors of what least squares make of a motion at 1 kHz, as in table 4.2."""
+        """Return errors to be expected of least squares for a motion at 1 kHz, as in table 4.2."""
         found = identified_by(target, trajectory, round(DURATION * RATE))
         effort, acceleration = effort_errors(found, self.regressor, self.mass)
         by_group = [
@@ -225,7 +225,7 @@ def design(cell: Cell, *, plan: Plan) -> dict[str, Any]:
 
 
 def values_by_base(found: dict[str, Any], bases: int, plan: Plan) -> list[float]:
-    """The criterion of one motion, normalized as it was designed, in every representation."""
+    """Return the criterion of a motion, normalized as in its design, in every representation."""
     model = plan.robot
     motion = family(plan.modes).basis(np.linspace(0.0, DURATION, plan.samples))
     q, v, vd = motion @ np.array(found["coefficients"])

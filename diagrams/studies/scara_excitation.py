@@ -73,7 +73,7 @@ FRAMES = {
 
 
 def payload(mass: float, com: tuple[float, float], gyration: float) -> SpatialInertia:
-    """A uniform sphere in frame {3}; its moment about z is that about the frame's own origin."""
+    """Return a uniform sphere in frame {3}, by its moment about the frame's own z-axis."""
     p = np.array([*com, 0.0])
     own = mass * (gyration**2 - p @ p)
     return SpatialInertia.MakeFromCentralInertia(mass, p, RotationalInertia(own, own, own))
@@ -185,7 +185,7 @@ def errors(trajectory: ExcitationTrajectory) -> dict[str, float]:
 
 
 def spread(rows: Sequence[dict[str, Any]], normalization: str) -> dict[str, float]:
-    """How much frames matter: to the criterion of the same samples, to errors, and to samples."""
+    """Return how much frames matter to the criterion of the same samples, to errors, to samples."""
     own = [row for row in rows if row["normalization"] == normalization]
     return {
         "criterion_largest_over_smallest_less_1": max(

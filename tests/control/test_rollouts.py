@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from two_masses import INERTIA, WEIGHT
 from typer.testing import CliRunner
 
-from diagrams.benchmarks.servo_gains import STEP, Servos, simulated
+from diagrams.benchmarks.simulated.servos import STEP, Servos, simulated
 from diagrams.harness import sines
 from geodrake import effects, load_model, save_model
 from geodrake.cli.app import app

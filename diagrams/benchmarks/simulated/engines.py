@@ -295,7 +295,7 @@ def mass_com_inertia(P: Array) -> Body:
 
 
 def congruent(P: Array, distance: float, rng: Generator) -> Array:
-    """Bodies near (n, 4, 4) ones: L exp(S) Lᵀ with P = L Lᵀ and random symmetric S.
+    """Return bodies near (n, 4, 4) ones: L exp(S) Lᵀ with P = L Lᵀ and random symmetric S.
 
     S is isotropic in the affine-invariant metric tr(P⁻¹ dP P⁻¹ dP): a mass changes by a share of
     about `distance`, and so does every second moment.

@@ -46,7 +46,7 @@ def motion_range(engine: Engine) -> tuple[Array, Array, Array]:
 
 
 def _multisine(center: Array, reach: Array, speed: Array, time: Array, rng: Generator) -> Motion:
-    """Sums of sines q = centre + Σ a sin(ω t + φ), which do not repeat; slow ones if slow."""
+    """Return sums of sines q = centre + Σ a sin(ω t + φ), which do not repeat."""
     n = len(center)
     # A wave that fills the reach at this speed, and its multiples.
     base = float(np.clip(np.median(speed / reach) / 2.5, 0.25, 0.65))

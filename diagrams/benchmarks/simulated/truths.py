@@ -211,14 +211,14 @@ def _heights(rng: Generator) -> Values:
 
 @of_joint
 def _asymmetric(own: Signals, other: Signals, rng: Generator) -> Array:
-    """Friction whose height and slope are larger by the same share in one direction."""
+    """Return friction whose height and slope are larger by the same share in one direction."""
     direction = smooth_sign(own.v)
     return (1.0 + _skew(rng) * direction) * (direction + own.v / np.abs(own.v).max())
 
 
 @of_joint
 def _stribeck(own: Signals, other: Signals, rng: Generator) -> Array:
-    """Friction with a dip as 1 / (1 + (v/vs)²), or one that falls like a bell."""
+    """Return friction with a dip as 1 / (1 + (v/vs)²), or one that falls like a bell."""
     excess, share, is_bell = rng.uniform(0.6, 1.2), rng.uniform(0.05, 0.2), rng.random() < 0.5
     square = (own.v / (share * np.abs(own.v).max())) ** 2
     dip = np.exp(-square) if is_bell else 1.0 / (1.0 + square)
@@ -227,12 +227,12 @@ def _stribeck(own: Signals, other: Signals, rng: Generator) -> Array:
 
 @of_joint
 def _nonlinear_viscous(own: Signals, other: Signals, rng: Generator) -> Array:
-    """A power of the speed that is smooth about zero."""
+    """Return a power of the speed that is smooth about zero."""
     return own.v * np.hypot(own.v, 1e-3) ** (rng.uniform(1.6, 2.6) - 1.0)
 
 
 def _belt(seen: Seen, site: Site, size: float) -> Array:
-    """Dry and viscous friction of a motor that turns with v_i ± v_j."""
+    """Return dry and viscous friction of a motor that turns with v_i ± v_j."""
     sign = site.rng.choice([-1.0, 1.0])
     w = seen.v[:, site.joint] + sign * seen.v[:, site.other]
     torque = size * (smooth_sign(w) + 0.5 * w / np.abs(w).max())
@@ -240,7 +240,7 @@ def _belt(seen: Seen, site: Site, size: float) -> Array:
 
 
 def _coupled_rotor(seen: Seen, site: Site, size: float) -> Array:
-    """A rotor that turns with the difference of two joints, [1, −1]ᵀ I (v̇_i − v̇_j).
+    """Return a rotor that turns with the difference of two joints, [1, −1]ᵀ I (v̇_i − v̇_j).
 
     One that turns with the sum is the same as a heavier link where two axes are parallel.
     """
@@ -250,20 +250,20 @@ def _coupled_rotor(seen: Seen, site: Site, size: float) -> Array:
 
 @of_joint
 def _warming(own: Signals, other: Signals, rng: Generator) -> Array:
-    """Friction that falls as 1 / (1 + t / T), to a half at least."""
+    """Return friction that falls as 1 / (1 + t / T), to a half at least."""
     left = 0.5 + 1.0 / (1.0 + own.time / rng.uniform(5.0, 10.0))
     return left * (smooth_sign(own.v) + 0.7 * own.v)
 
 
 def _late(seen: Seen, site: Site, size: float) -> Array:
-    """Efforts by interpolation between those of earlier samples."""
+    """Return efforts by interpolation between those of earlier samples."""
     columns = [np.interp(seen.time - size, seen.time, u) for u in seen.load.T]
     return np.stack(columns, 1) - seen.load
 
 
 @of_joint
 def _compensator(own: Signals, other: Signals, rng: Generator) -> Array:
-    """A spring of zero free length between two cranks: its force times its lever."""
+    """Return a spring of zero free length between two cranks: its force times its lever."""
     at, r, s = rng.uniform(-np.pi, np.pi), 0.05, 0.3
     length = np.sqrt(r * r + s * s - 2.0 * r * s * np.cos(own.q - at))
     lever = r * s * np.sin(own.q - at) / length
@@ -272,14 +272,14 @@ def _compensator(own: Signals, other: Signals, rng: Generator) -> Array:
 
 @of_joint
 def _cogging(own: Signals, other: Signals, rng: Generator) -> Array:
-    """Waves over the position; the motion passes a few of them."""
+    """Return waves over the position; the motion passes a few of them."""
     waves, phase = rng.uniform(2.5, 12.0), rng.uniform(0.0, 2.0 * np.pi)
     return np.cos(2.0 * np.pi * waves * own.q / np.ptp(own.q) - phase)
 
 
 @of_joint
 def _hysteresis(own: Signals, other: Signals, rng: Generator) -> Array:
-    """Spring-and-slider elements that begin to slip one after the other (Maxwell slip)."""
+    """Return spring-and-slider elements that begin to slip one after the other (Maxwell slip)."""
     widths = rng.uniform(0.01, 0.03) * np.arange(1, 9)
     stretch, found = np.zeros(len(widths)), np.zeros(len(own.q))
     for k in range(1, len(found)):
@@ -289,7 +289,7 @@ def _hysteresis(own: Signals, other: Signals, rng: Generator) -> Array:
 
 
 def _payload(seen: Seen, site: Site, size: float) -> Array:
-    """A ball that the last link holds; its size is its mass."""
+    """Return a ball that the last link holds; its size is its mass."""
     rng, bodies = site.rng, seen.engine.bodies()
     center = np.array([*rng.uniform(-0.05, 0.05, 2), rng.uniform(0.05, 0.15)])
     bodies[site.joint] += size * pseudo(1.0, center, 0.05**2 * np.eye(3))
@@ -297,7 +297,7 @@ def _payload(seen: Seen, site: Site, size: float) -> Array:
 
 
 def _wrong_body(seen: Seen, site: Site, size: float) -> Array:
-    """A link that differs from the file; its size is the distance in the geometric metric."""
+    """Return a link unlike that of the file; its size is the distance in the geometric metric."""
     bodies, own = seen.engine.bodies(), slice(site.joint, site.joint + 1)
     bodies[own] = congruent(bodies[own], size / np.sqrt(10.0), site.rng)
     return seen.with_bodies(bodies)
@@ -310,19 +310,19 @@ def _level(rng: Generator) -> Values:
 
 
 def _tilt(seen: Seen, site: Site, size: float) -> Array:
-    """A base turned about a horizontal axis; its size is the angle."""
+    """Return a base turned about a horizontal axis; its size is the angle."""
     return seen.tilted(*(size * value for value in _level(site.rng).values()))
 
 
 def _drag(seen: Seen, site: Site, size: float) -> Array:
-    """Drag at a point of a body, by the engine's Jacobian."""
+    """Return drag at a point of a body, by the engine's Jacobian."""
     J = seen.engine.frames(site.joint, site.rng.uniform(-0.1, 0.1, 3), seen.q)[0][:, :3]
     v = np.einsum("nij,nj->ni", J, seen.v)
     return size * np.einsum("nij,ni->nj", J, v * np.linalg.norm(v, axis=1)[:, None])
 
 
 def _push(seen: Seen, site: Site, size: float) -> Array:
-    """A push at a point of a body during a few seconds, as of leaning on something soft."""
+    """Return a push at a point of a body during a few seconds, as of leaning on something soft."""
     rng = site.rng
     point, direction = rng.uniform(-0.1, 0.1, 3), rng.normal(size=3)
     direction /= np.linalg.norm(direction)
@@ -334,7 +334,7 @@ def _push(seen: Seen, site: Site, size: float) -> Array:
 
 
 def _soft_gear(seen: Seen, site: Site, size: float) -> Array:
-    """A gear that gives way: the link lags behind the logged motor by compliance times load."""
+    """Return a gear that gives way: the link lags behind the motor by compliance times load."""
     load = seen.load[:, site.joint]
     lag = min(size, _SOFTEST / float(np.abs(load).max())) * load
     rate = np.gradient(lag, seen.time)
@@ -342,7 +342,7 @@ def _soft_gear(seen: Seen, site: Site, size: float) -> Array:
 
 
 def _loose_gear(seen: Seen, site: Site, size: float) -> Array:
-    """A gear with play: between its stiff and damped flanks, the link moves by its load alone."""
+    """Return a gear with play: between stiff, damped flanks the link moves by its load alone."""
     j, still = site.joint, np.zeros_like(seen.v)
     unit = seen.at(j, np.ones(len(still)))
     weight = seen.engine.efforts(seen.q, still, still)
@@ -454,7 +454,7 @@ def _clock(own: Signals, other: Signals, rng: Generator) -> Array:
 
 
 def _wheel(seen: Seen, site: Site, size: float) -> Array:
-    """A wheel that spins about an axis of its link, whose turning it resists: τ = Jᵀ (ω × h)."""
+    """Return a wheel that spins in its link, whose turning it resists: τ = Jᵀ (ω × h)."""
     axis = site.rng.normal(size=3)
     J, R = seen.engine.frames(site.joint, np.zeros(3), seen.q)
     spin = np.einsum("nij,nj->ni", J[:, 3:], seen.v)
@@ -498,7 +498,7 @@ OUTSIDE = {
 
 
 def _cubic_coupling(seen: Seen, site: Site, size: float) -> Array:
-    """A spring between two joints of energy x y³."""
+    """Return a spring between two joints of energy x y³."""
     x, y = site.place(seen, site.joint), site.place(seen, site.other)
     return size * (seen.at(site.joint, y**3) + seen.at(site.other, 3.0 * x * y**2))
 
@@ -509,7 +509,7 @@ def _growing_friction(seen: Seen, site: Site, size: float) -> Array:
 
 
 def _pendulum(seen: Seen, site: Site, size: float) -> Array:
-    """A weight that swings in a link, less the same weight at the hinge, where the file has it.
+    """Return a weight that swings in a link, less the same weight at rest at the hinge.
 
     A weight that hangs quietly pulls at its hinge: what is left is the swing.
     """
@@ -556,7 +556,7 @@ def _pendulum(seen: Seen, site: Site, size: float) -> Array:
 
 
 def _saturation(seen: Seen, site: Site, size: float) -> Array:
-    """What a drive commands more and its motor does not give, at high speed under load."""
+    """Return what a drive commands more and its motor does not give, at high speed under load."""
     edge, own = site.rng.uniform(0.5, 0.8), seen.joint(site.joint)
     used = np.abs(own.v) / site.known.speed[site.joint]
     used += np.abs(own.load) / site.known.load[site.joint]
@@ -565,14 +565,14 @@ def _saturation(seen: Seen, site: Site, size: float) -> Array:
 
 
 def _taut_hose(seen: Seen, site: Site, size: float) -> Array:
-    """A hose on the difference of two angles, which pulls only when it is taut."""
+    """Return a hose on the difference of two angles, which pulls only when it is taut."""
     stretch = site.place(seen, site.joint) - site.place(seen, site.other)
     pull = size * 0.05 * np.logaddexp(0.0, (stretch - site.rng.uniform(0.1, 0.5)) / 0.05)
     return seen.at(site.joint, pull) - seen.at(site.other, pull)
 
 
 def _slipping_belt(seen: Seen, site: Site, size: float) -> Array:
-    """A link that falls behind its motor by a little more each time the load is high."""
+    """Return a link that falls behind its motor by a little more each time the load is high."""
     load = seen.load[:, site.joint]
     over = np.abs(load) / site.known.load[site.joint] - site.rng.uniform(0.4, 0.7)
     rate = size * np.maximum(over, 0.0) * np.sign(load)
@@ -580,7 +580,7 @@ def _slipping_belt(seen: Seen, site: Site, size: float) -> Array:
 
 
 def _cable_drag(seen: Seen, site: Site, size: float) -> Array:
-    """A cable that drags in one direction only, in some postures more."""
+    """Return a cable that drags in one direction only, in some postures more."""
     going = 0.5 * (1.0 + smooth_sign(seen.v[:, site.joint]))
     phase = site.rng.uniform(0.0, 2.0 * np.pi)
     posture = np.cos(2.5 * site.place(seen, site.joint) - phase)

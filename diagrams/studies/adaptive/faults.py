@@ -38,11 +38,11 @@ class Sample:
     rng: np.random.Generator
 
     def one(self) -> int:
-        """Any one of the places."""
+        """Return any one of the places."""
         return int(self.rng.integers(len(self.true)))
 
     def often(self, every: int, length: int = 1) -> bool:
-        """Whether this sample is one of the first `length` of `every`."""
+        """Return whether this sample is one of the first `length` of `every`."""
         return self.number % every < length
 
 
@@ -148,7 +148,7 @@ class WeakActuators(LeafSystem):
     """Actuators that have lost most of their strength for a while, which nobody knows."""
 
     def __init__(self, limits: Array, episodes: Sequence[Episode]) -> None:
-        """Constructs the system.
+        """Construct the system.
 
         Args:
             limits: (n,) what is left of the efforts, N·m.
@@ -170,7 +170,7 @@ class NoisyVelocities(LeafSystem):
     """Positions as they are, and velocities with white noise that is held for a millisecond."""
 
     def __init__(self, size: int, deviation: float, *, duration: float, seed: int) -> None:
-        """Constructs the system.
+        """Construct the system.
 
         Args:
             deviation: Standard deviation of the noise, rad/s.
@@ -214,7 +214,7 @@ def moments(
     seed: int = 0,
     period: float = 0.02,
 ) -> Iterator[Moment]:
-    """Simulates a loop, and reports now and then; nothing is logged.
+    """Simulate a loop, and report now and then; nothing is logged.
 
     Args:
         plant: What is controlled, in continuous time, with an actuator at each joint in turn.

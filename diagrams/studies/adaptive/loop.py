@@ -62,7 +62,7 @@ class Record:
         return np.degrees(np.sqrt(np.mean(error**2, axis=1))).round(5).tolist()
 
     def rounds(self, period: float, count: int) -> list[float | None]:
-        """RMS errors of rounds, degrees; None of those that an unstable loop did not finish."""
+        """Return RMS errors of rounds, degrees; None of those that a lost loop did not finish."""
         ends = period * np.arange(1, count + 1)
         return [
             None if self.lost and end > self.time[-1] else self.rms(end - period, end)
@@ -154,7 +154,7 @@ def resting(parts: Iterable[tuple[Array, Array]]) -> PiecewisePolynomial:
 
 
 def rounds(amplitudes: Sequence[float], period: float, joints: int) -> PiecewisePolynomial:
-    """All joints at q = A (cos(2π t / T) − 1), one round for every amplitude A, rad."""
+    """Return all joints at q = A (cos(2π t / T) − 1), one round for every amplitude A, rad."""
     t = np.linspace(0.0, period, 101)
     wave = np.cos(2.0 * np.pi * t / period) - 1.0
     return resting(

@@ -69,7 +69,7 @@ def make_plant(load: Array | None = None) -> MultibodyPlant:
 
 
 def first_estimate(sigma: float, seed: int, draw: int) -> Array:
-    """(70,) parameters of every body scaled by 1 + ε, ε normal and within ±σ ([Lee2019] §5.5.1).
+    """Return (70,) of bodies scaled by 1 + ε, ε normal and within ±σ ([Lee2019] §5.5.1).
 
     Draws of one seed and number differ by σ alone.
     """
@@ -88,7 +88,7 @@ MASS = 3.0  # kg
 
 
 def ellipsoid(mass: float, semi_axes: Array, offset: Array) -> Array:
-    """(10,) of a uniform ellipsoid about the palm's origin, its centre `offset` from `HELD`."""
+    """Return (10,) of a uniform ellipsoid in the palm's frame, `offset` from `HELD`."""
     squares = np.asarray(semi_axes, float) ** 2
     inertia = np.diag(0.2 * mass * (squares.sum() - squares))
     return from_mass_com_inertia(mass, HELD + np.asarray(offset, float), inertia)
@@ -107,7 +107,7 @@ LOADS = {
 
 
 def some_load(seed: int, number: int) -> Array:
-    """(10,) another load: 2 to 4 kg, semi-axes of 3 to 25 cm, up to 6 cm off along each axis."""
+    """Return (10,) of another load: 2 to 4 kg, semi-axes of 3 to 25 cm, up to 6 cm off."""
     rng = np.random.default_rng([seed, number])
     return ellipsoid(rng.uniform(2.0, 4.0), rng.uniform(0.03, 0.25, 3), rng.uniform(-0.06, 0.06, 3))
 

@@ -93,7 +93,7 @@ class Arm:
 
 
 def transmission() -> Transmission:
-    """Shoulder, rolling elbow, forearm, and a wrist of two rolling joints that two motors share."""
+    """Return shoulder, rolling elbow, forearm, and two rolling joints that two motors share."""
     mean_and_half_difference = LinearTransmission.of([[0.5, 0.5], [0.5, -0.5]])
     both = SideBySide((rolling_joint(), rolling_joint()))
     joints = SideBySide(
@@ -108,7 +108,7 @@ def transmission() -> Transmission:
 
 
 def friction_regressor(v: Array) -> Array:
-    """(N, 7, 14) columns of Coulomb and then viscous friction for motor velocities (N, 7)."""
+    """Return (N, 7, 14) columns of Coulomb and viscous friction for motor velocities (N, 7)."""
     columns = np.zeros((len(v), 7, 14))
     motor = np.arange(7)
     columns[:, motor, motor], columns[:, motor, 7 + motor] = np.sign(v), v
@@ -127,7 +127,7 @@ def perturbed(phi: Array, rng: np.random.Generator, delta: float) -> Array:
 
 
 def point_masses(prior: Array, hulls: Ellipsoid, rng: np.random.Generator) -> PointMasses:
-    """Points of every link, random in its hull, and nine of every rotor, with the prior's masses.
+    """Return random points of every link in its hull, nine of every rotor, and their masses.
 
     Masses are as even as the prior's parameters allow.
     """
@@ -163,7 +163,7 @@ def _points_of_link(phi: Array, hull: Ellipsoid, rng: np.random.Generator) -> tu
 
 
 def even_masses(points: Array, wanted: Array) -> Array | None:
-    """The most even masses of points (n, 3) with a pseudo inertia (4, 4); None if there are none.
+    """Return the most even masses of points (n, 3) with a pseudo inertia (4, 4), if any.
 
     Those of greatest entropy are μ_j = exp(λ · f_j), with f_j the ten moments of point j, and λ
     minimizes the convex Σ μ_j − λ · φ.
@@ -234,7 +234,7 @@ def point_to_point(arm: Arm, rng: np.random.Generator) -> Motion:
 
 
 def uneven_friction(motion: Motion, rng: np.random.Generator) -> Array:
-    """Friction (N, 7) that no parameter explains: it depends on the position, as the source found.
+    """Return friction (N, 7) that no parameter explains, by the position, as the source found.
 
     At full data it makes up most of the test error of 0.012 N·m there, and of ours.
     """
@@ -243,7 +243,7 @@ def uneven_friction(motion: Motion, rng: np.random.Generator) -> Array:
 
 
 def smoothed(position: Array) -> Motion:
-    """Motion of measured motor positions, as in the source: filtered, then differentiated."""
+    """Return the motion of measured positions, filtered, then differentiated, as in the source."""
     q = savgol_filter(position, WINDOW, ORDER, axis=0)
     v = savgol_filter(position, WINDOW, ORDER, deriv=1, delta=PERIOD, axis=0)
     return Motion(q, v, np.gradient(v, PERIOD, axis=0))
@@ -279,7 +279,7 @@ def measure(arm: Arm, *, seed: int, hull: float) -> Measurements:
 
 
 def factor_of(*columns: Array) -> Array:
-    """Triangular factor of rows with several blocks of columns (N, 7, n), the last ones (N, 7).
+    """Return the triangular factor of rows with blocks of columns (N, 7, n), the last (N, 7).
 
     Columns of zeros, which no motion excites, stay out of the factorization.
     """

@@ -64,7 +64,7 @@ class Leg:
         return inverse_dynamics_regressor(self.model.tree, motion.q, motion.v, motion.vd)
 
     def point_masses(self, number: int) -> PointMasses:
-        """Points all over the bodies' ellipsoids, so many in all, that amount to the prior."""
+        """Return points all over the bodies' ellipsoids, so many in all, as heavy as the prior."""
         counts = [len(part) for part in np.array_split(np.arange(number), len(self.prior))]
         return PointMasses.within(self.prior, ellipsoid_of_quadric(self.ellipsoids), counts)
 
@@ -159,7 +159,7 @@ class Condensed:
 
     @classmethod
     def of(cls, A: Array, b: Array) -> Condensed:
-        """From (m, p) rows and (m,) measurements."""
+        """Condense (m, p) rows and (m,) measurements."""
         factor = triangular_factor([np.column_stack([A, b])])
         U, size, Vt = np.linalg.svd(factor[:, :-1], full_matrices=False)
         rank = np.count_nonzero(size > 1e-11 * size[0])
@@ -173,7 +173,7 @@ class Condensed:
 
 
 def fit(data: Condensed, leg: Leg, kind: str | Regularizer, **more: Any) -> IdentificationResult:
-    """The fit with a regularizer and `gamma` or `residual_bound`, bodies in their ellipsoids."""
+    """Return the fit with a regularizer by `gamma` or `residual_bound`, bodies in ellipsoids."""
     ellipsoids = None if isinstance(kind, PointMassEuclidean) else leg.ellipsoids
     return identify(data.A, data.b, leg.prior, regularizer=kind, ellipsoids=ellipsoids, **more)
 
@@ -181,7 +181,7 @@ def fit(data: Condensed, leg: Leg, kind: str | Regularizer, **more: Any) -> Iden
 def fit_points(
     data: Condensed, leg: Leg, points: PointMasses, residual: float, **more: Any
 ) -> IdentificationResult:
-    """Point masses with a residual, or one that is a little higher, if no masses there have it."""
+    """Return point masses with a residual, or a little more if none have it."""
     kind = PointMassEuclidean(points)
     try:
         return fit(data, leg, kind, residual_bound=residual, **more)
@@ -195,7 +195,7 @@ def fit_points(
 def compare(
     data: Condensed, leg: Leg, points: PointMasses, **more: Any
 ) -> dict[str, IdentificationResult]:
-    """Every regularizer: γ for the entropic and the Riemannian one, its residual for the others.
+    """Return every fit: by γ the entropic and the Riemannian one, at its residual the others.
 
     Args:
         **more: Further arguments of `identify`, the same for all.
