@@ -22,12 +22,12 @@ from time import process_time
 from typing import Any
 
 import numpy as np
-from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.trajectories import PiecewisePolynomial
 
 from diagrams.harness import MODELS, run_draws, script_parser, show, write
-from diagrams.studies.adaptive.faults import FAULTS, Array, Episode, Moment, moments
+from diagrams.studies.adaptive.faults import FAULTS, Array, Episode, faulty_loop
+from diagrams.studies.adaptive.loop import Record, on_its_base
 from geodrake.control import (
     ControlModel,
     PassivityBasedAdaptiveController,
@@ -75,21 +75,16 @@ def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
     drawn = perturb(control.phi(start), 1, rng=rng, mass_uncertainty=WRONG)
     start[: control.num_inertial] = drawn.phi[0].ravel()
     controller = make_controller(draw.controller, control, robot, start)
-    seconds, memory, found = process_time(), [], list[Moment]()
-    for moment in moments(
+    seconds, memory = process_time(), list[float]()
+    how = {"limits": LIMITS, "end": draw.duration, "seed": seed}
+    found = faulty_loop(
         controller,
         make_plant(),
         make_motion(draw.duration),
         episodes,
-        limits=LIMITS,
-        end=draw.duration,
-        seed=seed,
-        period=0.05,
-    ):
-        found.append(moment)
-        if len(found) % 200 == 0:
-            gc.collect()
-            memory.append(resident())
+        seen=lambda: memory.append(resident()),
+        **how,
+    )
     numbers = judge(found, episodes, control)
     return {
         "controller": draw.controller,
@@ -111,13 +106,7 @@ def make_robot() -> RobotModel:
 def make_plant() -> MultibodyPlant:
     """Return the same, with friction as Drake's own damping, which takes a fraction of the time."""
     plant = MultibodyPlant(0.0)
-    Parser(plant).AddModels(str(MODEL))
-    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
-    for index in plant.GetJointIndices():
-        joint = plant.get_mutable_joint(index)
-        if joint.num_velocities() == 1:
-            joint.set_default_damping_vector([DAMPING])
-            plant.AddJointActuator(f"motor_{joint.name()}", joint)
+    on_its_base(MODEL, "base_link", plant, damping=DAMPING)
     plant.Finalize()
     return plant
 
@@ -161,13 +150,11 @@ def make_controller(
     )
 
 
-def judge(
-    found: Sequence[Moment], episodes: Sequence[Episode], control: ControlModel
-) -> dict[str, Any]:
+def judge(found: Record, episodes: Sequence[Episode], control: ControlModel) -> dict[str, Any]:
     """Return errors, distances and masses of a loop."""
-    time = np.array([moment.time for moment in found])
-    error = np.degrees(np.abs([moment.error for moment in found]).max(1))
-    estimates = np.array([moment.parameters for moment in found])
+    # At the start there is nothing to be judged yet.
+    time, estimates = found.time[1:], found.parameters[1:]
+    error = np.degrees(np.abs(found.error[1:]).max(1))
     distance = distances(control, estimates)
     masses = control.phi(control.prior)[:, 0]
     ratio = estimates[:, : control.num_inertial : 10] / masses
@@ -216,7 +203,8 @@ def distances(control: ControlModel, estimates: Array) -> Array:
 
 
 def resident() -> float:
-    """Return memory of this process, MB."""
+    """Return memory of this process, MB, without what is to be collected."""
+    gc.collect()
     lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
     return int(next(line for line in lines if line.startswith("VmRSS")).split()[1]) / 1024.0
 

@@ -17,7 +17,6 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
-from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
@@ -26,6 +25,7 @@ from pydrake.trajectories import PiecewisePolynomial
 from rich.progress import track
 
 from diagrams.harness import MODELS, cpu_time, script_parser, tell
+from diagrams.studies.adaptive.loop import on_its_base
 from geodrake.control import (
     BregmanProjectionEstimator,
     ControlModel,
@@ -99,14 +99,7 @@ class Arm:
         plant.SetUseSampledOutputPorts(False)
         # Without contact every approximation is the same; this one is the fastest.
         plant.set_discrete_contact_approximation(DiscreteContactApproximation.kTamsi)
-        Parser(plant).AddModels(str(ARM))
-        plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("link_0"))
-        for index in plant.GetJointIndices():
-            joint = plant.get_mutable_joint(index)
-            if joint.num_velocities() == 1:
-                joint.set_default_damping_vector([DAMPING])
-                if not plant.HasJointActuatorNamed(joint.name()):
-                    plant.AddJointActuator(joint.name(), joint)
+        on_its_base(ARM, "link_0", plant, damping=DAMPING)
         plant.Finalize()
         return plant
 

@@ -37,7 +37,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.trajectories import PiecewisePolynomial
 
 from diagrams.benchmarks.adaptive_soak import distances
-from diagrams.studies.adaptive.faults import Episode, moments
+from diagrams.studies.adaptive.faults import Episode, faulty_loop
 from geodrake.control import (
     AdaptiveComputedTorqueController,
     ControlModel,
@@ -307,10 +307,10 @@ def test_what_is_remembered_is_not_undone():
         start = perturbed(0.1, 2)
         system = predicting(error, computed, natural(0.02), parameters=start, rate=15.0)
         limits = np.full(2, np.inf)
-        found = list(moments(system, pendulum_plant(), motion(), [], limits=limits, end=3.5))
-        D = MANIFOLD.divergence(TRUTH, np.array([moment.parameters for moment in found]))
+        found = faulty_loop(system, pendulum_plant(), motion(), [], limits=limits, end=3.5)
+        D = MANIFOLD.divergence(TRUTH, found.parameters)
         assert np.diff(D).max() <= 1e-4 * D[0]
-        worst.append(max(np.abs(moment.error).max() for moment in found if moment.time > 2.0))
+        worst.append(np.abs(found.error[found.time > 2.0]).max())
     assert worst[1] < 0.3 * worst[0]
 
 
@@ -518,16 +518,14 @@ def test_a_second_of_faults_ruins_no_estimate(kind, law, friction, fault):
     episode, end = Episode(fault, BEGIN, STOP), STOP + PATIENCE + 0.5
     path = motion(duration=end + 1.0)
     plant = pendulum_plant(damping=DAMPING if friction else 0.0)
-    found = list(moments(system, plant, path, [episode], limits=LIMITS, end=end, seed=0))
-    time = np.array([moment.time for moment in found])
-    estimates = np.array([moment.parameters for moment in found])
-    error = np.array([np.abs(moment.error).max() for moment in found])
+    found = faulty_loop(system, plant, path, [episode], limits=LIMITS, end=end, seed=0)
+    time, estimates, error = found.time, found.parameters, np.abs(found.error).max(1)
     off = np.linalg.norm(estimates - system.control.prior, axis=1)
     if law == "natural":
         off = distances(system.control, estimates)  # which are geodesic
     assert off[-1] <= GROWTH * off[time <= BEGIN][-1]
     assert error[time >= STOP + PATIENCE].max() < max(USUAL, 2.0 * error[time <= BEGIN].max())
-    phi = estimates[:, : system.control.num_inertial].reshape(len(found), -1, 10)
+    phi = estimates[:, : system.control.num_inertial].reshape(len(time), -1, 10)
     if law == "natural":
         assert is_physical(phi).all()
         masses = phi[:, :, 0] / system.control.phi(system.control.prior)[:, 0]

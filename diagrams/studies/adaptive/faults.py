@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import (
     BasicVector,
     Context,
@@ -17,6 +16,7 @@ from pydrake.systems.framework import (
 )
 from pydrake.trajectories import Trajectory
 
+from diagrams.studies.adaptive.loop import Record, simulate_loop
 from geodrake.control import add_adaptive_loop
 from geodrake.control.systems import AdaptiveController
 from geodrake.inertia import Array
@@ -189,21 +189,11 @@ class NoisyVelocities(LeafSystem):
         output.SetFromVector(state)
 
 
-PLANT_STEP = 4e-3  # s, of a third-order integrator
+PLANT_STEP, LOGGED = 4e-3, 0.05  # s, steps of a third-order integrator, and between those logged
 WEAKENED = 0.15  # of the limits of efforts, what a weak actuator has
 
 
-@dataclass(frozen=True)
-class Moment:
-    """A loop at one time."""
-
-    time: float  # s
-    error: Array  # (n,) q − q_d, rad
-    parameters: Array  # (p,) the estimate
-    effort: Array  # (n,) what the controller asks for
-
-
-def moments(
+def faulty_loop(
     controller: AdaptiveController,
     plant: MultibodyPlant,
     motion: Trajectory,
@@ -212,13 +202,14 @@ def moments(
     limits: Array,
     end: float,
     seed: int = 0,
-    period: float = 0.02,
-) -> Iterator[Moment]:
-    """Simulate a loop, and report now and then; nothing is logged.
+    seen: Callable[[], object] | None = None,
+) -> Record:
+    """Simulate a loop with faults, logged.
 
     Args:
         plant: What is controlled, in continuous time, with an actuator at each joint in turn.
         limits: (n,) limits of the efforts, N·m.
+        seen: What is called every ten seconds.
     """
     builder = DiagramBuilder()
     builder.AddSystem(plant)
@@ -226,28 +217,6 @@ def moments(
     weak = builder.AddSystem(WeakActuators(WEAKENED * limits, episodes))
     builder.Connect(weak.get_output_port(), plant.get_actuation_input_port())
     ports = RobotPorts(joints, plant.get_state_output_port(), None, weak.get_input_port())
-    sensor = FaultySensor(2 * len(joints), episodes, seed=seed)
-    loop = add_adaptive_loop(builder, ports, controller, motion, sensor=sensor)
-    diagram = builder.Build()
-    root = diagram.CreateDefaultContext()
-    at_first = np.concatenate([motion.value(0.0).ravel(), motion.EvalDerivative(0.0).ravel()])
-    plant.SetPositionsAndVelocities(plant.GetMyMutableContextFromRoot(root), at_first)
-    simulator = Simulator(diagram, root)
-    config = SimulatorConfig(
-        integration_scheme="runge_kutta3", max_step_size=PLANT_STEP, use_error_control=False
-    )
-    ApplySimulatorConfig(config, simulator)
-    simulator.Initialize()
-    n = len(joints)
-    own = controller.GetMyContextFromRoot(root)
-    for k in range(1, round(end / period) + 1):
-        simulator.AdvanceTo(k * period)
-        state = loop.state.Eval(loop.state.get_system().GetMyContextFromRoot(root))
-        source = loop.desired_state.get_system()
-        wanted = loop.desired_state.Eval(source.GetMyContextFromRoot(root))
-        yield Moment(
-            root.get_time(),
-            (state - wanted)[:n],
-            controller.parameters(own),
-            loop.actuation.Eval(own),
-        )
+    how = {"sensor": FaultySensor(2 * len(joints), episodes, seed=seed), "log_period": LOGGED}
+    loop = add_adaptive_loop(builder, ports, controller, motion, **how)
+    return simulate_loop(builder, loop, plant, motion, end, step=PLANT_STEP, seen=seen)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, System
@@ -108,12 +110,23 @@ def simulate_loop(
     end: float | None,
     *,
     joints: Array | None = None,
+    step: float | None = None,
+    seen: Callable[[], object] | None = None,
 ) -> Record:
-    """Simulate a logged loop; `joints` (nq, n) has a plant's joints of what the motion says."""
+    """Simulate a logged loop.
+
+    Args:
+        joints: (nq, n) a plant's joints of what the motion says, which they are if None.
+        step: That of a loop whose plant has faults, s, which goes on when it is lost.
+        seen: What is called every ten seconds.
+    """
     diagram = builder.Build()
     root = diagram.CreateDefaultContext()
     if loop.robot is not None:
         loop.set_start(root)
+    elif step is not None:
+        at_first = np.vstack([motion.value(0.0), motion.EvalDerivative(0.0)])
+        plant.SetPositionsAndVelocities(plant.GetMyMutableContextFromRoot(root), at_first)
     simulator = Simulator(diagram, root)
     ApplySimulatorConfig(SIMULATION, simulator)
     J, gone = np.eye(motion.rows()) if joints is None else joints, [False]
@@ -127,9 +140,16 @@ def simulate_loop(
             return EventStatus.ReachedTermination(diagram, "lost")
         return EventStatus.DidNothing()
 
-    simulator.set_monitor(watch)
+    if step is None:
+        simulator.set_monitor(watch)
+    else:
+        simulator.get_mutable_integrator().set_maximum_step_size(step)
     simulator.Initialize()
-    simulator.AdvanceTo(motion.end_time() if end is None else end)
+    last = motion.end_time() if end is None else end
+    for stop in (*np.arange(10.0, last, 10.0), last) if seen else (last,):
+        simulator.AdvanceTo(stop)
+        if seen:
+            seen()
     time, logs = loop.logged(simulator.get_context())
     return Record(
         time=time,
@@ -138,6 +158,18 @@ def simulate_loop(
         lyapunov=logs["lyapunov"][:, 0] if "lyapunov" in logs else np.zeros(0),
         lost=gone[0],
     )
+
+
+def on_its_base(path: Path, base: str, plant: MultibodyPlant, *, damping: float = 0.0) -> None:
+    """Put a robot on its base into a plant, with an actuator and viscous friction at each joint."""
+    Parser(plant).AddModels(str(path))
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(base))
+    for index in plant.GetJointIndices():
+        joint = plant.get_mutable_joint(index)
+        if joint.num_velocities() == 1:
+            joint.set_default_damping_vector([damping])
+            if not plant.HasJointActuatorNamed(joint.name()):
+                plant.AddJointActuator(joint.name(), joint)
 
 
 def resting(parts: Iterable[tuple[Array, Array]]) -> PiecewisePolynomial:

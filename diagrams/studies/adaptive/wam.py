@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
 from diagrams.harness import MODELS
 from diagrams.studies.adaptive.laws import make_law
+from diagrams.studies.adaptive.loop import on_its_base
 from geodrake.control import ControlModel, PartialLaw, parameter_manifold
 from geodrake.effects import FittedEffect, Payload
 from geodrake.inertia import Array, from_mass_com_inertia, is_physical, to_spatial_inertia
@@ -55,10 +55,7 @@ def make_plant(load: Array | None = None) -> MultibodyPlant:
         load: (10,) inertial parameters of a body on the palm, about the palm's origin.
     """
     plant = MultibodyPlant(0.0)
-    Parser(plant).AddModels(str(MODEL))
-    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base"))
-    for name in load_wam().model.joints:
-        plant.AddJointActuator(name, plant.GetJointByName(name))
+    on_its_base(MODEL, "base", plant)
     if load is not None:
         body = plant.AddRigidBody(
             "load", plant.GetModelInstanceByName("wam_like"), to_spatial_inertia(load)
