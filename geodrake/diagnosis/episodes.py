@@ -192,6 +192,8 @@ def _robust_residuals(
                 weighted = weight[:, None] * A
                 H[np.ix_(felt, felt)] += weighted.T @ A
                 right[felt] += weighted.T @ b
+            untold = np.flatnonzero(np.diagonal(H) <= 0.0)  # neither by data nor by a prior
+            H[untold, untold], right[untold] = 1.0, unknowns.mean[untold]
             factor, scale = scaled_cholesky(H)
             x = scale * solved(factor, scale * right)
             left = [b - A @ x[felt] for A, felt, b in rows]

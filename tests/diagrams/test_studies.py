@@ -31,6 +31,7 @@ from diagrams.studies import scara_excitation as scara
 from diagrams.studies.adaptive import laws
 from diagrams.studies.ambidex import arm as robot
 from diagrams.studies.cheetah import leg as cheetah
+from geodrake.diagnosis import diagnose
 from geodrake.excitation import ExcitationTrajectory, FreeSamples
 from geodrake.inertia import equivalent_ellipsoid
 from geodrake.logs import Motion, read_log, write_log
@@ -336,6 +337,15 @@ def test_the_rivals_formulas_are_those_of_the_effects():
         seen = case.seen(lambda t, moved=(q, v, a): moved, np.arange(50.0))
         expected = case.effort(seen, size)
         np.testing.assert_allclose(effort, expected, rtol=1e-3, atol=1e-4)
+
+
+def test_a_motion_in_one_direction_is_diagnosed():
+    """It has neither data nor a prior for some effects, which are left as they are."""
+    case = next(case for case in CASES if case.motion == "sweep")
+    motion = MOTIONS["sweep"][0](np.random.default_rng(0))
+    log = study.measured(study.Draw(CASES.index(case), 0), "first", case.size, motion, study.FIRST)
+    found = diagnose(study.known_model(), [log])
+    assert study.stands(found, case.truth) or study.stands(found, case.rival)
 
 
 def test_the_command_that_diagnose_prints_designs_the_motion(tmp_path):
