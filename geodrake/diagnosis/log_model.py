@@ -176,7 +176,7 @@ class LogModel:
         """Form the normal matrices over all columns: model, gains, reversals, terms."""
         data, nv = self.dataset, len(self.dataset.joints)
         self._reversals = [e for e in data.effects if isinstance(e, UnresolvedReversal)]
-        sources = [self.unknowns.columns, np.full(nv + 1, -1)]
+        sources = [self.unknowns.columns, np.full(2 * nv + 1, -1)]
         sources += [data.effect_columns(effect) for effect in self._reversals]
         self.first_term = sum(map(len, sources))
         self._first_reversal = len(sources[0]) + len(sources[1])
@@ -232,7 +232,7 @@ class LogModel:
             for effect in self._reversals
             for _ in effect.parameters
         ]
-        self._nuisances = np.concatenate([gains, [unsure_delay**-2.0], unsure])
+        self._nuisances = np.concatenate([gains, np.full(nv + 1, unsure_delay**-2.0), unsure])
 
     @staticmethod
     def _felt_by(term: Term, places: Indices) -> int:
@@ -261,7 +261,7 @@ class LogModel:
             mixed[len(joint.columns) :, 1] = rates[:, j]
             self._mixed.append(mixed)
             places[j, real] = joint.local(columns[real])
-            places[j, p + np.array([j, nv])] = n, n + 1
+            places[j, p + np.array([j, nv, nv + 1 + j])] = n, n + 1, n + 1
         return places
 
     def _blocks(self) -> list[tuple[int, int, Array]]:
@@ -349,6 +349,12 @@ class LogModel:
                 weights[ends, j] = np.array([1.0, -1.0]) / (late[ends[0]] - late[ends[1]])
         share = _UNSURE_DELAY if any(self.on_time) else _ASYNCHRONOUS
         return weights, share * float(found.min())
+
+    @property
+    def delay_errors(self) -> Indices:
+        """Return where the errors of delays, of all joints and of each, are in a fit."""
+        first, nv = len(self.unknowns.columns), len(self.dataset.joints)
+        return np.arange(first + nv, first + 2 * nv + 1)
 
     def spans(self, terms: Terms) -> dict[Term, slice]:
         """Return where the parameters of terms, in this order, are among those of a fit."""
@@ -439,13 +445,18 @@ class LogModel:
             found += sorted(near, key=lambda t: abs(t.log_information - was.log_information))[:1]
         return found
 
-    def fit(self, choice: Choice, shares: Array, noise: Array | None = None) -> Fit | None:
+    def fit(
+        self, choice: Choice, shares: Array, noise: Array | None = None, *, is_timed: bool = False
+    ) -> Fit | None:
         """Fit the most probable parameters and noise of an explanation.
 
         `shares` (nv,) are independent samples over rows, and `noise` (B,), or (nv,), is the
-        variance of the noise to begin with. None if something is less than it must be.
+        variance of the noise to begin with. Delays are exact if `is_timed`. None if something is
+        less than it must be.
         """
         prior, logarithm = self.prior(choice)
+        if is_timed:
+            prior[self.delay_errors, self.delay_errors] = _ON_TIME**-2.0
         spans = self.spans(choice.terms).items()
         bounded = [(s.start + t.positive, t.least) for t, s in spans if len(t.positive)]
         free = np.ones(len(prior), bool)

@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _MOST_TAKEN = 1.0 - 1e-6  # share of a joint's squared errors
+_TINY = np.finfo(float).tiny
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +67,9 @@ class Neighbourhood:
 
         Each time that is the best delay, and none where efforts are late now.
 
+        Compared are exact delays, without the small errors that a fit allows them: rates of efforts
+        that stand for those could average noise away.
+
         Joints of a free base have no motor that could be late alone, and rows that have efforts of
         several joints do not show one alone. A servo has a delay of its own, found with it: its
         effort is not late once more.
@@ -75,9 +79,12 @@ class Neighbourhood:
         count = len(model.dataset.delays)
         if count < 2:
             return []
-        packed, own, _ = model.normal(columns, was)
+        packed, now, power = model.normal(columns, was)
         late = [model.moments(columns, (k,) * len(was)) for k in range(count)]
-        samples, now = self._samples(), fit.noise * model.block_rows
+        errors = self._inverse[:, model.delay_errors]
+        solved = np.linalg.solve(errors[model.delay_errors], errors.T)
+        inverse, exact = self._inverse - errors @ solved, fit.x - fit.x[model.delay_errors] @ solved
+        samples, own = self._samples(), np.maximum(calc_squares((packed, now, power), exact), _TINY)
         (prior, _), mean = model.prior(fit.choice), model.mean[columns]
         found = list[tuple[Delay, float]]()
 
@@ -95,13 +102,13 @@ class Neighbourhood:
         ]
         for moved in free if any(servos) else (joints, *free):
             tried, at = [], np.flatnonzero(np.isin(model.joint_of, moved))
-            alone = packed if len(at) == len(now) else packed_of(packed, at)
+            alone = packed if len(at) == len(own) else packed_of(packed, at)
             for k, (moments, powers) in enumerate(late):
-                x = fit.x + self._inverse @ (fit.weights[at] @ (moments[at] - own[at]))
+                x = exact + inverse @ (fit.weights[at] @ (moments[at] - now[at]))
                 left = calc_squares((alone, moments[at], powers[at]), x)
-                ratio = np.maximum(left, 1e-12 * now[at]) / now[at]
+                ratio = np.maximum(left / own[at], 1e-12)
                 delay = tuple(k if j in moved else was[j] for j in joints)
-                tried.append((delay, away(fit.x) - away(x) - float(samples[at] @ np.log(ratio))))
+                tried.append((delay, away(exact) - away(x) - float(samples[at] @ np.log(ratio))))
             tried = [each for each in tried if model.are_apart(each[0], was)]
             found.append(max(tried, key=lambda each: each[1] - odds(each[0])))
             on_time = tuple(model.on_time[j] if j in moved else was[j] for j in joints)

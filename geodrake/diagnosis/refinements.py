@@ -100,7 +100,7 @@ def _score_at(model: LogModel, fit: Fit, joints: list[int], delay: int) -> float
     """Return the score of a fit with another delay of some joints, prior odds left aside."""
     late = tuple(delay if j in joints else own for j, own in enumerate(fit.choice.delay))
     choice = Choice(fit.terms, fit.choice.width, late)
-    found = model.fit(choice, model.shares(fit), fit.noise)
+    found = model.fit(choice, model.shares(fit), fit.noise, is_timed=True)
     return None if found is None else found.score + model.odds_against(choice)
 
 

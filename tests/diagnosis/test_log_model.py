@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pinocchio as pin
 import pytest
-from pendulum_logs import JOINTS, friction, pendulum_log
+from pendulum_logs import JOINTS, body_effort, friction, pendulum_log
 from pinocchio_logs import MODELS, effort_log
 from pydrake.solvers import ClarabelSolver, MathematicalProgram
 from scipy.linalg import block_diag, expm
@@ -32,7 +32,7 @@ from geodrake.diagnosis.neighbourhood import Neighbourhood
 from geodrake.diagnosis.normal_kernels import calc_distance, calc_noise_changes
 from geodrake.diagnosis.notes import left_out_notes, unnamed_notes
 from geodrake.diagnosis.posterior import Posterior
-from geodrake.diagnosis.refinements import fitted_delays
+from geodrake.diagnosis.refinements import delays_of, fitted_delays
 from geodrake.diagnosis.search import Search, searched
 from geodrake.diagnosis.terms import odds_against
 from geodrake.effects import (
@@ -48,6 +48,7 @@ from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Jo
 from geodrake.identification.logs.unknowns import pullback_information
 from geodrake.inertia import from_mass_com_inertia
 from geodrake.inertia.parameters import pseudo_inertia_basis
+from geodrake.logs import JointLog
 from geodrake.logs.filtering import design_filter
 from geodrake.report import page_of
 
@@ -532,6 +533,25 @@ def test_noise_at_other_instants_is_no_evidence_of_a_delay():
     assert np.min(raw, axis=0)[0] < lost[0] - 8.0 * spread[0]
     assert (np.min(left, axis=0) > lost - 4.0 * spread - 0.1).all()
     assert (np.array(left) >= raw).all()
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_noise_that_rates_of_efforts_average_away_is_no_evidence_of_a_delay(seed):
+    """Efforts that are 4 ms late, with delays of 2.5 and 10 ms tried."""
+    rng, time = np.random.default_rng(seed), np.arange(0.0, 60.0, 0.002)
+    rates = 2.0 * np.pi * np.array([[0.11, 0.23, 0.41], [0.14, 0.29, 0.37]])
+    angle = rates * time[:, None, None] + rng.uniform(0.0, 2.0 * np.pi, rates.shape)
+    q, v = np.sin(angle).sum(axis=2), (rates * np.cos(angle)).sum(axis=2)
+    vd = -(rates**2 * np.sin(angle)).sum(axis=2)
+    late = np.roll(body_effort(0.5 * q, 0.5 * v, 0.5 * vd), 2, axis=0)[5::5]
+    effort = late + 0.01 * late.std(axis=0) * rng.normal(size=late.shape)
+    position = 0.5 * q[5::5] + 1e-5 * rng.normal(size=late.shape)
+    log = JointLog("late", JOINTS, time[5::5], position, effort)
+    search = Search(open_case(PENDULUM, [log], candidates=True, bandwidth=8.3))
+    model, fit = search.model, search.fit
+    (delay, _), *_ = Neighbourhood(model, fit).delays()
+    moved = model.fit(replace(fit.choice, delay=delay), model.shares(fit), fit.noise)
+    assert delays_of(model, moved)[0] == pytest.approx([0.004] * 2, abs=1e-3)
 
 
 def test_the_less_noise_there_is_the_more_rows_reverse(problem):
