@@ -141,7 +141,8 @@ def load_plant(
     left_out = ["Constraints and springs that only Drake reads are ignored."] if others else []
     left_out += [*terms.left_out, *(terms.of_bases if floating else ()), *apart, *loops.left_out]
     ties = {own: t for own, t in arrangement.followers.items() if own not in loops.taken}
-    pairs = ", ".join(f"{_last(own)} follows {_last(tie.leader)}" for own, tie in ties.items())
+    names = {scoped(joint): name for name, joint in _single_joints(plant).items()}
+    pairs = ", ".join(f"{names[own]} follows {names[tie.leader]}" for own, tie in ties.items())
     follow = [f"{pairs}, and is not independent."] if pairs else []
     notes = [*origin, *terms.notes, *built.notes, *follow, *loops.notes]
     lines = [message.partition("\n")[0].rpartition("warning: ")[2] for message in messages]

@@ -235,7 +235,7 @@ class FileTerms:
             for name in (each.name for each in fields(cls)):
                 own, more = getattr(found, name), getattr(part, name)
                 if isinstance(own, dict):
-                    setattr(found, name, more | own)
+                    setattr(found, name, own | more | own)  # in order, the first one's values
                 elif isinstance(own, list):
                     own += more
                 elif isinstance(own, set):

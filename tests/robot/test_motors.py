@@ -208,6 +208,20 @@ def test_logged_efforts_of_followers_of_polynomials_count_at_their_leaders(tmp_p
     assert model.default_position("j") == 0.0
 
 
+def test_followers_of_two_arms_follow_their_own_leaders(tmp_path):
+    one = loaded(tmp_path, MJCF.format(BENT), "m.xml")
+    (tmp_path / "package.xml").write_text("<package><name>x</name></package>")
+    add = "- add_model: {{name: {}, file: package://x/m.xml}}\n".format
+    both = loaded(tmp_path, f"directives:\n{add('left')}{add('right')}", "two.dmd.yaml")
+    assert set(both.joints) == {"left_j", "left_s", "right_j", "right_s"}
+    assert any("left_k follows left_j, right_k follows right_j" in note for note in both.notes)
+    motion = np.random.default_rng(0).uniform(-0.8, 0.8, (3, 5, 4))
+    efforts = both.effort(Motion(*motion))
+    for arm in ("left", "right"):
+        at = [both.joints.index(f"{arm}_{joint}") for joint in one.joints]
+        assert_close(efforts[:, at], one.effort(Motion(*motion[..., at])))
+
+
 def test_the_newer_form_of_ros_control(tmp_path):
     model = driven(tmp_path, NEWER, transmission="file")
     assert_close(model.plant_positions(np.array([[4.0, 0.1, 0.2]])), [[0.7, 0.1, 0.2]])
