@@ -249,11 +249,10 @@ def _loops(
     closures = [*terms.closures, *built.opened]
     if not closures:
         return Loops()
-    names = joint_names(plant)
-    limited = (a.joint() for a in _actuators(plant) if np.isfinite(a.effort_limit()))
-    driven = {names[joint.velocity_start()] for joint in limited} | terms.driven
-    driven |= {each.cut.name for each in closures if each.cut and each.cut.driven}
     stiffness, single = dict[str, float](), {scoped(j): n for n, j in _single_joints(plant).items()}
+    limited = [scoped(a.joint()) for a in _actuators(plant) if np.isfinite(a.effort_limit())]
+    driven = {single[joint] for joint in (*limited, *terms.driven) if joint in single}
+    driven |= {each.cut.name for each in closures if each.cut and each.cut.driven}
     for length in terms.lengths:
         (joint, share), *others = length.shares.items()
         if joint in single and not others:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
@@ -248,6 +249,11 @@ class FileTerms:
             )
         stated = [part.gravity for part in parts if part.gravity is not None]
         found.gravity = stated[-1] if stated else None
+        names = Counter(closure.cut.name for closure in found.closures if closure.cut)
+        for k, closure in enumerate(found.closures):
+            if (cut := closure.cut) is not None and names[cut.name] > 1:  # of several robots
+                own = replace(cut, name=cut.scoped_name.replace("::", "_"))
+                found.closures[k] = replace(closure, name=f"the joint {own.name}", cut=own)
         return found
 
 

@@ -381,6 +381,25 @@ def test_what_closes_a_loop_of_a_urdf_for_drake_or_gazebo_is_read(tmp_path, clos
     assert check_dynamics(model, samples=3).second is not None
 
 
+@pytest.mark.parametrize("kind", ["gripper", "leg", "urdf"])
+def test_loops_of_two_robots_from_one_file_are_those_of_each(tmp_path, kind):
+    own = "<axis><dynamics><damping>2</damping><friction>3</friction></dynamics>"
+    urdf = four_bar_urdf(PIN.format("revolute").replace("<axis>", own))
+    text = {"gripper": gripper(), "leg": leg(), "urdf": urdf}[kind]
+    (path := tmp_path / f"robot.{'urdf' if kind == 'urdf' else 'xml'}").write_text(text)
+    one, add = load_model(path), f"- add_model: {{{{name: {{}}, file: package://x/{path.name}}}}}\n"
+    (tmp_path / "package.xml").write_text("<package><name>x</name></package>")
+    two = tmp_path / "two.dmd.yaml"
+    two.write_text("directives:\n" + "".join(map(add.format, "AB")))
+    both = load_model(two)
+    names = [[f"{arm}_{joint}" for joint in one.joints] for arm in "AB"]
+    assert set(both.joints) == {*names[0], *names[1]}
+    q, v, vd = states(one, 3)
+    at = [(names[0] if joint in names[0] else names[1]).index(joint) for joint in both.joints]
+    twice = both.effort(Motion(q[:, at], v[:, at], vd[:, at]))
+    np.testing.assert_allclose(twice, one.effort(Motion(q, v, vd))[:, at], rtol=1e-8, atol=1e-9)
+
+
 def test_a_joint_of_gazebo_in_a_urdf_has_its_damping_and_friction(tmp_path):
     own = "<axis><dynamics><damping>2</damping><friction>3</friction></dynamics>"
     (tmp_path / "robot.urdf").write_text(

@@ -294,7 +294,7 @@ class MjcfTerms:
             name, shares = self._name("ACTUATOR", at), actuator_shares(m, at)
             where = _rows_of("actuator", at)
             has = self._numbers(where)
-            self.found.driven |= {self._name("JOINT", joint) for joint in shares}
+            self.found.driven |= set(map(self._joint, shares))
             if shares and int(m.actuator_trntype[at]) != on_tendon:
                 ((on, gear),) = shares.items()
                 self._limit_of_motor(at, on, gear)
