@@ -150,6 +150,41 @@ def test_joints_whose_names_say_something_else():
     assert all(m.role <= PLAIN for m in told)
 
 
+@pytest.mark.parametrize(
+    ("columns", "joints"),
+    [
+        ("lift elbow wrist_0 wrist_1 wrist_2", "lift elbow wrist_1 wrist_2 wrist_3"),
+        ("pan lift elbow wrist0 wrist1 wrist2", " ".join(UR)),
+        ("a0 a1 b0 b1 c0 c1", "leg_a_1 leg_a_2 leg_b_1 leg_b_2 leg_c_1 leg_c_2"),
+        (
+            "leg0_j0 leg0_j1 leg1_j0 leg1_j1",
+            "leg_1_j1 leg_1_j2 leg_2_j1 leg_2_j2",
+        ),
+        (
+            "leg1_j0 leg1_j1 leg2_j0 leg2_j1",
+            "leg_1_j1 leg_1_j2 leg_2_j1 leg_2_j2",
+        ),
+        (
+            "left_0 left_1 right_0 right_1 torso",
+            "left_arm_1 left_arm_2 right_arm_1 right_arm_2 torso",
+        ),
+        ("f1_near f1_far f2_near f2_far", "finger_1_near finger_1_far finger_2_near finger_2_far"),
+        ("arm_0 arm_1 hand_0 hand_1", "arm_joint1 arm_joint2 hand_joint1 hand_joint2"),
+    ],
+)
+def test_groups_of_joints_count_from_0(columns, joints):
+    names = [f"{name}_{what}" for name in columns.split() for what in ("pos", "torque")]
+    found, _ = joints_of(names, tuple(joints.split()))
+    expected = [joint for joint in joints.split() for _ in range(2)]
+    assert [found[name] for name in names] == expected
+
+
+def test_a_prefix_with_a_number_and_a_joint_that_the_model_lacks():
+    names = [f"ur5e_{joint}_pos" for joint in (*UR, "gripper")]
+    found, _ = joints_of(names, UR)
+    assert [found.get(name) for name in names] == [*UR, None]
+
+
 def test_names_that_may_be_of_two_joints_are_of_none():
     joints = ("left_wrist_1", "right_wrist_1")
     found, _ = joints_of(["wrist_1_pos"], joints)

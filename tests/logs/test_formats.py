@@ -44,6 +44,32 @@ def test_every_format_keeps_every_number(tmp_path, log, write):
         assert np.allclose(getattr(read, quantity), getattr(log, quantity), rtol=0, atol=1e-8)
 
 
+def test_topics_and_joints_of_two_arms(tmp_path, log):
+    store = ros2_store()
+    header = ros2_header(store)
+    sides = {"left": log, "right": replace(log, position=2.0 * log.position)}
+    topics = {f"/{side}/joint_states": joint_states(store, x, header) for side, x in sides.items()}
+    path = write_rosbag2(tmp_path / "topics", topics, store)
+    joints = tuple(f"{joint}_{side}" for side in sides for joint in JOINTS)
+    read = read_log(path, joints=joints, reading=Reading(topic=tuple(topics)))
+    both = np.hstack([x.position for x in sides.values()])
+    assert np.allclose(read.position, both, rtol=0, atol=1e-8)
+    together = replace(
+        log,
+        joints=tuple(f"{side}_{joint}" for side in sides for joint in JOINTS),
+        position=both,
+        velocity=np.hstack([log.velocity] * 2),
+        effort=np.hstack([log.effort] * 2),
+    )
+    states = {"/joint_states": joint_states(store, together, header)}
+    path = write_rosbag2(tmp_path / "joints", states, store)
+    with pytest.raises(LogError, match="--topic left"):
+        read_log(path, joints=JOINTS)
+    for side, own in sides.items():
+        read = read_log(path, joints=JOINTS, reading=Reading(topic=side))
+        assert np.allclose(read.position, own.position, rtol=0, atol=1e-8)
+
+
 def test_messages_with_one_for_each_motor(tmp_path, log):
     """Behind the last motor there are others, which no robot of that kind has.
 

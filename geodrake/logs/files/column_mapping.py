@@ -411,8 +411,8 @@ def _by_names(table: LogTable, joints: Sequence[str] | None, reading: Reading) -
     path, names, units = table.path, table.names, table.units
     beside = [name for name in names if floating_name(name) is None]
     told = [m for m in meanings_of(beside, joints or ()) if m.quantity in OF_JOINTS]
-    asked = frozenset().union(*map(plain_words, reading.topics))
-    told = [m for m in told if asked <= plain_words(m.column)] or told
+    asked = [words for words in map(plain_words, reading.topics) if words]
+    told = [m for m in told if any(words <= plain_words(m.column) for words in asked)] or told
     of_joints = _with_targets(table, told)
     if joints and len(joints) > 1 and all(meaning.is_bare for meaning in of_joints):
         called = log_name(path)  # the joint may be said by the name of the file

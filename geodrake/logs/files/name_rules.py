@@ -556,17 +556,23 @@ def _parts_of_robot(
     none is, parts of which only numbers are told may be robots alike.
     """
     parts: dict[Part, list[Meaning]] = defaultdict(list)
+    common = set.intersection(*({*m.group, *m.words} for m in style))
     for meaning in style:
-        is_named = meaning.words and _number(meaning.words) is None
-        parts[meaning.group, None if is_named else _unnumbered(meaning.words)].append(meaning)
-    if len(parts) < 2:
+        words = tuple(word for word in meaning.words if word not in common)
+        is_named = words and _number(words) is None
+        parts[meaning.group, None if is_named else _unnumbered(words)].append(meaning)
+    keys = {meaning.words: meaning for meaning in style}
+    if len(parts) < 2 or (() not in keys and len(_by_name(keys, joints)) == len(style)):
         yield style, joints
         return
     called = _with_side_first([(*head, *(rest or ())) for head, rest in parts])
-    common = set.intersection(*({*words} for words in called))
+    common |= set.intersection(*({*words} for words in called))
     said = {part: {*words} - common for part, words in zip(parts, called, strict=True)}
+    named = [_unnumbered(words) for words in _with_side_first([*map(words_of, joints)])]
+    if 0 in set().union(*said.values()) - set().union(*named):  # as of legs, that they count
+        said = {part: {_one_more(word) for word in words} for part, words in said.items()}
     own: dict[Part, list[str]] = {part: [] for part in parts}
-    for joint, words in zip(joints, _with_side_first([*map(words_of, joints)]), strict=True):
+    for joint, words in zip(joints, named, strict=True):
         near = [part for part in parts if said[part].issubset(words)]
         most = max((len(said[part]) for part in near), default=0)
         for part in near:
@@ -579,6 +585,11 @@ def _parts_of_robot(
             yield columns, own[part] or joints
         elif not are_told and len(columns) == size:
             yield columns, joints
+
+
+def _one_more(word: str | int) -> str | int:
+    """Return a number from 1 on of one from 0 on; words are unchanged."""
+    return word + 1 if isinstance(word, int) else word
 
 
 def _with_side_first(names: Sequence[Words]) -> list[Words]:
@@ -601,7 +612,12 @@ def _match_style(style: Sequence[Meaning], joints: Sequence[str]) -> tuple[dict[
     names = _by_name(by_words, joints)
     numbers = _numbers(list(by_words))
     by_order = False
-    if (len(names) < len(by_words) or () in by_words) and numbers and style[0].role < OTHER:
+    if exact:
+        if len(numbers) == len(joints) and min(numbers.values()) == 0:  # and the joints' from 1
+            shifted = _by_number(numbers, joints) or {}
+            return {m.column: shifted[m.words] for m in style if m.words in shifted}, bool(shifted)
+        names = {words: joint for words, joint in names.items() if joint not in exact.values()}
+    elif (len(names) < len(by_words) or () in by_words) and numbers and style[0].role < OTHER:
         named = _by_number(numbers, joints)
         by_order = named is None and len(numbers) == len(joints)
         if by_order:

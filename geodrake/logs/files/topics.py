@@ -25,7 +25,7 @@ from geodrake.logs.files.messages import (
     on_clock,
     stamp_of,
 )
-from geodrake.logs.files.name_rules import is_time, meaning_of, names_joints
+from geodrake.logs.files.name_rules import is_time, meaning_of, names_joints, plain_words
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable, number_in
 from geodrake.logs.motion import EFFORT_KINDS, QUANTITIES
@@ -122,9 +122,8 @@ def chosen_topics(path: Path, topics: Sequence[Topic], reading: Reading) -> tupl
     """Return the topic that is the log, or those that are parts of it."""
     if not topics:
         raise LogError(f"Log {str(path)!r} has no messages.", advice="Check how it was recorded.")
-    if reading.topics:
-        alone = len(reading.topics) == 1
-        return tuple(_named(path, topics, name, alone=alone) for name in reading.topics)
+    if asked := [name for name in reading.topics if not _is_of_joints(name, topics)]:
+        return tuple(_named(path, topics, name, alone=len(asked) == 1) for name in asked)
     best = _best([topic for topic in topics if topic.fits])
     if len(best) == 1:
         return (best[0],)
@@ -132,9 +131,17 @@ def chosen_topics(path: Path, topics: Sequence[Topic], reading: Reading) -> tupl
         raise LogError(
             f"Log {str(path)!r} has {len(best)} topics with joint positions and efforts: "
             f"{_listed(best)}.",
-            advice=f"Choose one, as in --topic {best[0].name}.",
+            advice=f"Choose one, as in --topic {best[0].name}, or several of different arms.",
         )
     return _parts(path, topics)
+
+
+def _is_of_joints(name: str, topics: Sequence[Topic]) -> bool:
+    """Return whether a name is no topic, but a word in names of joints, as of one of two robots."""
+    words = plain_words(name)
+    called = (plain_words(str(joint)) for topic in topics for joint in topic.messages.joints)
+    is_topic = any(topic.name.strip("/") == name.strip("/") for topic in topics)
+    return not is_topic and bool(words) and any(words <= own for own in called)
 
 
 def _best(topics: Sequence[Topic]) -> Sequence[Topic]:
@@ -232,6 +239,8 @@ def topics_table(
     ]
     made += [(each, each.tables()) for each in base]
     clock = next(filter(None, (messages.clock for messages, _ in made)), None)
+    if _are_alike([tables for _, tables in made]):
+        made = [(messages, [_of_topic(t, messages.topic) for t in own]) for messages, own in made]
     tables = list[LogTable]()
     for messages, own in made:
         said += messages.clock_notes
@@ -240,6 +249,18 @@ def topics_table(
     table = joined_tables(path, tables, reading)
     columns, notes = _named_by_motion(table.columns) if not is_alone else (table.columns, [])
     return replace(table, columns=columns, notes=(*said, *table.notes, *notes))
+
+
+def _are_alike(parts: Sequence[Sequence[LogTable]]) -> bool:
+    """Return whether parts have all of their columns in common, as those of two arms."""
+    names = [{n for table in tables for n in table.columns} - {"time"} for tables in parts]
+    return len(names) > 1 and all(each and each == names[0] for each in names)
+
+
+def _of_topic(table: LogTable, topic: str) -> LogTable:
+    """Return a table with the topic's name before those of columns."""
+    named = {n if n == "time" else f"{topic}/{n}": x for n, x in table.columns.items()}
+    return replace(table, columns=named)
 
 
 def _part_tables(topic: Topic, *, part: bool) -> list[LogTable]:
