@@ -330,7 +330,8 @@ def chart(
                 width = 0.8 / len(kinds)
                 at = [places.index(row[x]) + width * (k + 0.5) - 0.4 for row in drawn]
                 errors = [row.get(f"{name}_deviation", 0.0) for row in drawn]
-                ax.barh(at, [row[name] for row in drawn], 0.9 * width, xerr=errors, **look)
+                look |= {"xerr": errors, "ecolor": style.INK} if any(errors) else {}
+                ax.barh(at, [row[name] for row in drawn], 0.9 * width, **look)
             else:
                 _draw_lines(ax, drawn, x, name, joined=joined, **look)
         for (level, row), dashes in zip((levels or {}).items(), ("--", ":", "-."), strict=False):
@@ -375,7 +376,7 @@ def _word(value: Any) -> str:
 
 def _scale(ax: Axes, axis: str, values: Sequence[Any], most: float) -> None:
     """Make an axis logarithmic if values are positive, and some that many times others."""
-    flat = np.hstack([np.array(each, float) for each in values if each is not None])
+    flat = np.hstack([[], *(np.array(each, float) for each in values if each is not None)])
     flat = flat[np.isfinite(flat)]
     if len(flat) and 0.0 < most * flat.min() < flat.max():
         style.log_scale(ax, axis)
