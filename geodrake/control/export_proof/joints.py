@@ -141,7 +141,8 @@ def add_actuators(file: EditedFile, model: RobotModel, *, anew: bool) -> tuple[s
     text, path = model_text_of(file.content, file.path), file.path
     if not isinstance(text, MjcfText) or model.transmission:
         return ()
-    joints, driven = list(exported_joints(model).values()), text.terms.driven
+    joints = list(exported_joints(model).values())
+    driven = {name.rpartition("::")[2] for name in text.terms.driven}
     free = [each for each in joints if each.driven and each.name not in driven]
     wanted = [each for each in joints if each.is_servo or each.delay]
     kept = [each for each in wanted if each.name in driven]
