@@ -53,7 +53,6 @@ from geodrake.control import (
     add_adaptive_loop,
     parameter_manifold,
 )
-from geodrake.control.regressor import ControlSample
 from geodrake.control.systems import AdaptiveController
 from geodrake.effects import (
     CoulombFriction,
@@ -65,19 +64,17 @@ from geodrake.effects import (
 )
 from geodrake.inertia import from_mass_com_inertia, is_physical, to_spatial_inertia
 from geodrake.manifolds import Product
-from geodrake.model import RobotModel, load_description
-from geodrake.robot import RobotPorts
+from geodrake.model import RobotModel, load_description, load_model
+from geodrake.robot import LinearTransmission, RobotPorts
+from geodrake.robot.transmission.statements import Drive
 
-# The AMBIDEX-like arm for adaptive control: seven turns that move ten joints, and motor friction.
-#
-# Turns t and joints θ are in proportion, θ = J t: two joints of a rolling pair take half a turn
-# each. So efforts of the turns are Jᵀ times those of the joints, and with Jᵀ Y for the regressor
-# all that holds for a robot of ten joints holds for the seven turns.
+# The AMBIDEX-like arm for adaptive control: seven joints of ten move by themselves, and motor
+# friction. The second joint of a rolling pair turns as the first, and both take half a turn each.
 
 FIRST = (0, 1, 2, 3, 5, 6, 8)
-"""The joint that stands for each turn."""
+"""The joints that move by themselves, one for each turn of the arm."""
 PAIRS = ((3, 4), (6, 7), (8, 9))
-SHARES = np.array([1.0, 1.0, 1.0, 0.5, 1.0, 0.5, 0.5])
+SHARES = np.array([1.0, 1.0, 1.0, 0.5, 1.0, 0.5, 0.5])  # of a turn that its first joint takes
 BAGS = {"link 10": (9,), "links 3, 10": (2, 9), "links 3, 5, 10": (2, 4, 9)}
 """Where the sandbags are ([Lee2019] figure 5.7), counted from zero."""
 BAG_AT = {
@@ -93,69 +90,19 @@ PLANT_STEP = 5e-4  # s
 
 
 def joint_map() -> Array:
-    """Return J (10, 7)."""
+    """Return J (10, 7), all joints of the first ones."""
     J = np.zeros((10, 7))
-    J[FIRST, range(7)] = SHARES
+    J[FIRST, range(7)] = 1.0
     for first, second in PAIRS:
         J[second] = J[first]
     return J
 
 
-@dataclass(frozen=True, eq=False)
-class CoupledSample:
-    """The regressor of the turns at one sample."""
-
-    joints: ControlSample
-    J: Array  # (10, 7) joints of turns
-
-    @property
-    def regressor(self) -> Array:
-        """(7, p)."""
-        return self.J.T @ self.joints.regressor
-
-    def effort(self, parameters: Array) -> Array:
-        """Return (7,) N·m."""
-        return self.J.T @ self.joints.effort(parameters)
-
-    def covector(self, r: Array) -> Array:
-        """Return (p,) Yᵀ r."""
-        return self.joints.covector(self.J @ r)
-
-    def mass_matrix(self, parameters: Array) -> Array:
-        """Return (7, 7)."""
-        return self.J.T @ self.joints.mass_matrix(parameters) @ self.J
-
-
-@dataclass(frozen=True, eq=False)
-class CoupledControl:
-    """What a controller knows of the arm, in its seven turns; stands in for a ControlModel."""
-
-    own: ControlModel  # the arm of ten joints
-    J: Array  # (10, 7) joints of turns
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """Names of the turns."""
-        return tuple(self.own.joints[k] for k in FIRST)
-
-    @property
-    def prior(self) -> Array:
-        """(p,) parameters."""
-        return self.own.prior
-
-    @property
-    def single_joints(self) -> bool:
-        """True: a turn is one number."""
-        return self.own.single_joints
-
-    @property
-    def floats(self) -> bool:
-        """False: the arm is fixed to the world."""
-        return self.own.floats
-
-    def at(self, q: Array, qd: Array, v: Array, a: Array) -> CoupledSample:
-        """Return the Slotine–Li regressor, as that of a ControlModel."""
-        return CoupledSample(self.own.at(*(self.J @ x for x in (q, qd, v, a))), self.J)
+def coupled_model() -> RobotModel:
+    """Return the arm whose first joints are driven, and the others with them."""
+    joints = load_description(MODEL).joints
+    drive = Drive(tuple(joints[k] for k in FIRST), joints, LinearTransmission.of(joint_map()))
+    return load_model(MODEL, transmission=[drive])
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,18 +119,17 @@ class Known:
         return cls(phi, COULOMB, VISCOUS)
 
     def friction(self, joints: Sequence[str]) -> list[FittedEffect]:
-        """Return the friction of the motors at the joints that they turn.
+        """Return the friction of the motors at the seven joints that they turn.
 
         A motor that turns k times as fast as its joint, or as the sum or difference of the wrist's
         two, has there k f_c and k² f_v.
         """
         ratio = REDUCTION / SHARES
         found = []
-        for k in range(5):
-            joint = joints[FIRST[k]]
+        for k, joint in enumerate(joints[:5]):
             found.append(_fitted(CoulombFriction(joint), ratio[k] * self.coulomb[k]))
             found.append(_fitted(ViscousFriction(joint), ratio[k] ** 2 * self.viscous[k]))
-        wrist = (joints[FIRST[5]], joints[FIRST[6]])
+        wrist = tuple(joints[5:])
         for k, sign in ((5, 1), (6, -1)):
             both = ratio[k] * self.coulomb[k], ratio[k] ** 2 * self.viscous[k]
             found.append(_fitted(CoupledFriction(wrist, sign), *both))
@@ -207,23 +153,22 @@ def _fitted(effect: Effect, *parameters: float) -> FittedEffect:
 class CoupledArm:
     """The arm for one experiment."""
 
-    control: CoupledControl  # what the controller knows; the rotors' inertias come last, and stay
+    control: ControlModel  # what the controller knows; the rotors' inertias come last, and stay
     manifold: Product
 
     @classmethod
     def of(cls, known: Known) -> CoupledArm:
         """Return the arm with identified parameters."""
-        model = load_description(MODEL)
+        model = coupled_model()
         friction = known.friction(model.joints)
-        adapted: RobotModel = replace(model, phi=known.phi[:10], effects=tuple(friction))
         rotors = [
-            _fitted(RotorInertia(model.joints[joint]), inertia)
-            for joint, inertia in zip(FIRST, known.rotors(), strict=True)
+            _fitted(RotorInertia(joint), inertia)
+            for joint, inertia in zip(model.joints, known.rotors(), strict=True)
         ]
+        adapted = replace(model, phi=known.phi[:10], effects=tuple(friction))
         whole = replace(adapted, effects=(*friction, *rotors))
         control = ControlModel.of(whole, sign_width=SIGN_WIDTH)
-        manifold = parameter_manifold(adapted, effect_weight=FRICTION_WEIGHT)
-        return cls(CoupledControl(control, joint_map()), manifold)
+        return cls(control, parameter_manifold(adapted, effect_weight=FRICTION_WEIGHT))
 
     def law(self, name: str, speed: float) -> PartialLaw | None:
         """Return a law of links and friction, by its name and γ⁻¹."""
@@ -280,9 +225,9 @@ def known_arm(seed: int) -> Known:
 
 
 def point_to_point(count: int, seed: int) -> PiecewisePolynomial:
-    """Return turns (7,) that go from one random place to the next with least jerk, from zero on."""
+    """Return joints (7,) that go from one random place to the next with least jerk, from zero."""
     rng = np.random.default_rng([seed, 56])
-    ends = np.vstack([np.zeros(7), rng.uniform(-REACH, REACH, (count, 7))])
+    ends = SHARES * np.vstack([np.zeros(7), rng.uniform(-REACH, REACH, (count, 7))])
     s = np.linspace(0.0, 1.0, 31)
     share = 10 * s**3 - 15 * s**4 + 6 * s**5
     return loop.resting(
@@ -299,7 +244,7 @@ class UnevenFriction(LeafSystem):
         self._phase = np.random.default_rng([seed, 57]).uniform(0.0, 2.0 * np.pi, 7)
         motors = np.eye(7)
         motors[5:, 5:] = [[1.0, 1.0], [1.0, -1.0]]
-        self._motors = REDUCTION * motors @ np.linalg.pinv(joint_map())
+        self._motors = REDUCTION * motors / SHARES @ np.linalg.pinv(joint_map())
         self._state = self.DeclareVectorInputPort("state", BasicVector(20))
         self.DeclareVectorOutputPort("generalized_force", BasicVector(10), self._calc)
 
@@ -319,26 +264,27 @@ def simulate_coupled(
     seed: int,
     end: float | None = None,
 ) -> loop.Record:
-    """Simulate the arm with sandbags over a motion of its turns, to `end`, or until it is lost."""
+    """Simulate the arm with sandbags over a motion of its joints, to `end`, or until it is lost."""
     builder = DiagramBuilder()
     plant = builder.AddSystem(make_coupled_plant(bags))
-    turns = np.linalg.pinv(joint_map())
-    measured = builder.AddSystem(MatrixGain(np.kron(np.eye(2), turns)))
-    applied = builder.AddSystem(MatrixGain(turns.T))
+    first = np.linalg.pinv(joint_map())
+    measured = builder.AddSystem(MatrixGain(np.kron(np.eye(2), first)))
+    applied = builder.AddSystem(MatrixGain(first.T))
     builder.Connect(plant.get_state_output_port(), measured.get_input_port())
     builder.Connect(applied.get_output_port(), plant.get_actuation_input_port())
     _add_friction(builder, plant, seed)
     ends = measured.get_output_port(), None, applied.get_input_port()
     ports = RobotPorts(controller.control.joints, *ends)
     added = add_adaptive_loop(builder, ports, controller, motion, log_period=loop.LOG_PERIOD)
-    return loop.simulate_loop(builder, added, plant, motion, end, joints=joint_map())
+    record = loop.simulate_loop(builder, added, plant, motion, end, joints=joint_map())
+    return replace(record, error=record.error / SHARES)  # of turns
 
 
 def _add_friction(builder: DiagramBuilder, plant: MultibodyPlant, seed: int) -> None:
     """Add friction that parameters explain, and friction that they do not."""
     joints = [plant.get_joint(index).name() for index in plant.GetJointIndices()]
     moving = [name for name in joints if plant.GetJointByName(name).num_velocities()]
-    known = Known.true(Arm.load().phi).friction(moving)
+    known = Known.true(Arm.load().phi).friction([moving[k] for k in FIRST])
     effects = [(fitted.effect, fitted.parameters) for fitted in known]
     even = builder.AddSystem(EffectForce(plant, effects, sign_width=SIGN_WIDTH))
     uneven = builder.AddSystem(UnevenFriction(seed))
