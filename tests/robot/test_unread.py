@@ -284,6 +284,8 @@ def test_an_included_urdf_is_the_one_that_is_loaded_alone(tmp_path, part):
     states = Motion(*np.random.default_rng(0).normal(size=(3, 4, len(alone.joints))))
     np.testing.assert_allclose(model.effort(states), alone.effort(states), atol=1e-12)
     assert [f.effect for f in model.effects] == [f.effect for f in alone.effects]
+    second = check_dynamics(model, samples=3).second
+    assert second is not None and second.holds
 
 
 def test_one_of_several_models_may_be_without_gravity(tmp_path):

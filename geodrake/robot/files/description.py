@@ -39,7 +39,13 @@ from geodrake.robot.files.checks import drop
 from geodrake.robot.files.given import Given
 from geodrake.robot.files.includes import Includes, add_packages, named_packages
 from geodrake.robot.files.mjcf import MjcfText
-from geodrake.robot.files.texts import DRAKES_SPRINGS, ModelText, SdfText, UrdfText
+from geodrake.robot.files.texts import (
+    DRAKES_SPRINGS,
+    ModelText,
+    SdfText,
+    UrdfText,
+    drop_friction,
+)
 from geodrake.robot.files.xacro_file import is_xacro, read_expanded
 from geodrake.robot.files.xml_text import (
     LARGEST_FILE,
@@ -155,8 +161,9 @@ class ModelDescription:
         """Return the root of a text's file, without what keeps Drake from reading it."""
         root = parse_xml_bytes(read_expanded(text.path, self.given), text.path)
         Includes(text.path, self.given.packages).drop_absent(root)
-        # Beside springs, Drake lets no joint be taken out.
-        drop(root, "spring_stiffness", *DRAKES_SPRINGS)
+        # Beside springs, Drake lets no joint be taken out; it includes nothing of which it warns.
+        drop(root, "spring_stiffness", "mimic", *DRAKES_SPRINGS)
+        drop_friction(root)
         return root
 
 

@@ -180,8 +180,7 @@ class ModelText(abc.ABC):
         self._read()
         check_numbers(self.root, self.numeric, path)
         check_limits(self.root, path)
-        for dynamics in self.root.iter("dynamics"):
-            dynamics.attrib.pop("friction", None)  # of which Drake warns, and included files fail
+        drop_friction(self.root)
         for name, link in self._links.items():
             phi = self._stated(link)
             check_link(link, phi, path)
@@ -368,6 +367,12 @@ class ModelText(abc.ABC):
     @abc.abstractmethod
     def _inertia(self, inertial: Element) -> Array:
         """Return the inertial parameters (10,) that an <inertial> states."""
+
+
+def drop_friction(root: Element) -> None:
+    """Remove dry friction from a URDF, of which Drake warns, so that it includes no such file."""
+    for dynamics in root.iter("dynamics"):
+        dynamics.attrib.pop("friction", None)
 
 
 def _of_drake(element: Element, key: str) -> str:
@@ -587,7 +592,8 @@ class UrdfText(ModelText):
         where = place_of(pose, self.path)
         roots = [e.get("name", "") for e in self.root.findall("link")]
         roots = [link for link in roots if link not in self._holding]
-        if "world" in roots or pose.get("relative_to") or not np.isfinite(X).all():
+        held = "world" in roots or self.chain  # by what includes the file, if any
+        if held or pose.get("relative_to") or not np.isfinite(X).all():
             if not np.array_equal(X[:3, 2], [0.0, 0.0, 1.0]):  # else it weighs the same there
                 self.terms.left_out.append(f"{where}: <pose> {words} of <gazebo> is ignored.")
             return
