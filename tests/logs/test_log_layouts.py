@@ -447,6 +447,37 @@ def test_joints_numbered_by_arm(tmp_path, form, model):
         read_log(path, joints=PANDA[:4])
 
 
+BESIDE = {
+    "Dynamixel": (
+        ["torque_enable_{k}", "profile_velocity_{k}"],
+        "present_position_{k}",
+        "present_current_{k}",
+    ),
+    "flags": (["torque_on_{k}", "torque_status_{k}"], "position_{k}", "current_{k}"),
+    "ODrive": (
+        ["axis{k}.current_state", "axis{k}.controller.input_pos"],
+        "axis{k}.encoder.pos_estimate",
+        "axis{k}.motor.current_control.Iq_measured",
+    ),
+    "MuJoCo": (["qfrc_applied_{k}", "qfrc_smooth_{k}"], "qpos_{k}", "qfrc_actuator_{k}"),
+    "zeros": (["effort_{k}", "torque_{k}"], "position_{k}", "current_{k}"),
+}
+
+
+@pytest.mark.parametrize("kind", BESIDE)
+def test_flags_and_settings_are_no_measurements(tmp_path, kind):
+    others, position, effort = BESIDE[kind]
+    time, q, _, tau = motion(PANDA)
+    names, columns = ["time"], [time]
+    for form in (*others, position, effort):
+        names += indexed("", 7, form.replace("{k}", "{1}"))
+    columns += [np.full_like(q, 8.0), np.zeros_like(q), q, tau]
+    log = read_log(write(tmp_path / "log.csv", names, columns), joints=PANDA)
+    factor = 2.0 * np.pi if kind == "ODrive" else 1.0  # turns
+    np.testing.assert_allclose(log.position, factor * q)
+    np.testing.assert_allclose(log.effort, tau)
+
+
 @pytest.mark.parametrize("form", ["{letter}_{joint}", "{joint}_{side}", "{capital} {joint}"])
 def test_joints_named_by_side(tmp_path, form):
     sides = [{"side": s, "letter": s[0], "capital": s[0].upper()} for s in ("left", "right")]

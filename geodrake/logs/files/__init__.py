@@ -132,11 +132,14 @@ def log_of(
     Columns of efforts that say nothing of them are not used, if others may stand for them.
     """
     log, columns = _understood(table, joints, reading, partial=partial)
-    if not (useless := without_use(log, columns)):
+    lost = frozenset[str]()
+    while useless := without_use(log, columns):
+        lost |= useless
+        reading = replace(reading, ignored=reading.ignored | useless)
+        log, columns = _understood(table, joints, reading, partial=partial)
+    if not lost:
         return log, columns
-    reading = replace(reading, ignored=reading.ignored | useless)
-    log, columns = _understood(table, joints, reading, partial=partial)
-    words = f"columns {listed(sorted(useless))} do not describe efforts, and are not used"
+    words = f"columns {listed(sorted(lost))} do not describe efforts, and are not used"
     return replace(log, notes=(*log.notes, words)), columns
 
 

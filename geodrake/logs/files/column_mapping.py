@@ -247,18 +247,21 @@ def settled(
 def without_use(log: JointLog, columns: Columns) -> frozenset[str]:
     """Return columns of efforts without information, where others may replace them.
 
-    They are empty, or they are the voltage of a supply, which hardly changes.
+    They are empty, they are the voltage of a supply, which hardly changes, or those of all joints
+    stay the same, as flags do.
     """
-    found = set()
-    for at, joint in enumerate(log.joints):
-        if not columns.others.get(joint) or f"{joint}.effort" not in columns.sources:
-            continue
-        values = log.effort[:, at]
-        values = values[np.isfinite(values)]
-        supplied = columns.kinds.get(joint) == "voltage" and len(values) > 0
-        if not len(values) or (supplied and np.ptp(values) < _STEADY * abs(values.mean())):
-            found.add(columns.sources[f"{joint}.effort"].column)
-    return frozenset(found)
+    chosen = {
+        columns.sources[name].column: (log.effort[:, at], columns.kinds.get(joint))
+        for at, joint in enumerate(log.joints)
+        if columns.others.get(joint) and (name := f"{joint}.effort") in columns.sources
+    }
+    known = {column: values[np.isfinite(values)] for column, (values, _) in chosen.items()}
+    spans = {column: float(np.ptp(values)) for column, values in known.items() if len(values)}
+    if spans and not any(spans.values()):
+        return frozenset(chosen)
+    supplies = (c for c, (_, kind) in chosen.items() if kind == "voltage" and c in spans)
+    steady = (c for c in supplies if spans[c] < _STEADY * abs(known[c].mean()))
+    return frozenset({*chosen} - {*spans}).union(steady)
 
 
 _SI = {"current": "A", "voltage": "V", "pwm": "fractions of the largest value"}

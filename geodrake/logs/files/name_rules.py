@@ -67,6 +67,12 @@ _BESIDE_TIME = _TIMES | _NANOSECONDS | _words("beside_time")
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[^\W\d_A-Z]+|[A-Z]+|\d+")
 _SECOND = re.compile(r"(?<![A-Za-z])(?:q2d|d2q|qd2(?=[\s_.(\[]+\d))(?![a-z])")  # qd2 is joint 2's
 _TYPED = re.compile(r"(?<![A-Za-z])(?:f|lr|r|n)(?=(?:Act|Set|Actual|Target)[A-Z])")  # in a PLC
+_MEANT = {  # by MuJoCo, of motors at joints and of others; and by ODrive, what is asked for
+    "qfrc_actuator": "qfrc",
+    "qfrc_applied": "qfrc_external",
+    "controller.input_": "controller.desired_",
+    "current_state": "",
+}
 _INCREMENTAL = ("inc", "cnt", "qc")  # a kind of encoder, where they stand in no brackets
 _OBSERVED = ("observation.state", "observation.position")  # of LeRobot
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
@@ -349,7 +355,8 @@ def _joint(column: str) -> Meaning | None:
     name = _TYPED.sub("", _SECOND.sub("qdd", column))
     name = _FIRST_SENSOR.sub("", _AXIS.sub("position", name))
     name = _TORQUE_J.sub("tau", _INDEX.sub(r"_\1", name).replace(*_OBSERVED))
-    name = name.replace("qfrc_actuator", "qfrc")  # of MuJoCo: of motors, at joints
+    for said, meant in _MEANT.items():
+        name = name.replace(said, meant)
     brackets = _BRACKETS.search(name)
     cut = brackets.start() if brackets else len(name)
     parts = [part for part in name[:cut].split("/") if part] or [name]
