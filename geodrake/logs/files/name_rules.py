@@ -355,8 +355,8 @@ def _joint(column: str) -> Meaning | None:
     name = _TYPED.sub("", _SECOND.sub("qdd", column))
     name = _FIRST_SENSOR.sub("", _AXIS.sub("position", name))
     name = _TORQUE_J.sub("tau", _INDEX.sub(r"_\1", name).replace(*_OBSERVED))
-    for said, meant in _MEANT.items():
-        name = name.replace(said, meant)
+    for other, meant in _MEANT.items():
+        name = name.replace(other, meant)
     brackets = _BRACKETS.search(name)
     cut = brackets.start() if brackets else len(name)
     parts = [part for part in name[:cut].split("/") if part] or [name]
