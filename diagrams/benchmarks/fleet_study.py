@@ -30,7 +30,6 @@ from diagrams.benchmarks.simulated.fleet import (
     TYPES,
     WEAR,
     FleetDraw,
-    HiddenChange,
     day_of,
     type_file,
     write_fleet_file,
@@ -55,12 +54,6 @@ def study(folder: Path, draws: Sequence[FleetDraw], jobs: int) -> tuple[FleetRes
     return result, time.monotonic() - began
 
 
-def rows_of(result: FleetResult, draws: Sequence[FleetDraw]) -> list[dict[str, Any]]:
-    """Return a row of the table for each robot, in the order of the draws."""
-    robots = {robot.robot: robot for robot in result.robots}
-    return [robot_row(draw, robots[draw.name].findings) for draw in draws]
-
-
 _DRY, _VISCOUS = frozenset({DRY}), frozenset({WET})
 
 FAMILIES: Mapping[str, tuple[frozenset[str], ...]] = {
@@ -76,60 +69,38 @@ DAYS_OFF = 2.0
 
 
 def robot_row(draw: FleetDraw, found: Sequence[FleetFinding]) -> dict[str, Any]:
-    """Return a row of the table: one robot, what was hidden, and what was found."""
-    hidden = draw.change
-    right = None if hidden is None else _right(draw.kind, hidden, found)
-    return {
+    """Return a row of the table: one robot, what was hidden, and what was found.
+
+    A finding is right that has the effect, joint or body, kind and day of what was hidden.
+    """
+    hidden, model = draw.change, type_file(draw.kind).model
+    row = {
         "robot": draw.name,
         "type": draw.kind,
         "months": draw.days / MONTH,
-        "hidden": None if hidden is None else hidden.what,
-        "where": None if hidden is None else _where(draw.kind, hidden),
-        "hidden day": None if hidden is None else hidden.day,
-        "hidden size": None if hidden is None else hidden.size,
-        "found": right is not None,
-        "day off": None if right is None or hidden is None else day_of(right.date) - hidden.day,
-        "inside": None if right is None or hidden is None else _is_inside(hidden, right),
-        "in rivals": hidden is not None and _in_rivals(draw.kind, hidden, found),
         "named": [_named(change) for change in found],
+        **dict.fromkeys(("hidden", "where", "hidden day", "hidden size", "day off", "inside")),
+    }
+    if hidden is None:
+        return {**row, "found": False, "in rivals": False, "others named": len(found)}
+    where = (model.bodies if hidden.what == PAYLOAD else model.joints)[hidden.joint]
+    shape = RAMP if hidden.what == WEAR else STEP
+
+    def is_it(one: FleetFinding | ChangeRival) -> bool:
+        return frozenset(one.effect.split("+")) in FAMILIES[hidden.what] and one.where == where
+
+    near = (change for change in found if abs(day_of(change.date) - hidden.day) <= DAYS_OFF)
+    right = next((change for change in near if is_it(change) and change.kind == shape), None)
+    row |= {"hidden": hidden.what, "where": where, "hidden day": hidden.day}
+    row |= {"hidden size": hidden.size, "found": right is not None}
+    if right is not None:
+        low, high = (day_of(end) for end in right.interval)
+        row |= {"day off": day_of(right.date) - hidden.day, "inside": low <= hidden.day <= high}
+    return {
+        **row,
+        "in rivals": any(is_it(rival) for change in found for rival in change.rivals),
         "others named": len(found) - (right is not None),
     }
-
-
-def _where(kind: str, hidden: HiddenChange) -> str:
-    model = type_file(kind).model
-    names = model.bodies if hidden.what == PAYLOAD else model.joints
-    return str(names[hidden.joint])
-
-
-def _right(kind: str, hidden: HiddenChange, found: Sequence[FleetFinding]) -> FleetFinding | None:
-    """Return the finding with the right effect, joint or body, kind and day."""
-    for change in found:
-        same = _effects(change) in FAMILIES[hidden.what] and change.where == _where(kind, hidden)
-        shape = change.kind == (RAMP if hidden.what == WEAR else STEP)
-        if same and shape and abs(day_of(change.date) - hidden.day) <= DAYS_OFF:
-            return change
-    return None
-
-
-def _effects(found: FleetFinding | ChangeRival) -> frozenset[str]:
-    """Return effects that change together."""
-    return frozenset(found.effect.split("+"))
-
-
-def _is_inside(hidden: HiddenChange, found: FleetFinding) -> bool:
-    low, high = (day_of(end) for end in found.interval)
-    return low <= hidden.day <= high
-
-
-def _in_rivals(kind: str, hidden: HiddenChange, found: Sequence[FleetFinding]) -> bool:
-    """Return whether the truth is among a finding's alternatives."""
-    where, families = _where(kind, hidden), FAMILIES[hidden.what]
-    return any(
-        _effects(rival) in families and rival.where == where
-        for change in found
-        for rival in change.rivals
-    )
 
 
 def _named(change: FleetFinding) -> dict[str, Any]:
@@ -197,7 +168,8 @@ def main() -> None:
         # Logs of other draws are others.
         own = f"seed_{options.seed}_{draws[0].days}_days" + "_still" * options.still
         result, seconds = study(folder / own, draws, options.jobs or (1 if options.quick else JOBS))
-    rows = rows_of(result, draws)
+    found = {robot.robot: robot.findings for robot in result.robots}
+    rows = [robot_row(draw, found[draw.name]) for draw in draws]
     table = summary(rows) | {"seconds until findings are there": seconds}
     show_values("A fleet whose robots change", table)
     unused = [vars(log) for log in result.unused]

@@ -13,7 +13,7 @@ from diagrams.studies.adaptive.laws import make_law
 from diagrams.studies.adaptive.loop import on_its_base
 from geodrake.control import ControlModel, PartialLaw, parameter_manifold
 from geodrake.effects import FittedEffect, Payload
-from geodrake.inertia import Array, from_mass_com_inertia, is_physical, to_spatial_inertia
+from geodrake.inertia import Array, Ellipsoid, is_physical, to_spatial_inertia
 from geodrake.manifolds import PhysicalInertia, Product
 from geodrake.model import RobotModel, load_description
 
@@ -86,9 +86,8 @@ MASS = 3.0  # kg
 
 def ellipsoid(mass: float, semi_axes: Array, offset: Array) -> Array:
     """Return (10,) of a uniform ellipsoid in the palm's frame, `offset` from `HELD`."""
-    squares = np.asarray(semi_axes, float) ** 2
-    inertia = np.diag(0.2 * mass * (squares.sum() - squares))
-    return from_mass_com_inertia(mass, HELD + np.asarray(offset, float), inertia)
+    center = HELD + np.asarray(offset, float)
+    return Ellipsoid(center, np.asarray(semi_axes, float), np.eye(3)).uniform_body(mass)
 
 
 GUESS = ellipsoid(1.0, np.full(3, 0.1), np.zeros(3))
