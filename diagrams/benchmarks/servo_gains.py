@@ -301,20 +301,17 @@ def _motion(made: ServoLog, model: RobotModel, found: Explanation) -> dict[str, 
 
 def _gains(made: ServoLog, model: RobotModel) -> list[dict[str, Any]]:
     """Return stiffness, damping, and the integral where there or found one, beside the truth."""
-    rows = []
+    rows, servos, within = [], made.servos, _damping(model.effort_signals)
     for signal in model.effort_signals:
-        at = made.log.joints.index(signal.joint)
-        stiffness = float(made.servos.stiffness[at])
-        rows.append(_row("kp", signal.joint, signal.gain, signal.deviation, stiffness))
-        if made.servos.knows_rate or signal.joint in _damping(model.effort_signals):
-            damping = float(made.servos.damping[at])
-            spread = float(np.hypot(signal.damping_deviation, signal.uncertainty * signal.damping))
-            rows.append(_row("kd", signal.joint, signal.damping, spread, damping))
-        integral = float(made.servos.integral[at])
-        if integral or signal.integral:
-            rough = signal.uncertainty * signal.integral
-            spread = float(np.hypot(signal.integral_deviation, rough))
-            rows.append(_row("ki", signal.joint, signal.integral, spread, integral))
+        at, joint = made.log.joints.index(signal.joint), signal.joint
+        damps = np.hypot(signal.damping_deviation, signal.uncertainty * signal.damping)
+        sums = np.hypot(signal.integral_deviation, signal.uncertainty * signal.integral)
+        gains = [("kp", signal.gain, signal.deviation, servos.stiffness)]
+        if servos.knows_rate or joint in within:
+            gains.append(("kd", signal.damping, float(damps), servos.damping))
+        if servos.integral[at] or signal.integral:
+            gains.append(("ki", signal.integral, float(sums), servos.integral))
+        rows += [_row(what, joint, x, spread, float(true[at])) for what, x, spread, true in gains]
     return rows
 
 
@@ -350,22 +347,25 @@ def _row(what: str, joint: str, value: float, spread: float, truth: float) -> di
 
 
 def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return shares and medians over all logs."""
+    """Return shares and medians over all logs; departures are root mean squares of all joints."""
     values = [value for row in rows for value in row["values"]]
+
+    def departs(row: Mapping[str, Any], at: int) -> float:
+        return float(np.sqrt(np.square(row["motion on the way"][at]).mean()))
+
+    first, second, last = ([departs(row, at) for row in rows] for at in (0, 1, -1))
+    best = [np.sqrt(np.square(row["motion of the true model"]).mean()) for row in rows]
+    seconds = np.array([(row["seconds"], row["seconds of motions"]) for row in rows])
     table: dict[str, Any] = {
         "logs": len(rows),
         "all effects in the set": float(np.mean([row["in_set"] for row in rows])),
         "other effects named, a log": float(np.mean([len(row["extra"]) for row in rows])),
-        "departure over that of the true model, median": float(
-            np.median([_worse(row) for row in rows])
-        ),
-        "departure over the motion before, median": _on_the_way(rows, 0),
-        "after the first step": _on_the_way(rows, 1),
-        "at the end": _on_the_way(rows, -1),
-        "seconds a log, median": float(np.median([row["seconds"] for row in rows])),
-        "with motions before, on the way and after, most": max(
-            row["seconds"] + row["seconds of motions"] for row in rows
-        ),
+        "departure over that of the true model, median": float(np.median(np.divide(last, best))),
+        "departure over the motion before, median": float(np.median(first)),
+        "after the first step": float(np.median(second)),
+        "at the end": float(np.median(last)),
+        "seconds a log, median": float(np.median(seconds[:, 0])),
+        "with motions before, on the way and after, most": float(seconds.sum(axis=1).max()),
     }
     if any(row["backlash"] for row in rows):
         table["joints whose play is named"] = sum(len(row["play named"]) for row in rows)
@@ -378,19 +378,6 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             "values": len(same),
         }
     return table
-
-
-def _on_the_way(rows: Sequence[Mapping[str, Any]], at: int) -> float:
-    """Return median over logs of the departure over the motion, RMS of all joints, at a step."""
-    return float(
-        np.median([np.sqrt(np.square(row["motion on the way"][at]).mean()) for row in rows])
-    )
-
-
-def _worse(row: Mapping[str, Any]) -> float:
-    """Return departure from the motion over that of the true model, both over all joints."""
-    ours, best = (np.square(row[key]).mean() for key in ("motion", "motion of the true model"))
-    return float(np.sqrt(ours / best))
 
 
 def main() -> None:
