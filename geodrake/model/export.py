@@ -30,6 +30,8 @@ from geodrake.robot.repairs import TOLERANCE, stated_inertias
 _UNCHANGED = 1e-13
 """Relative difference below which a link keeps the numbers that the file has for it."""
 
+_NOTHING = 1e-9  # of the robot's mass
+
 _SUFFIXES = {"urdf": (".urdf",), "sdf": (".sdf", ".world"), "xml": (".xml", ".mjcf")}
 _RELATIVE = re.compile(rb"""(?:filename|file|meshdir|assetdir)\s*=\s*["'](?![\w.+-]+:|/)[^"']""")
 
@@ -126,10 +128,12 @@ def export_bodies(model: RobotModel) -> Export:
     # Settings that change masses change what is written, too: all is written, without them.
     anew, here = file.drop_mass_settings(), file.links.keys()
     written: dict[str, Array] = {}
-    shared, absent = [], []
+    shared, absent, nothing = [], [], _NOTHING * float(model.total_phi[:, 0].sum())
     for body, phi in zip(lumped_bodies(model.plant), model.total_phi, strict=True):
         names = [member.scoped_name for member in body.members]
         before = np.array([stated.get(name, np.zeros(10)) for name in names])
+        if kind == "urdf" and not before.any() and phi[0] < nothing:
+            continue  # a frame between joints
         after, how = distributed(body, before, phi)
         changed = {
             name: new

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +30,7 @@ LEAST_SIZE = 1e-15  # m, up to which a body counts as a point
 LEAST_LENGTH = 0.01  # m, least radius of gyration given to a body
 LENGTH_PER_SIZE = 0.05  # the same, as a share of the body's size
 MASS_BETWEEN = 1e-12  # of a body between the joints of one body, as a share of the robot's
+SIZE_BETWEEN = 0.1  # m, its radius of gyration, with which MuJoCo takes it, too
 MASS_PER_TOTAL = 1e-3  # mass of all bodies without one, as a share of the robot's
 
 
@@ -60,6 +61,13 @@ def repair_inertias(
     """
     lumps, links = lumped_bodies(plant), stated_inertias(description, plant)
     stated = [_stated_parameters(links, body) for body in lumps]
+    shapeless = {name for text in description.every for name in text.shapeless}
+    if frames := _frames(plant, lumps, stated, shapeless):
+        description.terms.between.update(m.scoped_name for body in frames for m in body.members)
+        description.terms.notes.append(
+            f"Links without mass between joints at one point weigh nothing: "
+            f"{', '.join(body.name for body in frames)}."
+        )
     usable = [np.where(_counts(phi)[:, None], phi, 0.0).sum(0) for phi in stated]
     between = [
         all(member.scoped_name in description.terms.between for member in body.members)
@@ -73,7 +81,7 @@ def repair_inertias(
         after = phi
         if is_between:
             mass = max(2.0 * LEAST_MASS, MASS_BETWEEN * sum(own[0] for own in usable))
-            after = nearest_physical(phi, points=np.zeros((1, 3)), spare_mass=mass)
+            after = from_pseudo_inertia(mass * np.diag([*[SIZE_BETWEEN**2] * 3, 1.0]))
         elif not (is_physical(phi, tolerance=TOLERANCE) and _counts(phi)) or (
             # All of the mass is in one point, the body's origin.
             np.diagonal(pseudo_inertia(phi))[:3].max() <= LEAST_SIZE**2 * phi[0]
@@ -92,6 +100,35 @@ def repair_inertias(
             changed = True
             _write(description, body, after)
     return tuple(repairs), tuple(notes), changed
+
+
+def _frames(
+    plant: MultibodyPlant,
+    lumps: Sequence[LumpedBody],
+    stated: Sequence[Array],
+    shapeless: Container[str],
+) -> list[LumpedBody]:
+    """Return bodies that are frames between joints at one point: without inertia and shape.
+
+    Each carries one body, which has a mass, or is such a frame.
+    """
+    owner = {int(m.index): k for k, body in enumerate(lumps) for m in body.members}
+    carried = dict[int, list[int]]()
+    for joint in (joint for joint in joints_of(plant) if joint.num_velocities()):
+        parent, child = (int(b.index()) for b in (joint.parent_body(), joint.child_body()))
+        carried.setdefault(owner.get(parent, -1), []).append(owner.get(child, -1))
+    heavy = [bool(_counts(phi).any()) for phi in stated]
+    empty = [
+        not phi.any()
+        and all(member.scoped_name in shapeless for member in body.members)
+        and not np.ptp(_joint_points(plant, body), axis=0).any()
+        for body, phi in zip(lumps, stated, strict=True)
+    ]
+
+    def ends(k: int) -> bool:
+        return heavy[k] or (empty[k] and len(on := carried.get(k, [])) == 1 and ends(on[0]))
+
+    return [body for k, body in enumerate(lumps) if not heavy[k] and ends(k)]
 
 
 def nearest_physical(phi: Array, *, points: Array, spare_mass: float) -> Array:

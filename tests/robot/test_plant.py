@@ -23,7 +23,7 @@ from geodrake.inertia import (
 )
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.logs.motion import Motion
-from geodrake.model import check_dynamics
+from geodrake.model import check_dynamics, save_export
 from geodrake.model.robot_model import from_loaded_plant
 from geodrake.robot import RobotInstance
 from geodrake.robot.plant import effort_limits, joint_names, load_plant, set_inertial_parameters
@@ -221,6 +221,32 @@ MJCF = """<mujoco model="m"><compiler meshdir="absent"/><asset><mesh name="x" fi
   </body></body>
 <body name="f" pos="1 2 3"><freejoint/><geom type="box" size=".1 .1 .1" mass="3"/></body>
 </worldbody><actuator><motor name="m" joint="h" gear="100" ctrlrange="-1 1"/></actuator></mujoco>"""
+
+
+DUMMIES = """<robot name="cart"><link name="map"/><link name="dx"/><link name="dy"/>
+<link name="base"><inertial><origin xyz=".05 0 .2"/><mass value="20"/>
+<inertia ixx=".3" iyy=".4" izz=".5" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="x" type="prismatic"><parent link="map"/><child link="dx"/>{limit}</joint>
+<joint name="y" type="prismatic"><parent link="dx"/><child link="dy"/><axis xyz="0 1 0"/>
+{limit}</joint>
+<joint name="yaw" type="continuous"><parent link="dy"/><child link="base"/>{origin}
+<axis xyz="0 0 1"/></joint></robot>"""
+LIMIT = '<limit lower="-5" upper="5" effort="99" velocity="5"/>'
+
+
+def test_frames_between_joints_of_a_mobile_base_weigh_nothing(load):
+    loaded = load(DUMMIES.format(limit=LIMIT, origin=""), "m.urdf")
+    assert not loaded.changes and any("weigh nothing: dx, dy" in note for note in loaded.notes)
+    model = load_model(loaded.path)
+    check = check_dynamics(model, samples=5)
+    assert check.holds and check.second is not None and check.second.relative < 1e-11
+    copy = loaded.path.with_name("copy.urdf")
+    save_export(model, copy)
+    assert copy.read_bytes() == loaded.path.read_bytes()
+    apart = DUMMIES.format(limit=LIMIT, origin='<origin xyz="0.1 0 0"/>')
+    assert [repair.body for repair in load(apart, "m.urdf").repairs] == ["dx", "dy"]
+    seen = DUMMIES.replace('"dx"/>', '"dx"><visual/></link>', 1).format(limit=LIMIT, origin="")
+    assert [repair.body for repair in load(seen, "m.urdf").repairs] == ["dx"]
 
 
 def test_mjcf(load):

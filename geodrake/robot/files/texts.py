@@ -156,6 +156,7 @@ class ModelText(abc.ABC):
         numeric: Numbers of the format and what they may be.
         terms: What the file states that is not in the text.
         inside: Elements that include other files, and the texts of those.
+        shapeless: Scoped names of links of a URDF that nobody sees or touches.
         folders: Package -> folder, which come before those that are found.
         chain: Files that led to this one by includes, itself the last; none for the first one.
     """
@@ -174,6 +175,7 @@ class ModelText(abc.ABC):
         self.root, self.path, self.scope, self.folders = root, path, scope, folders
         self.terms, self.chain = FileTerms(), chain
         self.inside = list[tuple[Element, ModelText]]()
+        self.shapeless = set[str]()
         self._links: dict[str, Element] = {}
         # Scoped names of joints that are fixed, and of those of several degrees of freedom.
         self._still, self._several = set[str](), set[str]()
@@ -512,7 +514,8 @@ class UrdfText(ModelText):
             if lacks := [key for key in TENSOR if key not in inertia.attrib]:
                 what = f"<inertia> lacks {', '.join(lacks)}, which count as 0."
                 terms.notes.append(f"{place_of(inertia, self.path)}: {what}")
-        gazebo = root.findall("gazebo")
+        gazebo, shapes = root.findall("gazebo"), ("visual", "collision")
+        links = [link for link in root.findall("link") if not any(map(link.findall, shapes))]
         drop(root, "visual", "collision", "gazebo", "material", "drake:collision_filter_group")
         self._transmissions = [deepcopy(e) for e in root.iter("transmission")]
         for transmission in root.findall("transmission"):
@@ -526,6 +529,7 @@ class UrdfText(ModelText):
         self._take_balls(scope, root)
         self._drop_loops()
         root.set("name", root.get("name") or scope)
+        self.shapeless = {f"{scope}::{link.get('name')}" for link in links}
         self._links = {f"{scope}::{e.get('name')}": e for e in root.findall("link")}
         joints = [joint for tag in _JOINTS for joint in root.findall(tag)]
         self._holding = {_end(joint, "child"): joint for joint in reversed(joints)}
