@@ -34,6 +34,7 @@ from geodrake.diagnosis.normal_kernels import (
     calc_most_probable,
     calc_noise_changes,
     calc_packed,
+    calc_physical_share,
     calc_squares,
     nothing_packed,
 )
@@ -280,7 +281,8 @@ class LogModel:
             if not own.any() or np.mean(~own) < _FEWEST_OTHERS:
                 continue
             A, b = (np.concatenate([getattr(each, f) for each in rows])[own] for f in "Ab")
-            gram = np.hstack([A, b]).T @ np.hstack([A, b])
+            both = np.hstack([A, b])
+            gram = both.T @ both
             blocks[j] = j, kept - int(own.sum()), blocks[j][2] - gram
             blocks.append((j, int(own.sum()), gram))
         return blocks
@@ -579,8 +581,7 @@ class LogModel:
             scale = np.sqrt(np.square(root).sum(axis=0))
             correlations = (root / scale).T @ (root / scale) + 1e-9 * np.eye(len(scale))
             draws = _DRAWS @ np.linalg.cholesky(correlations).T
-            matrices = np.tensordot(mean + scale * draws, _PSEUDO, 1)
-            share = float(np.mean(np.linalg.eigvalsh(matrices)[:, 0] > 0.0))
+            share = calc_physical_share(mean + scale * draws, _PSEUDO.reshape(len(_PSEUDO), -1))
             if share > 0.0:
                 total += 2.0 * np.log(share)
             else:  # then it is as far away as the nearest body that can exist

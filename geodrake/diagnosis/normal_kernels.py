@@ -298,6 +298,26 @@ def _is_body(matrix: Array) -> bool:
 
 
 @compiled
+def calc_physical_share(parameters: Array, basis: Array) -> float:
+    """Return the share of parameters (N, 10) with which bodies can exist.
+
+    Parameters times a basis (10, 16) are pseudo-inertias, whose pivots are positive then.
+    """
+    physical = 0
+    for n in range(len(parameters)):
+        matrix = (parameters[n] @ basis).reshape(4, 4)
+        pivots = 0
+        while pivots < 4 and matrix[pivots, pivots] > 0.0:
+            for i in range(pivots + 1, 4):
+                share = matrix[i, pivots] / matrix[pivots, pivots]
+                for j in range(pivots + 1, 4):
+                    matrix[i, j] -= share * matrix[pivots, j]
+            pivots += 1
+        physical += pivots == 4
+    return physical / len(parameters)
+
+
+@compiled
 def calc_distance(mean: Array, inside: Array, precision: Array, basis: Array) -> float:
     """Return the squared distance from parameters (10,) to the nearest body that can exist.
 

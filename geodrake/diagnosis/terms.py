@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, reduce
+from functools import cache, cached_property, reduce
 from math import comb, log
 from operator import or_
 from typing import Any
@@ -450,6 +450,7 @@ def _odds_of_joints(kinds: Sequence[tuple[set[str], int]]) -> float:
     return total
 
 
+@cache
 def _share(most: int, count: int) -> float:
     """Return the probability of some joints, where any number of `most` is as likely as another."""
     return 1.0 / (most * comb(most, count))
