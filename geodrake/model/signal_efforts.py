@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline
 
 from geodrake.compiling import compiled, contiguous
 from geodrake.inertia import Array
@@ -120,33 +119,27 @@ def _parts(
 
 
 def delayed_command(log: JointLog, at: int, delay: float) -> tuple[Array, Array]:
-    """Return the delayed command of a joint, and its rate."""
-    curve = command_curve(log, at, delay)
-    if curve is None or log.command is None:
+    """Return the delayed command of a joint, and its rate, on straight lines between rows."""
+    late, told, rates = late_commands(log, at, delay)
+    if len(late) < 2 or log.command is None:
         nothing = np.full(len(log), np.nan)
         return nothing, nothing
     there = np.where(np.isfinite(log.command[:, at]), 0.0, np.nan)
-    command, rate = commands_at(curve, log.time)
-    return command + there, rate + there
+    rate = np.interp(log.time, late, rates)
+    return np.interp(log.time, late, told) + there, rate + there
 
 
-def command_curve(log: JointLog, at: int, delay: float) -> CubicHermiteSpline | None:
-    """Return how a joint's command goes on between the rows of a log, late by a delay, s.
+def late_commands(log: JointLog, at: int, delay: float) -> tuple[Array, Array, Array]:
+    """Return the instants (K,) at which commands of a joint act, s, the commands, and their rates.
 
-    It is a cubic with the rates of central differences, as the fit of a servo has it: straight
-    lines would bend less than commands do, which a servo that knows their rate, and acts later,
-    makes up for. None without two rows.
+    They are those of the log that are known. A simulation goes on between them as a cubic with
+    these rates: straight lines would bend less than commands do, which a servo that knows their
+    rate, and acts later, makes up for.
     """
     column = np.full(len(log), np.nan) if log.command is None else log.command[:, at]
     known = np.isfinite(column) & np.isfinite(log.time)
     late, told = log.time[known] + delay, column[known]
-    return CubicHermiteSpline(late, told, np.gradient(told, late)) if len(late) > 1 else None
-
-
-def commands_at(curve: CubicHermiteSpline, time: Array) -> tuple[Array, Array]:
-    """Return commands and their rates at instants (N,), s; beyond its ends a curve is constant."""
-    inside = np.clip(time, curve.x[0], curve.x[-1])
-    return np.asarray(curve(inside)), np.where(inside == time, curve(inside, 1), 0.0)
+    return late, told, np.gradient(told, late) if len(late) > 1 else np.zeros(len(late))
 
 
 def _velocity(log: JointLog, at: int) -> Array:

@@ -33,7 +33,7 @@ from geodrake.model.servos import (
     servo_gains,
     servos_of,
 )
-from geodrake.model.signal_efforts import command_curve, commands_at, integral_effort
+from geodrake.model.signal_efforts import integral_effort, late_commands
 
 FASTEST = 1e6
 """Peak speeds of the log, beyond which no robot is simulated any more."""
@@ -141,7 +141,7 @@ def _moving(
 class Acting:
     """The efforts of a log, and in their place servos at joints that follow its commands.
 
-    Efforts are straight lines between the log's samples, and commands curves (`command_curve`).
+    Efforts are straight lines between the log's samples, and commands cubics (`late_commands`).
     """
 
     def __init__(self, model: RobotModel, log: JointLog, *, commands: bool) -> None:
@@ -244,15 +244,17 @@ class Acting:
         """Return late commands and their rates (K, n) at instants (K,)."""
         commands, rates = np.zeros((2, len(time), len(self._told)))
         for j, curve in self._curves.items():
-            commands[:, j], rates[:, j] = commands_at(curve, passage.began + time)
+            since = np.clip(passage.began + time, curve.x[0], curve.x[-1])
+            commands[:, j] = curve(since)
+            rates[:, j] = np.where(since == passage.began + time, curve(since, 1), 0.0)
         return commands, rates
 
     @cached_property
     def _curves(self) -> dict[int, CubicHermiteSpline]:
-        """Joint that is commanded -> the curve of its command."""
+        """Joint that is commanded -> the curve of its command; constant beyond its ends."""
         delays = {j: self._delays[j] for j in np.flatnonzero(self._told).tolist()}
-        curves = {j: command_curve(self._log, j, delay) for j, delay in delays.items()}
-        return {j: curve for j, curve in curves.items() if curve is not None}
+        late = {j: late_commands(self._log, j, delay) for j, delay in delays.items()}
+        return {j: CubicHermiteSpline(*rows) for j, rows in late.items()}
 
 
 def told_joints(model: RobotModel, log: JointLog) -> NDArray[np.bool_]:

@@ -279,7 +279,7 @@ def calc_velocity_after(
 def calc_command_before(rows: Array, at: float, period: float) -> tuple[float, float]:
     """Return the command at a row's number, which may be between two, and its rate.
 
-    Between rows it is a cubic with the rates of central differences, as in `signal_efforts`. Before
+    Between rows it is a cubic with the rates of central differences, as in rollouts. Before
     the first row the command is as it is there.
     """
     if at <= 0.0:
