@@ -16,9 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
-from diagrams.harness import script_parser, show, write
+from diagrams.harness import script_parser, show, show_values, write
 from diagrams.public_data import add_folder_option, require
 from geodrake import load_model, save_model
 from geodrake.diagnosis import Candidate, Explanation, Step, add, compare, diagnose, explain
@@ -197,7 +196,7 @@ def main() -> None:
     parser = script_parser(__doc__, "only the double pendulum, some runs")
     add_folder_option(parser)
     options = parser.parse_args()
-    console, rows, elsewhere, named = Console(width=160), [], {}, {}
+    rows, elsewhere, named = [], {}, {}
     require(parser, options.shared, *(MEASUREMENTS[-1:] if options.quick else MEASUREMENTS))
     with tempfile.TemporaryDirectory() as saved:
         for study in QUICK if options.quick else STUDIES:
@@ -206,25 +205,25 @@ def main() -> None:
             rows += rows_of(study, explanation, time.perf_counter() - begin)
             named[study.name] = named_afterwards(study, shared=options.shared, saved=Path(saved))
             if study.name in ELSEWHERE:
-                worth = left_out(study, explanation, options.shared)
-                elsewhere[study.name] = dict(worth)
-                for effect, errors in worth:
-                    errors_there = ", ".join(f"{name} {nrms:.4f}" for name, nrms in errors.items())
-                    console.print(f"{study.name}, left out {effect}: {errors_there}")
+                elsewhere[study.name] = dict(left_out(study, explanation, options.shared))
     if options.quick:
         days = pairs_of_days(*QUICK_DAYS, options.shared, QUICK_PAIRS)
     else:
         days = pairs_of_days(*DAYS, options.shared)
-    lines = [{**row, "where": ", ".join(row["where"])} for row in rows]
-    show("Steps of all studies", lines)
-    for study_name, effects in named.items():
-        console.print(
-            f"{study_name}, named by diagnose afterwards: {'; '.join(effects) or 'nothing'}"
-        )
-    for pair in days:
-        console.print(f"{pair['fit']} then {pair['test']}: {', '.join(pair['steps']) or 'no step'}")
-        for log, (before, after) in pair["third"].items():
-            console.print(f"    {log}: {before:.4f} without, {after:.4f} with")
+    show("Steps of all studies", [{**row, "where": ", ".join(row["where"])} for row in rows])
+    for name, errors in elsewhere.items():
+        show_values(f"{name}: nrms of logs that took no part, without an effect", errors)
+    after = {name: "; ".join(effects) or "nothing" for name, effects in named.items()}
+    show_values("Named by diagnose afterwards", after)
+    lines = [
+        {"fit": pair["fit"], "test": pair["test"], "steps": ", ".join(pair["steps"]) or "no step"}
+        | {
+            log: " → ".join(f"{nrms:.4f}" for nrms in errors)
+            for log, errors in pair["third"].items()
+        }
+        for pair in days
+    ]
+    show("Steps on another day, and nrms of further ones before and after", lines)
     told = {"rows": rows, "left_out": elsewhere, "named_afterwards": named, "days": days}
     write(options, told)
 

@@ -17,8 +17,7 @@ white noise and positions with the ticks of an encoder, so that the log looks me
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -206,14 +205,8 @@ def measure(
     )
 
 
-def summary(log: JointLog, *, scenario: Scenario) -> dict[str, object]:
-    """Return the scenario, and the deviation of every joint's effort, N·m."""
-    effort = dict(zip(log.joints, log.effort.std(0).tolist(), strict=True))
-    return {"scenario": asdict(scenario), "samples": len(log), "effort_std": effort}
-
-
-def read_options(arguments: Sequence[str] | None = None) -> argparse.Namespace:
-    """Return command line options."""
+def read_scenario() -> tuple[argparse.Namespace, Scenario]:
+    """Return command line options, and the scenario that they ask for."""
     parser = script_parser(__doc__, "a log of 4 s, for a first look")
     parser.add_argument("--log", type=Path, help="file for the log, .csv or .npz")
     parser.add_argument("--demo", action="store_true", help="the log that comes with the package")
@@ -221,31 +214,27 @@ def read_options(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--effect", action="append", default=[], help="name of a hidden effect")
     parser.add_argument("--where", action="append", default=[], help="joints or body, by commas")
     parser.add_argument("--size", action="append", default=[], help="parameters, by commas")
-    return parser.parse_args(arguments)
-
-
-def scenario_of(options: argparse.Namespace) -> Scenario:
-    """Return the scenario that options ask for."""
+    options = parser.parse_args()
     hidden = tuple(
         HiddenEffect(name, tuple(filter(None, at.split(","))), tuple(map(float, size.split(","))))
         for name, at, size in zip(options.effect, options.where, options.size, strict=True)
     )
     scenario = DEMO if options.demo else Scenario(robot=options.robot, hidden=hidden)
-    seed = scenario.seed if options.seed is None else options.seed
-    return replace(scenario, seed=seed, duration=4.0 if options.quick else scenario.duration)
+    duration = 4.0 if options.quick else scenario.duration
+    return options, replace(scenario, seed=options.seed, duration=duration)
 
 
 def main() -> None:
     """Simulate, print, and write what was asked for."""
-    options = read_options()
     try:
-        scenario = scenario_of(options)
+        options, scenario = read_scenario()
         log = simulate(scenario=scenario)
         if options.log:
             write_log(log, options.log)
     except (GeodrakeError, ValueError) as error:
         raise SystemExit(str(error)) from None
-    tell(options, summary(log, scenario=scenario))
+    effort = dict(zip(log.joints, log.effort.std(0).tolist(), strict=True))
+    tell(options, {"scenario": scenario, "samples": len(log), "effort_std": effort})
 
 
 if __name__ == "__main__":
