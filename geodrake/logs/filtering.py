@@ -47,7 +47,7 @@ def spectral_density(
     parts = parts - parts.mean(axis=2, keepdims=True) if centered else parts
     power = np.asarray(np.square(np.abs(rfft(parts * weights))).mean(axis=0).T)
     power[1 : (length + 1) // 2] *= 2.0  # of negative frequencies, too
-    frequency = np.arange(len(power)) * (rate / length)
+    frequency = np.linspace(0.0, (len(power) - 1) * rate / length, len(power))
     return frequency, power / (rate * float(np.square(weights).sum()))
 
 
