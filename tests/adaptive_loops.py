@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import PdControllerGains
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import BasicVector, DiagramBuilder, LeafSystem
 from pydrake.trajectories import PiecewisePolynomial, Trajectory
@@ -31,9 +30,7 @@ MANIFOLD = parameter_manifold(MODEL)
 TRUTH = CONTROL.prior
 
 
-def pendulum_plant(
-    time_step=0.0, *, limits=None, reverse=False, damping=DAMPING, gains=None, finalized=True
-):
+def pendulum_plant(time_step=0.0, *, limits=None, reverse=False, damping=DAMPING, finalized=True):
     """A plant of the double pendulum, with its friction as Drake's own damping."""
     plant = MultibodyPlant(time_step)
     Parser(plant).AddModels(str(MODELS / "double_pendulum.urdf"))
@@ -44,9 +41,7 @@ def pendulum_plant(
         if joint.num_velocities() == 1:
             joint.set_default_damping_vector([damping])
             effort = (limits or {}).get(joint.name(), np.inf)
-            actuator = plant.AddJointActuator(f"motor_{joint.name()}", joint, effort)
-            if gains is not None:
-                actuator.set_controller_gains(PdControllerGains(**gains))
+            plant.AddJointActuator(f"motor_{joint.name()}", joint, effort)
     if finalized:
         plant.Finalize()
     return plant

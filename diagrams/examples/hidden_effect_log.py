@@ -23,15 +23,15 @@ from pathlib import Path
 import numpy as np
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import JointIndex, PdControllerGains
+from pydrake.multibody.tree import JointActuatorIndex, JointIndex, PdControllerGains
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import LogVectorOutput
+from pydrake.systems.controllers import InverseDynamics
+from pydrake.systems.framework import DiagramBuilder, OutputPort
+from pydrake.systems.primitives import LogVectorOutput, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from diagrams.harness import MODELS, script_parser, sines, tell
 from geodrake.control import DelayedEffort, EffectForce
-from geodrake.control.systems import add_tracking_drives
 from geodrake.effects import Effect, EffortDelay, make_effect
 from geodrake.effects.sensors import delays_of
 from geodrake.errors import ArgumentError, GeodrakeError
@@ -157,6 +157,30 @@ def random_motion(plant: MultibodyPlant, *, scenario: Scenario) -> PiecewisePoly
     return PiecewisePolynomial.CubicHermite(time, (center + q / scale).T, (v / scale).T)
 
 
+def add_drives(
+    builder: DiagramBuilder,
+    plant: MultibodyPlant,
+    motion: PiecewisePolynomial,
+    clean: MultibodyPlant,
+) -> OutputPort:
+    """Have the plant follow a motion, and return the effort (nv) of its drives in the last step.
+
+    That is inverse dynamics of the `clean` plant that a controller knows, and PD control of the
+    actuators, which a discrete plant takes implicitly: gains may be as stiff as those of real ones.
+    """
+    feedforward = builder.AddSystem(
+        InverseDynamics(clean, InverseDynamics.InverseDynamicsMode.kInverseDynamics)
+    )
+    state = builder.AddSystem(TrajectorySource(motion, 1)).get_output_port()
+    acceleration = builder.AddSystem(TrajectorySource(motion.MakeDerivative(2))).get_output_port()
+    arm = plant.get_joint_actuator(JointActuatorIndex(0)).model_instance()
+    builder.Connect(state, feedforward.GetInputPort("estimated_state"))
+    builder.Connect(state, plant.get_desired_state_input_port(arm))
+    builder.Connect(acceleration, feedforward.GetInputPort("desired_acceleration"))
+    builder.Connect(feedforward.get_output_port(), plant.get_actuation_input_port())
+    return plant.get_net_actuation_output_port()
+
+
 def track(
     plant: MultibodyPlant, motion: PiecewisePolynomial, *, scenario: Scenario
 ) -> tuple[Array, Array]:
@@ -167,7 +191,7 @@ def track(
     builder = DiagramBuilder()
     builder.AddSystem(plant)
     clean = load(scenario, hidden=False)
-    effort = add_tracking_drives(builder, plant, motion, controller_plant=clean)
+    effort = add_drives(builder, plant, motion, clean)
     if forces:
         block = EffectForce.AddToBuilder(builder, plant, forces, sign_width=SIGN_WIDTH)
         builder.Connect(effort, block.GetInputPort("applied_effort"))

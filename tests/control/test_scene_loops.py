@@ -12,12 +12,9 @@ from adaptive_loops import (
     natural,
     passive,
     pendulum_plant,
-    simulator,
 )
-from chain_logs import inverse_dynamics
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import LogVectorOutput
 from scenes import PENDULUM, alone, plant_of, scene
 
 from geodrake import effects
@@ -27,7 +24,7 @@ from geodrake.control import (
     PassivityBasedAdaptiveController,
     add_adaptive_loop,
 )
-from geodrake.control.systems import Safeguards, add_tracking_drives
+from geodrake.control.systems import Safeguards
 from geodrake.effects import FittedEffect
 from geodrake.errors import ArgumentError
 from geodrake.model import load_model
@@ -207,49 +204,6 @@ def test_a_controller_of_motors_wants_ports_of_motors():
     builder = DiagramBuilder()
     with pytest.raises(ArgumentError, match=r"has a transmission.*add_to_builder"):
         add_adaptive_loop(builder, RobotInstance(scene(builder), "arm"), controller, motion())
-
-
-STEP = 1e-3
-GAINS = {"time_step": STEP, "damping": 0.0, "gains": {"p": 1e3, "d": 30.0}}
-
-
-def test_drives_follow_a_motion_with_the_effort_of_inverse_dynamics():
-    builder = DiagramBuilder()
-    plant, known = builder.AddSystem(pendulum_plant(**GAINS)), pendulum_plant(**GAINS)
-    path = motion(0.5, 4.0)
-    effort = LogVectorOutput(
-        add_tracking_drives(builder, plant, path, controller_plant=known), builder, 0.02
-    )
-    state = LogVectorOutput(plant.get_state_output_port(), builder, 0.02)
-    diagram = builder.Build()
-    context = diagram.CreateDefaultContext()
-    start = np.concatenate([path.value(0.0), path.EvalDerivative(0.0)]).ravel()
-    plant.SetPositionsAndVelocities(plant.GetMyContextFromRoot(context), start)
-    found = simulator(diagram, context)
-    found.AdvanceTo(1.0)
-    logs = [sink.FindLog(found.get_context()) for sink in (state, effort)]
-    t, (x, u) = logs[0].sample_times(), (log.data().T for log in logs)
-    assert np.abs(x[:, :2] - path.vector_values(t).T).max() < 2e-3
-    before = t[5::9] - STEP
-    q, v, a = (np.array([path.EvalDerivative(s, k).ravel() for s in before]) for k in range(3))
-    needed = inverse_dynamics(known, q, v, a)
-    np.testing.assert_allclose(u[5::9], needed, atol=0.05 * np.abs(u).max())
-
-
-@pytest.mark.parametrize(
-    ("options", "size", "message"),
-    [
-        ({"gains": None}, 2, "without gains are"),
-        ({"reverse": True}, 2, "is elbow, shoulder"),
-        ({}, 3, "3 positions"),
-    ],
-)
-def test_drives_that_do_not_fit_are_refused(options, size, message):
-    builder = DiagramBuilder()
-    plant = builder.AddSystem(pendulum_plant(**GAINS | options))
-    path = motion() if size == 2 else type(motion())(np.zeros((size, 1)))
-    with pytest.raises(ArgumentError, match=message):
-        add_tracking_drives(builder, plant, path, controller_plant=pendulum_plant(**GAINS))
 
 
 def test_effort_limits_of_a_plant_are_by_joint():

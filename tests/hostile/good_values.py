@@ -60,7 +60,7 @@ _PLANTS = []
 def builder():
     """A builder with a plant in it, which is then the last of the plants."""
     found = DiagramBuilder()
-    _PLANTS.append(found.AddSystem(pendulum(1e-3, gains={"p": 100.0, "d": 10.0})))
+    _PLANTS.append(found.AddSystem(pendulum(1e-3)))
     return found
 
 
@@ -285,7 +285,6 @@ BY_CALL = {
     "take_out_stated": {"name": "double_pendulum",
         "plant": Fresh(lambda: pendulum(finalized=False))},
     **dict.fromkeys(("add_adaptive_loop", "EffectForce.AddToBuilder"), IN_BUILDER),
-    "add_tracking_drives": IN_BUILDER,
     "EffectForce": {"log": "swing"},
     "roll_out": {"logs": Fresh(lambda: (log(3.0),))},
     "fit_rollouts": {"model": Fresh(soft), "logs": Fresh(lambda: (log(3.0),)), "most": 4},

@@ -17,7 +17,6 @@ from geodrake.control.systems.passivity_based_adaptive_controller import (
 from geodrake.control.systems.position_servo import PositionServo
 from geodrake.control.systems.prediction_error import PredictionError
 from geodrake.control.systems.safeguards import Safeguards
-from geodrake.control.systems.tracking import add_tracking_drives
 from geodrake.model.simulation.effect_force import EffectForce
 from geodrake.model.simulation.robot_in_diagram import DelayedEffort
 
@@ -35,5 +34,4 @@ __all__ = [
     "PredictionError",
     "Safeguards",
     "VaryingGains",
-    "add_tracking_drives",
 ]
