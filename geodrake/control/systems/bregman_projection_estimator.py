@@ -40,6 +40,7 @@ from geodrake.control.systems.safeguards import (
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import check_context
+from geodrake.manifolds.robot_kernels import calc_clearly_inside
 
 _SLOTS = 24  # samples in memory
 _ESTIMATE, _MEMORY, _SEEN, _RESIDUAL, _ERROR, _COUNT = range(6)  # discrete states
@@ -191,8 +192,10 @@ class BregmanProjectionEstimator(LeafSystem):
         update, following, found = self._sample_update, p, error[0]
         if self._compiled is not None and not left:
             following, states = np.empty(len(p)), (watched, memory, p, residual)
-            new, found = calc_estimated(self._compiled, (x, effort), states, earlier, following)
-            if new and not update.manifold.calc_contains(following):
+            new, found, inside = calc_estimated(
+                self._compiled, (x, effort), states, earlier, following
+            )
+            if new and not (inside or update.manifold.calc_contains(following)):
                 following, found = p, np.inf
         else:
             with np.errstate(all="ignore"):
@@ -232,7 +235,7 @@ def calc_estimated(
     states: tuple[Array, Array, Array, Array],
     earlier: Rows,
     following: Array,
-) -> tuple[bool, float]:
+) -> tuple[bool, float, bool]:
     """Update everything with one sample of a plain robot.
 
     Args:
@@ -244,8 +247,8 @@ def calc_estimated(
         following: (n,) where the estimate goes.
 
     Returns:
-        Whether the sample is a new one, and the error of `calc_projected`; nothing but memories is
-        written if it is not.
+        Whether the sample is a new one, the error of `calc_projected`, and whether the estimate is
+        clearly inside of the manifold; nothing but memories is written if it is no new one.
     """
     (robot, limits, (period, share, held), projecting), (x, effort) = how, sample
     (watched, memory, p, residual), nv = states, len(effort)
@@ -256,10 +259,10 @@ def calc_estimated(
     told = period, share, held, not new
     if not (measured and calc_filtered(both, effort, told, memory)):
         memory[0] = 0.0
-        return False, np.inf
+        return False, np.inf, False
     if new:
         Y, known = filtered_rows(memory, nv, len(p))
         residual[:] = known - np.dot(Y, p)
         error, _ = calc_projected(p, (Y, known), earlier, projecting, following)
-        return True, error
-    return False, np.inf
+        return True, error, calc_clearly_inside(following, projecting[1])
+    return False, np.inf, False
