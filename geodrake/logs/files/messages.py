@@ -9,7 +9,6 @@ from functools import lru_cache
 from math import isnan
 from operator import itemgetter
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -249,25 +248,19 @@ class JointMessages(Messages):
 
 
 def stamp_of(message: Any) -> int:
-    """Return the time stamp of a message of ROS or LCM, ns; 0 if it has none."""
-    stamp = getattr(getattr(message, "header", message), "stamp", None)
-    seconds, part = (
-        next((int(getattr(stamp, name)) for name in names if hasattr(stamp, name)), None)
-        for names in (("sec", "secs"), ("nanosec", "nsec", "nsecs"))
-    )
+    """Return the time stamp of a message of ROS, LCM or JSON, ns; 0 if it has none."""
+    stamp = _first_of(_first_of(message, "header") or message, "stamp")
+    seconds = _first_of(stamp, "sec", "secs")
     if seconds is None:
-        return 1000 * int(getattr(message, "utime", 0))
-    return seconds * 1_000_000_000 + (part or 0)
+        return 1000 * int(_first_of(message, "utime") or 0)
+    return int(seconds) * 1_000_000_000 + int(_first_of(stamp, "nanosec", "nsec", "nsecs") or 0)
 
 
-def as_message(value: Any) -> Any:
-    """Return JSON as a message: objects have fields, and lists of numbers are arrays."""
-    if isinstance(value, dict):
-        return SimpleNamespace(**{str(name): as_message(each) for name, each in value.items()})
-    if not isinstance(value, list):
-        return value
-    are_numbers = all(isinstance(each, float | int) for each in value)
-    return np.array(value, float) if value and are_numbers else [as_message(x) for x in value]
+def _first_of(message: Any, *names: str) -> Any:
+    """Return the first field of a message that it has, of an object or of JSON; else None."""
+    fields = message if isinstance(message, Mapping) else None
+    found = (fields.get(n) if fields is not None else getattr(message, n, None) for n in names)
+    return next((value for value in found if value is not None), None)
 
 
 _LEAVES = (str, int, float, np.ndarray)
@@ -282,18 +275,19 @@ def _plain(message: Any) -> Any:
     if isinstance(message, _LEAVES):
         return message
     if isinstance(message, list):
+        if message and all(isinstance(value, float | int) for value in message):  # of JSON
+            return np.array(message, float)
         first = _plain(message[0]) if message else None
         if not isinstance(first, dict):
             return message
         rows = [first, *map(_plain, message[1:])]
         names = dict.fromkeys(name for row in rows for name in row)
         return {name: [row.get(name, np.nan) for row in rows] for name in names}
-    if hasattr(message, "interface_names"):
-        return dict(zip(message.interface_names, message.values, strict=True))
-    own = getattr(message, "__dict__", None) or {
-        name: getattr(message, name) for name in getattr(message, "__slots__", ())
-    }
-    return {n: _plain(value) for n, value in own.items() if n != "header"} if own else message
+    if (names := _first_of(message, "interface_names")) is not None:
+        return dict(zip(names, _first_of(message, "values"), strict=True))
+    own = message if isinstance(message, Mapping) else getattr(message, "__dict__", None)
+    own = own or {name: getattr(message, name) for name in getattr(message, "__slots__", ())}
+    return {str(n): _plain(x) for n, x in own.items() if n != "header"} if own else message
 
 
 def _numbers_of_joints(fields: Mapping[str, Any]) -> tuple[Owners, dict[str, Array]] | None:

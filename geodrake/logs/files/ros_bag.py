@@ -19,7 +19,6 @@ from geodrake.logs.files.messages import (
     BaseMessages,
     JointMessages,
     Messages,
-    as_message,
     base_sources,
 )
 from geodrake.logs.files.reading import Reading
@@ -104,7 +103,7 @@ def _read_channels(path: Path, reading: Reading, profile: str) -> LogTable:
                 json.loads(message.data) if decode is None else plain(decode(message.data), **whole)
             )
             kind = schema.name if schema else "json"
-            yield channel.topic, kind, as_message(read), message.log_time
+            yield channel.topic, kind, read, message.log_time
 
     with readable(path, "MCAP file", _REPAIR), open_regular(path, "log", LogError) as file:
         topics = topics_of(messages(file))

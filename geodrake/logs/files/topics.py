@@ -20,7 +20,6 @@ from geodrake.logs.files.messages import (
     BaseMessages,
     JointMessages,
     Messages,
-    as_message,
     is_complete,
     on_clock,
     stamp_of,
@@ -102,9 +101,8 @@ def messages_table(path: Path, records: Any, reading: Reading) -> LogTable | Non
     times = np.array([number_in(each.get(clock)) or 0.0 for each in records])
     unit = time_unit("", times)
     stamps = np.rint(times * 1e9 * (unit[0] if unit else 1.0)).astype(np.int64).tolist()
-    messages = [(topic, as_message(x)) for topic, x in said]
-    received = stamps if clock else [stamp_of(message) for _, message in messages]
-    both = zip(messages, received, strict=True)
+    received = stamps if clock else [stamp_of(message) for _, message in said]
+    both = zip(said, received, strict=True)
     topics = topics_of((topic, "records", message, time) for (topic, message), time in both)
     if not any(topic.messages.quantities for topic in topics):
         return None
