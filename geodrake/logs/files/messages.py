@@ -249,18 +249,24 @@ class JointMessages(Messages):
 
 def stamp_of(message: Any) -> int:
     """Return the time stamp of a message of ROS, LCM or JSON, ns; 0 if it has none."""
-    stamp = _first_of(_first_of(message, "header") or message, "stamp")
-    seconds = _first_of(stamp, "sec", "secs")
+    stamp = _field(_field(message, "header") or message, "stamp")
+    seconds = _first_of(stamp, ("sec", "secs"))
     if seconds is None:
-        return 1000 * int(_first_of(message, "utime") or 0)
-    return int(seconds) * 1_000_000_000 + int(_first_of(stamp, "nanosec", "nsec", "nsecs") or 0)
+        return 1000 * int(_field(message, "utime") or 0)
+    return int(seconds) * 1_000_000_000 + int(_first_of(stamp, ("nanosec", "nsec", "nsecs")) or 0)
 
 
-def _first_of(message: Any, *names: str) -> Any:
-    """Return the first field of a message that it has, of an object or of JSON; else None."""
-    fields = message if isinstance(message, Mapping) else None
-    found = (fields.get(n) if fields is not None else getattr(message, n, None) for n in names)
-    return next((value for value in found if value is not None), None)
+def _first_of(message: Any, names: Sequence[str]) -> Any:
+    """Return the first field of a message that it has; None if it has none."""
+    for name in names:
+        if (value := _field(message, name)) is not None:
+            return value
+    return None
+
+
+def _field(message: Any, name: str) -> Any:
+    """Return a field of a message, which is an object or of JSON; None if it has none."""
+    return message.get(name) if isinstance(message, dict) else getattr(message, name, None)
 
 
 _LEAVES = (str, int, float, np.ndarray)
@@ -283,9 +289,9 @@ def _plain(message: Any) -> Any:
         rows = [first, *map(_plain, message[1:])]
         names = dict.fromkeys(name for row in rows for name in row)
         return {name: [row.get(name, np.nan) for row in rows] for name in names}
-    if (names := _first_of(message, "interface_names")) is not None:
-        return dict(zip(names, _first_of(message, "values"), strict=True))
-    own = message if isinstance(message, Mapping) else getattr(message, "__dict__", None)
+    if (names := _field(message, "interface_names")) is not None:
+        return dict(zip(names, _field(message, "values"), strict=True))
+    own = message if isinstance(message, dict) else getattr(message, "__dict__", None)
     own = own or {name: getattr(message, name) for name in getattr(message, "__slots__", ())}
     return {str(n): _plain(x) for n, x in own.items() if n != "header"} if own else message
 
