@@ -36,7 +36,12 @@ from geodrake.effects.robot_motion import log_number
 from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.servos import calc_beyond
-from geodrake.model.simulation.effect_force import Coupling, ForceLaw, SoftJoints
+from geodrake.model.simulation.effect_force import (
+    Coupling,
+    ForceLaw,
+    SoftJoints,
+    calc_coupling,
+)
 
 _Held = tuple[NDArray[np.intp], NDArray[np.intp], Array]  # links, motors, what couples them
 _Driven = tuple[Array, Array, NDArray[np.intp], Array]  # efforts, behind, motors, gains
@@ -319,20 +324,16 @@ def calc_linearized_motion(
             b = -(C_now @ v) - K_now @ middle
             b[:, 0] -= (1.0 - f) * r[k] + f * r[k + 1]
             for i in range(len(links)):
-                stiffness, play, damping, ramp = couplings[i]
                 link, motor = links[i], motors[i]
                 lag, rate = middle[motor] - middle[link], v[motor] - v[link]
-                side = 1.0 if lag[0] > 0.0 else -1.0
-                over = side * lag[0] - play
-                share = 1.0 if play == 0.0 else min(max(over / ramp, 0.0), 1.0)
-                push = stiffness * over + share * damping * side * rate[0]
-                if play > 0.0 and (over <= 0.0 or push <= 0.0):
-                    continue
-                torque = stiffness * lag + share * damping * rate
-                torque[0] = side * push
+                stiffness, play, damping, ramp = couplings[i]
+                coupling = stiffness, play, damping, ramp
+                push, stiffness, damping = calc_coupling(coupling, lag[0], rate[0])
+                torque = stiffness * lag + damping * rate
+                torque[0] = push
                 b[link] += torque
                 b[motor] -= torque
-                slope = 0.5 * h * share * damping + 0.25 * h * h * stiffness
+                slope = 0.5 * h * damping + 0.25 * h * h * stiffness
                 S[link, link] += slope
                 S[motor, motor] += slope
                 S[link, motor] -= slope

@@ -31,6 +31,7 @@ from pydrake.systems.framework import (
 )
 
 from geodrake.boundary.arguments import instance, instances, number, real_array
+from geodrake.compiling import inlined
 from geodrake.effects import Effect, FittedEffect, Role
 from geodrake.effects.column_checks import rows_of
 from geodrake.effects.deflection import SPRING_DAMPING, DeflectionEffect, Give
@@ -55,6 +56,22 @@ _RAMP = 0.1  # of that yield, over which the sides' damping comes on
 _POSTURES = 32  # in which the weight of a link is looked for
 
 
+@inlined
+def calc_coupling(
+    held: tuple[float, float, float, float], lag: float, rate: float
+) -> tuple[float, float, float]:
+    """Return the torque of a `Coupling`, N·m or N, and by how much lag and rate change it."""
+    stiffness, play, damping, ramp = held
+    side = 1.0 if lag > 0.0 else -1.0
+    over = side * lag - play
+    if play > 0.0:
+        damping *= min(max(over / ramp, 0.0), 1.0)
+    push = stiffness * over + damping * side * rate
+    if play > 0.0 and (over <= 0.0 or push <= 0.0):
+        return 0.0, 0.0, 0.0
+    return side * push, stiffness, damping
+
+
 @dataclass(frozen=True)
 class Coupling:
     """Spring and damper, or gap, between a motor and its link."""
@@ -66,13 +83,8 @@ class Coupling:
 
     def torque(self, lag: float, rate: float) -> float:
         """Return the torque on the link, N·m or N, of the motor's position less its, and a rate."""
-        if self.play == 0.0:
-            return self.stiffness * lag + self.damping * rate
-        side = 1.0 if lag > 0.0 else -1.0
-        over = side * lag - self.play
-        share = min(over / self.ramp, 1.0)
-        push = self.stiffness * over + share * self.damping * (side * rate)
-        return side * push if over > 0.0 and push > 0.0 else 0.0
+        held = self.stiffness, self.play, self.damping, self.ramp
+        return float(calc_coupling(held, lag, rate)[0])
 
     def lag(self, torque: float) -> float:
         """Return the lag (rad or m) under a steady torque (N·m or N)."""
