@@ -24,12 +24,10 @@ from geodrake.diagnosis.terms import names_and_places
 from geodrake.effects import Effect
 from geodrake.identification.logs.case import Case, error_table, open_case
 from geodrake.identification.logs.compare import comparison
+from geodrake.identification.logs.criteria import ALARM
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
-
-_CONVINCING = 0.01
-"""Further candidates are listed if the probability that they are not needed is at most this."""
 
 
 def diagnose(
@@ -111,7 +109,7 @@ def _candidates(
     for fit in additions(found.model, bare):
         (name, places), gain = names_and_places(fit.terms), fit.score - bare.score
         chance = float(np.exp(-0.5 * np.clip(gain, 0.0, 1400.0)))
-        if name not in seen and chance <= _CONVINCING:
+        if name not in seen and chance <= ALARM:
             seen.add(name)
             nrms = found.model.validated(fit).nrms  # of bodies that can be
             candidates.append(Candidate(name, places, before, nrms, gain, chance, tied=False))
