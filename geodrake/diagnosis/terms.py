@@ -33,6 +33,7 @@ Key = tuple[str, tuple[str, ...]]
 """Name and place of an effect; one of an episode is of one log, and about an instant of it."""
 
 _REACH = 2.0  # of a tool, over that of a dataset's payload: two thirds of the size of a link
+_COMPACT = np.repeat([1.0, 0.5, 0.25], [1, 3, 6])  # of what is half as wide as that
 _SPREAD = 2.0 / 3.0  # of a load's inertia about an axis, over its mass times its square distance
 _USUAL = -2
 """Which of the payloads, in order of their mass, a body may carry that carries others."""
@@ -165,10 +166,9 @@ def terms_of(
         everywhere, is_own = places[type(effect)], effect in own
         if is_body(effect):
             side = sides.get(effect.where[0], 0.0)
-            priors = _load_priors(load, side, beliefs, is_own=is_own)
             last = effect.where[0] in model.load_bodies
-            if not (last or is_own):
-                priors = [priors[max(len(priors) + _USUAL, 0)]]
+            masses = beliefs.payloads if last or is_own else beliefs.payloads[_USUAL:][:1]
+            priors = _load_priors(masses, load, side, is_own=is_own, width=beliefs.load)
             tips = sum(where[0] in model.load_bodies for where in everywhere)
             odds = len(priors) * (tips + (len(everywhere) - tips) / beliefs.inner)
             odds *= 1.0 if last else beliefs.inner
@@ -213,19 +213,19 @@ def _first_shape(effect: Effect) -> float:
 
 
 def _load_priors(
-    load: Array, square: float, beliefs: Beliefs, *, is_own: bool
+    masses: Sequence[float], load: Array, square: float, *, is_own: bool, width: float
 ) -> list[tuple[Array, Array]]:
     """Return prior means (10,) and informations (10, 10) of a body's payloads, light to heavy.
 
-    They are as wide as the usual `load` (10,), and as limbs branch off at a mean `square` distance,
-    m². What the model has already (`is_own`) may have changed either way.
+    They are as wide as the usual `load` (10,), and as half of it; and as limbs branch off at a mean
+    `square` distance, m². What the model has already (`is_own`) may have changed either way.
     """
-    shapes, wide = [load], load.copy()
+    shapes, wide = [load * _COMPACT, load], load.copy()
     wide[4:7] = np.maximum(load[4:7], _SPREAD * load[0] * square)
     if (wide > load).any():
-        shapes.append(wide)
-    width, mean = (1.0, 0.0) if is_own else (beliefs.load, 1.0)
-    loads = [mass * shape for mass in beliefs.payloads for shape in shapes]
+        shapes = [load, wide]
+    width, mean = (1.0, 0.0) if is_own else (width, 1.0)
+    loads = [mass * shape for mass in masses for shape in shapes]
     return [(mean * each, pullback_information(each[None], width)) for each in loads]
 
 

@@ -514,6 +514,20 @@ def test_gains_of_efforts_that_are_wrong_make_no_sample_dependent():
     np.testing.assert_allclose(model.shares(fit), sure.shares(sure.bare(np.ones(2))), rtol=0.1)
 
 
+def test_a_compact_tool_is_not_thought_to_be_a_light_one():
+    """Of the priors of payloads, that which is likeliest to give it has a mass like its own."""
+    model = random_problem()[0]
+    usual, loads = model.dataset.payload, [term for term in model.terms if term.effect == PAYLOAD]
+    mass, square = 0.7 * usual[0], usual[4:7].sum() / usual[0] / 6.0
+    for size in (1.0, 4.0):  # half as wide as most, and as wide
+        tool = from_mass_com_inertia(mass, np.zeros(3), 2.0 * size * mass * square * np.eye(3))
+        likely = max(
+            loads,
+            key=lambda t: t.log_information - (tool - t.mean) @ t.information @ (tool - t.mean),
+        )
+        assert 0.5 < likely.mean[0] / mass < 2.0
+
+
 def test_noise_at_other_instants_is_no_evidence_of_a_delay():
     """Sums of squares fall by what noise says of a delay, not by when it is sampled."""
     rng, low_pass = np.random.default_rng(8), design_filter(0.005, 8.3)
