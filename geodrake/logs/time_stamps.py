@@ -81,6 +81,18 @@ def time_unit(
     return _UNITS[unit], f"{words} (--units time=s if it is not)"
 
 
+def are_parts(seconds: Array, parts: Array) -> bool:
+    """Return whether `parts` (N,), s, are those of whole `seconds` (N,) in another column.
+
+    In a log of several rows a second these rarely change, or they count from 1970 on.
+    """
+    known = seconds[np.isfinite(seconds)]
+    if (known % 1.0).any() or (parts >= 1.0).any() or len(known) < 2:
+        return False
+    slow = np.median(np.abs(np.diff(known))) < 1.0
+    return bool(slow or _EPOCH[0] < np.median(known) < _EPOCH[1])
+
+
 def _is_certain(factor: float, time: Array, position: Array | None, velocity: Array | None) -> bool:
     """Return whether a motion (N, n) shows that a factor makes seconds of its time stamps (N,)."""
     if position is None:

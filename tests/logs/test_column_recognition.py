@@ -219,6 +219,8 @@ def test_a_unit_in_brackets_says_the_quantity_in_any_language():
         ("vel3_turns_per_s", "velocity", 2 * np.pi),
         ("tau3_cNm", "effort", 0.01),
         ("q3 [arcmin]", "position", np.pi / 10800),
+        ("torque3 (Newton-meters)", "effort", 1.0),
+        ("current3 [Ampere]", "current", 1.0),
         ("U3 [V]", "voltage", 1.0),
         ("load_position_3", "position", 1.0),
         ("present_load_3 [%]", "effort", 0.01),

@@ -478,6 +478,16 @@ def test_flags_and_settings_are_no_measurements(tmp_path, kind):
     np.testing.assert_allclose(log.effort, tau)
 
 
+@pytest.mark.parametrize(
+    "form", ["/joint_status/{what}[{k}]", "motor_status_{k}_{what}", "{what}_smooth{k}"]
+)
+def test_words_of_flags_before_a_quantity_say_nothing(tmp_path, form):
+    time, q, _, tau = motion(PANDA)
+    names = [form.format(k=k, what=what) for what in ("position", "torque") for k in range(7)]
+    path = write(tmp_path / "log.csv", ["time", *names], [time, q, tau])
+    check(read_log(path, joints=PANDA), PANDA, q, None, tau)
+
+
 @pytest.mark.parametrize("form", ["{letter}_{joint}", "{joint}_{side}", "{capital} {joint}"])
 def test_joints_named_by_side(tmp_path, form):
     sides = [{"side": s, "letter": s[0], "capital": s[0].upper()} for s in ("left", "right")]
@@ -547,6 +557,15 @@ def test_rows_of_several_robots(tmp_path, robots):
         assert not any("no meaning" in note for note in log.notes)
 
 
+def test_two_robots_one_after_the_other(tmp_path):
+    time, q, _, tau = motion(("a",))
+    rows = [np.hstack(np.broadcast_arrays(k, time[:, None], q, tau)) for k in (0.0, 1.0)]
+    path = write(tmp_path / "log.csv", ["robot_id", "time", "q", "tau"], [*np.vstack(rows).T])
+    with pytest.raises(LogError, match="rows of 2 robots, by column 'robot_id': 0, 1"):
+        read_log(path, joints=("a",))
+    check(read_log(path, joints=("a",), reading=Reading(topic="1")), ("a",), q, None, tau)
+
+
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 def test_recordings_in_one_table_follow_each_other(tmp_path, suffix):
     time, q, _, tau = motion(("a",))
@@ -605,6 +624,25 @@ def test_parts_of_seconds_in_a_column_of_their_own(tmp_path, names, parts):
     log = read_log(path)
     check(log, ("a",), q, v, tau)
     np.testing.assert_allclose(log.time - log.time[0], time, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("names", "unit", "start", "rest"),
+    [
+        (("timestamp", "us"), 1e-3, 1.7e12, 300.0),
+        (("t", "us"), 1e-3, 0.0, 300.0),
+        (("timestamp", "nanoseconds"), 1e-3, 1.7e12, 1.7e18),
+        (("stamp", "ns"), 1e-6, 1.7e15, 900.0),
+        (("timestamp", "ms"), 1.0, 0.25, 5.0),
+    ],
+)
+def test_what_stands_beside_time_may_be_no_part_of_it(tmp_path, names, unit, start, rest):
+    time, q, v, tau = motion(("a",), rate=100.0)
+    own = [*names, "a.position", "a.velocity", "a.effort"]
+    beside = rest + np.arange(ROWS) % 7
+    log = read_log(write(tmp_path / "log.csv", own, [start + time / unit, beside, q, v, tau]))
+    check(log, ("a",), q, v, tau)
+    np.testing.assert_allclose(log.time - log.time[0], time, atol=1e-6)
 
 
 @pytest.mark.parametrize("before", [11_644_473_600, 62_135_596_800])

@@ -48,7 +48,7 @@ from geodrake.logs.motion import (
     JointLog,
     check_joints,
 )
-from geodrake.logs.time_stamps import time_unit
+from geodrake.logs.time_stamps import are_parts, time_unit
 
 HEADER = "time,<joint>.position,<joint>.velocity,<joint>.effort"
 MOST_COLUMNS = 10_000  # ten times more than a robot of a hundred joints has
@@ -65,11 +65,17 @@ def read_column(meaning: Meaning, numbers: dict[str, Array], *, since_first: boo
     values = numbers.pop(meaning.column)
     if meaning.beside is not None:
         start = float(values[np.isfinite(values)][:1].sum()) if since_first else 0.0
-        part = meaning.beside.factor * numbers.pop(meaning.beside.column)
-        if not np.any(part >= 1.0):  # or it is a time of its own
-            values = (values - start) + part
+        values = (values - start) + meaning.beside.factor * numbers.pop(meaning.beside.column)
     values = values if meaning.factor == 1.0 else meaning.factor * values
     return values + meaning.offset if meaning.offset else values
+
+
+def with_own_parts(time: Meaning, numbers: Mapping[str, Array]) -> Meaning:
+    """Return a column of time without the one beside it, unless that has parts of its seconds."""
+    if (beside := time.beside) is None:
+        return time
+    belongs = are_parts(numbers[time.column], beside.factor * numbers[beside.column])
+    return time if belongs else replace(time, beside=None)
 
 
 def in_seconds(

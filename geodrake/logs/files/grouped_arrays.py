@@ -258,13 +258,17 @@ def _of_one_robot(table: LogTable, name: str, cells: Texts, reading: Reading) ->
 
 
 def _are_together(table: LogTable, cells: Texts, robots: Sequence[str]) -> bool:
-    """Return whether robots are logged at the same time; flags of 0 and 1 say nothing otherwise."""
+    """Return whether robots are logged at the same time, one row each or one after the other.
+
+    Otherwise, 0 and 1 may be a flag of one robot.
+    """
     time = next((x for n, x in table.columns.items() if table.is_time(n)), None)
     if time is None or {*robots} - {"0", "1"}:
         return True
     spans = sorted((np.nanmin(x), np.nanmax(x)) for x in (time[cells == each] for each in robots))
-    changes = np.count_nonzero(cells[1:] != cells[:-1])
-    return bool(spans[1][0] < spans[0][1] and 4 * changes > len(cells))
+    changes = np.flatnonzero(cells[1:] != cells[:-1])
+    begins_anew = (np.diff(time)[changes] < 0.0).all()
+    return bool(spans[1][0] < spans[0][1] and (begins_anew or 4 * len(changes) > len(cells)))
 
 
 def _of_recordings(table: LogTable, name: str, cells: Texts, reading: Reading) -> LogTable:

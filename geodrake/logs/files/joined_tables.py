@@ -11,7 +11,13 @@ import numpy as np
 
 from geodrake.boundary.arguments import Array
 from geodrake.errors import LogError
-from geodrake.logs.files.column_mapping import in_seconds, listed, read_column, time_source
+from geodrake.logs.files.column_mapping import (
+    in_seconds,
+    listed,
+    read_column,
+    time_source,
+    with_own_parts,
+)
 from geodrake.logs.files.name_rules import (
     OF_JOINTS,
     PART,
@@ -219,6 +225,7 @@ def _time(table: LogTable, reading: Reading) -> tuple[Array | None, tuple[str, .
     source = time_source(table, reading)
     if source is None:
         return None, ()
+    source = with_own_parts(source, table.columns)
     return in_seconds(source, read_column(source, dict(table.columns), since_first=False))
 
 

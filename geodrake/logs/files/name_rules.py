@@ -55,6 +55,7 @@ MAPPED = ("mapped",)
 """The style of columns that the user named."""
 
 _COMMAND, _SHORT, _FILLERS = map(_words, ("commands", "short", "fillers"))
+_FLAGS = _words("flags")
 _NO_SIGNAL, _SUPPLY, _NAMING = map(_words, ("no_signal", "supply", "naming"))
 _TIMES, _NANOSECONDS, _SAMPLES = map(_words, ("times", "nanoseconds", "samples"))
 _ROBOTS, _RECORDINGS, _COUNTING = map(_words, ("robots", "recordings", "counting"))
@@ -70,6 +71,7 @@ _TYPED = re.compile(r"(?<![A-Za-z])(?:f|lr|r|n)(?=(?:Act|Set|Actual|Target)[A-Z]
 _MEANT = {  # by MuJoCo, of motors at joints and of others; and by ODrive, what is asked for
     "qfrc_actuator": "qfrc",
     "qfrc_applied": "qfrc_external",
+    "qfrc_smooth": "qfrc_external",
     "controller.input_": "controller.desired_",
     "current_state": "",
 }
@@ -234,7 +236,7 @@ def bracketed(column: str) -> str:
 
 def is_unknown_word(text: str) -> bool:
     """Return whether a text is a word that names of columns do not have otherwise."""
-    known = _FILLERS | ROLE_WORDS.keys() | QUANTITY_WORDS.keys() | _SIDES.keys()
+    known = _FILLERS | _FLAGS | ROLE_WORDS.keys() | QUANTITY_WORDS.keys() | _SIDES.keys()
     return bool(re.fullmatch(r"[^\W\d_][^\d\s]*", text)) and known.isdisjoint(_split(text))
 
 
@@ -400,10 +402,17 @@ def _joint(column: str) -> Meaning | None:
     named = _has_name(joint)
     words = words_of(joint) if named else tuple(numbers[-1:])
     roles = [ROLE_WORDS[w] for w in _split(name) if isinstance(w, str) and w in ROLE_WORDS]
-    role = OTHER if _FURTHER_SENSOR.search(column) else max(roles, default=PLAIN)
+    is_other = _FURTHER_SENSOR.search(column) or _is_flag(_split(name))
+    role = OTHER if is_other else max(roles, default=PLAIN)
     group = tuple(word for part in parts[:place] for word in _telling(_split(part)))
     called, style = joint if named else "", (quantity, *sorted(used))
     return Meaning(column, quantity, called, words, role, unit, style, group, DESIRED in roles)
+
+
+def _is_flag(words: Words) -> bool:
+    """Return whether a word behind the last quantity says that it is a flag of this."""
+    told = [k for k, word in enumerate(words) if word in QUANTITY_WORDS or word in _COMMAND]
+    return not _FLAGS.isdisjoint(words[max(told, default=0) :])
 
 
 def _measured_in(name: str) -> Meaning | None:
@@ -451,7 +460,8 @@ def _used(words: Words) -> frozenset[str]:
     return frozenset(
         w
         for w in words
-        if isinstance(w, str) and (w in QUANTITY_WORDS or w in ROLE_WORDS or w in _DERIVED)
+        if isinstance(w, str)
+        and (w in QUANTITY_WORDS or w in ROLE_WORDS or w in _DERIVED or w in _FLAGS)
     )
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import Array
 from geodrake.errors import LogError
-from geodrake.logs.files.column_mapping import Columns, in_seconds, read_column
+from geodrake.logs.files.column_mapping import Columns, in_seconds, read_column, with_own_parts
 from geodrake.logs.files.joined_tables import at_instants
 from geodrake.logs.files.name_rules import Meaning
 from geodrake.logs.files.packed_files import log_name
@@ -53,7 +53,8 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
 
     joints, notes = columns.joints, tuple[str, ...]()
     stamps = columns.places.get(("", "time"))
-    given = None if columns.rate is not None or stamps is None else read_column(stamps, numbers)
+    stamps = None if stamps is None or columns.rate is not None else with_own_parts(stamps, numbers)
+    given = None if stamps is None else read_column(stamps, numbers)
     alone = {joint: column(joint, "position") for joint in columns.standing}
     data = {name: read_column(source, numbers) for name, source in columns.floating.items()}
     data |= {f"{joint}.position": place for joint, place in alone.items()}
