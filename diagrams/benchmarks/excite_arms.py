@@ -77,7 +77,7 @@ class Checked:
 
 
 def excited(path: Path, folder: Path, options: Sequence[str]) -> tuple[dict[str, Any], Any, float]:
-    """Run the command; returns its numbers, the table it saved, and its CPU time, s."""
+    """Run the command, and return its numbers, the table it saved, and its CPU time, s."""
     numbers, motion = folder / "numbers.json", folder / "motion.csv"
     files = ["--json", str(numbers), "--save", str(motion), "--rate", f"{RATE:g}"]
     command = [sys.executable, "-m", "geodrake", "excite", str(path), *files, *options]

@@ -39,7 +39,7 @@ from geodrake.robot import KinematicTree, inverse_dynamics_regressor
 ROLLING = (2, 5, 8)  # Joints that share their motor with the joint after them, half a turn each.
 NOISE = 0.02  # N·m
 GAMMA = 0.03
-HAS_CVXPY = all(find_spec(name) for name in ("cvxpy", "clarabel"))  # of the bench extra
+HAS_CVXPY = all(find_spec(name) for name in ("cvxpy", "clarabel"))  # of the dev extra
 
 
 @dataclass(frozen=True, kw_only=True)

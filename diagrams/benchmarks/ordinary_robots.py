@@ -256,7 +256,7 @@ def is_missed(row: Row) -> bool:
 def miss_words(row: Row) -> str:
     """Return what went wrong with a draw, in a line."""
     what = [f"{row['off']:.0%} off", f"{row['rate']:.0f} Hz", f"noise {row['noise']:.1%}"]
-    what += [row["colour"]] if row["colour"] != "white" else []
+    what += [row["colour"]] if row["colour"] != WHITE else []
     what += [name for name in ("velocities", "quantised", "calibrated") if row[name]]
     what += [f"tool {row['mass']:.2f} kg"] if row["mass"] else []
     hides = [*row["hidden"], *([f"{row['kind']} at {row['joints']}"] if row["kind"] else [])]
@@ -322,7 +322,7 @@ def quick_draws(seed: int) -> list[Draw]:
     short = {"duration": 10.0, "rate": 100.0, "velocities": True, "noise": 0.005}
     return [
         draw(ORDINARY, "ur5", 0, seed, **short, tool=0.1, off=0.0, rotors=False),
-        draw(OUTSIDE, "ur5", 0, seed, **short, kind="pendulum in a link"),
+        draw(OUTSIDE, "ur5", 0, seed, **short, kind=IN_A_LINK),
         draw(QUIET, "ur5", 0, seed, **short),
     ]
 

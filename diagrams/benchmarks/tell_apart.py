@@ -134,7 +134,7 @@ def shuttle(rng: Generator, reach: float = 0.08) -> Reference:
 
 
 def sweep(rng: Generator) -> Reference:
-    """Return in one direction at one slow speed."""
+    """Return a motion in one direction at one slow speed."""
     start = np.array([-0.3, 0.6]) + rng.uniform(-0.05, 0.05, 2)
     speed = 0.08 * rng.uniform(0.9, 1.1, 2)
 

@@ -20,7 +20,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from diagrams.harness import script_parser, show, write
-from geodrake.excitation import Criterion
 from geodrake.excitation.objective import NORMALIZATIONS, normalizing_map
 from geodrake.report import style
 
@@ -30,7 +29,6 @@ GRAVITY = 9.81  # m/s²
 MASS, LENGTH = 1.0, 0.5  # kg, m, of a uniform rod from the joint
 NOISE = 0.1  # N·m
 LARGEST = 2.0  # amplitude, rad
-A_OPTIMALITY = Criterion("a_optimality")
 
 
 @dataclass(frozen=True)

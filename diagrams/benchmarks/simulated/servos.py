@@ -31,8 +31,8 @@ class Servos:
     # alone.
     knows_rate: bool
     delay: float  # how late commands act, s, a whole number of steps
-    viscous: Array  # n·m·s/rad
-    coulomb: Array  # n·m
+    viscous: Array  # N·m·s/rad
+    coulomb: Array  # N·m
     armature: Array  # kg·m²
     limit: Array  # largest torque, N·m
     # ki, N·m/(rad·s); it stays where the torque is at its limit and would go beyond.
