@@ -217,8 +217,9 @@ def _load_priors(
 ) -> list[tuple[Array, Array]]:
     """Return prior means (10,) and informations (10, 10) of a body's payloads, light to heavy.
 
-    They are as wide as the usual `load` (10,), and as half of it; and as limbs branch off at a mean
-    `square` distance, m². What the model has already (`is_own`) may have changed either way.
+    They are as wide as the usual `load` (10,), or half as wide; where limbs branch off at a mean
+    `square` distance, m², that is more, as wide as that and not half as wide. What the model has
+    already (`is_own`) may have changed either way.
     """
     shapes, wide = [load * _COMPACT, load], load.copy()
     wide[4:7] = np.maximum(load[4:7], _SPREAD * load[0] * square)
