@@ -566,6 +566,15 @@ def test_two_robots_one_after_the_other(tmp_path):
     check(read_log(path, joints=("a",), reading=Reading(topic="1")), ("a",), q, None, tau)
 
 
+def test_rows_without_a_robot_are_of_the_only_one(tmp_path):
+    time, q, _, tau = motion(("a",))
+    path = write(tmp_path / "log.csv", ["time", "q", "tau"], [time, q, tau])
+    head, *rows = path.read_text().splitlines()
+    cells = ["robot", *("", "ur5") * (ROWS // 2)]
+    path.write_text("\n".join(f"{a},{b}" for a, b in zip([head, *rows], cells, strict=True)))
+    check(read_log(path, joints=("a",)), ("a",), q, None, tau)
+
+
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 def test_recordings_in_one_table_follow_each_other(tmp_path, suffix):
     time, q, _, tau = motion(("a",))

@@ -521,6 +521,20 @@ def test_messages_of_several_topics_and_publishers_in_one_file(tmp_path):
     np.testing.assert_allclose(log.position, plain.position)
 
 
+def test_messages_with_dates(tmp_path):
+    said = []
+    for each in LIST_RECORDS:
+        told = {key: each[key] for key in ("name", "position", "effort")}
+        when = f"2024-05-01T10:00:{each['time']:09.6f}Z"
+        said += [{"topic": "/q", "time": when, "data": told}]
+        said += [{"topic": "/rosout", "time": when, "data": {"x": 1.0}}]
+    path = tmp_path / "log.jsonl"
+    path.write_text("\n".join(map(json.dumps, said)))
+    log = read_log(path, joints=JOINTS)
+    time = np.array([each["time"] for each in LIST_RECORDS])
+    np.testing.assert_allclose(log.time - log.time[0], time - time[0], atol=2e-6)
+
+
 def test_a_last_record_that_is_cut_off_is_left_out(tmp_path):
     path = tmp_path / "log.jsonl"
     path.write_text(

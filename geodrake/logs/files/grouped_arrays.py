@@ -24,7 +24,15 @@ from geodrake.logs.files.name_rules import (
     tells_robots,
 )
 from geodrake.logs.files.reading import Reading
-from geodrake.logs.files.table import LogTable, Texts, check_room, numeric_table, rate_in, rows_of
+from geodrake.logs.files.table import (
+    NOTHING,
+    LogTable,
+    Texts,
+    check_room,
+    numeric_table,
+    rate_in,
+    rows_of,
+)
 from geodrake.logs.time_stamps import longest_step
 
 _MOST_PARTS = 200  # more records are samples, and no joints
@@ -244,7 +252,7 @@ def regrouped(table: LogTable, reading: Reading) -> LogTable:
 
 def _of_one_robot(table: LogTable, name: str, cells: Texts, reading: Reading) -> LogTable:
     """Return the rows of the robot that is asked for, if a column tells several."""
-    robots = list(dict.fromkeys(cells.tolist()))
+    robots = [robot for robot in dict.fromkeys(cells.tolist()) if robot not in NOTHING]
     if not 1 < len(robots) <= _MOST_ROBOTS or not _are_together(table, cells, robots):
         return table
     if not (asked := [robot for robot in robots if robot in reading.topics]):
@@ -265,7 +273,8 @@ def _are_together(table: LogTable, cells: Texts, robots: Sequence[str]) -> bool:
     time = next((x for n, x in table.columns.items() if table.is_time(n)), None)
     if time is None or {*robots} - {"0", "1"}:
         return True
-    spans = sorted((np.nanmin(x), np.nanmax(x)) for x in (time[cells == each] for each in robots))
+    known = (time[(cells == robot) & np.isfinite(time)] for robot in robots)
+    spans = sorted((x.min(initial=np.inf), x.max(initial=-np.inf)) for x in known)
     changes = np.flatnonzero(cells[1:] != cells[:-1])
     begins_anew = (np.diff(time)[changes] < 0.0).all()
     return bool(spans[1][0] < spans[0][1] and (begins_anew or 4 * len(changes) > len(cells)))

@@ -26,7 +26,7 @@ from geodrake.logs.files.messages import (
 )
 from geodrake.logs.files.name_rules import is_time, meaning_of, names_joints, plain_words
 from geodrake.logs.files.reading import Reading
-from geodrake.logs.files.table import LogTable, number_in
+from geodrake.logs.files.table import LogTable, date_of, number_in
 from geodrake.logs.motion import EFFORT_KINDS, QUANTITIES
 from geodrake.logs.time_stamps import time_unit
 
@@ -98,15 +98,21 @@ def messages_table(path: Path, records: Any, reading: Reading) -> LogTable | Non
     if len({topic for topic, _ in said}) < 2 and len(named) < 2:
         return None
     clock = next((n for n, x in records[0].items() if is_time(n) and not isinstance(x, dict)), "")
-    times = np.array([number_in(each.get(clock)) or 0.0 for each in records])
+    times = np.array([_seconds(each.get(clock)) for each in records])
     unit = time_unit("", times)
     stamps = np.rint(times * 1e9 * (unit[0] if unit else 1.0)).astype(np.int64).tolist()
     received = stamps if clock else [stamp_of(message) for _, message in said]
     both = zip(said, received, strict=True)
-    topics = topics_of((topic, "records", message, time) for (topic, message), time in both)
+    topics = topics_of((name or "records", "messages", x, time) for (name, x), time in both)
     if not any(topic.messages.quantities for topic in topics):
         return None
     return topics_table(path, chosen_topics(path, topics, reading), topics, reading)
+
+
+def _seconds(value: Any) -> float:
+    """Return a number, or a date in s since 1970; 0 if it is neither."""
+    date = date_of(value) if isinstance(value, str) else None
+    return (number_in(value) or 0.0) if date is None else 1e-9 * date
 
 
 def _topic_and_message(record: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
