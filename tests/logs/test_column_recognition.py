@@ -185,6 +185,22 @@ def test_a_prefix_with_a_number_and_a_joint_that_the_model_lacks():
     assert [found.get(name) for name in names] == [*UR, None]
 
 
+@pytest.mark.parametrize(
+    ("names", "called"),
+    [
+        ("s0 s1 e0 e1 w0 w1 w2", "s0 s1 e0 e1 w0 w1 w2"),
+        ("j1 j2 j3 j4", "j1 j2 j3 j4"),
+        ("1 2 3", "lift elbow wrist"),
+    ],
+)
+def test_columns_of_one_arm_are_not_those_of_the_other(names, called):
+    joints = tuple(f"left_{name}" for name in called.split())
+    columns = [f"{{}}_{name}_pos" for name in names.split()]
+    for side, own in (("left", joints), ("r", ())):
+        found, _ = joints_of([name.format(side) for name in columns], joints)
+        assert {*found.values()} & {*joints} == {*own}
+
+
 def test_names_that_may_be_of_two_joints_are_of_none():
     joints = ("left_wrist_1", "right_wrist_1")
     found, _ = joints_of(["wrist_1_pos"], joints)

@@ -519,9 +519,10 @@ def matched(
         for part, own in () if names else _parts_of_robot(style, joints):
             told, is_ordered = _match_style(part, own)
             names, by_order = {**names, **told}, by_order or is_ordered
+        names = {m.column: names[m.column] for m in style if _may_be(m, names.get(m.column))}
         is_own = style[0].style[0] == "own"
         found |= (_by_their_own_words(style) if is_own or not names else {}) | names
-        if by_order:
+        if by_order and names:
             for meaning in style:
                 if meaning.number is not None and meaning.column in names:
                     ordered[meaning.number].add(names[meaning.column])
@@ -531,6 +532,15 @@ def matched(
         return found, ()
     order = f"in the model's order, from {joints[0]} to {joints[-1]}"
     return found, (f"columns {', '.join(spans)} are numbered: assigned to joints {order}",)
+
+
+def _may_be(meaning: Meaning, joint: str | None) -> bool:
+    """Return whether a column may be of a joint, if any: not of the other side of a robot."""
+    sides = [
+        {_SIDES[word] for word in map(str, words) if word in _SIDES}
+        for words in ((*meaning.group, *meaning.words), words_of(joint or ""))
+    ]
+    return joint is not None and (not all(sides) or bool(sides[0] & sides[1]))
 
 
 def _as_others(style: Sequence[Meaning], ordered: Mapping[int, set[str]]) -> dict[str, str]:
