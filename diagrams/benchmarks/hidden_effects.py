@@ -5,8 +5,8 @@ effect of its catalogue, two, none, or one that it has no name for. Robots, moti
 from point to point), noise (0.5, 1, 2 % of effort), bodies (those of the model file, or 20 % off
 in the geometric metric) and sizes (3 to 25 % of effort) are drawn at random. geodrake gets the log
 and the model file. Further studies: `--coverage N` of the intervals of found parameters under
-coloured noise, `--disturbed N` of the same beside outside effects, `--smallest N` of the smallest
-effect that is found, by bisection.
+coloured noise, `--disturbed N` of the same beside outside effects, `--kinds N` of kinds that are
+hard, `--smallest N` of the smallest effect that is found, by bisection.
 
     python -m diagrams.benchmarks.hidden_effects --json hidden_effects.json
 """
@@ -45,7 +45,7 @@ from geodrake.model import RobotModel
 from geodrake.report.words import correlate_words
 
 ONE, TWO, NONE, UNKNOWN = "one", "two", "none", "outside"
-COVERAGE, SMALLEST, TIMING = "coverage", "smallest", "timing"
+COVERAGE, SMALLEST, TIMING, KIND = "coverage", "smallest", "timing", "kind"
 WHITE = "white"
 EXACT, OFF = "exact", "off"
 NOISES = (0.005, 0.01, 0.02)
@@ -147,6 +147,7 @@ def all_draws(
 
 _SURE = {"motion": motions.FAST, "prior": EXACT}
 STUDIES: Mapping[str, tuple[str, Sequence[str], Mapping[str, object]]] = {
+    "kinds": (KIND, tuple(truths.HARD), {}),
     "coverage": (COVERAGE, COVERED, {**_SURE, "colour": truths.COLOURED, "shares": (0.1,)}),
     "disturbed": (COVERAGE, COVERED, {**_SURE, "shares": (0.1, 0.05)}),
     "smallest": (SMALLEST, tuple(truths.TRUTHS), {**_SURE, "noise": 0.01, "shares": ()}),
@@ -169,12 +170,13 @@ def study_draws(
     case, names, sure = STUDIES[study]
     found = []
     for at, name in enumerate(effects or names):
+        given = truths.HARD[name][1] if case == KIND else {}
         for k in range(draws):
             hidden = (name,)
             if study == "disturbed":
                 beside = np.random.default_rng([seed, 3, at, k]).choice(tuple(truths.OUTSIDE))
                 hidden = (name, str(beside))
-            found.append(draw(case, hidden, k, seed, **{**sure, **fixed}))
+            found.append(draw(case, hidden, k, seed, **{**sure, **given, **fixed}))
     return found
 
 
@@ -556,6 +558,19 @@ def coverage_lines(rows: Sequence[Row]) -> list[Line]:
     return lines
 
 
+def kind_lines(rows: Sequence[Row]) -> list[Line]:
+    """Return how often each of the hard kinds is among what a log may hide, and at its place."""
+    hard = _of(rows, KIND)
+    return [
+        share(
+            f"{name}: in the set, placed",
+            [r["in_set"] and r["placed"] is not False for r in hard if r["hidden"] == [name]],
+            0.9,
+        )
+        for name in truths.HARD
+    ]
+
+
 def smallest_lines(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """Return the share of the effort at which each effect is found in nine of ten logs."""
     lines = []
@@ -589,6 +604,7 @@ QUICK_EFFECTS = ("coulomb_friction", "effort_offset", "payload")
 QUICK_OUTSIDE = ("oscillation in time",)
 
 FURTHER = {
+    "kinds": "logs a hard kind and seed",
     "coverage": "logs an effect and seed under coloured noise",
     "disturbed": "the same beside an effect of no catalogue",
     "smallest": "logs an effect and seed",
@@ -637,7 +653,7 @@ def main() -> None:
     seeds = range(options.seed, options.seed + options.seeds)
     wanted = quick_draws(options.seed) if options.quick else wanted_draws(vars(options), seeds)
     rows = run_draws(parser, options, run_draw, wanted)
-    lines = [*bars(rows), *coverage_lines(rows)]
+    lines = [*bars(rows), *kind_lines(rows), *coverage_lines(rows)]
     smallest = smallest_lines([row for row in rows if row["case"] == SMALLEST])
     show_lines("Hidden effects", lines)
     if smallest:
