@@ -35,8 +35,8 @@ Key = tuple[str, tuple[str, ...]]
 _REACH = 2.0  # of a tool, over that of a dataset's payload: two thirds of the size of a link
 _COMPACT = np.repeat([1.0, 0.5, 0.25], [1, 3, 6])  # of what is half as wide as that
 _SPREAD = 2.0 / 3.0  # of a load's inertia about an axis, over its mass times its square distance
-_USUAL = -2
-"""Which of the payloads, in order of their mass, a body may carry that carries others."""
+_USUAL = -3
+"""Which of the payloads, light to heavy and compact to wide, a body may carry that has others."""
 _PHYSICAL = 0.1
 """Share of the prior of a payload that is physical, by the geometric metric: of any mass."""
 _FURTHEST = 3.0
@@ -167,8 +167,9 @@ def terms_of(
         if is_body(effect):
             side = sides.get(effect.where[0], 0.0)
             last = effect.where[0] in model.load_bodies
-            masses = beliefs.payloads if last or is_own else beliefs.payloads[_USUAL:][:1]
-            priors = _load_priors(masses, load, side, is_own=is_own, width=beliefs.load)
+            priors = _load_priors(load, side, beliefs, is_own=is_own)
+            if not (last or is_own):
+                priors = [priors[max(len(priors) + _USUAL, 0)]]
             tips = sum(where[0] in model.load_bodies for where in everywhere)
             odds = len(priors) * (tips + (len(everywhere) - tips) / beliefs.inner)
             odds *= 1.0 if last else beliefs.inner
@@ -213,7 +214,7 @@ def _first_shape(effect: Effect) -> float:
 
 
 def _load_priors(
-    masses: Sequence[float], load: Array, square: float, *, is_own: bool, width: float
+    load: Array, square: float, beliefs: Beliefs, *, is_own: bool
 ) -> list[tuple[Array, Array]]:
     """Return prior means (10,) and informations (10, 10) of a body's payloads, light to heavy.
 
@@ -225,8 +226,8 @@ def _load_priors(
     wide[4:7] = np.maximum(load[4:7], _SPREAD * load[0] * square)
     if (wide > load).any():
         shapes = [load, wide]
-    width, mean = (1.0, 0.0) if is_own else (width, 1.0)
-    loads = [mass * shape for mass in masses for shape in shapes]
+    width, mean = (1.0, 0.0) if is_own else (beliefs.load, 1.0)
+    loads = [mass * shape for mass in beliefs.payloads for shape in shapes]
     return [(mean * each, pullback_information(each[None], width)) for each in loads]
 
 
