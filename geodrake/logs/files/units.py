@@ -136,7 +136,7 @@ def _scaled(text: str, quantity: str) -> Unit | None:
 
 @lru_cache(1024)
 def _spelled(text: str) -> tuple[str, ...]:
-    """Return spellings of a unit: unchanged, without dots, with a slash, in lower case."""
+    """Return spellings of a unit: unchanged, without dots, with a slash, in lower case, of one."""
     text = "%" if text.startswith("%") else text  # of what is rated
     plain = re.sub(r"[·*\s.⋅-]", "", text).replace("^2", "²").replace("s2", "s²")
     over = re.sub(r"(?i:_per_|_|per)([Ss]|[Mm]in)", lambda found: f"/{found[1].lower()}", plain)
@@ -147,4 +147,6 @@ def _spelled(text: str) -> tuple[str, ...]:
         found += [_SPELLINGS.get(each.lower(), each), _SPELLINGS.get(head.lower(), head)]
         found[-1] += stroke + tail
         found.append(found[-1].lower())
+        if head.islower() and head.endswith("s") and len(head) > 3:  # rads
+            found.append(head[:-1] + stroke + tail)
     return tuple(each.replace("rev/min", "rpm") for each in found)
