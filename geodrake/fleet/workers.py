@@ -153,9 +153,20 @@ def workers(
 
 def _remote(dask: Any, scheduler: str) -> Any:
     """Return a client of a cluster of the user's own."""
+    client = object.__new__(dask.Client)
     try:
-        client = dask.Client(scheduler, timeout=_SECONDS)
-    except (OSError, ValueError, TimeoutError, RuntimeError, ImportError) as error:
+        client.__init__(scheduler, timeout=_SECONDS)
+    except (
+        OSError,
+        ValueError,
+        TimeoutError,
+        TypeError,
+        RuntimeError,
+        ImportError,
+    ) as error:
+        # One that is left to the garbage collector may be closed while another one begins, which
+        # has the lock that it waits for.
+        client.close(timeout=_SECONDS)
         raise FleetError(
             f"The scheduler {scheduler} cannot be reached: {one_line(error)}.",
             advice="Check its address, such as tcp://10.0.0.5:8786; or omit --scheduler.",

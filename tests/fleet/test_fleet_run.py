@@ -1,5 +1,6 @@
 """A small fleet from its file to its findings, stopped and started again, and its workers."""
 
+import gc
 import io
 import os
 import shutil
@@ -15,7 +16,7 @@ from types import SimpleNamespace
 import fsspec
 import numpy as np
 import pytest
-from distributed import KilledWorker, LocalCluster
+from distributed import Client, KilledWorker, LocalCluster
 from processes import limited
 from small_fleet import (
     DRY,
@@ -351,6 +352,24 @@ def test_a_scheduler_that_does_not_answer_is_said(own, monkeypatch):
     with pytest.raises(FleetError, match=r"tcp://127\.0\.0\.1:9 cannot be reached"):
         run_fleet(fleet, there)
     assert not fleet.folder.exists()
+
+
+@pytest.mark.parametrize("address", ["tls://127.0.0.1:9", "inproc://9"])
+def test_a_client_that_reaches_no_scheduler_is_closed(address):
+    """A later one may hold the lock that its finalizer waits for."""
+    others = _clients()
+    with (
+        pytest.raises(FleetError, match=f"{address} cannot be reached") as caught,
+        workers(1, scheduler=address),
+    ):
+        pass
+    own = [client for client in _clients() if all(client is not other for other in others)]
+    assert [client.status for client in own] == ["closed"]
+    assert caught.value.__cause__ is not None
+
+
+def _clients():
+    return [each for each in gc.get_objects() if isinstance(each, Client)]
 
 
 TYPES = "types:\n  arm: {model: arm.urdf}\n"
