@@ -27,6 +27,7 @@ from geodrake.logs.files.messages import (
 from geodrake.logs.files.name_rules import is_time, meaning_of, names_joints, plain_words
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable, date_of, number_in
+from geodrake.logs.files.units import WORDS
 from geodrake.logs.motion import EFFORT_KINDS, QUANTITIES
 from geodrake.logs.time_stamps import time_unit
 
@@ -85,7 +86,7 @@ def topics_of(messages: Iterable[Received]) -> list[Topic]:
     return list(topics.values())
 
 
-_TOPIC, _INSIDE = ("topic", "channel"), ("msg", "message", "data", "payload")
+_TOPIC, _INSIDE = WORDS["topic"].split(), WORDS["inside"].split()
 
 
 def messages_table(path: Path, records: Any, reading: Reading) -> LogTable | None:
