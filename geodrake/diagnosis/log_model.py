@@ -354,7 +354,7 @@ class LogModel:
 
     @property
     def delay_errors(self) -> Indices:
-        """Return where the errors of delays, of all joints and of each, are in a fit."""
+        """Return the indices (nv + 1,) of delay errors in a fit: common, then each joint's."""
         first, nv = len(self.unknowns.columns), len(self.dataset.joints)
         return np.arange(first + nv, first + 2 * nv + 1)
 

@@ -67,8 +67,8 @@ class Neighbourhood:
 
         Each time that is the best delay, and none where efforts are late now.
 
-        Compared are exact delays, without the small errors that a fit allows them: rates of efforts
-        that stand for those could average noise away.
+        Delays are compared as exact ones. The small errors that a fit allows them are columns of
+        rates of efforts, which could average noise away.
 
         Joints of a free base have no motor that could be late alone, and rows that have efforts of
         several joints do not show one alone. A servo has a delay of its own, found with it: its

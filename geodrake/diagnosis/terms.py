@@ -33,10 +33,10 @@ Key = tuple[str, tuple[str, ...]]
 """Name and place of an effect; one of an episode is of one log, and about an instant of it."""
 
 _REACH = 2.0  # of a tool, over that of a dataset's payload: two thirds of the size of a link
-_COMPACT = np.repeat([1.0, 0.5, 0.25], [1, 3, 6])  # of what is half as wide as that
+_COMPACT = np.repeat([1.0, 0.5, 0.25], [1, 3, 6])  # parameters at half the width
 _SPREAD = 2.0 / 3.0  # of a load's inertia about an axis, over its mass times its square distance
 _USUAL = -3
-"""Which of the payloads, light to heavy and compact to wide, a body may carry that has others."""
+"""Index of the payload that an inner body may carry, ordered by mass, then by width."""
 _PHYSICAL = 0.1
 """Share of the prior of a payload that is physical, by the geometric metric: of any mass."""
 _FURTHEST = 3.0
@@ -218,9 +218,9 @@ def _load_priors(
 ) -> list[tuple[Array, Array]]:
     """Return prior means (10,) and informations (10, 10) of a body's payloads, light to heavy.
 
-    They are as wide as the usual `load` (10,), or half as wide; where limbs branch off at a mean
-    `square` distance, m², that is more, as wide as that and not half as wide. What the model has
-    already (`is_own`) may have changed either way.
+    Each mass comes with the width of the usual `load` (10,) and with half of it. Where limbs branch
+    off farther away, at a mean `square` distance, m², that width takes the place of the half. What
+    the model has already (`is_own`) may have changed either way.
     """
     shapes, wide = [load * _COMPACT, load], load.copy()
     wide[4:7] = np.maximum(load[4:7], _SPREAD * load[0] * square)

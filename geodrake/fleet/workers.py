@@ -156,16 +156,9 @@ def _remote(dask: Any, scheduler: str) -> Any:
     client = object.__new__(dask.Client)
     try:
         client.__init__(scheduler, timeout=_SECONDS)
-    except (
-        OSError,
-        ValueError,
-        TimeoutError,
-        TypeError,
-        RuntimeError,
-        ImportError,
-    ) as error:
-        # One that is left to the garbage collector may be closed while another one begins, which
-        # has the lock that it waits for.
+    except (OSError, ValueError, TypeError, RuntimeError, ImportError) as error:
+        # The garbage collector must not close it later: if another client starts at that moment,
+        # each waits for the other's lock.
         client.close(timeout=_SECONDS)
         raise FleetError(
             f"The scheduler {scheduler} cannot be reached: {one_line(error)}.",

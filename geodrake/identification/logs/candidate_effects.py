@@ -122,9 +122,9 @@ def _acts_behind(effect: type[Effect]) -> bool:
 
 
 def _speeds_behind(model: RobotModel, segments: Sequence[Segment]) -> dict[str, float]:
-    """Joint that follows others by a ratio that changes -> its largest speed, rad/s or m/s.
+    """Return the largest speeds, rad/s or m/s, of joints that follow by a ratio that changes.
 
-    Of joints that move alike there is one.
+    Of joints that move alike, only the first is listed.
     """
     actuation, found = model.coordinates, dict[str, float]()
     if actuation.constant is not None or not segments:
