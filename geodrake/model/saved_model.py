@@ -7,6 +7,7 @@ import os
 import re
 import shlex
 import sys
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -35,6 +36,8 @@ from geodrake.model.holding import held_notes, holding
 from geodrake.model.robot_model import RobotModel, load_description
 from geodrake.robot.files import Given, read_description
 from geodrake.robot.files.named_robots import robot_file
+from geodrake.robot.joints import joint_names
+from geodrake.robot.plant import load_plant, scoped_joint_names
 from geodrake.robot.transmission.statements import (
     NONE,
     OF_FILE,
@@ -43,6 +46,7 @@ from geodrake.robot.transmission.statements import (
     drives_of,
     file_beside,
     read_transmission,
+    renamed,
     stated_of,
 )
 
@@ -180,13 +184,7 @@ def _transmission(
 ) -> tuple[tuple[Drive, ...], list[str]]:
     """Return the drives of a model file, and notes on their source."""
     if given == OF_FILE:
-        parts = read_description(path, how).motors()
-        if not parts:
-            raise ModelError(
-                f"{path} has no transmissions of motors.",
-                advice="Write a transmission file: --transmission FILE.yaml.",
-            )
-        return drives_of([(f"part {k} of {path}", part) for k, part in enumerate(parts)]), []
+        return _drives_of_file(path, how), []
     if given is None:
         beside = file_beside(path)
         if not beside.is_file() or beside == path:
@@ -198,6 +196,34 @@ def _transmission(
     if isinstance(given, (str, Path)):
         return (() if given == NONE else read_transmission(given)), []
     return instances(given, "transmission", Drive), []
+
+
+def _drives_of_file(path: Path, how: Given) -> tuple[Drive, ...]:
+    """Return the drives that a model file states, by names as the model has them.
+
+    Those of actuators in several models of the file have the model before them, as joints do.
+    """
+    parts = read_description(path, how).motors()
+    if not parts:
+        raise ModelError(
+            f"{path} has no transmissions of motors.",
+            advice="Write a transmission file: --transmission FILE.yaml.",
+        )
+    plant = load_plant(path, given=how).plant
+    joints = dict(zip(scoped_joint_names(plant), joint_names(plant), strict=True))
+    if how.robot is not None:  # the others stand still
+        parts = tuple(part for part in parts if not joints.keys().isdisjoint(part.joint_names()))
+    short = {name: name.rpartition("::")[2] for part in parts for name in part.actuator_names()}
+    counts = Counter(short.values())
+
+    def actuator_of(name: str) -> str:
+        return short[name] if counts[short[name]] == 1 else name.replace("::", "_")
+
+    def joint_of(name: str) -> str:
+        return joints.get(name, name.rpartition("::")[2])
+
+    named = (renamed(part, actuator_of, joint_of) for part in parts)
+    return drives_of((f"part {k} of {path}", part) for k, part in enumerate(named))
 
 
 def is_saved_model(path: Path) -> bool:

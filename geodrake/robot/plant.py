@@ -169,7 +169,9 @@ def load_plant(
         followers=ties,
         joints=(*arrangement.joints, *(cut.name for cut in closing)),
         # Gears of MJCF's actuators do not count: most scale efforts and are no gears.
-        geared=tuple(joint for is_alike, joint in _motors(description) if not is_alike),
+        geared=tuple(
+            names.get(x, _last(x)) for is_alike, x in _motors(description) if not is_alike
+        ),
         mjcf=whole,
     )
 
@@ -179,14 +181,14 @@ def _once(sentences: Iterable[str]) -> tuple[str, ...]:
 
 
 def _motors(description: ModelDescription) -> Iterator[tuple[bool, str]]:
-    """Yield whether a motor of the file moves as its joint does, and the joint."""
-    for text in description.texts:
+    """Yield whether a motor of the file moves as its joint does, and the joint's scoped name."""
+    for text in description.every:
         with suppress(ModelError):  # which matters only where it is asked for
             for part in text.motors():
                 is_alike = isinstance(part, Gear) and (
                     text.kind == "xml" or (part.ratio, part.offset, part.rotor) == (1.0, 0.0, "")
                 )
-                yield from ((is_alike, joint) for joint in part.joint_names())
+                yield from ((is_alike, f"{text.scope}::{joint}") for joint in part.joint_names())
 
 
 def _draft(
@@ -422,7 +424,7 @@ def _limit_efforts(plant: MultibodyPlant, description: ModelDescription) -> None
     efforts, driven = description.terms.effort, {n for _, n in _motors(description)}
     for joint in joints_of(plant):
         limit = efforts.get(scoped(joint), 0.0)
-        is_driven = joint.name() in driven
+        is_driven = scoped(joint) in driven
         if joint.num_velocities() != 1 or not (limit > 0 or is_driven):
             continue
         if int(joint.index()) not in actuators:

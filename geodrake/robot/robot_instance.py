@@ -222,15 +222,34 @@ class RobotInstance:
 
     @property
     def stated_terms(self) -> tuple[str, ...]:
-        """Damping, rotor inertia and springs that the plant itself has at the robot's joints."""
+        """Damping and rotor inertia that the plant itself has at the robot's joints."""
         rotors = [actuator.default_reflected_inertia() for actuator in self._actuators]
         damping = [np.any(joint.default_damping_vector()) for joint in self._moving]
-        count, moving = self.plant.num_force_elements(), {joint.index() for joint in self._moving}
-        elements = map(self.plant.get_force_element, map(ForceElementIndex, range(count)))
-        springs = [e for e in elements if isinstance(e, RevoluteSpring | PrismaticSpring)]
-        own = [spring.joint().index() in moving for spring in springs]
-        found = {"Damping": damping, "rotor inertia": rotors, "springs": own}
+        found = {"Damping": damping, "rotor inertia": rotors}
         return tuple(name for name, values in found.items() if any(values))
+
+    @property
+    def springs(self) -> list[tuple[str, float, float]]:
+        """Springs that the plant itself has at the robot's joints: joint, stiffness, and rest.
+
+        Drake does not let them be removed.
+        """
+        names, count = (
+            {j.index(): self._name(j) for j in self._moving},
+            self.plant.num_force_elements(),
+        )
+        found = list[tuple[str, float, float]]()
+        for spring in map(self.plant.get_force_element, map(ForceElementIndex, range(count))):
+            match spring:
+                case RevoluteSpring():
+                    numbers = spring.default_stiffness(), spring.default_nominal_angle()
+                case PrismaticSpring():
+                    numbers = spring.stiffness(), spring.nominal_position()
+                case _:
+                    continue
+            if spring.joint().index() in names:
+                found.append((names[spring.joint().index()], *numbers))
+        return found
 
     def check_base(
         self, tree: KinematicTree, joints: Sequence[str], *, turned: bool = False
@@ -314,7 +333,10 @@ class RobotInstance:
 
 @typed
 def take_out_stated(plant: MultibodyPlant, name: str) -> None:
-    """Remove damping and rotor inertia of a robot, which become effects of a model."""
+    """Remove damping and rotor inertia of a robot, which become effects of a model.
+
+    Springs at its joints stay, and a model that is added to the plant takes them into account.
+    """
     if plant.is_finalized() or not plant.HasModelInstanceNamed(name):
         raise ArgumentError(
             f"The plant is finalized, or has no model instance {name!r}.",

@@ -280,6 +280,21 @@ def test_joints_that_follow_others_follow_them_in_all_formats(tmp_path):
             assert plant.num_constraints() == 1
 
 
+@pytest.mark.parametrize("to", ["urdf", "sdf", "mjcf", "drake", "isaac", "python", "cpp", "ros2"])
+def test_joints_that_follow_by_a_ratio_that_changes_are_refused(to, tmp_path):
+    inertia = '<inertial pos="0 0 .1" mass="1" diaginertia=".1 .1 .1"/>'
+    body = f'<body name="one"><joint name="a"/>{inertia}<body name="two"><joint name="b"/>{inertia}'
+    tie = '<equality><joint joint1="b" joint2="a" polycoef="0 1 .3 0 0"/></equality>'
+    (tmp_path / "bent.xml").write_text(
+        f"<mujoco><worldbody>{body}</body></body></worldbody>{tie}</mujoco>"
+    )
+    model = load_model(tmp_path / "bent.xml")
+    assert model.joints == ("a",)
+    with pytest.raises(ModelError, match="cannot express that b follows another joint by a ratio"):
+        export_to(to, model, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 def followed_in_mujoco(path, model, moved):
     """Efforts (N, n) at the leaders, along whose motion the equalities do no work."""
     theirs, J = mujoco.MjModel.from_xml_path(str(path)), model.coordinates.constant

@@ -14,6 +14,7 @@ from adaptive_loops import (
     pendulum_plant,
 )
 from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.tree import RevoluteSpring
 from pydrake.systems.framework import DiagramBuilder
 from scenes import PENDULUM, alone, plant_of, scene
 
@@ -27,6 +28,7 @@ from geodrake.control import (
 from geodrake.control.systems import Safeguards
 from geodrake.effects import FittedEffect
 from geodrake.errors import ArgumentError
+from geodrake.logs.motion import Motion
 from geodrake.model import load_model
 from geodrake.report import AdaptationView
 from geodrake.robot import RobotInstance, RobotPorts, gears, take_out_stated
@@ -186,6 +188,31 @@ class TestFittedModel:
         assert plant.GetJointByName("elbow", arm).default_damping_vector() == [0.0]
         with pytest.raises(ArgumentError, match=r"Damping of 'other' would .*take_out_stated"):
             self.model().add_to_scene(DiagramBuilder(), RobotInstance(plant, "other"))
+
+    @pytest.mark.parametrize("in_plant", [False, True])
+    def test_springs_that_the_plant_keeps_count_once(self, in_plant):
+        """Drake has no way to remove them; the model's, of a fit, are others."""
+        spring = FittedEffect(effects.JointSpring("elbow", center=0.2), np.array([4.0, 0.3]))
+        model, q, u = replace(self.model(), effects=(spring,)), [0.4, -0.7], [0.0, 1.0]
+        builder = DiagramBuilder()
+        plant = scene(builder, time_step=0.0, finalize=False)
+        arm = plant.GetModelInstanceByName("arm")
+        if in_plant:
+            plant.AddForceElement(RevoluteSpring(plant.GetJointByName("elbow", arm), 0.1, 3.0))
+        take_out_stated(plant, "arm")
+        plant.Finalize()
+        robot = model.add_to_scene(builder, RobotInstance(plant, "arm"))
+        builder.ExportInput(robot.effort, "effort")
+        diagram = builder.Build()
+        root = diagram.CreateDefaultContext()
+        robot.set_inertias(root)
+        robot.set_state(root, q)
+        diagram.GetInputPort("effort").FixValue(root, u)
+        port = plant.get_generalized_acceleration_output_port()
+        found = port.Eval(plant.GetMyContextFromRoot(root))[robot.robot.velocities]
+        still = np.zeros((1, 2))
+        needed = model.effort(Motion(np.array([q]), still, found[None]))
+        np.testing.assert_allclose(needed[0], u, atol=1e-9)
 
     def test_effects_in_world_axes_want_the_base_as_it_was(self):
         turned = RigidTransform(RotationMatrix.MakeZRotation(0.5), [0.0, 0.0, 1.0])

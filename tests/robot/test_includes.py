@@ -178,7 +178,10 @@ def test_a_file_may_be_included_twice_beside_itself(tmp_path, world):
         f"<include><name>{name}</name><uri>b.sdf</uri></include>" for name in ("left", "right")
     )
     in_world = f'<sdf version="1.9"><world name="w">{both}</world></sdf>'
+    if world:
+        in_world = in_world.replace('name="w">', 'name="w"><gravity>0 0 -1.6</gravity>')
     model = load_model(write(tmp_path / "robot.sdf", in_world if world else sdf(body() + both)))
+    assert model.tree.gravity[2] == (-1.6 if world else -9.81) and not model.left_out
     found = {joint.removeprefix("robot::") for joint in model.joints}
     assert found == {"left_b_joint", "right_b_joint"} | (set() if world else {"a_joint"})
     assert any("left::b has a mass of -1 kg" in each for each in model.repairs)

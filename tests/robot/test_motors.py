@@ -14,7 +14,7 @@ from geodrake.excitation.regressor_gradient import (
     reverse_recursion,
 )
 from geodrake.logs import JointLog, Motion
-from geodrake.model import holding
+from geodrake.model import Given, holding
 from geodrake.model.logged_joints import log_of_model
 from geodrake.robot import KinematicTree, inverse_dynamics, inverse_dynamics_regressor, joint_names
 from geodrake.robot.effort_slopes import effort_slopes
@@ -220,6 +220,24 @@ def test_followers_of_two_arms_follow_their_own_leaders(tmp_path):
     for arm in ("left", "right"):
         at = [both.joints.index(f"{arm}_{joint}") for joint in one.joints]
         assert_close(efforts[:, at], one.effort(Motion(*motion[..., at])))
+
+
+def test_motors_of_two_arms_have_the_arm_before_their_names(tmp_path):
+    (tmp_path / "arm.urdf").write_text(arm_text().replace("</robot>", SIMPLE + "</robot>"))
+    add = "- add_model: {{name: {}, file: 'file://{}/arm.urdf'}}\n".format
+    both = f"directives:\n{add('left', tmp_path)}{add('right', tmp_path)}"
+    model = loaded(tmp_path, both, "two.dmd.yaml", transmission="file")
+    assert model.joints[::3] == ("left_s1", "right_s1")
+    save_model(model, tmp_path / "saved.yaml")
+    assert load_model(tmp_path / "saved.yaml").joints == model.joints
+    one = driven(tmp_path, SIMPLE, transmission="file")
+    motion = np.random.default_rng(0).uniform(-0.8, 0.8, (3, 5, 6))
+    for k in range(2):
+        own = slice(3 * k, 3 * k + 3)
+        efforts = model.effort(Motion(*motion))[:, own]
+        assert_close(efforts, one.effort(Motion(*motion[..., own])))
+    left = load_model(tmp_path / "two.dmd.yaml", transmission="file", given=Given("left"))
+    assert left.joints == one.joints
 
 
 def test_the_newer_form_of_ros_control(tmp_path):

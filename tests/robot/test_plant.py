@@ -478,12 +478,13 @@ def test_what_is_no_robot_is_refused(name, message):
 
 
 @pytest.mark.parametrize(("name", "found"), [("arm", True), ("other", False), (None, True)])
-def test_springs_at_joints_of_the_robot_are_terms_of_its(name, found):
+def test_springs_at_joints_of_the_robot_are_its_own(name, found):
     plant = plant_of(finalize=False)
     arm = plant.GetModelInstanceByName("arm")
     plant.AddForceElement(RevoluteSpring(plant.GetJointByName("elbow", arm), 0.1, 3.0))
     plant.Finalize()
-    assert RobotInstance(plant, name).stated_terms == (("springs",) if found else ())
+    joint = "elbow" if name else "arm_elbow"
+    assert RobotInstance(plant, name).springs == ([(joint, 3.0, 0.1)] if found else [])
 
 
 @pytest.mark.parametrize(

@@ -22,9 +22,10 @@ from pydrake.systems.framework import (
 from pydrake.systems.primitives import MatrixGain, PassThrough
 
 from geodrake.boundary.arguments import positive, real_array
-from geodrake.effects import Effect, Role
+from geodrake.effects import Effect, FittedEffect, Role
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
+from geodrake.model.file_terms import Polynomial
 from geodrake.model.simulation.effect_force import EffectForce
 from geodrake.model.simulation.scalar_system import differenced
 from geodrake.model.simulation.terms import DrivenPlant, Model
@@ -275,9 +276,10 @@ def make_act(
 ) -> RobotInDiagram:
     """Connect a model's effects and delays with a robot in a plant of the builder."""
     plant, joints, phi = robot.plant, model.joints, model.total_phi
-    if robot.name is not None and (stated := robot.stated_terms):
+    if stated := robot.stated_terms:
+        of = "the plant" if robot.name is None else repr(robot.name)
         raise ArgumentError(
-            f"{', '.join(stated)} of {robot.name!r} would count twice, in the plant and as "
+            f"{', '.join(stated)} of {of} would count twice, in the plant and as "
             "effects of the model.",
             advice="Call geodrake.robot.take_out_stated(plant, name) before plant.Finalize().",
         )
@@ -295,6 +297,10 @@ def make_act(
     if driving is None:
         add_generalized_force(builder, plant, acting)
     forces = [fitted for fitted in model.effects if fitted.effect.role in FORCES]
+    forces += (  # which the model has among its effects, if it has them
+        FittedEffect(Polynomial(joint, rest), np.array([0.0, -stiffness, 0.0, 0.0]))
+        for joint, stiffness, rest in robot.springs
+    )
     force, notes = None, tuple[str, ...]()
     if forces or driving is not None:
         own = None if robot.name is None else robot.plant_parameters(phi)

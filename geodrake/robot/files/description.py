@@ -54,7 +54,7 @@ from geodrake.robot.files.xml_text import (
     parse_xml_bytes,
 )
 from geodrake.robot.stated import FileTerms
-from geodrake.robot.transmission.statements import Statement
+from geodrake.robot.transmission.statements import Coupled, Gear, renamed
 
 Where = Callable[[str], Path]
 """Mesh references of URDF or SDF -> files, or a ModelError if not found."""
@@ -91,9 +91,13 @@ class ModelDescription:
             terms.gravity, terms.carried = np.zeros(3), {}
         return terms
 
-    def motors(self) -> tuple[Statement, ...]:
-        """Return what the texts state of motors behind transmissions."""
-        return tuple(part for text in self.texts for part in text.motors())
+    def motors(self) -> tuple[Gear | Coupled, ...]:
+        """Return what the texts state of motors behind transmissions, by scoped names."""
+        found = list[Gear | Coupled]()
+        for text in self.every:
+            scoped = f"{text.scope}::{{}}".format
+            found += (renamed(part, scoped, scoped) for part in text.motors())
+        return tuple(found)
 
     def add_every_package(self, packages: PackageMap) -> None:
         """Make packages known, geometry's too; folders above the file by their own names."""

@@ -59,7 +59,7 @@ from geodrake.robot.stated import (
     StatedLength,
     StatedStrut,
 )
-from geodrake.robot.transmission.statements import Coupled, Gear, Statement
+from geodrake.robot.transmission.statements import Coupled, Gear
 
 _LEAST_INERTIA = 1e-15  # kg·m², as MuJoCo has it
 _KINDS = {
@@ -559,7 +559,7 @@ class MjcfText(ModelText):
         self.actuator_defaults = any(
             child.tag in MOTORS for main in root.findall("default") for child in main
         )
-        scope = self.scope or root.get("model") or self.path.stem
+        self.scope = scope = self.scope or root.get("model") or self.path.stem
         source = CompiledMjcf(root, self.path)
         read = MjcfTerms(source, scope)
         name = root.get("model") or scope
@@ -573,7 +573,7 @@ class MjcfText(ModelText):
             if body.attrib.pop("between", ""):
                 self.terms.between.add(link)
 
-    def motors(self) -> tuple[Statement, ...]:
+    def motors(self) -> tuple[Gear | Coupled, ...]:
         """Return gears of actuators, and fixed tendons."""
         return _motors(self.compiled, self.path)
 
@@ -667,7 +667,7 @@ def _back(m: Any, joint: int) -> RigidTransform:
     return RigidTransform(turn, point - turn.multiply(point))
 
 
-def _motors(m: Any, path: Path) -> tuple[Statement, ...]:
+def _motors(m: Any, path: Path) -> tuple[Gear | Coupled, ...]:
     """Return the transmissions of actuators: gears, q = γ θ, and fixed tendons, q = γ Σ cᵢ θᵢ."""
     gears, pulled = list[Gear](), dict[str, dict[str, float]]()
     for at in range(len(m.actuator_trntype)):

@@ -60,7 +60,7 @@ from geodrake.robot.stated import (
     StatedLength,
     StatedStrut,
 )
-from geodrake.robot.transmission.statements import Coupled, Gear, Statement
+from geodrake.robot.transmission.statements import Coupled, Gear
 
 URDF_UNREAD: Mapping[str, Collection[str]] = {
     "gazebo": (
@@ -232,8 +232,8 @@ class ModelText(abc.ABC):
             return None
         return self._inertia(inertial)
 
-    def motors(self) -> tuple[Statement, ...]:
-        """Return the transmissions of motors in the file."""
+    def motors(self) -> tuple[Gear | Coupled, ...]:
+        """Return the transmissions of motors in the file itself."""
         return ()
 
     def set_inertia(self, link: str, phi: Array | None) -> bool:
@@ -484,6 +484,9 @@ class SdfText(ModelText):
                 raise wrong_at(stated, self.path, what)
             if words.strip():
                 self.terms.gravity = vector
+        for inner in (each for _, text in self.inside for each in text.every()):
+            if inner.terms.gravity is None:  # as it stands in the same world
+                inner.terms.gravity = self.terms.gravity
 
     def _inertia(self, inertial: Element) -> Array:
         pose = inertial.find("pose")
@@ -525,7 +528,7 @@ class UrdfText(ModelText):
             for kind in transmission.findall("type"):
                 if not (kind.text or "").strip():  # which would end Drake, and the process with it
                     transmission.remove(kind)
-        scope = self.scope or root.get("name") or self.path.stem
+        self.scope = scope = self.scope or root.get("name") or self.path.stem
         self._take_balls(scope, root)
         self._drop_loops()
         root.set("name", root.get("name") or scope)
@@ -670,7 +673,7 @@ class UrdfText(ModelText):
                 off.append(name)
         self.terms.carried = dict.fromkeys(off, 1.0)
 
-    def motors(self) -> tuple[Statement, ...]:
+    def motors(self) -> tuple[Gear | Coupled, ...]:
         """Return the transmissions of ros_control."""
         return tuple(part for e in self._transmissions for part in _motors(e, self.path))
 
@@ -704,7 +707,7 @@ def _at(element: Element) -> tuple[Array, Array]:
     return numbers(element.get("xyz", ""), 3), numbers(element.get("rpy", ""), 3)
 
 
-def _motors(element: Element, path: Path) -> Iterator[Statement]:
+def _motors(element: Element, path: Path) -> Iterator[Gear | Coupled]:
     """Yield the transmissions of a URDF."""
     words = element.findtext("type") or element.findtext("plugin") or element.get("type") or ""
     kind = words.strip().rpartition("/")[2]

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Literal, get_args, get_type_hints
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.polynomial.polynomial import polyder, polyval
 from pydrake.math import RigidTransform, RotationMatrix
 from scipy.interpolate import CubicSpline
@@ -164,6 +165,21 @@ class Coupled(Statement):
         names = list(self.joints), self.actuator_names()
         J = LinearTransmission.from_ratios(*names, self.joints).matrix
         return LinearTransmission.of(J, [self.offsets.get(j, 0.0) for j in self.joints])
+
+
+Names = Callable[[str], str]
+"""Another name of an actuator or a joint."""
+
+
+def renamed(part: Gear | Coupled, actuator_of: Names, joint_of: Names) -> Gear | Coupled:
+    """Return the same part with other names of its actuators and joints."""
+    if isinstance(part, Gear):
+        return replace(part, actuator=actuator_of(part.actuator), joint=joint_of(part.joint))
+    joints = {
+        joint_of(joint): {actuator_of(name): ratio for name, ratio in terms.items()}
+        for joint, terms in part.joints.items()
+    }
+    return Coupled(joints, {joint_of(joint): at for joint, at in part.offsets.items()})
 
 
 class RollingJoint(Statement):
