@@ -81,7 +81,8 @@ class ControlModel:
                 source has v, [Lee2019] Eq. (5.2.10), which has less noise and needs friction to
                 grow with speed; q̇ is for friction that does not, such as Stribeck friction.
         """
-        joints, bodies = instance(model, "model", RobotModel).joints, model.bodies
+        model = instance(model, "model", RobotModel).with_volume
+        joints, bodies = model.joints, model.bodies
         single = np.isin(np.arange(len(joints)), model.single_places)
         sign_width = model.sign_widths(one_or_each(sign_width, "sign_width", len(joints)))
         effects = tuple(fitted.effect for fitted in model.effects)

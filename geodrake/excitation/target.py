@@ -102,16 +102,14 @@ class Target(Short):
     @cached_property
     def inertial_prior(self) -> Array:
         """(blocks, 10) nominal inertial parameters: bodies, then payloads."""
-        phi, own = self.model.phi.copy(), {fitted.effect for fitted in self.payloads}
+        phi, own = self.model.with_volume.phi.copy(), {fitted.effect for fitted in self.payloads}
         for fitted in self.model.effects:
             if is_payload(fitted.effect) and fitted.effect not in own:
                 phi[self.model.bodies.index(fitted.effect.where[0])] += fitted.parameters
         rows = [phi[self.model.bodies.index(name)] for name in self.bodies]
         for fitted in self.payloads:
             known = bool(is_physical(fitted.parameters))
-            rows.append(
-                np.asarray(fitted.parameters) if known else payload_reference(self.model.phi)
-            )
+            rows.append(np.asarray(fitted.parameters) if known else payload_reference(phi))
         return np.array(rows).reshape(-1, PARAMETERS_PER_BODY)
 
     @property

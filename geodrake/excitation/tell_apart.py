@@ -482,7 +482,7 @@ def _information(model: RobotModel, common: Sequence[FittedEffect], spread: floa
     """Return what is known (b, b) of the inertias and common effects, whatever the others are."""
     if model.information is None:
         sizes = [np.diag(1.0 / np.maximum(f.parameters**2, 1e-12)) for f in common]
-        return np.asarray(block_diag(pullback_information(model.phi, spread), *sizes))
+        return np.asarray(block_diag(pullback_information(model.with_volume.phi, spread), *sizes))
     kept = np.ones(len(model.information), bool)
     at, wanted = model.phi.size, {fitted.effect for fitted in common}
     for fitted in model.effects:

@@ -55,6 +55,7 @@ def holding(
         plant=loaded.plant,
         held=loaded.held,
         followers=loaded.followers,
+        thin=loaded.thin,
         transmission=(*drives, *(Drive.of_loop(loop) for loop in loaded.loops if loop.actuators)),
     )
     matrix, carriers = _lumped(model, bare)

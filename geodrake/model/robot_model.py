@@ -21,7 +21,7 @@ from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.effect_columns import EffectColumns
 from geodrake.effects.sensors import delays_of
 from geodrake.errors import ArgumentError, ModelError
-from geodrake.inertia import Array, inertial_parameters
+from geodrake.inertia import Array, inertial_parameters, is_physical
 from geodrake.logs.motion import Motion
 from geodrake.logs.temperatures import Temperatures
 from geodrake.model.effort_signal import EffortSignal, signal_of
@@ -37,6 +37,7 @@ from geodrake.robot.joints import Tie, joint_names
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.plant import LoadedPlant, effort_limits, load_plant, set_inertial_parameters
 from geodrake.robot.regressor import body_regressor, inverse_dynamics
+from geodrake.robot.repairs import TOLERANCE, Repair
 from geodrake.robot.robot_instance import RobotInstance
 from geodrake.robot.transmission.loop import LoopTransmission
 from geodrake.robot.transmission.statements import Drive, Followers
@@ -79,6 +80,7 @@ class RobotModel(Short):
         repairs: Sentences on what of the file is not used as it stands: inertias that no body can
             have, and what is left out.
         left_out: Sentences on what of the file bears on efforts, and is no part of the model.
+        thin: Bodies of the file without volume, such as point masses, with what fits start from.
     """
 
     plant: MultibodyPlant
@@ -101,6 +103,7 @@ class RobotModel(Short):
     motorless: tuple[str, ...] = ()
     repairs: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
+    thin: tuple[Repair, ...] = ()
 
     @cached_property
     def tree(self) -> KinematicTree:
@@ -237,6 +240,16 @@ class RobotModel(Short):
             if fitted.effect.role is Role.BODY:
                 phi[self.bodies.index(fitted.effect.where[0])] += fitted.parameters
         return phi
+
+    @cached_property
+    def with_volume(self) -> RobotModel:
+        """The model where fits start: thin bodies have some volume; itself if there are none."""
+        phi = self.phi.copy()
+        for repair in self.thin:
+            at = self.bodies.index(repair.body)
+            if not is_physical(phi[at], tolerance=TOLERANCE):  # and no fit has changed it
+                phi[at] = repair.after
+        return replace(self, phi=phi, thin=()) if self.thin else self
 
     def sign_widths(self, least: ArrayLike) -> Array:
         """Return (nv,) speeds below which dry friction fades, at least `least`, rad/s or m/s."""
@@ -521,6 +534,7 @@ def from_loaded_plant(
         followers=loaded.followers,
         transmission=(*drives, *loops),
         known_joints=loaded.joints,
+        thin=loaded.thin,
     )
     stated = stated_effects(loaded, bare.coordinates)
     effects = tuple(stated.fitted())
@@ -537,9 +551,7 @@ def from_loaded_plant(
         notes.append(f"Logs, efforts and effects are at the actuators: {words}.")
     model = replace(bare, effects=effects)
     if loaded.mjcf is not None:
-        _check_against_mujoco(
-            model, loaded.mjcf, {j.rpartition("::")[2]: x for j, x in loaded.places.items()}
-        )
+        _check_against_mujoco(model, loaded.mjcf, loaded)
     return replace(
         model,
         notes=(*loaded.changes, *left_out, *loaded.notes, *notes),
@@ -549,20 +561,21 @@ def from_loaded_plant(
     )
 
 
-def _check_against_mujoco(model: RobotModel, text: MjcfText, held: Mapping[str, float]) -> None:
+def _check_against_mujoco(model: RobotModel, text: MjcfText, loaded: LoadedPlant) -> None:
     """Raise if random efforts differ from MuJoCo's with the same file, except ignored elements.
 
     Dry friction, limits and contacts, which are soft in MuJoCo, take no part. Free bodies rest.
     """
     rng, m = np.random.default_rng(0), text.compiled
+    held = {joint.rpartition("::")[2]: place for joint, place in loaded.places.items()}
     if not {m.joint(k).name for k in range(m.njnt)}.issuperset(held):
         return  # as a part of a free base is held
     q = model.coordinates.inside(rng.uniform(-1.0, 1.0, (_STATES, len(model.joints))))
     v, vd = rng.uniform(-2.0, 2.0, (2, _STATES, len(model.joints)))
     states = q, v, vd
     check_loops(text, model.plant, held, *model.coordinates.tree_samples(*states)[:2])
-    if text.terms.set_aside or text.path != model.path:
-        return  # of a thin body, say, whose repair is told of
+    if text.path != model.path or (text.terms.set_aside and loaded.changes):
+        return  # of a body that cannot exist, say, whose repair is told of
     found, what, off = with_mujoco(model, text.reference, held, states), "all joints", ""
     if not isinstance(found, str):
         _, theirs, ours = found

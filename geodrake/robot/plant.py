@@ -78,6 +78,9 @@ class LoadedPlant:
     plant: MultibodyPlant  # finalized, continuous in time, without damping, friction and rotors
     path: Path
     repairs: tuple[Repair, ...]  # bodies whose inertia no body can have, with what they got instead
+    thin: tuple[
+        Repair, ...
+    ]  # bodies without volume, which the plant has, with what fits start from
     changes: tuple[str, ...]  # sentences on inertias that are not those of the file, repairs first
     notes: tuple[str, ...]  # sentences on what else of the file was read in a way worth knowing
     terms: FileTerms  # what the file states beside rigid bodies, which the plant does not have
@@ -126,6 +129,10 @@ def load_plant(
         description = read_description(path, given)
         draft, arrangement, loops = _draft(description, floating=floating, held=held, given=given)
         repairs, weightless, changed = repair_inertias(description, draft.plant)
+        if any(repair.is_thin for repair in repairs) and not _moves(
+            _build(description, arrangement).plant
+        ):
+            repairs, weightless, _ = repair_inertias(description, draft.plant, keep_thin=False)
         if phi is not None:
             _write_inertias(description, draft.plant, phi)
             changed = True
@@ -144,7 +151,8 @@ def load_plant(
     names = {scoped(joint): name for name, joint in _single_joints(plant).items()}
     pairs = ", ".join(f"{names[own]} follows {names[tie.leader]}" for own, tie in ties.items())
     follow = [f"{pairs}, and is not independent."] if pairs else []
-    notes = [*origin, *terms.notes, *built.notes, *follow, *loops.notes]
+    changes, thin = (tuple(r for r in repairs if r.is_thin is kind) for kind in (False, True))
+    notes = [*origin, *terms.notes, *map(str, thin), *built.notes, *follow, *loops.notes]
     lines = [message.partition("\n")[0].rpartition("warning: ")[2] for message in messages]
     of_drake = [f"Drake: {line}" for line in lines if "inertia" in line or "mass" in line]
     moving = {loop.joints[k] for loop in loops.loops for k in loop.cut}
@@ -156,8 +164,9 @@ def load_plant(
     return LoadedPlant(
         plant,
         path,
-        repairs,
-        _once([*map(str, repairs), *weightless, *terms.lost, *of_drake]),
+        changes,
+        thin,
+        _once([*map(str, changes), *weightless, *terms.lost, *of_drake]),
         _once(notes),
         terms,
         _once(left_out),
@@ -174,6 +183,15 @@ def load_plant(
         ),
         mjcf=whole,
     )
+
+
+def _moves(plant: MultibodyPlant) -> bool:
+    """Return whether all joints of a plant have inertia, so that efforts tell accelerations."""
+    context, random = plant.CreateDefaultContext(), np.random.default_rng(0)
+    plant.SetPositions(context, random.uniform(-1.0, 1.0, plant.num_positions()))
+    M = plant.CalcMassMatrix(context)
+    size = np.sqrt(np.diagonal(M))
+    return bool((size > 0.0).all() and np.linalg.eigvalsh(M / np.outer(size, size))[0] > _SAME)
 
 
 def _once(sentences: Iterable[str]) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ from geodrake.inertia import (
     is_physical,
     pseudo_inertia,
     to_mass_com_inertia,
+    to_spatial_inertia,
 )
 from geodrake.inertia.bodies import LumpedBody, lumped_bodies
 from geodrake.inertia.kernels import calc_change_frame
@@ -25,6 +26,7 @@ from geodrake.robot.files import ModelDescription
 from geodrake.robot.joints import joints_of
 
 TOLERANCE = 1e-6  # of P's eigenvalues: a link of 1 m that is 1 mm thin
+ROUNDING = 1e-12  # of P's largest eigenvalue
 LEAST_MASS = 1e-12  # kg, up to which a mass counts as none
 LEAST_SIZE = 1e-15  # m, up to which a body counts as a point
 LEAST_LENGTH = 0.01  # m, least radius of gyration given to a body
@@ -36,28 +38,33 @@ MASS_PER_TOTAL = 1e-3  # mass of all bodies without one, as a share of the robot
 
 @dataclass(frozen=True)
 class Repair:
-    """A body of a model file whose inertia was replaced."""
+    """A body of a model file whose inertia was replaced, or is where fits begin."""
 
     body: str
     problem: str  # what is wrong with the inertia of the file, to be read after the name
     before: Array  # (10,) inertial parameters of the file
-    after: Array  # (10,) inertial parameters of the plant
+    after: Array  # (10,) inertial parameters of the plant, or of the prior
+    is_thin: bool = False  # whether the plant has the file's, as a body without volume can exist
 
     def __str__(self) -> str:
         mass, _, inertia = to_mass_com_inertia(self.after)
         moments = ", ".join(f"{x:.3g}" for x in np.linalg.eigvalsh(inertia))
+        how = "what fits start from is" if self.is_thin else "it is set to"
         return (
-            f"{self.body} {self.problem}; it is set to {mass:.3g} kg with principal moments "
+            f"{self.body} {self.problem}; {how} {mass:.3g} kg with principal moments "
             f"{moments} kg·m² about its centre of mass."
         )
 
 
 def repair_inertias(
-    description: ModelDescription, plant: MultibodyPlant
+    description: ModelDescription, plant: MultibodyPlant, *, keep_thin: bool = True
 ) -> tuple[tuple[Repair, ...], tuple[str, ...], bool]:
     """Put usable inertias into a description, of which a plant was made without those set aside.
 
     Return the repairs, notes on welded links that were left out, and whether the text changed.
+
+    Args:
+        keep_thin: Whether bodies without volume, such as point masses, stay as they are.
     """
     lumps, links = lumped_bodies(plant), stated_inertias(description, plant)
     stated = [_stated_parameters(links, body) for body in lumps]
@@ -88,8 +95,10 @@ def repair_inertias(
         ):
             after = nearest_physical(phi, points=_joint_points(plant, body), spare_mass=spare_mass)
             before = members.sum(0)
-            problem = _problem(before if len(members) == 1 or not _counts(phi) else phi)
-            repairs.append(Repair(body.name, problem, before, after))
+            thin = keep_thin and _is_thin(phi)
+            problem = _problem(before if len(members) == 1 or not _counts(phi) else phi, thin=thin)
+            repairs.append(Repair(body.name, problem, before, after, thin))
+            after = phi if thin else after
         else:
             own = zip(body.members, members, strict=True)
             names = [m.name for m, x in own if x.any() and not _counts(x)]
@@ -199,7 +208,14 @@ def _joint_points(plant: MultibodyPlant, body: LumpedBody) -> Array:
     return np.array(points)
 
 
-def _problem(phi: Array) -> str:
+def _is_thin(phi: Array) -> bool:
+    """Return whether parameters (10,) are of a body without volume, which Drake takes, too."""
+    possible = bool(_counts(phi)) and to_spatial_inertia(phi).IsPhysicallyValid()
+    least = np.linalg.eigvalsh(pseudo_inertia(phi))[0] if possible else -np.inf
+    return bool(least > -ROUNDING * np.trace(pseudo_inertia(phi)))
+
+
+def _problem(phi: Array, *, thin: bool = False) -> str:
     if not np.isfinite(phi).all():
         return "has a mass or inertia that is not a number"
     if phi[0] <= LEAST_MASS:
@@ -209,6 +225,8 @@ def _problem(phi: Array) -> str:
     if np.abs(moments).max() < TOLERANCE**2 * mass:
         return f"has {mass:.3g} kg but no rotational inertia about its centre of mass"
     stated = ", ".join(f"{x:.3g}" for x in moments)
+    if thin:
+        return f"has principal moments of inertia {stated} kg·m², and no thickness"
     if moments[0] < 0:
         why = "one is negative"
     elif moments[0] + moments[1] < (1 - TOLERANCE) * moments[2]:

@@ -10,12 +10,14 @@ import pytest
 from known_robots import robots
 from typer.testing import CliRunner
 
-from geodrake import load_model
+from geodrake import load_model, save_model
 from geodrake.cli.app import app
 from geodrake.effects.base import FittedEffect
 from geodrake.effects.bodies import Payload
 from geodrake.effects.friction import ViscousFriction
-from geodrake.model import check_dynamics, dynamics_check
+from geodrake.inertia import is_physical
+from geodrake.logs import Motion
+from geodrake.model import check_dynamics, dynamics_check, save_export
 from geodrake.model.dynamics_check import QUANTITIES
 from geodrake.model.robot_model import load_description
 
@@ -60,6 +62,35 @@ def test_a_wrong_recursion_is_found_with_its_joint(arm, monkeypatch, name):
     regressor = {"regressor"}
     assert wrong == (regressor if "regressor" in name else {*QUANTITIES} - regressor)
     assert 1e-8 < found.worst.relative < 1e-5
+
+
+def test_point_masses_are_those_of_the_file_and_fits_start_beside_them(tmp_path):
+    point = '<inertial><origin xyz="0 0 -.4"/><mass value="2"/><inertia ixx="0" iyy="0" izz="0" '
+    point += 'ixy="0" ixz="0" iyz="0"/></inertial>'
+    parts = f'<link name="base"/><link name="l0">{point}</link><link name="l1">{point}</link>'
+    for k, parent in enumerate(("base", "l0")):
+        parts += f'<joint name="j{k}" type="revolute"><parent link="{parent}"/>'
+        parts += f'<child link="l{k}"/><origin xyz="0 0 {-0.4 * k}"/><axis xyz="0 1 0"/>'
+        parts += '<limit lower="-3" upper="3" effort="9" velocity="9"/></joint>'
+    (tmp_path / "pendulum.urdf").write_text(f'<robot name="p">{parts}</robot>')
+    model = load_model(tmp_path / "pendulum.urdf")
+    found = check_dynamics(model, samples=5)
+    assert found.holds and found.by.startswith("Pinocchio") and found.second.relative < 1e-12
+    motion = Motion(*np.random.default_rng(0).uniform(-1, 1, (3, 9, 2)))
+    q, v, vd = motion.q, motion.v, motion.vd  # of the textbook
+    turned, both, ml2, mgl = q[:, 1], q.sum(axis=1), 2.0 * 0.4**2, 2.0 * 9.81 * 0.4
+    rates, accelerations = v.sum(axis=1), vd.sum(axis=1)
+    outer = ml2 * (accelerations + np.cos(turned) * vd[:, 0] + np.sin(turned) * v[:, 0] ** 2)
+    outer += mgl * np.sin(both)
+    inner = ml2 * (2 * vd[:, 0] + np.cos(turned) * accelerations - np.sin(turned) * rates**2)
+    inner += 2 * mgl * np.sin(q[:, 0])
+    efforts = np.stack([inner + outer, outer], axis=1)
+    np.testing.assert_allclose(model.effort(motion), efforts, atol=1e-9)
+    assert is_physical(model.with_volume.phi, tolerance=1e-6).all()
+    assert not save_export(model, tmp_path / "same.urdf").links
+    save_model(model, tmp_path / "saved.yaml")
+    again = load_model(tmp_path / "saved.yaml")
+    np.testing.assert_array_equal(again.effort(motion), model.effort(motion))
 
 
 def test_the_command_prints_and_writes_and_its_exit_code_tells(tmp_path, monkeypatch):

@@ -270,7 +270,7 @@ def test_mjcf_floating(load):
 
 
 def test_directives_with_two_instances(load, tmp_path):
-    (tmp_path / "arm.urdf").write_text(urdf(inertial(2.0, tensor(0, 0, 0))))
+    (tmp_path / "arm.urdf").write_text(urdf(inertial(2.0, tensor(1, 1, 5))))
     text = """directives:
 - add_model: {name: left, file: arm.urdf}
 - add_model: {name: right, file: "FILE"}
@@ -305,9 +305,7 @@ def test_a_joint_that_points_to_the_base_is_read_outwards(load):
 @pytest.mark.parametrize(
     ("mass", "inertia", "words"),
     [
-        (1.0, tensor(0, 0, 0), "no rotational inertia"),
         (1.0, tensor(1, 1, 5), "exceeds the sum"),
-        (1.0, tensor(1, 1, 2), "no thickness"),
         (1.0, tensor(1, 1, 1, 2), "negative"),
         (1.0, tensor("nan", 1, 1), "not a number"),
         (-1.0, GOOD, "mass of -1 kg"),
@@ -326,6 +324,24 @@ def test_impossible_inertia_is_repaired_and_named(load, mass, inertia, words):
     assert is_physical(phi, tolerance=1e-6)
     if mass == 1.0 and words != "not a number":
         np.testing.assert_allclose(phi[:4], [1, 0, 0, 0.1], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("inertia", "words"),
+    [(tensor(0, 0, 0), "no rotational inertia"), (tensor(1, 1, 2), "no thickness")],
+)
+def test_a_body_without_volume_stays_and_fits_start_beside_it(load, inertia, words):
+    loaded = load(urdf(inertial(1.0, inertia, "0.1 0 0")))
+    (thin,) = loaded.thin
+    assert not loaded.repairs and words in thin.problem
+    assert any(words in note and "fits start from is 1 kg" in note for note in loaded.notes)
+    np.testing.assert_array_equal(inertial_parameters(loaded.plant)[0], thin.before)
+    assert is_physical(thin.after, tolerance=1e-6) and not is_physical(thin.before)
+
+
+def test_a_point_mass_on_its_axis_is_no_body_that_moves(load):
+    loaded = load(urdf(inertial(1.0, tensor(0, 0, 0), "0 0 0")))
+    assert not loaded.thin and "no rotational inertia" in loaded.repairs[0].problem
 
 
 def test_repair_changes_only_what_is_too_small(load):

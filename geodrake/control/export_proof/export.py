@@ -141,6 +141,7 @@ def export_with_proof(
         folder: Where the files will be: relative paths in them lead from there.
     """
     check_format(model, form)
+    model = model.with_volume  # as simulators take no point masses, or others than they are
     if bandwidth is not None:
         number(bandwidth, "bandwidth", lower=0.0)
     case = open_case(model, logs, candidates=False, bandwidth=bandwidth) if len(logs) else None

@@ -141,6 +141,7 @@ def identify_model(
     settings = instance(given, "settings", IdentificationSettings)
     function(progress, "progress")
     instance(model, "model", RobotModel)
+    model = model.with_volume
     physical_prior(model.phi, model.bodies)
     prior = with_effects(model, effects)
     case = open_case(
