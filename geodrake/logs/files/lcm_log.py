@@ -12,15 +12,14 @@ from typing import Any
 
 from geodrake.boundary.input_files import open_regular
 from geodrake.errors import LogError
-from geodrake.logs.files.messages import JointMessages
+from geodrake.logs.files.messages import LCM_TYPES, JointMessages
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable, readable
-from geodrake.logs.files.topics import Topic, chosen_topics, topics_table
+from geodrake.logs.files.topics import chosen_topics, topics_table
 
 MAGIC = b"\xed\xa1\xda\x01"
 """Magic number at the start of each event."""
 
-_TYPES = ("lcmt_iiwa_status", "lcmt_jaco_status", "lcmt_panda_status")
 _NEGATIVE = ("lcmt_iiwa_status",)
 """Types whose torques have the opposite sign to Drake's, by definition."""
 
@@ -62,13 +61,13 @@ def read_lcm(path: Path, reading: Reading) -> LogTable:
 def _types() -> Mapping[bytes, type]:
     """Return types of messages about joints, by their fingerprints."""
     drake = importlib.import_module("drake")
-    found = [getattr(drake, name) for name in _TYPES]
+    found = [getattr(drake, name) for name in LCM_TYPES]
     return {kind._get_packed_fingerprint(): kind for kind in found}
 
 
-def _topics(log: mmap, types: Mapping[bytes, type]) -> list[Topic]:
+def _topics(log: mmap, types: Mapping[bytes, type]) -> list[JointMessages]:
     """Return all channels with the content of their messages; one cut off at the end is left."""
-    topics: dict[str, Topic] = {}
+    topics: dict[str, JointMessages] = {}
     at = 0
     while 0 <= at <= len(log) - _EVENT.size:
         _, number, received, of_name, of_message = _EVENT.unpack_from(log, at)
@@ -79,10 +78,10 @@ def _topics(log: mmap, types: Mapping[bytes, type]) -> list[Topic]:
             break
         at = log.find(MAGIC, end)
         if kind is None:
-            topics.setdefault(name, Topic(name, "another type", JointMessages(name)))
+            topics.setdefault(name, JointMessages(name, "another type"))
             continue
         if name not in topics or not topics[name].made_for_joints:
-            topics[name] = Topic(name, kind.__name__, JointMessages(name), True)
+            topics[name] = JointMessages(name, kind.__name__)
         try:
             message = kind.decode(log[begin:end])
         except (struct.error, ValueError) as error:
@@ -90,5 +89,5 @@ def _topics(log: mmap, types: Mapping[bytes, type]) -> list[Topic]:
                 f"Message {number} of the log on channel {name} is truncated or damaged: {error}.",
                 advice="Record again, or remove that message.",
             ) from error
-        topics[name].messages.add(message, 1000 * received)
+        topics[name].add(message, 1000 * received)
     return list(topics.values())

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
-from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from math import isnan
@@ -20,7 +21,7 @@ from geodrake.logs.files.grouped_arrays import fields_of
 from geodrake.logs.files.name_rules import MEASURED, OTHER, PLAIN, Meaning, meaning_of
 from geodrake.logs.files.table import LogTable
 from geodrake.logs.floating import IS_BASE, floating_name
-from geodrake.logs.motion import EFFORT_KINDS
+from geodrake.logs.motion import EFFORT_KINDS, QUANTITIES
 
 Stamps = NDArray[np.int64]
 Clock = tuple[Stamps, Stamps]
@@ -75,6 +76,7 @@ class Messages:
     """
 
     topic: str
+    kind: str = ""  # the type of its messages
     count: int = field(default=0, init=False)
     groups: dict[Key, bytearray] = field(default_factory=dict, init=False)
 
@@ -155,10 +157,26 @@ class Messages:
         return np.concatenate([np.zeros(0, np.int64), *(self.rows(k)[which] for k in self.groups)])
 
 
+WANTED = re.compile(r"command|cmd|goal|target|desired|reference|setpoint", re.IGNORECASE)
+"""Words in names of topics of what joints are told."""
+
+JOINT_STATE, LCM_TYPES = (
+    "sensor_msgs/msg/JointState",
+    (
+        "lcmt_iiwa_status",
+        "lcmt_jaco_status",
+        "lcmt_panda_status",
+    ),
+)
+"""Types of messages for the state of joints, and nothing else, in ROS and in LCM."""
+
+
 @dataclass
 class JointMessages(Messages):
-    """The joint data in messages of one topic."""
+    """The joint data in messages of one topic of a bag, or of a channel of LCM."""
 
+    # What reads all messages, where these are the first of them.
+    read: Callable[[], JointMessages] | None = None
     # Whether efforts are those of a controller.
     from_controller: bool = field(default=False, init=False)
     # Whether there is a message for each motor, or for more than the robot has.
@@ -203,6 +221,40 @@ class JointMessages(Messages):
         """Return the quantities of joints in one message."""
         best = max((q for _, q in self.groups), key=lambda q: (is_complete(q), len(q)), default=())
         return frozenset(best)
+
+    @property
+    def fits(self) -> bool:
+        """Whether it has positions and efforts, or commands in the place of these."""
+        return is_complete(self.quantities)
+
+    @property
+    def is_wanted(self) -> bool:
+        """Whether positions in it are what joints are told, by its name."""
+        return bool(WANTED.search(self.topic))
+
+    @property
+    def made_for_joints(self) -> bool:
+        """Whether its type is for the state of joints, and nothing else."""
+        return self.kind in LCM_TYPES or (self.kind == JOINT_STATE and not self.is_wanted)
+
+    @property
+    def part(self) -> frozenset[str]:
+        """Quantities that it can add to a joined log; a requested topic also has commands."""
+        found = self.quantities
+        if NUMBERS in found:
+            meaning = meaning_of(f"{self.topic}/{NUMBERS}[0]")
+            return frozenset(() if meaning is None else (meaning.quantity,))
+        return frozenset(("command",)) if self.is_wanted and "position" in found else found
+
+    @property
+    def has_efforts(self) -> bool:
+        """Whether efforts, or signals that replace them, are among these."""
+        return not self.part.isdisjoint(EFFORT_KINDS)
+
+    def __str__(self) -> str:
+        told = [q for q in (*QUANTITIES, *EFFORT_KINDS[1:]) if q in self.part]
+        words = f", {len(self.joints)} joints with {', '.join(told)}" if told else ""
+        return f"{self.topic} ({self.kind}{words})"
 
     @property
     def joints(self) -> Owners:

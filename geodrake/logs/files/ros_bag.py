@@ -16,6 +16,8 @@ from geodrake.boundary.input_files import open_regular, regular_files
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.messages import (
+    JOINT_STATE,
+    WANTED,
     BaseMessages,
     JointMessages,
     Messages,
@@ -23,18 +25,10 @@ from geodrake.logs.files.messages import (
 )
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable, readable
-from geodrake.logs.files.topics import (
-    WANTED,
-    Received,
-    Topic,
-    chosen_topics,
-    topics_of,
-    topics_table,
-)
+from geodrake.logs.files.topics import Received, chosen_topics, topics_of, topics_table
 from geodrake.logs.files.units import WORDS
 
 _FIRST = 20  # messages by which a topic is known; publishers of other joints may take turns
-_JOINT_STATE = "sensor_msgs/msg/JointState"
 _DYNAMIC_STATE = "control_msgs/msg/DynamicJointState"
 _TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 _NUMBERS = re.compile(r"std_msgs/msg/(Float|Int)\d+MultiArray")
@@ -68,7 +62,7 @@ def read_bag(path: Path, reading: Reading) -> LogTable:
         base, notes, of_base = _base(reader, spoken, method, reading)
         asked = [name for name in reading.topics if name.strip("/") not in of_base]
         chosen = chosen_topics(path, topics, replace(reading, topic=asked or None))
-        whole = [replace(each, messages=each.read()) for each in chosen]
+        whole = [each.read() for each in chosen if each.read is not None]
     return topics_table(path, whole, topics, reading, base).noting(*notes)
 
 
@@ -153,22 +147,19 @@ def _storage(path: Path) -> Path:
     )
 
 
-def _probed(reader: Any, connections: Sequence[Any], method: str) -> Topic:
+def _probed(reader: Any, connections: Sequence[Any], method: str) -> JointMessages:
     """Return a topic by its first messages."""
     name, kind, definition = (getattr(connections[0], x) for x in ("topic", "msgtype", "msgdef"))
-    is_state = kind == _JOINT_STATE
-    is_wanted = bool(WANTED.search(name))
-    topic = Topic(name, kind, JointMessages(name), is_state and not is_wanted, is_wanted)
     for text in _definitions(kind, definition):
         try:
             decode = getattr(_store(kind, text, definition.format.name), method)
             read = partial(_messages, reader, connections, decode)
-            first, whole = JointMessages(name), JointMessages(name)
-            return replace(topic, messages=read(first, _FIRST), read=partial(read, whole))
+            whole = partial(read, JointMessages(name, kind))
+            return read(JointMessages(name, kind, whole), _FIRST)
         except _problems():
-            if is_state:  # of others, nothing may be known
+            if kind == JOINT_STATE:  # of others, nothing may be known
                 raise
-    return topic
+    return JointMessages(name, kind)
 
 
 def _messages(
@@ -187,7 +178,7 @@ def _definitions(kind: str, definition: Any) -> Sequence[str]:
     numbers = kind == _DYNAMIC_STATE or _NUMBERS.fullmatch(kind)
     if definition.data:
         return (definition.data,) if numbers or _WORDS.search(definition.data) else ()
-    if kind in (_JOINT_STATE, _TRAJECTORY) or _NUMBERS.fullmatch(kind):
+    if kind in (JOINT_STATE, _TRAJECTORY) or _NUMBERS.fullmatch(kind):
         return ("",)
     return WORDS["definitions"].get(kind, ())
 

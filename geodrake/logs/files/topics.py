@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import difflib
-import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,61 +27,18 @@ from geodrake.logs.files.name_rules import is_time, meaning_of, names_joints, pl
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable, date_of, number_in
 from geodrake.logs.files.units import WORDS
-from geodrake.logs.motion import EFFORT_KINDS, QUANTITIES
 from geodrake.logs.time_stamps import time_unit
 
 _MOST_LISTED = 8
-WANTED = re.compile(r"command|cmd|goal|target|desired|reference|setpoint", re.IGNORECASE)
-"""Words in names of topics of what joints are told."""
-
 Received = tuple[str, str, Any, int]
 """Topic and type of a message, itself, and when it was received, ns."""
 
 
-@dataclass(frozen=True)
-class Topic:
-    """A topic of a bag, or a channel of an LCM log."""
-
-    name: str
-    kind: str
-    messages: JointMessages  # what these, or the first of them, say of joints
-    made_for_joints: bool = False  # whether the type is for the state of joints, and nothing else
-    is_wanted: bool = False  # whether positions in it are what joints are told, by its name
-    read: Callable[[], JointMessages] = lambda: JointMessages("")  # what reads all of its messages
-
-    @property
-    def fits(self) -> bool:
-        """Whether it has positions and efforts, or commands in the place of these."""
-        return is_complete(self.messages.quantities)
-
-    @property
-    def part(self) -> frozenset[str]:
-        """Quantities that it can add to a joined log; a requested topic also has commands."""
-        found = self.messages.quantities
-        if NUMBERS in found:
-            meaning = meaning_of(f"{self.name}/{NUMBERS}[0]")
-            return frozenset(() if meaning is None else (meaning.quantity,))
-        return frozenset(("command",)) if self.is_wanted and "position" in found else found
-
-    @property
-    def has_efforts(self) -> bool:
-        """Whether efforts, or signals that replace them, are among these."""
-        return not self.part.isdisjoint(EFFORT_KINDS)
-
-    def __str__(self) -> str:
-        told = [q for q in (*QUANTITIES, *EFFORT_KINDS[1:]) if q in self.part]
-        words = f", {len(self.messages.joints)} joints with {', '.join(told)}" if told else ""
-        return f"{self.name} ({self.kind}{words})"
-
-
-def topics_of(messages: Iterable[Received]) -> list[Topic]:
+def topics_of(messages: Iterable[Received]) -> list[JointMessages]:
     """Return topics with what all of their messages say of joints."""
-    topics = dict[str, Topic]()
+    topics = dict[str, JointMessages]()
     for name, kind, message, received in messages:
-        if name not in topics:
-            is_wanted = bool(WANTED.search(name))
-            topics[name] = Topic(name, kind, JointMessages(name), is_wanted=is_wanted)
-        topics[name].messages.add(message, received)
+        topics.setdefault(name, JointMessages(name, kind)).add(message, received)
     return list(topics.values())
 
 
@@ -105,7 +61,7 @@ def messages_table(path: Path, records: Any, reading: Reading) -> LogTable | Non
     received = stamps if clock else [stamp_of(message) for _, message in said]
     both = zip(said, received, strict=True)
     topics = topics_of((name or "records", "messages", x, time) for (name, x), time in both)
-    if not any(topic.messages.quantities for topic in topics):
+    if not any(topic.quantities for topic in topics):
         return None
     return topics_table(path, chosen_topics(path, topics, reading), topics, reading)
 
@@ -123,7 +79,9 @@ def _topic_and_message(record: Mapping[str, Any]) -> tuple[str, Mapping[str, Any
     return (topic, record) if inside is None or not topic else (topic, inside)
 
 
-def chosen_topics(path: Path, topics: Sequence[Topic], reading: Reading) -> tuple[Topic, ...]:
+def chosen_topics(
+    path: Path, topics: Sequence[JointMessages], reading: Reading
+) -> tuple[JointMessages, ...]:
     """Return the topic that is the log, or those that are parts of it."""
     if not topics:
         raise LogError(f"Log {str(path)!r} has no messages.", advice="Check how it was recorded.")
@@ -136,28 +94,28 @@ def chosen_topics(path: Path, topics: Sequence[Topic], reading: Reading) -> tupl
         raise LogError(
             f"Log {str(path)!r} has {len(best)} topics with joint positions and efforts: "
             f"{_listed(best)}.",
-            advice=f"Choose one, as in --topic {best[0].name}, or several of different arms.",
+            advice=f"Choose one, as in --topic {best[0].topic}, or several of different arms.",
         )
     return _parts(path, topics)
 
 
-def _is_of_joints(name: str, topics: Sequence[Topic]) -> bool:
+def _is_of_joints(name: str, topics: Sequence[JointMessages]) -> bool:
     """Return whether a name is no topic, but a word in names of joints, as of one of two robots."""
     words = plain_words(name)
-    called = (plain_words(str(joint)) for topic in topics for joint in topic.messages.joints)
-    is_topic = any(topic.name.strip("/") == name.strip("/") for topic in topics)
+    called = (plain_words(str(joint)) for topic in topics for joint in topic.joints)
+    is_topic = any(topic.topic.strip("/") == name.strip("/") for topic in topics)
     return not is_topic and bool(words) and any(words <= own for own in called)
 
 
-def _best(topics: Sequence[Topic]) -> Sequence[Topic]:
+def _best(topics: Sequence[JointMessages]) -> Sequence[JointMessages]:
     """Return the topics with efforts, if any, and of these those for joints."""
     heard = [topic for topic in topics if topic.has_efforts] or topics
     return [topic for topic in heard if topic.made_for_joints] or heard
 
 
-def _parts(path: Path, topics: Sequence[Topic]) -> tuple[Topic, Topic]:
+def _parts(path: Path, topics: Sequence[JointMessages]) -> tuple[JointMessages, JointMessages]:
     """Return the topics of positions and of efforts or commands, where no topic has both."""
-    named = [t for t in topics if any(isinstance(joint, str) for joint in t.messages.joints)]
+    named = [t for t in topics if any(isinstance(joint, str) for joint in t.joints)]
     moved = _best([topic for topic in named or topics if "position" in topic.part])
     heard = _best([t for t in topics if is_complete(("position", *t.part)) and t not in moved])
     if len(moved) == len(heard) == 1:
@@ -169,7 +127,7 @@ def _parts(path: Path, topics: Sequence[Topic]) -> tuple[Topic, Topic]:
     if moved and heard:
         advice = (
             "Choose one of positions and one of efforts or commands, to join them by time, as in "
-            f"--topic {moved[0].name} --topic {heard[0].name}."
+            f"--topic {moved[0].topic} --topic {heard[0].topic}."
         )
     raise LogError(
         f"Log {str(path)!r} has no topic with both joint positions and efforts; it has "
@@ -178,9 +136,9 @@ def _parts(path: Path, topics: Sequence[Topic]) -> tuple[Topic, Topic]:
     )
 
 
-def _named(path: Path, topics: Sequence[Topic], name: str, *, alone: bool) -> Topic:
+def _named(path: Path, topics: Sequence[JointMessages], name: str, *, alone: bool) -> JointMessages:
     """Return a topic by its name; a single one must have all of the log."""
-    found = [topic for topic in topics if topic.name.strip("/") == name.strip("/")]
+    found = [topic for topic in topics if topic.topic.strip("/") == name.strip("/")]
     if found and (found[0].fits if alone else found[0].part):
         return found[0]
     if found:
@@ -190,7 +148,7 @@ def _named(path: Path, topics: Sequence[Topic], name: str, *, alone: bool) -> To
             f"Topic {found[0]} of log {str(path)!r} {lacks} joints.",
             advice=f"Topics with them: {_listed(fitting)}." if fitting else "No topic has them.",
         )
-    names = [topic.name for topic in topics]
+    names = [topic.topic for topic in topics]
     close = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
     raise LogError(
         f"Log {str(path)!r} has no topic {name!r}"
@@ -200,7 +158,7 @@ def _named(path: Path, topics: Sequence[Topic], name: str, *, alone: bool) -> To
     )
 
 
-def _listed(topics: Sequence[Topic]) -> str:
+def _listed(topics: Sequence[JointMessages]) -> str:
     ordered = sorted(topics, key=lambda topic: (not topic.fits, not topic.part))
     more = f" … ({len(topics)} in total)" if len(topics) > _MOST_LISTED else ""
     return ", ".join(map(str, ordered[:_MOST_LISTED])) + more
@@ -211,8 +169,8 @@ _CLOSER = 2.0  # times as close to its joint as to any other a command is that h
 
 def topics_table(
     path: Path,
-    chosen: Sequence[Topic],
-    topics: Sequence[Topic],
+    chosen: Sequence[JointMessages],
+    topics: Sequence[JointMessages],
     reading: Reading,
     base: Sequence[BaseMessages] = (),
 ) -> LogTable:
@@ -225,22 +183,22 @@ def topics_table(
         chosen: What `chosen_topics` found of all topics, with all of their messages.
         base: What is said of a free base and its feet.
     """
-    is_alone, read = len(chosen) == 1, ", ".join(f"{t.name} ({t.kind})" for t in chosen)
+    is_alone, read = len(chosen) == 1, ", ".join(f"{t.topic} ({t.kind})" for t in chosen)
     if is_alone and not chosen[0].fits:  # its first messages have efforts, but none has positions
         raise LogError(f"Topic {chosen[0]} of log {str(path)!r} has no positions with efforts.")
     also = [
-        other.name
+        other.topic
         for other in topics
-        if is_alone and other.name != chosen[0].name
+        if is_alone and other.topic != chosen[0].topic
         if other.fits and other.has_efforts >= chosen[0].has_efforts
     ]
     said = [
         f"read from {read}" + (f"; {', '.join(also)} would also match (--topic)" if also else "")
     ]
-    if any(topic.messages.from_controller for topic in chosen):
+    if any(topic.from_controller for topic in chosen):
         said.append("there are no measured efforts: the controller's output is used")
     made: list[tuple[Messages, list[LogTable]]] = [
-        (topic.messages, _part_tables(topic, part=not is_alone)) for topic in chosen
+        (topic, _part_tables(topic, part=not is_alone)) for topic in chosen
     ]
     made += [(each, each.tables()) for each in base]
     clock = next(filter(None, (messages.clock for messages, _ in made)), None)
@@ -268,9 +226,9 @@ def _of_topic(table: LogTable, topic: str) -> LogTable:
     return replace(table, columns=named)
 
 
-def _part_tables(topic: Topic, *, part: bool) -> list[LogTable]:
+def _part_tables(topic: JointMessages, *, part: bool) -> list[LogTable]:
     """Return the columns of one topic, which may be a part of a log."""
-    tables = topic.messages.tables(part=part)
+    tables = topic.tables(part=part)
     if not part:
         return tables
     found = []
@@ -278,8 +236,10 @@ def _part_tables(topic: Topic, *, part: bool) -> list[LogTable]:
         columns = table.columns
         if "command" in topic.part and topic.is_wanted:
             columns = _commands(columns)
-        named = {f"{topic.name}/{n}" if n.startswith(NUMBERS) else n: c for n, c in columns.items()}
-        path = Path(topic.name) if len(tables) == 1 else table.path
+        named = {
+            f"{topic.topic}/{n}" if n.startswith(NUMBERS) else n: c for n, c in columns.items()
+        }
+        path = Path(topic.topic) if len(tables) == 1 else table.path
         found.append(replace(table, path=path, columns=named))
     return found
 
