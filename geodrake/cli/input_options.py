@@ -65,8 +65,8 @@ class ReadingOptions:
         motors (FILE.yaml): Further motors, in the format of geodrake's table.
         passive (JOINT): Joint without a motor, whose effort is zero. Repeatable.
         topic (NAME): Topic of a bag, or channel of an LCM log (x lists them); of a table with
-            several robots, the word in its columns that names one, such as left. Several topics
-            of a bag are joined by time. Repeatable.
+            several robots, the word in its columns that names one, such as left, or all if it
+            is one robot. Several topics of a bag are joined by time. Repeatable.
         episode (N): Episode of a LeRobot dataset or of a file of demonstrations; default all.
         skip_bad_rows: Skip corrupt rows, up to 1 %, and report their number.
     """

@@ -1,5 +1,6 @@
 """Logs as robots' own loggers and other people's scripts write them, read without a mapping."""
 
+import json
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -573,6 +574,82 @@ def test_rows_without_a_robot_are_of_the_only_one(tmp_path):
     cells = ["robot", *("", "ur5") * (ROWS // 2)]
     path.write_text("\n".join(f"{a},{b}" for a, b in zip([head, *rows], cells, strict=True)))
     check(read_log(path, joints=("a",)), ("a",), q, None, tau)
+
+
+@pytest.mark.parametrize("words", [("moving", "idle"), ("2", "5")])
+def test_a_robot_that_moves_on_is_one(tmp_path, words):
+    time, q, _, tau = motion(("a", "b"))
+    columns = {"time": time, "q1": q[:, 0], "q2": q[:, 1], "tau1": tau[:, 0], "tau2": tau[:, 1]}
+    state = np.array(words)[np.arange(ROWS) // 30 % 2]
+    frame = pandas.DataFrame({"arm": state, **columns})
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    log = read_log(tmp_path / "log.csv", joints=("a", "b"))
+    check(log, ("a", "b"), q, None, tau)
+    assert any("all rows are of one robot" in note for note in log.notes)
+
+    # Of another robot, joints jump where the word changes, or it may stand where this one stood.
+    frame.loc[state == words[1], "q1"] += 0.5
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(LogError, match="if all rows are of one robot, --topic all"):
+        read_log(tmp_path / "log.csv", joints=("a", "b"))
+    log = read_log(tmp_path / "log.csv", joints=("a", "b"), reading=Reading(topic="all"))
+    np.testing.assert_array_equal(log.position[:, 0], frame["q1"])
+
+
+def test_all_rows_of_one_device_are_said(tmp_path):
+    time, q, _, tau = motion(("a",))
+    columns = {"device": "ur5", "time": time, "q": q[:, 0], "tau": tau[:, 0]}
+    pandas.DataFrame(columns).to_csv(tmp_path / "log.csv", index=False)
+    log = read_log(tmp_path / "log.csv", joints=("a",))
+    assert "all rows are of one robot: 'device' is 'ur5'" in log.notes
+
+
+def test_efforts_of_the_row_before_are_used_if_there_are_no_others(tmp_path):
+    time, q, _, tau = motion(("a",))
+    late = np.roll(tau, 1, axis=0)
+    path = write(tmp_path / "log.csv", ["time", "q", "tau_prev"], [time, q, late])
+    log = read_log(path, joints=("a",))
+    check(log, ("a",), q, None, late)
+    assert "effort: by their names, tau_prev are of the row before" in log.notes
+    names = ["time", "q", "q_prev", "dq_prev", "tau_prev", "tau"]
+    path = write(tmp_path / "both.csv", names, [time, q, q, q, late, tau])
+    check(read_log(path, joints=("a",)), ("a",), q, None, tau)
+
+
+@pytest.mark.parametrize(("name", "unit"), [("ms", 1e-3), ("us", 1e-6), ("millis", 1e-3)])
+def test_a_unit_of_time_alone_is_time(tmp_path, name, unit):
+    time, q, _, tau = motion(("a",))
+    path = write(tmp_path / "log.csv", [name, "q", "tau"], [np.rint(time / unit), q, tau])
+    log = read_log(path, joints=("a",))
+    np.testing.assert_allclose(log.time, time, atol=1e-12)
+    part = write(tmp_path / "part.csv", [name, "q", "tau"], [np.rint(time / unit) % 100, q, tau])
+    with pytest.raises(LogError, match="has no column 'time'"):
+        read_log(part, joints=("a",))
+
+
+@pytest.mark.parametrize("form", ["joint_{}_{}", "{1}_{0}", "Joint{}.{}"])
+def test_roman_numerals_count_joints(tmp_path, form):
+    time, q, v, tau = motion(UR)
+    roman = ["I", "II", "III", "IV", "V", "VI"]
+    words = [("pos", q), ("vel", v), ("torque", tau)]
+    names = ["time", *(form.format(number, word) for word, _ in words for number in roman)]
+    path = write(tmp_path / "log.csv", names, [time, *(x for _, x in words)])
+    check(read_log(path, joints=UR), UR, q, v, tau)
+    own = tuple(f"joint_{number}" for number in roman)
+    check(read_log(path), own, q, v, tau)
+    turned = own[::-1]
+    check(read_log(path, joints=turned), turned, q[:, ::-1], v[:, ::-1], tau[:, ::-1])
+
+
+@pytest.mark.parametrize(("names", "rows"), [("columns", "data"), ("names", "rows")])
+def test_rows_of_json_that_are_too_short_are_named(tmp_path, names, rows):
+    time, q, _, tau = motion(("a",))
+    table = np.column_stack([time, q, tau]).tolist()
+    table[5] = table[5][:-1]
+    content = {names: ["time", "q", "tau"], rows: table}
+    (tmp_path / "log.json").write_text(json.dumps(content))
+    with pytest.raises(LogError, match=r"Row 6 .* has 2 values, but there are 3 names"):
+        read_log(tmp_path / "log.json")
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])

@@ -168,11 +168,14 @@ def _check_silent(table: LogTable, reading: Reading, joints: Sequence[str] | Non
         needed |= {m.column for m in meanings_of(table.silent) if m.log_quantity in missing}
     for name, words in table.silent.items():
         if name in needed:
+            advice = "Use numbers, or for time dates such as 2026-05-01T12:00:00.25Z."
+            if words.startswith(RARE):
+                advice = "Log that joint as often as the others, or fix it: --lock JOINT=POSITION."
+            elif words.startswith("has lists"):
+                advice = "Write lists of equal length, or null in rows that lack some."
             raise LogError(
                 f"Column {name!r} of log {str(table.path)!r} {words}.",
-                advice="Log that joint as often as the others, or fix it: --lock JOINT=POSITION."
-                if words.startswith(RARE)
-                else "Use numbers, or for time dates such as 2026-05-01T12:00:00.25Z.",
+                advice=advice,
             )
 
 

@@ -70,7 +70,7 @@ def read_json(path: Path, reading: Reading) -> LogTable:
         if len(values) < 2 and rest:
             json.loads(text)  # which tells what is wrong
         is_one = len(values) == 1 and unpacked(path).suffix.lower() not in _LINES
-        content = _of_rows(values[0]) if is_one else values
+        content = _of_rows(path, values[0]) if is_one else values
         table = messages_table(path, content, reading)
         table = table or content_table(path, content, reading, _JSON_ADVICE)
         cut = f"the last record is cut off and not used: {rest[:_SHOWN]!r}"
@@ -158,21 +158,34 @@ def _whole(path: Path, kind: str) -> bytes:
     return text
 
 
-def _of_rows(content: Any) -> Any:
+def _of_rows(path: Path, content: Any) -> Any:
     """Return the columns of a data frame that was written as JSON, or of names above rows."""
     if not isinstance(content, Mapping):
         return content
-    if {"columns", "data"} <= content.keys() <= {"columns", "index", "data"}:
-        return [dict(zip(content["columns"], row, strict=True)) for row in content["data"]]
     lists = [x for x in content.values() if isinstance(x, list) and x]
+    if {"columns", "data"} <= content.keys() <= {"columns", "index", "data"}:
+        return _under_names(path, content["columns"], content["data"])
     if len(lists) == 2 and all(isinstance(name, str) and meaning_of(name) for name in lists[0]):
-        names, table = lists
-        if all(isinstance(row, list) and len(row) == len(names) for row in table):
-            return [dict(zip(names, row, strict=True)) for row in table]
+        names, rows = lists
+        if all(isinstance(row, list) for row in rows) and len(rows[0]) == len(names):
+            return _under_names(path, names, rows)
     rows = [tuple(each) if isinstance(each, Mapping) else () for each in content.values()]
     if len(rows) > 1 and rows[0][:2] == ("0", "1") and set(rows) == {rows[0]}:
         return {name: [*each.values()] for name, each in content.items()}
     return content
+
+
+def _under_names(path: Path, names: Sequence[Any], rows: Sequence[Any]) -> list[dict[str, Any]]:
+    """Return rows of values as records, by the names of their columns."""
+    for k, row in enumerate(rows, 1):
+        if len(row) != len(names):
+            raise LogError(
+                f"Row {k} of log {str(path)!r} has {len(row)} values, but there are {len(names)} "
+                "names of columns.",
+                advice="Is the recording truncated? Remove or repair that row.",
+            )
+    called = [".".join(map(str, n)) if isinstance(n, list) else str(n) for n in names]
+    return [dict(zip(called, row, strict=True)) for row in rows]
 
 
 _DEEPEST = 30

@@ -24,6 +24,7 @@ from geodrake.logs.files.name_rules import (
     PAIRS,
     PART,
     PLAIN,
+    PREVIOUS,
     ROLES,
     Meaning,
     bracketed,
@@ -293,7 +294,9 @@ def choice_words(best: Mapping[tuple[str, str], Sequence[Meaning]]) -> Iterator[
         measured = dict.fromkeys(SIGNAL_KINDS, MOTOR)  # currents are of motors anyway
         doubtful = [m.role > measured.get(m.quantity, PLAIN) for m in chosen]
         if quantity not in PARTIAL and chosen and all(doubtful):
-            yield f"{quantity}: by their names, {_span(chosen)} may not be measured at the joints"
+            is_late = all(m.role == PREVIOUS for m in chosen)
+            words = "are of the row before" if is_late else "may not be measured at the joints"
+            yield f"{quantity}: by their names, {_span(chosen)} {words}"
 
 
 def unit_words(sources: Mapping[str, Meaning], reading: Reading) -> Iterator[str]:
@@ -363,7 +366,7 @@ def columns_of(
     try:
         if columns.rate is None and ("", "time") not in places:
             clock, words, is_sure = likely_clock(table)
-            places = {("", "time"): Meaning(clock, "time"), **places} if clock else places
+            places = {("", "time"): clock, **places} if clock else places
             if is_sure:
                 columns.places = places
                 columns.notes.append(f"{words}, so it is taken as time")
@@ -389,10 +392,11 @@ def columns_of(
     return columns
 
 
-def likely_clock(table: LogTable) -> tuple[str, str, bool]:
+def likely_clock(table: LogTable) -> tuple[Meaning | None, str, bool]:
     """Return the column that may be time by its values or its name, in words, and if it must be.
 
-    It is if it increases evenly and its name says so, or if it is the first and not of whole steps.
+    It is if it increases evenly and its name says so, or is a unit of time, or if it is the first
+    and not of whole steps.
     """
     told = [(name, meaning_of(name)) for name in table.names[:_MOST_CLOCKS]]
     others = [
@@ -406,13 +410,17 @@ def likely_clock(table: LogTable) -> tuple[str, str, bool]:
             step = float(np.median(steps)) if len(steps) else 0.0
             even = np.abs(steps - step) <= 0.5 * step
             is_called = bool(_CLOCKS & plain_words(name))
-            counts = step == 1.0 and not is_called  # rows
+            unit = dict(told)[name]
+            is_unit = unit is not None and unit.quantity == PART and (steps > 0.0).all()
+            counts = step == 1.0 and not (is_called or is_unit)  # rows
             if step > 0.0 and not counts and even.mean() > _EVEN:
                 words = f"{name!r} increases by {step:.4g} from row to row"
                 is_first = name == table.names[0] or name.startswith("__index_level")
-                return name, words, is_called or (is_first and step % 1.0 != 0.0)
+                is_sure = is_called or is_unit or (is_first and step % 1.0 != 0.0)
+                clock = unit if is_unit and unit is not None else Meaning(name, "time")
+                return replace(clock, quantity="time"), words, is_sure
     close = difflib.get_close_matches("time", [name.lower() for name in table.names[:100]], 1)
-    return "", f"Is it {close[0]!r}? " if close else "", False
+    return None, f"Is it {close[0]!r}? " if close else "", False
 
 
 def _by_names(table: LogTable, joints: Sequence[str] | None, reading: Reading) -> Columns:

@@ -236,6 +236,10 @@ def one_after_another(tables: Sequence[LogTable], reading: Reading) -> LogTable:
 
 
 _MOST_ROBOTS = 50  # different words or numbers in a column that tells them
+_LEAST_EDGES = 3  # changes at which a robot is seen to move on
+_MOVING = 0.5  # of the usual step of a joint that moves, and of such changes
+ALL_ROBOTS = "all"
+"""Topic by which rows of several robots are those of one."""
 
 
 def regrouped(table: LogTable, reading: Reading) -> LogTable:
@@ -253,16 +257,43 @@ def regrouped(table: LogTable, reading: Reading) -> LogTable:
 def _of_one_robot(table: LogTable, name: str, cells: Texts, reading: Reading) -> LogTable:
     """Return the rows of the robot that is asked for, if a column tells several."""
     robots = [robot for robot in dict.fromkeys(cells.tolist()) if robot not in NOTHING]
+    if len(robots) == 1:
+        return table.noting(f"all rows are of one robot: {name!r} is {robots[0]!r}")
     if not 1 < len(robots) <= _MOST_ROBOTS or not _are_together(table, cells, robots):
         return table
-    if not (asked := [robot for robot in robots if robot in reading.topics]):
-        raise LogError(
-            f"Log {str(table.path)!r} has rows of {len(robots)} robots, by column {name!r}: "
-            f"{listed(robots)}.",
-            advice=f"Choose one: --topic {robots[0]}.",
+    without = replace(table, words={n: words for n, words in table.words.items() if n != name})
+    if asked := [robot for robot in robots if robot in reading.topics]:
+        return _rows(without, cells == asked[0]).noting(
+            f"rows with {asked[0]!r} in {name!r} are read"
         )
-    own = _rows(table, cells == asked[0]).noting(f"rows with {asked[0]!r} in {name!r} are read")
-    return replace(own, words={n: words for n, words in own.words.items() if n != name})
+    if _moves_on(table, cells):
+        words = "joints move on where it changes, so all rows are of one robot"
+        return without.noting(f"{name!r} is {listed(robots)}: {words}")
+    if ALL_ROBOTS in reading.topics:
+        return without.noting(f"rows with {listed(robots)} in {name!r} are of one robot, as asked")
+    raise LogError(
+        f"Log {str(table.path)!r} has rows of {len(robots)} robots, by column {name!r}: "
+        f"{listed(robots)}.",
+        advice=f"Choose one: --topic {robots[0]}; or, if all rows are of one robot, --topic "
+        f"{ALL_ROBOTS}.",
+    )
+
+
+def _moves_on(table: LogTable, cells: Texts) -> bool:
+    """Return whether joints go on as they moved where cells (N,) change, as no other robot does."""
+    told = [m.column for m in meanings_of(table.columns) if m.quantity == "position"]
+    time = next((x for n, x in table.columns.items() if table.is_time(n)), None)
+    edges = np.flatnonzero(cells[1:] != cells[:-1]) + 1
+    edges = edges[(edges > 1) & (edges < len(cells) - 1)]
+    if time is None or not told or len(edges) < _LEAST_EDGES or not (np.diff(time) > 0.0).all():
+        return False
+    position = np.stack([table.columns[name] for name in told], 1)
+    steps = np.abs(np.diff(position, axis=0))
+    bends = np.abs(np.diff(position, 2, axis=0))  # from rows k − 1, k to k + 1, at k − 1
+    usual = np.nanmax(np.delete(bends, np.concatenate([edges - 2, edges - 1]), 0), 0, initial=0.0)
+    is_smooth = (np.maximum(bends[edges - 2], bends[edges - 1]) <= usual).all()
+    moving = (steps[edges - 1] > _MOVING * np.nanmedian(steps, axis=0)).any(axis=1)
+    return bool(is_smooth and np.nanmedian(steps) > 0.0 and moving.mean() > _MOVING)
 
 
 def _are_together(table: LogTable, cells: Texts, robots: Sequence[str]) -> bool:

@@ -14,7 +14,7 @@ from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.array_files import arrow_table
 from geodrake.logs.files.grouped_arrays import one_after_another
-from geodrake.logs.files.name_rules import OTHER, meaning_of, quantity_of
+from geodrake.logs.files.name_rules import PREVIOUS, meaning_of, quantity_of
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable, readable
 
@@ -62,7 +62,7 @@ def _meaning(features: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str], str
         if (
             not (is_action or feature.startswith("observation"))
             or told is None
-            or told.role >= OTHER
+            or told.role >= PREVIOUS
         ):
             continue
         (size,) = description["shape"]

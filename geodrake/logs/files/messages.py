@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from geodrake.boundary.arguments import Array
 from geodrake.errors import LogError
 from geodrake.logs.files.grouped_arrays import fields_of
-from geodrake.logs.files.name_rules import MEASURED, OTHER, PLAIN, Meaning, meaning_of
+from geodrake.logs.files.name_rules import MEASURED, OTHER, PLAIN, PREVIOUS, Meaning, meaning_of
 from geodrake.logs.files.table import LogTable
 from geodrake.logs.floating import IS_BASE, floating_name
 from geodrake.logs.motion import EFFORT_KINDS, QUANTITIES
@@ -391,7 +391,7 @@ def _places(paths: tuple[str, ...]) -> dict[str, list[str]]:
         meaning = meaning_of(f"{path.replace('.', '/')}[0]")
         if path == NUMBERS and _LAYOUT in paths:
             ranked[NUMBERS].append((MEASURED, path))
-        if path == NUMBERS or meaning is None or meaning.role >= OTHER:
+        if path == NUMBERS or meaning is None or meaning.role >= PREVIOUS:
             continue
         quantity, role = meaning.quantity, meaning.role
         if meaning.is_wanted or path.startswith(_POINTS):

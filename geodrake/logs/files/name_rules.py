@@ -43,14 +43,14 @@ QUANTITY_WORDS: Mapping[str, str] = _by_word(WORDS["quantities"])
 _QUALIFIES = "load"  # a position or a velocity, as well as it is a torque
 _DERIVED = {"dot": {"position": "velocity"}, "ddot": {"position": "acceleration"}}
 _CURRENT = WORDS["quantities"]["current"].split()
-MEASURED, PLAIN, MOTOR, DESIRED, OTHER = range(5)
+MEASURED, PLAIN, MOTOR, DESIRED, PREVIOUS, OTHER = range(6)
 ROLE_WORDS: Mapping[str, int] = {
-    word: ("measured", "", "motor", "desired", "other").index(role)
+    word: ("measured", "", "motor", "desired", "previous", "other").index(role)
     for word, role in _by_word(WORDS["roles"]).items()
 }
 """Words that show whether a column was measured at the joint, by preference."""
 
-ROLES = ("measured", "", "of motors", "desired", "of something else")
+ROLES = ("measured", "", "of motors", "desired", "of the row before", "of something else")
 MAPPED = ("mapped",)
 """The style of columns that the user named."""
 
@@ -91,6 +91,8 @@ _UNSPACED = re.compile(  # words between which no blanks are written
         sorted(re.findall(r"[\u3040-\u30ff\u4e00-\u9fff]+", str(WORDS)), key=len, reverse=True)
     )
 )
+_ROMAN = re.compile(r"(?<![A-Z\d])[IVX]+(?![A-Za-z\d])")
+_NUMERALS = WORDS["numerals"].split()
 _NO_WORD = "zzz"  # which says nothing
 _FEW_OF_FAMILY = 3  # words that are enough
 _LONGEST_NAME = 200  # letters of a name of words
@@ -167,7 +169,14 @@ def meanings_of(names: Iterable[str], joints: Sequence[str] = ()) -> list[Meanin
     """
     names = list(names)
     odd = {_split(joint): joint for joint in joints if _misleads(joint)}
-    each = (_of_joint(name, odd) or meaning_of(name) for name in names)
+    roman = _roman_numbers(names)
+    of_model = {number: joint for joint, (_, number) in _roman_numbers(joints).items()}
+    each = (
+        _by_roman(name, *roman[name], of_model)
+        if name in roman
+        else _of_joint(name, odd) or meaning_of(name)
+        for name in names
+    )
     found = [meaning for meaning in each if meaning is not None]
     units = _units_of_family(names)
     for k, meaning in enumerate(found):
@@ -184,6 +193,32 @@ def meanings_of(names: Iterable[str], joints: Sequence[str] = ()) -> list[Meanin
         if unit is not None and counts[meaning.words] == 1:
             found[k] = replace(meaning, joint="", words=(), unit=unit)
     return found
+
+
+def _roman_numbers(names: Sequence[str]) -> dict[str, tuple[str, int]]:
+    """Return names that count in Roman numerals from I on, with their Arabic ones, and numbers."""
+    told = {n: found for n in names if (found := _ROMAN.search(n)) is not None}
+    alike = defaultdict[tuple[str, str], dict[str, int]](dict)
+    for name, found in told.items():
+        if found[0] in _NUMERALS:
+            number = 1 + _NUMERALS.index(found[0])
+            alike[name[: found.start()], name[found.end() :]][name] = number
+    return {
+        name: (f"{head}{number}{tail}", number)
+        for (head, tail), own in alike.items()
+        if len(own) > 1 and sorted(own.values()) == [*range(1, 1 + len(own))]
+        for name, number in own.items()
+    }
+
+
+def _by_roman(name: str, plain: str, number: int, joints: Mapping[int, str]) -> Meaning | None:
+    """Return the meaning of a name with a Roman numeral, by that with an Arabic one."""
+    found = meaning_of(plain)
+    if found is None or found.quantity not in OF_JOINTS or found.joint:
+        return meaning_of(name) if found is None else replace(found, column=name)
+    joint = joints.get(number, f"joint_{_NUMERALS[number - 1]}")
+    words = words_of(joint) if number in joints else found.words
+    return replace(found, column=name, joint=joint, words=words)
 
 
 def _units_of_family(names: Sequence[str]) -> Mapping[str, str]:
@@ -404,6 +439,8 @@ def _joint(column: str) -> Meaning | None:
     roles = [ROLE_WORDS[w] for w in _split(name) if isinstance(w, str) and w in ROLE_WORDS]
     is_other = _FURTHER_SENSOR.search(column) or _is_flag(_split(name))
     role = OTHER if is_other else max(roles, default=PLAIN)
+    if role == PREVIOUS and quantity not in EFFORT_KINDS:
+        role = OTHER
     group = tuple(word for part in parts[:place] for word in _telling(_split(part)))
     called, style = joint if named else "", (quantity, *sorted(used))
     return Meaning(column, quantity, called, words, role, unit, style, group, DESIRED in roles)
