@@ -145,7 +145,9 @@ def propose(
     """
     if reading.mapping is not None or len(names) > MOST_COLUMNS:
         return error
-    called = list(dict.fromkeys(joint for joint, _ in places if joint))
+    named = [(joint, quantity) for joint, quantity in places if joint]
+    moved = [joint for joint, quantity in named if quantity == "position"]
+    called = list(dict.fromkeys(moved or [joint for joint, _ in named]))
     own = joints or called or ["JOINT"]
     if are_numbered := all(map(NUMBERED.fullmatch, called)):
         called.sort(key=lambda joint: int(joint.rpartition("_")[2]))
