@@ -145,10 +145,9 @@ def propose(
     """
     if reading.mapping is not None or len(names) > MOST_COLUMNS:
         return error
-    named = [(joint, quantity) for joint, quantity in places if joint]
-    moved = [joint for joint, quantity in named if quantity == "position"]
-    called = list(dict.fromkeys(moved or [joint for joint, _ in named]))
-    own = joints or called or ["JOINT"]
+    named = list(dict.fromkeys(joint for joint, _ in places if joint))
+    called = [joint for joint in named if (joint, "position") in places] or named
+    own = joints or named or ["JOINT"]
     if are_numbered := all(map(NUMBERED.fullmatch, called)):
         called.sort(key=lambda joint: int(joint.rpartition("_")[2]))
     is_by_order = not set(called).intersection(own) and (are_numbered or len(called) == len(own))

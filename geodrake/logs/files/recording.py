@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +22,7 @@ from geodrake.logs.time_stamps import evened, order_of_time, repeats, unwrapped,
 LEAST_ROWS = 10
 TICKS = 4096  # of a turn, of servos with twelve bits
 _DAY = 86_400_000_000_000  # ns
+_BLOCK = 4096  # rows that are copied at once
 _FIRST = 1000  # rows that mostly tell that numbers are no whole ones
 _RUN, _ENOUGH_ROWS = 20, 100  # rows without an empty cell that are of use, and of a column
 _STILL = 2e-3  # rad or m, by which a joint may move and still stand
@@ -59,9 +60,7 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
     data = {name: read_column(source, numbers) for name, source in columns.floating.items()}
     data |= {f"{joint}.position": place for joint, place in alone.items()}
     for quantity in columns.quantities:
-        data[quantity] = np.empty((rows, len(joints)))
-        for place, joint in enumerate(joints):
-            data[quantity][:, place] = column(joint, quantity)
+        data[quantity] = _side_by_side([column(joint, quantity) for joint in joints])
     if stamps is None or given is None:
         time = np.arange(rows) / (columns.rate or 1.0)
     else:
@@ -114,6 +113,16 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
         floating={name: data[name] for name in columns.floating},
         left_out=columns.left_out,
     )
+
+
+def _side_by_side(columns: Sequence[Array]) -> Array:
+    """Return columns (N,) as (N, n), in blocks of rows that fit into a cache."""
+    found = np.empty((len(columns[0]), len(columns)))
+    for first in range(0, len(found), _BLOCK):
+        block = slice(first, first + _BLOCK)
+        for place, column in enumerate(columns):
+            found[block, place] = column[block]
+    return found
 
 
 def _take_signs(columns: Columns, numbers: dict[str, Array]) -> Iterator[str]:

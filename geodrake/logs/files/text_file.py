@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import re
-from array import array
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -462,18 +461,19 @@ class TextTable(LogTable):
         places = {name: known[name] for name in names}
         kinds = {k: layout.kinds.get(layout.names[k]) or Cells() for k, _ in places.values()}
         is_plain = all(kind == Cells() for kind in kinds.values())
-        found = {name: array("d") for name in places}
+        found: dict[str, list[Array]] = {name: [] for name in places}
         for line, block in _blocks(self.path, self._opened, layout.lines) if places else ():
             columns = [cell for cell, _ in places.values()]
             table = _by_arrow(block, layout, columns) if is_plain and len(block) > _MANY else None
             if table is None:
                 rows = self._cells(_lines(block), [*places.values()], kinds, (row, line), torn)
-                table = np.array(rows, float).reshape(-1, len(places)).T
+                table = [*np.array(rows, float).reshape(-1, len(places)).T.copy()]
             for values, column in zip(found.values(), table, strict=True):
-                values.frombytes(column.tobytes())
-            row += table.shape[1]
+                values.append(column)
+            row += len(table[0])
             check_room(self.path, row * len(places), f"{row} rows of {len(places)} numbers")
-        return {name: np.frombuffer(values) for name, values in found.items()}, torn
+        # One by one, so that only one is there twice.
+        return {name: np.concatenate([*found.pop(name), np.zeros(0)]) for name in places}, torn
 
     def texts(self, names: Sequence[str]) -> dict[str, NDArray[np.object_]]:
         """Return the texts (N,) of some columns."""
@@ -648,8 +648,8 @@ def _lines(block: bytes) -> list[str]:
     return StringIO(block.decode().replace("\ufeff", ""), newline="").readlines()
 
 
-def _by_arrow(block: bytes, layout: TextLayout, columns: Sequence[int]) -> Array | None:
-    """Return (columns, K) of lines with only numbers in these cells, by Arrow; None otherwise."""
+def _by_arrow(block: bytes, layout: TextLayout, columns: Sequence[int]) -> list[Array] | None:
+    """Return columns (K,) of lines with only numbers in these cells, by Arrow; None otherwise."""
     if layout.grouped or layout.decimal == layout.separator or find_spec("pyarrow") is None:
         return None
     if not block.isascii():
@@ -676,7 +676,7 @@ def _by_arrow(block: bytes, layout: TextLayout, columns: Sequence[int]) -> Array
         )
     except pyarrow.ArrowInvalid:
         return None
-    return np.array([table[name].to_numpy() for name in used])
+    return [np.array(table[name].to_numpy()) for name in used]  # without memory of Arrow
 
 
 def _refusal(path: Path, row: int, column: str, text: str, kind: Cells) -> LogError:
