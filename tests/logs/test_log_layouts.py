@@ -641,6 +641,40 @@ def test_roman_numerals_count_joints(tmp_path, form):
     check(read_log(path, joints=turned), turned, q[:, ::-1], v[:, ::-1], tau[:, ::-1])
 
 
+def test_hands_and_grippers_are_no_joints_of_an_arm(tmp_path):
+    time, q, v, tau = motion(PANDA)
+    arrays = {"joint_pos": q, "joint_pos_cos": np.cos(q), "joint_vel": v, "torques": tau}
+    arrays |= {"eef_pos": q[:, :3], "gripper_qpos": q[:, :2], "gripper_qvel": v[:, :2]}
+    columns = {
+        f"obs.robot0_{name}[{k}]": x for name, a in arrays.items() for k, x in enumerate(a.T)
+    }
+    path = tmp_path / "log.csv"
+    pandas.DataFrame({"time": time, **dict(sorted(columns.items()))}).to_csv(path, index=False)
+    check(read_log(path, joints=PANDA), PANDA, q, v, tau)
+
+
+def test_units_in_the_second_of_two_lines_of_names(tmp_path):
+    time, q, v, tau = motion(("axis_1", "axis_2"))
+    above = ["Time", *(f"Axis {k}" for k in (1, 2) for _ in range(3))]
+    below = ["[ms]", *("ActPos [deg]", "ActVelo [deg/s]", "ActTorque [Nm]") * 2]
+    both = np.stack([np.rad2deg(q), np.rad2deg(v), tau], axis=2).reshape(ROWS, -1)
+    head = ",".join(above) + "\n"
+    path = write(tmp_path / "log.csv", below, [1e3 * time, both], head=head)
+    check(read_log(path, joints=("axis_1", "axis_2")), ("axis_1", "axis_2"), q, v, tau)
+
+
+def test_boards_are_counted_where_all_have_one_axis(tmp_path):
+    time, q, v, tau = motion(("hip", "knee"))
+    names = [
+        f"odrv{k}.axis0.{what}"
+        for what in ("pos_estimate", "vel_estimate", "motor.torque_estimate")
+        for k in (0, 1)
+    ]
+    turns = [x / (2.0 * np.pi) for x in (q, v)]
+    path = write(tmp_path / "log.csv", ["time", *names], [time, *turns, tau])
+    check(read_log(path, joints=("hip", "knee")), ("hip", "knee"), q, v, tau)
+
+
 @pytest.mark.parametrize(("names", "rows"), [("columns", "data"), ("names", "rows")])
 def test_rows_of_json_that_are_too_short_are_named(tmp_path, names, rows):
     time, q, _, tau = motion(("a",))

@@ -331,6 +331,21 @@ def test_a_proposed_mapping_has_what_stands_for_efforts():
     assert "effort:" not in proposal.split("joints:")[1]
 
 
+def test_a_proposed_mapping_has_joints_of_other_names_in_their_order(tmp_path):
+    names = [f"{joint}_meas_{what}" for what in ("pos", "tau") for joint in ("upper", "lower")]
+    table = np.column_stack([TIME, Q, S, S[:, 0]])
+    header = ",".join(["meas_time", *names, "lower_des_tau_tvlqr"])
+    path = tmp_path / "log.csv"
+    np.savetxt(path, table, delimiter=",", header=header, comments="")
+    with pytest.raises(LogError, match="of which the model has none") as caught:
+        read_log(path, joints=JOINTS)
+    (tmp_path / "mapping.yaml").write_text(caught.value.evidence["proposal"])
+    reading = Reading(mapping=read_mapping(tmp_path / "mapping.yaml"))
+    log = read_log(path, joints=JOINTS, reading=reading)
+    np.testing.assert_array_equal(log.position, Q)
+    np.testing.assert_array_equal(log.effort, S)
+
+
 WHOLE = np.rint(100.0 * S)
 """Numbers of a register, of either sign."""
 

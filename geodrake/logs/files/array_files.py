@@ -350,7 +350,8 @@ class ParquetColumns(Mapping[str, Array]):
 
     def __getitem__(self, name: str) -> Array:
         with readable(self._path, "Parquet file"):
-            return np.asarray(self._file.read([name]).column(0).to_numpy(), float)
+            column = self._file.read([name]).column(0).to_numpy()
+        return np.array(column, float)  # as Arrow keeps its own memory, even when it is free
 
     def __contains__(self, name: object) -> bool:
         return name in self._names

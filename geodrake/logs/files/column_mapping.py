@@ -411,9 +411,9 @@ def likely_clock(table: LogTable) -> tuple[Meaning | None, str, bool]:
             even = np.abs(steps - step) <= 0.5 * step
             is_called = bool(_CLOCKS & plain_words(name))
             unit = dict(told)[name]
-            is_unit = unit is not None and unit.quantity == PART and (steps > 0.0).all()
+            is_unit = unit is not None and unit.quantity == PART and bool((steps > 0.0).all())
             counts = step == 1.0 and not (is_called or is_unit)  # rows
-            if step > 0.0 and not counts and even.mean() > _EVEN:
+            if step > 0.0 and not counts and float(even.mean()) > _EVEN:
                 words = f"{name!r} increases by {step:.4g} from row to row"
                 is_first = name == table.names[0] or name.startswith("__index_level")
                 is_sure = is_called or is_unit or (is_first and step % 1.0 != 0.0)

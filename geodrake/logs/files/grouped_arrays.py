@@ -124,7 +124,7 @@ def _with_signals(variables: Mapping[str, Any], called: str = "signal{}") -> Map
     for k, each in enumerate(signals):
         label = np.asarray(each.get("label", ""))
         named[str(label) if label.size == 1 and str(label) else called.format(k)] = each["values"]
-    return {**variables, **named}
+    return {name: x for name, x in variables.items() if name != "signals"} | named
 
 
 def describes_columns(name: str, value: Any) -> bool:

@@ -62,7 +62,8 @@ _ROBOTS, _RECORDINGS, _COUNTING = map(_words, ("robots", "recordings", "counting
 PAIRS = _words("pairs")
 """Words that tell two robots apart."""
 
-_SIGNALS, _SIDES = _words("signals"), _by_word(WORDS["sides"])
+_SIGNALS, _GRIPPERS, _FINGERS = map(_words, ("signals", "grippers", "fingers"))
+_SIDES = _by_word(WORDS["sides"])
 _TIME_OF_DAY = _TIMES - {"date"}
 _BESIDE_TIME = _TIMES | _NANOSECONDS | _words("beside_time")
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[^\W\d_A-Z]+|[A-Z]+|\d+")
@@ -572,12 +573,13 @@ def matched(
 
 
 def _may_be(meaning: Meaning, joint: str | None) -> bool:
-    """Return whether a column may be of a joint, if any: not of the other side of a robot."""
-    sides = [
-        {_SIDES[word] for word in map(str, words) if word in _SIDES}
-        for words in ((*meaning.group, *meaning.words), words_of(joint or ""))
-    ]
-    return joint is not None and (not all(sides) or bool(sides[0] & sides[1]))
+    """Return whether a column may be of a joint, if any: not of another part of a robot."""
+    if joint is None:
+        return False
+    told = [{*map(str, words)} for words in ((*meaning.group, *meaning.words), _split(joint))]
+    sides = [{_SIDES[word] for word in words if word in _SIDES} for words in told]
+    is_gripper = bool(told[0] & _GRIPPERS) and not told[1] & (_GRIPPERS | _FINGERS)
+    return not is_gripper and (not all(sides) or bool(sides[0] & sides[1]))
 
 
 def _as_others(style: Sequence[Meaning], ordered: Mapping[int, set[str]]) -> dict[str, str]:
@@ -621,8 +623,13 @@ def _parts_of_robot(
     """
     parts: dict[Part, list[Meaning]] = defaultdict(list)
     common = set.intersection(*({*m.group, *m.words} for m in style))
+    ends = {meaning.words[-1] if meaning.words else "" for meaning in style}
+    counts = len(ends) > 1 and all(isinstance(end, int) for end in ends)
     for meaning in style:
-        words = tuple(word for word in meaning.words if word not in common)
+        words = tuple(
+            word for word in meaning.words[: -1 if counts else None] if word not in common
+        )
+        words += meaning.words[-1:] if counts else ()
         is_named = words and _number(words) is None
         parts[meaning.group, None if is_named else _unnumbered(words)].append(meaning)
     keys = {meaning.words: meaning for meaning in style}
@@ -719,10 +726,13 @@ def _by_name(keys: Mapping[Words, Meaning], joints: Sequence[str]) -> dict[Words
 def _numbers(keys: Sequence[Words]) -> dict[Words, int]:
     """Return the number in which the columns differ, if that is all in which they do."""
     told = [key for key in keys if key]  # one without any is of the whole robot
-    if len({_unnumbered(key) for key in told}) > 1:
+    places = [k for k, words in enumerate(zip_longest(*told)) if len({*words}) > 1]
+    if len(told) == 1:
+        places = [k for k, word in enumerate(told[0]) if isinstance(word, int)][-1:]
+    if len(places) != 1:
         return {}
-    found = {key: number for key in told if (number := _number(key)) is not None}
-    return found if len(found) == len(told) else {}
+    found = {key: key[places[0]] for key in told if len(key) > places[0]}
+    return {k: n for k, n in found.items() if isinstance(n, int)} if len(found) == len(told) else {}
 
 
 def _number(words: Words) -> int | None:

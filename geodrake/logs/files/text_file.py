@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+from array import array
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -32,6 +33,7 @@ from geodrake.logs.files.name_rules import (
     names_joints,
     names_signals,
     numbers_joints,
+    quantity_of,
     tells_recordings,
     tells_robots,
 )
@@ -319,9 +321,12 @@ def _told_apart(header: Sequence[str]) -> list[str]:
 
 
 def _of_levels(name: str, below: str) -> str:
-    """Return the name of a column in two lines; below that of time may be its unit."""
+    """Return the name of a column in two lines, its quantity last; below time may be its unit."""
     is_unit = is_time(name) and find_unit(below.strip("[]()"), "time") is not None
-    return f"{name} [{below.strip('[]()')}]" if is_unit else f"{below}.{name}".strip(".")
+    if is_unit:
+        return f"{name} [{below.strip('[]()')}]"
+    is_last = quantity_of(below) is not None and quantity_of(name) is None
+    return (f"{name}.{below}" if is_last else f"{below}.{name}").strip(".")
 
 
 def _joint_state(cells: Sequence[str]) -> tuple[str, ...]:
@@ -461,7 +466,7 @@ class TextTable(LogTable):
         places = {name: known[name] for name in names}
         kinds = {k: layout.kinds.get(layout.names[k]) or Cells() for k, _ in places.values()}
         is_plain = all(kind == Cells() for kind in kinds.values())
-        found: dict[str, list[Array]] = {name: [] for name in places}
+        found = {name: array("d") for name in places}
         for line, block in _blocks(self.path, self._opened, layout.lines) if places else ():
             columns = [cell for cell, _ in places.values()]
             table = _by_arrow(block, layout, columns) if is_plain and len(block) > _MANY else None
@@ -469,11 +474,10 @@ class TextTable(LogTable):
                 rows = self._cells(_lines(block), [*places.values()], kinds, (row, line), torn)
                 table = [*np.array(rows, float).reshape(-1, len(places)).T.copy()]
             for values, column in zip(found.values(), table, strict=True):
-                values.append(column)
+                values.frombytes(column.view(np.uint8))
             row += len(table[0])
             check_room(self.path, row * len(places), f"{row} rows of {len(places)} numbers")
-        # One by one, so that only one is there twice.
-        return {name: np.concatenate([*found.pop(name), np.zeros(0)]) for name in places}, torn
+        return {name: np.frombuffer(values) for name, values in found.items()}, torn
 
     def texts(self, names: Sequence[str]) -> dict[str, NDArray[np.object_]]:
         """Return the texts (N,) of some columns."""
@@ -676,7 +680,7 @@ def _by_arrow(block: bytes, layout: TextLayout, columns: Sequence[int]) -> list[
         )
     except pyarrow.ArrowInvalid:
         return None
-    return [np.array(table[name].to_numpy()) for name in used]  # without memory of Arrow
+    return [table[name].to_numpy() for name in used]
 
 
 def _refusal(path: Path, row: int, column: str, text: str, kind: Cells) -> LogError:
