@@ -295,6 +295,20 @@ def test_joints_that_follow_by_a_ratio_that_changes_are_refused(to, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_point_masses_get_a_volume_for_mujoco(tmp_path):
+    inertia = '<inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/>'
+    bob = f'<inertial><origin xyz="0 0 -1"/><mass value="2"/>{inertia}</inertial>'
+    hinge = '<joint name="a" type="continuous"><parent link="base"/><child link="bob"/>'
+    (tmp_path / "bob.urdf").write_text(
+        f'<robot name="r"><link name="base"/><link name="bob">{bob}</link>'
+        f'{hinge}<axis xyz="0 1 0"/></joint></robot>'
+    )
+    proven = export_to("mjcf", load_model(tmp_path / "bob.urdf"), tmp_path / "out")
+    (body,) = load_model(tmp_path / "out" / "bob.xml").phi
+    np.testing.assert_allclose(body[:4], [2.0, 0.0, 0.0, -2.0], atol=1e-9)
+    assert any("fits start from is 2 kg" in note for note in proven.notes)
+
+
 def followed_in_mujoco(path, model, moved):
     """Efforts (N, n) at the leaders, along whose motion the equalities do no work."""
     theirs, J = mujoco.MjModel.from_xml_path(str(path)), model.coordinates.constant

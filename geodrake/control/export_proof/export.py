@@ -202,6 +202,7 @@ def check_folder(
         )
     check_format(model, form)
     taken = {os.path.realpath(path) for path in (*inputs, model.path)}
+    model = model.with_volume
     for name in form.write(model, HeldModel(model, ()), folder).files:
         path, advice = folder / name, "Choose another folder"
         if os.path.realpath(path) in taken:
