@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.multibody.plant import MultibodyPlant
 from scipy.interpolate import CubicSpline
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from geodrake.compiling import compiled, contiguous
@@ -292,7 +293,9 @@ _NEAR = 0.02  # m over the ground, within which a frame may touch it
 _LOWEST = 5.0  # per cent of the lowest heights, which are taken for the ground's
 _DOUBT = 0.01  # probability of a contact, or of none, from which it counts
 _ODD = 0.01  # of contact flags, that most of those around them contradict
-_UNLIKE = 0.2  # of the weight, by which mean forces at feet may differ from it
+_UNLIKE = 0.2  # of the weight, by which forces at feet may differ from it
+_FEW = 5000  # samples whose forces are compared with the weight
+_RIGHT = np.radians(3.0)  # by which a rotation by right angles may be off
 
 
 @dataclass(frozen=True)
@@ -489,7 +492,8 @@ def _efforts_of_wrenches(log: JointLog, model: RobotModel, names: Sequence[str])
     known, bodies = _bodies(log, model)
     efforts = np.full((len(log), len(model.joints)), np.nan)
     efforts[known] = 0.0
-    world, turned = np.zeros(3), np.zeros((3, 3, 3))  # means of forces f, and of R_WL ⊗ f
+    few = slice(None, None, max(1, np.count_nonzero(known) // _FEW))
+    forces, turns = list[Array](), list[Array]()  # f in the axes of links L, and R_WL
     for frame in contact_frames(model, names):
         if (force := vectors(log.floating, f"{frame.name}.force")) is None:
             raise LogError(
@@ -502,49 +506,70 @@ def _efforts_of_wrenches(log: JointLog, model: RobotModel, names: Sequence[str])
         R_WL = motion.rotation @ frame.rotation
         wrench = np.stack([force[known], torque[known]], 1)  # (K, 2, 3)
         in_world = wrench @ np.swapaxes(R_WL, 1, 2)
-        whole = np.isfinite(wrench).all(axis=(1, 2))
-        share = 1.0 / max(len(wrench), 1)
-        world += share * wrench[whole, 0].sum(axis=0)
-        turned += share * np.einsum("nij,nl->ijl", R_WL[whole], wrench[whole, 0])
+        forces.append(wrench[few, 0])
+        turns.append(R_WL[few])
         J = np.concatenate([motion.jacobian_at(frame.origin), motion.angular], axis=1)
         efforts[known] += np.einsum("nij,ni->nj", J, in_world.reshape(-1, 6))
-    _check_axes(world, turned, model, log.name)
+    _check_axes(np.stack(forces, 1), np.stack(turns, 1), model, log.name)
     found = np.zeros(log.effort.shape)
     found[:, [log.joints.index(joint) for joint in model.joints]] = efforts
     return found
 
 
-def _check_axes(world: Array, turned: Array, model: RobotModel, name: str) -> None:
-    """Raise for forces that balance gravity in other axes, but not in those of links.
+def _check_axes(forces: Array, turns: Array, model: RobotModel, name: str) -> None:
+    """Raise for forces that carry the robot if they are read otherwise, but not in axes of links.
 
-    These are the world's axes, or those of links with one rotation by right angles before.
+    Other ways are the world's axes, forces of the robot on the ground, and axes of links that are
+    rotated by one rotation.
 
     Args:
-        world: (3,) mean forces, added up as if they were in world axes.
-        turned: (3, 3, 3) means of R_WL ⊗ f, added up.
+        forces: (S, F, 3) forces at F links in some samples.
+        turns: (S, F, 3, 3) R_WL of the links.
     """
+    whole = np.isfinite(forces).all(axis=(1, 2))
+    forces, turns = forces[whole], turns[whole]
     weight = -model.total_phi[:, 0].sum() * model.tree.gravity
-    size = max(float(np.linalg.norm(weight)), 1e-12)
+    size = float(np.linalg.norm(weight))
+    if not len(forces) or not size:
+        return
+    rows = np.einsum("sfij,sfl->sijl", turns, forces).reshape(-1, 9) / size
+    wanted = np.tile(weight / size, len(forces))
+    R, factor = np.linalg.qr(np.column_stack([rows, wanted]), mode="r"), np.sqrt(len(forces))
 
-    def off(force: Array) -> float:
-        return float(np.linalg.norm(force - weight)) / size
+    def misses(turned: Rotation) -> Array:
+        return np.asarray(R @ np.append(turned.as_matrix(), -1.0)) / factor
 
-    ways = Rotation.create_group("O").as_matrix()
-    forces = np.einsum("ijl,kjl->ki", turned, ways)
-    best = int(np.argmin([off(force) for force in forces]))
-    own, others = off(np.einsum("ijj->i", turned)), {"in world axes": off(world)}
-    columns = [
-        f"{'-' if row.sum() < 0 else ''}{'xyz'[int(np.abs(row).argmax())]}" for row in ways[best]
-    ]
-    others[f"if x, y, z of the links are, for example, {', '.join(columns)} of the log"] = off(
-        forces[best]
-    )
-    how = min(others, key=others.__getitem__)
+    def off(found: Array) -> float:
+        return float(np.sqrt(np.square(found - weight).sum(axis=1).mean())) / size
+
+    right = Rotation.create_group("O")
+    nearest = right[int(np.argmin([np.linalg.norm(misses(way)) for way in right]))]
+    fit = least_squares(lambda x: misses(Rotation.from_rotvec(x) * nearest), np.zeros(3))
+    in_links, in_world = np.einsum("sfij,sfj->si", turns, forces), forces.sum(axis=1)
+    against = "as forces of the robot on the ground"
+    others = {
+        "in world axes": off(in_world),
+        f"in link axes {against}": off(-in_links),
+        f"in world axes {against}": off(-in_world),
+    }
+    turned = Rotation.from_rotvec(fit.x) * nearest
+    if np.linalg.norm(fit.x) < _RIGHT:
+        columns = [
+            f"{'-' if row.sum() < 0 else ''}{'xyz'[int(np.abs(row).argmax())]}"
+            for row in nearest.as_matrix().round()
+        ]
+        words = f"if x, y, z of the links are, for example, {', '.join(columns)} of the log"
+    else:
+        angles = ", ".join(f"{x:.0f}°" for x in turned.as_euler("ZYX", degrees=True))
+        words = f"if links' axes are those of the log turned by {angles} (yaw, pitch, roll)"
+    others[words] = float(np.linalg.norm(misses(turned)))
+    how, own = min(others, key=others.__getitem__), off(in_links)
     if own > _UNLIKE and others[how] < 0.5 * own:
         raise LogError(
-            f"Mean forces at the feet in log {name!r} differ from the robot's weight by "
-            f"{own:.0%} in link axes, and by {others[how]:.0%} {how}.",
-            advice="Rotate them into the axes of the link after which they are named.",
+            f"Forces at the feet in log {name!r} differ from the robot's weight by {own:.0%} in "
+            f"link axes, and by {others[how]:.0%} {how}.",
+            advice="Write forces of the ground on the robot, in the axes of the link after which "
+            "they are named.",
         )
 
 

@@ -1,5 +1,6 @@
 """Logs of a robot on its feet, made by Pinocchio."""
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -612,7 +613,7 @@ def test_what_says_no_way_up_is_refused(model, maker):
             with_base(replace(log, floating=bare), model)
 
 
-def test_forces_in_the_axes_of_the_world_are_refused(model, maker):
+def test_forces_in_other_axes_are_refused(model, maker):
     log = maker.log(wrenches=True)
     changes = {
         f"{foot}.force.{axis}": maker.world_forces[:, at, k]
@@ -629,6 +630,22 @@ def test_forces_in_the_axes_of_the_world_are_refused(model, maker):
     }
     with pytest.raises(LogError, match=r"if x, y, z of the links are, for example, .*x of the log"):
         with_base(replace(log, floating={**log.floating, **turned}), model)
+    names = [[f"{foot}.force.{axis}" for axis in "xyz"] for foot in FEET]
+    mounted = Rotation.from_euler("ZYX", [30.0, -20.0, 10.0], degrees=True).inv()
+    found = []
+    for turn, words in (
+        (mounted.as_matrix(), r"turned by (.*)° \(yaw"),
+        (-np.eye(3), "(robot on)"),
+    ):
+        changes = {}
+        for own in names:
+            force = np.array([log.floating[name] for name in own])
+            changes |= dict(zip(own, turn @ force, strict=True))
+        with pytest.raises(LogError, match=words) as refused:
+            with_base(replace(log, floating={**log.floating, **changes}), model)
+        found += re.findall(words, str(refused.value))
+    angles = [float(angle) for angle in found[0].split("°, ")]
+    np.testing.assert_allclose(angles, [30.0, -20.0, 10.0], atol=2.0)  # as the body accelerates
     with_base(log, model)
 
 
