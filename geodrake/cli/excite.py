@@ -287,17 +287,19 @@ def _objective(
         return Objective(target, criterion, options.normalization), said
     noise, notes = noise_of(options.noise, model)
     if stance is not None:
-        model, limits, noise = stance.model, stance.limits(), stance.noise(noise)
+        noise = stance.noise(noise)
     if options.tell_apart is not None:
-        if stance is not None and len(stance.following):
-            raise ArgumentError(
-                "--tell-apart needs a robot on one foot: on several, motors share the load, and "
-                "effects of one are in the efforts of many.",
-                advice="Name one foot, or omit --feet and hold the base.",
-            )
-        rivals = rivals_in(options.tell_apart)
-        separation, more = separation_of(model, *rivals, limits, noise=noise, extra=given.extra)
+        separation, more = separation_of(
+            model,
+            *rivals_in(options.tell_apart),
+            limits,
+            noise=noise,
+            extra=given.extra,
+            stance=stance,
+        )
         return separation, (*notes, *more)
+    if stance is not None:
+        model = stance.model
     effects = named_effects(names, given.model, given.extra)
     if effects:
         notes = (*notes, f"effects of unknown size are assumed to take {SIZE_WORDS}")

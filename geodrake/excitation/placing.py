@@ -23,6 +23,7 @@ from geodrake.excitation.stance import Foot, Stance, root_of
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.model.robot_model import RobotModel
+from geodrake.robot.joints import joint_names
 from geodrake.robot.loops import LoopJoints, closed_loops
 from geodrake.robot.stated import WORLD, Closure
 from geodrake.robot.transmission.loop import LoopTransmission, solved
@@ -113,15 +114,18 @@ def make_stance(
         closures.append(Closure(foot.frame, bodies, poses, foot.is_sole, radius=foot.radius))
     X_GB = X_WG.inverse() @ robot.plant.EvalBodyPoseInWorld(context, root_of(robot))
     turned = RollPitchYaw(X_GB.rotation()).vector()[::-1]
-    start = at | dict(zip(robot.base_joints, [*X_GB.translation(), *turned], strict=True))
+    based = dict(zip(robot.base_joints, [*X_GB.translation(), *turned], strict=True))
     how = LoopJoints(
         robot.followers,
         driven=motors,
         first=() if len(feet) == 1 else robot.base_joints,
-        start=start,
+        start=dict(zip(joint_names(robot.plant), plant_q.tolist(), strict=True)) | based,
+        drives=robot.transmission,
+        placed=at,
     )
     model = _on_loops(robot, closures, how)
-    free, placed = (np.array([start[n] for n in names]) for names in (model.joints, motors))
+    at |= based
+    free, placed = (np.array([at[n] for n in names]) for names in (model.joints, motors))
     return Stance(robot, model, feet, free, placed, polygon, friction, margin, own)
 
 
@@ -135,18 +139,14 @@ def _on_loops(robot: RobotModel, closures: Sequence[Closure], how: LoopJoints) -
             advice="Let it stand with bent knees: --stand.",
         ) from error
     (loop,) = loops.loops
-    driven = {joint for drive in robot.transmission for joint in drive.joints}
-    if both := driven.intersection(loop.joints):
-        raise ArgumentError(
-            f"Legs with transmissions or closed loops cannot stand yet: {', '.join(sorted(both))}."
-        )
     if set(loop.actuators) & set(robot.base_joints):
         limits = loop.limits.copy()
         limits[:, loop.free] = _reachable(loop, robot)
         loop = replace(loop, limits=limits)
+    alone = (drive for drive in robot.transmission if not {*drive.joints} & {*loop.joints})
     model = replace(
         robot,
-        transmission=(*robot.transmission, Drive.of_loop(loop)),
+        transmission=(*alone, Drive.of_loop(loop)),
         followers={own: tie for own, tie in robot.followers.items() if own not in loops.taken},
         information=None,
         effort_noise=None,

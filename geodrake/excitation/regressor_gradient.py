@@ -39,7 +39,7 @@ from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot import transmission
-from geodrake.robot.coordinates import RobotCoordinates
+from geodrake.robot.coordinates import DrivenCoordinates
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.recursion import (
     MOTION,
@@ -149,7 +149,7 @@ def base_wrench_regressor_gradient(
 
 
 def at_actuators(
-    actuation: RobotCoordinates, J: Array, motion: Motion, gradient: MotionGradient
+    actuation: DrivenCoordinates, J: Array, motion: Motion, gradient: MotionGradient
 ) -> MotionGradient:
     """Return the gradient with the motion of actuators, of that with the motion of joints.
 

@@ -155,12 +155,12 @@ class Stance(Short):
 
     @cached_property
     def _places(self) -> NDArray[np.intp]:
-        """Where motors that follow are among the plant's joints."""
-        names = joint_names(self.robot.plant)
-        return np.array([names.index(self.motors[k]) for k in self.following], np.intp)
+        """Where motors that follow are in `RobotCoordinates.every`."""
+        behind = self.model.coordinates.behind
+        return np.array([behind[self.motors[k]] for k in self.following], np.intp)
 
     def _ratios(self, J: Array) -> Array:
-        """Return G (N, motors, nv), of J (N, nv of the plant, nv)."""
+        """Return G (N, motors, nv), of J of `RobotCoordinates.every`."""
         found = np.zeros((len(J), len(self.motors), J.shape[2]))
         found[:, self._own[0], self._own[1]] = 1.0
         found[:, self.following] = J[:, self._places]
@@ -171,7 +171,7 @@ class Stance(Short):
         found = np.empty((3, states.shape[1], len(self.motors)))
         found[:, :, self._own[0]] = states[:, :, self._own[1]]
         if len(self.following):
-            theta, rates, accelerations, _ = self.model.coordinates.tree_samples(*states)
+            theta, rates, accelerations, _ = self.model.coordinates.all_samples(*states)
             for own, moving in zip(found, (theta, rates, accelerations), strict=True):
                 own[:, self.following] = moving[:, self._places]
         return found
@@ -211,7 +211,9 @@ class Stance(Short):
         needed = self.model.effort(motion, sign_width=sign_width)
         if not len(self.following):
             return np.asarray(needed[:, self._order])
-        return self._shared(self._ratios(self.model.coordinates.jacobian(motion.q)), needed)[0]
+        return self._shared(self._ratios(self.model.coordinates.every.jacobian(motion.q)), needed)[
+            0
+        ]
 
     @property
     def _order(self) -> NDArray[np.intp]:
@@ -238,16 +240,17 @@ class Stance(Short):
             own = np.empty_like(motion.v)
             own[:, self._order] = weights
             return effort_gradient(self.model, motion, seen, own)
-        G, D = self._ratios(self.model.coordinates.jacobian(motion.q)), self._weights
+        G, D = self._ratios(self.model.coordinates.every.jacobian(motion.q)), self._weights
         tau, b, C = self._shared(G, self.model.effort(motion, sign_width=sign_width))
         a = _solved(C, times(np.swapaxes(G, 1, 2), D * weights))
         found = effort_gradient(self.model, motion, seen, a)
         # dτ also has dG: D dG b − D G C⁻¹ (dGᵀ D G + Gᵀ D dG) b.
         rest = D * (weights - times(G, a))
         P = rest[:, :, None] * b[:, None] - tau[:, :, None] * a[:, None]
-        products = np.zeros((len(P), self.model.coordinates.size, P.shape[2]))
+        every = self.model.coordinates.every
+        products = np.zeros((len(P), *every.shape))
         products[:, self._places] = P[:, self.following]
-        found.q[:] += self.model.coordinates.bend(motion.q, products)
+        found.q[:] += every.bend(motion.q, products)
         return found
 
     def target(
@@ -292,7 +295,7 @@ class Stance(Short):
     def noise(self, noise: ArrayLike) -> Array:
         """Return deviations (nv,) of free joints' efforts in the posture, of those of motors."""
         given = one_or_each(noise, "noise", len(self.motors), strict=True)
-        G = self._ratios(self.model.coordinates.jacobian(self.posture[None]))[0]
+        G = self._ratios(self.model.coordinates.every.jacobian(self.posture[None]))[0]
         return np.sqrt(np.square(given[:, None] * G).sum(axis=0))
 
     # Balance.
@@ -398,8 +401,8 @@ class Stance(Short):
 
     def _by_following(self, motion: Motion, weights: Sequence[Array]) -> MotionGradient:
         """Return the gradient with the free joints' motion, of that with motors that follow."""
-        coordinates = self.model.coordinates
-        rows = [np.zeros((len(motion), coordinates.size)) for _ in weights]
+        coordinates = self.model.coordinates.every
+        rows = [np.zeros((len(motion), coordinates.num_joints)) for _ in weights]
         for row, own in zip(rows, weights, strict=True):
             row[:, self._places] = own
         J = coordinates.jacobian(motion.q)
@@ -472,7 +475,7 @@ class Stance(Short):
             own_low, own_high = self.model.position_limits  # ranges in which the feet can stay
             lower, upper = np.fmax(lower, own_low), np.fmin(upper, own_high)
             q = np.random.default_rng(0).uniform(lower, upper, (_RANDOM, nv))
-            G = np.abs(self._ratios(self.model.coordinates.jacobian(q)).max(axis=0))
+            G = np.abs(self._ratios(self.model.coordinates.every.jacobian(q)).max(axis=0))
             with np.errstate(divide="ignore"):
                 for values, given in ((velocity, own.velocity), (acceleration, own.acceleration)):
                     values[base] = (given[:, None] / G[:, base]).min(axis=0)

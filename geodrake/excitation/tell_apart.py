@@ -20,7 +20,9 @@ coefficients x = (−θ, −β, α) of all columns, ∂Δ/∂X = 2 e xᵀ. So on
 of a criterion of information.
 
 Samples at which a joint's direction of motion is hardly known count less, by sgn²: what dry
-friction is there, no model says, and a diagnosis leaves them out.
+friction is there, no model says, and a diagnosis leaves them out. Of a robot on several feet, the
+efforts at its base have in them what all legs do, so that signs of all joints where the effects may
+be count there.
 """
 
 from __future__ import annotations
@@ -37,13 +39,18 @@ from scipy.optimize import lsq_linear
 
 from geodrake.boundary.arguments import Sizes, instance, instances, one_of, positive, real_array
 from geodrake.boundary.showing import Short
-from geodrake.effects import Effect, FittedEffect, effect_class, make_effect
+from geodrake.effects import Effect, FittedEffect, Role, effect_class, make_effect
 from geodrake.effects.user_effects import candidates_of
 from geodrake.errors import ArgumentError
 from geodrake.excitation.design import ExcitationResult
 from geodrake.excitation.limits import MotionLimits
 from geodrake.excitation.objective import Criterion, Objective
-from geodrake.excitation.regressor_gradient import MotionGradient, regressor_motion_gradient
+from geodrake.excitation.regressor_gradient import (
+    MotionGradient,
+    at_actuators,
+    regressor_motion_gradient,
+)
+from geodrake.excitation.stance import Stance
 from geodrake.excitation.target import SIZE_WORDS, Measurement, Target, make_target, sized_effects
 from geodrake.identification.logs.criteria import SPREAD
 from geodrake.identification.logs.dataset import is_payload
@@ -108,7 +115,7 @@ def make_rival(
             advice="Let geodrake diagnose find it.",
         )
     places = [tuple(where)] if where else every_place(cls, model)
-    speed = dict(zip(model.joints, limits.velocity.tolist(), strict=True))
+    speed = dict(zip(limits.joints, limits.velocity.tolist(), strict=True))
     known = {(f.effect.name, f.effect.where): f.effect for f in model.effects}
     body = cls.places == "body"
     what, known_names = ("body", model.bodies) if body else ("joint", model.joints)
@@ -174,12 +181,15 @@ class Separation(Objective):
         prior: (q, p) rows Λ^½ of what is known of each column's parameter.
         lower: (p,) least change of each column's parameter from its nominal value.
         upper: (p,) greatest change.
+        fading: Joint that may have the effects and follows a base on its feet -> speed over which
+            its friction changes sign.
     """
 
     pairs: tuple[Pair, ...] = ()
     prior: Array = field(default_factory=lambda: np.zeros((0, 0)))
     lower: Array = field(default_factory=lambda: np.zeros(0))
     upper: Array = field(default_factory=lambda: np.zeros(0))
+    fading: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -245,13 +255,47 @@ class Separation(Objective):
         left = (measurement.regressor / noise[:, None]) @ x.T  # (N, nv, robots)
         weights = (left * known[..., None] ** 2) @ (2.0 * gains[:, None] * x)
         gradient = regressor_motion_gradient(self.target, measurement, weights / noise[:, None])
-        by_speed = np.square(left) @ gains
-        gradient.v[:] += by_speed * 2.0 * known * (1.0 - known**2) / self.target.sign_width
+        slope = 2.0 * known * (np.square(left) @ gains)  # by signs
+        own = 1.0 - known**2
+        own[:, self._base] = 0.0
+        gradient.v[:] += slope * own / self.target.sign_width
+        if self.fading:
+            by_legs = (slope * known)[:, self._base].sum(axis=1)
+            for part, more in zip(gradient, self._by_legs(motion, by_legs), strict=True):
+                part[:] += more
         return value, gradient
+
+    def _by_legs(self, motion: Motion, weights: Array) -> MotionGradient:
+        """Return the gradient of Σ w log Π s, w (N,), with the signs s of joints that follow."""
+        every, (v, at, width) = self.target.model.coordinates.every, self._legs(motion)
+        sign, rows = np.tanh(v / width), np.zeros((3, len(motion), every.num_joints))
+        slope = (1.0 - sign**2) / (width * np.where(sign == 0.0, 1.0, sign))
+        rows[1][:, at] = weights[:, None] * slope
+        J = every.jacobian(motion.q)
+        return at_actuators(every, J, motion, MotionGradient(*rows))
+
+    def _legs(self, motion: Motion) -> tuple[Array, list[int], Array]:
+        """Return speeds (N, k) of joints that follow, where they are, and their fading speeds."""
+        coordinates = self.target.model.coordinates
+        at = [coordinates.behind[joint] for joint in self.fading]
+        _, rates, _, _ = coordinates.all_samples(motion.q, motion.v, motion.vd)
+        return rates[:, at], at, np.array([*self.fading.values()])
+
+    @cached_property
+    def _base(self) -> Indices:
+        """Which joints are those of a base on its feet."""
+        model = self.target.model
+        return np.flatnonzero(np.isin(model.joints, model.base_joints))
 
     def _known(self, measurement: Measurement) -> Array:
         """Return smoothed signs (N, nv) of joints' speeds, the roots of samples' weights."""
-        return np.tanh(measurement.motion.v / self.target.sign_width)
+        motion = measurement.motion
+        known = np.tanh(motion.v / self.target.sign_width)
+        known[:, self._base] = 1.0
+        if self.fading:
+            v, _, width = self._legs(motion)
+            known[:, self._base] = np.tanh(v / width).prod(axis=1, keepdims=True)
+        return known
 
     def _solve(self, measurement: Measurement) -> tuple[Array, list[Array]]:
         """Return separations (K,), and of each pair the coefficients (r, p) of what is left."""
@@ -320,6 +364,7 @@ def make_separation(
     noise: ArrayLike | None = None,
     sign_width: ArrayLike | None = None,
     spread: float = SPREAD,
+    stance: Stance | None = None,
 ) -> Separation:
     """Return the objective that distinguishes two effects of a robot.
 
@@ -329,6 +374,7 @@ def make_separation(
             large as it must be to be taken for it. Rivals of unknown size have a usual one.
         sign_width: Speed over which friction changes sign, as for `make_target`.
         spread: Relative uncertainty of a model file's inertias, as a geometric distance.
+        stance: The feet on which the robot stands; the model is that of the stance then.
     """
     instance(model, "model", RobotModel)
     for name, rival in (("first", first), ("second", second)):
@@ -343,6 +389,10 @@ def make_separation(
     common = [f for f in model.effects if f.effect not in rivals and len(f.effect.parameters)]
     unknown = [FittedEffect(effect, np.zeros(len(effect.parameters))) for effect in rivals]
     target = make_target(model, noise=noise, effects=[*common, *unknown], sign_width=sign_width)
+    fading = dict[str, float]()
+    if stance is not None:
+        target = replace(target, trial=stance.random_motion())
+        fading = _fading(stance, rivals)
     columns, start = {}, PARAMETERS_PER_BODY * len(target.bodies)
     for fitted in target.effects:
         columns[fitted.effect] = start + np.arange(len(fitted.effect.parameters))
@@ -364,9 +414,25 @@ def make_separation(
     prior, lower, upper = np.zeros((len(base), target.size)), *_bounds(target, columns, common)
     prior[:, base] = _root(_information(model, common, spread))
     every = Separation(
-        target, Criterion("e_optimality"), "none", None, tuple(pairs), prior, lower, upper
+        target, Criterion("e_optimality"), "none", None, tuple(pairs), prior, lower, upper, fading
     )
     return replace(every, pairs=_different(every))
+
+
+def _fading(stance: Stance, effects: Sequence[Effect]) -> dict[str, float]:
+    """Return speeds over which friction of joints that follow a base changes sign, by joint."""
+    behind, found = stance.model.coordinates.behind, dict[str, float]()
+    speeds = dict(zip(stance.motors, stance.motor_limits.velocity.tolist(), strict=True))
+    for effect in effects:
+        joints = [joint for joint in effect.where if joint in behind]
+        if joints and (effect.role is not Role.FORCE or "load" in effect.depends_on):
+            raise ArgumentError(
+                f"{effect.name} of {', '.join(joints)} depends on the load there, which the motors "
+                "of a robot on several feet share.",
+                advice="Name one foot, or use effects of positions, speeds and accelerations.",
+            )
+        found |= {joint: _SIGN_SHARE * speeds[joint] for joint in joints if joint in speeds}
+    return found
 
 
 def placed_rivals(
@@ -395,11 +461,19 @@ def separation_of(
     *,
     noise: ArrayLike,
     extra: Sequence[type[Effect]] = (),
+    stance: Stance | None = None,
 ) -> tuple[Separation, tuple[str, ...]]:
-    """Return what distinguishing two effects amounts to, and what to say of it."""
+    """Return what distinguishing two effects amounts to, and what to say of it.
+
+    Args:
+        limits: Of the robot's motors.
+        stance: The feet on which it stands.
+    """
     rivals = placed_rivals(model, first, second, limits, extra=extra)
+    if stance is not None:
+        model, limits = stance.model, stance.limits()
     width = _SIGN_SHARE * limits.velocity
-    separation = make_separation(model, *rivals, noise=noise, sign_width=width)
+    separation = make_separation(model, *rivals, noise=noise, sign_width=width, stance=stance)
     named = {pair.truth.partition(" (")[0] for pair in separation.pairs}
     notes = [
         f"{other.name} explains everything that {rival.name} does: only the reverse can be "

@@ -12,6 +12,7 @@ box is one inside its limits, in which every actuator may go as far in proportio
 
 from __future__ import annotations
 
+import abc
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -77,8 +78,43 @@ def _with_followers(drive: Drive, ties: Sequence[Tie], leaders: Sequence[int]) -
     return LinearTransmission.of(J, whole.joint_positions(np.zeros((1, J.shape[1])))[0])
 
 
+class DrivenCoordinates(JointlyEvaluated):
+    """A map from a robot's positions that knows which of them are actuators of drives."""
+
+    @property
+    def constant(self) -> Array | None:
+        """J if all ratios are constant; else None."""
+        return None
+
+    @property
+    @abc.abstractmethod
+    def driven(self) -> Indices:
+        """Velocities of the robot that are those of actuators of drives."""
+
+    def jacobian_rate_slope(self, q: Array, v: Array) -> Array:
+        """Return ∂(J̇ v)/∂q (N, nv of the tree, nv), by differences of J̇ along v.
+
+        J̇ v has all v twice, so that its slope is the rate of J̇ itself.
+        """
+        speed = np.abs(v).max(axis=1, initial=0.0)[:, None]
+        step = np.zeros_like(q)
+        step[:, self.driven] = _STEP * (v / np.where(speed > 0, speed, 1.0))[:, self.driven]
+        ahead, behind = self.jacobian_rate(q + step, v), self.jacobian_rate(q - step, v)
+        return np.asarray((ahead - behind) / (2.0 * _STEP) * speed[:, :, None])
+
+    def bend(self, q: Array, products: Array) -> Array:
+        """Return (N, nq) Σ_ij ∂J_ij/∂q_l P_ij for P (N, nv of the tree, nv), at q (N, nq)."""
+        found = np.zeros_like(q)
+        for at in self.driven:
+            unit = np.zeros_like(q)
+            unit[:, at] = 1.0
+            # ∂J/∂q_l is the rate of J where only q_l moves, with speed one.
+            found[:, at] = (self.jacobian_rate(q, unit) * products).sum((1, 2))
+        return found
+
+
 @dataclass(frozen=True, eq=False)
-class RobotCoordinates(JointlyEvaluated):
+class RobotCoordinates(DrivenCoordinates):
     """A map from a robot's q, v and v̇ to those of the tree of its plant.
 
     Its joints have as many positions as velocities, so that both are in the same places.
@@ -193,27 +229,6 @@ class RobotCoordinates(JointlyEvaluated):
             whole[:, place.joints], J[block], rate[block] = found
         return whole, J, rate
 
-    def jacobian_rate_slope(self, q: Array, v: Array) -> Array:
-        """Return ∂(J̇ v)/∂q (N, nv of the tree, nv), by differences of J̇ along v.
-
-        J̇ v has all v twice, so that its slope is the rate of J̇ itself.
-        """
-        speed = np.abs(v).max(axis=1, initial=0.0)[:, None]
-        step = np.zeros_like(q)
-        step[:, self.driven] = _STEP * (v / np.where(speed > 0, speed, 1.0))[:, self.driven]
-        ahead, behind = self.jacobian_rate(q + step, v), self.jacobian_rate(q - step, v)
-        return np.asarray((ahead - behind) / (2.0 * _STEP) * speed[:, :, None])
-
-    def bend(self, q: Array, products: Array) -> Array:
-        """Return (N, nq) Σ_ij ∂J_ij/∂q_l P_ij for P (N, nv of the tree, nv), at q (N, nq)."""
-        found = np.zeros_like(q)
-        for at in self.driven:
-            unit = np.zeros_like(q)
-            unit[:, at] = 1.0
-            # ∂J/∂q_l is the rate of J where only q_l moves, with speed one.
-            found[:, at] = (self.jacobian_rate(q, unit) * products).sum((1, 2))
-        return found
-
     @cached_property
     def driven(self) -> Indices:
         """Velocities of the robot that are those of actuators of drives."""
@@ -229,23 +244,19 @@ class RobotCoordinates(JointlyEvaluated):
         theta, rates, accelerations = (contiguous(x) for x in samples)
         return theta, rates, accelerations, J
 
+    @cached_property
+    def every(self) -> EveryCoordinate:
+        """The map to all joints and actuators, those beyond the tree among them; see `behind`."""
+        return EveryCoordinate(self)
+
     def all_samples(self, q: Array, v: Array, vd: Array) -> tuple[Array, Array, Array, Array]:
-        """Return `tree_samples` with joints beyond the tree, which close loops; see `behind`."""
-        theta, rates, accelerations, J = self.tree_samples(q, v, vd)
-        for place, loop in self._loops:
-            at, own = list(loop.cut), place.actuators
-            places, G, rate = loop.of_all(q[:, own], v[:, own])
-            more = np.zeros((len(q), len(at), len(self.names)))
-            more[:, :, own] = G[:, at]
-            bias = times(rate[:, at], v[:, own])
-            theta, J = np.hstack([theta, places[:, at]]), np.concatenate([J, more], axis=1)
-            rates = np.hstack([rates, times(more, v)])
-            accelerations = np.hstack([accelerations, times(more, vd) + bias])
-        return theta, rates, accelerations, J
+        """Return `tree_samples` of `every` joint and actuator."""
+        theta, J, rate = self.every.along(q, v)
+        return theta, times(J, v), times(J, vd) + times(rate, v), J
 
     @cached_property
     def _loops(self) -> list[tuple[Places, LoopTransmission]]:
-        """The loops that joints beyond the tree close."""
+        """The loops with joints or actuators beyond the tree."""
         maps = ((place, place.drive.map) for place in self.places)
         return [(p, m) for p, m in maps if isinstance(m, LoopTransmission) and m.cut]
 
@@ -310,17 +321,18 @@ class RobotCoordinates(JointlyEvaluated):
     def behind(self) -> dict[str, int]:
         """Joint of a drive that is no actuator -> where it is in the tree's positions.
 
-        Joints that follow others by constant ratios are not among them. Those of joints that close
-        loops come after them, as `all_samples` has them.
+        Joints that follow others by constant ratios are not among them. Those that close loops, and
+        actuators that follow others, come after them, as `every` has them.
         """
-        beyond = (loop.joints[k] for _, loop in self._loops for k in loop.cut)
+        beyond = [loop.joints[k] for _, loop in self._loops for k in loop.cut]
         tree = {
             self.joints[at]: at
             for place in self.places
             for at in (place.own if place.map.constant_jacobian is not None else place.joints)
             if self.joints[at] not in self.names
         }
-        return tree | {name: self.size + k for k, name in enumerate(beyond)}
+        places = {name: self.size + k for k, name in enumerate(beyond) if name not in self.names}
+        return tree | places
 
     @cached_property
     def standing(self) -> dict[int, int]:
@@ -397,6 +409,39 @@ class RobotCoordinates(JointlyEvaluated):
             block = np.ix_(place.joints, place.actuators)
             moves[block] = True if J is None else J != 0.0
         return moves
+
+
+@dataclass(frozen=True, eq=False)
+class EveryCoordinate(DrivenCoordinates):
+    """The map from a robot's positions to the tree's, and then to those beyond the tree.
+
+    The latter are joints that close loops, and actuators that other loops move.
+    """
+
+    robot: RobotCoordinates
+
+    @property
+    def driven(self) -> Indices:
+        """Velocities of the robot that are those of actuators of drives."""
+        return self.robot.driven
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Numbers of all that it moves, and of the robot's velocities."""
+        own, free = self.robot.shape
+        return own + sum(len(loop.cut) for _, loop in self.robot._loops), free
+
+    def along(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
+        """Return positions (N, ·), J and J̇."""
+        parts = [self.robot.along(q, v)]
+        for place, loop in self.robot._loops:
+            at, own = list(loop.cut), place.actuators
+            theta, G, rate = loop.of_all(q[:, own], None if v is None else v[:, own])
+            rows = np.zeros((2, len(q), len(at), len(self.robot.names)))
+            rows[0][:, :, own], rows[1][:, :, own] = G[:, at], rate[:, at]
+            parts.append((theta[:, at], *rows))
+        theta, J, rate = (np.concatenate(each, axis=1) for each in zip(*parts, strict=True))
+        return theta, J, rate
 
 
 def seated_at(drive: Drive, joints: Sequence[int]) -> list[int]:

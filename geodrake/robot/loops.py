@@ -8,6 +8,9 @@ its bodies that are one. With J = ∂c/∂θ, some of the joints, q, are free, a
 where rows of G of the free joints are those of the identity. Forces in closures do no work, so that
 none of them is in Gᵀ τ_θ. Thus a loop is a transmission from the free joints to all of its joints.
 
+Joints of a loop may have drives: then actuators are coordinates of the loop as well, and c(θ) has
+what couples the joints to them, or the smaller loops that do.
+
 The others' positions are found by Newton's method on the way from the posture of the file, or from
 the sample before, so that the loop stays put together as it is.
 """
@@ -44,8 +47,11 @@ from geodrake.robot.transmission.loop import (
     LoopTransmission,
     in_loop,
     miss,
+    no_loop,
+    put_together,
     solved,
 )
+from geodrake.robot.transmission.statements import Drive
 
 _FREE = 1e-5  # share of the largest column, at which one counts as no combination of others
 _WELL = 0.1, 0.01, 0.0  # shares of itself that others leave of a column, in the order of trials
@@ -67,6 +73,8 @@ class LoopJoints:
             a loop moves, these are free beside them, as they hardly move.
         start: Joint -> where it is on the way to the loops' posture, rad or m; otherwise as the
             plant has it.
+        drives: What moves joints that may be in loops.
+        placed: Actuator of these drives -> where it is then.
     """
 
     followers: Mapping[str, Tie] = field(default_factory=dict)
@@ -74,6 +82,8 @@ class LoopJoints:
     sprung: Sequence[str] = ()
     first: Collection[str] = ()  # names of joints that are to be free before all others
     start: Mapping[str, float] = field(default_factory=dict)
+    drives: Sequence[Drive] = ()
+    placed: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,8 +139,17 @@ class _Link(NamedTuple):
     apart: set[int]
 
 
-_Group = tuple[set[int], list[_Link], list[str]]
-"""Velocities, what closes their loops, and those that follow others by their scoped names."""
+class _Shape(NamedTuple):
+    """A loop without a choice of free joints."""
+
+    records: LoopRecords
+    names: tuple[str, ...]  # of its k coordinates
+    slides: tuple[bool, ...]
+    places: Mapping[str, int]  # joints and actuators -> which of the coordinates is theirs
+
+
+_Group = tuple[set[int], list[_Link], list[str], list[Drive]]
+"""Velocities, what closes their loops, those that follow others by scoped names, and drives."""
 
 
 class _LoopFinder:
@@ -167,17 +186,20 @@ class _LoopFinder:
                 links.append(link)
         groups = list[_Group]()
         new: list[_Group] = [
-            ({self._velocity(i) for i in link.apart}, [link], []) for link in links
+            ({self._velocity(i) for i in link.apart}, [link], [], []) for link in links
         ]
         for own, tie in self.how.followers.items():
-            new.append(({self.at[own], self.at[tie.leader]}, [], [own]))
+            new.append(({self.at[own], self.at[tie.leader]}, [], [own], []))
+        for drive in self.how.drives:
+            new.append(({self.names.index(joint) for joint in drive.joints}, [], [], [drive]))
         for group in new:  # those that have velocities in common become one
             together = [other for other in groups if not group[0].isdisjoint(other[0])]
             groups = [other for other in groups if group[0].isdisjoint(other[0])]
-            every, own_links, ties = zip(*together, group, strict=True)
-            groups.append((set().union(*every), list(chain(*own_links)), list(chain(*ties))))
-        loops = [self._loop(sorted(at), own, ties) for at, own, ties in groups if own]
-        taken = [joint for _, own, ties in groups if own for joint in ties]
+            every, own_links, ties, drives = zip(*together, group, strict=True)
+            lists = list(chain(*own_links)), list(chain(*ties)), list(chain(*drives))
+            groups.append((set().union(*every), *lists))
+        loops = [self._loop(sorted(at), own, ties, by) for at, own, ties, by in groups if own]
+        taken = [joint for _, own, ties, _ in groups if own for joint in ties]
         moving = tuple(loop for loop in loops if len(loop.shown))
         return Loops(moving, tuple(left_out), tuple(taken))
 
@@ -205,20 +227,25 @@ class _LoopFinder:
         return _Link(closure, ends, set(chains[0]) ^ set(chains[1]))
 
     def _loop(
-        self, velocities: list[int], links: Sequence[_Link], ties: Sequence[str]
+        self,
+        velocities: list[int],
+        links: Sequence[_Link],
+        ties: Sequence[str],
+        drives: Sequence[Drive],
     ) -> LoopTransmission:
         name = " and ".join(dict.fromkeys(link.closure.name for link in links))
-        cuts = [link.closure.cut for link in links if link.closure.cut is not None]
-        joints = (*(self.names[v] for v in velocities), *(cut.name for cut in cuts))
-        shape, slides = self._shape(velocities, links, ties)
+        made = self._shape(velocities, links, ties)
+        for drive in drives:
+            made = self._with_drive(made, drive)
+        shape, x = made.records, made.records.reference
+        joints, at = made.names, made.places
         tied = {self.names[self.at[own]] for own in ties}
-        leading = [n for n in joints if n not in tied]
+        leading = [n for n in at if n not in tied]
         driven = tuple(n for n in leading if n in self.how.driven)
-        first = [n for n in joints if n in self.how.first]
+        first = [n for n in at if n in self.how.first]
         sprung = [n for n in self.how.sprung if driven and n in leading]
-        ranks = [first, list(driven), sprung, leading, list(joints)]
-        order = [[joints.index(n) for n in names] for names in ranks]
-        x = np.array([*(self.place[v] for v in velocities), *(0.0 for _ in cuts)])
+        order = [[at[n] for n in rank] for rank in (first, driven, sprung, leading)]
+        order.append(list(range(len(joints))))
         own = f"{self.path}: the closed loop of {name}"
         x, gap = _closed(shape, x, _following(miss(shape, x)[1], order))
         if not gap <= _NEARLY:
@@ -236,24 +263,23 @@ class _LoopFinder:
                 "undetermined.",
                 advice="Use another posture in the file.",
             )
-        shown = [k for k in range(len(velocities)) if k in free or k in following]
-        limits = [self.limits[v] for v in velocities] + [(-np.inf, np.inf)] * len(cuts)
+        count = len(velocities)
+        shown = [k for k in range(count) if k in free or k in following]
+        limits = [self.limits[v] for v in velocities] + [(-np.inf, np.inf)] * (len(joints) - count)
         return LoopTransmission(
             name,
             joints,
             _chosen(shape, free, following, x),
             np.array(shown, np.int64),
-            tuple(range(len(velocities), len(joints))),
-            slides,
+            tuple(k for k in at.values() if k >= count),
+            made.slides,
             np.array(limits).T,
             driven,
             float(gap * shape.units[-1] * (gap > _CLOSED)),
         )
 
-    def _shape(
-        self, velocities: list[int], links: Sequence[_Link], ties: Sequence[str]
-    ) -> tuple[LoopRecords, tuple[bool, ...]]:
-        """Return the loop without a choice of free joints, and which of its joints slide."""
+    def _shape(self, velocities: list[int], links: Sequence[_Link], ties: Sequence[str]) -> _Shape:
+        """Return a loop without drives, and without a choice of free joints."""
         own, mobilizers = sorted({i for link in links for i in link.apart}), list[Mobilizer]()
         local = {-1: -1, **{i: at for at, i in enumerate(own)}}
         for i in own:
@@ -262,23 +288,23 @@ class _LoopFinder:
             mobilizers.append(in_loop(mobilizers, parent, at, motion, mobilizer.p_MoBo_B))
         sliding = [m for m in self.tree.mobilizers if m.motion.features is Features.CONSTANT]
         along = {int(m.velocities.start) for m in sliding}
-        slides, count = {k for k, v in enumerate(velocities) if v in along}, len(velocities)
+        names, slides = [self.names[v] for v in velocities], [v in along for v in velocities]
         closures = np.zeros(len(links), CLOSURE)
         for closure, link in zip(closures, links, strict=True):
             ends = [(local.get(at, -1), X) for at, X in link.ends]
             if (cut := link.closure.cut) is not None:
                 at, X = ends[0]
                 motion = slide_motion(cut.axis) if cut.slides else axis_motion(cut.axis)
-                slides |= {count} if cut.slides else set()
                 ends[0] = len(mobilizers), RigidTransform()
-                mobilizers.append(in_loop(mobilizers, at, count, motion.between(X, np.eye(3))))
-                count += 1
+                between = motion.between(X, np.eye(3))
+                mobilizers.append(in_loop(mobilizers, at, len(names), between))
+                names.append(cut.name)
+                slides.append(cut.slides)
             for k, (at, X) in enumerate(ends):
                 closure["bodies"][k], closure["positions"][k] = at, X.translation()
                 closure["rotations"][k] = X.rotation().matrix()
             closure["turns"], closure["radius"] = link.closure.turns, link.closure.radius
-        size = _size(mobilizers, closures)
-        units = np.array([*(size if k in slides else 1.0 for k in range(count)), size])
+        size, count = _size(mobilizers, closures), len(names)
         most = max((len(self.how.followers[tied].coefficients) for tied in ties), default=2)
         couplings = np.zeros((len(ties), count, most))
         for row, tied in zip(couplings, ties, strict=True):  # p(x) − y
@@ -286,8 +312,45 @@ class _LoopFinder:
             row[velocities.index(self.at[leader]), : len(polynomial)] = polynomial
             row[velocities.index(self.at[tied]), 1] -= 1.0
         tree, none = records_of(mobilizers, np.zeros(3)), np.zeros(0, np.int64)
-        shape = LoopRecords(tree, closures, couplings, none, none, np.zeros(count), units)
-        return shape, tuple(k in slides for k in range(count))
+        x = np.array([*(self.place[v] for v in velocities), *np.zeros(count - len(velocities))])
+        units = np.array([*(size if slide else 1.0 for slide in slides), size])
+        records = LoopRecords(tree, closures, couplings, none, none, x, units)
+        places = {name: k for k, name in enumerate(names)}
+        return _Shape(records, tuple(names), tuple(slides), places)
+
+    def _with_drive(self, made: _Shape, drive: Drive) -> _Shape:
+        """Return a loop with the actuators of a drive of its joints, or with its own loop."""
+        first, joints = len(made.names), [made.places[joint] for joint in drive.joints]
+        start = np.array([[self.how.placed[name] for name in drive.actuators]])
+        if isinstance(loop := drive.map, LoopTransmission):
+            (x,), _, _ = solved(loop.records, start)
+            own = loop.records._replace(reference=x)
+            names, slides = loop.joints, loop.slides
+            rows = np.zeros((len(joints), first + len(x), 2))
+            for row, at, k in zip(rows, joints, loop.shown.tolist(), strict=True):
+                row[at, 1], row[first + k, 1] = -1.0, 1.0
+            more = [k for k in (*loop.cut, *loop.free.tolist()) if k not in loop.shown]
+        elif (J := drive.map.constant_jacobian) is not None:
+            names = drive.actuators
+            slides = drive.slides or tuple(made.slides[at] for at in joints[: len(names)])
+            own = no_loop(start[0], slides, made.records.units[-1])
+            rows = np.zeros((len(joints), first + len(names), 2))
+            offsets = drive.map.joint_positions(np.zeros(start.shape))[0]
+            for row, at, ratios, offset in zip(rows, joints, J, offsets, strict=True):
+                row[at, 1], row[at, 0], row[first:, 1] = -1.0, offset, ratios
+            more = list(range(len(names)))
+        else:
+            raise ModelError(
+                f"{', '.join(drive.joints)} of that loop move with {', '.join(drive.actuators)} by "
+                "a table or formula.",
+                advice="Use the positions and efforts of these joints.",
+            )
+        return _Shape(
+            put_together(made.records, own, rows),
+            (*made.names, *names),
+            (*made.slides, *slides),
+            {**made.places, **{names[k]: first + k for k in more}},
+        )
 
 
 def _chosen(

@@ -11,7 +11,7 @@ from free_robots import FreeRobot
 from quadruped import FEET as DOG_FEET
 from quadruped import JOINTS, quadruped
 
-from geodrake.effects import CoulombFriction, FittedEffect, ViscousFriction
+from geodrake.effects import CoulombFriction, FittedEffect, ViscousFriction, make_effect
 from geodrake.errors import ArgumentError
 from geodrake.excitation import (
     DesignOptions,
@@ -21,6 +21,8 @@ from geodrake.excitation import (
     Objective,
     SplineMotion,
     design_excitation,
+    make_rival,
+    make_separation,
     make_stance,
     make_target,
     motion_limits,
@@ -30,6 +32,14 @@ from geodrake.excitation.problem import make_problem
 from geodrake.excitation.starts import at_rest
 from geodrake.logs import Motion
 from geodrake.model import load_model
+from geodrake.robot.transmission.statements import (
+    Coupled,
+    FourBarLinkage,
+    Gear,
+    LinearActuator,
+    PositionTable,
+    drives_of,
+)
 
 BIPED = MODELS / "biped.urdf"
 FEET = ("l_foot", "r_foot")
@@ -371,3 +381,194 @@ def test_load_is_shared_by_all_motors():
     rows = np.array([G[joints.index(name)] for name in stance.motors])
     np.testing.assert_allclose(rows.T @ tau, stance.model.effort(still)[0], atol=1e-9)
     np.testing.assert_allclose(rows @ np.linalg.lstsq(rows, tau, rcond=None)[0], tau, atol=1e-9)
+
+
+DRIVES = (
+    Gear(actuator="l_knee_motor", joint="l_leg_kny", ratio=-50.0, offset=0.2),
+    Gear(actuator="r_leg_kny", joint="r_leg_kny", ratio=20.0),
+    Coupled(joints={"l_leg_aky": {"l_a": 0.5, "l_b": 0.5}, "l_leg_akx": {"l_a": 0.3, "l_b": -0.3}}),
+    LinearActuator(
+        actuator="r_cylinder", joint="r_leg_aky", base=0.3, lever=0.08, length=0.3, angle=1.4
+    ),
+    FourBarLinkage(
+        actuator="l_crank",
+        joint="l_leg_hpy",
+        **{"ground": 0.3, "crank": 0.1, "coupler": 0.3, "rocker": 0.12},
+        **{"crank_angle": 1.5, "rocker_angle": 1.6},
+    ),
+)
+
+
+@cache
+def geared():
+    drives = drives_of([(f"[{k}]", drive) for k, drive in enumerate(DRIVES)])
+    return load_model(BIPED, floating=True, transmission=drives)
+
+
+def geared_stance(*feet, **given):
+    """The biped with drives in its legs, in the same posture as without."""
+    robot = geared()
+    bent = [[BENT.get(name[2:], 0.0) for name in robot.coordinates.joints]]
+    at = dict(zip(robot.joints, robot.coordinates.nearest(np.array(bent))[0], strict=True))
+    posture = [at[name] for name in motion_limits(robot).joints]
+    return make_stance(robot, feet, **{"posture": posture} | given)
+
+
+def left_of_efforts(stance, motion, needed, jacobians):
+    """Return the largest effort at the robot's own coordinates that no force explains.
+
+    Those needed and the Jacobians of forces are at the plant's joints, in its order.
+    """
+    robot, joints = stance.robot, stance.robot.coordinates
+    own, worst = stance.motor_states(np.stack([motion.q, motion.v, motion.vd]))[0], 0.0
+    theta = stance.model.coordinates.joint_positions(motion.q)
+    q = np.stack([theta[:, joints.joints.index(n)] for n in robot.base_joints], 1)
+    at = [robot.joints.index(name) for name in (*robot.base_joints, *stance.motors)]
+    places = np.empty((len(q), len(at)))
+    places[:, at] = np.hstack([q, own])
+    found, ratios, _ = joints.along(places)
+    np.testing.assert_allclose(found, theta, atol=1e-12)  # as the robot itself moves
+    for J, tau, effort, rows in zip(ratios, stance.efforts(motion), needed, jacobians, strict=True):
+        left = J.T @ effort
+        left[at[6:]] -= tau
+        forces = (rows @ J).T
+        left -= forces @ np.linalg.lstsq(forces, left, rcond=None)[0]
+        worst = max(worst, np.abs(left).max())
+    return worst
+
+
+@pytest.mark.parametrize("feet", [("r_foot",), FEET], ids=["one foot", "two feet"])
+def test_legs_with_transmissions_stand(feet):
+    """Gears, two motors on one ankle, a cylinder and a linkage, by Pinocchio at the joints."""
+    stance = geared_stance(*feet)
+    motion, coordinates = stance.random_motion()[:6], stance.model.coordinates
+    names = [coordinates.joints.index(name) for name in biped().joints]
+    back = np.argsort(names)
+    engine = FreeRobot(BIPED.read_text(), biped().joints[6:])
+    *samples, _ = coordinates.tree_samples(motion.q, motion.v, motion.vd)
+    needed, jacobians, poses = [], [], []
+    for state in zip(*(sample[:, names] for sample in samples), strict=True):
+        needed.append(engine.efforts(*state)[back])
+        jacobians.append(np.vstack([engine.jacobian(foot) for foot in feet])[:, back])
+        poses.append(np.concatenate([x.ravel() for foot in feet for x in engine.pose(foot)]))
+    assert np.ptp(poses, axis=0).max() < 1e-12
+    assert left_of_efforts(stance, motion, needed, jacobians) < 1e-9
+    check_excess(stance, motion)
+
+
+def check_excess(stance, motion):
+    """The gradient of what is beyond the limits is that of differences."""
+    way, width = np.random.default_rng(1).normal(size=motion.q.shape), np.full(motion.q.shape[1], 1)
+    _, gradient = stance.excess(motion, width)
+    for name, slope in zip(("q", "v", "vd"), gradient, strict=True):
+        size = 1e-6 * max(1.0, np.abs(getattr(motion, name)).max())
+        moved = (replace(motion, **{name: getattr(motion, name) + s * size * way}) for s in (1, -1))
+        ahead, behind = (stance.excess(each, width)[0] for each in moved)
+        found = (slope * way).sum(axis=1)
+        np.testing.assert_allclose((ahead - behind) / (2 * size), found, rtol=1e-4, atol=1e-5)
+
+
+def pantographs():
+    """Return an MJCF of a trunk on three legs, whose lower parts rods move from the trunk."""
+    legs, ends = [], []
+    for k, place in enumerate(("0.25 0 0", "-0.2 0.2 0", "-0.2 -0.2 0")):
+        inertial = '<inertial mass=".4" pos="0 0 -.1" diaginertia=".002 .002 .001"/>'
+        hinge = '<joint name="{0}{1}" type="hinge" axis="{2}" range="-2 2"/>'.format
+        lower = (
+            f'<body name="lower{k}" pos="0 0 -.25">{hinge("lower", k, "0 1 0")}{inertial}'
+            f'<body name="foot{k}" pos="0 0 -.25"/></body>'
+        )
+        rod = f'<body name="rod{k}" pos=".06 0 0">{hinge("rod", k, "0 1 0")}{inertial}</body>'
+        legs.append(
+            f'<body name="hip{k}" pos="{place}">{hinge("roll", k, "1 0 0")}{inertial}'
+            f'<body name="upper{k}">{hinge("pitch", k, "0 1 0")}{inertial}{lower}</body>'
+            f'<body name="crank{k}">{hinge("crank", k, "0 1 0")}{inertial}{rod}</body></body>'
+        )
+        ends.append(f'<connect body1="rod{k}" body2="lower{k}" anchor="0 0 -.25"/>')
+    motors = [f'<motor joint="{n}{k}"/>' for k in range(3) for n in ("roll", "pitch", "crank")]
+    return (
+        '<mujoco model="r"><compiler angle="radian"/><worldbody><body name="trunk"><freejoint/>'
+        '<inertial mass="6" pos="0 0 0" diaginertia=".05 .08 .1"/>'
+        f"{''.join(legs)}</body></worldbody><equality>{''.join(ends)}</equality>"
+        f"<actuator>{''.join(motors)}</actuator></mujoco>"
+    )
+
+
+def test_legs_with_closed_loops_stand(tmp_path):
+    """At rest in MuJoCo, forces of loops and of the ground explain all but the motors' efforts."""
+    (tmp_path / "r.xml").write_text(pantographs())
+    robot, feet = load_model(tmp_path / "r.xml", floating=True), [f"foot{k}" for k in range(3)]
+    motors = tuple(name for name in robot.joints if name not in robot.base_joints)
+    bent = [{"pitch": 0.6, "crank": -0.6}.get(name[:-1], 0.1) for name in motors]
+    most = [dict.fromkeys(motors, value) for value in (5.0, 50.0, 60.0)]
+    limits = motion_limits(
+        robot, velocity=most[0], acceleration=most[1], effort=most[2], bounded=True
+    )
+    points = [Foot(foot, np.zeros((1, 3))) for foot in feet]
+    stance = make_stance(robot, points, posture=bent, limits=limits)
+    assert stance.motors == motors and len(stance.following) == 9
+    motion = stance.random_motion()[:6]
+    check_excess(stance, motion)
+    motion = at_rest(motion.q)
+    m = mujoco.MjModel.from_xml_path(str(robot.path))
+    data, pose = mujoco.MjData(m), np.array([*stance.base_columns(motion).values()]).T
+    theta, joints = stance.model.coordinates.joint_positions(motion.q), robot.coordinates.joints
+    dofs, places = [m.joint(name).dofadr[0] for name in motors], []
+    for base, q, tau in zip(pose, theta, stance.efforts(motion), strict=True):
+        data.qpos[:7] = base
+        for k in range(1, m.njnt):
+            data.qpos[m.jnt_qposadr[k]] = q[joints.index(m.joint(k).name)]
+        mujoco.mj_forward(m, data)
+        assert data.ne == 9 and np.abs(data.efc_pos[:9]).max() < 1e-9
+        left, rows = data.qfrc_bias.copy(), [data.efc_J.reshape(-1, m.nv)[:9]]
+        left[dofs] -= tau
+        for foot in feet:
+            rows.append(np.zeros((3, m.nv)))
+            mujoco.mj_jacBody(m, data, rows[-1], None, m.body(foot).id)
+        J = np.vstack(rows).T
+        assert np.abs(left - J @ np.linalg.lstsq(J, left, rcond=None)[0]).max() < 1e-7
+        places.append(np.array([data.body(foot).xpos for foot in feet]))
+    assert np.ptp(places, axis=0).max() < 1e-9 < np.ptp(theta, axis=0).min()
+
+
+def test_legs_that_follow_tables_cannot_stand():
+    drive = PositionTable(
+        actuator="m", joint="l_leg_kny", actuator_positions=[-9, 0, 9], joint_positions=[-3, 0, 3]
+    )
+    robot = load_model(BIPED, floating=True, transmission=drives_of([("[0]", drive)]))
+    with pytest.raises(ArgumentError, match=r"l_leg_kny of that loop .* by a table or formula"):
+        make_stance(robot, ["l_foot"])
+
+
+@pytest.mark.parametrize("place", ["l_leg_kny", "back_bkz"])
+def test_effects_are_told_apart_on_two_feet(place):
+    """Of a leg that follows the base, and of a motor that does not, with efforts as motors have."""
+    stance, names = standing(*FEET), ("coulomb_friction", "viscous_friction")
+    limits = stance.motor_limits
+    rivals = [make_rival(name, stance.robot, limits, where=[place]) for name in names]
+    width = 0.02 * stance.limits().velocity
+    separation = make_separation(stance.model, *rivals, noise=1.0, sign_width=width, stance=stance)
+    assert {pair.truth for pair in separation.pairs} == {*names}
+    motion = stance.random_motion()[:40]
+    _, gradient = separation.value_and_gradient(motion)
+    way, size = np.random.default_rng(0).normal(size=(3, *motion.q.shape)), 1e-6
+    for k, name in enumerate(("q", "v", "vd")):
+        step = size * (1.0 if name == "q" else np.abs(getattr(motion, name)).max())
+        moved = (
+            replace(motion, **{name: getattr(motion, name) + s * step * way[k]}) for s in (1, -1)
+        )
+        ahead, behind = (separation.value_and_gradient(each)[0] for each in moved)
+        found = (getattr(gradient, name) * way[k]).sum()
+        assert (ahead - behind) / (2.0 * step) == pytest.approx(found, rel=1e-3, abs=1e-7), name
+    seen = stance.model.motion(motion, sign_width=width)
+    rubbing = FittedEffect(make_effect("viscous_friction", (place,)), np.array([2.0]))
+    added = replace(stance, model=replace(stance.model, effects=(rubbing,)))
+    at = stance.motors.index(place)
+    speeds = stance.motor_states(np.stack([motion.q, motion.v, motion.vd]))[1][:, at]
+    more = added.efforts(motion) - stance.efforts(motion)
+    G = stance._ratios(stance.model.coordinates.every.jacobian(motion.q))
+    expected = 2.0 * speeds[:, None] * G[:, at]
+    np.testing.assert_allclose(
+        (np.swapaxes(G, 1, 2) @ more[..., None])[..., 0], expected, atol=1e-9
+    )
+    np.testing.assert_allclose(rubbing.effect.regressor(seen)[..., 0] * 2.0, expected, atol=1e-9)

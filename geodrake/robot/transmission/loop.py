@@ -79,6 +79,50 @@ def in_loop(
     return Mobilizer(parent, len(before), at, at, (*inner, joint), motion, place, False)
 
 
+def no_loop(x: Array, slides: Sequence[bool], size: float) -> LoopRecords:
+    """Return coordinates at (k,) that no loop couples, beside one of a size, m."""
+    none, units = np.zeros(0, np.int64), [*(size if slide else 1.0 for slide in slides), size]
+    tree, couplings = records_of((), np.zeros(3)), np.zeros((0, len(x), 1))
+    return LoopRecords(tree, np.zeros(0, CLOSURE), couplings, none, none, x, np.array(units))
+
+
+def put_together(one: LoopRecords, other: LoopRecords, rows: Array) -> LoopRecords:
+    """Return two loops as one, with the coordinates of both, without a choice of free joints.
+
+    Args:
+        rows: (·, k, ·) further couplings, of coordinates of both.
+    """
+    (mine, inner), (theirs, outer) = one.tree, other.tree
+    bodies, count = len(mine), len(one.reference)
+    mobilizers = np.zeros(bodies + len(theirs), mine.dtype)
+    mobilizers[:bodies], mobilizers[bodies:] = mine, theirs
+    added = mobilizers[bodies:]
+    added["parent"] += np.where(added["parent"] < 0, 0, bodies)
+    added["body"] += bodies
+    for name in ("positions", "velocities"):
+        added[name][:, 0] += count
+    dofs = np.zeros((len(mobilizers), max(inner.shape[1], outer.shape[1])), np.int64)
+    dofs[:bodies, : inner.shape[1]], dofs[bodies:, : outer.shape[1]] = inner, outer + count
+    closures = np.zeros(len(one.closures) + len(other.closures), CLOSURE)
+    closures[: len(one.closures)], closures[len(one.closures) :] = one.closures, other.closures
+    joined = closures[len(one.closures) :]["bodies"]
+    joined += np.where(joined < 0, 0, bodies)
+    parts, start = (one.couplings, other.couplings, rows), 0
+    couplings = np.zeros((sum(map(len, parts)), rows.shape[1], max(x.shape[2] for x in parts)))
+    for part, first in zip(parts, (0, count, 0), strict=True):
+        stop, powers = start + len(part), part.shape[2]
+        couplings[start:stop, first : first + part.shape[1], :powers] = part
+        start = stop
+    size = max(one.units[-1], other.units[-1])
+    return one._replace(
+        tree=(mobilizers, dofs),
+        closures=closures,
+        couplings=couplings,
+        reference=np.concatenate([one.reference, other.reference]),
+        units=np.array([*one.units[:-1], *other.units[:-1], size]),
+    )
+
+
 @inlined
 def _copy(x: Array, out: Array) -> None:
     # (Arrays that are assigned check their shapes, which takes seconds to compile.)
