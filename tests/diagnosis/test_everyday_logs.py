@@ -8,6 +8,7 @@ import pinocchio as pin
 import pytest
 from pendulum_logs import JOINTS, PENDULUM, body_effort, pendulum_log
 from pinocchio_logs import MODELS, effort_log, robot
+from scipy.integrate import cumulative_trapezoid
 from scipy.special import erf
 
 from geodrake import load_model, save_model
@@ -111,6 +112,23 @@ def test_heavy_rotors_behind_noise_of_accelerations_are_found_at_a_lower_bandwid
     }
     (rotors,) = (s.parameters for s in found.steps if s.effect == "rotor_inertia")
     assert rotors["shoulder"]["inertia"] == pytest.approx(20.0, rel=0.02)
+
+
+def test_rotors_of_slow_joints_are_not_too_small_for_noise_of_positions():
+    """Accelerations are noisy: at a bandwidth that keeps all of the motion, half is found."""
+    rng, fine, rotors = np.random.default_rng(4), 20, np.array([1.0, 0.3])
+    time = np.arange(0.0, 40.0, 0.01 / fine)
+    v = 0.3 * np.clip(30.0 * np.sin(time[:, None] * rng.uniform(0.5, 1.0, 2)), -1.0, 1.0)
+    q = cumulative_trapezoid(v, time, axis=0, initial=0.0)
+    rows = slice(None, None, fine)
+    q, v, vd = q[rows], v[rows], np.gradient(v, time, axis=0)[rows]
+    effort = body_effort(q, v, vd) + DRY * np.tanh(v / 0.003) + rotors * vd
+    effort += 0.003 * rng.normal(size=q.shape)
+    measured = q + 2e-4 * rng.normal(size=q.shape)
+    found = explain(MODEL, [JointLog("slow", JOINTS, time[rows], measured, effort)])
+    (step,) = (s for s in found.steps if s.effect == "rotor_inertia")
+    inertias = [step.parameters[joint]["inertia"] for joint in JOINTS]
+    assert inertias == pytest.approx(rotors, rel=0.02)
 
 
 def test_a_lower_bandwidth_leaves_enough_samples_of_every_log():

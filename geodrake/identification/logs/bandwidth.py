@@ -37,10 +37,12 @@ _FEWEST_MOVING = 30  # of a joint that moves, where the bandwidth is lowered for
 _ENOUGH = 400  # filtered samples of each joint, which make folds of some fifty
 _MOST_NOISE = 2.0  # power of noise, with that of accelerations, over that of efforts alone
 _TOO_NOISY = 3.0  # the same, above which a bandwidth is lowered
+_MOST_BIAS = 0.002  # share of an inertia that noise in its column takes; more of its rotor alone
 _STILL = 0.01  # of the peak speed
 _IN_MOTION = 4.0  # deviations of its noise that the peak speed of a joint in motion has at least
 _MOST_SHAKING = 0.1  # over the deviation of the acceleration itself
 _STEP, _TRIES = 1.2, 4  # factor between bandwidths that are tried, and so many higher ones
+_TINY = np.finfo(float).tiny
 _LARGEST_RATIO = 700.0  # logarithm of a ratio that is a number still
 
 
@@ -51,31 +53,45 @@ def prepare_for_model(
 
     The motion alone suggests a bandwidth (`prepare_logs`). It is lowered to where the motion asks
     for efforts that were not measured: vibration, play and elasticity behind the motor move the
-    joint without the motor's effort. Otherwise it is lowered while noise of accelerations, which
-    inertias carry into efforts, costs much and enough samples stay. It is raised where the log is
-    short, as far as that noise costs little. A rough model will do; logs have their joints in its
-    order. With the prepared logs comes a sentence on what was changed and why, if anything was.
+    joint without the motor's effort. It is lowered further while noise of accelerations, which
+    inertias carry into efforts, costs much or makes inertias too small, and enough samples stay.
+    If it is not lowered, it is raised where the log is short, as far as that noise costs little.
+    A rough model will do; logs have their joints in its order. With the prepared logs comes a
+    sentence on what was changed and why, if anything was.
     """
     uniform = [log if isinstance(log, UniformLog) else make_uniform(log) for log in logs]
-    trajectories = prepare_logs(uniform)
-    chosen = _lowest(trajectories)
+    prepared, why = prepare_logs(uniform), list[str]()
+    if coherent := _with_coherent_motion(model, uniform, prepared):
+        prepared, words = coherent
+        why.append(words)
+    if quiet := _with_less_noise(model, uniform, prepared, is_coherent=coherent is not None):
+        prepared, words = quiet
+        why.append(words)
+    if not why and (longer := _with_more_samples(model, uniform, prepared)):
+        prepared, words = longer
+        why.append(words)
+    return prepared, "; ".join(why) or None
+
+
+def _with_coherent_motion(
+    model: RobotModel, uniform: Sequence[UniformLog], trajectories: Prepared
+) -> Change | None:
+    """Lower the bandwidth to where the motion does not match the measured efforts."""
     coherent = coherent_bandwidth(model, trajectories)
+    if coherent is None:
+        return None
+    chosen = _lowest(trajectories)
     outputs = sum(sum(trajectory.output_counts) for trajectory in trajectories)
-    if coherent is not None:
-        least = chosen * min(1.0, _FEWEST / max(outputs, 1))  # which leaves enough to hold out
-        if (coherent := max(coherent, least)) >= chosen:
-            return trajectories, None
-        lowered = prepare_logs(
-            uniform, bandwidth=coherent, motion_bandwidth=coherent, how="chosen from the data"
-        )
-        return lowered, (
-            f"bandwidth lowered to {coherent:.3g} Hz, as the motion above it does not match "
-            "the measured efforts: vibration, backlash or position noise"
-        )
-    found = _with_less_noise(model, uniform, trajectories)
-    if found is None and outputs < _ENOUGH:
-        found = _with_more_samples(model, uniform, trajectories)
-    return (trajectories, None) if found is None else found
+    coherent = max(coherent, chosen * min(1.0, _FEWEST / max(outputs, 1)))  # enough to hold out
+    if coherent >= chosen:
+        return None
+    lowered = prepare_logs(
+        uniform, bandwidth=coherent, motion_bandwidth=coherent, how="chosen from the data"
+    )
+    return lowered, (
+        f"bandwidth lowered to {coherent:.3g} Hz, as the motion above it does not match "
+        "the measured efforts: vibration, backlash or position noise"
+    )
 
 
 def _lowest(trajectories: Prepared) -> float:
@@ -83,22 +99,30 @@ def _lowest(trajectories: Prepared) -> float:
 
 
 def _with_less_noise(
-    model: RobotModel, uniform: Sequence[UniformLog], trajectories: Prepared
+    model: RobotModel,
+    uniform: Sequence[UniformLog],
+    trajectories: Prepared,
+    *,
+    is_coherent: bool,
 ) -> Change | None:
-    """Lower the bandwidth until noise of accelerations costs little, as far as that helps."""
-    noise, found = _acceleration_noise(model, trajectories), trajectories
+    """Lower the bandwidth until noise of accelerations costs little, to where a fit knows most.
+
+    Where only motion that matches the efforts is left, `is_coherent`, errors of the model are
+    larger than noise, unless that makes inertias too small.
+    """
+    found, best = trajectories, (noise := _acceleration_noise(model, trajectories))
     lower = chosen = _lowest(trajectories)
-    while noise.loss > _TOO_NOISY and noise.fewest > _STEP * _FEWEST_MOVING:
+    if is_coherent and not noise.is_biasing:
+        return None
+    while noise.is_costly and noise.fewest > _STEP * _FEWEST_MOVING:
         lower /= _STEP
         try:
             tried = prepare_logs(uniform, bandwidth=lower, how="chosen from the data")
         except (ArgumentError, LogError):  # a log would be too short
             break
-        less = _acceleration_noise(model, tried)
-        # What a fit knows goes with the power of the motion over that of the noise.
-        if noise.loss / less.loss < noise.motion_over(less):
-            break
-        found, noise = tried, less
+        noise = _acceleration_noise(model, tried)
+        if noise.is_better_than(best):
+            found, best = tried, noise
     suits = _lowest(found)
     if suits == chosen:
         return None
@@ -114,6 +138,8 @@ def _with_more_samples(
     """Raise the bandwidth of short logs, as far as noise costs little."""
     chosen = _lowest(trajectories)
     outputs = sum(sum(trajectory.output_counts) for trajectory in trajectories)
+    if outputs >= _ENOUGH:
+        return None
     highest = HIGHEST_BANDWIDTH / max(t.filter.period for t in trajectories)
     sharp = prepare_logs(uniform, bandwidth=chosen, motion_bandwidth=highest)
     frequency, ratio = effort_ratio(model, sharp)
@@ -135,24 +161,61 @@ def _with_more_samples(
 class _AccelerationNoise:
     """What noise of accelerations, as efforts are filtered, does to residuals and to columns."""
 
-    loss: float  # power of noise, with that of accelerations, over that of efforts alone
+    loss: Array  # (nv,) power of noise, with that of accelerations, over that of efforts alone
     deviation: Array  # (nv,) of the noise, rad/s² or m/s²
     size: Array  # (nv,) the same of accelerations themselves, before they are filtered
-    motion: Array  # (nv,) the same of filtered accelerations; 0 of a joint at rest
-    fewest: int  # filtered samples of a joint in motion, the least of all joints
+    motion: Array  # (nv,) of filtered accelerations without their noise; 0 of a joint at rest
+    samples: NDArray[np.intp]  # (nv,) filtered samples in motion; 0 of a joint at rest
+
+    @property
+    def whole(self) -> float:
+        """The loss of all joints in motion, the geometric mean."""
+        return self._mean(self.loss, self.samples > 0)
 
     @property
     def is_small(self) -> bool:
         """Whether residuals are not much larger, and inertias not much too small, due to it."""
-        return self.loss <= _MOST_NOISE and bool(
+        return self.whole <= _MOST_NOISE and bool(
             np.all(self.deviation <= _MOST_SHAKING * self.size)
         )
 
-    def motion_over(self, other: _AccelerationNoise) -> float:
-        """Return the power of accelerations over that with another filter, the geometric mean."""
+    @property
+    def is_costly(self) -> bool:
+        """Whether it makes residuals much larger, or inertias too small."""
+        return self.whole > _TOO_NOISY or self.is_biasing
+
+    @property
+    def is_biasing(self) -> bool:
+        """Whether an inertia is clearly too small due to noise in its column."""
+        return bool(np.any((self._shares > _MOST_BIAS) & (self._biases > 1.0)))
+
+    @property
+    def fewest(self) -> int:
+        """Filtered samples of a joint in motion, the least of all joints."""
+        return int(min(self.samples[self.samples > 0], default=0))
+
+    def is_better_than(self, other: _AccelerationNoise) -> bool:
+        """Return whether inertias are not less well known with this filter, all in all."""
         moves = (self.motion > 0.0) & (other.motion > 0.0)
-        ratio = np.log(self.motion[moves] / other.motion[moves])
-        return float(np.exp(2.0 * ratio.mean())) if moves.any() else 1.0
+        power = np.square(np.where(moves, self.motion / np.maximum(other.motion, _TINY), 1.0))
+        mine, others = (each.loss * (1.0 + each._biases) for each in (self, other))
+        return self._mean(mine / others / np.maximum(power, _TINY), moves) <= 1.0
+
+    @property
+    def _shares(self) -> Array:
+        """(nv,) of inertias, that noise in their columns takes."""
+        noise = np.square(self.deviation)
+        return np.asarray(noise / np.maximum(noise + np.square(self.motion), _TINY))
+
+    @property
+    def _biases(self) -> Array:
+        """(nv,) square of what it takes, in deviations of an inertia by noise of efforts alone."""
+        return np.asarray(self.samples * self._shares * (self.loss - 1.0))
+
+    @staticmethod
+    def _mean(ratios: Array, which: NDArray[np.bool_]) -> float:
+        """Return the geometric mean of some joints' ratios; 1 if there is none."""
+        return float(np.exp(np.log(ratios[which]).mean())) if which.any() else 1.0
 
 
 def _acceleration_noise(
@@ -191,17 +254,16 @@ def _acceleration_noise(
     deviation = np.max(shaking, axis=0)
     rotors = np.zeros(len(moves))
     for j in np.flatnonzero(moves) if own_rows else ():
-        scale = np.maximum(np.abs(A[:, j]).max(axis=0), np.finfo(float).tiny)
+        scale = np.maximum(np.abs(A[:, j]).max(axis=0), _TINY)
         rotors[j] = max(np.linalg.lstsq(A[:, j] / scale, b[:, j])[0][0] / scale[0], 0.0)
-    known = (np.array(noise) > 0.0) & moves
-    weights = np.tile(samples, (len(moves), 1)).T[known]
     power = np.array(carried) + np.square(rotors * np.array(shaking))
-    losses = np.log1p(power[known] / np.array(noise)[known])
-    loss = np.average(losses, weights=weights) if len(weights) else 0.0
-    counts = np.sum(speed > _STILL * peak, axis=0)[moves]
-    motion = np.where(moves, np.max(segments, axis=0), 0.0)
-    fewest = int(min(counts, default=0))
-    return _AccelerationNoise(float(np.exp(loss)), deviation, size, motion, fewest)
+    weights = np.array(samples)[:, None] * (np.array(noise) > 0.0)
+    losses = weights * np.log1p(power / np.maximum(noise, _TINY))
+    loss = np.exp(losses.sum(axis=0) / np.maximum(weights.sum(axis=0), 1))
+    counts = np.where(moves, np.sum(speed > _STILL * peak, axis=0), 0)
+    power = np.square(np.max(segments, axis=0)) - np.square(deviation)
+    motion = np.where(moves, np.sqrt(np.maximum(power, 0.0)), 0.0)
+    return _AccelerationNoise(loss, deviation, size, motion, counts)
 
 
 def coherent_bandwidth(model: RobotModel, trajectories: Sequence[Trajectory]) -> float | None:
@@ -247,13 +309,12 @@ def effort_ratio(model: RobotModel, trajectories: Sequence[Trajectory]) -> tuple
         measured = measured + _density(
             without_contacts(rows, start.effort), segment, window, frequency
         )
-    tiny = np.finfo(float).tiny
     idle = [joint for t in trajectories for joint in t.passive]
     grounded = all(trajectory.is_grounded for trajectory in trajectories)
     driven = ~np.isin(model.joints, [*idle, *(() if grounded else model.base_joints)])
     if (measured[:, driven] > 0.0).any():  # limbs that stand throughout have no rows
         driven &= (measured > 0.0).any(axis=0)
-    ratio = np.mean((np.log(needed + tiny) - np.log(measured + tiny))[:, driven], axis=1)
+    ratio = np.mean((np.log(needed + _TINY) - np.log(measured + _TINY))[:, driven], axis=1)
     return frequency, np.exp(np.minimum(ratio, _LARGEST_RATIO))
 
 
