@@ -5,7 +5,8 @@ recursion over that tree (`geodrake.robot.recursion`). Here both compute the sam
 
 MultibodyPlant computes with the bodies that geodrake made of a file, and so cannot see what was
 lost on the way. MuJoCo compiles an MJCF whole, with what no model takes; Pinocchio reads a URDF.
-Others, SDF and directives that put several together, Drake reads once more as they stand.
+Others, SDF, directives that put several together and URDFs that Pinocchio does not take, Drake
+reads once more as they stand.
 """
 
 from __future__ import annotations
@@ -65,15 +66,17 @@ def second_opinion(model: RobotModel, states: States) -> tuple[str, Array, Array
     held = {name: place for text in texts for name, place in _held(model, text).items()}
     if alone and isinstance(texts[0], MjcfText):
         return with_mujoco(model, texts[0].compiled, held, states)
-    found: OtherProgram | str
+    found: OtherProgram | str = ""
+    why = ""
     if len(texts) == 1 and texts[0].kind == "urdf":
         found = by_pinocchio(model, texts[0], held, joint_units(model.plant))
-    else:
-        found = by_drake(model)
     if isinstance(found, str):
-        return found
+        found, why = by_drake(model), found
+    if isinstance(found, str):
+        return why or found
     ours = inverse_dynamics(model.tree, *states, model.total_phi)
-    return found.by, found.efforts_of(model.coordinates, states), ours
+    by = f"{found.by} ({why})" if why else found.by
+    return by, found.efforts_of(model.coordinates, states), ours
 
 
 def _held(model: RobotModel, text: ModelText) -> Places:

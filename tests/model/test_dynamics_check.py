@@ -93,6 +93,15 @@ def test_point_masses_are_those_of_the_file_and_fits_start_beside_them(tmp_path)
     np.testing.assert_array_equal(again.effort(motion), model.effort(motion))
 
 
+def test_what_pinocchio_does_not_read_drake_reads_once_more(tmp_path):
+    elbow = '<joint name="elbow" type="revolute"'
+    text = DOUBLE.read_text().replace(elbow, elbow.replace("revolute", "planar"))
+    (tmp_path / "planar.urdf").write_text(text)
+    found = check_dynamics(load_model(tmp_path / "planar.urdf"), samples=3)
+    assert "original file (Pinocchio has other joints)" in found.by
+    assert found.second is not None and found.second.relative < 1e-12
+
+
 def test_the_command_prints_and_writes_and_its_exit_code_tells(tmp_path, monkeypatch):
     numbers = tmp_path / "n.json"
     words = ["check", str(ARM), "--samples", "5", "--seed", "3", "--lock", "wrist_spin=0.5"]
