@@ -66,12 +66,11 @@ def second_opinion(model: RobotModel, states: States) -> tuple[str, Array, Array
     held = {name: place for text in texts for name, place in _held(model, text).items()}
     if alone and isinstance(texts[0], MjcfText):
         return with_mujoco(model, texts[0].compiled, held, states)
-    found: OtherProgram | str = ""
-    why = ""
+    pinocchio: OtherProgram | str = ""
     if len(texts) == 1 and texts[0].kind == "urdf":
-        found = by_pinocchio(model, texts[0], held, joint_units(model.plant))
-    if isinstance(found, str):
-        found, why = by_drake(model), found
+        pinocchio = by_pinocchio(model, texts[0], held, joint_units(model.plant))
+    why = pinocchio if isinstance(pinocchio, str) else ""
+    found = by_drake(model) if isinstance(pinocchio, str) else pinocchio
     if isinstance(found, str):
         return why or found
     ours = inverse_dynamics(model.tree, *states, model.total_phi)
