@@ -18,9 +18,10 @@ from geodrake.control.systems.position_servo import PositionServo
 from geodrake.effects.sensors import delayed_by
 from geodrake.errors import ArgumentError, LogError
 from geodrake.identification.logs.case import Case
+from geodrake.identification.logs.contact_rows import contacts_in, row_scales
 from geodrake.identification.logs.reduce import peak_speeds
 from geodrake.inertia import Array
-from geodrake.logs.motion import MEMORY, JointLog, Motion
+from geodrake.logs.motion import MEMORY, JointLog, Motion, Trajectory
 from geodrake.logs.smoothing import Segment, Stretch
 from geodrake.logs.temperatures import Temperatures
 from geodrake.model.carried_payloads import carrying
@@ -34,6 +35,7 @@ from geodrake.model.servos import (
     servos_of,
 )
 from geodrake.model.signal_efforts import integral_effort, late_commands
+from geodrake.robot.transmission import times
 
 FASTEST = 1e6
 """Peak speeds of the log, beyond which no robot is simulated any more."""
@@ -42,6 +44,7 @@ _LEAST_SPEED = 1e-3  # rad/s or m/s, that counts as a peak
 _SIGN_WIDTH = 5e-3  # share of a joint's peak speed below which dry friction fades
 _MOVING = 0.05  # share of the peak speeds that the mean speed of a passage must have
 _APART = 1e-9  # s, between instants of a trajectory
+_INDEPENDENT = 1e-9  # share of the largest, that counts as another direction of forces at contacts
 _COMMANDS = ("commanded_position", "commanded_velocity")
 
 
@@ -109,7 +112,25 @@ def chosen_passages(
         )
     count = min(most, len(found))
     chosen = np.unique(np.linspace(0, len(found) - 1, count).round().astype(int))
-    return [found[k] for k in chosen.tolist()]
+    logs = {trajectory.name: trajectory for trajectory in case.trajectories}
+    return [_on_ground(case.model, logs[found[k].log], found[k]) for k in chosen.tolist()]
+
+
+def _on_ground(model: RobotModel, trajectory: Trajectory, passage: Passage) -> Passage:
+    """Return a passage in whose efforts are forces at contacts that nobody measured.
+
+    They are those with which the model comes nearest to the measured motion, instant by instant.
+    """
+    if trajectory.contacts is None:
+        return passage
+    model, segment = carrying(model, trajectory.payloads), passage.segment
+    J, flags = contacts_in(model, trajectory.contacts, segment)
+    scales = row_scales(model, trajectory)
+    J = (J * flags[:, :, None, None]).reshape(len(J), -1, len(scales)) / scales
+    left = (model.effort(passage.motion(model)) - segment.effort) / scales
+    forces = times(np.linalg.pinv(np.swapaxes(J, 1, 2), rcond=_INDEPENDENT), left)
+    ground = scales * times(np.swapaxes(J, 1, 2), forces)
+    return replace(passage, segment=replace(segment, effort=segment.effort + ground))
 
 
 def _holds(span: Span, log: str, time: Array) -> bool:

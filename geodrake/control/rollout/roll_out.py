@@ -220,7 +220,7 @@ def case_rollout(
             advice="Use efforts instead of --commands, or logs with columns <joint>.command.",
         )
     chosen = chosen_passages(case, horizon, most, within)
-    notes = dict.fromkeys(_unheard(case) if commands else ())
+    notes = dict.fromkeys([*(_unheard(case) if commands else ()), *_fitted_forces(case)])
     simulation = simulations(case, chosen, commands=commands)
     together = steps_alone(model)
     groups = dict[str | Passage, list[Passage]]()
@@ -274,6 +274,16 @@ def _unheard(case: Case) -> list[str]:
         return []
     name = effect_of(Role.DELAY).name
     return [f"{name} of {', '.join(late)} is ignored: servos have no delay"]
+
+
+def _fitted_forces(case: Case) -> list[str]:
+    """Return a note for each log on forces at contacts that nobody measured."""
+    return [
+        f"{trajectory.name}: forces at {', '.join(trajectory.contacts.frames)} are those that fit "
+        "the measured motion best, which hides some of the model's errors"
+        for trajectory in case.trajectories
+        if trajectory.contacts is not None
+    ]
 
 
 def check_windows(horizon: float, most: int, progress: Progress | None) -> None:

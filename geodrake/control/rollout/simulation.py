@@ -41,7 +41,7 @@ def simulations(
     """Return what gives the simulation of the model of a case in a log, made when first asked for.
 
     Raises:
-        LogError: A robot on its feet has no measured forces there, or a joint no efforts.
+        LogError: A joint has no efforts.
 
     Args:
         passages: What is to be simulated, which may take so many steps all together. A robot that
@@ -55,13 +55,6 @@ def simulations(
                 f"Log {trajectory.name!r} has no efforts of {', '.join(trajectory.unmeasured)}, "
                 "without which nothing moves the robot.",
                 advice="Log efforts of all joints; or use geodrake compare.",
-            )
-        if trajectory.contacts is not None:
-            raise LogError(
-                f"Log {trajectory.name!r} has no ground forces at "
-                f"{', '.join(trajectory.contacts.frames)}, without which the robot falls.",
-                advice="Log forces at the feet: <link>.force.x, .y and .z; or use geodrake "
-                "compare.",
             )
     conditions = Conditions(case, commands)
     calm = sum(max(len(p.time), (p.time[-1] - p.time[0]) / LARGEST_STEP) for p in passages)

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from geodrake.compiling import compiled, contiguous, inlined
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.inertia import inertial_parameters
+from geodrake.logs.floating import ContactFlags
 from geodrake.logs.motion import Trajectory
 from geodrake.logs.smoothing import Segment
 from geodrake.model.floating_logs import contact_frames, contact_jacobians, on_soles
@@ -41,12 +42,19 @@ def contact_rows(model: RobotModel, trajectory: Trajectory, segment: Segment) ->
     if (contacts := trajectory.contacts) is None:
         own = np.tile(measured.astype(float), (len(segment), 1))
         return None if measured.all() else MixedRows(own, {})
+    base = [model.joints.index(joint) for joint in model.base_joints]
+    (J, flags), scales = contacts_in(model, contacts, segment), row_scales(model, trajectory)
+    return rows_without(J, flags, scales, base, measured=measured)
+
+
+def contacts_in(
+    model: RobotModel, contacts: ContactFlags, segment: Segment
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Return Jacobians (N, c, k, nv) of frames at the instants of a segment, and if they touch."""
     bodies = RobotBodies(model.tree, model.positions(segment.position), model.total_phi)
     frames = contact_frames(model, contacts.frames)
     J = contact_jacobians(frames, bodies, soles=on_soles(contacts, frames))
-    base = [model.joints.index(joint) for joint in model.base_joints]
-    flags, scales = contacts.at(segment.time), row_scales(model, trajectory)
-    return rows_without(J, flags, scales, base, measured=measured)
+    return J, contacts.at(segment.time)
 
 
 @dataclass(frozen=True, eq=False)
