@@ -122,7 +122,7 @@ def simulated(robot, dry=0.0, width=1.0):
         return [*v[0], *np.linalg.solve(needed[:3] - needed[3], effort - bias), bend]
 
     start = np.array([0.3, -0.2, 0.02, 0.0, 0.0, 0.0, 0.0])
-    states = solve_ivp(slope, (0.0, 3.0), start, t_eval=time, rtol=1e-7, atol=1e-9).y.T
+    states = solve_ivp(slope, (0.0, 3.0), start, "LSODA", time, rtol=1e-7, atol=1e-9).y.T
     effort = limit * np.sin(np.outer(time, rates)) - damping * states[:, 3:6]
     return JointLog("log", model.joints, time, states[:, :3], effort, states[:, 3:6])
 
@@ -150,7 +150,7 @@ def files(tmp_path_factory):
     """The arm with its wrist beside it, and a log of its motors, one of which rubs."""
     folder = tmp_path_factory.mktemp("arm")
     model = arm(folder)
-    log = log_of(model, 0, lambda v: np.tanh(v / 1e-3) * [0.0, 0.8, 0.0], seconds=8.0)
+    log = log_of(model, 0, lambda v: np.tanh(v / 1e-3) * [0.0, 0.8, 0.0], seconds=5.0)
     write_log(log, folder / "log.csv")
     return folder
 

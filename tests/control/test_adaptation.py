@@ -54,16 +54,6 @@ def laws(manifold, at):
     }
 
 
-@properties
-@given(seeds)
-def test_reach_is_the_trace_of_the_rows(seed):
-    rng = np.random.default_rng(seed)
-    x, rows = random_point(PRODUCT, rng), rng.normal(size=(3, SIZE))
-    pulls = PRODUCT.inverse_metric_times(x, rows)
-    reach = natural_adaptation(PRODUCT, 2.0).reach(x, rows)
-    assert reach == pytest.approx(0.5 * (rows * pulls).sum(), rel=1e-9)
-
-
 # Laws
 
 
@@ -76,15 +66,6 @@ def test_estimates_stay_physical_at_any_step_size(seed, size):
     assert np.isfinite(estimate).all()
     assert is_physical(estimate[:20].reshape(2, 10)).all()
     assert (estimate[20:] > 0).all()
-
-
-def test_euler_steps_of_the_source_leave_the_manifold_where_geodesics_do_not():
-    estimate = random_point(BODIES, np.random.default_rng(0))
-    b = np.zeros(BODIES.dimension)
-    b[0], b[20] = 1.0, 1.0  # less mass, less friction
-    euler = natural_adaptation(BODIES, integrator="euler").step(estimate, b, 10.0)
-    assert not BODIES.contains(euler)
-    assert BODIES.contains(natural_adaptation(BODIES).step(estimate, b, 10.0))
 
 
 @properties
@@ -158,22 +139,6 @@ def test_projected_rates_break_no_limit_and_lose_nothing(seed):
     # V̇ of a truth in C is at most that of the free law, whose is −p̃ᵀ b: Proposition 5.8.
     metric = BODIES.metric(boundary)
     assert (boundary - inside) @ metric @ (rate - free) <= 1e-7 * speed * 10
-
-
-def test_one_binding_limit_gives_the_formula_of_the_source():
-    rng = np.random.default_rng(3)
-    estimate = random_point(BODIES, rng)
-    b = rng.normal(size=22)
-    law = natural_adaptation(BODIES)
-    v = law.rate(estimate, b)
-    c = rng.normal(size=22)
-    c *= np.sign(c @ v)
-    w = BODIES.inverse_metric_times(estimate, c)
-    binding = ProjectedLaw(law, Polyhedron(c[None], np.array([-np.inf]), np.array([c @ estimate])))
-    np.testing.assert_allclose(binding.rate(estimate, b), v - (c @ v) / (c @ w) * w)
-    np.testing.assert_array_equal(binding.rate(estimate, -b), -v)
-    loose = Polyhedron(c[None], np.array([-np.inf]), np.array([c @ estimate + 1.0]))
-    np.testing.assert_array_equal(ProjectedLaw(law, loose).rate(estimate, b), v)
 
 
 @some

@@ -52,7 +52,7 @@ from geodrake.control import (
     parameter_manifold,
     pullback_adaptation,
 )
-from geodrake.control.adaptation import ProjectedLaw, adapted_parameters, mass_limits
+from geodrake.control.adaptation import adapted_parameters
 from geodrake.control.adaptation.outer_laws import limited
 from geodrake.control.online_estimation import FilteredRegressor
 from geodrake.control.systems import Safeguards
@@ -160,17 +160,6 @@ def test_actuation_is_the_formula_of_the_source():
         np.testing.assert_allclose(
             system.GetOutputPort("actuation").Eval(own), expected, rtol=1e-9, atol=1e-9
         )
-
-
-def test_constraints_hold_all_the_way():
-    truth = TRUTH[10]
-    law = ProjectedLaw(natural(), mass_limits(len(TRUTH), 1, 0.9 * truth, 1.1 * truth))
-    start = TRUTH.copy()
-    start[10:20] *= 1.08
-    _, logs = run(passive(law, parameters=start), 1.0)
-    masses = logs["parameters"][:, 10]
-    assert (masses >= 0.9 * truth * (1 - 1e-9)).all()
-    assert (masses <= 1.1 * truth * (1 + 1e-9)).all()
 
 
 # The life of a Drake system

@@ -255,7 +255,7 @@ def test_a_joint_alone_moves_as_it_does(model, log):
 
 def test_steps_and_drake_move_it_as_it_does(model, log):
     case = open_case(model, [log], candidates=False)
-    passages = chosen_passages(case, 0.5, 4)
+    passages = chosen_passages(case, 0.5, 2)
     found = stepping(case, passages, commands=True).positions()
     drake = simulations(case, passages, commands=True)(log.name)
     for passage, steps in zip(passages, found, strict=True):

@@ -51,23 +51,6 @@ def test_every_figure_is_on_the_page_and_of_a_script():
             assert re.search(rf"\b{name}\.{figure}\b", whole), f"{name}.{figure}"
 
 
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        (0.9284, "0.93"),
-        (0.05, "0.050"),
-        (5.43e-5, "5.4e-5"),
-        (49.96, "50"),
-        (23214.0, "23,000"),
-        (9150, "9,150"),
-        (0.0, "0"),
-        ("UR10e", "UR10e"),
-    ],
-)
-def test_numbers_have_two_digits_and_counts_all(value, text):
-    assert benchmarks_page.shown(value) == text
-
-
 def test_figures_are_read_from_what_a_script_writes():
     lines = [{"figure": "named", "value": 0.95, "logs": 20, "kind": k} for k in "ab"]
     figures = {

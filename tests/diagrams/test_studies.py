@@ -26,14 +26,12 @@ from diagrams.benchmarks.tell_apart import CASES, MOTIONS
 from diagrams.studies import ambidex_arm as draws
 from diagrams.studies import atlas_identification as atlas
 from diagrams.studies import cheetah_gallop as gallop
-from diagrams.studies import excitation_contours as contours
 from diagrams.studies import scara_excitation as scara
 from diagrams.studies.adaptive import laws
 from diagrams.studies.ambidex import arm as robot
 from diagrams.studies.cheetah import leg as cheetah
 from geodrake.diagnosis import diagnose
 from geodrake.excitation import ExcitationTrajectory, FreeSamples
-from geodrake.inertia import equivalent_ellipsoid
 from geodrake.logs import Motion, read_log, write_log
 from geodrake.robot import base_parameters, base_wrench_regressor, inverse_dynamics, joint_names
 from geodrake.robot.regressor import body_poses
@@ -50,15 +48,6 @@ def measured(arm):
 
 
 class TestArm:
-    def test_rolling_joints_and_shared_wrist(self, arm):
-        turns = np.random.default_rng(0).uniform(-1, 1, (5, 7))
-        theta = arm.transmission.joint_positions(arm.motors(turns))
-        single = [0, 1, 2, 5]
-        np.testing.assert_allclose(theta[:, single], turns[:, [0, 1, 2, 4]], atol=1e-14)
-        for first, turn in ((3, 3), (6, 5), (8, 6)):
-            np.testing.assert_allclose(theta[:, first], theta[:, first + 1], atol=1e-14)
-            np.testing.assert_allclose(2 * theta[:, first], turns[:, turn], atol=1e-14)
-
     def test_regressor_gives_what_drake_needs(self, arm):
         """Drake's inverse dynamics of the ten joints, virtual work, and rotors."""
         rng = np.random.default_rng(1)
@@ -95,20 +84,6 @@ class TestMeasurements:
         expected = np.hypot(robot.TORQUE_NOISE, robot.UNEVEN * robot.COULOMB)
         np.testing.assert_allclose(rest, expected, rtol=0.15)
         assert (rest[:2] < 0.2 * measured.torque.std(0)[:2]).all()
-
-
-class TestPriors:
-    def test_653_point_masses_have_its_parameters(self, measured):
-        rng, prior = draws.prior_of(0, 4, measured)
-        hulls = equivalent_ellipsoid(measured.truth).scaled(draws.HULL)
-        points = robot.point_masses(prior, hulls, rng)
-        assert len(points.prior) == 653
-        assert (points.prior > 0).all()
-        np.testing.assert_allclose(points.parameters(), prior, rtol=1e-9, atol=1e-12)
-        for body in range(10):
-            lifted = np.column_stack([points.positions[body], np.ones(59)])
-            inside = np.einsum("ni,ij,nj->n", lifted, hulls.quadric[body], lifted)
-            assert inside.min() >= -1e-12
 
 
 MODELS = Path(__file__).parents[2] / "models"
@@ -155,22 +130,6 @@ def test_quantities_are_the_inverse_dynamics():
     knee, rotor = order.index("rear_left_knee"), order.index("rear_left_knee_rotor")
     expected = efforts[:, knee] + gallop.GEARS[2] * efforts[:, rotor]
     np.testing.assert_allclose(torque[:, 8], expected, atol=1e-8 * np.abs(efforts).max())
-
-
-class TestContours:
-    def test_one_map_in_all_coordinates_with_geometric_normalization_alone(self):
-        rows = contours.run(31, 100)["rows"]
-        largest = {}
-        for row in rows:
-            largest.setdefault(row["normalization"], []).append(row)
-        own = largest["geometric"]
-        assert max(row["shape_difference"] for row in own) < 1e-9  # decades
-        assert len({(row["best_amplitude"], row["best_offset"]) for row in own}) == 1
-        assert np.ptp([row["best_value"] for row in own]) < 1e-9 * own[0]["best_value"]
-        for name in ("none", "diagonal"):
-            assert min(row["shape_difference"] for row in largest[name]) > 0.5
-            places = {(row["best_amplitude"], row["best_offset"]) for row in largest[name]}
-            assert len(places) >= 3
 
 
 class TestScara:
@@ -298,25 +257,6 @@ class TestLogs:
         (secret,) = made.secrets
         assert secret.share == pytest.approx(0.04, rel=0.1)
         assert set(secret.where) <= {*robot_model("arm6").joints, *robot_model("arm6").bodies}
-
-
-EASY = ("load_dependent_friction", "gravity_tilt")
-
-
-class TestWhatItMustShow:
-    def test_easy_effects(self):
-        fixed = {**PLAIN, "robot": "double_pendulum", "shares": (0.12,)}
-        rows = [logs.score_draw(logs.draw("one", (n,), 0, 0, **fixed)) for n in EASY]
-        assert all(row["first"] and row["in_set"] and not row["extra"] for row in rows)
-        assert np.median([row["over_floor"] for row in rows]) < 1.1
-
-    def test_outside_effects(self):
-        name = "brake that another joint's position tightens"
-        fixed = {**PLAIN, "robot": "double_pendulum", "shares": (0.15,)}
-        row = logs.score_draw(logs.draw("outside", (name,), 0, 0, **fixed))
-        assert row["verdict"] == "unexplained"
-        assert row["right_joint"]
-        assert row["right_correlate"]
 
 
 def test_the_rivals_formulas_are_those_of_the_effects():

@@ -19,9 +19,9 @@ from pydrake.multibody.tree import JacobianWrtVariable
 
 import geodrake.effects
 from geodrake import effects, load_model
-from geodrake.effects import BodyEffect, JointMotion, RobotMotion, sensors
+from geodrake.effects import BodyEffect, RobotMotion, sensors
 from geodrake.effects.body_motion import RobotBodies
-from geodrake.effects.effect_columns import EffectColumns, dependencies
+from geodrake.effects.effect_columns import dependencies
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.manifolds import PhysicalInertia
 
@@ -567,28 +567,6 @@ class Declared(Flywheel):
 )
 def test_users_effects_are_tried(effect, found):
     assert dependencies(effect, trial, len(JOINTS)) == found
-
-
-USERS = (Flywheel("elbow"), Flywheel("wrist"), ByName("elbow"), ByName("shoulder"), Weight("hand"))
-SETS = {"all": EVERY, "users": USERS, "both": (*EVERY, *USERS), "none": ()}
-
-
-def sample_of(motion):
-    """Motion of all joints at the one sample of a motion."""
-    sign_v = motion.direction(motion.v, motion.sign_width)
-    return JointMotion(*(x[0] for x in (motion.q, motion.v, motion.vd, motion.load, sign_v)))
-
-
-@pytest.mark.parametrize("some", SETS.values(), ids=SETS)
-@pytest.mark.parametrize("tried", [trial, None])
-def test_one_sample_is_a_motion_of_one_sample(some, tried):
-    columns, motion = EffectColumns(JOINTS, some, tried), random_motion(1, width=0.1)
-    expected = [effect.regressor(motion)[0] for effect in some]
-    found = columns.at(sample_of(motion), lambda joints: motion)
-    assert found.shape == (3, columns.count)
-    np.testing.assert_array_equal(found, np.concatenate([np.zeros((3, 0)), *expected], axis=1))
-    mu = np.random.default_rng(2).normal(size=columns.count)
-    np.testing.assert_allclose(columns.effort(motion, mu)[0], found @ mu, atol=1e-12)
 
 
 @pytest.mark.parametrize("robot", ["arm6", "double_pendulum", "ambidex_like"])

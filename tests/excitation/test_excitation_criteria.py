@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from own_code import own_effect
 from pydrake.math import RigidTransform, RollPitchYaw
-from random_plants import JOINTS, drake_slopes, random_motion, random_plant, random_tree
+from random_plants import JOINTS, random_motion, random_plant, random_tree
 from scipy.linalg import block_diag, eigh, sqrtm
 from scipy.optimize import lsq_linear
 
@@ -49,7 +49,7 @@ from geodrake.excitation.regressor_gradient import (
 )
 from geodrake.identification.logs.criteria import SPREAD
 from geodrake.identification.logs.unknowns import pullback_information
-from geodrake.inertia import from_mass_com_inertia, inertial_parameters
+from geodrake.inertia import from_mass_com_inertia
 from geodrake.logs import Motion
 from geodrake.model import load_model
 from geodrake.robot import KinematicTree, base_wrench_regressor, inverse_dynamics_regressor
@@ -332,21 +332,6 @@ def test_random_trees(kinds, seed):
     assert_equals_differences(random_tree(rng, kinds), rng)
 
 
-def test_drake_autodiff_of_efforts():
-    """With W = λ φᵀ the gradient is that of λᵀ τ, which Drake differentiates by itself."""
-    rng = np.random.default_rng(1)
-    plant = random_plant(rng, ("revolute", "universal", "weld", "prismatic", "screw", "planar"))
-    q, v, vd = random_motion(plant, rng, 5)
-    phi, weights = inertial_parameters(plant).ravel(), rng.normal(size=v.shape)
-    gradient = inverse_dynamics_regressor_gradient(
-        plant, q, v, vd, weights[:, :, None] * phi[None, None]
-    )
-    for i, slopes in enumerate(drake_slopes(plant, q, v, vd)):
-        expected = weights[i] @ slopes
-        found = np.concatenate([gradient.q[i], gradient.v[i], gradient.vd[i]])
-        np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
-
-
 @pytest.mark.parametrize("base", ["revolute", "quaternion floating"])
 def test_base_wrench(base):
     rng = np.random.default_rng(2)
@@ -424,34 +409,6 @@ class TestProperties:
         np.testing.assert_allclose(found.shares.sum(axis=0), 1.0)
         assert found.counts.sum() == pytest.approx(found.kept)
         assert (found.counts[:3] <= 10).all() and 0 <= found.counts[3] <= 1 + 1e-9
-
-    def test_reduced_beats_full_where_data_are_poor(self):
-        """Parameter errors √(⟨φ_B* − φ_B, ·⟩/n_B), as in table 4.3."""
-        for seed in range(2):
-            target, motion, b, truth = measured_case(seed)
-            H = target.base.metric(target.inertial_prior)
-            factor = measurement_factor(target, motion, [b])
-
-            def error(values, target=target, H=H, truth=truth):
-                off = values - target.base.values(truth)
-                return np.sqrt(off @ H @ off / len(off))
-
-            reduced = reduced_identification(target, factor, threshold=1e-3)
-            full = reduced_identification(target, factor, threshold=np.inf)
-            prior = error(target.base.values(target.prior))
-            assert error(reduced.base_parameters) < prior < error(full.base_parameters)
-
-    def test_base_wrench_of_a_force_plate(self):
-        model = arm()
-        noise = [1.5] * 3 + [0.5] * 3
-        target = make_target(model, noise=noise, X_WP=RigidTransform([0.1, 0.0, -0.2]))
-        motion, rng = motion_of(model, 0, 300), np.random.default_rng(7)
-        truth = target.prior + 0.1 * target.metric_root @ rng.normal(size=target.size)
-        b = target.measure(motion).regressor @ truth + noise * rng.normal(size=(300, 6))
-        found = reduced_identification(target, measurement_factor(target, motion, [b]))
-        off = np.abs(found.base_parameters - target.base.values(truth))
-        prior = np.abs(target.base.values(target.prior) - target.base.values(truth))
-        assert np.linalg.norm(off) < 0.5 * np.linalg.norm(prior)
 
     def test_long_motions_are_reduced_in_pieces(self):
         target, *_ = measured_case()
@@ -563,18 +520,6 @@ class TestSeparation:
             left = best_imitation(rows.reshape(len(truth), -1), truth, prior, lower)
             assert found == pytest.approx(left, rel=1e-5)
 
-    def test_friction_that_drives_is_no_explanation(self):
-        """What pushes forwards, viscous friction could only explain with a negative sign."""
-        model, v = pendulum(), np.linspace(-1.0, 1.0, 41)[:, None] * np.ones(2)
-        separation = separation_of(model, ("coulomb_friction", "viscous_friction"), noise=0.1)
-        pair = next(p for p in separation.pairs if p.truth == "coulomb_friction")
-        driving = replace(separation, pairs=(replace(pair, effects=-pair.effects),))
-        motion = Motion(0.0 * v, v, 0.0 * v)
-        sign = np.tanh(v[:, 0] / separation.target.sign_width[0])
-        expected = (pair.effects.sum() / 0.1) ** 2 * np.sum(sign**4)
-        assert driving.separations(motion) == pytest.approx(expected, rel=1e-6)
-        assert (separation.separations(motion)[0] < 0.5 * expected).all()
-
     @pytest.mark.parametrize(
         "names",
         [
@@ -621,13 +566,6 @@ class TestSeparation:
         seen = model.motion(motion, sign_width=separation.target.sign_width)
         sign, v = seen.joint("elbow").sign_v, motion.v[:, 1]
         assert second.effects[second.effects != 0] == pytest.approx([0.3 * sign @ v / (v @ v)])
-
-    def test_what_contains_another_effect_can_be_told_one_way_only(self):
-        """Asymmetric friction is Coulomb friction too, never the other way around."""
-        separation = separation_of(pendulum(), ("coulomb_friction", "asymmetric_friction"))
-        assert {(p.truth, p.rival) for p in separation.pairs} == {
-            ("asymmetric_friction", "coulomb_friction")
-        }
 
 
 class TestRivals:

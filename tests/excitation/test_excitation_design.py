@@ -32,7 +32,6 @@ from geodrake.excitation import (
     write_trajectory,
 )
 from geodrake.excitation.problem import make_problem
-from geodrake.excitation.regressor_gradient import inverse_dynamics_regressor_gradient
 from geodrake.excitation.trajectory import ros_joint_trajectory
 from geodrake.logs import read_log
 from geodrake.model import EffortSignal, load_description
@@ -526,28 +525,6 @@ def test_free_samples():
     for form in (trajectory.to_drake, lambda: trajectory.log(model)):
         with pytest.raises(ArgumentError, match="are not ordered in time"):
             form()
-
-
-@pytest.mark.parametrize("family", [*TIMED, FreeSamples(7)], ids=repr)
-def test_gradient_by_coefficients(family):
-    model, rng = arm(joints="RRP"), np.random.default_rng(2)
-    trajectory, times = trajectory_of(family, model), family.times(7)
-    weights, direction = rng.normal(size=(7, 3, 30)), rng.normal(size=(family.count, 3))
-
-    def value(h):
-        moved = replace(trajectory, coefficients=trajectory.coefficients + h * direction)
-        motion = moved.motion(times)
-        return (
-            weights
-            @ model.phi.ravel()
-            * efforts_of(model.plant, motion.q, motion.v, motion.vd, model.phi)
-        ).sum()
-
-    motion = trajectory.motion(times)
-    rows = (weights @ model.phi.ravel())[:, :, None] * model.phi.ravel()
-    gradient = inverse_dynamics_regressor_gradient(model.tree, motion.q, motion.v, motion.vd, rows)
-    slope = (trajectory.coefficient_gradient(family.basis(times), gradient) * direction).sum()
-    assert slope == pytest.approx((value(1e-6) - value(-1e-6)) / 2e-6, rel=1e-6)
 
 
 def test_ros_trajectory(tmp_path):

@@ -141,10 +141,9 @@ class TestAgainstPinocchio:
         np.testing.assert_allclose(ends[0], [balanced(stance)] * 2, atol=1e-9)
         np.testing.assert_allclose(ends[1:], 0.0, atol=1e-9)
 
-    @pytest.mark.parametrize("family", [FAMILY, FreeSamples(12)], ids=repr)
-    def test_gradients(self, feet, family):
+    def test_gradients(self, feet):
         """Of legs with friction, which follow the base on two feet."""
-        stance = standing(*feet)
+        stance, family = standing(*feet), FAMILY if len(feet) > 1 else FreeSamples(12)
         effects = (
             FittedEffect(ViscousFriction("l_leg_kny"), np.array([1.0])),
             FittedEffect(CoulombFriction("r_leg_hpy"), np.array([2.0])),
@@ -281,7 +280,7 @@ class TestFeet:
 class RollingDog:
     """A quadruped on balls, with a motion of its trunk, and in MuJoCo."""
 
-    radius, rate, seconds = 0.04, 500.0, 4.0
+    radius, rate, seconds = 0.04, 250.0, 4.0
     posture = tuple(0.6 * ("pitch" in name) - 1.2 * ("knee" in name) for name in JOINTS)
 
     def __init__(self, folder):
@@ -312,21 +311,21 @@ class RollingDog:
         spec = mujoco.MjSpec.from_file(str(self.robot.path))
         spec.body("trunk").add_freejoint()
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
-        spec.option.timestep = 1.0 / (4 * self.rate)
+        spec.option.timestep = 1.0 / (8 * self.rate)
         for geom in spec.geoms:
             geom.solref, geom.solimp = [4e-3, 1.0], [0.99, 0.999, 1e-3, 0.5, 2.0]
         return spec.compile()
 
-    def lacking(self, stance):
+    def lacking(self, stance, moved):
         """Return the speed of the balls' lowest points, m/s, and efforts that no force explains.
 
         The latter is relative to the weight.
         """
         weight = 9.81 * self.robot.total_phi[:, 0].sum()
-        _, (joints, *samples), efforts = self.motion(stance)
+        _, (joints, *samples), efforts = moved
         engine = FreeRobot(self.robot.path.read_text(), joints[6:])
         motors, slip, left = [joints.index(name) for name in stance.motors], 0.0, 0.0
-        for q, v, vd, tau in list(zip(*samples, efforts, strict=True))[::10]:
+        for q, v, vd, tau in list(zip(*samples, efforts, strict=True))[::25]:
             needed = engine.efforts(q, v, vd)
             lowest = [engine.pose(foot)[0] @ BALL - [0.0, 0.0, self.radius] for foot in DOG_FEET]
             J = np.vstack(list(map(engine.jacobian_at, DOG_FEET, lowest)))
@@ -335,10 +334,10 @@ class RollingDog:
             slip, left = max(slip, np.abs(J @ v).max()), max(left, np.abs(needed).max())
         return slip, left / weight
 
-    def height_error(self, stance):
+    def height_error(self, stance, moved):
         """Return how far MuJoCo's trunk is from the motion in height, the rms, m."""
         model = self.compiled()
-        data, (motion, (joints, q, v, _), efforts) = mujoco.MjData(model), self.motion(stance)
+        data, (motion, (joints, q, v, _), efforts) = mujoco.MjData(model), moved
         pose = np.array([*stance.base_columns(motion).values()]).T
         own, order = [model.joint(name) for name in JOINTS], [joints.index(n) for n in JOINTS]
         places, dofs = [joint.qposadr[0] for joint in own], [joint.dofadr[0] for joint in own]
@@ -347,7 +346,7 @@ class RollingDog:
         heights, settling = [], round(self.rate)
         for k in [0] * settling + [*range(len(q))]:
             rates = v[k, order] if len(heights) >= settling else 0.0
-            for _ in range(4):
+            for _ in range(8):
                 push = 800.0 * (q[k, order] - data.qpos[places]) + 8.0 * (rates - data.qvel[dofs])
                 data.qfrc_applied[dofs] = efforts[k] + push
                 mujoco.mj_step(model, data)
@@ -363,9 +362,11 @@ def test_feet_that_are_balls_roll(tmp_path):
     turn = np.array([[np.cos(0.6), 0.0, np.sin(0.6)], [0, 1, 0], [-np.sin(0.6), 0.0, np.cos(0.6)]])
     lowest = np.array(BALL) - 0.04 * turn[:, 2]  # calves lean by 0.6 − 1.2 rad
     turning = dog.stance([Foot(foot, lowest[None]) for foot in DOG_FEET])
-    (slip, left), (most_slip, most_left) = dog.lacking(rolling), dog.lacking(turning)
+    both = [(stance, dog.motion(stance)) for stance in (rolling, turning)]
+    (slip, left), (most_slip, most_left) = (dog.lacking(*each) for each in both)
     assert slip < 0.3 * most_slip and left < min(0.1 * most_left, 1e-3)
-    assert dog.height_error(rolling) < min(0.3 * dog.height_error(turning), 1e-4)
+    error, most = (dog.height_error(*each) for each in both)
+    assert error < min(0.3 * most, 1e-4)
 
 
 def test_load_is_shared_by_all_motors():

@@ -92,7 +92,8 @@ def test_intervals_of_slow_logs_hold_friction_and_rotors():
 
     Delay, damping and inertia make up for one another; with a delay held, few are inside.
     """
-    row = score_servo(ServoDraw("double_pendulum", "mujoco", False, 0, 1, hobby=True))
+    draw = ServoDraw("double_pendulum", "mujoco", False, 0, 1, duration=20.0, hobby=True)
+    row = score_servo(draw)
     values = [value for value in row["values"] if value["what"] in HIDDEN]
     assert [value["what"] for value in values].count("rotor_inertia") == 2
     assert sum(value["inside"] for value in values) >= len(values) - 1
@@ -483,7 +484,7 @@ def test_an_integral_is_found_beside_a_limit_that_hides_it(feedback, tmp_path):
 
 def test_velocity_feedback_is_within_the_limit(tmp_path):
     """As in MuJoCo's position actuators."""
-    motions = alone(pendulum(tmp_path, 5.0), servo_log(limit=5.0, seconds=30.0, feedback=True))
+    motions = alone(pendulum(tmp_path, 5.0), servo_log(limit=5.0, seconds=20.0, feedback=True))
     fit = fit_servo(motions, EffortSignal("hinge", "command", 50.0), 5.0)
     assert fit.limit == 5.0
     assert fit.parameters[0] == pytest.approx(TRUTH[0], rel=0.02)
@@ -506,7 +507,7 @@ def test_a_joint_that_stands_exactly_still_has_no_servo():
 
 def test_a_servo_that_is_always_at_its_limit_is_refused(tmp_path):
     with pytest.raises(LogError, match="is saturated"):
-        open_case(pendulum(tmp_path, 2.0), [servo_log(limit=2.0)], candidates=False)
+        open_case(pendulum(tmp_path, 2.0), [servo_log(limit=2.0, seconds=6.0)], candidates=False)
 
 
 def test_an_integral_in_a_log_is_held_as_that_of_position_servo():

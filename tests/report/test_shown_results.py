@@ -62,9 +62,9 @@ def soft():
     model = load_model(MODEL)
     spring = FittedEffect(JointElasticity("elbow"), np.array([1e-3]))
     model = replace(model, effects=(*model.effects, spring))
-    motion = roll_out(model, [recorded()], horizon=0.1, most=4)
+    motion = roll_out(model, [recorded()], horizon=0.1, most=3)
     value = FittedValue("joint_elasticity", "elbow", "compliance", 1e-3, 1e-4, 1e-5)
-    return RolloutFit(model, (value,), motion, motion, (False, True) * 2, 1.0)
+    return RolloutFit(model, (value,), motion, motion, (False, True, True), 1.0)
 
 
 MAKERS = {
