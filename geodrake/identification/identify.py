@@ -193,8 +193,8 @@ def physical_prior(prior: ArrayLike, names: Sequence[str] = ()) -> Array:
         raise ArgumentError(
             f"The model's inertial parameters of {', '.join(bodies)} are not physical, so "
             "they cannot be a prior.",
-            advice="Load the model from its URDF, SDF or MJCF file, which repairs them; "
-            "evidence['nearest'] of this error has the nearest ones.",
+            advice="Use model.with_volume, or load the model from its URDF, SDF or MJCF file, "
+            "which repairs them; evidence['nearest'] of this error has the nearest ones.",
             bodies=bodies,
             nearest=nearest,
         )
