@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import sys
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from threading import RLock
 from typing import Any, TypeVar
 
@@ -102,18 +103,22 @@ def differenced(made: System) -> System:
         own = {name: vars(_Differenced)[name] for name in ("_construct", "_construct_copy")}
         return type(made.__name__, (_Differenced, LeafSystem_[AutoDiffXd]), {**own, "Clone": clone})
 
-    # For each instantiation pydrake looks through the whole call stack. That is long, and slow to
-    # look through, while modules import one another: begun there, templates take seconds.
+    def make_template() -> None:
+        del kind.__init__  # as Drake gives the class a constructor
+        scope, types = sys.modules[made.__module__], [float, AutoDiffXd]
+        template = TemplateSystem(f"{made.__name__}_", types, scope=scope)
+        template.add_instantiation((float,), kind, skip_rename=True)
+        template.add_instantiations(lambda _: other(), [(AutoDiffXd,)])
+        functools.update_wrapper(kind.__init__, init)
+
+    # For each instantiation pydrake looks through the whole call stack, which takes long in
+    # notebooks and while modules import one another. That of a new thread is short.
     @functools.wraps(init)
     def begin(system: Any, *args: Any, **options: Any) -> None:
         with _ONE_AT_A_TIME:
             if kind.__init__ is begin:
-                del kind.__init__  # as Drake gives the class a constructor
-                scope, types = sys.modules[made.__module__], [float, AutoDiffXd]
-                template = TemplateSystem(f"{made.__name__}_", types, scope=scope)
-                template.add_instantiation((float,), kind, skip_rename=True)
-                template.add_instantiations(lambda _: other(), [(AutoDiffXd,)])
-                functools.update_wrapper(kind.__init__, init)
+                with ThreadPoolExecutor(1) as thread:
+                    thread.submit(make_template).result()
         kind.__init__(system, *args, **options)
 
     kind.__init__ = begin
