@@ -251,6 +251,8 @@ class RobotCoordinates(DrivenCoordinates):
 
     def all_samples(self, q: Array, v: Array, vd: Array) -> tuple[Array, Array, Array, Array]:
         """Return `tree_samples` of `every` joint and actuator."""
+        if not self._loops:
+            return self.tree_samples(q, v, vd)
         theta, J, rate = self.every.along(q, v)
         return theta, times(J, v), times(J, vd) + times(rate, v), J
 
