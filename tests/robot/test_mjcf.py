@@ -451,6 +451,17 @@ def test_names_between_joints_are_those_of_no_body(tmp_path):
     assert len(set(model.bodies)) == len(model.bodies)
 
 
+@pytest.mark.skipif(not hasattr(mujoco.mjtBias, "mjBIAS_DCMOTOR"), reason="of MuJoCo 4")
+def test_what_is_inside_of_a_motor_is_told(tmp_path):
+    body = '<body name="b"><joint name="j"/><geom size=".1"/></body>'
+    motor = '<dcmotor name="m" joint="j" motorconst=".05" resistance=".5" {}/>'.format
+    for stated, told in (('cogging=".2 7 .3"', True), ('damping=".1"', False)):
+        text = f"<worldbody>{body}</worldbody>\n<actuator>{motor(stated)}</actuator>"
+        (tmp_path / "m.xml").write_text(f"<mujoco>{text}</mujoco>")
+        notes = " ".join(load_model(tmp_path / "m.xml").notes)
+        assert ("line 2: cogging 0.2 and friction 0 inside of the motor m" in notes) is told
+
+
 def test_a_yield_of_a_spring_is_told(tmp_path):
     tendon = '<tendon><fixed name="p" {}>' + PAIR + "</fixed></tendon>"
     of_tendon = mjcf(tip(), tail=tendon.format('stiffness="4" springyield=".1"'))

@@ -302,6 +302,18 @@ class MjcfTerms:
                 self._add({on: 1.0}, damping=_three([0.0, *more]))
             self._take_along(name, shares, has, None)
             self._leave_rest("actuator", at, has, where)
+            self._note_motor(at, name)
+
+    def _note_motor(self, at: int, name: str) -> None:
+        """Note cogging and friction inside of a motor, which MuJoCo has in the effort itself."""
+        kind = getattr(self.mujoco.mjtBias, "mjBIAS_DCMOTOR", None)  # from version 4 on
+        if kind is not None and int(self.m.actuator_biastype[at]) == int(kind):
+            cogging, friction = self.m.actuator_biasprm[at][[0, 3]].tolist()
+            if cogging or friction:
+                self.found.notes.append(
+                    f"{self._where('actuator', at)}: cogging {cogging:g} and friction "
+                    f"{friction:g} inside of the motor {name} are part of its effort."
+                )
 
     def _limit_of_motor(self, at: int, joint: int, gear: float) -> None:
         m, mujoco = self.m, self.mujoco
