@@ -158,7 +158,8 @@ def one_or_each(
     if not (array > 0.0 if strict else array >= 0.0).all():
         wanted = "above" if strict else "at least"
         raise ArgumentError(f"{name} must be {wanted} 0; it is {shown(array.tolist())}.", name=name)
-    return np.broadcast_to(array, (count,))
+    # Compiled loops are compiled once more for arrays that cannot be written, as views cannot.
+    return np.full(count, array)
 
 
 def mask(value: Any, name: str) -> NDArray[np.bool_]:

@@ -161,7 +161,7 @@ class Interval(Manifold):
 
     def _factors(self, x: Array) -> Factors:
         """Return the factors of points (..., n) that have lower bounds only."""
-        places, lower = np.arange(x.size), np.broadcast_to(self._bounds[0], x.shape).ravel()
+        places, lower = np.arange(x.size), np.broadcast_to(self._bounds[0], x.shape).flatten()
         return places[:0], np.empty(0), places, lower, np.ones(x.size)
 
     def _well_inside(self, x: Array) -> NDArray[np.bool_]:
