@@ -6,7 +6,6 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from geodrake.boundary.arguments import typed
 from geodrake.boundary.input_files import open_regular, regular_file
@@ -180,7 +179,7 @@ def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
     named = [replace(_named_table(path, reading), path=Path(path.name)) for path in paths]
     arms = {frozenset(PAIRS & plain_words(unpacked(path).stem)) for path in paths}
     if len(arms) == len(paths) and all(arms) and reading.mapping is None:
-        named = [_of_group(table) for table in named]
+        named = [table.under(f"{unpacked(table.path).stem}/") for table in named]
     bare = [
         {m.column: f"{unpacked(path).stem}.{m.quantity}" for m in told if m.is_bare}
         for path, told in zip(paths, [meanings_of(each.columns) for each in named], strict=True)
@@ -188,7 +187,7 @@ def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
     new = {name for names in bare for name in names.values()}
     told = {str(mapped.column) for _, mapped in reading.mapping or ()} or new
     if sum(map(bool, bare)) > 1 and new & told:
-        named = [_renamed(table, names) for table, names in zip(named, bare, strict=True)]
+        named = [table.renamed(names) for table, names in zip(named, bare, strict=True)]
     return joined_tables(Path("+".join(path.name for path in paths)), named, reading)
 
 
@@ -202,26 +201,10 @@ def _named_table(path: Path, reading: Reading) -> LogTable:
     if quantity == "command" and any(m.quantity in OF_JOINTS for m in meanings):
         told = (m.column for m in meanings if m.quantity == "position")
         own = {column: column.removesuffix(".position") for column in told}
-        return _renamed(
-            table, {c: f"{j}.command" if j != c else f"command_{c}" for c, j in own.items()}
+        return table.renamed(
+            {c: f"{j}.command" if j != c else f"command_{c}" for c, j in own.items()}
         )
     bare = [column for column in table.columns if not table.is_time(column)]
-    return _renamed(
-        table, {c: f"{quantity}_{c}" if c.isdecimal() else f"{c}.{quantity}" for c in bare}
+    return table.renamed(
+        {c: f"{quantity}_{c}" if c.isdecimal() else f"{c}.{quantity}" for c in bare}
     )
-
-
-def _of_group(table: LogTable) -> LogTable:
-    """Return the table of a file with the file's name before those of joints' columns."""
-    told = [m.column for m in meanings_of(table.columns) if m.quantity in OF_JOINTS]
-    return _renamed(table, {column: f"{unpacked(table.path).stem}/{column}" for column in told})
-
-
-def _renamed(table: LogTable, names: Mapping[str, str]) -> LogTable:
-    """Return the table with some columns renamed."""
-
-    def with_them(told: Mapping[str, Any]) -> dict[str, Any]:
-        return {names.get(name, name): each for name, each in told.items()}
-
-    columns, units, origins = map(with_them, (table.columns, table.units, table.origins))
-    return replace(table, columns=columns, units=units, origins=origins)

@@ -388,5 +388,4 @@ def _part(name: str, part: Any) -> LogTable:
         table = numeric_table(Path(name), arrays, rows_of(arrays))
     else:
         table = records_table(Path(name), part)
-    columns = {n if is_time(n) else f"{name}.{n}": x for n, x in table.columns.items()}
-    return replace(table, columns=columns)
+    return table.under(f"{name}.")

@@ -328,6 +328,17 @@ class LogTable:
         """Return the table with all its columns read."""
         return replace(self, columns=dict(self.columns))
 
+    def renamed(self, names: Mapping[str, str]) -> LogTable:
+        """Return the table with other names of some columns."""
+        columns = {names.get(name, name): each for name, each in self.columns.items()}
+        units = {names.get(name, name): unit for name, unit in self.units.items()}
+        origins = {names.get(name, name): origin for name, origin in self.origins.items()}
+        return replace(self, columns=columns, units=units, origins=origins)
+
+    def under(self, head: str) -> LogTable:
+        """Return the table with a text before the names of columns other than time."""
+        return self.renamed({n: f"{head}{n}" for n in self.columns if not self.is_time(n)})
+
     def noting(self, *notes: str) -> LogTable:
         """Return the table with further notes, first."""
         noted = copy(self)

@@ -474,7 +474,7 @@ class TextTable(LogTable):
                 rows = self._cells(_lines(block), [*places.values()], kinds, (row, line), torn)
                 table = [*np.array(rows, float).reshape(-1, len(places)).T.copy()]
             for values, column in zip(found.values(), table, strict=True):
-                values.frombytes(column.view(np.uint8))
+                values.frombytes(column.view(np.uint8).data)
             row += len(table[0])
             check_room(self.path, row * len(places), f"{row} rows of {len(places)} numbers")
         return {name: np.frombuffer(values) for name, values in found.items()}, torn

@@ -203,7 +203,7 @@ def topics_table(
     made += [(each, each.tables()) for each in base]
     clock = next(filter(None, (messages.clock for messages, _ in made)), None)
     if _are_alike([tables for _, tables in made]):
-        made = [(messages, [_of_topic(t, messages.topic) for t in own]) for messages, own in made]
+        made = [(messages, [t.under(f"{messages.topic}/") for t in own]) for messages, own in made]
     tables = list[LogTable]()
     for messages, own in made:
         said += messages.clock_notes
@@ -218,12 +218,6 @@ def _are_alike(parts: Sequence[Sequence[LogTable]]) -> bool:
     """Return whether parts have all of their columns in common, as those of two arms."""
     names = [{n for table in tables for n in table.columns} - {"time"} for tables in parts]
     return len(names) > 1 and all(each and each == names[0] for each in names)
-
-
-def _of_topic(table: LogTable, topic: str) -> LogTable:
-    """Return a table with the topic's name before those of columns."""
-    named = {n if n == "time" else f"{topic}/{n}": x for n, x in table.columns.items()}
-    return replace(table, columns=named)
 
 
 def _part_tables(topic: JointMessages, *, part: bool) -> list[LogTable]:
