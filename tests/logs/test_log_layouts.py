@@ -653,6 +653,45 @@ def test_hands_and_grippers_are_no_joints_of_an_arm(tmp_path):
     check(read_log(path, joints=PANDA), PANDA, q, v, tau)
 
 
+@pytest.mark.parametrize("beside", ["finger_{}_pos", "cube_pos_{}", "hand_joint_pos[{}]"])
+@pytest.mark.parametrize("form", ["q[{}]", "joint_position_{}", "robot/{}/position"])
+def test_what_is_counted_beside_joints_is_something_else(tmp_path, form, beside):
+    time, q, _, tau = motion(IIWA)
+    columns = {beside.format(k): q[:, -1] for k in range(1, 5)}
+    columns |= {form.format(joint): x for joint, x in zip(IIWA, q.T, strict=True)}
+    columns |= {f"tau_{k}": x for k, x in enumerate(tau.T)}
+    path = tmp_path / "log.csv"
+    pandas.DataFrame({"time": time, **columns}).to_csv(path, index=False)
+    check(read_log(path, joints=IIWA), IIWA, q, None, tau)
+
+
+@pytest.mark.parametrize("other", ["target_pos_{}", "motor_pos_{}"])
+def test_a_joint_that_nobody_measured_is_not_taken_from_its_target(tmp_path, other):
+    time, q, _, tau = motion(IIWA)
+    columns = {f"{joint}.angle": x for joint, x in zip(IIWA[:-1], q.T, strict=False)}
+    columns |= {f"{joint}.torque": x for joint, x in zip(IIWA[:-1], tau.T, strict=False)}
+    columns |= {other.format(k): x + 1.0 for k, x in enumerate(q.T, 1)}
+    path = tmp_path / "log.csv"
+    pandas.DataFrame({"time": time, **columns}).to_csv(path, index=False)
+    with pytest.raises(LogError, match=IIWA[-1]):
+        read_log(path, joints=IIWA)
+    log = read_log(path, joints=IIWA, partial=True)
+    check(log, IIWA[:-1], q[:, :-1], None, tau[:, :-1])
+
+
+def test_objects_of_cia_402_are_no_joints(tmp_path):
+    time, q, v, tau = motion(("hip", "knee"))
+    told = {
+        "position_actual_value_6064": q,
+        "velocity (0x606C)": v,
+        "torque_actual_value_6077": tau,
+    }
+    columns = {f"axis{k}_{name}": x[:, k] for name, x in told.items() for k in range(2)}
+    path = tmp_path / "log.csv"
+    pandas.DataFrame({"time": time, **columns}).to_csv(path, index=False)
+    check(read_log(path, joints=("hip", "knee")), ("hip", "knee"), q, v, tau)
+
+
 def test_units_in_the_second_of_two_lines_of_names(tmp_path):
     time, q, v, tau = motion(("axis_1", "axis_2"))
     above = ["Time", *(f"Axis {k}" for k in (1, 2) for _ in range(3))]

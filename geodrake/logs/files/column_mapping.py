@@ -137,7 +137,7 @@ Best = dict[tuple[str, str], list[Meaning]]
 
 _MOST_CLOCKS, _EVEN = 50, 0.9  # columns that are looked at, and share of steps that are even
 _CLOCKS = frozenset(("time", "timestamp", "stamp", "ts", "clock", "duration", "uptime", "elapsed"))
-_KEPT = {"m": 1, "filtered": 1, "filt": 1, "smoothed": 1, "raw": 2}
+_KEPT = {"m": 1, "motor": 1, "filtered": 1, "filt": 1, "smoothed": 1, "raw": 2}
 _STEADY = 0.2  # of its mean, by which the voltage of a supply may vary
 
 
@@ -147,12 +147,14 @@ def candidates(
     """Return the candidate columns for each quantity of each joint, best first.
 
     A joint with efforts of any kind has no command, unless one is called as geodrake itself does.
+    Numbered columns of what joints should do, or of motors, do not complete what was measured at
+    other joints.
     Returned are the columns by (joint, quantity), and further ones by joint that could stand for
     efforts.
     """
     best: Best = defaultdict(list)
-    for meaning in meanings:
-        if meaning.column in found and meaning.column not in reading.ignored:
+    for meaning in _of_these_joints(meanings, found, reading.joints):
+        if meaning.column not in reading.ignored:
             best[found[meaning.column], meaning.log_quantity].append(meaning)
     others = {}
     for joint in dict.fromkeys(joint for joint, _ in best):
@@ -162,7 +164,7 @@ def candidates(
         wanted = wanted if len(wanted) < len(positions) else []  # beside measured ones
         commands = [*best.pop((joint, "command"), ()), *wanted]
         efforts = best.get((joint, "effort"), [])
-        efforts.sort(key=lambda meaning: _preference(meaning, said))
+        efforts.sort(key=lambda meaning: _preference(meaning, joint, said))
         others[joint] = (*(m.column for m in efforts[1:]), *(m.column for m in commands))
         if commands and said == "command":
             best.pop((joint, "effort"), None)
@@ -173,22 +175,63 @@ def candidates(
         if kept:
             best[joint, "position"] = kept
     for same in best.values():
-        same.sort(key=lambda meaning: _preference(meaning, reading.kind_of(found[meaning.column])))
-    return {key: same for key, same in best.items() if same}, others
+        joint = found[same[0].column] if same else ""
+        same.sort(key=lambda meaning: _preference(meaning, joint, reading.kind_of(joint)))
+    best = {key: same for key, same in best.items() if same}
+    limits = dict.fromkeys(("position", "velocity", "acceleration"), MOTOR)
+    doubtful = {key for key, (m, *_) in best.items() if m.role >= limits.get(key[1], DESIRED)}
+    few = Counter(q for _, q in doubtful)
+    several = Counter(q for _, q in best)
+    asked = {
+        (j, q) for j, q in doubtful if 2 * few[q] < several[q] and best[j, q][0].number is not None
+    }
+    return {key: same for key, same in best.items() if key not in asked}, others
+
+
+def _of_these_joints(
+    meanings: Sequence[Meaning], found: Mapping[str, str], known: Sequence[str]
+) -> Iterator[Meaning]:
+    """Yield columns of joints without those that count something else, such as fingers of a hand.
+
+    These have a word that names of the joints lack, and are fewer than the joints; `known` are
+    those of the model.
+    """
+    own = [meaning for meaning in meanings if meaning.column in found]
+    words = {meaning.column: _other_words(meaning, found[meaning.column]) for meaning in own}
+    joints: dict[tuple[str, frozenset[str]], set[str]] = defaultdict(set)
+    for meaning in own:
+        if found[meaning.column] in known or not known:
+            joints[meaning.log_quantity, words[meaning.column]].add(found[meaning.column])
+    counts = {key: len(those) for key, those in joints.items()}
+    most = max((n for (quantity, _), n in counts.items() if quantity == "position"), default=0)
+    for meaning in own:
+        more, joint = words[meaning.column], found[meaning.column]
+        is_few = (
+            counts.get((meaning.log_quantity, more), 0) < most != counts.get(("position", more))
+        )
+        if not (more and is_few) or {*map(str, meaning.words)} & plain_words(joint):
+            yield meaning
+
+
+def _other_words(meaning: Meaning, joint: str) -> frozenset[str]:
+    """Return the words of a column that say something else than its joint's name."""
+    words = {word for word in (*meaning.group, *meaning.words) if isinstance(word, str)}
+    return frozenset(words) - plain_words(joint)
 
 
 def _is_own(meaning: Meaning) -> bool:
     return meaning.style[0] == "own"
 
 
-def _preference(meaning: Meaning, said: str | None) -> tuple[bool | int, ...]:
+def _preference(meaning: Meaning, joint: str, said: str | None) -> tuple[bool | int, ...]:
     """Return the sort key of several columns of one quantity of a joint, best first.
 
     What was filtered hides its noise, what is raw is often in counts, and m may be of the motor;
     what else names have more than others is of something else.
     """
     kept = max((_KEPT[word] for word in plain_words(meaning.column) if word in _KEPT), default=0)
-    own, rest = not _is_own(meaning), (meaning.role, kept, len(plain_words(meaning.column)))
+    more = len(_other_words(meaning, joint)), len(plain_words(meaning.column))
+    own, rest = not _is_own(meaning), (meaning.role, kept, *more)
     if meaning.log_quantity != "effort":
         return own, *rest
     other = said is not None and said != meaning.quantity

@@ -79,6 +79,7 @@ _MEANT = {  # by MuJoCo, of motors at joints and of others; and by ODrive, what 
 _INCREMENTAL = ("inc", "cnt", "qc")  # a kind of encoder, where they stand in no brackets
 _OBSERVED = ("observation.state", "observation.position")  # of LeRobot
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
+_OBJECT = re.compile(r"[\s_(\[]+(?:0x)?60[\dA-Fa-f]{2}(?![A-Za-z\d])[)\]]?")  # of CiA 402's
 _TORQUE_J = re.compile(r"(?<![A-Za-z])tau_J(?![A-Za-z0-9])")  # of Franka, where J is no joint
 _AXIS = re.compile(r"(?i)(?<![a-z])axis(?=_(?:act|soll|ist|set|cmd)(?![a-z]))")  # of KUKA
 _GROUP = re.compile(r"(?<=.)[/.](?![^(\[]*[)\]])")  # behind a name that stands in no brackets
@@ -390,7 +391,7 @@ def _time(name: str) -> Meaning | None:
 
 def _joint(column: str) -> Meaning | None:
     """Parse a name of a joint's quantity, with words in any order."""
-    name = _TYPED.sub("", _SECOND.sub("qdd", column))
+    name = _TYPED.sub("", _SECOND.sub("qdd", _OBJECT.sub("", column)))
     name = _FIRST_SENSOR.sub("", _AXIS.sub("position", name))
     name = _TORQUE_J.sub("tau", _INDEX.sub(r"_\1", name).replace(*_OBSERVED))
     for other, meant in _MEANT.items():
