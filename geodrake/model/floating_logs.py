@@ -294,6 +294,11 @@ _LOWEST = 5.0  # per cent of the lowest heights, which are taken for the ground'
 _DOUBT = 0.01  # probability of a contact, or of none, from which it counts
 _ODD = 0.01  # of contact flags, that most of those around them contradict
 _UNLIKE = 0.2  # of the weight, by which forces at feet may differ from it
+_NOTHING, _HALF = 0.02, 0.5  # of the weight that feet carry, and of the samples in which they touch
+_HELD = (
+    "For a robot that is fixed to the world or held omit --floating; otherwise log contacts or "
+    "forces of all that touches."
+)
 _FEW = 5000  # samples whose forces are compared with the weight
 _RIGHT = np.radians(3.0)  # by which a rotation by right angles may be off
 
@@ -393,7 +398,7 @@ def with_ground(log: JointLog, model: RobotModel) -> JointLog:
     loaded, flagged = frames_of(log.floating, FORCE), frames_of(log.floating, FLAG)
     whole = set(model.joints) <= set(log.joints)
     if loaded and whole:
-        ground = _efforts_of_wrenches(log, model, loaded)
+        ground, doubts = _efforts_of_wrenches(log, model, loaded)
         base = np.isin(log.joints, model.base_joints)
         words = (
             f"wrenches at {', '.join(loaded)} are included in the efforts of the base and "
@@ -403,7 +408,7 @@ def with_ground(log: JointLog, model: RobotModel) -> JointLog:
             log,
             effort=log.effort + ground,
             ground=np.where(base, 0.0, ground),  # of the base it is all that is measured
-            notes=(*log.notes, words),
+            notes=(*log.notes, *doubts, words),
         )
     if set(model.joints) <= {*log.unmeasured, *model.base_joints}:
         raise LogError(
@@ -418,10 +423,12 @@ def with_ground(log: JointLog, model: RobotModel) -> JointLog:
     if flagged:
         columns = [log.floating[f"{name}{FLAG}"] for name in names]
         logged = np.nan_to_num(np.stack(columns, -1), nan=1.0) > 0.5
+        doubts = _check_held(log, logged.astype(float))
         wrong = dict(zip(names, odd_flags(log.time, logged).tolist(), strict=True))
         said = [f"{x:.0%} of those of {name}" for name, x in wrong.items() if x > _ODD]
         if said:
             doubts = (
+                *doubts,
                 f"contact flags are wrong for single samples: {', '.join(said)}; near each of "
                 "them the frame counts as touching",
             )
@@ -482,13 +489,25 @@ def _found(
     shares = (probability > 0.5).mean(axis=0).tolist()
     told = [f"{f.name} in {x:.0%}" for f, x in zip(frames, shares, strict=True) if x > _DOUBT]
     return found, (
+        *_check_held(log, probability[known]),
         f"contacts by heights, speeds and efforts: {', '.join(told) or 'none'} of the samples; in "
         f"{doubtful.any(axis=1).mean():.0%} of them one is in doubt, and its limb left out",
     )
 
 
-def _efforts_of_wrenches(log: JointLog, model: RobotModel, names: Sequence[str]) -> Array:
-    """Return Σ Jᵀ w (N, n) of wrenches at links, in the log's order; NaN if unknown."""
+def _check_held(log: JointLog, probability: Array) -> tuple[str, ...]:
+    """Return a note if frames (N, c) hardly ever touch; raise if next to nothing ever does."""
+    share = float((1.0 - probability).prod(axis=1).mean())
+    words = f"nothing touches the ground in {share:.0%} of the samples"
+    if share > 1.0 - _NOTHING:
+        raise LogError(f"In log {log.name!r} {words}, but a robot in the air falls.", advice=_HELD)
+    return (words,) if share > _HALF else ()
+
+
+def _efforts_of_wrenches(
+    log: JointLog, model: RobotModel, names: Sequence[str]
+) -> tuple[Array, tuple[str, ...]]:
+    """Return Σ Jᵀ w (N, n) of wrenches at links, in the log's order, NaN if unknown, and notes."""
     known, bodies = _bodies(log, model)
     efforts = np.full((len(log), len(model.joints)), np.nan)
     efforts[known] = 0.0
@@ -510,13 +529,13 @@ def _efforts_of_wrenches(log: JointLog, model: RobotModel, names: Sequence[str])
         turns.append(R_WL[few])
         J = np.concatenate([motion.jacobian_at(frame.origin), motion.angular], axis=1)
         efforts[known] += np.einsum("nij,ni->nj", J, in_world.reshape(-1, 6))
-    _check_axes(np.stack(forces, 1), np.stack(turns, 1), model, log.name)
+    doubts = _check_axes(np.stack(forces, 1), np.stack(turns, 1), model, log.name)
     found = np.zeros(log.effort.shape)
     found[:, [log.joints.index(joint) for joint in model.joints]] = efforts
-    return found
+    return found, doubts
 
 
-def _check_axes(forces: Array, turns: Array, model: RobotModel, name: str) -> None:
+def _check_axes(forces: Array, turns: Array, model: RobotModel, name: str) -> tuple[str, ...]:
     """Raise for forces that carry the robot if they are read otherwise, but not in axes of links.
 
     Other ways are the world's axes, forces of the robot on the ground, and axes of links that are
@@ -531,7 +550,7 @@ def _check_axes(forces: Array, turns: Array, model: RobotModel, name: str) -> No
     weight = -model.total_phi[:, 0].sum() * model.tree.gravity
     size = float(np.linalg.norm(weight))
     if not len(forces) or not size:
-        return
+        return ()
     rows = np.einsum("sfij,sfl->sijl", turns, forces).reshape(-1, 9) / size
     wanted = np.tile(weight / size, len(forces))
     R, factor = np.linalg.qr(np.column_stack([rows, wanted]), mode="r"), np.sqrt(len(forces))
@@ -571,6 +590,11 @@ def _check_axes(forces: Array, turns: Array, model: RobotModel, name: str) -> No
             advice="Write forces of the ground on the robot, in the axes of the link after which "
             "they are named.",
         )
+    carried = float(in_links.mean(axis=0) @ weight) / size**2
+    words = f"forces at the feet carry {round(100.0 * carried)}% of the weight on average"
+    if abs(carried) < _NOTHING:
+        raise LogError(f"In log {name!r} {words}, but a robot in the air falls.", advice=_HELD)
+    return (words,) if abs(carried - 1.0) > _HALF else ()
 
 
 def _last_links(model: RobotModel) -> tuple[str, ...]:

@@ -649,6 +649,34 @@ def test_forces_in_other_axes_are_refused(model, maker):
     with_base(log, model)
 
 
+def test_robots_that_are_held_are_refused(model):
+    """Their base rests, and no foot carries it: by flags, by forces, and by nothing logged."""
+    held = Maker()
+    for motion in (held.place, held.angles):
+        motion[:] = motion[:1] * [[[1.0]], [[0.0]], [[0.0]]]
+        motion[0] = motion[0, 0]
+    held.forces[:] = 0.0
+    dog = FreeRobot(quadruped(), JOINTS)
+    motion = np.concatenate([held.place, held.angles, held.joints], axis=2)
+    held.effort = np.array([dog.efforts(*motion[:, k])[6:] for k in range(len(held.time))])
+    held.R = Rotation.from_euler("ZYX", held.angles[0])
+    held.gyro, held.imu = (
+        0.0 * held.gyro,
+        held.R.inv().apply(np.tile([0, 0, 9.81], (len(held.R), 1))),
+    )
+    nothing = {f"{foot}.contact": np.zeros(len(held.time)) for foot in FEET}
+    bare = held.log(wrenches=False, noise=1.0)
+    columns = {n: x for n, x in bare.floating.items() if not n.endswith(".contact")}
+    unlogged = replace(bare, floating=columns)
+    for log, words in (
+        (held.log(wrenches=True, noise=1.0), "carry 0% of the weight"),
+        (held.log(wrenches=False, noise=1.0, **nothing), "nothing touches the ground in 100%"),
+        (unlogged, "nothing touches the ground in 100%"),
+    ):
+        with pytest.raises(LogError, match=f"{words}.*, but a robot in the air falls.*omit --fl"):
+            with_base(log, model)
+
+
 @pytest.mark.parametrize("wrenches", [True, False])
 def test_robots_on_their_feet_are_simulated(model, maker, wrenches):
     """By forces that were measured, or those that the motion needs, which bodies must fit to."""
