@@ -132,19 +132,6 @@ def test_design_names_every_package_in_this_order():
     assert rows[::-1] == [name for name in LAYERS if not name.startswith("__")]
 
 
-def test_wrong_imports_are_noticed():
-    tree = ast.parse("def late():\n    from geodrake.identification.logs.compare import compare\n")
-    assert list(wrong_imports("geodrake.model.robot_model", tree)) == [
-        "line 2 imports geodrake.identification.logs.compare, which is a higher layer"
-    ]
-    assert not list(wrong_imports("geodrake.diagnosis.explain", tree))
-    assert list(wrong_imports("geodrake.cli.app", ast.parse("import geodrake.nothing")))
-    assert list(
-        wrong_imports("geodrake.model.robot_model", ast.parse("from geodrake import load_model"))
-    )
-    assert list(wrong_imports("geodrake.model.robot_model", ast.parse("from . import saved_model")))
-
-
 def test_no_import_cycles():
     graph = {
         module_name(path): {target for target, _ in imported(parsed(path))} - {module_name(path)}

@@ -104,8 +104,3 @@ def test_every_file_is_read_through_the_door():
         if (calls := openers(path.read_text(encoding="utf-8")))
     }
     assert found == DOOR | CHECKED | HELD | OWN
-
-
-def test_other_openers_are_noticed():
-    source = "path.read_text(); np.load(p); open(p); h5py.File(p); pd.read_csv(p); json.load(f)"
-    assert openers(source) == {"read_text", "load", "open", "File", "read_csv"}

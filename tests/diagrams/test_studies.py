@@ -23,7 +23,6 @@ from diagrams.benchmarks.simulated.engines import (
 from diagrams.benchmarks.simulated.motions import FAST
 from diagrams.benchmarks.simulated.truths import OUTSIDE, TRUTHS
 from diagrams.benchmarks.tell_apart import CASES, MOTIONS
-from diagrams.studies import ambidex_arm as draws
 from diagrams.studies import atlas_identification as atlas
 from diagrams.studies import cheetah_gallop as gallop
 from diagrams.studies import scara_excitation as scara
@@ -40,11 +39,6 @@ from geodrake.robot.regressor import body_poses
 @pytest.fixture(scope="module")
 def arm():
     return robot.Arm.load()
-
-
-@pytest.fixture(scope="module")
-def measured(arm):
-    return robot.measure(arm, seed=4, hull=draws.HULL)
 
 
 class TestArm:
@@ -74,16 +68,6 @@ def _no_forces(plant):
     from pydrake.multibody.tree import MultibodyForces
 
     return MultibodyForces(plant)
-
-
-class TestMeasurements:
-    def test_truth_explains_all_but_uneven_friction_and_noise(self, measured):
-        friction = np.concatenate([robot.COULOMB, robot.VISCOUS])
-        explained = measured.bodies @ measured.truth.ravel() + measured.friction @ friction
-        rest = (measured.torque - explained).std(0)
-        expected = np.hypot(robot.TORQUE_NOISE, robot.UNEVEN * robot.COULOMB)
-        np.testing.assert_allclose(rest, expected, rtol=0.15)
-        assert (rest[:2] < 0.2 * measured.torque.std(0)[:2]).all()
 
 
 MODELS = Path(__file__).parents[2] / "models"
@@ -232,24 +216,6 @@ def test_congruent_bodies_are_physical_and_as_far_as_asked():
 
 
 class TestLogs:
-    @pytest.mark.parametrize(
-        ("names", "together"),
-        [
-            (("joint_spring", "effort_offset"), False),
-            (("asymmetric_friction", "coulomb_friction"), False),
-            (("viscous_friction", "asymmetric_friction"), False),
-            (("joint_spring", "viscous_friction"), True),
-        ],
-    )
-    def test_what_no_log_can_tell_apart_is_not_at_one_joint(self, names, together):
-        places = []
-        for number in range(8):
-            small = {**PLAIN, "robot": "double_pendulum", "duration": 4.0, "shares": (0.1, 0.1)}
-            draw = logs.draw("two", names, number, 0, **small)
-            made = logs.make_recording(draw, robot_model("double_pendulum").bodies)
-            places.append([secret.where for secret in made.secrets])
-        assert any(first == second for first, second in places) == together
-
     @pytest.mark.parametrize("name", [*TRUTHS, *OUTSIDE])
     def test_effects_have_the_size_that_was_asked_for(self, name):
         draw = logs.draw("one", (name,), 0, 0, **{**PLAIN, "duration": 5.0, "shares": (0.04,)})
