@@ -398,7 +398,7 @@ def with_ground(log: JointLog, model: RobotModel) -> JointLog:
     loaded, flagged = frames_of(log.floating, FORCE), frames_of(log.floating, FLAG)
     whole = set(model.joints) <= set(log.joints)
     if loaded and whole:
-        ground, doubts = _efforts_of_wrenches(log, model, loaded)
+        ground, told_of_forces = _efforts_of_wrenches(log, model, loaded)
         base = np.isin(log.joints, model.base_joints)
         words = (
             f"wrenches at {', '.join(loaded)} are included in the efforts of the base and "
@@ -408,7 +408,7 @@ def with_ground(log: JointLog, model: RobotModel) -> JointLog:
             log,
             effort=log.effort + ground,
             ground=np.where(base, 0.0, ground),  # of the base it is all that is measured
-            notes=(*log.notes, *doubts, words),
+            notes=(*log.notes, *told_of_forces, words),
         )
     if set(model.joints) <= {*log.unmeasured, *model.base_joints}:
         raise LogError(
@@ -539,7 +539,8 @@ def _check_axes(forces: Array, turns: Array, model: RobotModel, name: str) -> tu
     """Raise for forces that carry the robot if they are read otherwise, but not in axes of links.
 
     Other ways are the world's axes, forces of the robot on the ground, and axes of links that are
-    rotated by one rotation.
+    rotated by one rotation. Forces that carry nothing are refused, too, and those that carry much
+    less or more than the robot are told in a note.
 
     Args:
         forces: (S, F, 3) forces at F links in some samples.

@@ -128,7 +128,8 @@ def _on_ground(model: RobotModel, trajectory: Trajectory, passage: Passage) -> P
     scales = row_scales(model, trajectory)
     J = (J * flags[:, :, None, None]).reshape(len(J), -1, len(scales)) / scales
     left = (model.effort(passage.motion(model)) - segment.effort) / scales
-    forces = times(np.linalg.pinv(np.swapaxes(J, 1, 2), rcond=_INDEPENDENT), left)
+    inverse = np.asarray(np.linalg.pinv(np.swapaxes(J, 1, 2), rcond=_INDEPENDENT), float)
+    forces = times(inverse, left)
     ground = scales * times(np.swapaxes(J, 1, 2), forces)
     return replace(passage, segment=replace(segment, effort=segment.effort + ground))
 
