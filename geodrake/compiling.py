@@ -115,7 +115,8 @@ def while_compiling(begins: Callable[[], None], ends: Callable[[], None]) -> Ite
 
 def _compiled(function: F, **options: Any) -> F:
     # (Divisions by zero are infinite, as in NumPy. Nothing calls it from C.)
-    dispatcher: Any = njit(error_model="numpy", no_cfunc_wrapper=True, **options)(function)
+    settings: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True, **options}
+    dispatcher: Any = njit(**settings)(function)
     names = [function.__globals__.get(name) for name in sorted(_names(function.__code__))]
     called = [_SOURCES[x.py_func] for x in names if isinstance(x, type(dispatcher))]
     constants = [x for x in names if isinstance(x, int | float | str | tuple | np.dtype)]
