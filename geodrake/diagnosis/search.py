@@ -154,15 +154,21 @@ class Search:
         other._climb(hopeful=False)
         other._keep_bodies_near()
         fewer = np.minimum(self.model.shares(self.fit), other.model.shares(other.fit))
-        is_better = other._held_out_score(fewer) > self._held_out_score(fewer)
-        return other if is_better else self
+        if other._evidence(fewer) <= self._evidence(fewer):
+            return self
+        return other if other._held_out_score(fewer) > self._held_out_score(fewer) else self
+
+    def _evidence(self, shares: Array) -> float:
+        """Return the evidence of the explanation, where rows are worth some samples (nv,)."""
+        return self.model.unbounded(self.fit.choice, shares, self.fit.noise).score
 
     def _held_out_score(self, shares: Array) -> float:
         """Return twice the logarithm of how probable held-out efforts and what was found are.
 
         `shares` (nv,) are independent samples over rows, the same for all that is compared. Unlike
-        in the evidence, errors where joints reverse count in full. A term that stands in for an
-        inertia gains nothing by having no noise of accelerations.
+        in the evidence, errors where joints reverse count in full, and a term that stands in for an
+        inertia gains nothing by having no noise of accelerations. But what a fold leaves unknown
+        counts as an error here.
         """
         errors = np.maximum(self.model.held_out(self.fit, reversing=False).mse, self.model.floor)
         samples = shares * self.model.rows

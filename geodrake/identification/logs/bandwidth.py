@@ -42,6 +42,7 @@ _STILL = 0.01  # of the peak speed
 _IN_MOTION = 4.0  # deviations of its noise that the peak speed of a joint in motion has at least
 _MOST_SHAKING = 0.1  # over the deviation of the acceleration itself
 _STEP, _TRIES = 1.2, 4  # factor between bandwidths that are tried, and so many higher ones
+_MOST_VAIN = 3  # lower ones that are tried without gain: noise is not known to the last per cent
 _TINY = np.finfo(float).tiny
 _LARGEST_RATIO = 700.0  # logarithm of a ratio that is a number still
 
@@ -114,7 +115,8 @@ def _with_less_noise(
     lower = chosen = _lowest(trajectories)
     if is_coherent and not noise.is_biasing:
         return None
-    while noise.is_costly and noise.fewest > _STEP * _FEWEST_MOVING:
+    vain = 0  # tries since the best one
+    while noise.is_costly and noise.fewest > _STEP * _FEWEST_MOVING and vain < _MOST_VAIN:
         lower /= _STEP
         try:
             tried = prepare_logs(uniform, bandwidth=lower, how="chosen from the data")
@@ -122,7 +124,9 @@ def _with_less_noise(
             break
         noise = _acceleration_noise(model, tried)
         if noise.is_better_than(best):
-            found, best = tried, noise
+            found, best, vain = tried, noise, 0
+        else:
+            vain += 1
     suits = _lowest(found)
     if suits == chosen:
         return None
