@@ -362,7 +362,7 @@ def log_identifiability(
         blocks: Blocks into which every log is cut for validation.
     """
     function(progress, "progress")
-    wanted = with_effects(model, effects)
+    wanted = with_effects(instance(model, "model", RobotModel).with_volume, effects)
     case = open_case(wanted, logs, candidates=False, bandwidth=bandwidth, blocks=blocks)
     progress("Fitting, for noise and sizes of effects")
     fitted, left = _fitted(case)

@@ -211,9 +211,8 @@ class Stance(Short):
         needed = self.model.effort(motion, sign_width=sign_width)
         if not len(self.following):
             return np.asarray(needed[:, self._order])
-        return self._shared(self._ratios(self.model.coordinates.every.jacobian(motion.q)), needed)[
-            0
-        ]
+        G = self._ratios(self.model.coordinates.every.jacobian(motion.q))
+        return self._shared(G, needed)[0]
 
     @property
     def _order(self) -> NDArray[np.intp]:

@@ -323,7 +323,7 @@ def model_of_digests(model: RobotModel, settings: DigestSettings) -> RobotModel:
             f"{settings.model[:12]}.",
             advice="Use their model, or digest the logs into a new folder.",
         )
-    return holding(model, settings.held) if settings.held else model
+    return (holding(model, settings.held) if settings.held else model).with_volume
 
 
 def digest_dataset(

@@ -80,7 +80,7 @@ class RobotModel(Short):
         repairs: Sentences on what of the file is not used as it stands: inertias that no body can
             have, and what is left out.
         left_out: Sentences on what of the file bears on efforts, and is no part of the model.
-        thin: Bodies of the file without volume, such as point masses, with what fits start from.
+        thin: Bodies of the file without volume, such as point masses, with what fits have instead.
     """
 
     plant: MultibodyPlant
@@ -243,7 +243,7 @@ class RobotModel(Short):
 
     @cached_property
     def with_volume(self) -> RobotModel:
-        """The model where fits start: thin bodies have some volume; itself if there are none."""
+        """The model that fits start from: thin bodies have volume; itself if there are none."""
         phi = self.phi.copy()
         for repair in self.thin:
             at = self.bodies.index(repair.body)

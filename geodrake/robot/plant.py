@@ -78,9 +78,7 @@ class LoadedPlant:
     plant: MultibodyPlant  # finalized, continuous in time, without damping, friction and rotors
     path: Path
     repairs: tuple[Repair, ...]  # bodies whose inertia no body can have, with what they got instead
-    thin: tuple[
-        Repair, ...
-    ]  # bodies without volume, which the plant has, with what fits start from
+    thin: tuple[Repair, ...]  # bodies without volume, which stay, with what fits have instead
     changes: tuple[str, ...]  # sentences on inertias that are not those of the file, repairs first
     notes: tuple[str, ...]  # sentences on what else of the file was read in a way worth knowing
     terms: FileTerms  # what the file states beside rigid bodies, which the plant does not have

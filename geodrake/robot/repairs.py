@@ -38,7 +38,7 @@ MASS_PER_TOTAL = 1e-3  # mass of all bodies without one, as a share of the robot
 
 @dataclass(frozen=True)
 class Repair:
-    """A body of a model file whose inertia was replaced, or is where fits begin."""
+    """A body of a model file whose inertia was replaced, or is by fits."""
 
     body: str
     problem: str  # what is wrong with the inertia of the file, to be read after the name
@@ -49,7 +49,7 @@ class Repair:
     def __str__(self) -> str:
         mass, _, inertia = to_mass_com_inertia(self.after)
         moments = ", ".join(f"{x:.3g}" for x in np.linalg.eigvalsh(inertia))
-        how = "what fits start from is" if self.is_thin else "it is set to"
+        how = "fits, designs, controllers and exports use" if self.is_thin else "it is set to"
         return (
             f"{self.body} {self.problem}; {how} {mass:.3g} kg with principal moments "
             f"{moments} kg·m² about its centre of mass."

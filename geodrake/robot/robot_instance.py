@@ -234,10 +234,8 @@ class RobotInstance:
 
         Drake does not let them be removed.
         """
-        names, count = (
-            {j.index(): self._name(j) for j in self._moving},
-            self.plant.num_force_elements(),
-        )
+        names = {joint.index(): self._name(joint) for joint in self._moving}
+        count = self.plant.num_force_elements()
         found = list[tuple[str, float, float]]()
         for spring in map(self.plant.get_force_element, map(ForceElementIndex, range(count))):
             match spring:

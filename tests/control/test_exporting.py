@@ -306,7 +306,7 @@ def test_point_masses_get_a_volume_for_mujoco(tmp_path):
     proven = export_to("mjcf", load_model(tmp_path / "bob.urdf"), tmp_path / "out")
     (body,) = load_model(tmp_path / "out" / "bob.xml").phi
     np.testing.assert_allclose(body[:4], [2.0, 0.0, 0.0, -2.0], atol=1e-9)
-    assert any("fits start from is 2 kg" in note for note in proven.notes)
+    assert any("exports use 2 kg" in note for note in proven.notes)
 
 
 def followed_in_mujoco(path, model, moved):

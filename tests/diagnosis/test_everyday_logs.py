@@ -6,21 +6,22 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from pendulum_logs import JOINTS, PENDULUM, body_effort, pendulum_log
+from pendulum_logs import JOINTS, PENDULUM, body_effort, pendulum_log, sines
 from pinocchio_logs import MODELS, effort_log, robot
 from scipy.integrate import cumulative_trapezoid
 from scipy.special import erf
 
 from geodrake import load_model, save_model
 from geodrake.control import ControlModel
-from geodrake.diagnosis import add, compare, explain
+from geodrake.diagnosis import add, check_columns, compare, explain
 from geodrake.diagnosis.moves import neighbours
 from geodrake.diagnosis.refinements import common_delay
 from geodrake.diagnosis.search import Search, searched
 from geodrake.effects import CoulombFriction, FittedEffect
+from geodrake.fleet import digest_logs
 from geodrake.identification.logs.bandwidth import prepare_for_model
 from geodrake.identification.logs.case import open_case
-from geodrake.logs import JointLog, Motion
+from geodrake.logs import JointLog, Motion, write_log
 
 pytest.importorskip("pinocchio")
 
@@ -112,6 +113,49 @@ def test_heavy_rotors_behind_noise_of_accelerations_are_found_at_a_lower_bandwid
     }
     (rotors,) = (s.parameters for s in found.steps if s.effect == "rotor_inertia")
     assert rotors["shoulder"]["inertia"] == pytest.approx(20.0, rel=0.02)
+
+
+def test_smooth_efforts_behind_noisy_positions_are_prepared():
+    """Accelerations have noise, efforts have none: of a light robot, and of a heavy one."""
+    time, moved = sines()
+    measured = moved.q + 3e-3 * np.random.default_rng(0).normal(size=moved.q.shape)
+    effort = body_effort(moved.q, moved.v, moved.vd)
+    light, heavy = (
+        prepare_for_model(
+            replace(MODEL, phi=size * MODEL.phi),
+            [JointLog("smooth", JOINTS, time, measured, size * effort)],
+        )
+        for size in (1e-3, 1e3)
+    )
+    assert light[1] == heavy[1]
+    assert light[0][0].filter.bandwidth == heavy[0][0].filter.bandwidth
+
+
+def test_point_masses_are_compared_as_they_are(tmp_path):
+    """A volume would cost eight times the noise; only fits, digests among them, need one."""
+    none = '<inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/>'
+    point = f'<inertial><origin xyz="0 0 -.1"/><mass value="2"/>{none}</inertial>'
+    text = f'<link name="base"/><link name="l0">{point}</link><link name="l1">{point}</link>'
+    for k, parent in enumerate(("base", "l0")):
+        text += f'<joint name="j{k}" type="revolute"><parent link="{parent}"/>'
+        text += f'<child link="l{k}"/><origin xyz="0 0 {-0.1 * k}"/><axis xyz="0 1 0"/>'
+        text += '<limit lower="-3" upper="3" effort="9" velocity="9"/></joint>'
+    (tmp_path / "points.urdf").write_text(f'<robot name="points">{text}</robot>')
+    model = load_model(tmp_path / "points.urdf")
+    theirs = pin.buildModelFromXML((tmp_path / "points.urdf").read_text())
+    time, moved = sines()
+    rows = zip(moved.q, moved.v, moved.vd, strict=True)
+    effort = np.array([pin.rnea(theirs, theirs.createData(), *row) for row in rows])
+    effort += 0.002 * np.random.default_rng(0).normal(size=effort.shape)
+    log = JointLog("points", model.joints, time, moved.q, effort)
+    errors = compare(model, [log]).errors
+    assert errors.nrms < 1.2 * errors.floor_nrms
+    assert compare(model.with_volume, [log]).errors.nrms > 3.0 * errors.nrms
+    swapped = replace(log, effort=effort[:, ::-1])
+    assert "are swapped" in check_columns(model, [swapped])[0].words
+    write_log(log, tmp_path / "points.csv")
+    (row,) = digest_logs(model, [tmp_path / "points.csv"], tmp_path / "digests").rows
+    assert row.digest is not None, row.reason
 
 
 def test_rotors_of_slow_joints_are_not_too_small_for_noise_of_positions():

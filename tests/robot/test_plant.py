@@ -334,7 +334,7 @@ def test_a_body_without_volume_stays_and_fits_start_beside_it(load, inertia, wor
     loaded = load(urdf(inertial(1.0, inertia, "0.1 0 0")))
     (thin,) = loaded.thin
     assert not loaded.repairs and words in thin.problem
-    assert any(words in note and "fits start from is 1 kg" in note for note in loaded.notes)
+    assert any(words in note and "exports use 1 kg" in note for note in loaded.notes)
     np.testing.assert_array_equal(inertial_parameters(loaded.plant)[0], thin.before)
     assert is_physical(thin.after, tolerance=1e-6) and not is_physical(thin.before)
 

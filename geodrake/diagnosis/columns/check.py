@@ -58,7 +58,7 @@ def check_columns(
     prepared = prepared_as_measured(model, logs, bandwidth=bandwidth, blocks=blocks)
     if len(model.joints) > MOST_JOINTS:
         return ()
-    samples = column_samples(model, *prepared)
+    samples = column_samples(model.with_volume, *prepared)
     if not (samples.effort.std(axis=0) > _LEAST_EFFORT).all():
         return ()  # which whoever fits them says
     gaussian = ColumnModel(samples, Beliefs())

@@ -201,9 +201,9 @@ class _AccelerationNoise:
     def is_better_than(self, other: _AccelerationNoise) -> bool:
         """Return whether inertias are not less well known with this filter, all in all."""
         moves = (self.motion > 0.0) & (other.motion > 0.0)
-        power = np.square(np.where(moves, self.motion / np.maximum(other.motion, _TINY), 1.0))
+        ratio = np.divide(self.motion, other.motion, out=np.ones(len(moves)), where=moves)
         mine, others = (each.loss * (1.0 + each._biases) for each in (self, other))
-        return self._mean(mine / others / np.maximum(power, _TINY), moves) <= 1.0
+        return self._mean(mine / others / np.square(ratio), moves) <= 1.0
 
     @property
     def _shares(self) -> Array:
@@ -261,9 +261,10 @@ def _acceleration_noise(
         scale = np.maximum(np.abs(A[:, j]).max(axis=0), _TINY)
         rotors[j] = max(np.linalg.lstsq(A[:, j] / scale, b[:, j])[0][0] / scale[0], 0.0)
     power = np.array(carried) + np.square(rotors * np.array(shaking))
-    weights = np.array(samples)[:, None] * (np.array(noise) > 0.0)
-    losses = weights * np.log1p(power / np.maximum(noise, _TINY))
-    loss = np.exp(losses.sum(axis=0) / np.maximum(weights.sum(axis=0), 1))
+    known = np.array(noise) > 0.0
+    weights = np.array(samples)[:, None] * known
+    losses = np.log1p(np.divide(power, noise, out=np.zeros_like(power), where=known))
+    loss = np.exp((weights * losses).sum(axis=0) / np.maximum(weights.sum(axis=0), 1))
     counts = np.where(moves, np.sum(speed > _STILL * peak, axis=0), 0)
     power = np.square(np.max(segments, axis=0)) - np.square(deviation)
     motion = np.where(moves, np.sqrt(np.maximum(power, 0.0)), 0.0)

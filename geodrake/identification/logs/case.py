@@ -127,7 +127,7 @@ def open_case(
         LogError: A log cannot be used.
     """
     asked = checked_logs(model, logs, extra, bandwidth, blocks)
-    model = model.with_volume
+    model = model.with_volume if candidates else model  # as fits need it
     matched = _matched(model, asked)
     if hold_resting and (held := holding_resting(model, matched)) is not model:
         model, matched = held, [log_of_model(log, held) for log in matched]

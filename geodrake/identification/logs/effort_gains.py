@@ -255,7 +255,8 @@ class _GeodesicBodies:
     @classmethod
     def of(cls, model: RobotModel) -> _GeodesicBodies:
         """Return bodies near a model's, with its uncertainty."""
-        factors = np.asarray(np.linalg.cholesky(pseudo_inertia(model.total_phi)), float)
+        phi = model.with_volume.total_phi
+        factors = np.asarray(np.linalg.cholesky(pseudo_inertia(phi)), float)
         d = model.phi.size
         free = cls(factors, np.eye(d) / SPREAD**2)
         slope = free.at(np.zeros(d))[1]
@@ -264,7 +265,7 @@ class _GeodesicBodies:
             others = np.linalg.pinv(whole[d:, d:], hermitian=True)  # which are free here
             known = whole[:d, :d] - whole[:d, d:] @ others @ whole[d:, :d]
             return replace(free, information=slope.T @ known @ slope)
-        total = slope[::PARAMETERS_PER_BODY].sum(axis=0) / model.total_phi[:, 0].sum()
+        total = slope[::PARAMETERS_PER_BODY].sum(axis=0) / phi[:, 0].sum()
         told = np.outer(total, total) / _TOTAL_MASS**2
         return replace(free, information=free.information + told)
 

@@ -38,7 +38,7 @@ def model_unknowns(
     p, fitted = model.phi.size, [f for f in model.effects if f.effect.parameters]
     if model.information is None:
         sizes = [np.diag(1.0 / np.maximum((stated * f.parameters) ** 2, 1e-12)) for f in fitted]
-        information = block_diag(pullback_information(model.phi, spread), *sizes)
+        information = block_diag(pullback_information(model.with_volume.phi, spread), *sizes)
     else:
         information = model.information
     unknowns = inertial_unknowns(model.phi, information[:p, :p])
