@@ -610,7 +610,12 @@ def test_efforts_of_the_row_before_are_used_if_there_are_no_others(tmp_path):
     path = write(tmp_path / "log.csv", ["time", "q", "tau_prev"], [time, q, late])
     log = read_log(path, joints=("a",))
     check(log, ("a",), q, None, late)
-    assert "effort: by their names, tau_prev are of the row before" in log.notes
+    assert "effort: by name, of the row before: tau_prev" in log.notes
+    names = ["time", "q1", "q2", "tau_1", "tau_prev_2"]
+    path = write(tmp_path / "part.csv", names, [time, q, q, tau, late])
+    log = read_log(path, joints=("a", "b"))
+    check(log, ("a", "b"), np.hstack([q, q]), None, np.hstack([tau, late]))
+    assert "effort: by name, of the row before: tau_prev_2" in log.notes
     names = ["time", "q", "q_prev", "dq_prev", "tau_prev", "tau"]
     path = write(tmp_path / "both.csv", names, [time, q, q, q, late, tau])
     check(read_log(path, joints=("a",)), ("a",), q, None, tau)
@@ -622,9 +627,32 @@ def test_a_unit_of_time_alone_is_time(tmp_path, name, unit):
     path = write(tmp_path / "log.csv", [name, "q", "tau"], [np.rint(time / unit), q, tau])
     log = read_log(path, joints=("a",))
     np.testing.assert_allclose(log.time, time, atol=1e-12)
+    late = np.rint(np.cumsum(np.where(np.arange(ROWS) % 5, 0.01, 0.03)) / unit)
+    path = write(tmp_path / "late.csv", [name, "q", "tau"], [late, q, tau])
+    log = read_log(path, joints=("a",))
+    np.testing.assert_allclose(np.diff(log.time), np.diff(late) * unit, atol=1e-12)
     part = write(tmp_path / "part.csv", [name, "q", "tau"], [np.rint(time / unit) % 100, q, tau])
     with pytest.raises(LogError, match="has no column 'time'"):
         read_log(part, joints=("a",))
+
+
+def test_parts_whose_unnamed_times_differ_are_not_joined_by_rows(tmp_path):
+    time, q, _, tau = motion(("a", "b"))
+    for k in (0, 1):
+        columns = [np.rint(1e3 * time) + 250 * k, q[:, k], tau[:, k]]
+        write(tmp_path / f"{k}.csv", ["ms", f"q_{k}", f"tau_{k}"], columns)
+    with pytest.raises(LogError, match="'ms' may be time, and differs"):
+        read_log(f"{tmp_path}/0.csv+{tmp_path}/1.csv", joints=("a", "b"))
+    write(tmp_path / "1.csv", ["ms", "q_1", "tau_1"], [np.rint(1e3 * time), q[:, 1], tau[:, 1]])
+    log = read_log(f"{tmp_path}/0.csv+{tmp_path}/1.csv", joints=("a", "b"))
+    check(log, ("a", "b"), q, None, tau)
+
+
+@pytest.mark.parametrize(("name", "unit"), [("min", 60.0), ("hours", 3600.0), ("s", 1.0)])
+def test_longer_units_of_time_alone_are_time_where_they_are_first(tmp_path, name, unit):
+    time, q, _, tau = motion(("a",))
+    path = write(tmp_path / "log.csv", [name, "q", "tau"], [time / unit, q, tau])
+    np.testing.assert_allclose(read_log(path, joints=("a",)).time, time, atol=1e-9)
 
 
 @pytest.mark.parametrize("form", ["joint_{}_{}", "{1}_{0}", "Joint{}.{}"])
@@ -665,6 +693,15 @@ def test_what_is_counted_beside_joints_is_something_else(tmp_path, form, beside)
     check(read_log(path, joints=IIWA), IIWA, q, None, tau)
 
 
+def test_parts_of_an_arm_that_are_counted_through_are_its_joints(tmp_path):
+    joints = tuple(f"J{k}" for k in range(1, 7))
+    time, q, _, tau = motion(joints)
+    parts = ["shoulder", "shoulder", "elbow", "wrist", "wrist", "wrist"]
+    names = [f"{part}_{what}_{k}" for what in ("q", "tau") for k, part in enumerate(parts, 1)]
+    path = write(tmp_path / "log.csv", ["time", *names], [time, q, tau])
+    check(read_log(path, joints=joints), joints, q, None, tau)
+
+
 @pytest.mark.parametrize("other", ["target_pos_{}", "motor_pos_{}"])
 def test_a_joint_that_nobody_measured_is_not_taken_from_its_target(tmp_path, other):
     time, q, _, tau = motion(IIWA)
@@ -679,6 +716,13 @@ def test_a_joint_that_nobody_measured_is_not_taken_from_its_target(tmp_path, oth
     check(log, IIWA[:-1], q[:, :-1], None, tau[:, :-1])
 
 
+def test_a_position_that_may_be_a_target_is_named_beside_measured_ones(tmp_path):
+    time, q, _, tau = motion(("a", "b"))
+    path = write(tmp_path / "log.csv", ["time", "q_1", "q_des_2", "tau_1", "tau_2"], [time, q, tau])
+    log = read_log(path, joints=("a", "b"))
+    assert "position: by their names, q_des_2 may not be measured at the joints" in log.notes
+
+
 def test_objects_of_cia_402_are_no_joints(tmp_path):
     time, q, v, tau = motion(("hip", "knee"))
     told = {
@@ -690,6 +734,14 @@ def test_objects_of_cia_402_are_no_joints(tmp_path):
     path = tmp_path / "log.csv"
     pandas.DataFrame({"time": time, **columns}).to_csv(path, index=False)
     check(read_log(path, joints=("hip", "knee")), ("hip", "knee"), q, v, tau)
+
+
+def test_numbers_of_servos_are_no_objects_of_cia_402(tmp_path):
+    joints = ("servo_6064", "servo_6077")
+    time, q, _, tau = motion(joints)
+    names = [f"{joint}.{what}" for what in ("pos", "torque") for joint in joints]
+    path = write(tmp_path / "log.csv", ["time", *names], [time, q, tau])
+    check(read_log(path, joints=joints), joints, q, None, tau)
 
 
 def test_units_in_the_second_of_two_lines_of_names(tmp_path):
@@ -723,6 +775,11 @@ def test_rows_of_json_that_are_too_short_are_named(tmp_path, names, rows):
     (tmp_path / "log.json").write_text(json.dumps(content))
     with pytest.raises(LogError, match=r"Row 6 .* has 2 values, but there are 3 names"):
         read_log(tmp_path / "log.json")
+    if names == "columns":
+        table[5] = None
+        (tmp_path / "log.json").write_text(json.dumps(content))
+        with pytest.raises(LogError, match=r"Row 6 .* is 'None', not a list"):
+            read_log(tmp_path / "log.json")
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])

@@ -178,6 +178,11 @@ def _of_rows(path: Path, content: Any) -> Any:
 def _under_names(path: Path, names: Sequence[Any], rows: Sequence[Any]) -> list[dict[str, Any]]:
     """Return rows of values as records, by the names of their columns."""
     for k, row in enumerate(rows, 1):
+        if not isinstance(row, list):
+            raise LogError(
+                f"Row {k} of log {str(path)!r} is {str(row)[:_SHOWN]!r}, not a list of values.",
+                advice="Write a list of as many values as there are names of columns.",
+            )
         if len(row) != len(names):
             raise LogError(
                 f"Row {k} of log {str(path)!r} has {len(row)} values, but there are {len(names)} "

@@ -193,8 +193,8 @@ def _of_these_joints(
 ) -> Iterator[Meaning]:
     """Yield columns of joints without those that count something else, such as fingers of a hand.
 
-    These have a word that names of the joints lack, and are fewer than the joints; `known` are
-    those of the model.
+    These have a word that names of the joints lack, are fewer than the joints, and number some of
+    these again; `known` are those of the model.
     """
     own = [meaning for meaning in meanings if meaning.column in found]
     words = {meaning.column: _other_words(meaning, found[meaning.column]) for meaning in own}
@@ -202,14 +202,13 @@ def _of_these_joints(
     for meaning in own:
         if found[meaning.column] in known or not known:
             joints[meaning.log_quantity, words[meaning.column]].add(found[meaning.column])
-    counts = {key: len(those) for key, those in joints.items()}
-    most = max((n for (quantity, _), n in counts.items() if quantity == "position"), default=0)
+    moved = [those for (quantity, _), those in joints.items() if quantity == "position"]
+    most = max(moved, key=len, default=set[str]())
     for meaning in own:
         more, joint = words[meaning.column], found[meaning.column]
-        is_few = (
-            counts.get((meaning.log_quantity, more), 0) < most != counts.get(("position", more))
-        )
-        if not (more and is_few) or {*map(str, meaning.words)} & plain_words(joint):
+        those, placed = (joints.get((q, more), set()) for q in (meaning.log_quantity, "position"))
+        is_again = len(those) < len(most) != len(placed) and not those.isdisjoint(most)
+        if not (more and is_again) or {*map(str, meaning.words)} & plain_words(joint):
             yield meaning
 
 
@@ -335,11 +334,14 @@ def choice_words(best: Mapping[tuple[str, str], Sequence[Meaning]]) -> Iterator[
             words = f" ({', '.join(sorted(why))})" if why else ""
             yield (f"{quantity}: {_span(chosen)} used instead of {_span(others)}{words}")
         measured = dict.fromkeys(SIGNAL_KINDS, MOTOR)  # currents are of motors anyway
-        doubtful = [m.role > measured.get(m.quantity, PLAIN) for m in chosen]
-        if quantity not in PARTIAL and chosen and all(doubtful):
-            is_late = all(m.role == PREVIOUS for m in chosen)
-            words = "are of the row before" if is_late else "may not be measured at the joints"
-            yield f"{quantity}: by their names, {_span(chosen)} {words}"
+        doubtful = [m for m in chosen if m.role > measured.get(m.quantity, PLAIN)]
+        late = [m for m in doubtful if m.role == PREVIOUS]
+        elsewhere = [m for m in doubtful if m.role != PREVIOUS]
+        if late:
+            yield f"{quantity}: by name, of the row before: {_span(late)}"
+        if quantity not in PARTIAL and elsewhere:
+            words = "may not be measured at the joints"
+            yield f"{quantity}: by their names, {_span(elsewhere)} {words}"
 
 
 def unit_words(sources: Mapping[str, Meaning], reading: Reading) -> Iterator[str]:
@@ -438,8 +440,8 @@ def columns_of(
 def likely_clock(table: LogTable) -> tuple[Meaning | None, str, bool]:
     """Return the column that may be time by its values or its name, in words, and if it must be.
 
-    It is if it increases evenly and its name says so, or is a unit of time, or if it is the first
-    and not of whole steps.
+    It is if it increases evenly and its name says so, if it increases and its name is a unit of
+    time shorter than a second, or if it is the first, even and not of whole steps.
     """
     told = [(name, meaning_of(name)) for name in table.names[:_MOST_CLOCKS]]
     others = [
@@ -456,12 +458,13 @@ def likely_clock(table: LogTable) -> tuple[Meaning | None, str, bool]:
             unit = dict(told)[name]
             is_unit = unit is not None and unit.quantity == PART and bool((steps > 0.0).all())
             counts = step == 1.0 and not (is_called or is_unit)  # rows
-            if step > 0.0 and not counts and float(even.mean()) > _EVEN:
+            if step > 0.0 and not counts and (is_unit or float(even.mean()) > _EVEN):
                 words = f"{name!r} increases by {step:.4g} from row to row"
                 is_first = name == table.names[0] or name.startswith("__index_level")
                 is_sure = is_called or is_unit or (is_first and step % 1.0 != 0.0)
-                clock = unit if is_unit and unit is not None else Meaning(name, "time")
-                return replace(clock, quantity="time"), words, is_sure
+                clock = unit if is_unit and unit is not None else Meaning(name, PART)
+                clock = replace(clock, quantity="time", unit=clock.unit or find_unit(name, "time"))
+                return clock, words, is_sure
     close = difflib.get_close_matches("time", [name.lower() for name in table.names[:100]], 1)
     return None, f"Is it {close[0]!r}? " if close else "", False
 

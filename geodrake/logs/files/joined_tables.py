@@ -13,6 +13,7 @@ from geodrake.boundary.arguments import Array
 from geodrake.errors import LogError
 from geodrake.logs.files.column_mapping import (
     in_seconds,
+    likely_clock,
     listed,
     read_column,
     time_source,
@@ -66,6 +67,8 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
     bare = [str(t.path) for t, (time, _) in zip(tables, stamps, strict=True) if time is None]
     if len(bare) >= len(tables) - 1:
         columns, again = _side_by_side(log, tables)
+        if len(bare) == len(tables) and reading.rate is None:
+            _check_rows(log, tables, again)
         zeros = {column: zero for table in tables for column, zero in table.origins.items()}
         said = next((table.rate for table in tables if table.rate), None)
         return LogTable(log, columns, units, (*_twice(again), *noted), zeros, rate=said)
@@ -298,6 +301,19 @@ def _side_by_side(log: Path, tables: Sequence[LogTable]) -> tuple[dict[str, Arra
         again += [column for column in table.columns if column in columns]
         columns |= {name: x for name, x in table.columns.items() if name not in columns}
     return columns, again
+
+
+def _check_rows(log: Path, tables: Sequence[LogTable], again: Sequence[str]) -> None:
+    """Raise if a column that may be time, which several parts have, tells that rows do not meet."""
+    clock, _, _ = likely_clock(tables[0])
+    if clock is None or clock.column not in again:
+        return
+    first, *others = [t.columns[clock.column] for t in tables if clock.column in t.columns]
+    if not all(np.array_equal(first, other) for other in others):
+        raise LogError(
+            f"In the parts of log {str(log)!r}, {clock.column!r} may be time, and differs.",
+            advice="If it is time, call it so, such as time_ms, to join them by it.",
+        )
 
 
 def at_instants(instants: Array, time: Array, values: Array, *, holds: bool = False) -> Array:

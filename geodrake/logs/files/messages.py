@@ -160,15 +160,11 @@ class Messages:
 WANTED = re.compile(r"command|cmd|goal|target|desired|reference|setpoint", re.IGNORECASE)
 """Words in names of topics of what joints are told."""
 
-JOINT_STATE, LCM_TYPES = (
-    "sensor_msgs/msg/JointState",
-    (
-        "lcmt_iiwa_status",
-        "lcmt_jaco_status",
-        "lcmt_panda_status",
-    ),
-)
-"""Types of messages for the state of joints, and nothing else, in ROS and in LCM."""
+JOINT_STATE = "sensor_msgs/msg/JointState"
+"""Type of messages for the state of joints, and nothing else, in ROS."""
+
+LCM_TYPES = ("lcmt_iiwa_status", "lcmt_jaco_status", "lcmt_panda_status")
+"""Types of messages for the state of joints, and nothing else, in LCM."""
 
 
 @dataclass

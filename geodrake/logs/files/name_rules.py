@@ -79,7 +79,9 @@ _MEANT = {  # by MuJoCo, of motors at joints and of others; and by ODrive, what 
 _INCREMENTAL = ("inc", "cnt", "qc")  # a kind of encoder, where they stand in no brackets
 _OBSERVED = ("observation.state", "observation.position")  # of LeRobot
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
-_OBJECT = re.compile(r"[\s_(\[]+(?:0x)?60[\dA-Fa-f]{2}(?![A-Za-z\d])[)\]]?")  # of CiA 402's
+_OBJECT = re.compile(  # of CiA 402's that are measured or asked for, behind what it is
+    r"[\s_(\[]+(?:0x)?60(?:6[2-4BC]|7[1479A]|F[4F])[)\]]?$", re.IGNORECASE
+)
 _TORQUE_J = re.compile(r"(?<![A-Za-z])tau_J(?![A-Za-z0-9])")  # of Franka, where J is no joint
 _AXIS = re.compile(r"(?i)(?<![a-z])axis(?=_(?:act|soll|ist|set|cmd)(?![a-z]))")  # of KUKA
 _GROUP = re.compile(r"(?<=.)[/.](?![^(\[]*[)\]])")  # behind a name that stands in no brackets
