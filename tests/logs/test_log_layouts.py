@@ -782,6 +782,19 @@ def test_rows_of_json_that_are_too_short_are_named(tmp_path, names, rows):
             read_log(tmp_path / "log.json")
 
 
+def test_lists_of_records_that_are_too_short_are_named(tmp_path):
+    time, q, _, tau = motion(("a", "b"))
+    rows = zip(time.tolist(), q.tolist(), tau.tolist(), strict=True)
+    records = [{"time": t, "q": x, "tau": y} for t, x, y in rows]
+    records[3]["q"] = []  # of which nothing was measured
+    (tmp_path / "log.json").write_text(json.dumps(records))
+    assert np.isnan(read_log(tmp_path / "log.json", joints=("a", "b")).position[3]).all()
+    records[5]["q"] = records[5]["q"][1:]  # of which joint?
+    (tmp_path / "log.json").write_text(json.dumps(records))
+    with pytest.raises(LogError, match=r"'q' .* has lists of 2 numbers, but one of 1 in row 6"):
+        read_log(tmp_path / "log.json", joints=("a", "b"))
+
+
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 def test_recordings_in_one_table_follow_each_other(tmp_path, suffix):
     time, q, _, tau = motion(("a",))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -139,14 +140,27 @@ def records_table(
 ) -> LogTable:
     """Return the columns of records of any fields, and of what is `said` beside them."""
     columns = dict[str, list[Any]]()
+    uneven = _uneven_lists(content)
+    lists = {name: [record.get(name) for record in content] for name in uneven}
     for k, record in enumerate(content):
-        for name, value in fields_of(record, lists=True):
+        even = {name: x for name, x in record.items() if name not in uneven} if uneven else record
+        for name, value in fields_of(even, lists=True):
             columns.setdefault(name, [None] * k).append(value)
             check_room(path, len(content) * len(columns), f"{len(columns)} fields")
         for values in columns.values():
             values.extend([None] * (k + 1 - len(values)))
     arrays = {name: np.array(values, object) for name, values in columns.items()}
-    return numeric_table(path, {**(said or {}), **arrays}, len(content))
+    return numeric_table(path, {**(said or {}), **arrays, **lists}, len(content))
+
+
+def _uneven_lists(records: Sequence[Mapping[str, Any]]) -> set[str]:
+    """Return fields that are lists of numbers of different lengths, apart from empty ones."""
+    lengths = defaultdict[str, set[int]](set)
+    for record in records:
+        for name, value in record.items():
+            if isinstance(value, list) and value and isinstance(value[0], int | float):
+                lengths[name].add(len(value))
+    return {name for name, found in lengths.items() if len(found) > 1}
 
 
 def grouped_table(path: Path, content: Any, reading: Reading) -> LogTable | None:
