@@ -296,8 +296,8 @@ _ODD = 0.01  # of contact flags, that most of those around them contradict
 _UNLIKE = 0.2  # of the weight, by which forces at feet may differ from it
 _NOTHING, _HALF = 0.02, 0.5  # of the weight that feet carry, and of the samples in which they touch
 _HELD = (
-    "For a robot that is fixed to the world or held omit --floating; otherwise log contacts or "
-    "forces of all that touches."
+    "If the robot is held or fixed to the world, omit --floating; otherwise log contacts or forces "
+    "of everything that touches it."
 )
 _FEW = 5000  # samples whose forces are compared with the weight
 _RIGHT = np.radians(3.0)  # by which a rotation by right angles may be off

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 
-from geodrake.errors import ModelError
+from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import Array
 from geodrake.robot.joints import (
     Features,
@@ -340,10 +340,11 @@ class _LoopFinder:
                 row[at, 1], row[at, 0], row[first:, 1] = -1.0, offset, ratios
             more = list(range(len(names)))
         else:
-            raise ModelError(
-                f"{', '.join(drive.joints)} of that loop move with {', '.join(drive.actuators)} by "
-                "a table or formula.",
-                advice="Use the positions and efforts of these joints.",
+            raise ArgumentError(
+                "Legs that stand, and other closed loops, cannot have joints that follow actuators "
+                f"by a table or formula: {', '.join(drive.joints)} (of "
+                f"{', '.join(drive.actuators)}).",
+                advice="Use the positions and efforts of these joints, without that transmission.",
             )
         return _Shape(
             put_together(made.records, own, rows),

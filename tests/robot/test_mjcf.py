@@ -455,11 +455,16 @@ def test_names_between_joints_are_those_of_no_body(tmp_path):
 def test_what_is_inside_of_a_motor_is_told(tmp_path):
     body = '<body name="b"><joint name="j"/><geom size=".1"/></body>'
     motor = '<dcmotor name="m" joint="j" motorconst=".05" resistance=".5" {}/>'.format
-    for stated, told in (('cogging=".2 7 .3"', True), ('damping=".1"', False)):
+    for stated, told in (
+        ('cogging=".2 7 .3"', "cogging of 0.2"),
+        ('cogging=".2 7 .3" lugre="100 1 .4 .5 .01"', "cogging of 0.2 and friction of 0.4"),
+        ('damping=".1"', ""),
+    ):
         text = f"<worldbody>{body}</worldbody>\n<actuator>{motor(stated)}</actuator>"
         (tmp_path / "m.xml").write_text(f"<mujoco>{text}</mujoco>")
         notes = " ".join(load_model(tmp_path / "m.xml").notes)
-        assert ("line 2: cogging 0.2 and friction 0 inside of the motor m" in notes) is told
+        assert (f"line 2: the effort of the motor m includes {told} inside" in notes) is bool(told)
+        assert ("inside of it" in notes) is bool(told)
 
 
 def test_a_yield_of_a_spring_is_told(tmp_path):

@@ -308,11 +308,11 @@ class MjcfTerms:
         """Note cogging and friction inside of a motor, which MuJoCo has in the effort itself."""
         kind = getattr(self.mujoco.mjtBias, "mjBIAS_DCMOTOR", None)  # from version 4 on
         if kind is not None and int(self.m.actuator_biastype[at]) == int(kind):
-            cogging, friction = self.m.actuator_biasprm[at][[0, 3]].tolist()
-            if cogging or friction:
+            inside = zip(("cogging", "friction"), self.m.actuator_biasprm[at][[0, 3]], strict=True)
+            if words := " and ".join(f"{what} of {size:g}" for what, size in inside if size):
                 self.found.notes.append(
-                    f"{self._where('actuator', at)}: cogging {cogging:g} and friction "
-                    f"{friction:g} inside of the motor {name} are part of its effort."
+                    f"{self._where('actuator', at)}: the effort of the motor {name} includes "
+                    f"{words} inside of it."
                 )
 
     def _limit_of_motor(self, at: int, joint: int, gear: float) -> None:
