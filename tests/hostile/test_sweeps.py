@@ -126,7 +126,7 @@ def read_model(path):
     """Read a model, which moves with efforts that are numbers."""
     model = load_model(path)
     n = len(model.joints)
-    assert n and np.all(is_physical(model.phi)), model.phi
+    assert n and np.all(is_physical(model.with_volume.phi)), model.phi
     assert not any(np.isnan(each).any() for each in model.position_limits)
     for fitted in model.effects:
         assert np.isfinite(fitted.parameters).all()
