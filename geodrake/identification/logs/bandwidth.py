@@ -42,7 +42,8 @@ _STILL = 0.01  # of the peak speed
 _IN_MOTION = 4.0  # deviations of its noise that the peak speed of a joint in motion has at least
 _MOST_SHAKING = 0.1  # over the deviation of the acceleration itself
 _STEP, _TRIES = 1.2, 4  # factor between bandwidths that are tried, and so many higher ones
-_MOST_VAIN = 3  # lower ones that are tried without gain: noise is not known to the last per cent
+_LOWER = 1.44  # the same of lower ones
+_MOST_VAIN = 2  # so many are tried without gain: noise is not known to the last per cent
 _TINY = np.finfo(float).tiny
 _LARGEST_RATIO = 700.0  # logarithm of a ratio that is a number still
 
@@ -116,8 +117,8 @@ def _with_less_noise(
     if is_coherent and not noise.is_biasing:
         return None
     vain = 0  # tries since the best one
-    while noise.is_costly and noise.fewest > _STEP * _FEWEST_MOVING and vain < _MOST_VAIN:
-        lower /= _STEP
+    while noise.is_costly and noise.fewest > _LOWER * _FEWEST_MOVING and vain < _MOST_VAIN:
+        lower /= _LOWER
         try:
             tried = prepare_logs(uniform, bandwidth=lower, how="chosen from the data")
         except (ArgumentError, LogError):  # a log would be too short
