@@ -19,10 +19,10 @@ Since θ and β are at a minimum, only the regressors' own change counts: with t
 coefficients x = (−θ, −β, α) of all columns, ∂Δ/∂X = 2 e xᵀ. So one gradient costs as much as that
 of a criterion of information.
 
-Samples at which a joint's direction of motion is hardly known count less, by sgn²: what dry
-friction is there, no model says, and a diagnosis leaves them out. Of a robot on several feet, the
-efforts at its base have in them what all legs do, so that signs of all joints where the effects may
-be count there.
+Samples at which a joint's direction of motion is hardly known count less, by sgn²: no model says
+what dry friction is there, and a diagnosis leaves them out. Efforts at the base of a robot on
+several feet include those of all legs, so that the signs of all joints that may have the effects
+count there.
 """
 
 from __future__ import annotations

@@ -398,7 +398,7 @@ def with_ground(log: JointLog, model: RobotModel) -> JointLog:
     loaded, flagged = frames_of(log.floating, FORCE), frames_of(log.floating, FLAG)
     whole = set(model.joints) <= set(log.joints)
     if loaded and whole:
-        ground, told_of_forces = _efforts_of_wrenches(log, model, loaded)
+        ground, notes = _efforts_of_wrenches(log, model, loaded)
         base = np.isin(log.joints, model.base_joints)
         words = (
             f"wrenches at {', '.join(loaded)} are included in the efforts of the base and "
@@ -408,7 +408,7 @@ def with_ground(log: JointLog, model: RobotModel) -> JointLog:
             log,
             effort=log.effort + ground,
             ground=np.where(base, 0.0, ground),  # of the base it is all that is measured
-            notes=(*log.notes, *told_of_forces, words),
+            notes=(*log.notes, *notes, words),
         )
     if set(model.joints) <= {*log.unmeasured, *model.base_joints}:
         raise LogError(

@@ -38,7 +38,7 @@ MASS_PER_TOTAL = 1e-3  # mass of all bodies without one, as a share of the robot
 
 @dataclass(frozen=True)
 class Repair:
-    """A body of a model file whose inertia was replaced, or is by fits."""
+    """A body of a model file whose inertia was replaced, for all uses or for fits alone."""
 
     body: str
     problem: str  # what is wrong with the inertia of the file, to be read after the name

@@ -37,7 +37,7 @@ _FEWEST_MOVING = 30  # of a joint that moves, where the bandwidth is lowered for
 _ENOUGH = 400  # filtered samples of each joint, which make folds of some fifty
 _MOST_NOISE = 2.0  # power of noise, with that of accelerations, over that of efforts alone
 _TOO_NOISY = 3.0  # the same, above which a bandwidth is lowered
-_MOST_BIAS = 0.002  # share of an inertia that noise in its column takes; more of its rotor alone
+_MOST_BIAS = 0.002  # share of an inertia lost to noise in its column; a rotor alone loses more
 _STILL = 0.01  # of the peak speed
 _IN_MOTION = 4.0  # deviations of its noise that the peak speed of a joint in motion has at least
 _MOST_SHAKING = 0.1  # over the deviation of the acceleration itself
@@ -107,10 +107,10 @@ def _with_less_noise(
     *,
     is_coherent: bool,
 ) -> Change | None:
-    """Lower the bandwidth until noise of accelerations costs little, to where a fit knows most.
+    """Lower the bandwidth until noise of accelerations costs little, to where inertias are known.
 
-    Where only motion that matches the efforts is left, `is_coherent`, errors of the model are
-    larger than noise, unless that makes inertias too small.
+    After a cut to motion that matches the efforts (`is_coherent`), errors of the model are larger
+    than noise, which matters only where it makes inertias too small.
     """
     found, best = trajectories, (noise := _acceleration_noise(model, trajectories))
     lower = chosen = _lowest(trajectories)
@@ -200,7 +200,7 @@ class _AccelerationNoise:
         return int(min(self.samples[self.samples > 0], default=0))
 
     def is_better_than(self, other: _AccelerationNoise) -> bool:
-        """Return whether inertias are not less well known with this filter, all in all."""
+        """Return whether inertias are known at least as well with this filter, on average."""
         moves = (self.motion > 0.0) & (other.motion > 0.0)
         ratio = np.divide(self.motion, other.motion, out=np.ones(len(moves)), where=moves)
         mine, others = (each.loss * (1.0 + each._biases) for each in (self, other))
@@ -208,13 +208,13 @@ class _AccelerationNoise:
 
     @property
     def _shares(self) -> Array:
-        """(nv,) of inertias, that noise in their columns takes."""
+        """(nv,) share of each joint's inertia that is lost to noise in its column."""
         noise = np.square(self.deviation)
         return np.asarray(noise / np.maximum(noise + np.square(self.motion), _TINY))
 
     @property
     def _biases(self) -> Array:
-        """(nv,) square of what it takes, in deviations of an inertia by noise of efforts alone."""
+        """(nv,) squared loss of each inertia, over its variance by noise of efforts alone."""
         return np.asarray(self.samples * self._shares * (self.loss - 1.0))
 
     @staticmethod
@@ -267,8 +267,8 @@ def _acceleration_noise(
     losses = np.log1p(np.divide(power, noise, out=np.zeros_like(power), where=known))
     loss = np.exp((weights * losses).sum(axis=0) / np.maximum(weights.sum(axis=0), 1))
     counts = np.where(moves, np.sum(speed > _STILL * peak, axis=0), 0)
-    power = np.square(np.max(segments, axis=0)) - np.square(deviation)
-    motion = np.where(moves, np.sqrt(np.maximum(power, 0.0)), 0.0)
+    visible = np.square(np.max(segments, axis=0)) - np.square(deviation)
+    motion = np.where(moves, np.sqrt(np.maximum(visible, 0.0)), 0.0)
     return _AccelerationNoise(loss, deviation, size, motion, counts)
 
 

@@ -674,17 +674,15 @@ class Columns:
         if len(silent) == len(moved):
             told = {} if moved or efforts else table.first_words
             words = [f"; {n!r} holds {cell[:_LONGEST_WORD]!r}" for n, cell in told.items()]
-            advice = f"{_WORDS_ADVICE if words else ''}{HEADER_ADVICE} {SIGNAL_ADVICE} "
-            mapping = self.reading.mapping
+            advice = f"{HEADER_ADVICE} {SIGNAL_ADVICE} {_MAPPING_ADVICE}"
+            if words:
+                advice = _WORDS_ADVICE + advice
+            if self.reading.mapping is not None:
+                advice = f"Fill in {self.reading.mapping.source}."
             raise LogError(
                 f"Log {str(path)!r} has no joint with both position and effort; positions: "
                 f"{listed(moved)}; efforts: {listed(efforts)}{''.join(words[:_FEW_WORDS])}.",
-                advice="Without efforts, nothing can be said about dynamics. "
-                + (
-                    f"{advice}{_MAPPING_ADVICE}"
-                    if mapping is None
-                    else f"Fill in {mapping.source}."
-                ),
+                advice=f"Without efforts, nothing can be said about dynamics. {advice}",
             )
         standing = tuple(j for j in silent if j in self.own or j in (wanted or ()))
         if standing and not partial:
