@@ -538,9 +538,8 @@ def _efforts_of_wrenches(
 def _check_axes(forces: Array, turns: Array, model: RobotModel, name: str) -> tuple[str, ...]:
     """Raise for forces that carry the robot if they are read otherwise, but not in axes of links.
 
-    Other ways are the world's axes, forces of the robot on the ground, and axes of links that are
-    rotated by one rotation. Forces that carry nothing are refused, too, and those that carry much
-    less or more than the robot are told in a note.
+    Forces that carry nothing are refused, too, and those that carry much less or more than the
+    robot are told in a note.
 
     Args:
         forces: (S, F, 3) forces at F links in some samples.
@@ -552,42 +551,16 @@ def _check_axes(forces: Array, turns: Array, model: RobotModel, name: str) -> tu
     size = float(np.linalg.norm(weight))
     if not len(forces) or not size:
         return ()
-    rows = np.einsum("sfij,sfl->sijl", turns, forces).reshape(-1, 9) / size
-    wanted = np.tile(weight / size, len(forces))
-    R, factor = np.linalg.qr(np.column_stack([rows, wanted]), mode="r"), np.sqrt(len(forces))
-
-    def misses(turned: Rotation) -> Array:
-        return np.asarray(R @ np.append(turned.as_matrix(), -1.0)) / factor
-
-    def off(found: Array) -> float:
-        return float(np.sqrt(np.square(found - weight).sum(axis=1).mean())) / size
-
-    right = Rotation.create_group("O")
-    nearest = right[int(np.argmin([np.linalg.norm(misses(way)) for way in right]))]
-    fit = least_squares(lambda x: misses(Rotation.from_rotvec(x) * nearest), np.zeros(3))
-    in_links, in_world = np.einsum("sfij,sfj->si", turns, forces), forces.sum(axis=1)
-    against = "as forces of the robot on the ground"
-    others = {
-        "in world axes": off(in_world),
-        f"in link axes {against}": off(-in_links),
-        f"in world axes {against}": off(-in_world),
-    }
-    turned = Rotation.from_rotvec(fit.x) * nearest
-    if np.linalg.norm(fit.x) < _RIGHT:
-        columns = [
-            f"{'-' if row.sum() < 0 else ''}{'xyz'[int(np.abs(row).argmax())]}"
-            for row in nearest.as_matrix().round()
-        ]
-        words = f"if x, y, z of the links are, for example, {', '.join(columns)} of the log"
-    else:
-        angles = ", ".join(f"{x:.0f}°" for x in turned.as_euler("ZYX", degrees=True))
-        words = f"if links' axes are those of the log turned by {angles} (yaw, pitch, roll)"
-    others[words] = float(np.linalg.norm(misses(turned)))
-    how, own = min(others, key=others.__getitem__), off(in_links)
-    if own > _UNLIKE and others[how] < 0.5 * own:
+    in_links = np.einsum("sfij,sfj->si", turns, forces)
+    others = _otherwise(forces, turns, weight)
+    own, *off = (
+        float(np.sqrt(np.square(total - weight).sum(axis=1).mean())) / size
+        for total in (in_links, *others.values())
+    )
+    if own > _UNLIKE and min(off) < 0.5 * own:
         raise LogError(
             f"Forces at the feet in log {name!r} differ from the robot's weight by {own:.0%} in "
-            f"link axes, and by {others[how]:.0%} {how}.",
+            f"link axes, and by {min(off):.0%} {[*others][off.index(min(off))]}.",
             advice="Write forces of the ground on the robot, in the axes of the link after which "
             "they are named.",
         )
@@ -596,6 +569,39 @@ def _check_axes(forces: Array, turns: Array, model: RobotModel, name: str) -> tu
     if abs(carried) < _NOTHING:
         raise LogError(f"In log {name!r} {words}, but a robot in the air falls.", advice=_HELD)
     return (words,) if abs(carried - 1.0) > _HALF else ()
+
+
+def _otherwise(forces: Array, turns: Array, weight: Array) -> dict[str, Array]:
+    """Return sums (S, 3) of forces in world axes, N, by how else they may be read.
+
+    They may be forces of the robot on the ground. Their axes may be those of the world, or at all
+    links those of the link turned by the one rotation with which they carry the weight best.
+    """
+    rows = np.einsum("sfij,sfl->sijl", turns, forces).reshape(-1, 9)
+    R = np.linalg.qr(np.column_stack([rows, np.tile(weight, len(forces))]), mode="r")
+
+    def misses(turn: Rotation) -> Array:
+        return np.asarray(R @ np.append(turn.as_matrix(), -1.0))
+
+    right = Rotation.create_group("O")
+    nearest = right[int(np.argmin([np.linalg.norm(misses(way)) for way in right]))]
+    fit = least_squares(lambda x: misses(Rotation.from_rotvec(x) * nearest), np.zeros(3))
+    turned = Rotation.from_rotvec(fit.x) * nearest
+    if np.linalg.norm(fit.x) < _RIGHT:
+        signs = nearest.as_matrix().round().astype(int).tolist()
+        named = [f"{'-' * (-1 in row)}{'xyz'[[*map(abs, row)].index(1)]}" for row in signs]
+        words = f"if x, y, z of the links are, for example, {', '.join(named)} of the log"
+    else:
+        angles = ", ".join(f"{x:.0f}°" for x in turned.as_euler("ZYX", degrees=True))
+        words = f"if links' axes are those of the log turned by {angles} (yaw, pitch, roll)"
+    in_links, in_world = np.einsum("sfij,sfj->si", turns, forces), forces.sum(axis=1)
+    against = "as forces of the robot on the ground"
+    return {
+        "in world axes": in_world,
+        f"in link axes {against}": -in_links,
+        f"in world axes {against}": -in_world,
+        words: np.einsum("sfij,sfj->si", turns, forces @ turned.as_matrix().T),
+    }
 
 
 def _last_links(model: RobotModel) -> tuple[str, ...]:
