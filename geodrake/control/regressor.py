@@ -166,7 +166,7 @@ def calc_plain_regressor(
     """Write the regressor at q, q̇, v, a into zeros (nv, p), with friction at some velocities."""
     (tree, signals, width), (q, qd, v, a) = plain, motion
     samples = q.reshape((1, -1)), qd.reshape((1, -1)), v.reshape((1, -1)), a.reshape((1, -1))
-    whole = np.int64(0), np.int64(-1)  # as literals of another type it would be compiled once more
+    whole = int(np.int64(0)), int(np.int64(-1))  # literals are another type, compiled once more
     calc_regressor(tree, samples, whole, Y.reshape((1, *Y.shape)))
     effects = Y[:, Y.shape[1] - len(signals[0]) :]
     put_signals((friction_v, a, signs(friction_v, width)), signals, 1.0, effects)
