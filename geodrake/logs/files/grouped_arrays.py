@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -36,6 +35,7 @@ from geodrake.logs.files.table import (
 )
 from geodrake.logs.time_stamps import longest_step
 
+_NUMBERS = frozenset([int, float])
 _MOST_PARTS = 200  # more records are samples, and no joints
 _STEPS_BETWEEN, _BETWEEN = 30.0, 1.0  # steps and s between episodes at least, which are a gap
 _EPISODE = re.compile(
@@ -46,13 +46,13 @@ _EPISODE = re.compile(
 def fields_of(
     record: Mapping[str, Any], prefix: str = "", *, lists: bool = False
 ) -> Iterator[tuple[str, Any]]:
-    """Yield the fields of nested tables by path, also those in lists."""
+    """Yield the fields of nested tables by path, also those of tables in `lists`."""
     for name, value in record.items():
-        if lists and isinstance(value, list):
-            items = {f"[{k}]": each for k, each in enumerate(value)}
-            yield from fields_of(items, f"{prefix}{name}", lists=lists)
-        elif isinstance(value, dict):
+        if isinstance(value, dict):
             yield from fields_of(value, f"{prefix}{name}.", lists=lists)
+        elif lists and isinstance(value, list) and any(isinstance(x, dict | list) for x in value):
+            items = {f"{name}[{k}]": each for k, each in enumerate(value)}
+            yield from fields_of(items, prefix, lists=lists)
         else:
             yield f"{prefix}{name}", value
 
@@ -139,28 +139,21 @@ def records_table(
     path: Path, content: Sequence[Mapping[str, Any]], said: Mapping[str, Any] | None = None
 ) -> LogTable:
     """Return the columns of records of any fields, and of what is `said` beside them."""
-    columns = dict[str, list[Any]]()
-    uneven = _uneven_lists(content)
-    lists = {name: [record.get(name) for record in content] for name in uneven}
+    columns, width = dict[str, list[Any]](), 0
     for k, record in enumerate(content):
-        even = {name: x for name, x in record.items() if name not in uneven} if uneven else record
-        for name, value in fields_of(even, lists=True):
-            columns.setdefault(name, [None] * k).append(value)
-            check_room(path, len(content) * len(columns), f"{len(columns)} fields")
+        for name, value in fields_of(record, lists=True):
+            if name not in columns:
+                columns[name] = [None] * k
+                width += len(value) if isinstance(value, list) else 1
+                check_room(path, len(content) * width, f"{width} fields")
+            columns[name].append(value)
         for values in columns.values():
             values.extend([None] * (k + 1 - len(values)))
-    arrays = {name: np.array(values, object) for name, values in columns.items()}
-    return numeric_table(path, {**(said or {}), **arrays, **lists}, len(content))
-
-
-def _uneven_lists(records: Sequence[Mapping[str, Any]]) -> set[str]:
-    """Return fields that are lists of numbers of different lengths, apart from empty ones."""
-    lengths = defaultdict[str, set[int]](set)
-    for record in records:
-        for name, value in record.items():
-            if isinstance(value, list) and value and isinstance(value[0], int | float):
-                lengths[name].add(len(value))
-    return {name for name, found in lengths.items() if len(found) > 1}
+    arrays = dict[str, Any](columns)
+    for name, values in columns.items():
+        if not {*map(type, values)} <= _NUMBERS and not any(isinstance(x, list) for x in values):
+            arrays[name] = np.array(values, object)
+    return numeric_table(path, {**(said or {}), **arrays}, len(content))
 
 
 def grouped_table(path: Path, content: Any, reading: Reading) -> LogTable | None:
