@@ -64,9 +64,7 @@ def stacked(effect: Any, columns: Any, joint: str, count: int) -> Array:
             f"{name} has {len(effect.parameters)} parameters, but {len(columns)} columns{line}.",
             advice="Let columns() return one column for each entry of `parameters`.",
         )
-    return np.stack(
-        [_checked(f"{name} of {joint}", line, column, (count,)) for column in columns], -1
-    )
+    return np.stack([_checked(f"{name} of {joint}", line, x, (count,)) for x in columns]).T
 
 
 def _checked(what: str, line: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:

@@ -38,21 +38,26 @@ class Deflection:
 
     @classmethod
     def along(cls, lag: Array, time: Array | None) -> Deflection:
-        """Return a smooth lag (N,) with its rates at instants (N,) of a uniform series, s.
+        """Return a smooth lag (N,), or several (N, n), with rates at instants (N,) of a series, s.
 
-        Rates are zero where there is no time, as it is no series.
+        The series is uniform. Rates are zero where there is no time, as it is no series.
         """
         if time is None or len(lag) <= _DEGREE:
             return cls(lag, np.zeros_like(lag), np.zeros_like(lag))
         spline = make_interp_spline(time, lag, k=_DEGREE)
         return cls(lag, np.asarray(spline(time, 1)), np.asarray(spline(time, 2)))
 
+    def of(self, joint: int) -> Deflection:
+        """Return one of several."""
+        return Deflection(*(x[:, joint] for x in (self.lag, self.rate, self.acceleration)))
+
     def effort(self, slopes: EffortSlopes, joint: int) -> Array:
-        """Change of the needed effort (N, nv), to first order in the lag, by slopes at motors.
+        """Change of the needed effort (nv, N), to first order in the lag, by slopes at motors.
 
         −(∂τ/∂q_j s + ∂τ/∂v_j ṡ + M_{·j} s̈), with the bodies' effort τ(q, v, v̇).
         """
-        change = np.empty(slopes.position.shape[:2])
+        count, nv, _ = slopes.position.shape
+        change = np.empty((nv, count))
         by_q, by_v, by_a = (
             contiguous(np.swapaxes(each, 1, 2))  # as they are in memory
             for each in (slopes.position, slopes.velocity, slopes.acceleration)
@@ -66,17 +71,17 @@ class Deflection:
 def calc_change(
     slopes: tuple[Array, Array, Array], joint: int, link: tuple[Array, Array, Array], out: Array
 ) -> None:
-    """Write the change of efforts (N, nv); see `Deflection.effort`.
+    """Write the change of efforts (nv, N); see `Deflection.effort`.
 
     Args:
         slopes: (N, nv, nv) by whose position, velocity and acceleration.
         link: (N,) lag, its rate, and its acceleration.
     """
     (by_q, by_v, by_a), (lag, rate, acceleration) = slopes, link
-    for n in range(len(out)):
-        for i in range(out.shape[1]):
+    for n in range(len(lag)):
+        for i in range(len(out)):
             change = by_q[n, joint, i] * lag[n] + by_v[n, joint, i] * rate[n]
-            out[n, i] = -(change + by_a[n, joint, i] * acceleration[n])
+            out[i, n] = -(change + by_a[n, joint, i] * acceleration[n])
 
 
 @dataclass(frozen=True)
@@ -142,12 +147,8 @@ class DeflectionEffect(JointEffect):
         """No columns of the joint's own motion."""
         return [np.zeros_like(joint.v)]
 
-    def column(self, motion: RobotMotion) -> Array:
-        """Return the column (N, nv) at all joints."""
-        slopes = motion.effort_slopes
-        return self.deflection(motion).effort(slopes, motion.index(self.joint))
-
     def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
         """[−(∂τ/∂q s + ∂τ/∂v ṡ + M s̈)] at all joints."""
-        column = self.column(motion)
-        return {joint: column[:, i, None] for i, joint in enumerate(motion.joints)}
+        deflection = self.deflection(motion)
+        efforts = deflection.effort(motion.effort_slopes, motion.index(self.joint))
+        return {joint: own[:, None] for joint, own in zip(motion.joints, efforts, strict=True)}

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from geodrake.compiling import compiled, contiguous
 from geodrake.effects.base import (
@@ -219,7 +219,8 @@ class JointElasticity(DeflectionEffect):
 
     def deflection(self, motion: RobotMotion) -> Deflection:
         """Return the load of the joint, as a spring of unit stiffness gives way to it."""
-        return Deflection.along(motion.load[:, motion.index(self.joint)], motion.time)
+        loads = motion.once((Deflection, ""), lambda: Deflection.along(motion.load, motion.time))
+        return loads.of(motion.index(self.joint))
 
     def give(self, parameters: Array) -> Give:
         """Return a spring of the compliance."""
@@ -284,11 +285,11 @@ class Backlash(DeflectionEffect):
         load, time = motion.load[:, motion.index(self.joint)], motion.time
         if time is None or len(time) < 3:
             return Deflection.along(self.half_width * np.sign(load), time)
-        period = float(np.median(np.diff(time)))
+        period = motion.once((Backlash, ""), lambda: float(np.median(np.diff(time))))
         load, unsure = motion.once((Backlash, self.joint), lambda: self._loosening(motion, period))
         lag = link_lag(self.half_width, load, time, unsure)
         bend = np.diff(lag, 2, prepend=lag[:1], append=lag[-1:])
-        return Deflection(lag, np.gradient(lag, time), bend / period**2)
+        return Deflection(lag, np.gradient(lag, period), bend / period**2)
 
     def _loosening(self, motion: RobotMotion, period: float) -> tuple[Array, Array]:
         """Return accelerations (N,) of a loose link, and those up to which it does not get loose.
@@ -297,7 +298,8 @@ class Backlash(DeflectionEffect):
         """
         at = motion.index(self.joint)
         load, inertias = motion.load[:, at], motion.effort_slopes.acceleration[:, at]  # (N, nv)
-        noise = np.linalg.norm(inertias * motion.acceleration_noise, axis=1)
+        power = np.square(np.broadcast_to(motion.acceleration_noise, inertias.shape[1]))
+        noise = np.sqrt(np.square(inertias) @ power)
         bandwidth = _SLOWER * motion.bandwidth
         if bandwidth * period < HIGHEST_BANDWIDTH:
             load = design_filter(period, bandwidth).smooth(load)
@@ -326,23 +328,20 @@ def link_lag(h: float, acceleration: Array, time: Array, unsure: ArrayLike = 0.0
     When it is loose, it falls behind with accelerations (N,) τ_j / M_jj, rad/s². It comes loose
     only where their magnitude reaches `unsure`, rad/s², one for all or (N,).
     """
-    steps = np.diff(time, append=time[-1:]) / _SUBSTEPS
-    following = np.append(acceleration[1:], acceleration[-1:])
-    sure = np.abs(acceleration) >= unsure
-    return np.asarray(_lag(h, contiguous(acceleration), following, steps, sure))
+    limits = np.broadcast_to(unsure, len(acceleration))
+    return np.asarray(_lag(h, *map(contiguous, (acceleration, limits, time))))
 
 
 @compiled
-def _lag(
-    h: float, acceleration: Array, following: Array, steps: Array, sure: NDArray[np.bool_]
-) -> Array:
-    """Return the lag (N,) within ±h of a link that falls behind by accelerations, rad/s²."""
+def _lag(h: float, acceleration: Array, unsure: Array, time: Array) -> Array:
+    """Return the lag (N,) within ±h of a link; see `link_lag`."""
     lags = np.empty(len(acceleration))
-    s, speed = np.copysign(h, acceleration[0]), 0.0
+    s, speed, last = np.copysign(h, acceleration[0]), 0.0, len(acceleration) - 1
     for i in range(len(acceleration)):
-        a, b, dt = acceleration[i], following[i], steps[i]
+        a, b = acceleration[i], acceleration[min(i + 1, last)]
+        dt = (time[min(i + 1, last)] - time[i]) / _SUBSTEPS
         lags[i] = s
-        if abs(s) == h and (not sure[i] or (a * s > 0.0 and b * s > 0.0)):
+        if abs(s) == h and (abs(a) < unsure[i] or (a * s > 0.0 and b * s > 0.0)):
             continue  # it lies at its side
         for k in range(_SUBSTEPS):
             speed += dt * (a + (b - a) * (k + 0.5) / _SUBSTEPS)

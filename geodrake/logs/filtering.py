@@ -22,7 +22,7 @@ from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 from scipy.special import gammaincinv
 
 from geodrake.boundary.arguments import Array
-from geodrake.compiling import compiled, contiguous
+from geodrake.compiling import contiguous, summing
 from geodrake.errors import ArgumentError, LogError
 
 HANN = (0.5, -0.5)
@@ -194,10 +194,10 @@ class ZeroPhaseFilter:
         columns = np.asarray(columns, float)
         instants = self.output_indices(len(columns))
         instants = instants if at is None else instants[at]
-        flat = contiguous(columns.reshape(len(columns), math.prod(columns.shape[1:])))
-        outputs = np.empty((len(instants), flat.shape[1]))
-        calc_outputs(self.half, flat, instants, outputs)
-        return outputs.reshape(len(instants), *columns.shape[1:])
+        flat = contiguous(columns.reshape(len(columns), math.prod(columns.shape[1:])).T)
+        outputs = np.empty((len(flat), len(instants)))
+        calc_outputs(self.kernel, flat, instants, outputs)
+        return outputs.T.reshape(len(instants), *columns.shape[1:])
 
     def chunks(self, n: int, size: int) -> Iterator[tuple[slice, int]]:
         """Yield input slices, whose outputs together are those of all, and how many each has.
@@ -222,17 +222,16 @@ class ZeroPhaseFilter:
         return np.asarray(smooth[2 * self.halfwidth : len(padded)])
 
 
-@compiled
-def calc_outputs(half: Array, columns: Array, at: NDArray[np.intp], outputs: Array) -> None:
-    """Write averages (K, k) of columns (N, k) around instants (K,), by half a symmetric kernel."""
-    for n in range(len(at)):
-        middle, output = columns[at[n]], outputs[n]
-        for k in range(len(output)):
-            output[k] = half[0] * middle[k]
-        for i in range(1, len(half)):
-            before, after = columns[at[n] - i], columns[at[n] + i]
-            for k in range(len(output)):
-                output[k] += half[i] * (before[k] + after[k])
+@summing
+def calc_outputs(kernel: Array, columns: Array, at: NDArray[np.intp], outputs: Array) -> None:
+    """Write averages (k, K) of columns (k, N) around instants (K,), by a kernel (2L+1,)."""
+    for k in range(len(columns)):
+        for n in range(len(at)):
+            first, total = at[n] - len(kernel) // 2, 0.0
+            seen = columns[k, first : first + len(kernel)]
+            for i in range(len(kernel)):
+                total += kernel[i] * seen[i]
+            outputs[k, n] = total
 
 
 def design_filter(

@@ -108,15 +108,16 @@ class MixedRows:
 def add_weighted(
     row: Array, columns: Array, which: tuple[Indices, Indices, Indices], total: Array
 ) -> None:
-    """Add columns (N, ·) of velocities, weighted by a row (N, nv), to others.
+    """Add columns (·, N) of velocities, weighted by a row (nv, N), to others.
 
     Args:
         which: (k,) the columns, the velocities that they are of, and which others they go to.
     """
     used, sources, at = which
-    for n in range(len(columns)):
-        for k in range(len(used)):
-            total[n, at[k]] += row[n, sources[k]] * columns[n, used[k]]
+    for k in range(len(used)):
+        weight, own, sums = row[sources[k]], columns[used[k]], total[at[k]]
+        for n in range(len(sums)):
+            sums[n] += weight[n] * own[n]
 
 
 def row_scales(model: RobotModel, trajectory: Trajectory) -> Array:

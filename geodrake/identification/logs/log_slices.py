@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
+from geodrake.compiling import contiguous
 from geodrake.effects.base import Effect
 from geodrake.effects.declarations import Role
 from geodrake.effects.effect_columns import EffectColumns, declares_signals
@@ -95,7 +96,7 @@ class RowCache:
         if size <= (min(self._room, self._signals) if signals else self._room):
             self._room -= size
             self._signals -= size if signals else 0
-            self._kept[key] = {at: np.array(block, order="C") for at, block in blocks.items()}
+            self._kept[key] = {at: np.array(block) for at, block in blocks.items()}
             if not signals:
                 self._used[key] = self._turn
 
@@ -249,7 +250,7 @@ class Layout:
 
     def _inertial_at(self, motion: Motion, phi: Array) -> tuple[dict[int, Array], Array]:
         """Return inertial columns of every joint, and the efforts (N, nv) for φ (10 nb,)."""
-        rows = {j: np.empty((len(motion), len(own))) for j, own in enumerate(self.bodies)}
+        rows = {j: np.empty((len(own), len(motion))).T for j, own in enumerate(self.bodies)}
         load = np.empty(motion.v.shape)
         for part, Y in regressor_pieces(self.tree, motion.q, motion.v, motion.vd):
             np.matmul(Y, phi, out=load[part])
@@ -283,7 +284,7 @@ class LogSlice:
             JointRows(
                 motion[-1][at],
                 motion[j][at, :3],
-                np.hstack([blocks[j] for blocks in columns if j in blocks]),
+                _stacked(blocks[j] for blocks in columns if j in blocks),
                 efforts[at, j] - carried[j][:, None],
                 at,
                 carried[j],
@@ -452,18 +453,19 @@ class LogSlice:
                 continue
             if row not in mixed:
                 own = [blocks[k].get(row, np.zeros((count, w))) for k, w in widths.items()]
-                columns = np.hstack(own)
+                columns = _stacked(own)
                 if rows is not None and (rows.own[:, row] != 1.0).any():
                     columns *= rows.own[:, row, None]
             else:
-                columns = np.zeros((count, sum(widths.values())))
+                columns = np.zeros((sum(widths.values()), count)).T
+                weights = contiguous(mixed[row].T)
                 first = np.zeros(len(parts), np.intp)  # columns of parts in these
                 first[[*widths]] = np.cumsum([0, *widths.values()])[:-1]
                 for of, places, sources, block in together:
                     at = layout.places(parts[int(of[0])], places, row)
                     used = np.flatnonzero(felt[sources] & (at >= 0))
                     which = used, sources[used], first[of[used]] + at[used]
-                    add_weighted(mixed[row], block, which, columns)
+                    add_weighted(weights, block, which, columns.T)
             yield row, widths, columns
 
     def _mixed(
@@ -471,7 +473,7 @@ class LogSlice:
     ) -> list[tuple[Indices, Indices, Indices, Array]]:
         """Return columns of velocities that are felt by mixed rows, those of all effects together.
 
-        They are numbers of parts (k,), which of their columns each is, whose it is, and (N, k).
+        They are numbers of parts (k,), which of their columns each is, whose it is, and (k, N).
         """
         found, few = (list[tuple[Indices, Indices, Indices, Array]]() for _ in range(2))
         for k, each in enumerate(blocks):
@@ -479,10 +481,10 @@ class LogSlice:
             for j in (j for j in each if felt[j]):
                 own = np.arange(each[j].shape[1])
                 places = own if isinstance(part, Effect) else self.layout.bodies[j]
-                one = np.full_like(own, k), places, np.full_like(own, j), each[j]
+                one = np.full_like(own, k), places, np.full_like(own, j), contiguous(each[j].T)
                 (few if isinstance(part, Effect) else found).append(one)
         if few:
-            numbers, places, sources, columns = (np.hstack(each) for each in zip(*few, strict=True))
+            numbers, places, sources, columns = map(np.concatenate, zip(*few, strict=True))
             found.append((numbers, places, sources, columns))
         return found
 
@@ -510,6 +512,11 @@ class LogSlice:
         if start == 0 or not any(effect.state_count for effect in self.layout.effects):
             return np.zeros((0, len(self.layout.model.joints)))
         return self.stretch[max(0, start - MEMORY) : start].position
+
+
+def _stacked(blocks: Iterable[Array]) -> Array:
+    """Return columns (K, ·) side by side, each of them as one piece of memory."""
+    return np.concatenate([block.T for block in blocks]).T
 
 
 def gains_of(model: RobotModel) -> Array:

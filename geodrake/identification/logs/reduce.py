@@ -274,7 +274,7 @@ class _Box:
         effort = rows.b[:, 0] + rows.carried
         self.sums += effort.sum(), effort @ effort
         self.samples += len(effort)
-        self.pending.append(np.hstack([rows.A, rows.b]))
+        self.pending.append(np.concatenate([rows.A.T, rows.b.T]).T)
         self.carried += self.pending[-1].T @ rows.carried
         if sum(map(len, self.pending)) > (WORTHWHILE + 1) * self.width:
             self.pending = [self.whole_factor()]
