@@ -121,6 +121,20 @@ def test_torques_of_an_iiwa_have_the_sign_of_drakes_plant(tmp_path):
     assert "have the opposite sign" in " ".join(read.notes)
 
 
+def test_channels_of_two_arms_are_joined(tmp_path):
+    lcm, (*statuses, _) = pytest.importorskip("lcm"), foreign_logs.simulated_iiwa()[0]
+    path = tmp_path / "arms.lcm"
+    events = lcm.EventLog(str(path), "w")
+    for k, status in enumerate(statuses):
+        for arm in ("LEFT", "RIGHT"):
+            events.write_event(5000 * k, f"{arm}_STATUS", status)
+    events.close()
+    one = read_log(path, reading=Reading(topic="LEFT_STATUS"))
+    joints = [f"{arm}_{k}" for arm in ("left", "right") for k in range(len(one.joints))]
+    both = read_log(path, joints=joints, reading=Reading(topic=("LEFT_STATUS", "RIGHT_STATUS")))
+    np.testing.assert_allclose(both.effort, np.hstack([one.effort] * 2))
+
+
 def frames(log):
     columns = foreign_logs.named_columns(log)
     indexed = pandas.DataFrame(columns, index=pandas.to_timedelta(log.time, unit="s"))

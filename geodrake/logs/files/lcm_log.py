@@ -40,22 +40,11 @@ def read_lcm(path: Path, reading: Reading) -> LogTable:
             )
         with mmap(file.fileno(), 0, access=ACCESS_READ) as log:
             topics = _topics(log, _types())
-    topic, *others = chosen_topics(path, topics, reading)
-    if others:
-        raise LogError(
-            f"Log {str(path)!r} has several requested channels, {', '.join(reading.topics)}, "
-            "but only one can be read.",
-            advice="Choose one.",
-        )
-    table = topics_table(path, [topic], topics, reading)
-    if topic.kind not in _NEGATIVE:
-        return table
-    turned = {
-        name: -numbers if name.startswith("effort[") else numbers
-        for name, numbers in table.columns.items()
-    }
-    note = f"efforts have the opposite sign, as {topic.kind} defines torques"
-    return replace(table, columns=turned, notes=(*table.notes, note))
+    chosen = chosen_topics(path, topics, reading)
+    table = topics_table(path, chosen, topics, reading)
+    turned = dict.fromkeys(topic.kind for topic in chosen if topic.kind in _NEGATIVE)
+    notes = [f"efforts have the opposite sign, as {kind} defines torques" for kind in turned]
+    return replace(table, notes=(*table.notes, *notes))
 
 
 def _types() -> Mapping[bytes, type]:
@@ -89,5 +78,8 @@ def _topics(log: mmap, types: Mapping[bytes, type]) -> list[JointMessages]:
                 f"Message {number} of the log on channel {name} is truncated or damaged: {error}.",
                 advice="Record again, or remove that message.",
             ) from error
+        for field in kind.__slots__ if kind.__name__ in _NEGATIVE else ():
+            if "torque" in field:
+                setattr(message, field, [-torque for torque in getattr(message, field)])
         topics[name].add(message, 1000 * received)
     return list(topics.values())
