@@ -299,7 +299,7 @@ class Search:
                 self.fit,
                 hopeful=hopeful,
                 watch=watch,
-                pause=self._is_inexact,
+                pause=self._is_displaced if hopeful else self._is_inexact,
                 further=further,
                 common=common,
             )
@@ -355,15 +355,21 @@ class Search:
     def _is_inexact(self, fit: Fit) -> bool:
         """Return whether what was found is to be made exact before anything else is looked for.
 
-        A delay or a slope about another place leaves an error that looks like further effects.
+        Loads are, once nothing more seems to be missing: on the way up, all that is found changes
+        them.
+        """
+        return self._is_displaced(fit) or self._other_loads(fit) is not None
+
+    def _is_displaced(self, fit: Fit) -> bool:
+        """Return whether a delay or a slope is about another place, or a shape is coarse.
+
+        Such an error looks like further effects.
         """
         if self._is_between(fit) and self._has_other_delays(fit):
             return True
         if expansions(self.case, self.model, fit):
             return True
-        if self._finer(fit.terms):
-            return True
-        return self._other_loads(fit) is not None
+        return bool(self._finer(fit.terms))
 
     def _made(self) -> LogModel:
         """Return the Gaussian model of the case with columns for all that is tried."""

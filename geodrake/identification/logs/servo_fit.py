@@ -248,8 +248,10 @@ class _Search:
         if not error < min(first, moved):
             return None
         if np.isfinite(usual):
-            # Of what a servo gives, friction takes its part before the shaft of a data sheet.
-            dry = float(best.numbers[COULOMB] + best.numbers[LOAD] * usual**2)
+            # Of what a servo gives, friction takes its part before the shaft of a data sheet. By
+            # its load it is known up to the largest one that was seen.
+            seen = min(usual, self._most)
+            dry = float(best.numbers[COULOMB] + best.numbers[LOAD] * seen**2)
             held = best.limited(usual + dry, 0.0)
             if (motions.residual(held.numbers) == motions.residual(best.numbers)).all():
                 best = held
