@@ -811,6 +811,18 @@ def test_recordings_in_one_table_follow_each_other(tmp_path, suffix):
     np.testing.assert_allclose(one.position, q[number == 3])
 
 
+def test_recordings_by_words_in_two_columns_follow_each_other(tmp_path):
+    time, q, _, tau = motion(("a",))
+    number, row = np.divmod(np.arange(ROWS), 50)
+    words = {"trial": [f"run {k}" for k in number], "experiment": [f"day {k // 2}" for k in number]}
+    path = tmp_path / "log.csv"
+    frame = pandas.DataFrame({**words, "time": time[row], "q": q[:, 0], "tau": tau[:, 0]})
+    frame.to_csv(path, index=False)
+    log = read_log(path, joints=("a",))
+    np.testing.assert_allclose(log.position, q)
+    assert np.count_nonzero(np.diff(log.time) > 0.5) == 3
+
+
 @pytest.mark.parametrize("unit", ["furlong", "V"])
 def test_units_that_are_not_known_are_asked_for(tmp_path, unit):
     time, q, _, tau = motion(UR)

@@ -251,13 +251,16 @@ ALL_ROBOTS = "all"
 
 def regrouped(table: LogTable, reading: Reading) -> LogTable:
     """Return a table of one robot, recordings one after the other, with a column for each joint."""
-    cells = {n: np.array([*map(str, words)], object) for n, words in table.words.items()}
-    told = [n for n in (*table.columns, *cells) if tells_robots(n) or tells_recordings(n)]
-    for name in told:
-        own = cells.get(name)
-        own = np.array([f"{x:g}" for x in table.columns[name]], object) if own is None else own
-        table = (_of_one_robot if tells_robots(name) else _of_recordings)(table, name, own, reading)
-        cells = {n: np.array([*map(str, words)], object) for n, words in table.words.items()}
+    names = (*table.columns, *table.words)
+    for name in [n for n in names if tells_robots(n) or tells_recordings(n)]:
+        if name in table.words:
+            cells = np.array([*map(str, table.words[name])], object)
+        elif name in table.columns:
+            cells = np.array([f"{x:g}" for x in table.columns[name]], object)
+        else:  # which recordings that follow each other no longer have
+            continue
+        of_one = _of_one_robot if tells_robots(name) else _of_recordings
+        table = of_one(table, name, cells, reading)
     return reshaped(table, reading)
 
 
