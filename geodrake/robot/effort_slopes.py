@@ -1,19 +1,27 @@
 """Slopes of the needed effort with respect to the motion of every joint, for many samples at once.
 
 The derivatives of τ = M(q) v̇ + C(q, v) v − τ_g(q) with respect to q_j, v_j and v̇_j of a joint j of
-one degree of freedom. Let P be the body inboard of j, B a body outboard of it, s and t the angular
-and linear part of j's motion subspace about Bo, in B, and ω_r, v_r the velocity of B in P. Seen
-from B, moving q_j moves P, and nothing that the joints between P and B add:
+one degree of freedom. Every body's motion is a field of velocities V = (ω, u), x ↦ u + ω × x in the
+world, and one of accelerations A = (α, a), whose α and a are the rates of ω and u less gravity. So
+are the motion S_j = (s, t) of a unit speed of j, and cross products of two fields,
 
-    δω = ω_P × s,   δα = α_P × s + δω × ω_r,
-    δa = a_P × s + α_P × t + ω_P × (ω_P × t) + 2 δω × v_r,
+    V × S = (ω × s, ω × t + u × s).
 
-with a_P the acceleration, less gravity, of the point of P that is at Bo. The efforts of joints
-inboard of j change also because the wrench on B moves along. A change of v_j gives
+Let P be the body inboard of j. Seen from the bodies outboard of j, which move along with q_j, the
+fields of each of them, V and A, change by
 
-    δω = s,   δα = ω_P × s + s × ω_r,   δa = 2 (ω_P × t + s × v_r),
+    q_j:  ψ = V_P × S_j      and  A_P × S_j + ψ × (V − V_P),
+    v_j:  S_j                and  2 ψ + S_j × V,
+    v̇_j:  0                  and  S_j.
 
-and one of v̇_j δα = s, δa = t, so that the slope is a column of M.
+The rate of a body's momentum, a wrench W = (f, n) about the world's origin, thus changes by
+
+    q_j:  I ψ̇ + 2 B ψ with ψ̇ = A_P × S_j + V_P × ψ,   v_j:  2 (I ψ + B S_j),   v̇_j:  I S_j,
+
+I (s, t) being the momentum of the field, and B (s, t) the force s × p and moment (tr Q − Q) s, with
+the momentum p = ∫ v dm and Q = ∫ v xᵀ dm. I and B of all bodies outboard of a joint add up. The
+effort of a joint k is the power of their wrench along S_k. If k is inboard of j, their wrench also
+moves along with q_j.
 """
 
 from __future__ import annotations
@@ -32,17 +40,18 @@ from geodrake.robot.coordinates import RobotCoordinates
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.recursion import (
     MOTION,
+    POSE,
     Record,
     Samples,
     TreeRecords,
     calc_inverse_dynamics,
-    find_subspaces,
+    carried,
     move,
-    subspace_room,
+    put_pose,
     wrench_of,
 )
 from geodrake.robot.regressor import checked_samples, checked_tree
-from geodrake.robot.transmission import times
+from geodrake.robot.transmission import times as products
 from geodrake.robot.vectors import (
     Vector,
     add,
@@ -54,10 +63,13 @@ from geodrake.robot.vectors import (
     row,
     scale,
     subtract,
+    times,
+    transposed_times,
     vector,
 )
 
-_ALONG = 3  # what the wrench on B does by moving along with q, which joints inboard see
+_MOST = 6  # velocities of a joint
+_SECOND, _TURNING, _MOMENTUM, _FORCE, _MOMENT = 1, 4, 7, 8, 9  # rows of what bodies add up to
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,115 +139,172 @@ def _at_actuators(
             unit = np.zeros_like(v)
             unit[:, at_v] = 1.0
             bend = actuation.jacobian_rate(q, unit)
-            position[:, :, at_v] += times(np.swapaxes(bend, 1, 2), efforts)
+            position[:, :, at_v] += products(np.swapaxes(bend, 1, 2), efforts)
     return EffortSlopes(position, velocity, M @ J)
 
 
 @compiled
 def calc_effort_slopes(tree: TreeRecords, samples: Samples, phi: Array, out: Array) -> None:
     """Add slopes of all bodies' efforts to (3, N, nv, nv), or the first, by whose q, v and v̇."""
-    mobilizers, dofs = tree
-    motions, features, most = np.empty(len(mobilizers), MOTION), np.empty(9), dofs.shape[1]
-    turn, slide = subspace_room(dofs)
-    inboard = np.empty((5, most, 3))
-    forces, moments = np.empty((4, most, 3)), np.empty((4, most, 3))
-    for n in range(len(samples[0])):
+    mobilizers, _ = tree
+    bodies, (_, v, _, _) = len(mobilizers), samples
+    motions, poses, features = np.empty(bodies, MOTION), np.empty(bodies, POSE), np.empty(9)
+    fields, lines = np.empty((bodies, 4, 3)), np.empty((bodies * _MOST, 6, 3))
+    masses, sums = np.empty(bodies), np.empty((bodies, 10, 3))
+    for n in range(len(v)):
         move(mobilizers, samples, n, features, motions)
-        find_subspaces(mobilizers, motions, turn, slide)
-        for i in range(len(mobilizers)):
-            body, count = mobilizers[i].body, mobilizers[i].count
-            if body < 0:
-                continue
-            look_inboard(mobilizers, motions, (turn, slide), (samples, n, i), inboard)
-            force, moment = wrench_of(phi, body, motions[i])
-            for j in range(count):
-                s, t = row(turn, i, j), row(slide, i, j)
-                changes = motion_changes(s, t, inboard, j)
-                for kind in range(len(out)):
-                    by_force, by_moment = wrench_change(
-                        phi, body, vector(motions[i].w), changes[kind]
-                    )
-                    put_row(forces, kind, j, by_force)
-                    put_row(moments, kind, j, by_moment)
-                put_row(forces, _ALONG, j, cross(s, force))
-                put_row(moments, _ALONG, j, add(cross(s, moment), cross(t, force)))
-            for k in range(count):
-                s, t = row(turn, i, k), row(slide, i, k)
-                for j in range(count):
-                    for kind in range(len(out)):
-                        felt = dot(t, row(forces, kind, j)) + dot(s, row(moments, kind, j))
-                        if kind == 0 and k < j:  # inboard of it
-                            felt += dot(t, row(forces, _ALONG, j)) + dot(s, row(moments, _ALONG, j))
-                        out[kind, n, dofs[i, j], dofs[i, k]] += felt
+        for i in range(bodies):
+            put_pose(mobilizers[i], motions[i], poses, poses[i])
+            put_fields(mobilizers[i], (motions[i], poses[i]), (v, n, i), fields, lines)
+            put_inertia(mobilizers[i].body, phi, (motions[i], poses[i], fields), (masses, sums, i))
+        for i in range(bodies - 1, -1, -1):
+            first, number = mobilizers[i].velocities
+            inertia, parent = (masses[i], sums, i), mobilizers[i].parent
+            for k in range(number):
+                line = _MOST * i + k
+                s, t = row(lines, line, 0), row(lines, line, 1)
+                force, moment = momentum_of(inertia, s, t)
+                turning = turning_of(inertia, s, t)
+                by_q, by_v = wrench_changes(inertia, lines, line)
+                step = i
+                while step >= 0:
+                    start, several = mobilizers[step].velocities
+                    for j in range(several):
+                        other = _MOST * step + j
+                        own, inboard = first + k, start + j
+                        s, t = row(lines, other, 0), row(lines, other, 1)
+                        ds, dt = row(lines, other, 2), row(lines, other, 3)
+                        dds, ddt = row(lines, other, 4), row(lines, other, 5)
+                        felt = dot(force, ddt) + dot(moment, dds) + 2.0 * dot(turning, ds)
+                        out[0, n, inboard, own] += felt
+                        if step != i:
+                            out[0, n, own, inboard] += dot(t, by_q[0]) + dot(s, by_q[1])
+                        if len(out) == 1:
+                            continue
+                        felt = dot(force, dt) + dot(moment, ds) + dot(turning, s)
+                        out[1, n, inboard, own] += 2.0 * felt
+                        inertial = dot(force, t) + dot(moment, s)
+                        out[2, n, inboard, own] += inertial
+                        if step != i:
+                            out[1, n, own, inboard] += dot(t, by_v[0]) + dot(s, by_v[1])
+                            out[2, n, own, inboard] += inertial
+                    step = mobilizers[step].parent
+            if parent >= 0:
+                masses[parent] += masses[i]
+                for x in range(10):
+                    put_row(sums, parent, x, add(row(sums, parent, x), row(sums, i, x)))
 
 
 @inlined
-def look_inboard(
-    mobilizers: Record,
-    motions: Record,
-    subspaces: tuple[Array, Array],
-    place: tuple[Samples, int, int],
-    out: Array,
+def crossed(w: Vector, u: Vector, s: Vector, t: Vector) -> tuple[Vector, Vector]:
+    """Return the cross product (w, u) × (s, t) of two fields."""
+    return cross(w, s), add(cross(w, t), cross(u, s))
+
+
+@inlined
+def put_fields(
+    mobilizer: Record,
+    place: tuple[Record, Record],
+    sample: tuple[Array, int, int],
+    fields: Array,
+    lines: Array,
 ) -> None:
-    """Write ω_P, α_P, a_P, ω_r and v_r (5, k, 3) of each velocity of a body, as seen from it.
+    """Write ω, u, α and a of a body i to (m, 4, 3), and S, ψ and ψ̇ of its own velocities.
 
-    The place is the sample, of which motion, and the body's mobilizer.
+    The place is the motion and pose of the body; the sample has velocities, which of them, and i.
     """
-    (turn, slide), ((_, v, _, vd), n, i) = subspaces, place
-    w, wd, a = vector(motions[i].w), vector(motions[i].wd), vector(motions[i].a)
-    whole, speed = w, (0.0, 0.0, 0.0)
-    last, step = mobilizers[i].count, i
-    while step >= 0:
-        # From the outboard to the inboard side of one joint.
-        first, number = mobilizers[step].velocities[0], mobilizers[step].velocities[1]
-        u = w_r = shift = du = dw_r = (0.0, 0.0, 0.0)
-        for k in range(number):
-            s, t = row(turn, i, last - number + k), row(slide, i, last - number + k)
-            u, w_r = add(u, scale(v[n, first + k], t)), add(w_r, scale(v[n, first + k], s))
-            du, dw_r = add(du, scale(vd[n, first + k], t)), add(dw_r, scale(vd[n, first + k], s))
-            axis = column(mobilizers[step].angular, k)
-            if dot(axis, axis) == 0.0:
-                shift = add(shift, scale(v[n, first + k], t))  # what slides and does not turn
-        w_P = subtract(w, w_r)
-        a = subtract(a, du)
-        a = subtract(a, add(scale(2.0, cross(w_P, u)), cross(w_r, subtract(u, shift))))
-        wd = subtract(wd, add(dw_r, cross(w_P, w_r)))
-        w, speed = w_P, add(speed, u)
-        for k in range(last - number, last):
-            put_row(out, 0, k, w)
-            put_row(out, 1, k, wd)
-            put_row(out, 2, k, a)
-            put_row(out, 3, k, subtract(whole, w))
-            put_row(out, 4, k, speed)
-        last, step = last - number, mobilizers[step].parent
+    (motion, pose), (v, n, i) = place, sample
+    R, p, (first, number) = pose.R_WB, vector(pose.p_WoBo_W), mobilizer.velocities
+    w_P = u_P = wd_P = (0.0, 0.0, 0.0)
+    a_P = scale(-1.0, vector(mobilizer.gravity))
+    if mobilizer.parent >= 0:
+        w_P, u_P = row(fields, mobilizer.parent, 0), row(fields, mobilizer.parent, 1)
+        wd_P, a_P = row(fields, mobilizer.parent, 2), row(fields, mobilizer.parent, 3)
+    w, u = w_P, u_P
+    for k in range(number):
+        s, t = carried(mobilizer, motion, column(mobilizer.angular, k), column(mobilizer.linear, k))
+        s, t = times(R, s), times(R, t)
+        t = add(t, cross(p, s))
+        w, u = add(w, scale(v[n, first + k], s)), add(u, scale(v[n, first + k], t))
+        ds, dt = crossed(w_P, u_P, s, t)
+        dds, ddt = crossed(wd_P, a_P, s, t)
+        more_s, more_t = crossed(w_P, u_P, ds, dt)
+        both = s, t, ds, dt, add(dds, more_s), add(ddt, more_t)
+        for x in range(6):
+            put_row(lines, _MOST * i + k, x, both[x])
+    wd, a = times(R, vector(motion.wd)), times(R, vector(motion.a))
+    a = subtract(a, add(cross(wd, p), cross(w, add(u, cross(w, p)))))
+    put_row(fields, i, 0, w)
+    put_row(fields, i, 1, u)
+    put_row(fields, i, 2, wd)
+    put_row(fields, i, 3, a)
 
 
 @inlined
-def motion_changes(
-    s: Vector, t: Vector, inboard: Array, j: int
-) -> tuple[tuple[Vector, Vector, Vector], ...]:
-    """Return the derivatives of a body's ω, α and a by q, v and v̇ of velocity j."""
-    w_P, wd_P, a_P = row(inboard, 0, j), row(inboard, 1, j), row(inboard, 2, j)
-    w_r, v_r = row(inboard, 3, j), row(inboard, 4, j)
-    turned, slid = cross(w_P, s), cross(w_P, t)
-    along = add(add(cross(a_P, s), cross(wd_P, t)), cross(w_P, slid))
-    along = add(along, scale(2.0, cross(turned, v_r)))
-    return (
-        (turned, add(cross(wd_P, s), cross(turned, w_r)), along),
-        (s, add(turned, cross(s, w_r)), scale(2.0, add(slid, cross(s, v_r)))),
-        ((0.0, 0.0, 0.0), s, t),
-    )
+def put_inertia(
+    body: int,
+    phi: Array,
+    motion: tuple[Record, Record, Array],
+    out: tuple[Array, Array, int],
+) -> None:
+    """Write mass and h, ∫ x xᵀ dm, columns of Q, p, f and n (10, 3) of a body of φ (nb, 10)."""
+    (own, pose, fields), (masses, sums, i) = motion, out
+    masses[i], sums[i] = 0.0, 0.0
+    if body < 0:
+        return
+    R, p, m = pose.R_WB, vector(pose.p_WoBo_W), phi[body, 0]
+    w, u = row(fields, i, 0), row(fields, i, 1)
+    h = times(R, (phi[body, 1], phi[body, 2], phi[body, 3]))  # about Bo
+    whole = add(h, scale(m, p))
+    trace = phi[body, 4] + phi[body, 5] + phi[body, 6]
+    for x in range(3):
+        axis = R[x, 0], R[x, 1], R[x, 2]
+        second = subtract(scale(0.5 * trace, axis), inertia_times(phi, body, axis))
+        second = add(times(R, second), add(scale(p[x], h), scale(whole[x], p)))
+        put_row(sums, i, _SECOND + x, second)
+        put_row(sums, i, _TURNING + x, add(scale(whole[x], u), cross(w, second)))
+    force, moment = wrench_of(phi, body, own)
+    force = times(R, force)
+    masses[i] = m
+    put_row(sums, i, 0, whole)
+    put_row(sums, i, _MOMENTUM, add(scale(m, u), cross(w, whole)))
+    put_row(sums, i, _FORCE, force)
+    put_row(sums, i, _MOMENT, add(times(R, moment), cross(p, force)))
 
 
 @inlined
-def wrench_change(
-    phi: Array, b: int, w: Vector, change: tuple[Vector, Vector, Vector]
-) -> tuple[Vector, Vector]:
-    """Return the first-order change of `wrench_of` with changes of ω, α and a."""
-    dw, dwd, da = change
-    h = phi[b, 1], phi[b, 2], phi[b, 3]
-    force = add(scale(phi[b, 0], da), cross(dwd, h))
-    force = add(force, add(cross(dw, cross(w, h)), cross(w, cross(dw, h))))
-    moment = add(inertia_times(phi, b, dwd), cross(h, da))
-    moment = add(moment, cross(dw, inertia_times(phi, b, w)))
-    return force, add(moment, cross(w, inertia_times(phi, b, dw)))
+def momentum_of(inertia: tuple[float, Array, int], s: Vector, t: Vector) -> tuple[Vector, Vector]:
+    """Return I (s, t)."""
+    m, sums, i = inertia
+    h, E = row(sums, i, 0), sums[i, _SECOND:_TURNING]
+    moment = subtract(scale(E[0, 0] + E[1, 1] + E[2, 2], s), times(E, s))
+    return add(scale(m, t), cross(s, h)), add(moment, cross(h, t))
+
+
+@inlined
+def turning_of(inertia: tuple[float, Array, int], s: Vector, t: Vector) -> Vector:
+    """Return what, times w, is the power along (s, t) of B of a field with the angular part w."""
+    _, sums, i = inertia
+    Q = sums[i, _TURNING:_MOMENTUM]  # transposed
+    own = subtract(scale(Q[0, 0] + Q[1, 1] + Q[2, 2], s), times(Q, s))
+    return add(cross(row(sums, i, _MOMENTUM), t), own)
+
+
+@inlined
+def wrench_changes(
+    inertia: tuple[float, Array, int], lines: Array, line: int
+) -> tuple[tuple[Vector, Vector], tuple[Vector, Vector]]:
+    """Return how the wrench changes by q and by v of a velocity, as joints inboard of it see it."""
+    _, sums, i = inertia
+    s, t = row(lines, line, 0), row(lines, line, 1)
+    ds, dt = row(lines, line, 2), row(lines, line, 3)
+    Q, p = sums[i, _TURNING:_MOMENTUM], row(sums, i, _MOMENTUM)
+    f, n = row(sums, i, _FORCE), row(sums, i, _MOMENT)
+    trace = Q[0, 0] + Q[1, 1] + Q[2, 2]
+    force, moment = momentum_of(inertia, row(lines, line, 4), row(lines, line, 5))
+    turned = subtract(scale(trace, ds), transposed_times(Q, ds))
+    force = add(force, add(scale(2.0, cross(ds, p)), cross(s, f)))
+    moment = add(add(moment, scale(2.0, turned)), add(cross(s, n), cross(t, f)))
+    by_v, turning = momentum_of(inertia, ds, dt)
+    turned = subtract(scale(trace, s), transposed_times(Q, s))
+    return (force, moment), (scale(2.0, add(by_v, cross(s, p))), scale(2.0, add(turning, turned)))
