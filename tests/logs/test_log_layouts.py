@@ -594,6 +594,10 @@ def test_a_robot_that_moves_on_is_one(tmp_path, words):
         read_log(tmp_path / "log.csv", joints=("a", "b"))
     log = read_log(tmp_path / "log.csv", joints=("a", "b"), reading=Reading(topic="all"))
     np.testing.assert_array_equal(log.position[:, 0], frame["q1"])
+    # Nor is a joint without a number, which no warning of NumPy's is about.
+    frame.assign(q3=np.nan).to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(LogError, match="if all rows are of one robot, --topic all"):
+        read_log(tmp_path / "log.csv", joints=("a", "b"))
 
 
 def test_all_rows_of_one_device_are_said(tmp_path):

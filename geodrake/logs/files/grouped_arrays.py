@@ -291,13 +291,16 @@ def _of_one_robot(table: LogTable, name: str, cells: Texts, reading: Reading) ->
 
 def _moves_on(table: LogTable, cells: Texts) -> bool:
     """Return whether joints go on as they moved where cells (N,) change, as no other robot does."""
-    told = [m.column for m in meanings_of(table.columns) if m.quantity == "position"]
+    places = [
+        table.columns[m.column] for m in meanings_of(table.columns) if m.quantity == "position"
+    ]
+    places = [place for place in places if np.isfinite(np.diff(place)).any()]
     time = next((x for n, x in table.columns.items() if table.is_time(n)), None)
     edges = np.flatnonzero(cells[1:] != cells[:-1]) + 1
     edges = edges[(edges > 1) & (edges < len(cells) - 1)]
-    if time is None or not told or len(edges) < _LEAST_EDGES or not (np.diff(time) > 0.0).all():
+    if time is None or not places or len(edges) < _LEAST_EDGES or not (np.diff(time) > 0.0).all():
         return False
-    position = np.stack([table.columns[name] for name in told], 1)
+    position = np.stack(places, 1)
     steps = np.abs(np.diff(position, axis=0))
     bends = np.abs(np.diff(position, 2, axis=0))  # from rows k − 1, k to k + 1, at k − 1
     usual = np.nanmax(np.delete(bends, np.concatenate([edges - 2, edges - 1]), 0), 0, initial=0.0)
