@@ -955,6 +955,13 @@ def test_days_of_spreadsheets_are_time(tmp_path, program, day, name):
     assert f"time is in days as in {program}," in " ".join(log.notes)
 
 
+def test_time_of_one_joint_in_french_is_no_temperature(tmp_path):
+    columns = {"temps": TIME, "position": POSITION[:, 0], "couple": EFFORT[:, 0]}
+    log = read_log(csv_of(tmp_path, columns))
+    np.testing.assert_allclose(log.time, TIME)
+    assert log.temperature is None
+
+
 @pytest.mark.parametrize("first", ["time", "kind"])
 def test_rows_with_few_cells_at_the_beginning_are_none_with_keys(tmp_path, first):
     sparse = PLAIN.assign(kind="state")[[first, *PLAIN.columns.drop(first, errors="ignore")]]

@@ -411,7 +411,9 @@ def columns_of(
     try:
         if columns.rate is None and ("", "time") not in places:
             clock, words, is_sure = likely_clock(table)
-            places = {("", "time"): clock, **places} if clock else places
+            if clock is not None:  # and not a temperature, as `temps` may be
+                others = {k: s for k, s in places.items() if s.column != clock.column}
+                places = {("", "time"): clock, **others}
             if is_sure:
                 columns.places = places
                 columns.notes.append(f"{words}, so it is taken as time")
