@@ -402,6 +402,76 @@ def test_dates_are_no_positions(tmp_path):
         read_log(path)
 
 
+HIP = ("hip", "knee")
+LEGS = tuple(f"{side}_{joint}_joint" for side in ("left", "right") for joint in ("hip_yaw", "knee"))
+SERVOS = ("servo_6064", "servo_6077")
+COUNTED = tuple(f"J{k}" for k in range(1, 7))
+PARTS = ("shoulder", "shoulder", "elbow", "wrist", "wrist", "wrist", "hand")
+FLAGS = ("/joint_status/{}[{{k}}]", "motor_status_{{k}}_{}", "{}_smooth{{k}}")
+SETTINGS = {
+    "Dynamixel": "torque_enable_{k} profile_velocity_{k} present_position_{k} present_current_{k}",
+    "flags": "torque_on_{k} torque_status_{k} position_{k} current_{k}",
+    "MuJoCo": "qfrc_applied_{k} qfrc_smooth_{k} qpos_{k} qfrc_actuator_{k}",
+    "zeros": "effort_{k} torque_{k} position_{k} current_{k}",
+}
+"""Two columns that never change, positions, and efforts or what stands for them."""
+LAYOUTS = {
+    "hands and grippers are no joints of an arm": (PANDA, {
+        "obs.robot0_eef_pos[{k}]": "q:3", "obs.robot0_gripper_qpos[{k}]": "q:2",
+        "obs.robot0_gripper_qvel[{k}]": "v:2", "obs.robot0_joint_pos[{k}]": "q",
+        "obs.robot0_joint_pos_cos[{k}]": "other", "obs.robot0_joint_vel[{k}]": "v",
+        "obs.robot0_torques[{k}]": "tau"}),
+    **{f"{beside} beside {form}": (IIWA, {beside: "other:4", form: "q", "tau_{k}": "tau"})
+       for beside in ("finger_{one}_pos", "cube_pos_{one}", "hand_joint_pos[{one}]")
+       for form in ("q[{joint}]", "joint_position_{joint}", "robot/{joint}/position")},
+    "parts of an arm may be counted through": (COUNTED, {"{part}_q_{one}": "q",
+        "{part}_tau_{one}": "tau"}),
+    "objects of CiA 402 are no joints": (HIP, {"axis{k}_position_actual_value_6064": "q",
+        "axis{k}_velocity (0x606C)": "v", "axis{k}_torque_actual_value_6077": "tau"}),
+    "numbers of servos are no objects": (SERVOS, {"{joint}.pos": "q", "{joint}.torque": "tau"}),
+    "boards are counted where all have one axis": (HIP, {"odrv{k}.axis0.pos_estimate": "turns",
+        "odrv{k}.axis0.vel_estimate": "turns/s", "odrv{k}.axis0.motor.torque_estimate": "tau"}),
+    **{form: (PANDA, {form.format(word).replace("{{k}}", "{k}"): what
+                      for word, what in (("position", "q"), ("torque", "tau"))})
+       for form in FLAGS},
+    **{form: (LEGS, {f"{form} pos": "q", f"{form} torque": "tau"})
+       for form in ("{letter}_{rest}", "{rest}_{side}", "{capital} {rest}")},
+    **{f"q is plainer than {other}": (PANDA, {other: "other", "q{k}": "q", "tau_ff_{k}": "other",
+        "tau_rnea_{k}": "other", "tau_{k}": "tau"})
+       for other in ("q{k}_hat", "q_prev_{k}", "q_{k}_predicted", "q_filtered_{k}")},
+    **{f"settings: {kind}": (PANDA, dict(zip(forms.split(), ("8", "0", "q", "tau"), strict=True)))
+       for kind, forms in SETTINGS.items()},
+    "settings: ODrive": (PANDA, {"axis{k}.current_state": "8", "axis{k}.controller.input_pos": "0",
+        "axis{k}.encoder.pos_estimate": "turns",
+        "axis{k}.motor.current_control.Iq_measured": "tau"}),
+    **{f"two sensors are no two robots: {one} {more}": (UR, {"{joint}_effort": "tau",
+        f"{one}_{{joint}}_position": "q", f"{two}_{{joint}}_position": "q", **more})
+       for one, two, more in (("raw", "filtered", {}), ("abs", "inc", {}),
+                              ("raw", "filtered", {"filtered_{joint}_effort": "tau"}))},
+}  # fmt: skip
+"""Joints, and forms of names with what columns of them hold, `q:3` of the first three joints."""
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_names_of_columns_say_what_was_measured_at_joints(tmp_path, name):
+    joints, forms = LAYOUTS[name]
+    time, q, v, tau = motion(joints)
+    known = {"q": q, "v": v, "tau": tau, "other": q + 1.0, "8": 0.0 * q + 8.0, "0": 0.0 * q}
+    known |= {"turns": q / (2.0 * np.pi), "turns/s": v / (2.0 * np.pi)}
+    columns = {"time": time}
+    for form, said in forms.items():
+        what, _, count = said.partition(":")
+        for k, joint in enumerate(joints[: int(count or len(joints))]):
+            side, *rest = joint.split("_")
+            words = {"k": k, "one": k + 1, "joint": joint, "part": PARTS[k], "side": side}
+            words |= {"letter": side[0], "capital": side[0].upper(), "rest": "_".join(rest[:-1])}
+            columns[form.format(**words)] = known[what][:, k]
+    path = tmp_path / "log.csv"
+    pandas.DataFrame(columns).to_csv(path, index=False)
+    has_speed = not {"v", "turns/s"}.isdisjoint(forms.values())
+    check(read_log(path, joints=joints), joints, q, v if has_speed else None, tau)
+
+
 @pytest.mark.parametrize("form", ["{}_{}_{}", "/{}/joint_states/{}/{}", "{}.{}.{}"])
 def test_two_robots_alike_are_asked_about(tmp_path, form):
     time, q, _, tau = motion(UR)
@@ -448,58 +518,6 @@ def test_joints_numbered_by_arm(tmp_path, form, model):
         read_log(path, joints=PANDA[:4])
 
 
-BESIDE = {
-    "Dynamixel": (
-        ["torque_enable_{k}", "profile_velocity_{k}"],
-        "present_position_{k}",
-        "present_current_{k}",
-    ),
-    "flags": (["torque_on_{k}", "torque_status_{k}"], "position_{k}", "current_{k}"),
-    "ODrive": (
-        ["axis{k}.current_state", "axis{k}.controller.input_pos"],
-        "axis{k}.encoder.pos_estimate",
-        "axis{k}.motor.current_control.Iq_measured",
-    ),
-    "MuJoCo": (["qfrc_applied_{k}", "qfrc_smooth_{k}"], "qpos_{k}", "qfrc_actuator_{k}"),
-    "zeros": (["effort_{k}", "torque_{k}"], "position_{k}", "current_{k}"),
-}
-
-
-@pytest.mark.parametrize("kind", BESIDE)
-def test_flags_and_settings_are_no_measurements(tmp_path, kind):
-    others, position, effort = BESIDE[kind]
-    time, q, _, tau = motion(PANDA)
-    names, columns = ["time"], [time]
-    for form in (*others, position, effort):
-        names += indexed("", 7, form.replace("{k}", "{1}"))
-    columns += [np.full_like(q, 8.0), np.zeros_like(q), q, tau]
-    log = read_log(write(tmp_path / "log.csv", names, columns), joints=PANDA)
-    factor = 2.0 * np.pi if kind == "ODrive" else 1.0  # turns
-    np.testing.assert_allclose(log.position, factor * q)
-    np.testing.assert_allclose(log.effort, tau)
-
-
-@pytest.mark.parametrize(
-    "form", ["/joint_status/{what}[{k}]", "motor_status_{k}_{what}", "{what}_smooth{k}"]
-)
-def test_words_of_flags_before_a_quantity_say_nothing(tmp_path, form):
-    time, q, _, tau = motion(PANDA)
-    names = [form.format(k=k, what=what) for what in ("position", "torque") for k in range(7)]
-    path = write(tmp_path / "log.csv", ["time", *names], [time, q, tau])
-    check(read_log(path, joints=PANDA), PANDA, q, None, tau)
-
-
-@pytest.mark.parametrize("form", ["{letter}_{joint}", "{joint}_{side}", "{capital} {joint}"])
-def test_joints_named_by_side(tmp_path, form):
-    sides = [{"side": s, "letter": s[0], "capital": s[0].upper()} for s in ("left", "right")]
-    joints = tuple(f"{s['side']}_{joint}_joint" for s in sides for joint in ("hip_yaw", "knee"))
-    time, q, _, tau = motion(joints)
-    called = [form.format(**s, joint=joint) for s in sides for joint in ("hip_yaw", "knee")]
-    names = ["time", *(f"{name} {what}" for what in ("pos", "torque") for name in called)]
-    path = write(tmp_path / "log.csv", names, [time, q, tau])
-    check(read_log(path, joints=joints), joints, q, None, tau)
-
-
 def test_a_file_for_each_arm(tmp_path):
     joints = tuple(f"{side}_arm_{k}" for side in ("left", "right") for k in (1, 2, 3))
     time, q, _, tau = motion(joints)
@@ -510,15 +528,6 @@ def test_a_file_for_each_arm(tmp_path):
     check(read_log(path, joints=joints), joints, q, None, tau)
     with pytest.raises(LogError, match="each joint twice: of left and of right"):
         read_log(path, joints=PANDA[:3])
-
-
-@pytest.mark.parametrize("other", ["q{}_hat", "q_prev_{}", "q_{}_predicted", "q_filtered_{}"])
-def test_the_plainest_name_is_that_of_what_was_measured(tmp_path, other):
-    time, q, _, tau = motion(PANDA)
-    names = ["time", *(other.format(k) for k in range(7)), *indexed("q", 7, "{}{}")]
-    names += [*indexed("tau_ff", 7), *indexed("tau_rnea", 7), *indexed("tau", 7)]
-    path = write(tmp_path / "log.csv", names, [time, q + 1.0, q, tau + 1.0, tau + 2.0, tau])
-    check(read_log(path, joints=PANDA), PANDA, q, None, tau)
 
 
 def test_positions_of_two_robots_with_efforts_of_one_are_asked_about(tmp_path):
@@ -673,39 +682,6 @@ def test_roman_numerals_count_joints(tmp_path, form):
     check(read_log(path, joints=turned), turned, q[:, ::-1], v[:, ::-1], tau[:, ::-1])
 
 
-def test_hands_and_grippers_are_no_joints_of_an_arm(tmp_path):
-    time, q, v, tau = motion(PANDA)
-    arrays = {"joint_pos": q, "joint_pos_cos": np.cos(q), "joint_vel": v, "torques": tau}
-    arrays |= {"eef_pos": q[:, :3], "gripper_qpos": q[:, :2], "gripper_qvel": v[:, :2]}
-    columns = {
-        f"obs.robot0_{name}[{k}]": x for name, a in arrays.items() for k, x in enumerate(a.T)
-    }
-    path = tmp_path / "log.csv"
-    pandas.DataFrame({"time": time, **dict(sorted(columns.items()))}).to_csv(path, index=False)
-    check(read_log(path, joints=PANDA), PANDA, q, v, tau)
-
-
-@pytest.mark.parametrize("beside", ["finger_{}_pos", "cube_pos_{}", "hand_joint_pos[{}]"])
-@pytest.mark.parametrize("form", ["q[{}]", "joint_position_{}", "robot/{}/position"])
-def test_what_is_counted_beside_joints_is_something_else(tmp_path, form, beside):
-    time, q, _, tau = motion(IIWA)
-    columns = {beside.format(k): q[:, -1] for k in range(1, 5)}
-    columns |= {form.format(joint): x for joint, x in zip(IIWA, q.T, strict=True)}
-    columns |= {f"tau_{k}": x for k, x in enumerate(tau.T)}
-    path = tmp_path / "log.csv"
-    pandas.DataFrame({"time": time, **columns}).to_csv(path, index=False)
-    check(read_log(path, joints=IIWA), IIWA, q, None, tau)
-
-
-def test_parts_of_an_arm_that_are_counted_through_are_its_joints(tmp_path):
-    joints = tuple(f"J{k}" for k in range(1, 7))
-    time, q, _, tau = motion(joints)
-    parts = ["shoulder", "shoulder", "elbow", "wrist", "wrist", "wrist"]
-    names = [f"{part}_{what}_{k}" for what in ("q", "tau") for k, part in enumerate(parts, 1)]
-    path = write(tmp_path / "log.csv", ["time", *names], [time, q, tau])
-    check(read_log(path, joints=joints), joints, q, None, tau)
-
-
 @pytest.mark.parametrize("other", ["target_pos_{}", "motor_pos_{}"])
 def test_a_joint_that_nobody_measured_is_not_taken_from_its_target(tmp_path, other):
     time, q, _, tau = motion(IIWA)
@@ -727,27 +703,6 @@ def test_a_position_that_may_be_a_target_is_named_beside_measured_ones(tmp_path)
     assert "position: by their names, q_des_2 may not be measured at the joints" in log.notes
 
 
-def test_objects_of_cia_402_are_no_joints(tmp_path):
-    time, q, v, tau = motion(("hip", "knee"))
-    told = {
-        "position_actual_value_6064": q,
-        "velocity (0x606C)": v,
-        "torque_actual_value_6077": tau,
-    }
-    columns = {f"axis{k}_{name}": x[:, k] for name, x in told.items() for k in range(2)}
-    path = tmp_path / "log.csv"
-    pandas.DataFrame({"time": time, **columns}).to_csv(path, index=False)
-    check(read_log(path, joints=("hip", "knee")), ("hip", "knee"), q, v, tau)
-
-
-def test_numbers_of_servos_are_no_objects_of_cia_402(tmp_path):
-    joints = ("servo_6064", "servo_6077")
-    time, q, _, tau = motion(joints)
-    names = [f"{joint}.{what}" for what in ("pos", "torque") for joint in joints]
-    path = write(tmp_path / "log.csv", ["time", *names], [time, q, tau])
-    check(read_log(path, joints=joints), joints, q, None, tau)
-
-
 def test_units_in_the_second_of_two_lines_of_names(tmp_path):
     time, q, v, tau = motion(("axis_1", "axis_2"))
     above = ["Time", *(f"Axis {k}" for k in (1, 2) for _ in range(3))]
@@ -756,18 +711,6 @@ def test_units_in_the_second_of_two_lines_of_names(tmp_path):
     head = ",".join(above) + "\n"
     path = write(tmp_path / "log.csv", below, [1e3 * time, both], head=head)
     check(read_log(path, joints=("axis_1", "axis_2")), ("axis_1", "axis_2"), q, v, tau)
-
-
-def test_boards_are_counted_where_all_have_one_axis(tmp_path):
-    time, q, v, tau = motion(("hip", "knee"))
-    names = [
-        f"odrv{k}.axis0.{what}"
-        for what in ("pos_estimate", "vel_estimate", "motor.torque_estimate")
-        for k in (0, 1)
-    ]
-    turns = [x / (2.0 * np.pi) for x in (q, v)]
-    path = write(tmp_path / "log.csv", ["time", *names], [time, *turns, tau])
-    check(read_log(path, joints=("hip", "knee")), ("hip", "knee"), q, v, tau)
 
 
 @pytest.mark.parametrize(("names", "rows"), [("columns", "data"), ("names", "rows")])
@@ -898,19 +841,6 @@ def test_stamps_of_windows(tmp_path, before):
     log = read_log(write(tmp_path / "log.csv", own, [stamps, q, v, tau]))
     np.testing.assert_allclose(log.time - log.time[0], time, atol=2e-5)
     assert any("time is in 100 ns since" in note for note in log.notes)
-
-
-@pytest.mark.parametrize("words", [("raw", "filtered"), ("abs", "inc")])
-def test_two_sensors_of_a_joint_are_no_two_robots(tmp_path, words):
-    time, q, _, tau = motion(UR)
-    names = ["time", *(f"{joint}_effort" for joint in UR)]
-    names += [f"{word}_{joint}_position" for word in words for joint in UR]
-    log = read_log(write(tmp_path / "a.csv", names, [time, tau, q, q]), joints=UR)
-    check(log, UR, q, None, tau)
-    if words[0] == "raw":  # of efforts, too
-        names += [f"filtered_{joint}_effort" for joint in UR]
-        log = read_log(write(tmp_path / "b.csv", names, [time, tau, q, q, tau]), joints=UR)
-        check(log, UR, q, None, tau)
 
 
 @pytest.mark.parametrize("moves", [True, False])
