@@ -174,8 +174,10 @@ def order_of_time(time: Array, position: Array) -> NDArray[np.intp] | None:
         return None
     order = rows[np.argsort(time[rows], kind="stable")]
     repeated = np.count_nonzero(np.diff(time[order]) == 0.0)
-    bends = [np.nanmean(np.abs(np.diff(position[each], 2, axis=0))) for each in (order, rows)]
-    return order if repeated == 0 and bends[0] < _SMOOTHER * bends[1] else None
+    smooth, given = (np.abs(np.diff(position[each], 2, axis=0)) for each in (order, rows))
+    if repeated or not (np.isfinite(smooth).any() and np.isfinite(given).any()):
+        return None
+    return order if np.nanmean(smooth) < _SMOOTHER * np.nanmean(given) else None
 
 
 def evened(time: Array, position: Array) -> tuple[Array, tuple[str, ...]]:
@@ -218,7 +220,8 @@ def evened(time: Array, position: Array) -> tuple[Array, tuple[str, ...]]:
 def _roughness(time: Array, position: Array) -> float:
     """Return by how much speeds typically change from row to row, summed over joints."""
     speeds = np.diff(position, axis=0) / np.maximum(np.diff(time), _INSTANT)[:, None]
-    return float(np.nanmedian(np.abs(np.diff(speeds, axis=0)), axis=0).sum())
+    changes = np.abs(np.diff(speeds, axis=0)).T
+    return sum(float(np.nanmedian(each)) for each in changes if np.isfinite(each).any())
 
 
 def repeats(time: Array, numbers: Sequence[Array]) -> NDArray[np.bool_]:

@@ -703,6 +703,19 @@ def test_rows_that_were_stamped_on_arrival(tmp_path, together, apart, lost):
     assert np.abs(late[100:-100] - np.median(late)).max() < (0.02 if lost else 0.002)
 
 
+def test_a_joint_without_a_number_says_nothing_of_the_order_of_rows(tmp_path):
+    """Nor does it keep others from saying it, or raise a warning of NumPy's."""
+    time = 0.01 * np.arange(3000)
+    empty = {"b.position": np.full_like(time, np.nan), "b.effort": time}
+    columns = {"time": time[4::5].repeat(5), "a.position": np.sin(3 * time), "a.effort": time}
+    log = read_log(csv_of(tmp_path, columns | empty))
+    assert any("were stamped on arrival" in note for note in log.notes)
+    order = np.random.default_rng(0).permutation(3000)
+    shuffled = {"time": time[order], "a.position": empty["b.position"], "a.effort": time[order]}
+    with pytest.raises(LogError, match="runs backwards"):
+        read_log(csv_of(tmp_path, shuffled))
+
+
 def test_rows_at_irregular_instants_keep_their_stamps(tmp_path):
     time = np.cumsum(np.random.default_rng(0).exponential(0.01, 3000)).round(9)
     log = log_at(tmp_path, time, time)
