@@ -649,6 +649,51 @@ def test_a_unit_of_time_alone_is_time(tmp_path, name, unit):
         read_log(part, joints=("a",))
 
 
+CLOCK = np.arange(ROWS) / 100.0
+CLOCKS = {
+    **{name: ({name: CLOCK / unit}, 1e-9, "")
+       for name, unit in (("min", 60.0), ("hours", 3600.0), ("s", 1.0))},
+    **{"+".join(names): (dict(zip(names, np.divmod(np.rint(parts * CLOCK) + 1.7e9 * parts, parts),
+                                  strict=True)), 1e-9, "")
+       for names, parts in ((("sec", "usec"), 1e6), (("tv_sec", "tv_usec"), 1e6),
+                            (("sec", "msec"), 1e3))},
+    "nanoseconds": ({"ZeitSek": np.floor(CLOCK) + 1.7e9, "ZeitNanoSek": np.rint(CLOCK % 1 * 1e9)},
+        1e-9, ""),
+    **{f"{clock} beside {other}": ({clock: start + CLOCK / unit, other: rest + np.arange(ROWS) % 7},
+        1e-6, "")  # which may be no part of it
+       for clock, other, unit, start, rest in (
+           ("timestamp", "us", 1e-3, 1.7e12, 300.0), ("t", "us", 1e-3, 0.0, 300.0),
+           ("timestamp", "nanoseconds", 1e-3, 1.7e12, 1.7e18), ("stamp", "ns", 1e-6, 1.7e15, 900.0),
+           ("timestamp", "ms", 1.0, 0.25, 5.0))},
+    **{f"Windows {years}": ({"timestamp": np.rint(1e7 * (CLOCK + years + 1.77e9))}, 2e-5,
+        "time is in 100 ns since")
+       for years in (11_644_473_600, 62_135_596_800)},
+    **{f"{program} {name}": ({name: day + CLOCK / 86400.0}, 2e-5,
+        f"time is in days as in {program},")
+       for program, day in (("Excel", 45000.4), ("MATLAB", 738000.4))
+       for name in ("time", "Date", "datetime")},
+    **{unit: ({"timestamp": factor * CLOCK}, 1e-9, f"time is in {unit}, judging by 100 Hz")
+       for factor, unit in ((1e6, "µs"), (1e3, "ms"), (1e9, "ns"))},
+    **{form: ({"Time": [(datetime(2026, 5, 1, hour, 59, 59, 900000, UTC)
+        + timedelta(seconds=t)).strftime(form) for t in CLOCK.tolist()]}, 1e-9, "")
+       for form, hour in (("%H:%M:%S.%f", 23), ("%I:%M:%S.%f", 0), ("%M:%S.%f", 23))},
+}  # fmt: skip
+"""Columns of time, by how many s they are off, and what is said of their unit."""
+
+
+@pytest.mark.parametrize("name", CLOCKS)
+def test_clocks_of_all_kinds(tmp_path, name):
+    """Times of day go on after midnight, and after noon."""
+    clock, off, words = CLOCKS[name]
+    _, q, v, tau = motion(("a",))
+    columns = {"a.position": q[:, 0], "a.velocity": v[:, 0], "a.effort": tau[:, 0]}
+    pandas.DataFrame(clock | columns).to_csv(tmp_path / "log.csv", index=False)
+    log = read_log(tmp_path / "log.csv")
+    check(log, ("a",), q, v, tau)
+    np.testing.assert_allclose(log.time - log.time[0], CLOCK, atol=off)
+    assert words in " ".join(log.notes)
+
+
 def test_parts_whose_unnamed_times_differ_are_not_joined_by_rows(tmp_path):
     time, q, _, tau = motion(("a", "b"))
     for k in (0, 1):
@@ -659,13 +704,6 @@ def test_parts_whose_unnamed_times_differ_are_not_joined_by_rows(tmp_path):
     write(tmp_path / "1.csv", ["ms", "q_1", "tau_1"], [np.rint(1e3 * time), q[:, 1], tau[:, 1]])
     log = read_log(f"{tmp_path}/0.csv+{tmp_path}/1.csv", joints=("a", "b"))
     check(log, ("a", "b"), q, None, tau)
-
-
-@pytest.mark.parametrize(("name", "unit"), [("min", 60.0), ("hours", 3600.0), ("s", 1.0)])
-def test_longer_units_of_time_alone_are_time_where_they_are_first(tmp_path, name, unit):
-    time, q, _, tau = motion(("a",))
-    path = write(tmp_path / "log.csv", [name, "q", "tau"], [time / unit, q, tau])
-    np.testing.assert_allclose(read_log(path, joints=("a",)).time, time, atol=1e-9)
 
 
 @pytest.mark.parametrize("form", ["joint_{}_{}", "{1}_{0}", "Joint{}.{}"])
@@ -779,68 +817,6 @@ def test_units_that_are_not_known_are_asked_for(tmp_path, unit):
         read_log(path, joints=UR)
     log = read_log(path, joints=UR, reading=Reading(units={"position": "0.5rad"}))
     check(log, UR, 0.5 * q, None, tau)
-
-
-@pytest.mark.parametrize(
-    ("head", "unit"), [("%H:%M:%S.%f", 0.0), ("%I:%M:%S.%f", 3600.0), ("%M:%S.%f", 0.0)]
-)
-def test_times_of_day_go_on_after_midnight(tmp_path, head, unit):
-    time, q, v, tau = motion(("a",))
-    start = datetime(2026, 5, 1, 23, 59, 59, 900000, UTC) + timedelta(seconds=unit)
-    stamps = [(start + timedelta(seconds=t)).strftime(head) for t in time.tolist()]
-    columns = {"Time": stamps, "a.position": q[:, 0], "a.velocity": v[:, 0], "a.effort": tau[:, 0]}
-    pandas.DataFrame(columns).to_csv(tmp_path / "log.csv", index=False)
-    log = read_log(tmp_path / "log.csv")
-    check(log, ("a",), q, v, tau)
-    np.testing.assert_allclose(np.diff(log.time), np.diff(time), atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("names", "parts"),
-    [
-        (("ZeitSek", "ZeitNanoSek"), 1e9),
-        (("sec", "usec"), 1e6),
-        (("tv_sec", "tv_usec"), 1e6),
-        (("sec", "msec"), 1e3),
-    ],
-)
-def test_parts_of_seconds_in_a_column_of_their_own(tmp_path, names, parts):
-    time, q, v, tau = motion(("a",), rate=100.0)
-    seconds, rest = np.divmod(np.rint(parts * time), parts)
-    own = [*names, "a.position", "a.velocity", "a.effort"]
-    path = write(tmp_path / "log.csv", own, [seconds + 1.7e9, rest, q, v, tau])
-    log = read_log(path)
-    check(log, ("a",), q, v, tau)
-    np.testing.assert_allclose(log.time - log.time[0], time, atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("names", "unit", "start", "rest"),
-    [
-        (("timestamp", "us"), 1e-3, 1.7e12, 300.0),
-        (("t", "us"), 1e-3, 0.0, 300.0),
-        (("timestamp", "nanoseconds"), 1e-3, 1.7e12, 1.7e18),
-        (("stamp", "ns"), 1e-6, 1.7e15, 900.0),
-        (("timestamp", "ms"), 1.0, 0.25, 5.0),
-    ],
-)
-def test_what_stands_beside_time_may_be_no_part_of_it(tmp_path, names, unit, start, rest):
-    time, q, v, tau = motion(("a",), rate=100.0)
-    own = [*names, "a.position", "a.velocity", "a.effort"]
-    beside = rest + np.arange(ROWS) % 7
-    log = read_log(write(tmp_path / "log.csv", own, [start + time / unit, beside, q, v, tau]))
-    check(log, ("a",), q, v, tau)
-    np.testing.assert_allclose(log.time - log.time[0], time, atol=1e-6)
-
-
-@pytest.mark.parametrize("before", [11_644_473_600, 62_135_596_800])
-def test_stamps_of_windows(tmp_path, before):
-    time, q, v, tau = motion(("a",))
-    stamps = np.rint(1e7 * (time + before + 1.77e9))
-    own = ["timestamp", "a.position", "a.velocity", "a.effort"]
-    log = read_log(write(tmp_path / "log.csv", own, [stamps, q, v, tau]))
-    np.testing.assert_allclose(log.time - log.time[0], time, atol=2e-5)
-    assert any("time is in 100 ns since" in note for note in log.notes)
 
 
 @pytest.mark.parametrize("moves", [True, False])

@@ -729,13 +729,6 @@ def test_rows_of_another_time_are_no_clock_set_back(tmp_path):
         read_log(csv_at(tmp_path, time))
 
 
-@pytest.mark.parametrize(("factor", "unit"), [(1e6, "µs"), (1e3, "ms"), (1e9, "ns")])
-def test_the_rate_tells_the_unit_of_time_that_nobody_said(tmp_path, factor, unit):
-    log = read_log(csv_at(tmp_path, factor * TIME, name="timestamp"))
-    np.testing.assert_allclose(log.time, TIME, atol=1e-12)
-    assert any(f"time is in {unit}, judging by 100 Hz" in note for note in log.notes)
-
-
 @pytest.mark.parametrize("odd", ["none", "empty cell", "cut off", "text", "one cell more"])
 def test_many_lines_are_read_by_arrow_as_without_it(tmp_path, monkeypatch, odd):
     random = np.random.default_rng(0).normal(size=(ROWS, 3)) * 10.0 ** np.arange(-9, 9, 6)
@@ -956,16 +949,6 @@ def test_three_decimals_beside_whole_hundreds_are_no_thousands(tmp_path):
     log = read_log(path, joints=JOINTS)
     np.testing.assert_allclose(log.position, np.deg2rad(position), atol=1e-6)
     assert "thousands" not in " ".join(log.notes)
-
-
-@pytest.mark.parametrize(("program", "day"), [("Excel", 45000.4), ("MATLAB", 738000.4)])
-@pytest.mark.parametrize("name", ["time", "Date", "datetime"])
-def test_days_of_spreadsheets_are_time(tmp_path, program, day, name):
-    path = tmp_path / "log.csv"
-    PLAIN.assign(time=day + TIME / 86400.0).rename(columns={"time": name}).to_csv(path, index=False)
-    log = read_log(path, joints=JOINTS)
-    np.testing.assert_allclose(log.time - log.time[0], TIME, atol=2e-5)
-    assert f"time is in days as in {program}," in " ".join(log.notes)
 
 
 def test_time_of_one_joint_in_french_is_no_temperature(tmp_path):
