@@ -7,7 +7,7 @@ import numpy as np
 import pandas
 import pytest
 
-from geodrake.errors import LogError
+from geodrake.errors import ArgumentError, LogError
 from geodrake.logs import Reading, read_log
 from geodrake.logs.files import read_mapping
 
@@ -240,6 +240,10 @@ def test_mapping(tmp_path):
     assert np.allclose(log.time, time)
     write(path, ["t", *names[1:]], [time, q, currents, tau])
     with pytest.raises(LogError, match=r"no column 'ticks', which mapping .*m\.yaml maps"):
+        read_log(path, reading=Reading(mapping=mapping))
+    write(path, ["ticks", "phi_s", "phi_e", "i_e", "i_s"], [time, q, currents])
+    words = "m.yaml uses column 'i_e' twice, for 'shoulder.effort' and for 'elbow.effort'"
+    with pytest.raises(ArgumentError, match=words):  # by its number and by its name
         read_log(path, reading=Reading(mapping=mapping))
 
 

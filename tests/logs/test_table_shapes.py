@@ -535,6 +535,14 @@ def test_messages_with_dates(tmp_path):
     np.testing.assert_allclose(log.time - log.time[0], time - time[0], atol=2e-6)
 
 
+def test_dates_beside_names_of_joints_are_no_positions(tmp_path):
+    path = tmp_path / "log.jsonl"
+    dated = [{"name": [*JOINTS], "position[0]": str(moment), "q": 1.0} for moment in MOMENTS]
+    path.write_text("\n".join(map(json.dumps, dated)))
+    with pytest.raises(LogError, match="no joint with both position and effort"):
+        read_log(path)
+
+
 def test_a_last_record_that_is_cut_off_is_left_out(tmp_path):
     path = tmp_path / "log.jsonl"
     path.write_text(

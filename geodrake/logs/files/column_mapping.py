@@ -589,6 +589,7 @@ def _by_mapping(table: LogTable, reading: Reading) -> Columns:
             )
         joint = meaning.joint
         places[joint, meaning.log_quantity] = settled(path, meaning, joint, reading, {})
+    mapping = mapping.named(table.counted)  # of which none may be there twice
     if mapping.time is not None and (time := time_source(table, reading)) is not None:
         places["", "time"] = time
     for joint in [joint for joint, quantity in places if quantity == "command"]:

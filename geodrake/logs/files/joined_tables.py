@@ -412,7 +412,8 @@ def _check_names(table: LogTable, column: str, words: Texts) -> None:
 def _named(table: LogTable, naming: Mapping[str, Texts]) -> LogTable:
     """Return the table with the columns of joints renamed by the names in each row."""
     in_lists = all(name.endswith("]") for name in naming)
-    measured = [m for m in meanings_of(table.columns) if m.quantity in OF_JOINTS]
+    columns = [name for name in table.columns if name not in table.origins]  # no dates
+    measured = [m for m in meanings_of(columns) if m.quantity in OF_JOINTS]
     measured = [m for m in measured if m.role <= PLAIN and (m.column.endswith("]") or not in_lists)]
     owner = {name: _named_by(name, naming) for name in naming}
     found = {m.column: (m, n) for n, is_of in owner.items() for m in measured if is_of(m)}
@@ -422,18 +423,18 @@ def _named(table: LogTable, naming: Mapping[str, Texts]) -> LogTable:
         return table
     for name, words in naming.items():
         _check_names(table, name, words)
-    columns = {n: values for n, values in table.columns.items() if n not in found}
+    kept = {n: values for n, values in table.columns.items() if n not in found}
     units = {n: unit for n, unit in table.units.items() if n not in found}
     for column, meaning in used.items():
         words, unit = naming[found[column][1]], _unit_of(table, meaning)
         for joint in dict.fromkeys(words.tolist()):
             name, here = f"{joint}.{meaning.quantity}", words == joint
-            before = columns.get(name, np.full(len(table), np.nan))
-            columns[name] = np.where(here, table.columns[column], before)
+            before = kept.get(name, np.full(len(table), np.nan))
+            kept[name] = np.where(here, table.columns[column], before)
             units |= {name: unit} if unit else {}
     names = list(dict.fromkeys(joint for words in naming.values() for joint in words.tolist()))
     note = f"joints are named by cells of the log: {listed(names)}"
-    return replace(table, columns=columns, units=units, notes=(*table.notes, note))
+    return replace(table, columns=kept, units=units, notes=(*table.notes, note))
 
 
 def _named_by(name: str, naming: Mapping[str, Texts]) -> Callable[[Meaning], bool]:

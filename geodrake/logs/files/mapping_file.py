@@ -87,11 +87,9 @@ def mapping_of(path: Path, content: object) -> ColumnMapping:
     if not joints:
         raise ArgumentError("`joints` is empty.", advice=_FORM)
     time = None if said.time is None else _column(said.time, "time", "time")
-    mapping = ColumnMapping(joints, time, said.rate, f"mapping {path}")
-    _check_once(mapping)
     if said.time is None and said.rate is None:
         raise ArgumentError("it has neither `time` nor `rate`.", advice=_FORM)
-    return mapping
+    return ColumnMapping(joints, time, said.rate, f"mapping {path}")
 
 
 def _column(said: str | int | _ColumnSchema, quantity: str, what: str) -> MappedColumn:
@@ -108,20 +106,6 @@ def _column(said: str | int | _ColumnSchema, quantity: str, what: str) -> Mapped
             advice="Write it under `effort:`.",
         )
     return MappedColumn(said.column, said.unit, float(gain), deviation)
-
-
-def _check_once(mapping: ColumnMapping) -> None:
-    seen: dict[str | int, str] = {}
-    for name, mapped in mapping:
-        if mapped.column == PASSIVE:
-            continue
-        if mapped.column in seen:
-            raise ArgumentError(
-                f"it uses column {mapped.column!r} twice, for {seen[mapped.column]!r} and "
-                f"for {name!r}.",
-                advice="Each column can have only one meaning.",
-            )
-        seen[mapped.column] = name
 
 
 def propose(

@@ -11,7 +11,7 @@ import numpy as np
 from geodrake.boundary.arguments import Array, instance, instances, integer, number, positive
 from geodrake.errors import ArgumentError
 from geodrake.logs.files.units import unit_of
-from geodrake.logs.motion import EFFORT_KINDS, USUAL_GAIN_DEVIATION
+from geodrake.logs.motion import EFFORT_KINDS, PASSIVE, USUAL_GAIN_DEVIATION
 from geodrake.logs.motors import Motor
 
 KINDS = (*EFFORT_KINDS, "command")
@@ -54,6 +54,14 @@ class ColumnMapping:
                     f"{self.source} has {' and '.join(kinds)} of {joint!r}, but only one can "
                     "replace its efforts.",
                     advice=f"Remove {' and '.join(kinds[1:])}, or whichever is less accurate.",
+                )
+        seen: dict[str | int, str] = {}
+        for name, mapped in self:
+            if mapped.column != PASSIVE and (first := seen.setdefault(mapped.column, name)) != name:
+                raise ArgumentError(
+                    f"{self.source} uses column {mapped.column!r} twice, for {first!r} and for "
+                    f"{name!r}.",
+                    advice="Each column can have only one meaning.",
                 )
 
     def named(self, names: Sequence[str]) -> ColumnMapping:
