@@ -537,9 +537,9 @@ def test_messages_with_dates(tmp_path):
 
 def test_dates_beside_names_of_joints_are_no_positions(tmp_path):
     path = tmp_path / "log.jsonl"
-    dated = [{"name": [*JOINTS], "position[0]": str(moment), "q": 1.0} for moment in MOMENTS]
-    path.write_text("\n".join(map(json.dumps, dated)))
-    with pytest.raises(LogError, match="no joint with both position and effort"):
+    more = {"name": [*JOINTS], "q": 1.0, "tau": 1.0}
+    path.write_text("\n".join(json.dumps({"position[0]": str(t), **more}) for t in MOMENTS))
+    with pytest.raises(LogError, match=r"'position\[0\]'.* as the position of .*, but has dates"):
         read_log(path)
 
 
