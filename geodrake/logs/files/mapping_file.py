@@ -137,7 +137,8 @@ def propose(
     is_by_order = not set(called).intersection(own) and (are_numbered or len(called) == len(own))
     model = dict(zip(called, own, strict=False)) if is_by_order else {}
     known = {(model.get(joint, joint), m.quantity): m for (joint, _), m in places.items()}
-    found = {place: _column_of(meaning) for place, meaning in known.items()}
+    units = {place: m.unit.name if m.unit else None for place, m in known.items()}
+    found = {place: MappedColumn(m.column, units[place]) for place, m in known.items()}
     guessed = {} if called else _guess(names, own, headed=headed)
     if any(guessed.get(place) != column for place, column in found.items()):
         guessed = {}
@@ -206,10 +207,6 @@ def _guess(
                 columns = [MappedColumn(n if headed else k) for k, n in enumerate(names, 1)]
                 return dict(zip(order, columns, strict=True))
     return {}
-
-
-def _column_of(meaning: Meaning) -> MappedColumn:
-    return MappedColumn(meaning.column, meaning.unit.name if meaning.unit else None)
 
 
 def _word(text: str) -> str:

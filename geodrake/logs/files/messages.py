@@ -135,20 +135,20 @@ class Messages:
         return list(tables.values())
 
     @property
-    def when(self) -> str:
-        """The time that counts: of measurement, if all messages have it, or of receipt."""
-        return "stamp" if (self._times("stamp") > 0).all() else "received"
-
-    @property
     def clock(self) -> Clock | None:
         """Times of measurement and receipt; None unless all messages have both."""
-        has_both = self.when == "stamp"
-        return (self._times("stamp"), self._times("received")) if has_both else None
+        stamps = self._times("stamp")
+        return (stamps, self._times("received")) if (stamps > 0).all() else None
+
+    @property
+    def when(self) -> str:
+        """The time that counts: of measurement, if all messages have it, or of receipt."""
+        return "received" if self.clock is None else "stamp"
 
     @property
     def clock_notes(self) -> tuple[str, ...]:
         """Return that messages have no stamps, in words, if they have not."""
-        if self.when == "stamp":
+        if self.clock is not None:
             return ()
         some = "some messages" if (self._times("stamp") > 0).any() else "messages"
         return (f"{some} of {self.topic} have no stamps, so the time of receipt is used",)
@@ -298,23 +298,19 @@ class JointMessages(Messages):
 def stamp_of(message: Any) -> int:
     """Return the time stamp of a message of ROS, LCM or JSON, ns; 0 if it has none."""
     stamp = _field(_field(message, "header") or message, "stamp")
-    seconds = _first_of(stamp, ("sec", "secs"))
+    seconds = _field(stamp, "sec", "secs")
     if seconds is None:
         return 1000 * int(_field(message, "utime") or 0)
-    return int(seconds) * 1_000_000_000 + int(_first_of(stamp, ("nanosec", "nsec", "nsecs")) or 0)
+    return int(seconds) * 1_000_000_000 + int(_field(stamp, "nanosec", "nsec", "nsecs") or 0)
 
 
-def _first_of(message: Any, names: Sequence[str]) -> Any:
-    """Return the first field of a message that it has; None if it has none."""
+def _field(message: Any, *names: str) -> Any:
+    """Return the first of some fields that a message, an object or of JSON, has; else None."""
     for name in names:
-        if (value := _field(message, name)) is not None:
+        value = message.get(name) if isinstance(message, dict) else getattr(message, name, None)
+        if value is not None:
             return value
     return None
-
-
-def _field(message: Any, name: str) -> Any:
-    """Return a field of a message, which is an object or of JSON; None if it has none."""
-    return message.get(name) if isinstance(message, dict) else getattr(message, name, None)
 
 
 _LEAVES = (str, int, float, np.ndarray)

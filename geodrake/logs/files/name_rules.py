@@ -644,7 +644,10 @@ def _parts_of_robot(
     said = {part: {*words} - common for part, words in zip(parts, called, strict=True)}
     named = [_unnumbered(words) for words in _with_side_first([*map(words_of, joints)])]
     if 0 in set().union(*said.values()) - set().union(*named):  # as of legs, that they count
-        said = {part: {_one_more(word) for word in words} for part, words in said.items()}
+        said = {
+            part: {word + 1 if isinstance(word, int) else word for word in words}
+            for part, words in said.items()
+        }
     own: dict[Part, list[str]] = {part: [] for part in parts}
     for joint, words in zip(joints, named, strict=True):
         near = [part for part in parts if said[part].issubset(words)]
@@ -659,11 +662,6 @@ def _parts_of_robot(
             yield columns, own[part] or joints
         elif not are_told and len(columns) == size:
             yield columns, joints
-
-
-def _one_more(word: str | int) -> str | int:
-    """Return a number from 1 on of one from 0 on; words are unchanged."""
-    return word + 1 if isinstance(word, int) else word
 
 
 def _with_side_first(names: Sequence[Words]) -> list[Words]:
