@@ -279,6 +279,7 @@ def is_unknown_word(text: str) -> bool:
     return bool(re.fullmatch(r"[^\W\d_][^\d\s]*", text)) and known.isdisjoint(_split(text))
 
 
+@lru_cache(maxsize=10_000)
 def names_joints(column: str) -> bool:
     """Return whether a column of words, by its name, has names of joints."""
     words = plain_words(column)
