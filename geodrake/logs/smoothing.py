@@ -160,7 +160,7 @@ class Stretch:
             yield first, self[first : first + CHUNK]
 
     def _near(self, start: int, stop: int) -> tuple[Piece, slice, Array, Array]:
-        """Some of the piece and others around, where they are there, and all as it is smoothed.
+        """Return samples with those around them, where they are there, and all of these smoothed.
 
         Positions and velocities (N, n).
         """

@@ -56,7 +56,7 @@ def read_lerobot(path: Path, reading: Reading) -> LogTable:
 
 
 def _meaning(features: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str], str]]:
-    """Feature and column -> `<joint>.<quantity>`, for observations of joints, and actions."""
+    """Yield feature and column -> `<joint>.<quantity>`, for observations of joints and actions."""
     for feature, description in features.items():
         told, is_action = meaning_of(f"{feature}[0]"), feature == _ACTION
         if (

@@ -129,7 +129,7 @@ class TextLayout:
         return [name for name, kind in self.kinds.items() if kind is None]
 
     def cells(self, lines: Sequence[str]) -> Iterator[tuple[int, list[str]]]:
-        """Cells of every line that is neither empty nor a comment, with its line number."""
+        """Yield the number and cells of every line that is neither empty nor a comment."""
         if self.is_keyed:
             rows = ((k, [cell for _, cell in _keyed(line)]) for k, line in enumerate(lines, 1))
         elif self.separator is None:

@@ -239,7 +239,7 @@ def _part_tables(topic: JointMessages, *, part: bool) -> list[LogTable]:
 
 
 def _commands(columns: Mapping[str, Array]) -> dict[str, Array]:
-    """Positions of command messages as commands; all columns if there are none."""
+    """Return positions of command messages as commands; all columns if there are none."""
     found = {}
     for name, column in columns.items():
         joint, dot, _ = name.rpartition(".position")
