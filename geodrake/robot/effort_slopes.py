@@ -68,7 +68,6 @@ from geodrake.robot.vectors import (
     vector,
 )
 
-_MOST = 6  # velocities of a joint
 _SECOND, _TURNING, _MOMENTUM, _FORCE, _MOMENT = 1, 4, 7, 8, 9  # rows of what bodies add up to
 
 
@@ -149,7 +148,7 @@ def calc_effort_slopes(tree: TreeRecords, samples: Samples, phi: Array, out: Arr
     mobilizers, _ = tree
     bodies, (_, v, _, _) = len(mobilizers), samples
     motions, poses, features = np.empty(bodies, MOTION), np.empty(bodies, POSE), np.empty(9)
-    fields, lines = np.empty((bodies, 4, 3)), np.empty((bodies * _MOST, 6, 3))
+    fields, lines = np.empty((bodies, 4, 3)), np.empty((v.shape[1], 6, 3))
     masses, sums = np.empty(bodies), np.empty((bodies, 10, 3))
     for n in range(len(v)):
         move(mobilizers, samples, n, features, motions)
@@ -160,34 +159,31 @@ def calc_effort_slopes(tree: TreeRecords, samples: Samples, phi: Array, out: Arr
         for i in range(bodies - 1, -1, -1):
             first, number = mobilizers[i].velocities
             inertia, parent = (masses[i], sums, i), mobilizers[i].parent
-            for k in range(number):
-                line = _MOST * i + k
-                s, t = row(lines, line, 0), row(lines, line, 1)
+            for k in range(first, first + number):
+                s, t = row(lines, k, 0), row(lines, k, 1)
                 force, moment = momentum_of(inertia, s, t)
                 turning = turning_of(inertia, s, t)
-                by_q, by_v = wrench_changes(inertia, lines, line)
+                by_q, by_v = wrench_changes(inertia, lines, k)
                 step = i
                 while step >= 0:
                     start, several = mobilizers[step].velocities
-                    for j in range(several):
-                        other = _MOST * step + j
-                        own, inboard = first + k, start + j
-                        s, t = row(lines, other, 0), row(lines, other, 1)
-                        ds, dt = row(lines, other, 2), row(lines, other, 3)
-                        dds, ddt = row(lines, other, 4), row(lines, other, 5)
+                    for j in range(start, start + several):
+                        s, t = row(lines, j, 0), row(lines, j, 1)
+                        ds, dt = row(lines, j, 2), row(lines, j, 3)
+                        dds, ddt = row(lines, j, 4), row(lines, j, 5)
                         felt = dot(force, ddt) + dot(moment, dds) + 2.0 * dot(turning, ds)
-                        out[0, n, inboard, own] += felt
+                        out[0, n, j, k] += felt
                         if step != i:
-                            out[0, n, own, inboard] += dot(t, by_q[0]) + dot(s, by_q[1])
+                            out[0, n, k, j] += dot(t, by_q[0]) + dot(s, by_q[1])
                         if len(out) == 1:
                             continue
                         felt = dot(force, dt) + dot(moment, ds) + dot(turning, s)
-                        out[1, n, inboard, own] += 2.0 * felt
+                        out[1, n, j, k] += 2.0 * felt
                         inertial = dot(force, t) + dot(moment, s)
-                        out[2, n, inboard, own] += inertial
+                        out[2, n, j, k] += inertial
                         if step != i:
-                            out[1, n, own, inboard] += dot(t, by_v[0]) + dot(s, by_v[1])
-                            out[2, n, own, inboard] += inertial
+                            out[1, n, k, j] += dot(t, by_v[0]) + dot(s, by_v[1])
+                            out[2, n, k, j] += inertial
                     step = mobilizers[step].parent
             if parent >= 0:
                 masses[parent] += masses[i]
@@ -231,7 +227,7 @@ def put_fields(
         more_s, more_t = crossed(w_P, u_P, ds, dt)
         both = s, t, ds, dt, add(dds, more_s), add(ddt, more_t)
         for x in range(6):
-            put_row(lines, _MOST * i + k, x, both[x])
+            put_row(lines, first + k, x, both[x])
     wd, a = times(R, vector(motion.wd)), times(R, vector(motion.a))
     a = subtract(a, add(cross(wd, p), cross(w, add(u, cross(w, p)))))
     put_row(fields, i, 0, w)
@@ -292,16 +288,16 @@ def turning_of(inertia: tuple[float, Array, int], s: Vector, t: Vector) -> Vecto
 
 @inlined
 def wrench_changes(
-    inertia: tuple[float, Array, int], lines: Array, line: int
+    inertia: tuple[float, Array, int], lines: Array, k: int
 ) -> tuple[tuple[Vector, Vector], tuple[Vector, Vector]]:
     """Return how the wrench changes by q and by v of a velocity, as joints inboard of it see it."""
     _, sums, i = inertia
-    s, t = row(lines, line, 0), row(lines, line, 1)
-    ds, dt = row(lines, line, 2), row(lines, line, 3)
+    s, t = row(lines, k, 0), row(lines, k, 1)
+    ds, dt = row(lines, k, 2), row(lines, k, 3)
     Q, p = sums[i, _TURNING:_MOMENTUM], row(sums, i, _MOMENTUM)
     f, n = row(sums, i, _FORCE), row(sums, i, _MOMENT)
     trace = Q[0, 0] + Q[1, 1] + Q[2, 2]
-    force, moment = momentum_of(inertia, row(lines, line, 4), row(lines, line, 5))
+    force, moment = momentum_of(inertia, row(lines, k, 4), row(lines, k, 5))
     turned = subtract(scale(trace, ds), transposed_times(Q, ds))
     force = add(force, add(scale(2.0, cross(ds, p)), cross(s, f)))
     moment = add(add(moment, scale(2.0, turned)), add(cross(s, n), cross(t, f)))
