@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from geodrake.compiling import contiguous
 from geodrake.errors import ArgumentError
 from geodrake.robot.kinematics import KinematicTree, actuator_rows
-from geodrake.robot.recursion import calc_inverse_dynamics, calc_kinematics
+from geodrake.robot.recursion import calc_inverse_dynamics, calc_kinematics, calc_places
 
 Array = NDArray[np.float64]
 
@@ -68,17 +68,30 @@ class RobotBodies:
     def motion(self, body: str) -> BodyMotion:
         """Return the pose and Jacobian of a body."""
         if body not in self._motions:
-            if body not in self.tree.bodies:
-                raise ArgumentError(
-                    f"There is no moving body {body!r}.",
-                    advice=f"Bodies are: {', '.join(self.tree.bodies)}.",
-                )
-            self._motions[body] = self._motion(self.tree.bodies.index(body))
+            self._motions[body] = self._motion(self.index(body))
         return self._motions[body]
+
+    def index(self, body: str) -> int:
+        """Return the number of a body; raise an ArgumentError if it does not exist."""
+        if body not in self.tree.bodies:
+            raise ArgumentError(
+                f"There is no moving body {body!r}.",
+                advice=f"Bodies are: {', '.join(self.tree.bodies)}.",
+            )
+        return self.tree.bodies.index(body)
+
+    @cached_property
+    def places(self) -> tuple[Array, Array]:
+        """Rotations (m, N, 3, 3) and lines (nv, N, 3, 3) of all joints, as `calc_places` writes."""
+        tree, q = self.tree.joints, contiguous(self.tree.joint_positions(self.q))
+        rotations = np.empty((len(tree.mobilizers), len(q), 3, 3))
+        lines = np.empty((tree.num_velocities, len(q), 3, 3))
+        calc_places(tree.records, q, rotations, lines)
+        return rotations, lines
 
     def mass_center(self, body: str) -> Array:
         """Return (3,) p_BoBcm_B, m; the origin of a body without mass."""
-        m, *moment = self.phi[self.tree.bodies.index(body), :4].tolist()
+        m, *moment = self.phi[self.index(body), :4].tolist()
         return np.array(moment) / m if m > 0.0 else np.zeros(3)
 
     def gravity_efforts(self, gravities: Array) -> Array:

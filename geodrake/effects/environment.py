@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.compiling import compiled, contiguous
+from geodrake.compiling import compiled
 from geodrake.effects.base import (
     Array,
     BodyEffect,
@@ -19,7 +19,8 @@ from geodrake.effects.base import (
 )
 from geodrake.effects.body_motion import BodyMotion, RobotBodies
 from geodrake.effects.episode import PointEpisode
-from geodrake.robot.vectors import add, column, cross, dot, scale, times, vector
+from geodrake.robot.kinematics import actuator_rows
+from geodrake.robot.vectors import add, cross, dot, put_row, row, scale, subtract
 
 _LEAST_CHANGE = 1e-4  # of the weight
 
@@ -200,12 +201,15 @@ class AerodynamicDrag(BodyEffect):
     def rows(self, motion: RobotMotion) -> Rows:
         """[Jᵀ |v| v, and its slopes in the position of P] at the joints that move the body."""
         bodies = motion.body_motions(self.name)
-        body = bodies.motion(self.body)
-        center = self.center(bodies.mass_center(self.body))
-        columns = np.zeros((len(motion.v), len(body.dofs), len(self.parameters)))
-        parts = body.rotation, body.angular, body.linear
-        calc_drag_columns(parts, contiguous(motion.v), np.array(body.dofs), center, columns)
-        return {motion.joints[dof]: columns[:, k] for k, dof in enumerate(body.dofs)}
+        center, tree = self.center(bodies.mass_center(self.body)), bodies.tree
+        key = AerodynamicDrag, ""
+        samples = motion.once(key, lambda: tree.joint_samples(bodies.q, motion.v, motion.v))
+        (joints, (_, v, _, _), J), of = samples, bodies.index(self.body)
+        at = [each.body for each in joints.mobilizers].index(of)
+        efforts, dofs = np.zeros((v.shape[1], 4, len(v))), joints.mobilizers[at].dofs
+        calc_drag_columns(bodies.places, (at, np.array(dofs), center), v, efforts)
+        columns = actuator_rows(J, np.moveaxis(efforts, -1, 0))
+        return {motion.joints[dof]: columns[:, dof] for dof in tree.moving_velocities(dofs)}
 
     def formula_rows(self, motion: RobotMotion) -> Rows:
         """Return the same, along the Jacobian of P."""
@@ -230,36 +234,39 @@ class AerodynamicDrag(BodyEffect):
 
 @compiled
 def calc_drag_columns(
-    body: tuple[Array, Array, Array], v: Array, dofs: NDArray[np.int64], center: Array, out: Array
+    places: tuple[Array, Array],
+    body: tuple[int, NDArray[np.int64], Array],
+    v: Array,
+    out: Array,
 ) -> None:
     """Write [Jᵀ |v| v, and its slopes in the position of P] of the velocities that move a body.
 
     Args:
-        body: R_WB (N, 3, 3), and the Jacobians (N, 3, nv) of ω and of the velocity of Bo, in W.
-        v: (N, nv) velocities.
-        dofs: (k,) those that move the body.
-        center: (3,) p_BoP_B, m.
-        out: (N, k, 4) the columns.
+        places: `RobotBodies.places`.
+        body: Which mobilizer moves it, the velocities that do, its own last, and (3,) p_BoP_B, m.
+        v: (N, nv) velocities of the joints.
+        out: (nv, 4, N) the columns.
     """
-    rotation, angular, linear = body
+    (rotations, lines), (at, dofs, center) = places, body
+    R, origins = rotations[at], lines[dofs[-1]]
+    moving = np.empty((2, len(out), 3))  # ω of B and velocity of P at unit speeds
     for n in range(len(v)):
-        R, arm = rotation[n], times(rotation[n], vector(center))
-        w = u = (0.0, 0.0, 0.0)
-        for dof in dofs:
-            w = add(w, scale(v[n, dof], column(angular[n], dof)))
-            u = add(u, scale(v[n, dof], column(linear[n], dof)))
-        u = add(u, cross(w, arm))
+        p, w, u = row(origins, n, 2), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        for axis in range(3):
+            p = add(p, scale(center[axis], row(R, n, axis)))
+        for k in dofs:
+            s = row(lines[k], n, 0)
+            t = add(row(lines[k], n, 1), cross(s, subtract(p, row(lines[k], n, 2))))
+            w, u = add(w, scale(v[n, k], s)), add(u, scale(v[n, k], t))
+            put_row(moving, 0, k, s)
+            put_row(moving, 1, k, t)
         speed = np.sqrt(dot(u, u))
         force, along = scale(speed, u), scale(1.0 / max(speed, _LEAST_SPEED), u)
-        moment = cross(arm, force)
-        for k in range(len(dofs)):
-            s, t = column(angular[n], dofs[k]), column(linear[n], dofs[k])
-            out[n, k, 0] = dot(t, force) + dot(s, moment)
+        for k in dofs:
+            out[k, 0, n] = dot(row(moving, 1, k), force)
         for axis in range(3):
-            step = column(R, axis)
-            change = cross(w, step)
+            arm = row(R, n, axis)
+            change, moment = cross(w, arm), cross(arm, force)
             slope = add(scale(speed, change), scale(dot(u, change), along))
-            moment = add(cross(arm, slope), cross(step, force))
-            for k in range(len(dofs)):
-                s, t = column(angular[n], dofs[k]), column(linear[n], dofs[k])
-                out[n, k, 1 + axis] = dot(t, slope) + dot(s, moment)
+            for k in dofs:
+                out[k, 1 + axis, n] = dot(row(moving, 1, k), slope) + dot(row(moving, 0, k), moment)

@@ -374,6 +374,33 @@ def put_pose(mobilizer: Record, motion: Record, world: Record, own: Record) -> N
 
 
 @compiled
+def calc_places(tree: TreeRecords, q: Array, rotations: Array, lines: Array) -> None:
+    """Write R_WBᵀ (m, N, 3, 3) of bodies B, and what each velocity does to its own B.
+
+    That is B's ω and the velocity of Bo at unit speed, and p_WoBo, (nv, N, 3, 3), in W.
+    """
+    mobilizers, _ = tree
+    bodies = len(mobilizers)
+    motions, features = np.empty(bodies, MOTION), np.empty(9)
+    world = np.empty(bodies, POSE)
+    for n in range(len(q)):
+        for i in range(bodies):
+            mobilizer, own = mobilizers[i], world[i]
+            pose(mobilizer, q, n, features, motions[i])
+            put_pose(mobilizer, motions[i], world, own)
+            for k in range(3):
+                put_row(rotations[i], n, k, column(own.R_WB, k))
+            first, number = mobilizer.velocities
+            for k in range(number):
+                s, t = column(mobilizer.angular, k), column(mobilizer.linear, k)
+                s, t = carried(mobilizer, motions[i], s, t)
+                line = lines[first + k]
+                put_row(line, n, 0, times(own.R_WB, s))
+                put_row(line, n, 1, times(own.R_WB, t))
+                put_row(line, n, 2, vector(own.p_WoBo_W))
+
+
+@compiled
 def calc_kinematics(
     tree: TreeRecords, q: Array, poses: Array, angular: Array, linear: Array
 ) -> None:
