@@ -1,5 +1,6 @@
 """The README's commands and lines do what it says."""
 
+import json
 import re
 import subprocess
 import sys
@@ -103,3 +104,31 @@ def test_diagram_of_the_readme_runs(tmp_path, monkeypatch):
     names = {}
     exec(code, names)
     assert names["simulator"].get_context().get_time() == 1.0
+
+
+@pytest.mark.parametrize(
+    "row, before, after, mass",
+    [
+        ("UR10e, free motion", "ur10e_before", "ur10e", None),
+        ("the same on another day", None, "another_day", None),
+        ("the same with 2.805 kg", "loaded_before", "loaded", "loaded"),
+        ("KUKA KR300", "kr300_before", "kr300", "kr300"),
+        ("Staubli TX40", "tx40_before", "tx40", None),
+        ("AcroMonk", "acromonk_before", "acromonk", None),
+        ("double pendulum", "pendulum_before", "pendulum", None),
+    ],
+)
+def test_figures_of_real_robots_are_those_that_were_measured(row, before, after, mass):
+    """The table and the page of benchmarks are of one run."""
+    measured = json.loads((README.parent / "diagrams" / "benchmarks.json").read_text())
+    figures = measured["real_robots"]["figures"]
+    cells = re.search(rf"^\| {row}.*", TEXT, re.M)[0].split("|")
+    told = {before: cells[3].strip(), after: cells[5].strip()}
+    if mass is not None:
+        told[f"{mass}_mass"], told[f"{mass}_deviation"] = re.search(
+            r"payload of ([\d.]+) ± ([\d.]+) kg", cells[2]
+        ).groups()
+    told.pop(None, None)
+    for name, text in told.items():
+        digits = len(text.partition(".")[2])
+        assert round(figures[name], digits) == float(text), name

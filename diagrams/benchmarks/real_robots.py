@@ -183,12 +183,23 @@ def rows_of(study: Study, explanation: Explanation, seconds: float) -> list[dict
             "nrms": step.error_after,
             "pooled_rms": float(np.sqrt(np.mean(np.square(list(step.rms_after.values()))))),
             "parameters": step.parameters,
-            "deviations": step.deviations,
+            "deviations": _whole_deviations(step),
         }
         for step in explanation.steps
     ]
     whole = {"study": study.name, "verdict": explanation.verdict, "seconds": seconds}
     return [{**whole, **row, "floor_nrms": explanation.end.floor_nrms} for row in found]
+
+
+def _whole_deviations(step: Step) -> dict[str, dict[str, float]]:
+    """Return deviations of a step's parameters by noise, gains and unexplained errors together."""
+    return {
+        place: {
+            name: float(np.hypot(noise, step.systematic.get(place, {}).get(name, 0.0)))
+            for name, noise in own.items()
+        }
+        for place, own in step.deviations.items()
+    }
 
 
 def main() -> None:
