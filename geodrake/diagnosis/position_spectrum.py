@@ -57,6 +57,7 @@ def highest_peak(
     slower is no peak. None where the motion is too small or too fast for any order to show.
     """
     q, speed = motion[0], np.abs(motion[1])
+    residual = residual - residual.mean()  # an offset is no wave
     span = float(np.ptp(q))
     slow = float(np.quantile(speed, _SLOW))
     if span <= 0.0 or slow <= 0.0:
