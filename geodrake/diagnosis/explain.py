@@ -16,6 +16,7 @@ from geodrake.diagnosis.findings import (
     largest_residual,
     named,
     probable,
+    refines,
     staged,
     terms_not_held,
     verdict_of,
@@ -25,7 +26,8 @@ from geodrake.diagnosis.notes import changed_notes, left_out_notes, notes_of, un
 from geodrake.diagnosis.results import Correlate, Explanation, Step
 from geodrake.diagnosis.search import Found, searched
 from geodrake.diagnosis.search_progress import Progress
-from geodrake.diagnosis.steps import steps_of
+from geodrake.diagnosis.steps import of_no_size, steps_of
+from geodrake.diagnosis.terms import Term
 from geodrake.effects import Effect
 from geodrake.identification.logs.case import Case, error_table, open_case
 from geodrake.identification.logs.compare import comparison
@@ -150,7 +152,8 @@ def _holding(
 ) -> tuple[Found, Case, ModelFit, Hypothesis, tuple[Step, ...]]:
     """Return the final fit and its steps, without last ones that lower no held-out error.
 
-    An effect of several joints that does not hold may still hold at some of them.
+    An effect of several joints that does not hold may still hold at some of them. One that the
+    final fit gives no size is none.
     """
     while True:
         if forced:
@@ -158,14 +161,31 @@ def _holding(
         else:
             found, start, stages = probable(case, found, findings)
         after, fit = final_fit(case, found)
+        findings = [stage.finding for stage in stages]
+        if not forced and (nothing := _nothing_of(case, findings, fit)) is not None:
+            found, findings = without_finding(found, findings, *nothing)
+            continue
         end = error_table(after.dataset, fit.held_out)
         steps = steps_of(case, found, start, stages, fit=fit, end=end)
         if forced or not steps:
             return found, after, fit, start, steps
         before = (stages[-2].validated if len(stages) > 1 else start).held_out
-        findings = [stage.finding for stage in stages]
         last = findings[-1]
         if holds(found, last, before, fit.held_out):
             return found, after, fit, start, steps
         bad = terms_not_held(found, last, before, fit.held_out)
         found, findings = without_finding(found, findings, last, bad)
+
+
+def _nothing_of(
+    case: Case, findings: Sequence[Finding], fit: ModelFit
+) -> tuple[Finding, Sequence[Term]] | None:
+    """Return the first finding that has no size, and its terms without; no terms if all are so.
+
+    One that others refine stays.
+    """
+    for finding in findings:
+        gone = of_no_size(case, finding, fit)
+        if gone != [] and not any(refines(other, [finding]) for other in findings):
+            return finding, gone or ()
+    return None

@@ -189,7 +189,7 @@ def staged(found: Found, findings: Sequence[Finding]) -> tuple[Hypothesis, list[
     at = _fitted(found, Choice((), width, model.on_time))
     start, stages, left = model.validated(at), list[StagedFinding](), [*findings]
     while left:
-        ready = [each for each in left if not _refines(each, left)] or left
+        ready = [each for each in left if not refines(each, left)] or left
         tried = [(each, _with(found, at.choice, each)) for each in ready]
         # By held-out errors: gains of what is carried would absorb a payload that is not added yet.
         errors = [model.validated(fit, physical=False).nrms for _, fit in tried]
@@ -199,7 +199,7 @@ def staged(found: Found, findings: Sequence[Finding]) -> tuple[Hypothesis, list[
     return start, stages
 
 
-def _refines(finding: Finding, others: Sequence[Finding]) -> bool:
+def refines(finding: Finding, others: Sequence[Finding]) -> bool:
     """Return whether a finding refines one of others at its place."""
     bases = {key for term in finding.terms for keys in term.needs for key in keys}
     return any(term.key in bases for other in others for term in other.terms)

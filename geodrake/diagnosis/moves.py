@@ -352,7 +352,10 @@ class _Finder:
             possible = model.compatibility.beside(present, offered)
             gains = around.promises(possible)
             if np.isfinite(gains).any():
-                yield self._choice((*present, *possible[int(np.argmax(gains))]))
+                best = int(np.argmax(gains))
+                move = self._move((*present, *possible[best]), float(gains[best]))
+                if move.gain > _HOPE:  # by wider bodies it promises less still
+                    yield move.choice
 
     def unspared(self) -> Iterator[Choice]:
         """Drop a payload, or another effect of the whole robot, which bodies may take in."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,12 +37,18 @@ _TINY = np.finfo(float).tiny
 class Dropped:
     """What leaving terms out of a fit changes, at its noise."""
 
+    around: Neighbourhood
     loss: float  # what is lost of the score, prior odds left aside
-    rows: Array  # (i, D) rows of the dropped parameters in H⁻¹AᵀA, of distinct columns
+    at: Indices  # (i,) the dropped parameters among those of the fit
     inverse: Array  # (i, i) inverse of their covariance
     x: Array  # (i,) their values
     squares: float  # by how much weighted squared errors rise
     joint: int  # the joint that alone feels the terms; −1 if several do
+
+    @cached_property
+    def rows(self) -> Array:
+        """(i, D) rows of the dropped parameters in H⁻¹AᵀA, of distinct columns."""
+        return np.asarray(self.around.inverse[self.at] @ self.around.beside[0])
 
 
 class Neighbourhood:
@@ -49,18 +56,24 @@ class Neighbourhood:
 
     def __init__(self, model: LogModel, fit: Fit) -> None:
         self._model, self.fit = model, fit
-        packed, moments, _ = model.normal(model.distinct, fit.choice.delay)
-        gram, right = np.zeros((len(model.distinct),) * 2), fit.weights @ moments
-        add_normal(packed, fit.weights, gram)
-        self._inverse, self._cross = np.linalg.inv(fit.hessian), gram[model.same_as[fit.columns]]
-        self._pull = (right - fit.x @ self._cross)[model.same_as] + model.pull
-        factor, scale = scaled_cholesky(fit.hessian, ridge=0.0)
-        root, _ = dtrtrs(factor.T, scale[:, None] * self._cross, lower=0, trans=1)
-        # Of the transpose, which is in Fortran's order, the lower triangle is written.
-        self._schur = dsyrk(-1.0, root, 1.0, gram.T, trans=1, lower=1, overwrite_c=1).T
+        self.inverse = np.linalg.inv(fit.hessian)
         self._most_taken = np.minimum(1.0 - model.floor / fit.variance, _MOST_TAKEN)
         spans = model.spans(fit.terms).items()
         self._at = {term: np.arange(span.start, span.stop) for term, span in spans}
+
+    @cached_property
+    def beside(self) -> tuple[Array, Array, Array]:
+        """All that may come: products (n, D) with the fit, Schur complement (D, D), pull (P,)."""
+        model, fit = self._model, self.fit
+        packed, moments, _ = model.normal(model.distinct, fit.choice.delay)
+        gram, right = np.zeros((len(model.distinct),) * 2), fit.weights @ moments
+        add_normal(packed, fit.weights, gram)
+        cross = gram[model.same_as[fit.columns]]
+        factor, scale = scaled_cholesky(fit.hessian, ridge=0.0)
+        root, _ = dtrtrs(factor.T, scale[:, None] * cross, lower=0, trans=1)
+        # Of the transpose, which is in Fortran's order, the lower triangle is written.
+        schur = dsyrk(-1.0, root, 1.0, gram.T, trans=1, lower=1, overwrite_c=1).T
+        return cross, schur, (right - fit.x @ cross)[model.same_as] + model.pull
 
     def delays(self) -> list[tuple[Delay, float]]:
         """Return other delays of all joints, and of each joint alone, with their gains.
@@ -81,9 +94,9 @@ class Neighbourhood:
             return []
         packed, now, power = model.normal(columns, was)
         late = [model.moments(columns, (k,) * len(was)) for k in range(count)]
-        errors = self._inverse[:, model.delay_errors]
+        errors = self.inverse[:, model.delay_errors]
         solved = np.linalg.solve(errors[model.delay_errors], errors.T)
-        inverse, exact = self._inverse - errors @ solved, fit.x - fit.x[model.delay_errors] @ solved
+        inverse, exact = self.inverse - errors @ solved, fit.x - fit.x[model.delay_errors] @ solved
         samples, own = self._samples(), np.maximum(calc_squares((packed, now, power), exact), _TINY)
         (prior, _), mean = model.prior(fit.choice), model.mean[columns]
         found = list[tuple[Delay, float]]()
@@ -124,13 +137,12 @@ class Neighbourhood:
     def dropped(self, terms: Sequence[Term]) -> Dropped:
         """Return what leaving some of the fit's terms out changes."""
         at = np.concatenate([self._at[term] for term in terms])
-        covariance, x = self._inverse[np.ix_(at, at)], self.fit.x[at]
+        covariance, x = self.inverse[np.ix_(at, at)], self.fit.x[at]
         inverse = np.linalg.inv(covariance)
         known = self._model.prior_scores[np.concatenate([self._model.at[t] for t in terms])].sum()
         loss = -x @ inverse @ x - np.linalg.slogdet(covariance)[1] - known
         squares = float(x @ inverse @ x)
-        rows = self._inverse[at] @ self._cross
-        return Dropped(float(loss), rows, inverse, x, squares, self._joint(terms))
+        return Dropped(self, float(loss), at, inverse, x, squares, self._joint(terms))
 
     def gains(self, packages: Sequence[Terms], dropped: Dropped | None = None) -> Array:
         """Return (m,) what each package of terms adds to the score, without prior odds.
@@ -186,11 +198,12 @@ class Neighbourhood:
         own = [[model.at[term] for term in package] for package in packages]
         columns = np.concatenate([at for each in own for at in each])
         counts = [sum(map(len, each)) for each in own]
-        gone = (self._cross[:0], np.zeros((0, 0)), np.zeros(0))
+        cross, schur, pull = self.beside
+        gone = (cross[:0], np.zeros((0, 0)), np.zeros(0))
         if dropped is not None:
             gone = (dropped.rows, dropped.inverse, dropped.x)
         found: tuple[Array, Array] = calc_gains(
-            (self._schur, self._pull, model.prior_scores),
+            (schur, pull, model.prior_scores),
             (model.owner, model.positive),
             (model.same_as, model.information),
             gone,

@@ -30,7 +30,7 @@ _MOST_NOISE = 1.07
 _LEAST_BARRIER = 0.05  # weight of log det at the end of a path, which is off by its fourfold
 _NEAR = 0.3  # Newton decrement below which the next barrier follows
 _MOST_STEPS, _MOST_BARRIERS, _MOST_HALVINGS = 30, 20, 60
-_ROUNDING = 1e-12  # least over largest eigenvalue of a pseudo-inertia
+_ROUNDING = 1e-12  # least pivot of a pseudo-inertia, over its trace
 _LATE_ROW = 0.1  # of a period: rows that are farther apart are not consecutive
 
 
@@ -292,28 +292,30 @@ def calc_noise_changes(
 
 @inlined
 def _is_body(matrix: Array) -> bool:
-    """Return whether a pseudo-inertia (4, 4) is positive definite beyond rounding."""
-    values = np.linalg.eigvalsh(matrix)
-    return bool(values[0] > _ROUNDING * values[-1])
+    """Return whether a pseudo-inertia (4, 4), which is overwritten, has positive pivots.
+
+    They are so beyond rounding.
+    """
+    least = _ROUNDING * np.trace(matrix)
+    for k in range(4):
+        if matrix[k, k] <= least:
+            return False
+        for i in range(k + 1, 4):
+            share = matrix[i, k] / matrix[k, k]
+            for j in range(k + 1, 4):
+                matrix[i, j] -= share * matrix[k, j]
+    return True
 
 
 @compiled
 def calc_physical_share(parameters: Array, basis: Array) -> float:
     """Return the share of parameters (N, 10) with which bodies can exist.
 
-    Parameters times a basis (10, 16) are pseudo-inertias, whose pivots are positive then.
+    Parameters times a basis (10, 16) are pseudo-inertias.
     """
     physical = 0
     for n in range(len(parameters)):
-        matrix = (parameters[n] @ basis).reshape(4, 4)
-        pivots = 0
-        while pivots < 4 and matrix[pivots, pivots] > 0.0:
-            for i in range(pivots + 1, 4):
-                share = matrix[i, pivots] / matrix[pivots, pivots]
-                for j in range(pivots + 1, 4):
-                    matrix[i, j] -= share * matrix[pivots, j]
-            pivots += 1
-        physical += pivots == 4
+        physical += _is_body((parameters[n] @ basis).reshape(4, 4))
     return physical / len(parameters)
 
 

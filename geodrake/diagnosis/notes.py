@@ -52,8 +52,8 @@ def unnamed_notes(rest: Unnamed) -> list[str]:
     ]
     gains = [
         f"efforts of {joint} are {abs(error):.1%} {'larger' if error > 0.0 else 'smaller'} "
-        f"than the model's, which is within the {known:.0%} uncertainty of their gain "
-        "(--effort-uncertainty)"
+        f"than the model's: {abs(error) / known:.1f} standard deviations of their gain, which is "
+        f"known to {known:.1%} (--effort-uncertainty)"
         for joint, (error, known) in rest.gains.items()
     ]
     return [*unknown, *loads, *gains]

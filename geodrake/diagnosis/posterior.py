@@ -65,8 +65,29 @@ class Posterior:
         add(other for choice in likely for other in other_widths(model, choice))
         self._model, self._fit, self._fits = model, fit, [*fits.values()]
         scores = np.array([each.score for each in self._fits])
-        weights = np.exp(0.5 * (scores - scores.max()))
+        weights = np.exp(0.5 * (scores - scores.max())) * self._shares_of_shapes(scores)
         self._weights = weights / weights.sum()
+
+    def _shares_of_shapes(self, scores: Array) -> Array:
+        """Return (m,) what each of the explanations counts for, beside those of other shapes.
+
+        Prior odds of a shape are those of all values near it that the logs do not tell apart, and
+        any number of them may have been tried. So together they count as the most probable one.
+        """
+        which, seen = dict[Term, tuple[object, int]](), dict[object, int]()
+        for term in self._model.terms:  # one of several priors is one of several explanations
+            own: object = term.effect or term.where
+            seen[own] = seen.get(own, -1) + 1
+            which[term] = term.key, seen[own]
+        alike = dict[object, list[int]]()
+        for k, fit in enumerate(self._fits):
+            shapeless = frozenset(which[term] for term in fit.terms), *fit.choice.key[1:]
+            alike.setdefault(shapeless, []).append(k)
+        shares = np.ones(len(scores))
+        for members in alike.values():
+            weights = np.exp(0.5 * (scores[members] - scores[members].max()))
+            shares[members] = 1.0 / weights.sum()
+        return shares
 
     def of_terms(self, terms: Sequence[Term]) -> Certainty:
         """Return the joint probability of some terms of the explanation."""

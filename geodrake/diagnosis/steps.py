@@ -24,6 +24,7 @@ from geodrake.diagnosis.posterior import Certainty, nrms_of
 from geodrake.diagnosis.refinements import delays_of
 from geodrake.diagnosis.results import FittedRival, Step
 from geodrake.diagnosis.search import Found
+from geodrake.diagnosis.terms import Term
 from geodrake.effects import FittedEffect, Role
 from geodrake.identification.logs.case import Case, error_table, series
 from geodrake.identification.logs.evidence import fold_agreement
@@ -38,6 +39,7 @@ Values = dict[str, dict[str, float]]
 
 _SMALL = 1e-4
 """Share of a change at which what is reported is differentiated."""
+_NO_SIZE, _NO_DELAY = 1e-6, 1e-9  # of a parameter, in its deviations; s
 
 
 def steps_of(
@@ -151,6 +153,20 @@ def _systematic(found: Found, finding: Finding, fit: ModelFit) -> Values:
             own = _deviations_by(fitted, np.concatenate(shifts))
             values.setdefault(effect.place, {}).update(own)
     return values
+
+
+def of_no_size(case: Case, finding: Finding, fit: ModelFit) -> list[Term] | None:
+    """Return terms of a finding that the final fit gives no size; None if that is all of it."""
+    if finding.name == DELAY:
+        return None if np.allclose(fit.model.delays, case.model.delays, atol=_NO_DELAY) else []
+    none = {
+        fitted.effect
+        for fitted in _fitted_of(finding, fit)
+        if fitted.deviations is not None
+        and (np.abs(fitted.parameters) <= _NO_SIZE * fitted.deviations).all()
+    }
+    gone = [term for term in finding.terms if term.effect in none]
+    return None if gone and len(gone) == len(finding.terms) else gone
 
 
 def _fitted_of(finding: Finding, fit: ModelFit) -> list[FittedEffect]:

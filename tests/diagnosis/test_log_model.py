@@ -1,5 +1,6 @@
 """Evidence of explanations: axioms, dense computations of the same numbers, and findings."""
 
+import sys
 from dataclasses import replace
 from itertools import combinations
 from math import comb
@@ -17,6 +18,8 @@ from scipy.stats import multivariate_normal
 from geodrake import load_model
 from geodrake.diagnosis import Beliefs, Diagnosis, explain
 from geodrake.diagnosis.climbing import gain_of
+from geodrake.diagnosis.explain import explained
+from geodrake.diagnosis.final_fit import final_fit
 from geodrake.diagnosis.findings import (
     INERTIA,
     Unnamed,
@@ -682,6 +685,25 @@ def test_what_holds_at_one_joint_alone_stays_there(found):
     assert terms_not_held(both, finding, before, replace(after, sse=1.1 * before.sse)) == []
     (note,) = left_out_notes([finding], [SimpleNamespace(effect=finding.name, where=("elbow",))])
     assert "shoulder was found" in note
+
+
+@pytest.mark.parametrize("name", ["viscous_friction", StribeckFriction.name])
+def test_what_the_final_fit_gives_no_size_is_no_step(found, monkeypatch, name):
+    """What the search allows for beside it, such as unresolved reversals, may have taken it in."""
+    whole = with_terms(found, "coulomb_friction", name)
+
+    def without_size(case, found):
+        after, fit = final_fit(case, found)
+        effects = [
+            replace(f, parameters=0.0 * f.parameters) if f.effect.name == name else f
+            for f in fit.model.effects
+        ]
+        return after, replace(fit, model=replace(fit.model, effects=tuple(effects)))
+
+    monkeypatch.setattr(sys.modules[explained.__module__], "final_fit", without_size)
+    told = explained(whole.case, whole, findings_of(whole)).explanation
+    assert [step.effect for step in told.steps] == ["coulomb_friction"]
+    assert any(note.startswith(f"{name} ") and "was found" in note for note in told.notes)
 
 
 def test_bodies_are_the_finding_where_nothing_else_is_left(found):

@@ -22,6 +22,7 @@ from geodrake.effects import (
     EffortOffset,
     FittedEffect,
     JointSpring,
+    Shape,
 )
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import open_case
@@ -89,6 +90,26 @@ class TestChoice:
         assert (first.effect, first.where) == ("viscous_friction", JOINTS)
         assert all(oil.tied for oil in oils.values())
         assert oils[JOINTS].error_after < first.error_after
+
+    def test_values_of_a_shape_that_a_log_does_not_tell_apart_count_once(self):
+        """However many are tried: here a shape that changes nothing."""
+
+        def odds(count):
+            values = tuple(np.linspace(1.0, 2.0, count).tolist())
+            kind = own_effect(
+                "wavy",
+                __annotations__={"setting": "float"},
+                shapes=(Shape("setting", grid=values),),
+                columns=lambda self, j: [np.cos(7.0 * j.q)],
+            )
+            log = pendulum_log(3, at_elbow(lambda q, v, vd: 0.003 * np.cos(7.0 * q)), seconds=12.0)
+            (step,) = explained(log, extra=[kind]).steps
+            assert (step.effect, step.where) == ("wavy", ("elbow",))
+            return step.probability / (1.0 - step.probability)
+
+        one = odds(1)
+        assert 3.0 < one < 1e3
+        assert odds(24) == pytest.approx(one, rel=0.3)
 
     def test_two_simple_effects_take_the_place_of_one_whose_bounds_hide_it(self):
         """An offset pushes as well as it brakes, which friction with a law a direction may not."""
@@ -314,12 +335,16 @@ def test_order_is_found(order, seed):
     assert peak.resolution == pytest.approx(2 * np.pi / np.ptp(q), rel=0.05)
 
 
-def test_share_is_that_of_the_waves():
+@pytest.mark.parametrize("offset", [0.0, 5.0])
+def test_share_is_that_of_the_waves(offset):
+    """Beside an offset, which is no wave."""
     rng = np.random.default_rng(4)
     q, v = motion(rng)
     wave, noise = np.cos(20.0 * q), rng.normal(size=len(q))
     power = [np.square(LOW_PASS.apply(part)).mean() for part in (wave, noise)]
-    assert peak_of(q, v, wave + noise).share == pytest.approx(power[0] / sum(power), abs=0.07)
+    peak = peak_of(q, v, wave + noise + offset)
+    assert peak.share == pytest.approx(power[0] / sum(power), abs=0.07)
+    assert peak.order == pytest.approx(20.0, abs=0.25 * peak.resolution)
 
 
 @pytest.mark.parametrize(("colour", "most"), [(0.0, 0.01), (0.99, 0.06)])
