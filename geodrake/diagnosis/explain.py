@@ -152,8 +152,8 @@ def _holding(
 ) -> tuple[Found, Case, ModelFit, Hypothesis, tuple[Step, ...]]:
     """Return the final fit and its steps, without last ones that lower no held-out error.
 
-    An effect of several joints that does not hold may still hold at some of them. One that the
-    final fit gives no size is none.
+    An effect of several joints that does not hold may still hold at some of them. A new one
+    that the final fit gives no size is none.
     """
     while True:
         if forced:

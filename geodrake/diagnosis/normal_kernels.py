@@ -30,7 +30,7 @@ _MOST_NOISE = 1.07
 _LEAST_BARRIER = 0.05  # weight of log det at the end of a path, which is off by its fourfold
 _NEAR = 0.3  # Newton decrement below which the next barrier follows
 _MOST_STEPS, _MOST_BARRIERS, _MOST_HALVINGS = 30, 20, 60
-_ROUNDING = 1e-12  # least pivot of a pseudo-inertia, over its trace
+_ROUNDING = 1e-12  # least pivot of a pseudo-inertia over its trace; least step of one
 _LATE_ROW = 0.1  # of a period: rows that are farther apart are not consecutive
 
 
@@ -292,13 +292,10 @@ def calc_noise_changes(
 
 @inlined
 def _is_body(matrix: Array) -> bool:
-    """Return whether a pseudo-inertia (4, 4), which is overwritten, has positive pivots.
-
-    They are so beyond rounding.
-    """
-    least = _ROUNDING * np.trace(matrix)
+    """Return whether a pseudo-inertia (4, 4) is positive definite beyond rounding; overwrite it."""
+    least = max(_ROUNDING * np.trace(matrix), 0.0)
     for k in range(4):
-        if matrix[k, k] <= least:
+        if not matrix[k, k] > least:  # nor is it if it is NaN
             return False
         for i in range(k + 1, 4):
             share = matrix[i, k] / matrix[k, k]

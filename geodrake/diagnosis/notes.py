@@ -68,7 +68,7 @@ def left_out_notes(findings: Sequence[Finding], steps: Sequence[Step]) -> list[s
         left = [place for place in finding.places if place not in told.get(finding.name, ())]
         if left or finding.name not in told:
             where = f" at {', '.join(left)}" if left else ""
-            why = "removes too little of the held-out error to be a step"
+            why = "is zero in the final fit, or removes too little of the held-out error"
             if finding.name in told:
                 why = "does not lower the held-out error there"
             notes.append(f"{finding.name}{where} was found, but {why}")

@@ -27,7 +27,7 @@ class Peak:
     """A peak of the spectrum."""
 
     order: float  # waves in 2π of position
-    share: float  # share of the residual's power that waves of this order explain
+    share: float  # share of the residual's variance that waves of this order explain
     height: float  # evidence for the waves; about χ² of two degrees of freedom where there are none
     tried: int  # independent orders that were looked at
     resolution: float  # distance of orders that can be distinguished
@@ -60,7 +60,7 @@ def highest_peak(
     residual = residual - residual.mean()  # an offset is no wave
     span = float(np.ptp(q))
     slow = float(np.quantile(speed, _SLOW))
-    if span <= 0.0 or slow <= 0.0:
+    if span <= 0.0 or slow <= 0.0 or not residual.any():
         return None
     resolution = 2.0 * np.pi / span
     lowest, highest = LEAST_WAVES * resolution, 2.0 * np.pi * bandwidth / slow

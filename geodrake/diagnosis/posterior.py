@@ -71,8 +71,9 @@ class Posterior:
     def _shares_of_shapes(self, scores: Array) -> Array:
         """Return (m,) what each of the explanations counts for, beside those of other shapes.
 
-        Prior odds of a shape are those of all values near it that the logs do not tell apart, and
-        any number of them may have been tried. So together they count as the most probable one.
+        Prior odds of a shape are those of all values near it, of which any number may have been
+        tried. So all shapes of an effect at a place count together as the most probable one; those
+        that logs tell apart weigh little beside it.
         """
         which, seen = dict[Term, tuple[object, int]](), dict[object, int]()
         for term in self._model.terms:  # one of several priors is one of several explanations

@@ -158,14 +158,19 @@ def _systematic(found: Found, finding: Finding, fit: ModelFit) -> Values:
 def of_no_size(case: Case, finding: Finding, fit: ModelFit) -> list[Term] | None:
     """Return terms of a finding that the final fit gives no size; None if that is all of it."""
     if finding.name == DELAY:
-        return None if np.allclose(fit.model.delays, case.model.delays, atol=_NO_DELAY) else []
+        return (
+            None
+            if np.allclose(fit.model.delays, case.model.delays, rtol=0.0, atol=_NO_DELAY)
+            else []
+        )
     none = {
         fitted.effect
         for fitted in _fitted_of(finding, fit)
         if fitted.deviations is not None
         and (np.abs(fitted.parameters) <= _NO_SIZE * fitted.deviations).all()
     }
-    gone = [term for term in finding.terms if term.effect in none]
+    # What the model has already, without size now, differs from what the model says.
+    gone = [term for term in finding.terms if term.effect in none and not term.is_own]
     return None if gone and len(gone) == len(finding.terms) else gone
 
 

@@ -299,7 +299,8 @@ class Backlash(DeflectionEffect):
         at = motion.index(self.joint)
         load, inertias = motion.load[:, at], motion.effort_slopes.acceleration[:, at]  # (N, nv)
         power = np.square(np.broadcast_to(motion.acceleration_noise, inertias.shape[1]))
-        noise = np.sqrt(np.square(inertias) @ power)
+        known = np.nan_to_num(inertias)  # without joints of several degrees
+        noise = np.sqrt(np.square(known) @ power)
         bandwidth = _SLOWER * motion.bandwidth
         if bandwidth * period < HIGHEST_BANDWIDTH:
             load = design_filter(period, bandwidth).smooth(load)

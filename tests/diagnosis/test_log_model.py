@@ -32,7 +32,11 @@ from geodrake.diagnosis.findings import (
 from geodrake.diagnosis.log_model import Choice, LogModel
 from geodrake.diagnosis.moves import neighbours
 from geodrake.diagnosis.neighbourhood import Neighbourhood
-from geodrake.diagnosis.normal_kernels import calc_distance, calc_noise_changes
+from geodrake.diagnosis.normal_kernels import (
+    calc_distance,
+    calc_noise_changes,
+    calc_physical_share,
+)
 from geodrake.diagnosis.notes import left_out_notes, unnamed_notes
 from geodrake.diagnosis.posterior import Posterior
 from geodrake.diagnosis.refinements import delays_of, fitted_delays
@@ -41,9 +45,11 @@ from geodrake.diagnosis.terms import odds_against
 from geodrake.effects import (
     CoulombFriction,
     EffortOffset,
+    FittedEffect,
     GravityCompensator,
     Payload,
     StribeckFriction,
+    ViscousFriction,
 )
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.dataset import Dataset, JointData
@@ -438,6 +444,21 @@ def test_the_nearest_body_that_can_exist(seed):
     assert least <= found <= least + 0.5
 
 
+def test_bodies_that_can_exist_are_those_of_positive_eigenvalues():
+    """Not those of numbers that are none, nor of a negative mass alone."""
+    rng, basis = np.random.default_rng(2), pseudo_inertia_basis()
+    body = from_mass_com_inertia(1.0, np.array([0.02, 0.0, 0.05]), 4e-3 * np.eye(3))
+    drawn = body * (1.0 + 0.5 * rng.normal(size=(400, 10)))
+    exist = np.linalg.eigvalsh(np.tensordot(drawn, basis, 1)).min(axis=1) > 0.0
+    assert 20 < exist.sum() < 380
+    flat = np.ascontiguousarray(basis.reshape(10, -1))
+    assert calc_physical_share(drawn, flat) == exist.mean()
+    odd = np.array(
+        [np.full(10, np.nan), -np.eye(10)[0], np.where(np.arange(10) == 1, np.nan, body)]
+    )
+    assert calc_physical_share(odd, flat) == 0.0
+
+
 @pytest.mark.parametrize("ball", [0.5, 2.0])
 def test_the_mass_of_a_payload_is_chosen_by_bodies_that_stay(ball):
     """Beside bodies that may be anything, a lighter or heavier one promises as much."""
@@ -704,6 +725,16 @@ def test_what_the_final_fit_gives_no_size_is_no_step(found, monkeypatch, name):
     told = explained(whole.case, whole, findings_of(whole)).explanation
     assert [step.effect for step in told.steps] == ["coulomb_friction"]
     assert any(note.startswith(f"{name} ") and "was found" in note for note in told.notes)
+
+
+def test_friction_that_a_model_states_and_the_robot_has_not_is_a_step():
+    stated = FittedEffect(ViscousFriction("elbow"), np.array([0.3]))
+    told = explain(
+        replace(PENDULUM, effects=(stated,)), [pendulum_log(3, seconds=12.0)], bandwidth=6.0
+    )
+    (step,) = told.steps
+    assert (step.effect, step.parameters["elbow"]["viscous"]) == ("viscous_friction", 0.0)
+    assert told.end.nrms < 0.1 * told.start.nrms
 
 
 def test_bodies_are_the_finding_where_nothing_else_is_left(found):

@@ -10,6 +10,7 @@ import pytest
 from geodrake.errors import ArgumentError, LogError
 from geodrake.logs import Reading, read_log
 from geodrake.logs.files import read_mapping
+from geodrake.logs.files.reading import ColumnMapping, MappedColumn
 
 UR = tuple(
     f"{name}_joint"
@@ -578,6 +579,32 @@ def test_two_robots_one_after_the_other(tmp_path):
     with pytest.raises(LogError, match="rows of 2 robots, by column 'robot_id': 0, 1"):
         read_log(path, joints=("a",))
     check(read_log(path, joints=("a",), reading=Reading(topic="1")), ("a",), q, None, tau)
+
+
+def test_recordings_before_robots_are_those_of_one(tmp_path):
+    time, q, _, tau = motion(("a",))
+    half, frames = ROWS // 2, []
+    for trial in ("first", "second"):
+        for robot, scale in (("r1", 1.0), ("r2", 0.5)):
+            rows = slice(0, half) if trial == "first" else slice(half, 2 * half)
+            columns = {"time": time[:half], "q": scale * q[rows, 0], "tau": scale * tau[rows, 0]}
+            frames.append(pandas.DataFrame({"trial": trial, "robot": robot, **columns}))
+    pandas.concat(frames).to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(LogError, match="rows of 2 robots, by column 'robot'"):
+        read_log(tmp_path / "log.csv", joints=("a",))
+    log = read_log(tmp_path / "log.csv", joints=("a",), reading=Reading(topic="r2"))
+    np.testing.assert_allclose(log.position, 0.5 * q[: 2 * half])
+
+
+def test_a_list_of_one_number_is_its_item_in_a_mapping(tmp_path):
+    time, q, _, tau = motion(("a",))
+    rows = zip(time.tolist(), q.tolist(), tau.tolist(), strict=True)
+    lines = [json.dumps({"t": t, "q": own, "effort": effort}) for t, own, effort in rows]
+    (tmp_path / "log.jsonl").write_text("\n".join(lines))
+    joint = {"position": MappedColumn("q[0]"), "effort": MappedColumn("effort")}
+    mapping = ColumnMapping({"a": joint}, MappedColumn("t"))
+    log = read_log(tmp_path / "log.jsonl", joints=("a",), reading=Reading(mapping=mapping))
+    check(log, ("a",), q, None, tau)
 
 
 def test_rows_without_a_robot_are_of_the_only_one(tmp_path):

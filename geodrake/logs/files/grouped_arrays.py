@@ -46,7 +46,7 @@ _EPISODE = re.compile(
 def fields_of(
     record: Mapping[str, Any], prefix: str = "", *, lists: bool = False
 ) -> Iterator[tuple[str, Any]]:
-    """Yield the fields of nested tables by path, also those of tables in `lists`."""
+    """Yield the fields of nested tables by path; if `lists`, those of tables in lists, too."""
     for name, value in record.items():
         if isinstance(value, dict):
             yield from fields_of(value, f"{prefix}{name}.", lists=lists)
@@ -252,7 +252,8 @@ ALL_ROBOTS = "all"
 def regrouped(table: LogTable, reading: Reading) -> LogTable:
     """Return a table of one robot, recordings one after the other, with a column for each joint."""
     names = (*table.columns, *table.words)
-    for name in [n for n in names if tells_robots(n) or tells_recordings(n)]:
+    robots = [n for n in names if tells_robots(n)]  # recordings that follow each other lose them
+    for name in (*robots, *(n for n in names if tells_recordings(n) and n not in robots)):
         if name in table.words:
             cells = np.array([*map(str, table.words[name])], object)
         elif name in table.columns:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -89,7 +90,8 @@ def mapping_of(path: Path, content: object) -> ColumnMapping:
     time = None if said.time is None else _column(said.time, "time", "time")
     if said.time is None and said.rate is None:
         raise ArgumentError("it has neither `time` nor `rate`.", advice=_FORM)
-    return ColumnMapping(joints, time, said.rate, f"mapping {path}")
+    mapping = ColumnMapping(joints, time, said.rate, "it")  # of which messages tell the file here
+    return replace(mapping, source=f"mapping {path}")
 
 
 def _column(said: str | int | _ColumnSchema, quantity: str, what: str) -> MappedColumn:

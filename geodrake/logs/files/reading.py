@@ -31,8 +31,13 @@ class MappedColumn:
     deviation: float | None = None  # standard deviation of the gain; None if nothing is known of it
 
     def among(self, names: Sequence[str]) -> str:
-        """Return its name, which may be given as a number that is no name itself."""
+        """Return its name, which may be given as a number that is no name itself.
+
+        A list of one number may be named as its item.
+        """
         name, number = str(self.column), self.column if isinstance(self.column, int) else 0
+        if name not in names and (whole := name.removesuffix("[0]")) in names:
+            return whole
         return names[number - 1] if 0 < number <= len(names) and name not in names else name
 
 
