@@ -185,8 +185,12 @@ def test_lag_falls_freely():
     assert time[apart][-1] == pytest.approx((12.0 * 1e-3 / 30.0) ** (1 / 3), abs=2e-3)
 
 
-def test_a_column_follows_no_noise_of_the_motion():
-    """A link that hangs still lies at one side, whatever the noise of its acceleration."""
+@pytest.mark.parametrize("has_slopes", [True, False])
+def test_a_column_follows_no_noise_of_the_motion(has_slopes):
+    """A link that hangs still lies at one side, whatever the noise of its acceleration.
+
+    So it does beside a joint of several degrees, which has no slopes.
+    """
     time, rng = np.arange(0.0, 4.0, 1e-3), np.random.default_rng(1)
     still = np.zeros((len(time), 2))
     noise = np.stack([0.0 * time, rng.normal(size=len(time))], 1)
@@ -195,6 +199,8 @@ def test_a_column_follows_no_noise_of_the_motion():
     assert np.ptp(backlash.regressor(seen)) > 0.1
     kept = 20.0 * np.sqrt(2.0 * 1e-3)  # of white noise, below 20 Hz
     known = replace(seen, bandwidth=20.0, acceleration_noise=np.array([0.0, 2.0 * kept]))
+    if not has_slopes:
+        known.effort_slopes.acceleration[:, :, 0] = np.nan
     assert np.ptp(backlash.regressor(known)) < 1e-12
 
 
