@@ -964,6 +964,10 @@ def test_time_of_one_joint_in_french_is_no_temperature(tmp_path):
     log = read_log(csv_of(tmp_path, columns))
     np.testing.assert_allclose(log.time, TIME)
     assert log.temperature is None
+    log = read_log(csv_of(tmp_path, {**columns, "temperature": 25.0 + TIME}))
+    np.testing.assert_allclose(log.time, TIME)
+    np.testing.assert_allclose(log.temperature[:, 0], 25.0 + TIME)
+    assert not any("temperature" in note for note in log.notes)
 
 
 @pytest.mark.parametrize("first", ["time", "kind"])

@@ -411,9 +411,12 @@ def columns_of(
     try:
         if columns.rate is None and ("", "time") not in places:
             clock, words, is_sure = likely_clock(table)
-            if clock is not None:  # and not a temperature, as `temps` may be
-                others = {k: s for k, s in places.items() if s.column != clock.column}
-                places = {("", "time"): clock, **others}
+            if clock is not None:
+                taken = {source.column for source in places.values()}
+                if clock.column in taken and not is_mapped:
+                    # It is no temperature, as `temps` may be, but another column is perhaps.
+                    columns = _by_names(table, joints, reading, clock=clock.column)
+                places = {("", "time"): clock, **columns.places}
             if is_sure:
                 columns.places = places
                 columns.notes.append(f"{words}, so it is taken as time")
@@ -471,10 +474,12 @@ def likely_clock(table: LogTable) -> tuple[Meaning | None, str, bool]:
     return None, f"Is it {close[0]!r}? " if close else "", False
 
 
-def _by_names(table: LogTable, joints: Sequence[str] | None, reading: Reading) -> Columns:
-    """Return the meaning of columns by their names."""
-    path, names, units = table.path, table.names, table.units
-    beside = [name for name in names if floating_name(name) is None]
+def _by_names(
+    table: LogTable, joints: Sequence[str] | None, reading: Reading, *, clock: str = ""
+) -> Columns:
+    """Return the meaning of columns by their names, but for a `clock`."""
+    path, units = table.path, table.units
+    beside = [name for name in table.names if name != clock and floating_name(name) is None]
     told = [m for m in meanings_of(beside, joints or ()) if m.quantity in OF_JOINTS]
     asked = [words for words in map(plain_words, reading.topics) if words]
     told = [m for m in told if any(words <= plain_words(m.column) for words in asked)] or told
