@@ -373,6 +373,17 @@ def put_pose(mobilizer: Record, motion: Record, world: Record, own: Record) -> N
         put(own.p_WoBo_W, add(vector(inboard.p_WoBo_W), times(inboard.R_WB, place)))
 
 
+@inlined
+def place_bodies(
+    mobilizers: Record, sample: tuple[Array, int, Array], motions: Record, world: Record
+) -> None:
+    """Write the joint motions and world poses of all bodies at one sample: q, its row, and room."""
+    q, n, features = sample
+    for i in range(len(mobilizers)):
+        pose(mobilizers[i], q, n, features, motions[i])
+        put_pose(mobilizers[i], motions[i], world, world[i])
+
+
 @compiled
 def calc_places(tree: TreeRecords, q: Array, rotations: Array, lines: Array) -> None:
     """Write R_WBᵀ (m, N, 3, 3) of bodies B, and what each velocity does to its own B.
@@ -384,10 +395,9 @@ def calc_places(tree: TreeRecords, q: Array, rotations: Array, lines: Array) -> 
     motions, features = np.empty(bodies, MOTION), np.empty(9)
     world = np.empty(bodies, POSE)
     for n in range(len(q)):
+        place_bodies(mobilizers, (q, n, features), motions, world)
         for i in range(bodies):
             mobilizer, own = mobilizers[i], world[i]
-            pose(mobilizer, q, n, features, motions[i])
-            put_pose(mobilizer, motions[i], world, own)
             for k in range(3):
                 put_row(rotations[i], n, k, column(own.R_WB, k))
             first, number = mobilizer.velocities
@@ -414,11 +424,9 @@ def calc_kinematics(
     turn, slide = subspace_room(dofs)
     world = np.empty(bodies, POSE)
     for n in range(len(q)):
+        place_bodies(mobilizers, (q, n, features), motions, world)
         for i in range(bodies):
-            mobilizer, own = mobilizers[i], world[i]
-            pose(mobilizer, q, n, features, motions[i])
-            put_pose(mobilizer, motions[i], world, own)
-            body = mobilizer.body
+            body, own = mobilizers[i].body, world[i]
             if body >= 0:
                 poses[n, body, 3, 3] = 1.0
                 for j in range(3):
