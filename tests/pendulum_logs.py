@@ -59,3 +59,16 @@ def sine_log(model, path="log", *, coulomb=(0.3, 0.2), noise=0.02, **motion):
     effort = model.effort(moved) + np.sign(moved.v) * coulomb + 0.1 * moved.v
     effort += noise * np.random.default_rng(100).normal(size=effort.shape)
     return JointLog("log", model.joints, time, moved.q, effort)
+
+
+def point_pendulum(path, length):
+    """Write a pendulum of two point masses of 2 kg, m below their joints, as a URDF; return it."""
+    none = '<inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/>'
+    point = f'<inertial><origin xyz="0 0 {-length}"/><mass value="2"/>{none}</inertial>'
+    parts = f'<link name="base"/><link name="l0">{point}</link><link name="l1">{point}</link>'
+    for k, parent in enumerate(("base", "l0")):
+        parts += f'<joint name="j{k}" type="revolute"><parent link="{parent}"/>'
+        parts += f'<child link="l{k}"/><origin xyz="0 0 {-length * k}"/><axis xyz="0 1 0"/>'
+        parts += '<limit lower="-3" upper="3" effort="9" velocity="9"/></joint>'
+    path.write_text(f'<robot name="points">{parts}</robot>')
+    return path

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from pendulum_logs import JOINTS, PENDULUM, body_effort, pendulum_log, sines
+from pendulum_logs import JOINTS, PENDULUM, body_effort, pendulum_log, point_pendulum, sines
 from pinocchio_logs import MODELS, effort_log, robot
 from scipy.integrate import cumulative_trapezoid
 from scipy.special import erf
@@ -133,16 +133,8 @@ def test_smooth_efforts_behind_noisy_positions_are_prepared():
 
 def test_point_masses_are_compared_as_they_are(tmp_path):
     """A volume would cost eight times the noise; only fits, digests among them, need one."""
-    none = '<inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/>'
-    point = f'<inertial><origin xyz="0 0 -.1"/><mass value="2"/>{none}</inertial>'
-    text = f'<link name="base"/><link name="l0">{point}</link><link name="l1">{point}</link>'
-    for k, parent in enumerate(("base", "l0")):
-        text += f'<joint name="j{k}" type="revolute"><parent link="{parent}"/>'
-        text += f'<child link="l{k}"/><origin xyz="0 0 {-0.1 * k}"/><axis xyz="0 1 0"/>'
-        text += '<limit lower="-3" upper="3" effort="9" velocity="9"/></joint>'
-    (tmp_path / "points.urdf").write_text(f'<robot name="points">{text}</robot>')
-    model = load_model(tmp_path / "points.urdf")
-    theirs = pin.buildModelFromXML((tmp_path / "points.urdf").read_text())
+    path = point_pendulum(tmp_path / "points.urdf", 0.1)
+    model, theirs = load_model(path), pin.buildModelFromXML(path.read_text())
     time, moved = sines()
     rows = zip(moved.q, moved.v, moved.vd, strict=True)
     effort = np.array([pin.rnea(theirs, theirs.createData(), *row) for row in rows])

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from known_robots import robots
+from pendulum_logs import point_pendulum
 from typer.testing import CliRunner
 
 from geodrake import load_model, save_model
@@ -65,15 +66,7 @@ def test_a_wrong_recursion_is_found_with_its_joint(arm, monkeypatch, name):
 
 
 def test_point_masses_are_those_of_the_file_and_fits_start_beside_them(tmp_path):
-    point = '<inertial><origin xyz="0 0 -.4"/><mass value="2"/><inertia ixx="0" iyy="0" izz="0" '
-    point += 'ixy="0" ixz="0" iyz="0"/></inertial>'
-    parts = f'<link name="base"/><link name="l0">{point}</link><link name="l1">{point}</link>'
-    for k, parent in enumerate(("base", "l0")):
-        parts += f'<joint name="j{k}" type="revolute"><parent link="{parent}"/>'
-        parts += f'<child link="l{k}"/><origin xyz="0 0 {-0.4 * k}"/><axis xyz="0 1 0"/>'
-        parts += '<limit lower="-3" upper="3" effort="9" velocity="9"/></joint>'
-    (tmp_path / "pendulum.urdf").write_text(f'<robot name="p">{parts}</robot>')
-    model = load_model(tmp_path / "pendulum.urdf")
+    model = load_model(point_pendulum(tmp_path / "pendulum.urdf", 0.4))
     found = check_dynamics(model, samples=5)
     assert found.holds and found.by.startswith("Pinocchio") and found.second.relative < 1e-12
     motion = Motion(*np.random.default_rng(0).uniform(-1, 1, (3, 9, 2)))
