@@ -26,7 +26,7 @@ from geodrake.diagnosis.notes import changed_notes, left_out_notes, notes_of, un
 from geodrake.diagnosis.results import Correlate, Explanation, Step
 from geodrake.diagnosis.search import Found, searched
 from geodrake.diagnosis.search_progress import Progress
-from geodrake.diagnosis.steps import of_no_size, steps_of
+from geodrake.diagnosis.steps import steps_of, vanished
 from geodrake.diagnosis.terms import Term
 from geodrake.effects import Effect
 from geodrake.identification.logs.case import Case, error_table, open_case
@@ -152,8 +152,8 @@ def _holding(
 ) -> tuple[Found, Case, ModelFit, Hypothesis, tuple[Step, ...]]:
     """Return the final fit and its steps, without last ones that lower no held-out error.
 
-    An effect of several joints that does not hold may still hold at some of them. A new one
-    that the final fit gives no size is none.
+    An effect of several joints that does not hold may still hold at some of them. New effects that
+    are zero in the final fit are left out, too.
     """
     while True:
         if forced:
@@ -162,8 +162,8 @@ def _holding(
             found, start, stages = probable(case, found, findings)
         after, fit = final_fit(case, found)
         findings = [stage.finding for stage in stages]
-        if not forced and (nothing := _nothing_of(case, findings, fit)) is not None:
-            found, findings = without_finding(found, findings, *nothing)
+        if not forced and (gone := _vanished(case, findings, fit)) is not None:
+            found, findings = without_finding(found, findings, *gone)
             continue
         end = error_table(after.dataset, fit.held_out)
         steps = steps_of(case, found, start, stages, fit=fit, end=end)
@@ -177,15 +177,15 @@ def _holding(
         found, findings = without_finding(found, findings, last, bad)
 
 
-def _nothing_of(
+def _vanished(
     case: Case, findings: Sequence[Finding], fit: ModelFit
 ) -> tuple[Finding, Sequence[Term]] | None:
-    """Return the first finding that has no size, and its terms without; no terms if all are so.
+    """Return the first finding with terms that are zero in the final fit, and these terms.
 
     One that others refine stays.
     """
     for finding in findings:
-        gone = of_no_size(case, finding, fit)
-        if gone != [] and not any(refines(other, [finding]) for other in findings):
-            return finding, gone or ()
+        gone = vanished(case, finding, fit)
+        if gone is not None and not any(refines(other, [finding]) for other in findings):
+            return finding, gone
     return None

@@ -39,7 +39,7 @@ Values = dict[str, dict[str, float]]
 
 _SMALL = 1e-4
 """Share of a change at which what is reported is differentiated."""
-_NO_SIZE, _NO_DELAY = 1e-6, 1e-9  # of a parameter, in its deviations; s
+_LEAST_SIZE, _LEAST_DELAY = 1e-6, 1e-9  # deviations of a parameter, and s: less is zero
 
 
 def steps_of(
@@ -155,23 +155,21 @@ def _systematic(found: Found, finding: Finding, fit: ModelFit) -> Values:
     return values
 
 
-def of_no_size(case: Case, finding: Finding, fit: ModelFit) -> list[Term] | None:
-    """Return terms of a finding that the final fit gives no size; None if that is all of it."""
+def vanished(case: Case, finding: Finding, fit: ModelFit) -> Sequence[Term] | None:
+    """Return the terms of a finding that are zero in the final fit; None if nothing is.
+
+    A delay has no terms. A term of the model itself is a change of its value, which may be to zero.
+    """
     if finding.name == DELAY:
-        return (
-            None
-            if np.allclose(fit.model.delays, case.model.delays, rtol=0.0, atol=_NO_DELAY)
-            else []
-        )
-    none = {
+        change = np.abs(fit.model.delays - case.model.delays).max()
+        return finding.terms if change <= _LEAST_DELAY else None
+    zero = {
         fitted.effect
         for fitted in _fitted_of(finding, fit)
         if fitted.deviations is not None
-        and (np.abs(fitted.parameters) <= _NO_SIZE * fitted.deviations).all()
+        and (np.abs(fitted.parameters) <= _LEAST_SIZE * fitted.deviations).all()
     }
-    # What the model has already, without size now, differs from what the model says.
-    gone = [term for term in finding.terms if term.effect in none and not term.is_own]
-    return None if gone and len(gone) == len(finding.terms) else gone
+    return [t for t in finding.terms if t.effect in zero and not t.is_own] or None
 
 
 def _fitted_of(finding: Finding, fit: ModelFit) -> list[FittedEffect]:

@@ -709,11 +709,11 @@ def test_what_holds_at_one_joint_alone_stays_there(found):
 
 
 @pytest.mark.parametrize("name", ["viscous_friction", StribeckFriction.name])
-def test_what_the_final_fit_gives_no_size_is_no_step(found, monkeypatch, name):
+def test_effects_that_are_zero_in_the_final_fit_are_no_steps(found, monkeypatch, name):
     """What the search allows for beside it, such as unresolved reversals, may have taken it in."""
     whole = with_terms(found, "coulomb_friction", name)
 
-    def without_size(case, found):
+    def zeroed(case, found):
         after, fit = final_fit(case, found)
         effects = [
             replace(f, parameters=0.0 * f.parameters) if f.effect.name == name else f
@@ -721,7 +721,7 @@ def test_what_the_final_fit_gives_no_size_is_no_step(found, monkeypatch, name):
         ]
         return after, replace(fit, model=replace(fit.model, effects=tuple(effects)))
 
-    monkeypatch.setattr(sys.modules[explained.__module__], "final_fit", without_size)
+    monkeypatch.setattr(sys.modules[explained.__module__], "final_fit", zeroed)
     told = explained(whole.case, whole, findings_of(whole)).explanation
     assert [step.effect for step in told.steps] == ["coulomb_friction"]
     assert any(note.startswith(f"{name} ") and "was found" in note for note in told.notes)
