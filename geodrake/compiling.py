@@ -65,7 +65,7 @@ def inlined(function: F) -> F:
 
 
 def summing(function: F) -> F:
-    """Return a compiled function that adds in any order, as is faster where sums are long."""
+    """Return a compiled function whose sums may be reordered, which is faster if they are long."""
     return _compiled(function, fastmath={"reassoc", "contract"})
 
 

@@ -183,7 +183,7 @@ def rows_of(study: Study, explanation: Explanation, seconds: float) -> list[dict
             "nrms": step.error_after,
             "pooled_rms": float(np.sqrt(np.mean(np.square(list(step.rms_after.values()))))),
             "parameters": step.parameters,
-            "deviations": _whole_deviations(step),
+            "deviations": _total_deviations(step),
         }
         for step in explanation.steps
     ]
@@ -191,7 +191,7 @@ def rows_of(study: Study, explanation: Explanation, seconds: float) -> list[dict
     return [{**whole, **row, "floor_nrms": explanation.end.floor_nrms} for row in found]
 
 
-def _whole_deviations(step: Step) -> dict[str, dict[str, float]]:
+def _total_deviations(step: Step) -> dict[str, dict[str, float]]:
     """Return deviations of a step's parameters by noise, gains and unexplained errors together."""
     return {
         place: {

@@ -761,7 +761,9 @@ class LogModel:
         ]
         weighted = [w * np.swapaxes(A, 1, 2) for w, (A, _) in zip(weights, systems, strict=True)]
         pairs = [*zip(weighted, systems, strict=True)]
-        gram = sum((own @ A for own, (A, _) in pairs), np.zeros(()))  # never all at once
+        gram = sum(
+            (own @ A for own, (A, _) in pairs), np.zeros(())
+        )  # not np.sum, which needs all at once
         rhs = np.sum([(own @ b[..., None])[..., 0] for own, (_, b) in pairs], axis=0)
         known = fit.hessian @ fit.x - fit.weights @ self.moments(fit.columns, fit.choice.delay)[0]
         factor, scale = scaled_cholesky(self.even_hessian(fit) - gram)

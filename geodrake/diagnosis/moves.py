@@ -354,7 +354,7 @@ class _Finder:
             if np.isfinite(gains).any():
                 best = int(np.argmax(gains))
                 move = self._move((*present, *possible[best]), float(gains[best]))
-                if move.gain > _HOPE:  # by wider bodies it promises less still
+                if move.gain > _HOPE:  # with wider bodies it promises even less
                     yield move.choice
 
     def unspared(self) -> Iterator[Choice]:

@@ -295,7 +295,7 @@ def _is_body(matrix: Array) -> bool:
     """Return whether a pseudo-inertia (4, 4) is positive definite beyond rounding; overwrite it."""
     least = max(_ROUNDING * np.trace(matrix), 0.0)
     for k in range(4):
-        if not matrix[k, k] > least:  # nor is it if it is NaN
+        if not matrix[k, k] > least:  # or it is NaN
             return False
         for i in range(k + 1, 4):
             share = matrix[i, k] / matrix[k, k]

@@ -69,14 +69,14 @@ class Posterior:
         self._weights = weights / weights.sum()
 
     def _shares_of_shapes(self, scores: Array) -> Array:
-        """Return (m,) what each of the explanations counts for, beside those of other shapes.
+        """Return factors (m,) by which explanations count that differ only in shapes.
 
-        Prior odds of a shape are those of all values near it, of which any number may have been
-        tried. So all shapes of an effect at a place count together as the most probable one; those
-        that logs tell apart weigh little beside it.
+        The prior odds of a shape are those of all values near it, however many of them were tried.
+        So all shapes of an effect at a place count together as the most probable one. Shapes that
+        the logs tell apart weigh little beside it.
         """
         which, seen = dict[Term, tuple[object, int]](), dict[object, int]()
-        for term in self._model.terms:  # one of several priors is one of several explanations
+        for term in self._model.terms:  # each prior of an effect is an explanation of its own
             own: object = term.effect or term.where
             seen[own] = seen.get(own, -1) + 1
             which[term] = term.key, seen[own]

@@ -299,7 +299,7 @@ class Search:
                 self.fit,
                 hopeful=hopeful,
                 watch=watch,
-                pause=self._is_displaced if hopeful else self._is_inexact,
+                pause=self._is_coarse if hopeful else self._is_inexact,
                 further=further,
                 common=common,
             )
@@ -355,15 +355,14 @@ class Search:
     def _is_inexact(self, fit: Fit) -> bool:
         """Return whether what was found is to be made exact before anything else is looked for.
 
-        Loads are, once nothing more seems to be missing: on the way up, all that is found changes
-        them.
+        So it is with other loads, but not in a hopeful climb, in which every step changes them.
         """
-        return self._is_displaced(fit) or self._other_loads(fit) is not None
+        return self._is_coarse(fit) or self._other_loads(fit) is not None
 
-    def _is_displaced(self, fit: Fit) -> bool:
-        """Return whether a delay or a slope is about another place, or a shape is coarse.
+    def _is_coarse(self, fit: Fit) -> bool:
+        """Return whether a delay or a slope is about another point, or a shape on a coarse grid.
 
-        Such an error looks like further effects.
+        The error that this leaves looks like further effects.
         """
         if self._is_between(fit) and self._has_other_delays(fit):
             return True

@@ -538,8 +538,8 @@ def _efforts_of_wrenches(
 def _check_axes(forces: Array, turns: Array, model: RobotModel, name: str) -> tuple[str, ...]:
     """Raise for forces that carry the robot if they are read otherwise, but not in axes of links.
 
-    Forces that carry nothing are refused, too, and those that carry much less or more than the
-    robot are told in a note.
+    Forces that carry nothing are refused, too. A note reports those that carry much less or more
+    than the robot.
 
     Args:
         forces: (S, F, 3) forces at F links in some samples.
@@ -552,7 +552,7 @@ def _check_axes(forces: Array, turns: Array, model: RobotModel, name: str) -> tu
     if not len(forces) or not size:
         return ()
     in_links = np.einsum("sfij,sfj->si", turns, forces)
-    others = _otherwise(forces, turns, weight)
+    others = _other_readings(forces, turns, weight)
     own, *off = (
         float(np.sqrt(np.square(total - weight).sum(axis=1).mean())) / size
         for total in (in_links, *others.values())
@@ -571,11 +571,11 @@ def _check_axes(forces: Array, turns: Array, model: RobotModel, name: str) -> tu
     return (words,) if abs(carried - 1.0) > _HALF else ()
 
 
-def _otherwise(forces: Array, turns: Array, weight: Array) -> dict[str, Array]:
-    """Return sums (S, 3) of forces in world axes, N, by how else they may be read.
+def _other_readings(forces: Array, turns: Array, weight: Array) -> dict[str, Array]:
+    """Return sums (S, 3) of forces in world axes, N, by each other way to read them, in words.
 
-    They may be forces of the robot on the ground. Their axes may be those of the world, or at all
-    links those of the link turned by the one rotation with which they carry the weight best.
+    They may be forces of the robot on the ground. Their axes may be those of the world, or those of
+    the links turned by one rotation, the one with which the forces carry the weight best.
     """
     rows = np.einsum("sfij,sfl->sijl", turns, forces).reshape(-1, 9)
     R = np.linalg.qr(np.column_stack([rows, np.tile(weight, len(forces))]), mode="r")

@@ -270,7 +270,7 @@ def put_inertia(
 
 @inlined
 def momentum_of(inertia: tuple[float, Array, int], s: Vector, t: Vector) -> tuple[Vector, Vector]:
-    """Return I (s, t)."""
+    """Return I (s, t): the force and moment that are the momentum of a field."""
     m, sums, i = inertia
     h, E = row(sums, i, 0), sums[i, _SECOND:_TURNING]
     moment = subtract(scale(E[0, 0] + E[1, 1] + E[2, 2], s), times(E, s))
@@ -279,7 +279,7 @@ def momentum_of(inertia: tuple[float, Array, int], s: Vector, t: Vector) -> tupl
 
 @inlined
 def turning_of(inertia: tuple[float, Array, int], s: Vector, t: Vector) -> Vector:
-    """Return what, times w, is the power along (s, t) of B of a field with the angular part w."""
+    """Return the vector whose product with ω is the power of B (ω, ·) along (s, t)."""
     _, sums, i = inertia
     Q = sums[i, _TURNING:_MOMENTUM]  # transposed
     own = subtract(scale(Q[0, 0] + Q[1, 1] + Q[2, 2], s), times(Q, s))

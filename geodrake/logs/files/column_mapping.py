@@ -414,7 +414,7 @@ def columns_of(
             if clock is not None:
                 taken = {source.column for source in places.values()}
                 if clock.column in taken and not is_mapped:
-                    # It is no temperature, as `temps` may be, but another column is perhaps.
+                    # `temps` may be temperatures by its name; now another column may have them.
                     columns = _by_names(table, joints, reading, clock=clock.column)
                 places = {("", "time"): clock, **columns.places}
             if is_sure:
@@ -477,7 +477,7 @@ def likely_clock(table: LogTable) -> tuple[Meaning | None, str, bool]:
 def _by_names(
     table: LogTable, joints: Sequence[str] | None, reading: Reading, *, clock: str = ""
 ) -> Columns:
-    """Return the meaning of columns by their names, but for a `clock`."""
+    """Return the meaning of columns by their names; a `clock` is left out."""
     path, units = table.path, table.units
     beside = [name for name in table.names if name != clock and floating_name(name) is None]
     told = [m for m in meanings_of(beside, joints or ()) if m.quantity in OF_JOINTS]
@@ -594,7 +594,7 @@ def _by_mapping(table: LogTable, reading: Reading) -> Columns:
             )
         joint = meaning.joint
         places[joint, meaning.log_quantity] = settled(path, meaning, joint, reading, {})
-    mapping = mapping.named(table.counted)  # of which none may be there twice
+    mapping = mapping.named(table.counted)  # which refuses a column that is used twice
     if mapping.time is not None and (time := time_source(table, reading)) is not None:
         places["", "time"] = time
     for joint in [joint for joint, quantity in places if quantity == "command"]:

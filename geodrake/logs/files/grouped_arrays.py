@@ -252,13 +252,13 @@ ALL_ROBOTS = "all"
 def regrouped(table: LogTable, reading: Reading) -> LogTable:
     """Return a table of one robot, recordings one after the other, with a column for each joint."""
     names = (*table.columns, *table.words)
-    robots = [n for n in names if tells_robots(n)]  # recordings that follow each other lose them
+    robots = [n for n in names if tells_robots(n)]  # first, as joining recordings drops words
     for name in (*robots, *(n for n in names if tells_recordings(n) and n not in robots)):
         if name in table.words:
             cells = np.array([*map(str, table.words[name])], object)
         elif name in table.columns:
             cells = np.array([f"{x:g}" for x in table.columns[name]], object)
-        else:  # which recordings that follow each other no longer have
+        else:  # dropped when recordings were joined
             continue
         of_one = _of_one_robot if tells_robots(name) else _of_recordings
         table = of_one(table, name, cells, reading)

@@ -90,7 +90,7 @@ def mapping_of(path: Path, content: object) -> ColumnMapping:
     time = None if said.time is None else _column(said.time, "time", "time")
     if said.time is None and said.rate is None:
         raise ArgumentError("it has neither `time` nor `rate`.", advice=_FORM)
-    mapping = ColumnMapping(joints, time, said.rate, "it")  # of which messages tell the file here
+    mapping = ColumnMapping(joints, time, said.rate, "it")  # errors here begin with the file
     return replace(mapping, source=f"mapping {path}")
 
 
