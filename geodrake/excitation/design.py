@@ -19,29 +19,21 @@ from geodrake.boundary.arguments import (
 from geodrake.boundary.interrupts import StopSearch, is_stop
 from geodrake.boundary.showing import Shown
 from geodrake.errors import ArgumentError
-from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.families import FourierMotion, MotionFamily
 from geodrake.excitation.limits import MotionLimits
-from geodrake.excitation.margins import COARSE, LimitUse, keeps_limits, least_of, limit_use
+from geodrake.excitation.margins import COARSE, LimitUse, keeps_limits, limit_use
 from geodrake.excitation.objective import Criterion, Objective
 from geodrake.excitation.problem import DesignOptions, DesignProblem, make_problem
-from geodrake.excitation.solve import (
-    INTERRUPTED,
-    Budget,
-    OutOfTimeError,
-    SolverEnd,
-    check_solver,
-    solve,
-)
+from geodrake.excitation.solve import INTERRUPTED, Budget, SearchEndError, check_solver, solve
 from geodrake.excitation.starts import (
-    RampPlanner,
     check_start,
     possible_postures,
     random_guess,
+    with_ramps,
     within_limits,
 )
 from geodrake.excitation.target import Target, make_target
-from geodrake.excitation.trajectory import ExcitationTrajectory, ExecutableMotion, RampedTrajectory
+from geodrake.excitation.trajectory import ExcitationTrajectory
 from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
@@ -56,8 +48,6 @@ _A_MOMENT = 1.0  # s
 _ONE_STAGE, _STAGES = 24.0, (8.0, 64.0)
 _AFTER_STOP = 2.0  # s, for the way back to the limits of a motion that was stopped
 _LOOKED_AT = 200  # most of the motions that a solver saw
-_STOPPED = "the search was interrupted: a longer one may find a better motion"
-_RAMP_LOOKS = 200  # at collisions of a ramp
 _NEAREST_POSTURES = 50  # to the middle, out of which seeds take theirs
 _BALANCED_POSTURES = 400  # of a robot on its feet, through which seeds lead
 
@@ -103,11 +93,11 @@ class ExcitationResult(Shown):
     notes: tuple[str, ...] = ()
     is_interrupted: bool = False
     # The motion with ramps from and to where the robot stands; None if nobody said where.
-    ramps: RampedTrajectory | None = None
+    ramps: ExcitationTrajectory | None = None
     seconds: float = 0.0  # how long the search took, s
 
     @property
-    def executed(self) -> ExecutableMotion:
+    def executed(self) -> ExcitationTrajectory:
         """The motion to execute and to save, with its ramps if any."""
         return self.ramps or self.trajectory
 
@@ -166,46 +156,48 @@ def design_excitation(
         function(progress, "progress")
     given = DesignOptions() if options is None else instance(options, "options", DesignOptions)
     budget = Budget.of(given.seconds)
-    asked = _asked(seeds)
+    asked: Sequence[int]
+    if isinstance(seeds, int | np.integer):
+        asked = range(integer(seeds, "seeds"))
+    else:
+        asked = integers(seeds, "seeds", lower=0)
     check_solver(given.solver)
     if not 1 <= len(asked) <= _MOST_SEEDS or given.sharpness == ():
         raise ArgumentError(
             f"A design needs 1 to {_MOST_SEEDS} seeds and at least one stage; got "
             f"{len(asked)} seeds and the stages {given.sharpness}."
         )
-    chosen = [*asked]
+    starts = [*asked, *([] if given.guess is None else [None])]
     objective = _objective_of(what, criterion, normalization)
     problem, postures = _prepared(objective, limits, trajectory, given)
-    model, options = problem.model, problem.options
-    stand = problem.stand
+    stand, collisions = problem.stand, problem.collisions
     if stand is not None:
         check_start(problem, stand, name="robot's stand")
-    run = _Run(problem, postures, progress)
-    ends = run.from_seeds(chosen, budget.part(_FOR_STARTS))
+    run = _Design(problem, postures, progress, len(starts))
+    ends = run.from_starts(starts, budget.part(_FOR_STARTS))
     best, _ = min(ends, key=lambda end: end[1].value)
-    use = limit_use(problem, best)
-    final, ramps = problem.trajectory(best), None
-    if stand is not None:
-        ramps = RampPlanner(problem).ramped(final, stand)
-        use = _with_ramps(use, ramps, options.collisions)
+    final = problem.trajectory(best)
+    ramps = None if stand is None else with_ramps(problem, final, stand)
     eigenvalues = objective.eigenvalues(final.motion(problem.times))
+    notes = [*problem.model.repairs, *([] if collisions is None else collisions.notes)]
+    if run.is_stopped:
+        notes.append("the search was interrupted: a longer one may find a better motion")
+    if len(ends) < len(starts):
+        why = "it was interrupted" if run.is_stopped else "time was up"
+        notes.append(f"{len(starts) - len(ends)} initial motions were not tried, as {why}")
     return ExcitationResult(
         trajectory=final,
         objective=objective,
         value=objective.criterion.value(eigenvalues),
         eigenvalues=eigenvalues,
         samples=len(problem.times),
-        use=use,
+        use=limit_use(problem, final, ramps or final),
         limits=problem.motor_limits,
         outcomes=tuple(outcome for _, outcome in ends),
-        notes=(
-            *model.repairs,
-            *(() if options.collisions is None else options.collisions.notes),
-            *_time_notes(run, run.starts - len(ends)),
-        ),
+        notes=tuple(notes),
         is_interrupted=run.is_stopped,
         ramps=ramps,
-        seconds=options.seconds - budget.left,
+        seconds=given.seconds - budget.left,
     )
 
 
@@ -259,175 +251,114 @@ def _prepared(
     return problem, possible_postures(*own, stance=problem.stance, most=most)
 
 
-def _with_ramps(
-    use: LimitUse, ramps: RampedTrajectory, collisions: CollisionWorld | None
-) -> LimitUse:
-    """Return the use of limits with the clearances on ramps, which take half of the others."""
-    if collisions is None:
-        return use
-    clearances = dict(use.clearances)
-    for part in ramps.parts:
-        if not isinstance(part, ExcitationTrajectory):
-            q = part.motion(np.linspace(0.0, part.length, _RAMP_LOOKS)).q
-            clearances = least_of(clearances, collisions.nearest(q))
-    return replace(use, clearances=clearances)
-
-
-def _time_notes(run: _Run, left_out: int) -> tuple[str, ...]:
-    """Return notes on what was not tried for lack of time."""
-    why = "it was interrupted" if run.is_stopped else "time was up"
-    notes = [_STOPPED] if run.is_stopped else []
-    if left_out:
-        notes.append(f"{left_out} initial motions were not tried, as {why}")
-    return tuple(notes)
-
-
-def _asked(seeds: int | Sequence[int]) -> Sequence[int]:
-    """Return the seeds of random starts, from their number or as given."""
-    if isinstance(seeds, int | np.integer):
-        return range(integer(seeds, "seeds"))
-    return integers(seeds, "seeds", lower=0)
-
-
 @dataclass
-class _Run:
+class _Design:
     """The starts of one design, one after the other."""
 
     problem: DesignProblem
     postures: Array
     progress: Callable[[DesignProgress], None] | None
-    starts: int = 0
+    starts: int
+    first: Array | None = None  # the first random motion
     evaluations: int = 0
     is_stopped: bool = False
 
-    def from_seeds(self, seeds: Sequence[int], budget: Budget) -> list[tuple[Array, SeedOutcome]]:
-        """Return the best motions (f, nv) from random ones, and from the guess if any.
+    def from_starts(
+        self, seeds: Sequence[int | None], budget: Budget
+    ) -> list[tuple[Array, SeedOutcome]]:
+        """Return the best motions (f, nv) from random ones, and from the guess, a seed of None.
 
         A start has half of the time that is left, the last one all of it; those that it does not
         reach are left out.
         """
-        options = self.problem.options
-        given = None if options.guess is None else self._given(options.guess)
-        asked: list[int | None] = [*seeds, *([] if given is None else [None])]
-        self.starts = len(asked)
         ends: list[tuple[Array, SeedOutcome]] = []
-        first: Array | None = None
-        for start, seed in enumerate(asked):
-            own = budget.part(1.0 / min(self.starts - start, 2))  # few that end beat many
-            if first is not None and (own.left <= 0.0 or self.is_stopped):
+        for number, seed in enumerate(seeds):
+            own = budget.part(1.0 / min(self.starts - number, 2))  # few that end beat many
+            if ends and (own.left <= 0.0 or self.is_stopped):
                 break
+            begin, before, status = time.monotonic(), self.evaluations, "not solved"
+            guess: Array | None = None
             try:
-                if seed is None and given is not None and first is not None:
-                    guess = within_limits(self.problem, given, first, own)
-                else:
-                    guess = self._random(seed, own if first is not None else budget)
-            except OutOfTimeError:
+                guess = found = self._begin(seed, own if ends else budget)
+                for stage in self._stages():
+                    if own.left <= 0.0 or self.is_stopped:
+                        break
+                    found, status = self._improved(number, stage, found, own)
+            except SearchEndError:
                 continue
             except BaseException as error:
-                if first is None or not is_stop(error):
+                if self.first is None or not is_stop(error):
                     raise
-                self._stop(start, ends[-1][1].value)
-                break
-            first = guess if first is None else first
-            ends.append(self._from(start, seed, guess, own))
+                self._stop(number, ends[-1][1].value if guess is None else self._value(found))
+                if guess is None:
+                    break
+                status = INTERRUPTED
+            outcome = SeedOutcome(
+                seed=seed,
+                random_value=self._value(guess),
+                value=self._value(found),
+                evaluations=self.evaluations - before,
+                seconds=time.monotonic() - begin,
+                status=status,
+            )
+            ends.append((found, outcome))
         if not ends:
             raise ArgumentError(
-                f"No motion within the limits was found in {options.seconds:g} s.",
+                f"No motion within the limits was found in {self.problem.options.seconds:g} s.",
                 advice="Allow more time, or start from a motion within the limits.",
             )
         return ends
 
-    def _random(self, seed: int | None, budget: Budget) -> Array:
-        """Return a random motion within the limits."""
+    def _begin(self, seed: int | None, budget: Budget) -> Array:
+        """Return a random motion within the limits, or the one nearest to the guess."""
+        problem = self.problem
+        if seed is None and self.first is not None:
+            given = real_array(problem.options.guess, "guess", problem.offset.shape)
+            return within_limits(problem, problem.variables(given), self.first, budget)
         least = Budget.of(max(budget.left, _A_MOMENT))
-        return random_guess(self.problem, self.postures, np.random.default_rng(seed), least)
+        guess = random_guess(problem, self.postures, np.random.default_rng(seed), least)
+        self.first = guess if self.first is None else self.first
+        return guess
 
-    def _given(self, guess: Array) -> Array:
-        """Return the variables of the motion that was given."""
-        return self.problem.variables(real_array(guess, "guess", self.problem.offset.shape))
-
-    def _from(
-        self, number: int, seed: int | None, guess: Array, budget: Budget
-    ) -> tuple[Array, SeedOutcome]:
-        """Return the best motion from one, and how it was found."""
-        begin, before = time.monotonic(), self.evaluations
-        random_value = self._value(guess)
-        found, status = guess, "not solved"
-        try:
-            for stage in self._stages():
-                if budget.left <= 0.0 or self.is_stopped:
-                    break
-                found, status = self._improved(number, stage, found, budget)
-        except BaseException as error:
-            if not is_stop(error):
-                raise
-            self._stop(number, self._value(found))
-            status = INTERRUPTED
-        outcome = SeedOutcome(
-            seed=seed,
-            random_value=random_value,
-            value=self._value(found),
-            evaluations=self.evaluations - before,
-            seconds=time.monotonic() - begin,
-            status=status,
-        )
-        return found, outcome
+    def _stages(self) -> list[Criterion]:
+        """Return the criterion, ever less smoothed if it is."""
+        criterion, options = self.problem.objective.criterion, self.problem.options
+        if criterion.name in ("a_optimality", "d_optimality"):
+            return [criterion]
+        stages = options.sharpness or ((_ONE_STAGE,) if options.quick else _STAGES)
+        return [replace(criterion, sharpness=sharpness) for sharpness in stages]
 
     def _improved(
         self, number: int, stage: Criterion, guess: Array, budget: Budget
     ) -> tuple[Array, str]:
-        """Return the better of a motion and its improvement by a stage, and the solver's status."""
+        """Return the better of a motion and its improvement by a stage, and the solver's status.
+
+        Solvers keep linear limits on their way, those of efforts and collisions in the end only. A
+        solver that is stopped may be beyond these, and the way back long. So the improvement is the
+        solution, one near it that keeps the limits, or the best seen on the way.
+        """
         problem = replace(self.problem, objective=replace(self.problem.objective, criterion=stage))
-        found = solve(
+        reached, status, seen = solve(
             problem,
             guess,
             budget=budget.part(_FOR_STAGE * _FOR_SOLVER),
-            watch=lambda value, _: self._notify(number, value),
-            quick=problem.options.quick,
+            watch=lambda value: self._notify(number, value),
         )
-        if found.status == INTERRUPTED:
+        if status == INTERRUPTED:
             self._stop(number, self._value(guess))
             budget = Budget.of(min(budget.left, _AFTER_STOP))
-        inside = self._inside(problem, found, guess, budget)
-        better = inside if self._value(inside) < self._value(guess) else guess
-        return better, found.status
-
-    def _inside(
-        self, problem: DesignProblem, found: SolverEnd, guess: Array, budget: Budget
-    ) -> Array:
-        """Return a motion within limits: the solution, one near it, or the best seen on the way.
-
-        Solvers keep linear limits on their way, those of efforts and collisions in the end only. A
-        solver that is stopped may be beyond these, and the way back long.
-        """
-        reached = found.variables.reshape(guess.shape)
-        nearest = within_limits(problem, reached, guess, budget.part(_FOR_WAY), stride=COARSE)
+        way, reached = budget.part(_FOR_WAY), reached.reshape(guess.shape)
+        nearest = within_limits(problem, reached, guess, way, stride=COARSE)
         value = problem.cost(nearest)[0]
-        with suppress(OutOfTimeError):
-            for better, y in found.seen[:_LOOKED_AT]:
+        with suppress(SearchEndError):
+            for better, y in sorted(seen, key=lambda one: one[0])[:_LOOKED_AT]:
                 if better >= value:
                     break
                 if keeps_limits(problem, y, stride=COARSE, budget=budget):
                     nearest = y.reshape(guess.shape)
                     break
-        return within_limits(self.problem, nearest, guess, budget)
-
-    def _stop(self, number: int, value: float) -> None:
-        """Start nothing more, and report it."""
-        self.is_stopped = True
-        if self.progress is not None:
-            now = DesignProgress(number, self.starts, self.evaluations, value, is_stopped=True)
-            with suppress(StopSearch):  # of one who goes on asking
-                self.progress(now)
-
-    def _stages(self) -> list[Criterion]:
-        """Return the criterion, ever less smoothed if it is."""
-        criterion = self.problem.objective.criterion
-        if criterion.name in ("a_optimality", "d_optimality"):
-            return [criterion]
-        options = self.problem.options
-        stages = options.sharpness or ((_ONE_STAGE,) if options.quick else _STAGES)
-        return [replace(criterion, sharpness=sharpness) for sharpness in stages]
+        inside = within_limits(self.problem, nearest, guess, budget)
+        return min((guess, inside), key=self._value), status
 
     def _value(self, variables: Array) -> float:
         motion = self.problem.trajectory(variables).motion(self.problem.times)
@@ -437,3 +368,11 @@ class _Run:
         self.evaluations += 1
         if self.progress is not None:
             self.progress(DesignProgress(number, self.starts, self.evaluations, value))
+
+    def _stop(self, number: int, value: float) -> None:
+        """Start nothing more, and report it."""
+        self.is_stopped = True
+        if self.progress is not None:
+            now = DesignProgress(number, self.starts, self.evaluations, value, is_stopped=True)
+            with suppress(StopSearch):  # of one who goes on asking
+                self.progress(now)

@@ -61,9 +61,15 @@ class MotionFamily(abc.ABC):
         """Bound on the ratio of the maxima of a derivative and its function, 1/s; inf for none."""
         return np.inf
 
-    @abc.abstractmethod
     def basis(self, times: ArrayLike, *, orders: int = 3) -> Array:
         """Return (orders, N, count) matrices Φ₀, Φ₁, Φ₂, … at times (N,), s."""
+        integer(orders, "orders", lower=1, upper=_MOST_ORDERS)
+        t = np.atleast_1d(real_array(times, "times"))
+        return np.asarray(self._basis(real_array(t, "times", ("N",)), orders))
+
+    @abc.abstractmethod
+    def _basis(self, t: Array, orders: int) -> Array:
+        """Return the matrices at instants (N,)."""
 
     def times(self, samples: int) -> Array:
         """Return (samples,) uniform instants from start to end, s."""
@@ -88,18 +94,21 @@ class MotionFamily(abc.ABC):
             start: Whether the position at the start is given; it is the last row.
         """
         position, velocity, acceleration = self.basis([0.0, self.length])
-        rows = [*velocity, *acceleration] if rest else []
-        kept: list[Array] = []
-        for row in [*rows, position[0]] if start else rows:
-            if _is_new(row, kept):
-                kept.append(row)
+        rows = np.vstack([velocity, acceleration, position[:1]])
+        rows = rows[0 if rest else 4 : 5 if start else 4]
+        sizes = np.linalg.norm(rows, axis=1, keepdims=True)
+        units = rows / np.where(sizes > 0, sizes, 1.0)
+        kept: list[int] = []
+        for k in range(len(rows)):
+            if np.linalg.matrix_rank(units[[*kept, k]], tol=_INDEPENDENT) > len(kept):
+                kept.append(k)
         if len(kept) >= self.count:
             raise ArgumentError(
                 f"A {self.name} motion with {self.count} coefficients for each joint cannot "
                 f"satisfy {len(kept)} end conditions and move.",
                 advice="Use more coefficients.",
             )
-        return np.array(kept).reshape(-1, self.count)
+        return np.asarray(rows[kept])
 
 
 @dataclass(frozen=True)
@@ -154,10 +163,8 @@ class FourierMotion(MotionFamily):
         is_whole = self.omega * self.duration >= 2.0 * np.pi * (1.0 - 1e-9)
         return self.omega * self.modes if is_whole else np.inf
 
-    def basis(self, times: ArrayLike, *, orders: int = 3) -> Array:
-        """Return (orders, N, count): 1, cos jωt, sin jωt and their derivatives."""
-        orders = integer(orders, "orders", lower=1, upper=_MOST_ORDERS)
-        t = real_array(np.atleast_1d(real_array(times, "times")), "times", ("N",))
+    def _basis(self, t: Array, orders: int) -> Array:
+        """Return 1, cos jωt, sin jωt and their derivatives."""
         rates = self.omega * np.arange(1, self.modes + 1)
         cosine, sine = np.cos(np.outer(t, rates)), np.sin(np.outer(t, rates))
         turns = cosine, -sine, -cosine, sine  # cos and its derivatives; of sin, one turn behind
@@ -207,10 +214,8 @@ class SplineMotion(MotionFamily):
         inner = np.linspace(0.0, self.duration, self.points - self.degree + 1)
         return np.concatenate([np.zeros(self.degree), inner, np.full(self.degree, self.duration)])
 
-    def basis(self, times: ArrayLike, *, orders: int = 3) -> Array:
-        """Return (orders, N, count): basis functions and their derivatives."""
-        orders = integer(orders, "orders", lower=1, upper=_MOST_ORDERS)
-        t = real_array(np.atleast_1d(real_array(times, "times")), "times", ("N",))
+    def _basis(self, t: Array, orders: int) -> Array:
+        """Return basis functions and their derivatives."""
         spline = BSpline(self.knots, np.eye(self.points), self.degree)
         return np.stack([spline(t, nu=order) for order in range(orders)])
 
@@ -248,10 +253,9 @@ class FreeSamples(MotionFamily):
         """Return a zero for each sample."""
         return np.zeros(self.samples)
 
-    def basis(self, times: ArrayLike, *, orders: int = 3) -> Array:
+    def _basis(self, t: Array, orders: int) -> Array:
         """Return (3, samples, count): each picks its third of the coefficients, at every time."""
-        real_array(times, "times")
-        if integer(orders, "orders", lower=1) > 3:
+        if orders > 3:
             raise ArgumentError("Free samples have no jerk.")
         return np.eye(self.count).reshape(3, self.samples, self.count)
 
@@ -260,13 +264,84 @@ class FreeSamples(MotionFamily):
         return np.zeros((0, self.count))
 
 
-def _is_new(row: Array, rows: list[Array]) -> bool:
-    """Return whether a row is independent of others."""
-    if not rows:
-        return bool(row.any())
-    units = np.array([r / np.linalg.norm(r) for r in rows]).T
-    size = np.linalg.norm(row)
-    if not size > 0:
-        return False
-    rest = row / size - units @ np.linalg.lstsq(units, row / size)[0]
-    return bool(np.linalg.norm(rest) > _INDEPENDENT)
+@dataclass(frozen=True)
+class RampMotion(MotionFamily):
+    """Ways through postures with a rest at each, of polynomials 10 x³ − 15 x⁴ + 6 x⁵ of time.
+
+    The postures are the coefficients, each for three control points of a spline.
+
+    Attributes:
+        durations: Of the ways, s.
+    """
+
+    durations: tuple[float, ...]
+
+    name = "ramp"
+
+    @property
+    def count(self) -> int:
+        """Return the postures."""
+        return len(self.durations) + 1
+
+    @property
+    def length(self) -> float:
+        """Duration, s."""
+        return float(sum(self.durations))
+
+    @property
+    def fastest(self) -> float:
+        """Shortest way, s."""
+        return min(self.durations)
+
+    def _basis(self, t: Array, orders: int) -> Array:
+        """Return shares of the postures and their derivatives."""
+        ends = np.cumsum([0.0, *self.durations])
+        knots = np.concatenate([ends[:1], ends, ends[-1:]]).repeat(3)
+        spline = BSpline(knots, np.eye(self.count).repeat(3, axis=0), 5)
+        return np.stack([spline(np.clip(t, *ends[[0, -1]]), nu=order) for order in range(orders)])
+
+
+@dataclass(frozen=True)
+class JoinedMotion(MotionFamily):
+    """Motions one after the other, whose coefficients follow each other, too."""
+
+    parts: tuple[MotionFamily, ...]
+
+    name = "joined"
+
+    @property
+    def starts(self) -> Array:
+        """Instants at which parts begin, s, and the end."""
+        return np.cumsum([0.0, *(part.length for part in self.parts)])
+
+    @property
+    def count(self) -> int:
+        """Return the coefficients of all parts."""
+        return sum(part.count for part in self.parts)
+
+    @property
+    def length(self) -> float:
+        """Duration, s."""
+        return float(self.starts[-1])
+
+    @property
+    def fastest(self) -> float:
+        """Shortest time of all parts, s."""
+        return min(part.fastest for part in self.parts)
+
+    def limit_times(self, share: float = 0.05) -> Array:
+        """Return those of all parts."""
+        own = [part.limit_times(share)[1:] for part in self.parts]
+        return np.concatenate([[0.0], *map(np.add, self.starts[:-1], own)])
+
+    def _basis(self, t: Array, orders: int) -> Array:
+        """Return every part's own while it lasts."""
+        starts = self.starts
+        which = np.clip(np.searchsorted(starts, t, side="left") - 1, 0, len(self.parts) - 1)
+        found, first = np.zeros((orders, len(t), self.count)), 0
+        for k, part in enumerate(self.parts):
+            own, last = np.flatnonzero(which == k), first + part.count
+            since = np.clip(t[own] - starts[k], 0.0, part.length)
+            found[:, own, first:last] = part.basis(since, orders=orders)
+            first = last
+        return found

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.problem import DesignProblem
 from geodrake.excitation.solve import UNLIMITED, Budget
+from geodrake.excitation.trajectory import ExcitationTrajectory
 from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
 
@@ -21,7 +23,7 @@ COARSE = 10
 _TOLERANCE = 1e-6  # share of a limit by which it may be exceeded
 _AT_ONCE = 20  # postures that are looked at between two looks at the clock
 _STRIDES = (32, 8, 2, 1)  # of instants at which collisions are looked for, the coarsest first
-SHARES = ("position", "velocity", "acceleration", "jerk", "effort")
+_SHARES = ("position", "velocity", "acceleration", "jerk", "effort")
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,27 +63,24 @@ class LimitUse:
     @property
     def is_within(self) -> bool:
         """Whether all limits are kept."""
-        within = all((getattr(self, share) <= 1.0 + _TOLERANCE).all() for share in SHARES)
+        within = all((getattr(self, share) <= 1.0 + _TOLERANCE).all() for share in _SHARES)
         within = within and self.polygon <= self.margin + _TOLERANCE
         within = within and max(self.friction, self.reach) <= 1.0 + _TOLERANCE
         return within and self.distance >= self.clearance - _TOLERANCE
 
 
-def limit_use(problem: DesignProblem, variables: Array) -> LimitUse:
-    """Return a motion's use of its limits; collisions are checked at all instants."""
-    motion, use = _use_of_joints(problem, variables)
-    world = problem.collisions
+def limit_use(
+    problem: DesignProblem, trajectory: ExcitationTrajectory, executed: ExcitationTrajectory
+) -> LimitUse:
+    """Return a motion's use of its limits, with all distances on the way as it is executed.
+
+    Its ramps take half of the other limits.
+    """
+    use, world = joint_use(problem, trajectory)[0], problem.collisions
     if world is None:
         return use
-    return replace(use, clearances=world.nearest(motion.q), clearance=world.clearance)
-
-
-def least_of(
-    first: Mapping[str, tuple[float, str]], second: Mapping[str, tuple[float, str]]
-) -> dict[str, tuple[float, str]]:
-    """Return the lesser clearance from each party of two."""
-    far = (np.inf, "")
-    return {name: min(first.get(name, far), second.get(name, far)) for name in {**first, **second}}
+    q = executed.motion(executed.family.limit_times(FINE)).q
+    return replace(use, clearances=world.nearest(q), clearance=world.clearance)
 
 
 def keeps_limits(
@@ -91,7 +90,7 @@ def keeps_limits(
 
     Collisions are looked for at one of so many instants, the stride.
     """
-    motion, use = _use_of_joints(problem, variables)
+    use, motion = joint_use(problem, problem.trajectory(variables))
     if problem.collisions is None or not use.is_within:
         return use.is_within
     return stays_clear(problem.collisions, motion.q[::stride], budget)
@@ -109,16 +108,12 @@ def stays_clear(world: CollisionWorld, q: Array, budget: Budget = UNLIMITED) -> 
     return True
 
 
-def _use_of_joints(problem: DesignProblem, variables: Array) -> tuple[Motion, LimitUse]:
-    """Return the motion, and its use of limits without collisions."""
-    trajectory, limits, stance = (
-        problem.trajectory(variables),
-        problem.motor_limits,
-        problem.stance,
-    )
-    timed, times = problem.family.timed, problem.family.limit_times(FINE)
-    free = problem.family.basis(times, orders=3 + timed) @ trajectory.coefficients
-    motion = trajectory.motion_of(free[:3])
+def joint_use(problem: DesignProblem, trajectory: ExcitationTrajectory) -> tuple[LimitUse, Motion]:
+    """Return the use of all limits but those of distances, and the motion that was looked at."""
+    limits, stance, family = problem.motor_limits, trajectory.stance, trajectory.family
+    timed, times = family.timed, family.limit_times(FINE)
+    free = family.basis(times, orders=3 + timed) @ trajectory.coefficients
+    motion, balance = Motion(*free[:3]), dict[str, Any]()
     if stance is None:
         (q, v, vd), jerk = free[:3], free[3] if timed else np.zeros_like(free[0])
         effort = problem.model.effort(motion, sign_width=problem.sign_width)
@@ -126,22 +121,16 @@ def _use_of_joints(problem: DesignProblem, variables: Array) -> tuple[Motion, Li
         q, v, vd = stance.motor_states(free[:3])
         jerk = np.gradient(vd, times, axis=0) if timed else np.zeros_like(vd)
         effort = stance.efforts(motion, problem.sign_width)
-    peaks = {
-        "velocity": _peak(v, timed),
-        "acceleration": _peak(vd, timed),
-        "effort": _peak(effort, timed),
-        "jerk": _peak(jerk, timed),
-    }
+        polygon, friction = stance.support(motion)
+        reach = (free[0] - problem.limits.middle) / problem.limits.reach
+        of_balance = {"polygon": polygon[:, None], "friction": friction[:, None], "reach": reach}
+        balance = {name: float(_peak(x, timed).max()) for name, x in of_balance.items()}
+        balance["margin"] = stance.margin
+    signals = {"velocity": v, "acceleration": vd, "effort": effort, "jerk": jerk}
+    peaks = {name: _peak(signal, timed) for name, signal in signals.items()}
     shares = {name: peak / getattr(limits, name) for name, peak in peaks.items()}
     position = _peak((q - limits.middle) / limits.reach, timed)
-    use = LimitUse(position=position, peaks=peaks, **shares)
-    if stance is None:
-        return motion, use
-    polygon, friction = (_peak(share[:, None], timed).item() for share in stance.support(motion))
-    reach = float(_peak((free[0] - problem.limits.middle) / problem.limits.reach, timed).max())
-    return motion, replace(
-        use, polygon=polygon, friction=friction, reach=reach, margin=stance.margin
-    )
+    return LimitUse(position=position, peaks=peaks, **shares, **balance), motion
 
 
 def _peak(signals: Array, timed: bool) -> Array:

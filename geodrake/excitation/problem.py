@@ -1,4 +1,4 @@
-"""A design problem in the variables of a solver, and as one of Drake's mathematical programs.
+"""A design problem in the variables of a solver.
 
 The coefficients of all joints are C = C₀ + Z (s ∘ Y). Columns of Z span what the conditions at the
 ends leave free, C₀ meets them, and s is such that a variable of one alone reaches a limit of its
@@ -7,14 +7,12 @@ joint. So variables are of one size, and the ends need no constraints.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.solvers import MathematicalProgram
 from scipy.linalg import null_space
 
@@ -25,14 +23,14 @@ from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.families import MotionFamily
 from geodrake.excitation.limits import MotionLimits, motion_limits
 from geodrake.excitation.objective import Objective
-from geodrake.excitation.regressor_gradient import MotionGradient, effort_gradient
+from geodrake.excitation.regressor_gradient import effort_gradient
 from geodrake.excitation.stance import Stance
 from geodrake.excitation.trajectory import ExcitationTrajectory
 from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
 
-Differentiable = Callable[[Array], tuple[Any, Array]]
+Constraint = tuple[Callable[[Array], tuple[Array, Array]], int, float, float]
 
 _MOST, _MOST_SAMPLES = 1_000_000, 10_000
 _EFFORT_SHARE = 0.1  # of the family's shortest time, between instants at which efforts are limited
@@ -115,9 +113,24 @@ class DesignProblem(Short):
     options: DesignOptions
 
     @property
+    def model(self) -> RobotModel:
+        """The robot."""
+        return self.objective.target.model
+
+    @property
     def stance(self) -> Stance | None:
         """The feet on which the robot stands; None where its base is held."""
         return self.options.stance
+
+    @property
+    def collisions(self) -> CollisionWorld | None:
+        """Obstacles and collision geometry."""
+        return self.options.collisions
+
+    @property
+    def sign_width(self) -> Array:
+        """(nv,) speed over which friction changes sign."""
+        return self.objective.target.sign_width
 
     @property
     def motor_limits(self) -> MotionLimits:
@@ -140,21 +153,6 @@ class DesignProblem(Short):
             return None
         given = np.asarray(given, float)
         return given if self.stance is None else self.stance.free(given, name)
-
-    @property
-    def collisions(self) -> CollisionWorld | None:
-        """Obstacles and collision geometry."""
-        return self.options.collisions
-
-    @property
-    def model(self) -> RobotModel:
-        """The robot."""
-        return self.objective.target.model
-
-    @property
-    def sign_width(self) -> Array:
-        """(nv,) speed over which friction changes sign."""
-        return self.objective.target.sign_width
 
     @cached_property
     def conditions(self) -> Array:
@@ -266,23 +264,22 @@ class DesignProblem(Short):
         joints = self.motor_limits.joints
         return ExcitationTrajectory(self.family, coefficients, joints, self.stance)
 
-    def cost(self, variables: Array) -> tuple[float, Array]:
-        """Return what is minimized, and its gradient (f nv,)."""
-        trajectory = self.trajectory(variables)
-        motion = self._motion(self.basis, trajectory)
-        value, gradient = self.objective.value_and_gradient(motion)
-        by_coefficients = trajectory.coefficient_gradient(self.basis, gradient)
-        return value, (self.scale * (self.free.T @ by_coefficients)).ravel()
-
-    def _motion(self, basis: Array, trajectory: ExcitationTrajectory) -> Motion:
-        """Return the motion of a basis, with feet where they can stay.
+    def motion(self, variables: Array, basis: Array) -> Motion:
+        """Return the motion of variables at a basis' instants, with feet where they can stay.
 
         Solvers may look at bases that are too far from the feet.
         """
-        states = basis @ trajectory.coefficients
+        states = basis @ self.coefficients(variables)
         if self.stance is not None and len(self.stance.following):
             states[0] = np.clip(states[0], self.limits.lower, self.limits.upper)
-        return trajectory.motion_of(states)
+        return Motion(*states)
+
+    def cost(self, variables: Array) -> tuple[float, Array]:
+        """Return what is minimized, and its gradient (f nv,)."""
+        motion = self.motion(variables, self.basis)
+        value, gradient = self.objective.value_and_gradient(motion)
+        by_coefficients = np.einsum("dnc,dnj->cj", self.basis, np.stack(gradient))
+        return value, (self.scale * (self.free.T @ by_coefficients)).ravel()
 
     @cached_property
     def loaded(self) -> NDArray[np.intp]:
@@ -303,45 +300,54 @@ class DesignProblem(Short):
         near = unlimited.any() | (efforts > _NEAR * limits.effort)
         return np.flatnonzero(near & np.isfinite(limits.effort))
 
+    @property
+    def constraints(self) -> list[Constraint]:
+        """Nonlinear functions of the variables, with number of values, least and greatest one."""
+        found: list[Constraint] = []
+        instants = self.effort_basis.shape[1]
+        if self.stance is not None:
+            found.append((self.excess, instants, -np.inf, 0.0))
+        elif len(self.loaded):
+            found.append((self.efforts, instants * len(self.loaded), -1.0, 1.0))
+        if self.collisions is not None:
+            found.append((self.nearness, self.collision_basis.shape[1], -np.inf, 1.0))
+        return found
+
     def efforts(self, variables: Array) -> tuple[Array, Array]:
         """Return (n k,) efforts of `loaded` joints over their limits, and Jacobian (n k, f nv)."""
-        trajectory, basis = self.trajectory(variables), self.effort_basis
-        motion, width = trajectory.motion_of(basis @ trajectory.coefficients), self.sign_width
+        motion, width = self.motion(variables, self.effort_basis), self.sign_width
         (n, nv), k, limits = motion.v.shape, len(self.loaded), self.limits.effort[self.loaded]
         effort = self.model.effort(motion, sign_width=width)[:, self.loaded]
         each = Motion(*(np.repeat(x, k, axis=0) for x in (motion.q, motion.v, motion.vd)))
         weights = np.tile(np.eye(nv)[self.loaded] / limits[:, None], (n, 1))
         seen = self.model.motion(each, sign_width=width)
         gradient = effort_gradient(self.model, each, seen, weights)
-        return (effort / limits).ravel(), self._jacobian(basis, gradient, k)
+        return (effort / limits).ravel(), self._jacobian(self.effort_basis, gradient)
 
     def excess(self, variables: Array) -> tuple[Array, Array]:
         """Return (n,) values of `Stance.excess`, and their Jacobian (n, f nv)."""
-        if self.stance is None:
-            return np.zeros(0), np.zeros((0, self.scale.size))
-        trajectory, basis = self.trajectory(variables), self.effort_basis
-        motion = self._motion(basis, trajectory)
+        assert self.stance is not None
+        motion = self.motion(variables, self.effort_basis)
         values, gradient = self.stance.excess(motion, self.sign_width)
-        return values, self._jacobian(basis, gradient)
-
-    def _jacobian(self, basis: Array, gradient: MotionGradient, each: int = 1) -> Array:
-        """Return the Jacobian (n k, f nv) of k numbers at each instant, by their gradients."""
-        free = basis @ self.free
-        n, nv = basis.shape[1], self.scale.shape[1]
-        found = sum(
-            np.einsum("nij,nk->nikj", part.reshape(n, each, nv), order)
-            for part, order in zip(gradient, free, strict=True)
-        )
-        return (np.asarray(found) * self.scale).reshape(n * each, -1)
+        return values, self._jacobian(self.effort_basis, gradient)
 
     def nearness(self, variables: Array) -> tuple[Array, Array]:
         """Return (n,) values of `CollisionWorld.constraint`, and their Jacobian (n, f nv)."""
-        if self.collisions is None:
-            return np.zeros(0), np.zeros((0, self.scale.size))
-        trajectory, basis = self.trajectory(variables), self.collision_basis
-        values, gradients = self.collisions.constraint(self._motion(basis, trajectory).q)
-        jacobian = np.einsum("nj,nk->nkj", gradients, basis[0] @ self.free) * self.scale
-        return values, jacobian.reshape(len(values), -1)
+        assert self.collisions is not None
+        values, by_q = self.collisions.constraint(self.motion(variables, self.collision_basis).q)
+        return values, self._jacobian(self.collision_basis, [by_q])
+
+    def _jacobian(self, basis: Array, gradients: Sequence[Array]) -> Array:
+        """Return the Jacobian (n k, f nv) of k numbers at each of a basis' n instants.
+
+        Gradients (n k, nv) are those with respect to positions, and to further derivatives, if any.
+        """
+        free, nv = basis @ self.free, self.scale.shape[1]
+        found = sum(
+            np.einsum("nij,nk->nikj", part.reshape(len(order), -1, nv), order)
+            for part, order in zip(gradients, free, strict=False)
+        )
+        return (np.asarray(found) * self.scale).reshape(-1, self.scale.size)
 
 
 def make_problem(
@@ -383,51 +389,6 @@ def make_problem(
     return DesignProblem(objective, limits, family, options)
 
 
-def build_program(
-    problem: DesignProblem,
-    watch: Callable[[float, Array], None] | None = None,
-    raised: list[BaseException] | None = None,
-    check: Callable[[], None] = lambda: None,
-) -> tuple[MathematicalProgram, NDArray[np.object_]]:
-    """Return the program of a design problem.
-
-    Args:
-        watch: Called with every cost and its variables (f nv,), for showing progress.
-        raised: Gets what costs, constraints or `watch` raise, which solvers only tell the text of.
-        check: Called before every cost and constraint; it may raise to end the search, since
-            solvers look at the clock now and then only.
-
-    Returns:
-        The program, and its decision variables (f nv,), which `DesignProblem.trajectory` takes.
-    """
-    program = MathematicalProgram()
-    free, nv = problem.scale.shape
-    variables = program.NewContinuousVariables(free, nv, "y")
-
-    def cost(y: Array) -> tuple[float, Array]:
-        value, gradient = problem.cost(y)
-        if watch is not None:
-            watch(value, y)
-        return value, gradient
-
-    flat = variables.ravel()
-    program.AddCost(_with_autodiff(cost, raised, check), vars=flat)
-    limit_motion(program, problem, variables)
-    if problem.stance is not None:
-        least = np.full(problem.effort_basis.shape[1], -np.inf)
-        excess = _with_autodiff(problem.excess, raised, check)
-        program.AddConstraint(excess, lb=least, ub=np.zeros_like(least), vars=flat)
-    elif len(problem.loaded):
-        most = np.ones(problem.effort_basis.shape[1] * len(problem.loaded))
-        efforts = _with_autodiff(problem.efforts, raised, check)
-        program.AddConstraint(efforts, lb=-most, ub=most, vars=flat)
-    if problem.collisions is not None:
-        most = np.ones(problem.collision_basis.shape[1])
-        nearness = _with_autodiff(problem.nearness, raised, check)
-        program.AddConstraint(nearness, lb=np.full_like(most, -np.inf), ub=most, vars=flat)
-    return program, flat
-
-
 def limit_motion(
     program: MathematicalProgram, problem: DesignProblem, variables: NDArray[np.object_]
 ) -> None:
@@ -456,26 +417,3 @@ def limit_motion(
             program.AddLinearConstraint(
                 A / reach[:, None], (low - fixed) / reach, (high - fixed) / reach, variables[:, j]
             )
-
-
-def _with_autodiff(
-    function: Differentiable, raised: list[BaseException] | None, check: Callable[[], None]
-) -> Callable[[Any], Any]:
-    """Return a function of numbers or of AutoDiffXd, from one that gives its value and Jacobian."""
-
-    def call(x: Any) -> Any:
-        plain = x.dtype != object
-        try:
-            check()
-            value, jacobian = function(x if plain else ExtractValue(x).ravel())
-        except BaseException as error:
-            if raised is not None:
-                raised.append(error)
-            raise
-        if plain:
-            return value
-        gradient = np.atleast_2d(jacobian) @ ExtractGradient(x)
-        result = InitializeAutoDiff(np.atleast_1d(value), gradient).ravel()
-        return result if np.ndim(value) else result[0]
-
-    return call

@@ -5,29 +5,40 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from pydrake.solvers import IpoptSolver, SnoptSolver, SolverInterface, SolverOptions
+from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
+from pydrake.solvers import (
+    IpoptSolver,
+    MathematicalProgram,
+    SnoptSolver,
+    SolverInterface,
+    SolverOptions,
+)
 
 from geodrake.boundary.interrupts import StopSearch, is_stop
 from geodrake.errors import ArgumentError
-from geodrake.excitation.problem import DesignOptions, DesignProblem, build_program
+from geodrake.excitation.problem import DesignProblem, limit_motion
 from geodrake.inertia import Array
 from geodrake.robot.files.description import drake_messages
 
 SOLVERS: dict[str, type[SolverInterface]] = {"snopt": SnoptSolver, "ipopt": IpoptSolver}
 INTERRUPTED, OUT_OF_TIME, SETTLED = "interrupted", "out of time", "settled"
 """How a start ends that was stopped, whose time is up, or whose value stands still."""
-_OPTIMAL, _FEASIBLE = 1e-4, 1e-6
+_SETTINGS = {
+    "snopt": {"Major optimality tolerance": 1e-4, "Major feasibility tolerance": 1e-6},
+    "ipopt": {"tol": 1e-4, "constr_viol_tol": 1e-6, "print_level": 0},
+}
+_MOST = {"snopt": ("Major iterations limit", "Time limit"), "ipopt": ("max_iter", "max_cpu_time")}
 _STILL, _STILL_FOR = 5e-2, 12  # a value (a logarithm) changes by less in so many evaluations
 
+Seen = list[tuple[float, Array]]
+"""Values and variables (f nv,) of the motions that a solver looked at."""
 
-class OutOfTimeError(Exception):
-    """Time is up; what is found by then is what counts. It never leaves a design."""
 
-
-class _SettledError(Exception):
-    """The value stands still: solvers would polish the last digits for minutes."""
+class SearchEndError(Exception):
+    """The search ends here; what is found by then is what counts. It never leaves a design."""
 
 
 @dataclass(frozen=True)
@@ -51,21 +62,12 @@ class Budget:
         return Budget.of(share * self.left)
 
     def check(self) -> None:
-        """Raise `OutOfTimeError` if the time is up."""
+        """Raise `SearchEndError` if the time is up."""
         if self.left <= 0.0:
-            raise OutOfTimeError
+            raise SearchEndError(OUT_OF_TIME)
 
 
 UNLIMITED = Budget(float("inf"))
-
-
-@dataclass(frozen=True, eq=False)
-class SolverEnd:
-    """What a solver made of a motion."""
-
-    variables: Array  # (f nv,) the last that it saw, whether or not limits are kept
-    seen: tuple[tuple[float, Array], ...]  # values and variables of all that it saw, the best first
-    status: str
 
 
 def check_solver(solver: str) -> None:
@@ -79,69 +81,70 @@ def check_solver(solver: str) -> None:
 
 
 def solve(
-    problem: DesignProblem,
-    guess: Array,
-    *,
-    budget: Budget,
-    watch: Callable[[float, Array], None],
-    quick: bool = False,
-) -> SolverEnd:
+    problem: DesignProblem, guess: Array, *, budget: Budget, watch: Callable[[float], None]
+) -> tuple[Array, str, Seen]:
     """Improve a motion, from variables (f, nv) within the limits.
 
     A quick search ends once the value changes by less than 5 % in twelve evaluations.
+
+    Args:
+        watch: Called with every cost.
+
+    Returns:
+        The last variables (f nv,), whether or not limits are kept; how it ended; all that was seen.
     """
+    raised: list[BaseException] = []  # solvers tell only the text of errors
+    seen: Seen = []
     options = problem.options
-    raised: list[BaseException] = []
-    seen: list[tuple[float, Array]] = []
 
-    def see(value: float, y: Array) -> None:
+    def cost(y: Array) -> tuple[float, Array]:
+        value, gradient = problem.cost(y)
         seen.append((value, y.copy()))
-        watch(value, y)
+        watch(value)
         last = [value for value, _ in seen[-_STILL_FOR:]]
-        if quick and len(last) == _STILL_FOR and max(last) - min(last) < _STILL:
-            raise _SettledError
+        if options.quick and len(last) == _STILL_FOR and max(last) - min(last) < _STILL:
+            raise SearchEndError(SETTLED)
+        return value, gradient
 
-    program, variables = build_program(problem, see, raised, budget.check)
-    engine = SOLVERS[options.solver]()
-    y = guess.ravel()
+    def differentiable(function: Callable[[Array], tuple[Any, Array]]) -> Callable[[Any], Any]:
+        """Return a function of numbers or of AutoDiffXd, from one of a value and its Jacobian."""
+
+        def call(x: Any) -> Any:
+            plain = x.dtype != object
+            try:
+                budget.check()  # solvers look at the clock now and then only
+                value, jacobian = function(x if plain else ExtractValue(x).ravel())
+            except BaseException as error:
+                raised.append(error)
+                raise
+            if plain:
+                return value
+            gradient = np.atleast_2d(jacobian) @ ExtractGradient(x)
+            result = InitializeAutoDiff(np.atleast_1d(value), gradient).ravel()
+            return result if np.ndim(value) else result[0]
+
+        return call
+
+    program = MathematicalProgram()
+    variables = program.NewContinuousVariables(*problem.scale.shape, "y")
+    flat = variables.ravel()
+    program.AddCost(differentiable(cost), vars=flat)
+    limit_motion(program, problem, variables)
+    for function, count, least, most in problem.constraints:
+        bounds = np.full(count, least), np.full(count, most)
+        program.AddConstraint(differentiable(function), *bounds, vars=flat)
+    engine, settings = SOLVERS[options.solver](), SolverOptions()
+    own: dict[str, float | int] = dict(_SETTINGS[options.solver])
+    own |= zip(_MOST[options.solver], (options.iterations, max(budget.left, 1e-3)), strict=True)
+    for name, value in own.items():
+        settings.SetOption(engine.solver_id(), name, value)
     try:
         with drake_messages():  # of iteration limits, which are no news here
-            settings = _settings(engine, options, max(budget.left, 1e-3))
-            result = engine.Solve(program, y, settings)
-        y = np.asarray(result.GetSolution(variables), float)
-        status = result.get_solution_result().name
-    except (RuntimeError, StopSearch, _SettledError, OutOfTimeError) as error:
+            result = engine.Solve(program, guess.ravel(), settings)
+    except (RuntimeError, StopSearch, SearchEndError) as error:
         cause = raised[0] if raised else error
-        y = seen[-1][1] if seen else y
-        if is_stop(cause):
-            status = INTERRUPTED
-        elif isinstance(cause, _SettledError | OutOfTimeError):
-            status = SETTLED if isinstance(cause, _SettledError) else OUT_OF_TIME
-        elif raised:
-            raise raised[0] from error
-        else:
-            raise
-    return SolverEnd(y, tuple(sorted(seen, key=lambda one: one[0])), status)
-
-
-def _settings(engine: SolverInterface, asked: DesignOptions, seconds: float) -> SolverOptions:
-    settings: dict[str, float | int]
-    if asked.solver == "snopt":
-        settings = {
-            "Major iterations limit": asked.iterations,
-            "Major optimality tolerance": _OPTIMAL,
-            "Major feasibility tolerance": _FEASIBLE,
-            "Time limit": seconds,
-        }
-    else:
-        settings = {
-            "max_iter": asked.iterations,
-            "tol": _OPTIMAL,
-            "constr_viol_tol": _FEASIBLE,
-            "max_cpu_time": seconds,
-            "print_level": 0,
-        }
-    options = SolverOptions()
-    for name, value in settings.items():
-        options.SetOption(engine.solver_id(), name, value)
-    return options
+        if not (is_stop(cause) or isinstance(cause, SearchEndError)):
+            raise cause from None
+        status = INTERRUPTED if is_stop(cause) else str(cause)
+        return (seen[-1][1] if seen else guess.ravel()), status, seen
+    return result.GetSolution(flat), result.get_solution_result().name, seen

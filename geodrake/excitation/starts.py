@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from pydrake.solvers import ClpSolver, MathematicalProgram
@@ -13,12 +13,13 @@ from scipy.interpolate import PchipInterpolator
 from geodrake.boundary.arguments import real_array
 from geodrake.errors import ArgumentError
 from geodrake.excitation.collisions import FLOOR, CollisionWorld
+from geodrake.excitation.families import RampMotion
 from geodrake.excitation.limits import MotionLimits
-from geodrake.excitation.margins import COARSE, keeps_limits, stays_clear
+from geodrake.excitation.margins import COARSE, joint_use, keeps_limits, stays_clear
 from geodrake.excitation.problem import DesignProblem, limit_motion
-from geodrake.excitation.solve import UNLIMITED, Budget, OutOfTimeError
+from geodrake.excitation.solve import UNLIMITED, Budget, SearchEndError
 from geodrake.excitation.stance import Stance
-from geodrake.excitation.trajectory import ExcitationTrajectory, Ramp, RampedTrajectory
+from geodrake.excitation.trajectory import ExcitationTrajectory
 from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
@@ -38,42 +39,43 @@ def at_rest(postures: Array) -> Motion:
     return Motion(postures, still, still)
 
 
-def holding_efforts(model: RobotModel, postures: Array, stance: Stance | None) -> Array:
-    """Return efforts (N, ·) that hold a robot still in postures (N, nv) by joint, N·m or N.
+def _held(model: RobotModel, stance: Stance | None, postures: Array) -> tuple[Array, Array, Array]:
+    """Return motors' positions and efforts (N, m), and shares of the polygon (N,), of rest.
 
-    Dry friction is no help: what it would hold depends on how the robot came there.
+    Postures (N, nv) are by joint of the model. Dry friction is no help: what it would hold depends
+    on how the robot came there.
     """
     still = at_rest(postures)
-    return np.asarray(model.effort(still) if stance is None else stance.efforts(still))
+    if stance is None:
+        return postures, model.effort(still), np.zeros(len(postures))
+    q, _, _ = stance.motor_states(np.stack([still.q, still.v, still.vd]))
+    return q, stance.efforts(still), stance.support(still)[0]
 
 
 def check_start(problem: DesignProblem, start: Array, *, name: str = "start") -> None:
     """Refuse a start (nv,) by joint, rad or m, that the robot cannot hold."""
-    model, stance, collisions = problem.model, problem.stance, problem.collisions
+    stance, collisions = problem.stance, problem.collisions
     real_array(start, name, (len(problem.limits.joints),))
-    for limits, at in _by_limits(problem, start[None]):
+    (q,), (effort,), (polygon,) = _held(problem.model, stance, start[None])
+    for limits, at in ((problem.limits, start), (problem.motor_limits, q)):
         slack = _ROUNDING * (1.0 + limits.reach)
-        outside = (at[0] < limits.lower - slack) | (at[0] > limits.upper + slack)
+        outside = (at < limits.lower - slack) | (at > limits.upper + slack)
         if outside.any():
             i = int(np.argmax(outside))
             raise ArgumentError(
-                f"The {name} is outside the limits: joint {limits.joints[i]!r} is at "
-                f"{at[0, i]:.4g}, but its range is {limits.lower[i]:.4g} to "
-                f"{limits.upper[i]:.4g}.",
+                f"The {name} is outside the limits: joint {limits.joints[i]!r} is at {at[i]:.4g}, "
+                f"but its range is {limits.lower[i]:.4g} to {limits.upper[i]:.4g}.",
                 advice="Move the robot inside first, or omit the start.",
                 joint=limits.joints[i],
             )
-    if stance is not None:
-        polygon, _ = stance.support(at_rest(start[None]))
-        if not polygon[0] <= stance.margin:
-            raise ArgumentError(
-                f"The robot falls over at the {name}: its centre of mass is over "
-                f"{100 * polygon[0]:.0f} % of the way from the middle of its feet to their edge, "
-                f"of which {100 * stance.margin:.0f} % are allowed.",
-                advice="Let it stand so that its centre of mass is over its feet.",
-            )
-    limits = problem.motor_limits
-    effort = np.abs(holding_efforts(model, start[None], stance)[0])
+    if stance is not None and not polygon <= stance.margin:
+        raise ArgumentError(
+            f"The robot falls over at the {name}: its centre of mass is over "
+            f"{100 * polygon:.0f} % of the way from the middle of its feet to their edge, "
+            f"of which {100 * stance.margin:.0f} % are allowed.",
+            advice="Let it stand so that its centre of mass is over its feet.",
+        )
+    limits, effort = problem.motor_limits, np.abs(effort)
     if (effort > limits.effort).any():
         i = int(np.argmax(effort / limits.effort))
         raise ArgumentError(
@@ -92,15 +94,6 @@ def check_start(problem: DesignProblem, start: Array, *, name: str = "start") ->
             )
 
 
-def _by_limits(problem: DesignProblem, postures: Array) -> list[tuple[MotionLimits, Array]]:
-    """Return limits with the positions (N, ·) that they are of, in postures (N, nv)."""
-    found = [(problem.limits, postures)]
-    if problem.stance is not None:
-        still = np.stack([postures, 0.0 * postures, 0.0 * postures])
-        found.append((problem.motor_limits, problem.stance.motor_states(still)[0]))
-    return found
-
-
 def possible_postures(
     model: RobotModel,
     limits: MotionLimits,
@@ -114,13 +107,28 @@ def possible_postures(
     Those of a robot on its feet are about its posture, with the centre of mass over them.
     """
     random = np.random.default_rng(0)
-    shares = random.uniform(-1.0, 1.0, (_POSTURES, len(limits.joints)))
-    shares *= np.linspace(0.0, 0.95, _POSTURES)[:, None]  # the middle, and then further out
+    shares = np.linspace(0.0, 0.95, _POSTURES)[:, None]  # the middle, and then further out
+    shares = shares * random.uniform(-1.0, 1.0, (_POSTURES, len(limits.joints)))
     postures = limits.middle + limits.reach * shares
     if stance is not None:
-        postures = _on_feet(stance, limits, postures)
+        there = np.clip(stance.posture, limits.lower, limits.upper)
+        shares = np.linspace(0.0, 1.0, _POSTURES)[:, None]
+        postures = stance.balanced(there + shares * (postures - there), limits)
         limits = stance.motor_limits
-    efforts = np.abs(holding_efforts(model, postures, stance))
+    q, efforts, polygon = _held(model, stance, postures)
+    efforts = np.abs(efforts)
+    if stance is not None:
+        within = (q >= limits.lower) & (q <= limits.upper)
+        inside = (polygon <= stance.margin) & within.all(axis=1)
+        if not inside.any():
+            raise ArgumentError(
+                f"The robot is in balance in none of {_POSTURES} postures within its limits: in "
+                f"the best, its centre of mass is {100 * float(polygon.min()):.0f} % of the way "
+                f"from the middle of its feet to their edge, of which {100 * stance.margin:.0f} % "
+                "are allowed.",
+                advice="Let it stand in another posture (--stand), or on more feet.",
+            )
+        postures, efforts = postures[inside], efforts[inside]
     holds = (efforts <= limits.effort).all(axis=1)
     if not holds.any():
         least = int(np.argmin((efforts / limits.effort).max(axis=1)))
@@ -136,30 +144,7 @@ def possible_postures(
             joint=limits.joints[i],
         )
     postures = postures[holds]
-    if collisions is None:
-        return postures[:most]
-    return _apart(postures, collisions, most)
-
-
-def _on_feet(stance: Stance, limits: MotionLimits, postures: Array) -> Array:
-    """Return postures (n, nv) in balance, of random ones (N, nv)."""
-    there = np.clip(stance.posture, limits.lower, limits.upper)
-    shares = np.linspace(0.0, 1.0, len(postures))[:, None]
-    postures = stance.balanced(there + shares * (postures - there), limits)
-    still = at_rest(postures)
-    polygon, _ = stance.support(still)
-    own = stance.motor_limits
-    q = stance.motor_states(np.stack([still.q, still.v, still.vd]))[0]
-    inside = (polygon <= stance.margin) & ((q >= own.lower) & (q <= own.upper)).all(axis=1)
-    if not inside.any():
-        least = float(polygon.min())
-        raise ArgumentError(
-            f"The robot is in balance in none of {len(postures)} postures within its limits: in "
-            f"the best, its centre of mass is {100 * least:.0f} % of the way from the middle of "
-            f"its feet to their edge, of which {100 * stance.margin:.0f} % are allowed.",
-            advice="Let it stand in another posture (--stand), or on more feet.",
-        )
-    return np.asarray(postures[inside])
+    return postures[:most] if collisions is None else _apart(postures, collisions, most)
 
 
 def below_floor(
@@ -246,24 +231,20 @@ def _through(
     """
     count = max(2, int(problem.family.length / problem.family.fastest))
     at, basis = np.linspace(0.0, 1.0, count + 1), problem.effort_basis
+    position = basis[0] @ problem.free
+
+    def nearest(q: Array) -> Array:
+        """Return the motion nearest to positions at the instants of efforts."""
+        left = q - basis[0] @ problem.offset
+        return np.asarray(np.linalg.lstsq(position, left, rcond=1e-6)[0] / problem.scale)
+
     q = postures[rng.integers(len(postures), size=count + 1)]
     q[0] = begin
-    path = PchipInterpolator(at, q)(np.linspace(0.0, 1.0, basis.shape[1]))
-    found = _nearest(problem, path)
+    found = nearest(PchipInterpolator(at, q)(np.linspace(0.0, 1.0, len(position))))
     for _ in range(_ROUNDS):
-        trajectory = problem.trajectory(found)
-        motion = trajectory.motion_of(basis @ trajectory.coefficients)
-        q = stance.balanced(motion.q, problem.limits, motion, share=_INNER * stance.margin)
-        found = _nearest(problem, q)
-    return found
-
-
-def _nearest(problem: DesignProblem, q: Array) -> Array:
-    """Return the motion (f, nv) nearest to positions (n, nv) at the instants of efforts."""
-    position, found = problem.effort_basis[0], np.empty(problem.scale.shape)
-    left = q - position @ problem.offset
-    for j, scale in enumerate(problem.scale.T):
-        found[:, j] = np.linalg.lstsq(position @ problem.free * scale, left[:, j], rcond=1e-6)[0]
+        motion = problem.motion(found, basis)
+        share = _INNER * stance.margin
+        found = nearest(stance.balanced(motion.q, problem.limits, motion, share=share))
     return found
 
 
@@ -296,20 +277,11 @@ def _room(problem: DesignProblem, around: Array, direction: Array) -> Array:
     """Return (nv,) multiples of a direction by which each joint can move within its limits."""
     states = problem.limit_basis @ problem.coefficients(around)
     change = problem.limit_basis @ (problem.free @ (problem.scale * direction))
-    rooms = [
-        _multiple(by, upper - now, now - lower)
-        for by, now, (lower, upper) in zip(change, states, problem.bounds, strict=True)
-    ]
-    return np.asarray(np.min(rooms, axis=0))
-
-
-def _multiple(change: Array, above: Array, below: Array) -> Array:
-    """Return (nv,) largest multiple of a change (n, nv) within the room on either side."""
-    size = np.abs(change)
-    moving = size > _NOTHING * size.max(axis=0)
-    room = np.where(change > 0, above, below)
+    lower, upper = (np.stack(side)[:, None] for side in zip(*problem.bounds, strict=True))
+    room, size = np.where(change > 0, upper - states, states - lower), np.abs(change)
+    moving = size > _NOTHING * size.max(axis=1, keepdims=True)
     ratio = np.where(moving, room, np.inf) / np.where(moving, size, 1.0)
-    return np.asarray(np.maximum(ratio.min(axis=0), 0.0))
+    return np.asarray(np.maximum(ratio.min(axis=(0, 1)), 0.0))
 
 
 def within_limits(
@@ -328,7 +300,7 @@ def within_limits(
     """
     least, step = 0.0, _FIRST_STEP_BACK
     most = 1.0
-    with suppress(OutOfTimeError):
+    with suppress(SearchEndError):
         if keeps_limits(problem, variables, stride=stride, budget=budget):
             return variables
         while most - least > _NEAR:
@@ -344,94 +316,64 @@ def within_limits(
 _SHARE = 0.5  # of the limits of speed, acceleration and jerk
 _PEAKS = 1.875, 10.0 / np.sqrt(3.0), 60.0  # of 10 x³ − 15 x⁴ + 6 x⁵ and its derivatives
 _LEAST = 1.0  # s, of a way
-_STEP = 0.02  # rad or m, of the joint that goes farthest, between looks at collisions
-_EFFORT_STEPS = 50
 _SLOWER, _TIMES = 1.5, 8  # where efforts are too large
 _VIA = 100  # postures by way of which a ramp may lead
 
 
-@dataclass(frozen=True, eq=False)
-class RampPlanner:
-    """Plan ramps of half of the limits of speed, acceleration and jerk, of at least a second.
+def with_ramps(
+    problem: DesignProblem, trajectory: ExcitationTrajectory, stand: Array
+) -> ExcitationTrajectory:
+    """Return a motion with ramps from and to where the robot stands, (nv,) by joint.
 
-    A ramp is straight in the joints; where something is in the way, it goes by way of one more
-    posture.
+    They take half of the limits of speed, acceleration and jerk, and at least a second. A ramp is
+    straight in the joints; where something is in the way, it goes by way of one more posture.
     """
+    begin, end = trajectory.free_states([0.0, trajectory.length])[0]
+    there = _ramp(problem, trajectory, stand, begin)
+    back = _ramp(problem, trajectory, end, stand)
+    parts = [part for part in (there, trajectory, back) if part is not None]
+    return parts[0].followed_by(*parts[1:]) if len(parts) > 1 else trajectory
 
-    problem: DesignProblem
 
-    def ramped(self, trajectory: ExcitationTrajectory, stand: Array) -> RampedTrajectory:
-        """Return a motion with ramps from and to where the robot stands, (nv,) by joint."""
-        q = trajectory.free_states([0.0, trajectory.length])[0]
-        first = self._ramp(stand, q[0], trajectory)
-        if np.allclose(q[0], q[1]):
-            last = replace(first, postures=first.postures[::-1], durations=first.durations[::-1])
-        else:
-            last = self._ramp(q[1], stand, trajectory)
-        parts = [part for part in (first, trajectory, last) if part.length]
-        return RampedTrajectory(tuple(parts), trajectory.joints, trajectory.stance)
-
-    def _ramp(self, begin: Array, end: Array, like: ExcitationTrajectory) -> Ramp:
-        if np.array_equal(begin, end):
-            return Ramp(np.array([begin, end]), np.zeros(1), like.joints, like.stance)
-        collisions = self.problem.collisions
-        for postures in self._ways(begin, end):
-            way = Ramp(postures, self._durations(postures), like.joints, like.stance)
-            if collisions is not None and not _is_clear(way, collisions):
-                continue
-            for _ in range(_TIMES):
-                if self._is_kept(way):
-                    return way
-                way = replace(way, durations=_SLOWER * way.durations)
-        raise ArgumentError(
-            "No ramp leads from the rest position to the start of the motion: neither a "
-            f"straight one nor one through {_VIA} postures satisfies clearance, "
-            f"{'balance ' * (like.stance is not None)}and efforts.",
-            advice="Start the motion at the rest position instead: --start.",
-        )
-
-    def _is_kept(self, way: Ramp) -> bool:
-        """Return whether a ramp keeps the limits of efforts and, on feet, of balance."""
-        limits, stance = self.problem.motor_limits, self.problem.stance
-        times = np.linspace(0.0, way.length, _EFFORT_STEPS * len(way.durations))
-        if (np.abs(way.efforts(self.problem.model, times)) > limits.effort).any():
-            return False
-        if stance is None:
-            return True
-        (q, v, vd), motion = way.states(times), way.motion(times)
-        polygon, friction = stance.support(motion)
-        kept = polygon.max() <= stance.margin and friction.max() <= 1.0
-        inside = (q >= limits.lower - _NEAR) & (q <= limits.upper + _NEAR)
-        within = (np.abs(v) <= limits.velocity) & (np.abs(vd) <= limits.acceleration)
-        return bool(kept and (inside & within).all())
-
-    def _ways(self, begin: Array, end: Array) -> Iterator[Array]:
-        """Yield the straight way, and then those by way of another posture, the shortest first."""
-        yield np.array([begin, end])
-        limits, own = self.problem.limits, (self.problem.model, self.problem.limits)
-        via = possible_postures(
-            *own, self.problem.collisions, stance=self.problem.stance, most=_VIA
-        )
-        sizes = [np.abs((via - p) / limits.reach).max(axis=1) for p in (begin, end)]
-        for k in np.argsort(sizes[0] + sizes[1]):
-            if sizes[0][k] > 0 and sizes[1][k] > 0:
-                yield np.array([begin, via[k], end])
-
-    def _durations(self, postures: Array) -> Array:
-        """Return the durations (k,) of ways between postures at half of the limits, s."""
-        ways = np.abs(np.diff(postures, axis=0))
-        limits = self.problem.limits
-        bounds = limits.velocity, limits.acceleration, limits.jerk
+def _ramp(
+    problem: DesignProblem, like: ExcitationTrajectory, begin: Array, end: Array
+) -> ExcitationTrajectory | None:
+    """Return the ramp between postures (nv,); None if they are the same."""
+    if np.array_equal(begin, end):
+        return None
+    limits, world = problem.limits, problem.collisions
+    bounds = limits.velocity, limits.acceleration, limits.jerk
+    for postures in _ways(problem, begin, end):
+        changes = np.abs(np.diff(postures, axis=0))
         needed = [
-            (peak * ways / (_SHARE * bound)) ** (1.0 / order)
+            (peak * changes / (_SHARE * bound)) ** (1.0 / order)
             for order, (peak, bound) in enumerate(zip(_PEAKS, bounds, strict=True), 1)
         ]
-        return np.maximum(np.max(needed, axis=(0, 2)), _LEAST)
+        durations = np.maximum(np.max(needed, axis=(0, 2)), _LEAST)
+        for slower in _SLOWER ** np.arange(_TIMES):
+            family = RampMotion(tuple((slower * durations).tolist()))
+            way = replace(like, family=family, coefficients=postures)
+            use, motion = joint_use(problem, way)
+            if use.is_within:
+                if world is None or stays_clear(world, motion.q):
+                    return way
+                break
+    raise ArgumentError(
+        "No ramp leads from the rest position to the start of the motion: neither a "
+        f"straight one nor one through {_VIA} postures satisfies clearance, "
+        f"{'balance ' * (like.stance is not None)}and efforts.",
+        advice="Start the motion at the rest position instead: --start.",
+    )
 
 
-def _is_clear(way: Ramp, collisions: CollisionWorld) -> bool:
-    steps = [
-        np.linspace(a, b, int(np.ceil(np.abs(b - a).max() / _STEP)) + 2)
-        for a, b in zip(way.postures[:-1], way.postures[1:], strict=True)
-    ]
-    return stays_clear(collisions, np.concatenate(steps))
+def _ways(problem: DesignProblem, begin: Array, end: Array) -> Iterator[Array]:
+    """Yield the straight way, and then those by way of another posture, the shortest first."""
+    yield np.array([begin, end])
+    limits = problem.limits
+    via = possible_postures(
+        problem.model, limits, problem.collisions, stance=problem.stance, most=_VIA
+    )
+    sizes = [np.abs((via - p) / limits.reach).max(axis=1) for p in (begin, end)]
+    for k in np.argsort(sizes[0] + sizes[1]):
+        if sizes[0][k] > 0 and sizes[1][k] > 0:
+            yield np.array([begin, via[k], end])

@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-import abc
-import json
 from collections.abc import Iterable
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydrake.common.yaml import yaml_load
+from pydrake.common.yaml import yaml_dump, yaml_load
 from pydrake.math import BsplineBasis
 from pydrake.trajectories import BsplineTrajectory
-from scipy.interpolate import BPoly, make_interp_spline
+from scipy.interpolate import make_interp_spline
 
-from geodrake.boundary.arguments import file_path, instance, number, real_array
+from geodrake.boundary.arguments import file_path, instance, number
 from geodrake.boundary.escaping import quoted
 from geodrake.boundary.showing import Short
 from geodrake.boundary.whole_files import Content, write_whole
 from geodrake.errors import ArgumentError, OutputError
-from geodrake.excitation.families import MotionFamily, SplineMotion
-from geodrake.excitation.regressor_gradient import MotionGradient
+from geodrake.excitation.families import JoinedMotion, MotionFamily, SplineMotion
 from geodrake.excitation.stance import Stance
 from geodrake.inertia import Array
 from geodrake.logs.files import log_content
@@ -33,28 +29,39 @@ _LOGS, _YAML, _DRAKE = (".csv", ".txt", ".npz"), (".yaml", ".yml"), (".drake.yam
 _MOST_INSTANTS = 1e6  # of a file
 _DEGREE = 5  # of the spline that stands for others in Drake
 _PER_FASTEST = 64  # its intervals in a family's shortest time: errors of some 1e-9
-_RAMP_STEPS = 400  # its intervals in a ramp
 
 
-class ExecutableMotion(Short, abc.ABC):
-    """Positions of all joints over time.
+@dataclass(frozen=True, eq=False)
+class ExcitationTrajectory(Short):
+    """Positions of all joints over time, out of a family of motions.
 
     Each joint has one degree of freedom, so that Drake's order of positions is that of velocities.
-    The joints of a robot on its feet are its motors, which follow from the free joints of the
-    stance's model.
+
+    Attributes:
+        coefficients: (count, nv) coefficients, a column for each joint of the model.
+        joints: Names of the joints in the order of velocities; of a robot on its feet those of its
+            motors, which follow from the free joints of the stance's model.
+        stance: How the robot stands, if on feet.
     """
 
-    joints: tuple[str, ...]  # names of the joints, in the order of velocities
-    stance: Stance | None  # how the robot stands, if on feet
+    family: MotionFamily
+    coefficients: Array
+    joints: tuple[str, ...]
+    stance: Stance | None = None
 
     @property
-    @abc.abstractmethod
+    def free_joints(self) -> tuple[str, ...]:
+        """Names of the joints that the coefficients are of."""
+        return self.joints if self.stance is None else self.stance.model.joints
+
+    @property
     def length(self) -> float:
         """Duration, s; zero if samples do not follow each other."""
+        return self.family.length
 
-    @abc.abstractmethod
     def free_states(self, times: ArrayLike) -> Array:
         """Return positions, velocities and accelerations (3, N, nv) of the model's joints."""
+        return np.asarray(self.family.basis(times) @ self.coefficients)
 
     def states(self, times: ArrayLike) -> Array:
         """Return positions, velocities and accelerations (3, N, ·) by joint at times (N,), s."""
@@ -63,12 +70,8 @@ class ExecutableMotion(Short, abc.ABC):
 
     def motion(self, times: ArrayLike) -> Motion:
         """Return the model's motion at instants (N,)."""
-        return self.motion_of(self.free_states(times), np.atleast_1d(real_array(times, "times")))
-
-    def motion_of(self, states: Array, times: Array | None = None) -> Motion:
-        """Return the model's motion of states (3, N, nv) of its joints, at times (N,), s."""
-        q, v, vd = states
-        return Motion(q, v, vd, times if self.length else None)
+        q, v, vd = self.free_states(times)
+        return Motion(q, v, vd, np.atleast_1d(np.asarray(times, float)) if self.length else None)
 
     def efforts(self, model: RobotModel, times: ArrayLike, *, sign_width: ArrayLike = 0.0) -> Array:
         """Return the efforts (N, ·) that a model predicts by joint at times (N,), N·m or N."""
@@ -77,28 +80,31 @@ class ExecutableMotion(Short, abc.ABC):
             return instance(model, "model", RobotModel).effort(motion, sign_width=sign_width)
         return self.stance.efforts(motion, sign_width)
 
+    def followed_by(self, *others: ExcitationTrajectory) -> ExcitationTrajectory:
+        """Return this and other motions of the same joints, one after the other."""
+        parts = self, *others
+        coefficients = np.concatenate([part.coefficients for part in parts])
+        family = JoinedMotion(tuple(part.family for part in parts))
+        return replace(self, family=family, coefficients=coefficients)
+
     def to_drake(self) -> BsplineTrajectory:
         """Return the positions as a Drake trajectory, with derivatives.
 
-        A spline motion is itself; a Fourier motion is interpolated to about 1e-9 of its size, ramps
-        to 1e-5.
+        A spline motion is itself; others are interpolated, a Fourier motion to about 1e-9 of its
+        size, ramps to 1e-5.
         """
         self._require_time("Drake trajectory")
-        knots, points, degree = self._spline()
-        controls = [np.array(point)[:, None] for point in points]
-        return BsplineTrajectory(BsplineBasis(degree + 1, knots.tolist()), controls)
-
-    @abc.abstractmethod
-    def _instants(self) -> Array:
-        """Return instants from start to end through which a spline hardly differs."""
-
-    def _spline(self) -> tuple[Array, Array, int]:
-        """Return knots, control points (n, nv) by joint, and degree of a spline."""
-        times = self._instants()
-        q, v, vd = self.states(times)
-        ends = [[(1, v[end]), (2, vd[end])] for end in (0, -1)]
-        spline = make_interp_spline(times, q, k=_DEGREE, bc_type=ends)
-        return spline.t, spline.c, _DEGREE
+        family, degree = self.family, _DEGREE
+        if isinstance(family, SplineMotion) and self.joints == self.free_joints:
+            knots, points, degree = family.knots, self.coefficients, family.degree
+        else:
+            times = family.limit_times(1.0 / _PER_FASTEST)
+            q, v, vd = self.states(times)
+            ends = [[(1, v[end]), (2, vd[end])] for end in (0, -1)]
+            spline = make_interp_spline(times, q, k=degree, bc_type=ends)
+            knots, points = spline.t, spline.c
+        basis = BsplineBasis(degree + 1, knots.tolist())
+        return BsplineTrajectory(basis, [np.array(point)[:, None] for point in points])
 
     def log(self, model: RobotModel, *, rate: float = 100.0, name: str = "excitation") -> JointLog:
         """Return the motion as a log at a rate (1/s), with the efforts that the model predicts.
@@ -132,109 +138,8 @@ class ExecutableMotion(Short, abc.ABC):
             )
 
 
-@dataclass(frozen=True, eq=False)
-class ExcitationTrajectory(ExecutableMotion):
-    """A motion out of a family.
-
-    Attributes:
-        coefficients: (count, nv) coefficients, a column for each joint of the model.
-    """
-
-    family: MotionFamily
-    coefficients: Array
-    joints: tuple[str, ...]
-    stance: Stance | None = None
-
-    @property
-    def free_joints(self) -> tuple[str, ...]:
-        """Names of the joints that the coefficients are of."""
-        return self.joints if self.stance is None else self.stance.model.joints
-
-    @property
-    def length(self) -> float:
-        """Duration, s; zero if samples do not follow each other."""
-        return self.family.length
-
-    def free_states(self, times: ArrayLike) -> Array:
-        """Return positions, velocities and accelerations (3, N, nv) at times (N,), s."""
-        return np.asarray(self.family.basis(times) @ self.coefficients)
-
-    def coefficient_gradient(self, basis: Array, gradient: MotionGradient) -> Array:
-        """Return the gradient (count, nv) by the coefficients, from one by a basis' motion."""
-        return np.asarray(sum(Phi.T @ part for Phi, part in zip(basis, gradient, strict=True)))
-
-    def _instants(self) -> Array:
-        return self.family.limit_times(1.0 / _PER_FASTEST)
-
-    def _spline(self) -> tuple[Array, Array, int]:
-        family = self.family
-        if isinstance(family, SplineMotion) and self.joints == self.free_joints:
-            return family.knots, self.coefficients, family.degree
-        return super()._spline()
-
-
-@dataclass(frozen=True, eq=False)
-class Ramp(ExecutableMotion):
-    """A way through postures with a rest at each, of polynomials 10 x³ − 15 x⁴ + 6 x⁵ of time."""
-
-    postures: Array  # (k + 1, nv) by joint of the model, rad or m
-    durations: Array  # (k,) of the ways between them, s
-    joints: tuple[str, ...]
-    stance: Stance | None = None
-
-    @property
-    def length(self) -> float:
-        """Duration, s."""
-        return float(self.durations.sum())
-
-    def free_states(self, times: ArrayLike) -> Array:
-        """Return positions, velocities and accelerations (3, N, nv) at times (N,), s."""
-        t = np.clip(np.atleast_1d(real_array(times, "times")), 0.0, self.length)
-        return np.stack([self._polynomial(t, nu=order) for order in range(3)])
-
-    @cached_property
-    def _polynomial(self) -> BPoly:
-        rests = np.zeros_like(self.postures)
-        ends = np.concatenate([[0.0], np.cumsum(self.durations)])
-        return BPoly.from_derivatives(ends, np.stack([self.postures, rests, rests], axis=1))
-
-    def _instants(self) -> Array:
-        return np.linspace(0.0, self.length, _RAMP_STEPS + 1)
-
-
-@dataclass(frozen=True, eq=False)
-class RampedTrajectory(ExecutableMotion):
-    """Motions one after the other, such as a ramp, a designed motion, and the ramp back."""
-
-    parts: tuple[ExecutableMotion, ...]
-    joints: tuple[str, ...]
-    stance: Stance | None = None
-
-    @property
-    def length(self) -> float:
-        """Duration, s."""
-        return float(sum(part.length for part in self.parts))
-
-    def free_states(self, times: ArrayLike) -> Array:
-        """Return positions, velocities and accelerations (3, N, nv) at times (N,), s."""
-        t = np.atleast_1d(real_array(times, "times"))
-        ends = np.cumsum([part.length for part in self.parts])
-        which = np.minimum(np.searchsorted(ends, t, side="left"), len(ends) - 1)
-        count = len(self.joints) if self.stance is None else len(self.stance.model.joints)
-        found = np.empty((3, len(t), count))
-        for k, part in enumerate(self.parts):
-            own = t[which == k] - (ends[k] - part.length)
-            found[:, which == k] = part.free_states(np.clip(own, 0.0, part.length))
-        return found
-
-    def _instants(self) -> Array:
-        starts = np.cumsum([0.0, *(part.length for part in self.parts)])
-        pairs = zip(starts, self.parts, strict=False)
-        return np.concatenate([[0.0], *(start + part._instants()[1:] for start, part in pairs)])
-
-
 def write_trajectory(
-    trajectory: ExecutableMotion, path: str | Path, model: RobotModel, *, rate: float = 100.0
+    trajectory: ExcitationTrajectory, path: str | Path, model: RobotModel, *, rate: float = 100.0
 ) -> None:
     """Write a motion, whole or not at all.
 
@@ -252,10 +157,10 @@ def write_trajectory(
 
 
 def trajectory_content(
-    trajectory: ExecutableMotion, path: str | Path, model: RobotModel, *, rate: float = 100.0
+    trajectory: ExcitationTrajectory, path: str | Path, model: RobotModel, *, rate: float = 100.0
 ) -> Content:
     """Return the content of the file; see `write_trajectory` for arguments and errors."""
-    instance(trajectory, "trajectory", ExecutableMotion)
+    instance(trajectory, "trajectory", ExcitationTrajectory)
     instance(model, "model", RobotModel)
     path = file_path(path)
     suffix = path.suffix.lower()
@@ -271,12 +176,12 @@ def trajectory_content(
     )
 
 
-def ros_joint_trajectory(trajectory: ExecutableMotion, *, rate: float = 100.0) -> str:
+def ros_joint_trajectory(trajectory: ExcitationTrajectory, *, rate: float = 100.0) -> str:
     """Return a motion as YAML of the message trajectory_msgs/JointTrajectory of ROS 2.
 
     Efforts are left empty, since position and velocity controllers refuse them.
     """
-    times = instance(trajectory, "trajectory", ExecutableMotion).instants(rate)
+    times = instance(trajectory, "trajectory", ExcitationTrajectory).instants(rate)
     lines = [
         "header:",
         "  stamp: {sec: 0, nanosec: 0}",
@@ -296,17 +201,16 @@ def ros_joint_trajectory(trajectory: ExecutableMotion, *, rate: float = 100.0) -
     return "\n".join(lines) + "\n"
 
 
-def drake_trajectory(trajectory: ExecutableMotion) -> str:
+def drake_trajectory(trajectory: ExcitationTrajectory) -> str:
     """Return a motion's positions as YAML of a Drake BsplineTrajectory.
 
     The fields are those by which Drake's C++ classes go through YAML: `LoadYamlFile` of
     `BsplineTrajectory<double>` takes it as well.
     """
-    spline = instance(trajectory, "trajectory", ExecutableMotion).to_drake()
-    basis = spline.basis()
-    points = [f"- {json.dumps(point.tolist())}" for point in spline.control_points()]
-    lines = ["basis:", f"  order: {basis.order()}", f"  knots: {json.dumps(basis.knots())}"]
-    return "\n".join([*lines, "control_points:", *points]) + "\n"
+    spline = instance(trajectory, "trajectory", ExcitationTrajectory).to_drake()
+    basis = {"order": spline.basis().order(), "knots": list(spline.basis().knots())}
+    points = [point.tolist() for point in spline.control_points()]
+    return yaml_dump({"basis": basis, "control_points": points})
 
 
 def read_drake_trajectory(path: str | Path) -> BsplineTrajectory:
