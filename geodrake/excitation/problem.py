@@ -326,14 +326,16 @@ class DesignProblem(Short):
 
     def excess(self, variables: Array) -> tuple[Array, Array]:
         """Return (n,) values of `Stance.excess`, and their Jacobian (n, f nv)."""
-        assert self.stance is not None
+        if self.stance is None:
+            return np.zeros(0), np.zeros((0, self.scale.size))
         motion = self.motion(variables, self.effort_basis)
         values, gradient = self.stance.excess(motion, self.sign_width)
         return values, self._jacobian(self.effort_basis, gradient)
 
     def nearness(self, variables: Array) -> tuple[Array, Array]:
         """Return (n,) values of `CollisionWorld.constraint`, and their Jacobian (n, f nv)."""
-        assert self.collisions is not None
+        if self.collisions is None:
+            return np.zeros(0), np.zeros((0, self.scale.size))
         values, by_q = self.collisions.constraint(self.motion(variables, self.collision_basis).q)
         return values, self._jacobian(self.collision_basis, [by_q])
 
