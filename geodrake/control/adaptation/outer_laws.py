@@ -29,7 +29,6 @@ _MOST_CUTS = 60
 _SHORTENED = (8.0, 2.0)  # lengths in the metric of steps in place of ones that are too long
 _CUT_TOLERANCE = 1e-9  # distance outside of the set, in the metric, that counts as inside
 _ROUNDING = 1e-13  # of a limit, relative to its terms
-_UNLIMITED = np.array([-np.inf])
 
 
 class _OuterLaw(UpdateLaw):
@@ -158,13 +157,6 @@ class ProjectedLaw(_OuterLaw):
         return LinearSet(given) if isinstance(given, Polyhedron) else given
 
     @cached_property
-    def _parts(self) -> tuple[_LimitedPart, ...]:
-        """For a polyhedron: what can be projected apart."""
-        if not isinstance(self._set, LinearSet):
-            return ()
-        return _separate(self.law.manifold, self._set.polyhedron)
-
-    @cached_property
     def compiled(self) -> Steps | None:
         """Return the steps of the law, within limits of a polyhedron."""
         if self.law.compiled is None or not isinstance(self._set, LinearSet):
@@ -228,64 +220,23 @@ class ProjectedLaw(_OuterLaw):
         p = real_array(parameters, "parameters", (self.law.manifold.dimension,))
         if not (self._set.values(p) > 0).any():
             return p
-        if not isinstance(self._set, LinearSet):
-            return _project_by_cuts(self.law.manifold, p, self._set)
-        projected = p.copy()
-        for part in self._parts:
-            projected[part.places] = part.project(p[part.places])
-        return projected
+        if isinstance(self._set, LinearSet):
+            return _project_by_rows(self.law.manifold, p, *self._set.rows)
+        return _project_by_cuts(self.law.manifold, p, self._set)
 
 
-@dataclass(frozen=True, eq=False)
-class _LimitedPart:
-    """Limits on some factors of a product, and those factors."""
+def _project_by_rows(manifold: Manifold, p: Array, G: Array, g: Array) -> Array:
+    """Project onto the limits G x ≤ g that p is beyond, and onto more while the result is.
 
-    manifold: Product
-    places: NDArray[np.intp]
-    limits: LinearSet
-
-    def project(self, x: Array) -> Array:
-        """Return the Bregman projection of x (n,) onto the limits."""
-        values, normals = self.limits.values(x), self.limits.gradients(x)
-        sizes = _ROUNDING * np.abs(normals)
-        outside = np.flatnonzero(values > sizes @ np.abs(x))
-        if not len(outside):
-            return x
-        if not self.manifold.calc_contains(x):
-            return bregman_projection(self.manifold, x, self.limits.polyhedron)
-        # The projection onto one half-space is the one onto all, if it is inside of all.
-        for row in outside:
-            limit = normals[[row]] @ x - values[row]
-            y = slab_projection(self.manifold, x, normals[[row]], _UNLIMITED, limit).point
-            if (self.limits.values(y) <= sizes @ np.abs(y)).all():
-                return y
-        return bregman_projection(self.manifold, x, self.limits.polyhedron)
-
-
-def _separate(manifold: Manifold, polyhedron: Polyhedron) -> tuple[_LimitedPart, ...]:
-    """Split a projection on a product where no limit ties two factors together."""
-    rows = np.arange(len(polyhedron.matrix))
-    if not isinstance(manifold, Product):
-        manifold = Product((manifold,))
-    ends = np.cumsum([factor.dimension for factor in manifold.manifolds])
-    places = np.split(np.arange(manifold.dimension), ends[:-1])
-    used = np.array([(polyhedron.matrix[:, at] != 0).any(1) for at in places])  # (factors, rows)
-    label = np.arange(len(places))
-    for row in rows:
-        tied = np.flatnonzero(used[:, row])
-        if len(tied):
-            label[np.isin(label, label[tied])] = label[tied[0]]
-    parts = []
-    for name in np.unique(label[used.any(1)]):
-        factors = np.flatnonzero(label == name)
-        own = rows[used[factors].any(0)]
-        at = np.concatenate([places[factor] for factor in factors])
-        weights = tuple(manifold.weights[factor] for factor in factors)
-        part = Product(tuple(manifold.manifolds[factor] for factor in factors), weights)
-        limits = polyhedron.lower[own], polyhedron.upper[own]
-        limited = Polyhedron(polyhedron.matrix[np.ix_(own, at)], *limits)
-        parts.append(_LimitedPart(part, at, LinearSet(limited)))
-    return tuple(parts)
+    The projection onto some limits that keeps the others is the one onto all.
+    """
+    bound, point = np.zeros(len(g), bool), p
+    while True:
+        beyond = G @ point - g > _rounding(G, point)
+        if not (beyond & ~bound).any():
+            return point
+        bound |= beyond
+        point = _nearest(manifold, p, G[bound], g[bound])
 
 
 def _project_by_cuts(manifold: Manifold, p: Array, convex: ConvexSet) -> Array:
@@ -294,25 +245,48 @@ def _project_by_cuts(manifold: Manifold, p: Array, convex: ConvexSet) -> Array:
     A half-space that touches c at y, c(y) + ∇c(y)ᵀ (x − y) ≤ 0, holds the whole set, so every
     projection is at least as near to p as the one onto the set, and the last one is inside of it.
     """
-    point = p
-    matrix, upper = np.zeros((0, len(p))), np.zeros(0)
+    point, rows, upper = p, np.zeros((0, len(p))), np.zeros(0)
     for _ in range(_MOST_CUTS):
         values, normals = convex.values(point), convex.gradients(point)
         lengths = np.sqrt((normals * manifold.calc_inverse_metric_times(p, normals)).sum(-1))
         outside = values > _CUT_TOLERANCE * lengths
         if not outside.any():
             return point
-        rows = normals[outside] / lengths[outside, None]
-        matrix = np.concatenate([matrix, rows])
-        upper = np.concatenate([upper, rows @ point - values[outside] / lengths[outside]])
-        cuts = Polyhedron(matrix, np.full(len(upper), -np.inf), upper)
-        point = bregman_projection(manifold, p, cuts)
+        cuts = normals[outside] / lengths[outside, None]
+        rows = np.concatenate([rows, cuts])
+        upper = np.concatenate([upper, cuts @ point - values[outside] / lengths[outside]])
+        limits = Polyhedron(rows, np.full(len(upper), -np.inf), upper)
+        point = bregman_projection(manifold, p, limits)
     raise ConvergenceError(
         f"No point of the set was found after {_MOST_CUTS} cuts; the last one violates it by "
         f"{convex.values(point).max():.3g}.",
         advice="Check that the functions are convex, and their gradients against differences.",
         last=point,
     )
+
+
+def _nearest(manifold: Manifold, p: Array, G: Array, g: Array) -> Array:
+    """Return the Bregman projection of p (n,) onto G x ≤ g, of the factors that these are about."""
+    product = manifold if isinstance(manifold, Product) else Product((manifold,))
+    ends = np.cumsum([factor.dimension for factor in product.manifolds])
+    places = np.split(np.arange(product.dimension), ends[:-1])
+    kept = [k for k, at in enumerate(places) if G[:, at].any()] or range(len(places))
+    factors = tuple(product.manifolds[k] for k in kept)
+    part = Product(factors, tuple(product.weights[k] for k in kept))
+    at = np.concatenate([places[k] for k in kept])
+    own, lower, point = G[:, at], np.full(len(g), -np.inf), p.copy()
+    if part.robot is not None and part.calc_contains(p[at]):
+        found = slab_projection(part, p[at], own, lower, g)
+        if found.certified and (own @ found.point - g <= _rounding(own, found.point)).all():
+            point[at] = found.point
+            return point
+    point[at] = bregman_projection(part, p[at], Polyhedron(own, lower, g))
+    return point
+
+
+def _rounding(G: Array, x: Array) -> Array:
+    """Return what rounding makes of G x (k,), at most."""
+    return _ROUNDING * (np.abs(G) @ np.abs(x))
 
 
 def _least_push(G: Array, a_v: Array) -> Array:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.systems.framework import BasicVector, Context, InputPort
-from scipy.linalg import solve_continuous_lyapunov
 
 from geodrake.boundary.arguments import one_or_each
 from geodrake.control.adaptation import UpdateLaw
@@ -78,7 +77,6 @@ class AdaptiveComputedTorqueController(AdaptiveController):
         """
         nv = len(checked_control(control).joints)
         poles = one_or_each(rate, "rates", nv, strict=True)
-        self._weight = np.zeros(0), np.zeros((0, 0))  # of the error, and of which poles it is
         super().__init__(
             control,
             law,
@@ -97,35 +95,35 @@ class AdaptiveComputedTorqueController(AdaptiveController):
         """Change the gains in a Context."""
         self._set_gains(context, one_or_each(rate, "rates", self._nv, strict=True))
 
-    def _weight_at(self, poles: Array) -> Array:
-        """Return P (2 nv, 2 nv) with Aᵀ P + P A = −𝟙, [Lee2019] Eq. (5.2.8)."""
-        if not np.array_equal(self._weight[0], poles):
-            one, zero = np.eye(self._nv), np.zeros((self._nv, self._nv))
-            A = np.block([[zero, one], [-np.diag(poles**2), -np.diag(2.0 * poles)]])
-            P = solve_continuous_lyapunov(A.T, -np.eye(len(A)))
-            self._weight = poles.copy(), 0.5 * (P + P.T)
-        return self._weight[1]
-
     def _result_at(self, p: Array, seen: Seen, gains: Array) -> ControlResult:
-        e = np.concatenate([seen.q - seen.q_d, seen.qd - seen.v_d])
-        wanted = seen.a_d - 2.0 * gains * e[self._nv :] - gains**2 * e[: self._nv]
+        e, ed = seen.q - seen.q_d, seen.qd - seen.v_d
+        wanted = seen.a_d - 2.0 * gains * ed - gains**2 * e
         sample = self.control.at(seen.q, seen.qd, seen.qd, wanted)
+        _, beside, last = _weights(gains)
+        pulled = beside * e + last * ed  # Bᵀ P (e, ė)
         return ControlResult(
-            sample.effort(p), sample, lambda context: self._covector(context, p, seen, e)
+            sample.effort(p), sample, lambda context: self._covector(context, p, seen, pulled)
         )
 
-    def _covector(self, context: Context, p: Array, seen: Seen, e: Array) -> Array | None:
+    def _covector(self, context: Context, p: Array, seen: Seen, pulled: Array) -> Array | None:
         if self._measured_port is None:
             return None  # adaptation is by the error of prediction alone
         acceleration = self._measured_port.Eval(context)
         if not np.isfinite(acceleration).all():
             return None
         sample = self.control.at(seen.q, seen.qd, seen.qd, acceleration)
-        pulled = self._weight_at(self._gains(context))[self._nv :] @ e  # Bᵀ P e
         return np.asarray(np.linalg.solve(sample.mass_matrix(p), pulled) @ sample.regressor)
 
     def _tracking_energy(self, truth: Array, seen: Seen, gains: Array) -> float:
         if self._measured_port is None:
             return 0.0
-        e = np.concatenate([seen.q - seen.q_d, seen.qd - seen.v_d])
-        return float(0.5 * e @ self._weight_at(gains) @ e)
+        e, ed = seen.q - seen.q_d, seen.qd - seen.v_d
+        first, beside, last = _weights(gains)
+        return float(0.5 * np.sum(first * e**2 + 2.0 * beside * e * ed + last * ed**2))
+
+
+def _weights(poles: Array) -> tuple[Array, Array, Array]:
+    """Return P₁₁, P₁₂ and P₂₂ of each joint, (nv,), with Aᵀ P + P A = −𝟙, [Lee2019] Eq. (5.2.8)."""
+    beside = 0.5 / poles**2
+    last = (1.0 + 2.0 * beside) / (4.0 * poles)
+    return 2.0 * poles * beside + poles**2 * last, beside, last
