@@ -18,7 +18,7 @@ from geodrake.control.rollout import FittedValue, RolloutFit
 from geodrake.control.rollout.fit_rollouts import better_model, held_out
 from geodrake.control.rollout.linearized_motion import LinearizedMotion
 from geodrake.control.rollout.motion_search import blinds, rollout_values, values_at, with_values
-from geodrake.control.rollout.passages import chosen_passages
+from geodrake.control.rollout.passages import Conditions, chosen_passages
 from geodrake.control.rollout.roll_out import Rollout, Window
 from geodrake.control.rollout.simulation import simulations
 from geodrake.effects import CoulombFriction, RotorInertia, ViscousFriction
@@ -34,13 +34,12 @@ from geodrake.report.views import numbers_of
 def departures(case, *, horizon=0.4, most=2, commands=False):
     """In the diagram and near the motion, window by window, and whether servos have no more."""
     passages = chosen_passages(case, horizon, most)
-    made = simulations(case, passages, commands=commands)(case.asked.logs[0].name)
-    couplings = made.law.soft.couplings(made.law.mu)
+    made = simulations(Conditions(case, commands), passages)(case.asked.logs[0].name)
     for passage in passages:
-        found, _ = LinearizedMotion.of(made, passage).departure(case.model.effects, couplings)
+        found, _ = LinearizedMotion.of(made, passage).departure(made.robot)
         exact = made.positions(passage) - passage.segment.position
-        effort, _ = made.acting.along(passage)
-        yield exact, found, commands and bool((np.abs(effort) > made.acting.gains.limit).any())
+        effort, _ = made.robot.along(passage)
+        yield exact, found, commands and bool((np.abs(effort) > made.robot.gains.limit).any())
 
 
 def rms(departure):

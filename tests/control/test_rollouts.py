@@ -19,9 +19,9 @@ from geodrake import effects, load_model, save_model
 from geodrake.cli.app import app
 from geodrake.control import EffectForce, roll_out
 from geodrake.control.rollout import commanded_motions
-from geodrake.control.rollout.passages import chosen_passages
+from geodrake.control.rollout.passages import Conditions, chosen_passages
 from geodrake.control.rollout.simulation import simulations
-from geodrake.control.rollout.stepping import stepping
+from geodrake.control.rollout.stepping import Stepping
 from geodrake.effects import (
     CoulombFriction,
     EffortDelay,
@@ -426,8 +426,8 @@ def test_steps_move_a_rigid_robot_as_drake_does(arm):
     robot = replace(model, effects=(*model.effects, *more), effort_signals=servos)
     case = open_case(robot, [log], candidates=False)
     passages = chosen_passages(case, 0.5, 2)
-    found = stepping(case, passages, commands=True).positions()
-    drake = simulations(case, passages, commands=True)(log.name)
+    found = Stepping(Conditions(case, True), passages).positions()
+    drake = simulations(Conditions(case, True), passages)(log.name)
     for passage, steps in zip(passages, found, strict=True):
         exact = drake.positions(passage)
         assert np.ptp(exact, axis=0).min() > 0.05
@@ -438,7 +438,7 @@ def test_a_robot_that_flies_apart_has_no_positions(arm, monkeypatch):
     """From where it is too fast on."""
     log, model = arm
     case = open_case(model, [log], candidates=False)
-    whole = stepping(case, chosen_passages(case, 0.5, 4), commands=True)
+    whole = Stepping(Conditions(case, True), chosen_passages(case, 0.5, 4))
     assert np.isfinite(whole.positions()).all()
     monkeypatch.setattr("geodrake.control.rollout.stepping.FASTEST", 0.5)
     gone = np.array([np.isnan(positions).all(axis=1) for positions in whole.positions()])

@@ -19,9 +19,9 @@ from two_masses import FRICTION, INERTIA, ROTOR, WEIGHT, having, swung
 
 from geodrake import effects, load_model
 from geodrake.control import EffectForce, roll_out
-from geodrake.control.rollout.passages import chosen_passages
+from geodrake.control.rollout.passages import Conditions, chosen_passages
 from geodrake.control.rollout.simulation import simulations
-from geodrake.control.rollout.stepping import stepping
+from geodrake.control.rollout.stepping import Stepping
 from geodrake.effects import CoulombFriction, FittedEffect, RotorInertia, ViscousFriction
 from geodrake.effects.deflection import Deflection, DeflectionEffect
 from geodrake.effects.of_files import SquaredLoadFriction
@@ -256,8 +256,8 @@ def test_a_joint_alone_moves_as_it_does(model, log):
 def test_steps_and_drake_move_it_as_it_does(model, log):
     case = open_case(model, [log], candidates=False)
     passages = chosen_passages(case, 0.5, 2)
-    found = stepping(case, passages, commands=True).positions()
-    drake = simulations(case, passages, commands=True)(log.name)
+    found = Stepping(Conditions(case, True), passages).positions()
+    drake = simulations(Conditions(case, True), passages)(log.name)
     for passage, steps in zip(passages, found, strict=True):
         assert np.ptp(passage.logged) > 0.2
         exact = drake.positions(passage)

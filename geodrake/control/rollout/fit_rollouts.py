@@ -7,9 +7,8 @@ block of windows; it counts only where it predicts the other windows better, by 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -21,25 +20,22 @@ from geodrake.control.rollout.linearized_motion import LinearizedMotion
 from geodrake.control.rollout.motion_search import (
     MotionSearch,
     RolloutValue,
-    SearchWindow,
     blind_to,
     blinds,
-    forces_at_motors,
     is_soft,
     rollout_values,
     values_at,
     with_values,
 )
-from geodrake.control.rollout.passages import Acting, Passage, chosen_passages
+from geodrake.control.rollout.passages import Conditions, Passage, chosen_passages
 from geodrake.control.rollout.roll_out import (
     BROKEN,
     HORIZON,
     MOST_WINDOWS,
     Progress,
     Rollout,
-    Window,
+    case_rollout,
     check_windows,
-    named_rollout,
 )
 from geodrake.control.rollout.simulation import simulations
 from geodrake.errors import LogError
@@ -152,7 +148,8 @@ def fit_rollouts(
     between samples.
 
     Without soft joints it is the servos that are fitted under commands, and friction, rotor
-    inertia and offset of their joints, each simulated alone along whole logs; see `fit_servos`.
+    inertia and offset of their joints, each simulated alone along whole logs; see `fit_servo`. Of
+    one log every other quarter is held out. What is taken is then fitted to all logs.
 
     Deviations are for all else that the model has. That of a gain stays the share of it that it
     was, as a motion tells the gain for given inertias only.
@@ -170,17 +167,51 @@ def fit_rollouts(
     check_windows(horizon, most, progress)
     instance(commands, "commands", bool)
     checked_logs(model, logs, (), None, None)
-    if commands and not is_soft(model):
-        case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
-        return fit_servos(case, horizon=horizon, most=most, progress=progress)
-    values = rollout_values(model, commands=commands)
+    soft = not commands or is_soft(model)
+    values = rollout_values(model, commands=commands) if soft else ()
     case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
-    passages = chosen_passages(case, horizon, most)
-    tested = held_out([passage.log for passage in passages])
-    simulated = partial(
-        named_rollout, case, horizon=horizon, most=most, commands=commands, progress=progress
-    )
+
+    def simulated(model: RobotModel, name: str) -> Rollout:
+        told = progress and (lambda words, share: progress(f"{name}: {words}", share))
+        return case_rollout(
+            replace(case, model=model),
+            horizon=horizon,
+            most=most,
+            commands=commands,
+            progress=told,
+        )
+
     before = simulated(case.model, "before")
+    tested = held_out([window.log for window in before.windows])
+    if progress is not None:
+        progress("fitting", 0.5)
+    if soft:
+        passages = chosen_passages(case, horizon, most)
+        better, told, chance = _soft_joints(case, values, passages, before, tested)
+    else:
+        better, told, chance = _servos(case, before, tested)
+    after = simulated(better, "after")
+    fit = RolloutFit(better, told, before, after, tuple(tested.tolist()), chance(after))
+    if not fit.taken:
+        return replace(fit, model=case.model)
+    if soft:
+        return fit
+    found, fits = with_servo_motions(case.model, case.asked.logs)
+    return replace(fit, model=found, values=_servo_values(case.model, fits))
+
+
+Found = tuple[RobotModel, tuple[FittedValue, ...], Callable[[Rollout], float]]
+"""A better model, its values, and what gives the chance that its rollout is truly no better."""
+
+
+def _soft_joints(
+    case: Case,
+    values: tuple[RolloutValue, ...],
+    passages: Sequence[Passage],
+    before: Rollout,
+    tested: Mask,
+) -> Found:
+    """Fit values of soft joints, their servos and motors to the windows that are not tested."""
     usable = np.array([bool(np.isfinite(window.simulated).all()) for window in before.windows])
     fitted, seen = np.flatnonzero(usable & ~tested), np.flatnonzero(usable & tested)
     if min(len(fitted), len(seen)) < _FEWEST:
@@ -189,39 +220,24 @@ def fit_rollouts(
             f"and can be simulated; {_FEWEST} of each are needed.",
             advice="Use a longer log, a shorter horizon, or more windows.",
         )
-    if progress is not None:
-        progress("fitting", 0.5)
-    windows = _windows(case, passages, before, forces_at_motors(case.model, values))
-    x, deviations = MotionSearch(case.model, values, [windows[k] for k in fitted]).fit()
+    simulation = simulations(Conditions(case, before.commands), passages)
+
+    def search(chosen: NDArray[np.intp]) -> MotionSearch:
+        windows = [LinearizedMotion.of(simulation(passages[k].log), passages[k]) for k in chosen]
+        return MotionSearch(case.model, values, windows, departures(before, chosen))
+
+    def departures(rollout: Rollout, chosen: NDArray[np.intp]) -> list[Array]:
+        return [rollout.windows[k].simulated - passages[k].logged for k in chosen]
+
+    x, deviations = search(fitted).fit()
     found, changes = values_at(values, x)
     deviations = changes * deviations
-    better = better_model(case.model, values, found, deviations)
-    after = simulated(better, "after")
-    departures = [after.windows[k].simulated - passages[k].logged for k in seen]
-    chance = _chance(MotionSearch(case.model, values, [windows[k] for k in seen]), x, departures)
     told = tuple(
         FittedValue(v.effect, v.joint, v.name, v.value, *now)
         for v, *now in zip(values, found.tolist(), deviations.tolist(), strict=True)
     )
-    fit = RolloutFit(better, told, before, after, tuple(tested.tolist()), chance)
-    return fit if fit.taken else replace(fit, model=case.model)
-
-
-def _windows(
-    case: Case, passages: Sequence[Passage], before: Rollout, free: Sequence[tuple[int, int]]
-) -> list[SearchWindow]:
-    """Return all windows, ready to be simulated with other soft joints."""
-    made, found = simulations(case, passages, commands=before.commands), []
-    acting = {
-        log.name: lru_cache(maxsize=1)(partial(Acting, log=log, commands=before.commands))
-        for log in case.asked.logs
-    }
-    for passage, window in zip(passages, before.windows, strict=True):
-        simulation = made(passage.log)
-        near = LinearizedMotion.of(simulation, passage, free)
-        departure = window.simulated - passage.logged
-        found.append(SearchWindow(near, acting[passage.log], departure))
-    return found
+    better = better_model(case.model, values, found, deviations)
+    return better, told, lambda after: _chance(search(seen), x, departures(after, seen))
 
 
 def better_model(
@@ -259,7 +275,7 @@ def _chance(search: MotionSearch, x: Array, after: Sequence[Array]) -> float:
         after: Of each window (N, nv) simulated − logged positions afterwards.
     """
     before, now = ([slopes for _, slopes in search.near(y, slopes=True)] for y in (0.0 * x, x))
-    departures = [window.departure for window in search.windows]
+    departures = search.departures
     earlier = blinds(before, departures)
     scale = earlier[0].scale
     later = [blind_to(each, scale) for each in now]
@@ -280,44 +296,24 @@ def _chance(search: MotionSearch, x: Array, after: Sequence[Array]) -> float:
 # Servos and what resists them, where no joint is soft.
 
 
-def fit_servos(
-    case: Case, *, horizon: float, most: int, progress: Progress | None = None
-) -> RolloutFit:
-    """Fit servos of a model and what resists them to how its joints move under commands.
-
-    Each joint is simulated alone along logs, least squares of its positions; see `fit_servo`. Every
-    other log is held out, or of one log every other quarter. What is found counts if rollouts of
-    the whole robot there depart less, by more than chance would have it of joints and windows; it
-    is then fitted to all logs.
-
-    Raises:
-        LogError: No joint moves under its commands in simulation as it was measured to.
-    """
-    simulated = partial(
-        named_rollout, case, horizon=horizon, most=most, commands=True, progress=progress
-    )
-    before = simulated(case.model, "before")
-    tested = held_out([window.log for window in before.windows])
-    seen = _seen(case.asked.logs, before, tested)
-    if progress is not None:
-        progress("fitting", 0.5)
-    half, fits = with_servo_motions(case.model, seen)
+def _servos(case: Case, before: Rollout, tested: Mask) -> Found:
+    """Fit servos and what resists them to what is not tested, joint by joint."""
+    better, fits = with_servo_motions(case.model, _seen(case.asked.logs, before, tested))
     if not fits:
         raise LogError(
             "No joint moves in the simulation under its commands as it was measured.",
             advice="Do commands and positions have the same unit? geodrake log LOG --model MODEL.",
         )
-    after = simulated(half, "after")
-    losses = [
-        np.concatenate([_losses(w) for w, held in zip(each.windows, tested, strict=True) if held])
-        for each in (before, after)
-    ]
-    chance, values = tie_probability(losses[1], losses[0]), _values(case.model, fits)
-    fit = RolloutFit(case.model, values, before, after, tuple(tested.tolist()), chance)
-    if not fit.taken:
-        return fit
-    found, fits = with_servo_motions(case.model, case.asked.logs)
-    return replace(fit, model=found, values=_values(case.model, fits))
+
+    def losses(rollout: Rollout) -> Array:
+        held = [window for window, out in zip(rollout.windows, tested, strict=True) if out]
+        departures = (np.nan_to_num(window.departure, nan=BROKEN) for window in held)
+        return np.concatenate([np.sum(np.square(each), axis=0) for each in departures])
+
+    def chance(after: Rollout) -> float:
+        return tie_probability(losses(after), losses(before))
+
+    return better, _servo_values(case.model, fits), chance
 
 
 def held_out(logs: Sequence[str]) -> Mask:
@@ -349,13 +345,7 @@ def _seen(logs: Sequence[JointLog], rollout: Rollout, tested: Mask) -> list[Join
     return [replace(log, position=position)]
 
 
-def _losses(window: Window) -> Array:
-    """Return the sums of squares (nv,) by which the joints of a window depart."""
-    departure = np.nan_to_num(window.simulated - window.measured, nan=BROKEN)
-    return np.asarray(np.sum(np.square(departure), axis=0))
-
-
-def _values(model: RobotModel, fits: dict[str, ServoFit]) -> tuple[FittedValue, ...]:
+def _servo_values(model: RobotModel, fits: dict[str, ServoFit]) -> tuple[FittedValue, ...]:
     """Return what was found of servos, and of their joints."""
     found = []
     for joint, fit in fits.items():

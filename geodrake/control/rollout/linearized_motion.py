@@ -18,12 +18,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.compiling import compiled, contiguous
-from geodrake.control.rollout.passages import Acting, Passage
+from geodrake.control.rollout.passages import LoggedRobot, Passage
 from geodrake.control.rollout.simulation import (
     AT_START,
     Simulation,
@@ -32,6 +34,7 @@ from geodrake.control.rollout.simulation import (
     thrown,
 )
 from geodrake.effects import FittedEffect, RobotMotion, Role
+from geodrake.effects.deflection import DeflectionEffect, Give
 from geodrake.effects.robot_motion import log_number
 from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
@@ -39,12 +42,21 @@ from geodrake.model.servos import calc_beyond
 from geodrake.model.simulation.effect_force import (
     Coupling,
     ForceLaw,
-    SoftJoints,
     calc_coupling,
 )
 
+_Equations = tuple[Array, Array, Array, Array]  # (N, s) r, and (N, s, s) H, C and K
 _Held = tuple[NDArray[np.intp], NDArray[np.intp], Array]  # links, motors, what couples them
-_Driven = tuple[Array, Array, NDArray[np.intp], Array]  # efforts, behind, motors, gains
+
+
+class _Servos(NamedTuple):
+    """The p servos that act near a measured motion."""
+
+    effort: Array  # (N, p) what they give along it without integrals and limits, N·m or N
+    behind: Array  # (N, p) commanded less measured position, rad or m
+    motors: NDArray[np.intp]  # (p,) where in y their motors are
+    gains: Array  # (p, 5) stiffness, damping, integral gain, largest effort, and dead band
+
 
 _STEP = 2.5e-4  # s, of a simulation at most
 _MOVED = 1e-4  # rad or m, by which positions change for slopes of effects
@@ -52,180 +64,140 @@ _LAG_ITERATIONS = 20
 
 
 @dataclass(frozen=True, eq=False)
-class LinearizedServos:
-    """The p servos that act near a measured motion."""
-
-    effort: Array  # (N, p) what they give along it without integrals and limits, N·m or N
-    behind: Array  # (N, p) commanded less measured position, rad or m
-    motors: NDArray[np.intp]  # (p,) where in y their motors are
-    gains: Array  # (p, 5) stiffness, damping, integral gain, largest effort, and dead band
-    begun: Array  # (p,) integrals at first, rad·s or m·s
-
-    @classmethod
-    def of(
-        cls, law: ForceLaw, acting: Acting, passage: Passage, motors: NDArray[np.intp]
-    ) -> tuple[LinearizedServos, Array]:
-        """Return the servos, and efforts (N, nv) at joints without any."""
-        kp, kd, ki, limit, band, _ = acting.gains
-        effort, behind = acting.along(passage)
-        effort = law.applied(effort.T, law.mu).T
-        columns = [law.applied(gain, law.mu) for gain in (kp, kd, ki, limit)]
-        gains = np.stack([*columns, band], axis=1)
-        some = gains[:, :3].any(axis=1)
-        servos = cls(
-            contiguous(effort[:, some]),
-            contiguous(behind[:, some]),
-            motors[some],
-            contiguous(gains[some]),
-            acting.begun(passage)[some],
-        )
-        return servos, np.where(some, 0.0, effort)
-
-
-@dataclass(frozen=True, eq=False)
-class MotorForce:
-    """What one parameter of an effect at a motor makes of its effort along a measured motion."""
-
-    at: int  # which of the model's effects it is of
-    index: int  # which of that one's parameters it is
-    parameter: float
-    place: int  # where in y the motor is
-    effort: Array  # (N,) effort of a parameter of 1, N·m or N
-    slopes: Array  # (3, N) its slopes with the motor's position, velocity and acceleration
-
-    def change(self, effects: Sequence[FittedEffect]) -> float:
-        """Return by how much it is another one."""
-        return float(effects[self.at].parameters[self.index]) - self.parameter
-
-
-@dataclass(frozen=True, eq=False)
 class LinearizedMotion:
-    """A passage, ready to be simulated near its measured motion with other soft joints."""
+    """A passage, ready to be simulated near its measured motion by similar models.
 
-    law: ForceLaw  # the force law of the model there, with what it carries
+    They may differ in soft joints, in servos of the same joints, and in effects at motors.
+    """
+
+    law: ForceLaw  # the force law of the first model there, with what it carries
+    robot: LoggedRobot  # the first model
     passage: Passage
-    rest: Array  # (N, s) r
-    inertia: Array  # (N, s, s) H
-    damping: Array  # (N, s, s) C
-    stiffness: Array  # (N, s, s) K
-    motors: NDArray[np.intp]  # (nv,) where in y the motor of each joint is
-    servos: LinearizedServos
-    load: Array  # (k, m) efforts of their links at the first samples, N·m or N
-    give_way: Array  # (k, m) by how much these change when a link moves on, N·m/rad or N/m
-    before: RobotMotion  # the motion before the passage
-    # What single parameters of effects at motors make, of those that may change.
-    forces: tuple[MotorForce, ...] = ()
+    seen: RobotMotion  # the measured motion
+    before: RobotMotion  # that before the passage
+    at_links: Array  # (N, nv) efforts of bodies, and of effects at them
+    rest: Array  # (N, s) r without effects at motors
+    slopes: tuple[Array, Array, Array]  # (N, s, s) H, C and K without them
 
     @classmethod
-    def of(
-        cls,
-        simulation: Simulation,
-        passage: Passage,
-        free: Sequence[tuple[int, int]] = (),
-    ) -> LinearizedMotion:
-        """Prepare a passage of a log.
-
-        Args:
-            free: Effects of the model at motors of one joint, and which of their parameters are to
-                change.
-        """
-        model, law, segment = simulation.model, simulation.law, passage.segment
-        seen = _seen(simulation, passage)
-        slopes, A, L = seen.effort_slopes, law.of_motors, law.of_links
-        at_motors, own = _at_motors(model, seen)
-        at_links = seen.load + _effort(model, seen, at_motor=False)
-        soft, added = law.soft.velocities, law.added_inertia
-        motors = A.argmax(axis=1)
-        servos, beside = LinearizedServos.of(law, simulation.acting, passage, motors)
-        rest = (at_motors - beside) @ A + at_links @ L
-        rest[:, len(L) :] += added * segment.acceleration[:, soft]
-        position, velocity, acceleration = (
-            A.T @ (f[:, :, None] * A) + L.T @ D @ L
-            for f, D in zip(
-                own, (slopes.position, slopes.velocity, slopes.acceleration), strict=True
-            )
+    def of(cls, simulation: Simulation, passage: Passage) -> LinearizedMotion:
+        """Prepare a passage of a log."""
+        robot, law = simulation.robot, simulation.law
+        model, temperatures = robot.model, robot.temperatures
+        motion = passage.motion(model)
+        if temperatures is not None:
+            motion = replace(motion, temperature=temperatures.at(passage.time, model.joints))
+        seen = model.motion(motion, sign_width=simulation.sign_width)
+        seen = replace(seen, log=log_number(passage.log))
+        at_links = seen.load + _effort(_forces(model, at_motor=False), seen)
+        A, L, m = law.of_motors, law.of_links, len(law.soft)
+        effort = law.applied(robot.along(passage)[0].T, law.mu).T
+        rest = at_links @ L - np.where(_is_servo(robot), 0.0, effort) @ A
+        rest[:, len(L) :] += law.added_inertia * motion.vd[:, law.soft.velocities]
+        by = seen.effort_slopes
+        inertia, damping, stiffness = (
+            L.T @ slope @ L for slope in (by.acceleration, by.velocity, by.position)
         )
-        places = len(L) + np.arange(len(soft))
-        acceleration[:, places, places] += added
-        return cls(
-            law,
-            passage,
-            contiguous(rest),
-            contiguous(acceleration),
-            contiguous(velocity),
-            contiguous(position),
-            motors,
-            servos,
-            at_links[:AT_START, soft],
-            slopes.position[:AT_START, soft, soft],
-            motion_before(model, passage, simulation.sign_width),
-            tuple(_motor_force(model, seen, motors, *each) for each in free),
-        )
+        places = len(L) + np.arange(m)
+        inertia[:, places, places] += law.added_inertia
+        before = motion_before(model, passage, simulation.sign_width)
+        slopes = inertia, damping, stiffness
+        return cls(law, robot, passage, seen, before, at_links, rest, slopes)
 
-    def under(self, acting: Acting, effects: Sequence[FittedEffect]) -> LinearizedMotion:
-        """Return the passage under other servos of the same joints, and other forces at motors."""
-        servos, _ = LinearizedServos.of(self.law, acting, self.passage, self.motors)
-        rest = self.rest.copy()
-        stiffness, damping, inertia = (
-            whole.copy() for whole in (self.stiffness, self.damping, self.inertia)
-        )
-        for force in self.forces:
-            change = force.change(effects)
-            rest[:, force.place] += change * force.effort
-            for whole, slope in zip((stiffness, damping, inertia), force.slopes, strict=True):
-                whole[:, force.place, force.place] += change * slope
-        return replace(
-            self, rest=rest, stiffness=stiffness, damping=damping, inertia=inertia, servos=servos
-        )
+    @property
+    def motors(self) -> NDArray[np.intp]:
+        """(nv,) where in y the motor of each joint is."""
+        return self.law.of_motors.argmax(axis=1)
 
-    def soft_joints(self, effects: Sequence[FittedEffect]) -> SoftJoints:
-        """Return the soft joints with other inertias of their motors, which damp springs."""
-        soft = self.law.soft
-        inertia, places = soft.motor_inertia.copy(), self.motors[soft.velocities]
-        for force in self.forces:
-            inertia[places == force.place] += force.change(effects) * force.slopes[2].mean()
-        return replace(soft, motor_inertia=inertia)
-
-    def departure(
-        self,
-        effects: Sequence[FittedEffect],
-        couplings: Sequence[Coupling],
-        *,
-        slopes: bool = False,
-    ) -> tuple[Array, Array]:
+    def departure(self, robot: LoggedRobot, *, slopes: bool = False) -> tuple[Array, Array]:
         """Return simulated − measured positions (N, nv) of motors, rad or m, and slopes (N, nv, k).
 
         Args:
-            effects: All effects, for where links in dead bands begin.
+            robot: The robot of the log, with another model.
             slopes: Whether those with positions and velocities of all links and motors, and with
                 integrals of servos, at the start are asked for; there are none (k = 0) if not.
         """
+        effects, soft = robot.model.effects, self.law.soft.velocities
+        equations, rotors = self._with_motors(robot.model)
+        couplings = self._couplings(effects, rotors)
         lag, rate = self._start(effects, couplings)
-        s = self.rest.shape[1]
-        free = self.servos.gains[:, 2].astype(bool)  # integrals
+        s, (servos, begun) = self.rest.shape[1], self._servos(robot)
+        free = servos.gains[:, 2].astype(bool)  # integrals
         units = np.eye(2 * s + len(free))[:, np.append(np.ones(2 * s, bool), free)]
         start = np.zeros((len(units), 1 + (units.shape[1] if slopes else 0)))
-        soft, period = self.law.soft.velocities, self.passage.segment.period
         start[soft, 0], start[s + soft, 0] = -lag, -rate
-        start[2 * s :, 0] = self.servos.begun
+        start[2 * s :, 0] = begun
         start[:, 1:] = units[:, : start.shape[1] - 1]
         held = np.array([[c.stiffness, c.play, c.damping, c.ramp] for c in couplings])
         out = np.empty((len(self.rest), s, start.shape[1]))
-        steps = max(1, int(np.ceil(period / _STEP)))
-        equations, servos = (self.rest, self.inertia, self.damping, self.stiffness), self.servos
+        period = self.passage.segment.period
+        steps = period, max(1, int(np.ceil(period / _STEP)))
         coupled = soft, self.motors[soft], held
-        driven = servos.effort, servos.behind, servos.motors, servos.gains
-        calc_linearized_motion(equations, (period, steps), (coupled, driven), start, out)
+        calc_linearized_motion(equations, steps, (coupled, servos), start, out)
         found = out[:, self.motors]
         return found[..., 0], found[..., 1:]
+
+    def _with_motors(self, model: RobotModel) -> tuple[_Equations, Array]:
+        """Return r, H, C and K with effects at motors, and inertias (nv,) that these are."""
+        forces = _forces(model, at_motor=True)
+        first = _forces(self.robot.model, at_motor=True)
+        if all(own is other for own, other in zip(forces, first, strict=True)):
+            return self._at_first
+        return self._with_forces(forces)
+
+    @cached_property
+    def _at_first(self) -> tuple[_Equations, Array]:
+        return self._with_forces(_forces(self.robot.model, at_motor=True))
+
+    def _with_forces(self, forces: Sequence[FittedEffect]) -> tuple[_Equations, Array]:
+        seen, motors, by = self.seen, self.motors, []
+        one = np.ones(len(motors))
+        sizes = {"vd": one, "v": seen.sign_width + 1e-9, "q": _MOVED * one}
+        for (name, size), rest in zip(sizes.items(), self.slopes, strict=True):
+            moved = (
+                replace(seen, **{name: getattr(seen, name) + way * size}) for way in (1.0, -1.0)
+            )
+            ahead, behind = (_effort(forces, each) for each in moved)
+            by.append(rest.copy())
+            by[-1][:, motors, motors] += (ahead - behind) / (2.0 * size)
+        rest = self.rest + _effort(forces, seen) @ self.law.of_motors
+        inertia, damping, stiffness = map(contiguous, by)
+        added = (inertia - self.slopes[0])[:, motors, motors]
+        return (contiguous(rest), inertia, damping, stiffness), added.mean(axis=0)
+
+    def _couplings(self, effects: Sequence[FittedEffect], rotors: Array) -> list[Coupling]:
+        """Return what couples motors and links, which is damped by the inertias of motors."""
+        soft, gives = self.law.soft, dict.fromkeys(self.law.soft.names, Give())
+        for fitted in effects:
+            if isinstance(effect := fitted.effect, DeflectionEffect):
+                gives[effect.joint] += effect.give(fitted.parameters)
+        more = (rotors - self._at_first[1])[soft.velocities]
+        return replace(soft, motor_inertia=soft.motor_inertia + more).held_by([*gives.values()])
+
+    def _servos(self, robot: LoggedRobot) -> tuple[_Servos, Array]:
+        """Return the servos, and their integrals (p,) at first, rad·s or m·s."""
+        law, some = self.law, _is_servo(robot)
+        effort, behind = robot.along(self.passage)
+        *gains, band, _ = robot.gains
+        kp, kd, ki, limit = (law.applied(gain, law.mu) for gain in gains)
+        servos = _Servos(
+            contiguous(law.applied(effort.T, law.mu).T[:, some]),
+            contiguous(behind[:, some]),
+            self.motors[some],
+            contiguous(np.stack([kp, kd, ki, limit, band], axis=1)[some]),
+        )
+        return servos, robot.begun(self.passage)[some]
 
     def _start(
         self, effects: Sequence[FittedEffect], couplings: Sequence[Coupling]
     ) -> tuple[Array, Array]:
         """Return lags (m,) when the passage begins, and their rates."""
-        lags = np.zeros_like(self.load)
+        soft = self.law.soft.velocities
+        load = self.at_links[:AT_START, soft]
+        give_way = self.seen.effort_slopes.position[:AT_START, soft, soft]
+        lags = np.zeros_like(load)
         for _ in range(_LAG_ITERATIONS):
-            torques = self.load - self.give_way * lags
+            torques = load - give_way * lags
             for i, coupling in enumerate(couplings):
                 lags[:, i] = torques[:, i] / coupling.stiffness
                 lags[:, i] += coupling.play * np.sign(torques[:, i])
@@ -234,64 +206,32 @@ class LinearizedMotion:
         return first_lag(lags, plays, time, lambda: thrown(effects, self.before, names))
 
 
-def _seen(simulation: Simulation, passage: Passage) -> RobotMotion:
-    """Return the measured motion as the effects of a model see it."""
-    model = simulation.model
-    motion = passage.motion(model)
-    if simulation.temperatures is not None:
-        warmth = simulation.temperatures.at(passage.time, model.joints)
-        motion = replace(motion, temperature=warmth)
-    seen = model.motion(motion, sign_width=simulation.sign_width)
-    return replace(seen, log=log_number(passage.log))
+def _is_servo(robot: LoggedRobot) -> NDArray[np.bool_]:
+    """Return (nv,) whether each joint has a servo."""
+    kp, kd, ki, *_ = robot.gains
+    return (kp != 0.0) | (kd != 0.0) | (ki != 0.0)
 
 
-def _effort(model: RobotModel, seen: RobotMotion, *, at_motor: bool) -> Array:
-    """Return efforts (N, nv) of effects at motors, or at bodies; without scales and springs."""
-    effort = np.zeros_like(seen.v)
-    for fitted in model.effects:
-        effect = fitted.effect
-        if effect.role in (Role.FORCE, Role.EPISODE) and effect.at_motor == at_motor:
-            effort += effect.effort(seen, fitted.parameters)
-    return effort
+def _forces(model: RobotModel, *, at_motor: bool) -> list[FittedEffect]:
+    """Return the effects at motors, or at bodies, that are neither scales nor springs."""
+    return [
+        fitted
+        for fitted in model.effects
+        if fitted.effect.role in (Role.FORCE, Role.EPISODE) and fitted.effect.at_motor == at_motor
+    ]
 
 
-def _motor_force(
-    model: RobotModel, seen: RobotMotion, motors: NDArray[np.intp], at: int, index: int
-) -> MotorForce:
-    """Return what a parameter makes; see `LinearizedMotion.of`."""
-    fitted = model.effects[at]
-    j = model.joints.index(fitted.effect.where[0])
-    one = replace(fitted, parameters=np.eye(len(fitted.parameters))[index])
-    effort, slopes = _at_motors(replace(model, effects=(one,)), seen)
-    return MotorForce(
-        at,
-        index,
-        float(fitted.parameters[index]),
-        int(motors[j]),
-        effort[:, j],
-        np.array([slope[:, j] for slope in slopes]),
-    )
-
-
-def _at_motors(model: RobotModel, seen: RobotMotion) -> tuple[Array, tuple[Array, Array, Array]]:
-    """Return efforts (N, nv) of effects at motors, and slopes with each joint's q, v and v̇."""
-    sizes = {"q": np.full(len(model.joints), _MOVED), "v": seen.sign_width + 1e-9}
-    sizes["vd"] = np.ones(len(model.joints))
-    slopes = []
-    for name, size in sizes.items():
-        ahead, behind = (
-            _effort(model, replace(seen, **{name: getattr(seen, name) + way * size}), at_motor=True)
-            for way in (1.0, -1.0)
-        )
-        slopes.append((ahead - behind) / (2.0 * size))
-    return _effort(model, seen, at_motor=True), (slopes[0], slopes[1], slopes[2])
+def _effort(forces: Sequence[FittedEffect], seen: RobotMotion) -> Array:
+    """Return the efforts (N, nv) of effects along a motion."""
+    efforts = (fitted.effect.effort(seen, fitted.parameters) for fitted in forces)
+    return sum(efforts, start=np.zeros_like(seen.v))
 
 
 @compiled
 def calc_linearized_motion(
-    equations: tuple[Array, Array, Array, Array],
+    equations: _Equations,
     steps: tuple[float, int],
-    held: tuple[_Held, _Driven],
+    held: tuple[_Held, _Servos],
     start: Array,
     out: Array,
 ) -> None:
@@ -303,9 +243,7 @@ def calc_linearized_motion(
         equations: (N, s) r, (N, s, s) H, C and K.
         steps: Time between rows, s, and steps between two.
         held: Of soft joints (m,) places of links and of motors in y, and (m, 4) stiffness, play,
-            damping and ramp; of servos (N, p) efforts and what they are behind, along the motion,
-            (p,) places of their motors, and (p, 5) stiffness, damping, integral gain, limit and
-            dead band.
+            damping and ramp; and the servos.
         start: (2 s + p, 1 + k) y, ẏ and the integrals of servos, and k changes of them.
         out: (N, s, 1 + k) y, and its changes.
     """

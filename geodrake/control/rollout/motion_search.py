@@ -17,9 +17,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from geodrake.control.rollout.linearized_motion import LinearizedMotion
-from geodrake.control.rollout.passages import Acting
 from geodrake.effects import FittedEffect, Role
-from geodrake.effects.deflection import DeflectionEffect, Give
+from geodrake.effects.deflection import DeflectionEffect
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.model.effort_signal import SERVO, EffortSignal
@@ -27,7 +26,6 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.model.servos import servos_of
 
 _FARTHEST = 30.0  # times what a value begins with
-_BESIDE = ("damping", "integral")  # of a servo, known beside its gain
 _DELAY_DEVIATION = 0.01  # s, as much as servos usually are late
 _TRIED = np.log([0.1, 0.2, 0.4, 0.7, 1.4, 2.5, 5.0, 10.0])  # steps of one value alone, at first
 _STEP = 0.02  # of a step, for slopes
@@ -65,8 +63,34 @@ class RolloutValue:
         return self.value * float(np.exp(steps))
 
     def change(self, steps: float) -> float:
-        """By how much one more step changes it."""
+        """Return by how much one more step changes it."""
         return self.deviation or self.moved(steps)
+
+    @property
+    def is_beside_gain(self) -> bool:
+        """Whether it is of a servo, and known beside its gain."""
+        return self.at is None and self.name in ("damping", "integral")
+
+    def in_effect(self, fitted: FittedEffect, now: float, deviation: float) -> FittedEffect:
+        """Return its effect, of a motor, with another value."""
+        at = [parameter.name for parameter in fitted.effect.parameters].index(self.name)
+        parameters, unsure = fitted.parameters.copy(), np.zeros(len(fitted.parameters))
+        if fitted.deviations is not None:
+            unsure = fitted.deviations.copy()
+        parameters[at], unsure[at] = now, deviation
+        return replace(fitted, parameters=parameters, deviations=unsure)
+
+    def in_servo(self, servo: EffortSignal, now: float, deviation: float) -> EffortSignal:
+        """Return its servo with another value.
+
+        A gain is known to the share that it was: the motion tells it for given inertias only.
+        """
+        known = {}
+        if self.name == "gain":
+            known = {"deviation": servo.uncertainty * now}
+        elif self.is_beside_gain:
+            known = {f"{self.name}_deviation": deviation}
+        return replace(servo, **{self.name: now, **known})  # type: ignore[arg-type]
 
 
 def is_soft(model: RobotModel) -> bool:
@@ -138,20 +162,6 @@ def _servo_values(servo: EffortSignal) -> list[RolloutValue]:
     return [RolloutValue(None, SERVO, servo.joint, name, *each) for name, each in unsure.items()]
 
 
-def forces_at_motors(
-    model: RobotModel, values: Sequence[RolloutValue]
-) -> tuple[tuple[int, int], ...]:
-    """Effects of values that forces at motors have, and which of their parameters they are."""
-    found = []
-    for value in values:
-        if value.at is not None:
-            effect = model.effects[value.at].effect
-            names = [parameter.name for parameter in effect.parameters]
-            if not isinstance(effect, DeflectionEffect):
-                found.append((value.at, names.index(value.name)))
-    return tuple(found)
-
-
 def values_at(values: Sequence[RolloutValue], x: Array) -> tuple[Array, Array]:
     """Return (k,) values after steps x (k,) of each, and how much one more step changes each.
 
@@ -164,10 +174,7 @@ def values_at(values: Sequence[RolloutValue], x: Array) -> tuple[Array, Array]:
         for value, (now, _) in zip(values, moved, strict=True)
         if value.at is None and value.name == "gain"
     }
-    beside = [value.at is None and value.name in _BESIDE for value in values]
-    gains = [
-        shares.get(v.joint, 1.0) if own else 1.0 for v, own in zip(values, beside, strict=True)
-    ]
+    gains = [shares.get(v.joint, 1.0) if v.is_beside_gain else 1.0 for v in values]
     found, changes = np.array(moved).T * gains
     return found, changes
 
@@ -179,75 +186,33 @@ def with_values(
     deviations: Sequence[float],
 ) -> RobotModel:
     """Return the model with other values."""
-    given: dict[int | str, tuple[dict[str, float], dict[str, float]]] = {}
+    effects = [*model.effects]
+    servos = {signal.joint: signal for signal in model.effort_signals}
+    of_springs: dict[int, tuple[dict[str, float], dict[str, float]]] = {}
     for value, now, unsure in zip(values, new, deviations, strict=True):
-        own = given.setdefault(value.joint if value.at is None else value.at, ({}, {}))
-        own[0][value.name], own[1][value.name] = float(now), float(unsure)
-    effects = [
-        _with_effect(fitted, *given[at]) if at in given else fitted
-        for at, fitted in enumerate(model.effects)
-    ]
-    signals = [
-        _with_servo(signal, *given[signal.joint]) if signal.joint in given else signal
-        for signal in model.effort_signals
-    ]
-    return replace(model, effects=tuple(effects), effort_signals=tuple(signals))
-
-
-def _with_effect(
-    fitted: FittedEffect, given: dict[str, float], deviations: dict[str, float]
-) -> FittedEffect:
-    """Return an effect with other values; what is not given stays."""
-    if isinstance(fitted.effect, DeflectionEffect):
-        return fitted.effect.with_rollout_values(given, deviations)
-    names = [parameter.name for parameter in fitted.effect.parameters]
-    parameters, unsure = fitted.parameters.copy(), np.zeros(len(names))
-    if fitted.deviations is not None:
-        unsure = fitted.deviations.copy()
-    for name, value in given.items():
-        at = names.index(name)
-        parameters[at], unsure[at] = value, deviations[name]
-    return replace(fitted, parameters=parameters, deviations=unsure)
-
-
-def _with_servo(
-    servo: EffortSignal, given: dict[str, float], deviations: dict[str, float]
-) -> EffortSignal:
-    """Return a servo with other values.
-
-    Its gain is known to the share that it was: the motion tells it for given inertias only.
-    """
-    known = {f"{name}_deviation": deviations[name] for name in _BESIDE if name in given}
-    known["deviation"] = servo.uncertainty * given.get("gain", servo.gain)
-    return replace(servo, **{**given, **known})  # type: ignore[arg-type]
-
-
-def giving_way(effects: Sequence[FittedEffect]) -> dict[str, Give]:
-    """Joint -> how far its link moves against its motor, of joints that are soft."""
-    found: dict[str, Give] = {}
-    for fitted in effects:
-        effect = fitted.effect
-        if isinstance(effect, DeflectionEffect):
-            found[effect.joint] = found.get(effect.joint, Give()) + effect.give(fitted.parameters)
-    return found
-
-
-@dataclass(frozen=True, eq=False)
-class SearchWindow:
-    """A window that values are fitted to."""
-
-    near: LinearizedMotion
-    acting: Callable[[RobotModel], Acting]  # what acts in its log, with the servos of a model
-    departure: Array  # (N, nv) simulated − logged positions at the start of the search, rad or m
+        if value.at is None:
+            servos[value.joint] = value.in_servo(servos[value.joint], now, unsure)
+        elif isinstance(effects[value.at].effect, DeflectionEffect):
+            own = of_springs.setdefault(value.at, ({}, {}))
+            own[0][value.name], own[1][value.name] = now, unsure
+        else:
+            effects[value.at] = value.in_effect(effects[value.at], now, unsure)
+    for at, both in of_springs.items():
+        if isinstance(effect := effects[at].effect, DeflectionEffect):
+            effects[at] = effect.with_rollout_values(*both)
+    signals = tuple(servos[signal.joint] for signal in model.effort_signals)
+    return replace(model, effects=tuple(effects), effort_signals=signals)
 
 
 @dataclass(frozen=True, eq=False)
 class MotionSearch:
-    """Windows that values are fitted to."""
+    """W windows that values are fitted to."""
 
     model: RobotModel  # the model at the start
     values: tuple[RolloutValue, ...]
-    windows: Sequence[SearchWindow]
+    windows: Sequence[LinearizedMotion]
+    # Of each window (N, nv) simulated − logged positions at the start of the search, rad or m.
+    departures: Sequence[Array]
 
     def fit(self) -> tuple[Array, Array]:
         """Return steps (k,) of values from the start, and their standard deviations."""
@@ -274,19 +239,17 @@ class MotionSearch:
         """
         values = values_at(self.values, x)[0].tolist()
         model = with_values(self.model, self.values, values, values)
-        gives, found = giving_way(model.effects), []
-        for window in self.windows:
-            near = window.near.under(window.acting(model), model.effects)
-            soft = near.soft_joints(model.effects)
-            couplings = soft.held_by([gives[joint] for joint in soft.names])
-            found.append(near.departure(model.effects, couplings, slopes=slopes))
-        return found
+        # (The robot of a log is shared by its windows, as it has commands to prepare.)
+        robots = {window.passage.log: window.robot.of(model) for window in self.windows}
+        return [
+            window.departure(robots[window.passage.log], slopes=slopes) for window in self.windows
+        ]
 
     @cached_property
     def rest(self) -> list[Array]:
         """Of each window (N, nv) what departs beside what is simulated near its motion."""
         start = self.near(np.zeros(len(self.values)))
-        return [w.departure - d for w, (d, _) in zip(self.windows, start, strict=True)]
+        return [whole - d for whole, (d, _) in zip(self.departures, start, strict=True)]
 
     def _blinds(self, x: Array) -> list[Blind]:
         """Return how departures count from now on, by where the search is."""

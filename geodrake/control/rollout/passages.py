@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -160,20 +159,37 @@ def _moving(
             yield start, replace(inner, effort=effort[ahead:][:count])
 
 
-class Acting:
-    """The efforts of a log, and in their place servos at joints that follow its commands.
+class LoggedRobot:
+    """The robot of a log: its model, and the efforts that act on it.
 
-    Efforts are straight lines between the log's samples, and commands cubics (`late_commands`).
+    In place of the log's efforts may be servos at joints that follow its commands. Efforts are
+    straight lines between the log's samples, and commands cubics (`late_commands`).
+
+    Args:
+        model: The model, with what it carries in the log.
+        commands: Whether servos close the loop.
     """
 
-    def __init__(self, model: RobotModel, log: JointLog, *, commands: bool) -> None:
+    def __init__(
+        self,
+        model: RobotModel,
+        log: JointLog,
+        temperatures: Temperatures | None,
+        *,
+        commands: bool,
+    ) -> None:
+        self.model, self.temperatures = model, temperatures
         count = len(model.joints)
         self._log, self._servos, self._delays = log, servos_of(model), command_delays(model)
+        self._follows = commands
         self._told = told_joints(model, log) if commands else np.zeros(count, bool)
         self._servoed = bool(self._told.any())
         pairs = zip(servo_gains(model) if self._servoed else NO_SERVO, NO_SERVO, strict=True)
         self.gains = ServoGains(*(np.where(self._told, own, none) for own, none in pairs))
-        self._ki = self.gains.ki
+
+    def of(self, model: RobotModel) -> LoggedRobot:
+        """Return the robot with another model."""
+        return LoggedRobot(model, self._log, self.temperatures, commands=self._follows)
 
     def add(self, builder: DiagramBuilder, state: OutputPort) -> OutputPort:
         """Add the systems that make the efforts (n), N·m or N, and return their output.
@@ -207,7 +223,7 @@ class Acting:
 
     def remember(self, passage: Passage, root: Context) -> None:
         """Set integrals to what they have grown to in the log, by its efforts."""
-        if self._ki.any():
+        if self.gains.ki.any():
             context = self._servo.GetMyMutableContextFromRoot(root)
             context.SetContinuousState(self.begun(passage))
 
@@ -236,16 +252,16 @@ class Acting:
 
     def begun(self, passage: Passage) -> Array:
         """Return the integrals (n,) when a passage begins, rad·s or m·s."""
-        begun, instants = np.zeros(len(self._ki)), self._log.time - passage.began
-        known = np.isfinite(instants)
+        ki, instants = self.gains.ki, self._log.time - passage.began
+        begun, known = np.zeros(len(ki)), np.isfinite(instants)
         for j, effort in self._integrals.items():
-            begun[j] = np.interp(passage.time[0], instants[known], effort[known]) / self._ki[j]
+            begun[j] = np.interp(passage.time[0], instants[known], effort[known]) / ki[j]
         return begun
 
     @cached_property
     def _integrals(self) -> dict[int, Array]:
         """Joint -> (N,) what the integral of its servo gives along the log, N·m or N."""
-        servos = {j: self._servos[j] for j in np.flatnonzero(self._ki).tolist()}
+        servos = {j: self._servos[j] for j in np.flatnonzero(self.gains.ki).tolist()}
         return {j: integral_effort(self._log, j, servo) for j, servo in servos.items() if servo}
 
     def _beside(self, passage: Passage) -> Array:
@@ -287,14 +303,6 @@ def told_joints(model: RobotModel, log: JointLog) -> NDArray[np.bool_]:
     return np.array([servo is not None for servo in servos_of(model)]) & known
 
 
-class LoggedRobot(NamedTuple):
-    """The robot of a log."""
-
-    model: RobotModel  # with what it carries there
-    acting: Acting
-    temperatures: Temperatures | None
-
-
 @dataclass(frozen=True, eq=False)
 class Conditions:
     """What rollouts of a case are made under."""
@@ -305,12 +313,16 @@ class Conditions:
     @cached_property
     def robots(self) -> dict[str, LoggedRobot]:
         """The robot of each log, by its name."""
-        logs, found = {log.name: log for log in self.case.asked.logs}, dict[str, LoggedRobot]()
-        for each in self.case.trajectories:
-            model = carrying(self.case.model, each.payloads)
-            acting = Acting(model, logs[each.name], commands=self.commands)
-            found[each.name] = LoggedRobot(model, acting, each.temperatures)
-        return found
+        logs = {log.name: log for log in self.case.asked.logs}
+        return {
+            each.name: LoggedRobot(
+                carrying(self.case.model, each.payloads),
+                logs[each.name],
+                each.temperatures,
+                commands=self.commands,
+            )
+            for each in self.case.trajectories
+        }
 
     @cached_property
     def fastest(self) -> Array:

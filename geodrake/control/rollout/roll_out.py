@@ -11,9 +11,15 @@ import numpy as np
 
 from geodrake.boundary.arguments import function, instance, instances, integer, number, typed
 from geodrake.boundary.showing import Short, Shown
-from geodrake.control.rollout.passages import Passage, Span, chosen_passages, told_joints
+from geodrake.control.rollout.passages import (
+    Conditions,
+    Passage,
+    Span,
+    chosen_passages,
+    told_joints,
+)
 from geodrake.control.rollout.simulation import simulations
-from geodrake.control.rollout.stepping import stepping, steps_alone
+from geodrake.control.rollout.stepping import Stepping, steps_alone
 from geodrake.effects import Role
 from geodrake.effects.lookup import effect_of
 from geodrake.errors import LogError
@@ -221,8 +227,8 @@ def case_rollout(
         )
     chosen = chosen_passages(case, horizon, most, within)
     notes = dict.fromkeys([*(_unheard(case) if commands else ()), *_fitted_forces(case)])
-    simulation = simulations(case, chosen, commands=commands)
-    together = steps_alone(model)
+    conditions = Conditions(case, commands)
+    simulation, together = simulations(conditions, chosen), steps_alone(model)
     groups = dict[str | Passage, list[Passage]]()
     for passage in chosen:
         groups.setdefault(_alike(case, passage.log) if together else passage, []).append(passage)
@@ -233,29 +239,13 @@ def case_rollout(
             progress(f"{first.log} {first.segment.time[0]:.1f} s", done / len(chosen))
         done += len(group)
         if together:
-            found |= zip(group, stepping(case, group, commands=commands).positions(), strict=True)
+            found |= zip(group, Stepping(conditions, group).positions(), strict=True)
             continue
         (passage,) = group
         found[passage] = simulation(passage.log).positions(passage)
         notes |= dict.fromkeys(simulation(passage.log).notes)
     windows = (Window(p.log, p.segment.time, p.segment.position, found[p]) for p in chosen)
     return Rollout(model.joints, tuple(windows), horizon, (*case.notes, *notes), commands)
-
-
-def named_rollout(
-    case: Case,
-    model: RobotModel,
-    name: str,
-    *,
-    horizon: float,
-    most: int,
-    commands: bool,
-    progress: Progress | None,
-) -> Rollout:
-    """Return the rollout of another model of a case, whose progress is told with a name."""
-    told = progress and (lambda words, share: progress(f"{name}: {words}", share))
-    of = replace(case, model=model)
-    return case_rollout(of, horizon=horizon, most=most, commands=commands, progress=told)
 
 
 def _alike(case: Case, log: str) -> str:

@@ -14,7 +14,6 @@ from geodrake.control.rollout.passages import FASTEST, Conditions, Passage
 from geodrake.effects import Effect, FittedEffect, RobotMotion
 from geodrake.effects.deflection import DeflectionEffect
 from geodrake.errors import LogError
-from geodrake.identification.logs.case import Case
 from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
@@ -35,10 +34,8 @@ _BEFORE = 0.5  # s before a passage, from which on links are followed through de
 _CHANGE = 1e-6  # of velocities, for rates of decay
 
 
-def simulations(
-    case: Case, passages: Sequence[Passage], *, commands: bool = False
-) -> Callable[[str], Simulation]:
-    """Return what gives the simulation of the model of a case in a log, made when first asked for.
+def simulations(conditions: Conditions, passages: Sequence[Passage]) -> Callable[[str], Simulation]:
+    """Return what gives the simulation of a model in a log, made when first asked for.
 
     Raises:
         LogError: A joint has no efforts.
@@ -49,14 +46,13 @@ def simulations(
             lacked all friction took up to 18 times the steps of calm ones on public logs (UR10e),
             and 256 times in the demo, some 74,000 for its twelve windows.
     """
-    for trajectory in case.trajectories:
+    for trajectory in conditions.case.trajectories:
         if trajectory.unmeasured:
             raise LogError(
                 f"Log {trajectory.name!r} has no efforts of {', '.join(trajectory.unmeasured)}, "
                 "without which nothing moves the robot.",
                 advice="Log efforts of all joints; or use geodrake compare.",
             )
-    conditions = Conditions(case, commands)
     calm = sum(max(len(p.time), (p.time[-1] - p.time[0]) / LARGEST_STEP) for p in passages)
     steps = iter(range(_STEPS + round(_TIMES * calm)))
     return cache(lambda log: Simulation(conditions, log, steps))
@@ -70,16 +66,16 @@ class Simulation:
     """
 
     def __init__(self, conditions: Conditions, log: str, steps: Iterator[int]) -> None:
-        self.model, self.acting, self.temperatures = conditions.robots[log]
+        self.robot = robot = conditions.robots[log]
         self.sign_width, self._fastest = conditions.sign_width, conditions.fastest
-        self._steps, model = steps, self.model
+        self._steps, model = steps, robot.model
         builder, phi, nv = DiagramBuilder(), model.total_phi, len(model.joints)
         loaded = load_plant(model.path, floating=model.floating, held=model.held, given=model.given)
         self._plant = plant = builder.AddSystem(loaded.plant)
         places = model.positions(np.arange(nv, dtype=float)[None])[0]
         self._order = np.argsort(places)  # where the position of each velocity stands
         own = np.concatenate([self._order, len(places) + np.arange(nv)])
-        self._driving = model.driving(plant, self.sign_width, log, self.temperatures)
+        self._driving = model.driving(plant, self.sign_width, log, robot.temperatures)
         effects = [fitted for fitted in model.effects if fitted.effect.role in FORCES]
         self._force = force = EffectForce.AddToBuilder(
             builder,
@@ -88,17 +84,22 @@ class Simulation:
             sign_width=self.sign_width,
             phi=phi,
             log=log,
-            temperatures=self.temperatures,
+            temperatures=robot.temperatures,
         )
         self._soft = bool(force.soft_joints)
         state = plant.get_state_output_port()
         self._apart = self._soft or self._driving is not None
         measured = force.GetOutputPort("motor_state") if self._apart else state
-        effort = self.acting.add(builder, selected(builder, measured, own))
+        effort = robot.add(builder, selected(builder, measured, own))
         builder.Connect(effort, force.GetInputPort("applied_effort"))
         if self._driving is None:
             add_generalized_force(builder, plant, effort)
         self._diagram = builder.Build()
+
+    @property
+    def model(self) -> RobotModel:
+        """The model, with what it carries in the log."""
+        return self.robot.model
 
     @property
     def law(self) -> ForceLaw:
@@ -117,11 +118,11 @@ class Simulation:
         integrator are left, they are NaN.
         """
         time = passage.time
-        self.acting.begin(passage)
+        self.robot.begin(passage)
         simulator = Simulator(self._diagram)
         root = simulator.get_mutable_context()
         root.SetTime(time[0])
-        self.acting.remember(passage, root)
+        self.robot.remember(passage, root)
         decay = self._start(passage, root)
         scheme = "radau3" if decay > _STIFF else "runge_kutta3"
         ResetIntegratorFromFlags(simulator, scheme, LARGEST_STEP)

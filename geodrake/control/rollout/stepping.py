@@ -25,7 +25,6 @@ from geodrake.control.rollout.passages import FASTEST, Conditions, LoggedRobot, 
 from geodrake.control.rollout.simulation import hidden_states
 from geodrake.effects import RobotMotion, Role
 from geodrake.effects.robot_motion import log_number
-from geodrake.identification.logs.case import Case
 from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
@@ -60,14 +59,9 @@ def steps_alone(model: RobotModel) -> bool:
     return plain and model.single_joints == model.joints and Role.DEFLECTION not in roles
 
 
-def stepping(case: Case, passages: Sequence[Passage], *, commands: bool) -> Stepping:
-    """Return the simulation of passages of a case, in whose logs the robot carries the same."""
-    return Stepping(Conditions(case, commands), passages)
-
-
 @dataclass(frozen=True, eq=False)
 class Stepping:
-    """The N passages that are simulated together."""
+    """The N passages that are simulated together, in whose logs the robot carries the same."""
 
     conditions: Conditions
     passages: Sequence[Passage]
@@ -120,7 +114,7 @@ class Stepping:
         h = spans / count
         times = first + h * np.add.outer(np.arange(count), [_GAMMA, 1.0]).ravel()  # ends of stages
         rows = zip(self.robots, self.passages, times, strict=True)
-        acts = np.stack([robot.acting.told(passage, own) for robot, passage, own in rows], axis=2)
+        acts = np.stack([robot.told(passage, own) for robot, passage, own in rows], axis=2)
         nodes, a = [state], np.zeros_like(state.velocity)
         lost = [np.zeros(len(h), bool)]
         for k in range(count):
@@ -164,23 +158,17 @@ class Stepping:
     @cached_property
     def _gains(self) -> ServoGains:
         """Gains (N, n) of the servos."""
-        gains = (robot.acting.gains for robot in self.robots)
-        return ServoGains(*map(np.array, zip(*gains, strict=True)))
+        rows = zip(*(robot.gains for robot in self.robots), strict=True)
+        return ServoGains(*map(np.array, rows))
 
     def _begin(self) -> State:
-        """Return how the passages begin."""
-        pairs = list(zip(self.robots, self.passages, strict=True))
-        return State(
-            np.array([passage.segment.position[0] for passage in self.passages]),
-            np.array([passage.segment.velocity[0] for passage in self.passages]),
-            np.array([robot.acting.begun(passage) for robot, passage in pairs]),
-            np.array([self._remembered(passage) for passage in self.passages]),
-        )
-
-    def _remembered(self, passage: Passage) -> Array:
-        """Return hidden states (h,) as the measured motion before a passage leaves them."""
-        states = hidden_states(self.model, passage, self.conditions.sign_width)
-        return np.concatenate([np.zeros(0), *states.values()])
+        """Return how the passages begin, by the measured motion before them."""
+        width, rows = self.conditions.sign_width, []
+        for robot, passage in zip(self.robots, self.passages, strict=True):
+            hidden = hidden_states(self.model, passage, width).values()
+            first = passage.segment.position[0], passage.segment.velocity[0]
+            rows.append((*first, robot.begun(passage), np.concatenate([np.zeros(0), *hidden])))
+        return State(*map(np.array, zip(*rows, strict=True)))
 
     def _mass(self, state: State) -> Array:
         """Return mass matrices (N, n, n) of the bodies."""
