@@ -136,7 +136,7 @@ def test_a_floating_robot_goes_into_its_own_format():
 
 
 def test_simulators_that_are_not_there_are_named(monkeypatch):
-    monkeypatch.setattr(proof, "engine", lambda name: None)
+    monkeypatch.setattr(proof, "find_spec", lambda name: None)
     output, _ = export(MODEL, "--to", "urdf", "out")
     assert 'pip install "geodrake[export]"' in output
     assert Path("out", MODEL.name).is_file()

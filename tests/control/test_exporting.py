@@ -159,14 +159,14 @@ def motion(model, count=60, seed=0):
 
 
 def exported(model, to, folder, motions=()):
-    """The first of the files in a folder, what they hold, and the notes in one line."""
+    """The first of the files in a folder, what they lack, and the notes in one line."""
     form = export_format(to)
-    held = held_by(model, form.holding(model), motions)
+    held, lost = held_by(model, form.holding(model), motions)
     folder.mkdir(exist_ok=True)
     made = form.write(model, held, folder)
     for name, content in made.files.items():
         (folder / name).write_bytes(content)
-    return folder / next(iter(made.files)), held, " ".join(made.notes)
+    return folder / next(iter(made.files)), lost, " ".join(made.notes)
 
 
 def drake_effort(path, moved):
@@ -200,9 +200,9 @@ def test_drake_computes_the_same_from_the_files(kind, to, tmp_path):
         tilt = FittedEffect(GravityTilt(0.1, 0.05), np.array([0.1, 0.05]))
         model = replace(model, effects=(*model.effects, tilt))
         in_their_format = exported(model, kind, tmp_path / "plain")[1]
-        assert [lost.effect for lost in in_their_format.lost] == ["gravity_tilt"]
-    path, held, _ = exported(model, to, tmp_path / "out")
-    assert held.lost == ()
+        assert [lost.effect for lost in in_their_format] == ["gravity_tilt"]
+    path, lost, _ = exported(model, to, tmp_path / "out")
+    assert lost == ()
     moved = motion(model)
     ours = model.effort(moved)
     np.testing.assert_allclose(drake_effort(path, moved), ours - dry(model, moved), atol=1e-10)
@@ -217,8 +217,8 @@ def test_mujoco_computes_the_same_from_the_file(tmp_path):
         model = fitted(loaded(tmp_path / kind, kind), springs=True)
         tilt = FittedEffect(GravityTilt(0.06, -0.03), np.array([0.06, -0.03]))
         model = replace(model, effects=(*model.effects, tilt))
-        path, held, _ = exported(model, "mjcf", tmp_path / kind / "out")
-        assert held.lost == ()
+        path, lost, _ = exported(model, "mjcf", tmp_path / kind / "out")
+        assert lost == ()
         compiled = mujoco.MjModel.from_xml_path(str(path))
         assert compiled.dof_frictionloss == pytest.approx([0.4, 0.0])
         assert compiled.dof_damping.ravel()[:2] == pytest.approx([0.7, 1.1])
@@ -236,8 +236,8 @@ def test_a_robot_goes_through_all_formats_and_back(tmp_path):
     moved = motion(model)
     ours = model.effort(moved)
     for to in ("sdf", "mjcf", "urdf", "mjcf", "sdf"):
-        path, held, _ = exported(model, to, tmp_path / f"{to}_of_{model.path.suffix[1:]}")
-        assert held.lost == ()
+        path, lost, _ = exported(model, to, tmp_path / f"{to}_of_{model.path.suffix[1:]}")
+        assert lost == ()
         model = load_model(path)
         assert model.joints == ("a", "b")
         np.testing.assert_allclose(model.effort(moved), ours, atol=1e-9)
@@ -363,21 +363,20 @@ def test_what_a_format_lacks_is_fitted_into_what_it_holds(kind, values, tmp_path
     extra = FittedEffect(kind("a"), np.array(values))
     whole = replace(model, effects=(*model.effects, extra))
     moved = motion(whole, 400)
-    held = held_by(whole, FORMATS["urdf"].holding(whole), [moved])
-    (lost,) = held.lost
+    held, (lost,) = held_by(whole, FORMATS["urdf"].holding(whole), [moved])
     assert (lost.effect, lost.where) == (extra.effect.name, ("a",))
     assert lost.into == ("viscous_friction", "coulomb_friction")
 
     def error(other):
         return np.sum((other.effort(moved) - whole.effort(moved)) ** 2)
 
-    assert error(held.model) < 0.4 * error(model)
+    assert error(held) < 0.4 * error(model)
     # No other damping and dry friction of the joint is nearer.
-    for k, each in enumerate(held.model.effects):
+    for k, each in enumerate(held.effects):
         for factor in (0.95, 1.05):
-            effects = [*held.model.effects]
+            effects = [*held.effects]
             effects[k] = FittedEffect(each.effect, factor * each.parameters)
-            assert error(replace(held.model, effects=tuple(effects))) > error(held.model)
+            assert error(replace(held, effects=tuple(effects))) > error(held)
 
 
 def test_isaac_has_a_value_for_everything_that_it_would_read_elsewhere(tmp_path):
@@ -618,7 +617,7 @@ def test_the_proof_sees_wrong_actuators(old, new, tmp_path):
     model = servoed(hinged(tmp_path, text=HINGES), effects=(delayed(-0.02, "a"),))
     path, *_ = exported(model, "mjcf", tmp_path / "out")
     motion = random_motion(model)
-    arguments = ["mujoco"], compared([motion]), random_starts(model, motion)
+    arguments = [MujocoEngine], compared([motion]), random_starts(model, motion)
     assert prove(model, path, *arguments).differences[1].is_rounding
     text = path.read_text()
     assert text.count(old) == 1
@@ -734,8 +733,8 @@ def test_every_effect_is_held_or_named(chain):
     for effect in instances():
         model = replace(chain, effects=(with_value(effect),))
         for name, others in more.items():
-            found = held_by(model, FORMATS[name].holding(model), [motion])
-            assert {lost.effect for lost in found.lost} == {effect.name} - held - others
+            _, found = held_by(model, FORMATS[name].holding(model), [motion])
+            assert {lost.effect for lost in found} == {effect.name} - held - others
 
 
 def test_all_effects_at_once(chain, tmp_path):

@@ -360,7 +360,7 @@ def test_the_centre_of_pressure_is_told():
 def test_what_the_drive_does_is_in_no_file():
     model = explained("drives that compensate too much")[1].model
     motions = [Motion(*np.random.default_rng(0).normal(size=(3, 50, 2)))]
-    (lost,) = held_by(model, lambda effect: isinstance(effect, Damping), motions).lost
+    _, (lost,) = held_by(model, lambda effect: isinstance(effect, Damping), motions)
     assert (lost.effect, lost.into) == ("friction_overcompensation", ())
     (told,) = reasons(model.effects)
     assert "friction_overcompensation of shoulder, elbow is not in the files" in told

@@ -8,11 +8,10 @@ from __future__ import annotations
 import abc
 import platform
 import runpy
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from importlib.metadata import version
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -47,17 +46,20 @@ class Engine(abc.ABC):
 
     Joints are those of the model, one position and one velocity each; or those of its plant.
 
-    Attributes:
-        ignores: Effects that may be in the file, but which the simulator does not act upon.
-        of_plant: Whether joints are those of the plant, among them such as follow others.
-        drives: Actuators of the file that efforts of rollouts pass through; None for none.
     """
 
-    name: str
-    of_plant: ClassVar[bool] = False
-    drives: Drives | None = None
-    messages: tuple[str, ...] = ()
+    package: ClassVar[str]  # that it needs
+    # Effects that may be in the file, but which the simulator does not act upon.
     ignores: ClassVar[tuple[type[Effect], ...]] = ()
+    # Whether joints are those of the plant, among them such as follow others.
+    of_plant: ClassVar[bool] = False
+    name: str
+    drives: Drives | None = None  # actuators that efforts of rollouts pass through
+    messages: tuple[str, ...] = ()  # warnings
+
+    @abc.abstractmethod
+    def __init__(self, file: Path, model: RobotModel) -> None:
+        """Load a file of a model."""
 
     @abc.abstractmethod
     def effort(self, q: Array, v: Array, vd: Array) -> tuple[Array, Mask]:
@@ -87,6 +89,7 @@ def order_of(joints: Sequence[str], places: Mapping[str, int], file: Path, name:
 class DrakeEngine(Engine):
     """A plant, continuous in time; it does not act upon dry friction of its joints."""
 
+    package = "pydrake"
     of_plant = True
     ignores: ClassVar[tuple[type[Effect], ...]] = (DryFriction,)
 
@@ -175,6 +178,7 @@ class MujocoEngine(Engine):
     actuators are without force.
     """
 
+    package = "mujoco"
     of_plant = True
 
     def __init__(self, file: Path, model: RobotModel) -> None:
@@ -318,6 +322,7 @@ class MujocoEngine(Engine):
 class PinocchioEngine(Engine):
     """A model of Pinocchio: the rigid bodies alone, as `geodrake check` has its opinion on them."""
 
+    package = "pinocchio"
     ignores: ClassVar[tuple[type[Effect], ...]] = (DryFriction, Rotor, Damping)
 
     def __init__(self, file: Path, model: RobotModel) -> None:
@@ -343,6 +348,8 @@ class PinocchioEngine(Engine):
 class PythonEngine(Engine):
     """A module with a function effort(q, v, vd)."""
 
+    package = "math"
+
     def __init__(self, file: Path, model: RobotModel) -> None:
         self.name = f"Python {platform.python_version()}"
         names = runpy.run_path(str(file))
@@ -355,18 +362,3 @@ class PythonEngine(Engine):
         rows = zip(q.tolist(), v.tolist(), vd.tolist(), strict=True)
         found = np.array([self._effort(*row) for row in rows])
         return found[:, self._order], np.full(v.shape, True)
-
-
-_ENGINES: dict[str, tuple[str, type[Engine]]] = {
-    "drake": ("pydrake", DrakeEngine),
-    "mujoco": ("mujoco", MujocoEngine),
-    "pinocchio": ("pinocchio", PinocchioEngine),
-    "python": ("math", PythonEngine),
-}
-"""Name -> the package that it needs, and its class."""
-
-
-def engine(name: str) -> Callable[[Path, RobotModel], Engine] | None:
-    """Return what loads a file into a simulator; None if that is not installed."""
-    package, kind = _ENGINES[name]
-    return None if find_spec(package) is None else kind

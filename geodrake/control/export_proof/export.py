@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -13,15 +14,9 @@ import numpy as np
 
 from geodrake.boundary.arguments import file_path, instances, number, positive, typed
 from geodrake.boundary.whole_files import Content, made_folder, write_together
-from geodrake.control.export_proof.engines import Engine, engine
-from geodrake.control.export_proof.formats import export_format
-from geodrake.control.export_proof.held import (
-    Exported,
-    ExportFormat,
-    HeldModel,
-    Lost,
-    held_by,
-)
+from geodrake.control.export_proof.engines import DrakeEngine, Engine
+from geodrake.control.export_proof.formats import Exported, ExportFormat, export_format
+from geodrake.control.export_proof.held import Lost, held_by
 from geodrake.control.export_proof.reference import (
     STEP,
     Start,
@@ -150,15 +145,15 @@ def export_with_proof(
         motions = logged_motions(model, case.trajectories)
     else:
         motions = [random_motion(model)] if tried else []
-    held = held_by(model, form.holding(model), motions)
+    held, lost = held_by(model, form.holding(model), motions)
     exported = form.write(model, held, folder)
     proof = Proof((), (), (_SEVERAL,))
     if tried:
         progress("Testing in simulators")
         starts = (
-            logged_starts(held.model, case.trajectories)
+            logged_starts(held, case.trajectories)
             if case is not None
-            else random_starts(held.model, motions[0])
+            else random_starts(held, motions[0])
         )
         with TemporaryDirectory() as scratch:
             again = form.write(model, held, Path(scratch))
@@ -166,28 +161,19 @@ def export_with_proof(
                 (path := Path(scratch) / name).parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(content)
             first = Path(scratch) / next(iter(again.files))
-            proof = prove(held.model, first, form.engines, compared(motions), starts)
-    costs, lacks = None, held.lost
+            proof = prove(held, first, form.engines, compared(motions), starts)
+    costs = None
     if case is not None:
         progress("Comparing it with the logs")
-        costs, lacks = costs_of(case, held, form, motions, proof.ignored)
+        costs = _costs(case, held, proof.ignored)
+        lost = _costed(case, form, motions, lost)
     notes = [*(model.notes if case is None else case.notes), *exported.notes, *proof.notes]
-    if told := [servo.joint for servo in servos_of(model) if servo and not form.servos]:
-        notes.append(
-            f"{form.name} has no servo gains, such as those of {', '.join(told)}; mjcf and "
-            "isaac do, and PositionServo in a Drake diagram"
-        )
-    notes += lost_integrals(model, form, case)
-    if idle := [servo.joint for servo in servos_of(model) if servo and servo.dead_band]:
-        notes.append(
-            f"{form.name} has no dead band of servos, such as that of {', '.join(idle)}; "
-            "PositionServo in a Drake diagram has it"
-        )
-    gone = {lost.effect for lost in held.lost}
+    notes += _servo_notes(model, form, case)
+    gone = {each.effect for each in lost}
     notes += reasons([fitted for fitted in model.effects if fitted.effect.name in gone])
-    if "drake" in form.engines and (proof.ignored or held.lost):
+    if DrakeEngine in form.engines and (proof.ignored or lost):
         notes.append(_IN_DRAKE)
-    return ProvenExport(form, exported, held.model, lacks, costs, proof, tuple(notes))
+    return ProvenExport(form, exported, held, lost, costs, proof, tuple(notes))
 
 
 def check_folder(
@@ -203,7 +189,7 @@ def check_folder(
     check_format(model, form)
     taken = {os.path.realpath(path) for path in (*inputs, model.path)}
     model = model.with_volume
-    for name in form.write(model, HeldModel(model, ()), folder).files:
+    for name in form.write(model, model, folder).files:
         path, advice = folder / name, "Choose another folder"
         if os.path.realpath(path) in taken:
             reason = "an input of this command"
@@ -232,16 +218,15 @@ def write_files(
 
 def check_format(model: RobotModel, form: ExportFormat) -> None:
     """Refuse a format that has no place for what the model has."""
+    problem = ""
     if loops := [", ".join(drive.joints) for drive in model.transmission if drive.is_loop]:
+        problem = f"closed loops, but the model has one of {loops[0]}"
+    elif bent := [joint for joint, tie in model.followers.items() if not tie.is_linear]:
+        follower = bent[0].rpartition("::")[2]
+        problem = f"that {follower} follows another joint by a ratio that changes"
+    if problem:
         raise ModelError(
-            f"The format {form.name} cannot express closed loops, but the model has one of "
-            f"{loops[0]}.",
-            advice="Export only the inertias into the model's file: geodrake identify --export.",
-        )
-    if bent := [joint for joint, tie in model.followers.items() if not tie.is_linear]:
-        raise ModelError(
-            f"The format {form.name} cannot express that {bent[0].rpartition('::')[2]} follows "
-            "another joint by a ratio that changes.",
+            f"The format {form.name} cannot express {problem}.",
             advice="Export only the inertias into the model's file: geodrake identify --export.",
         )
     if model.transmission and not form.at_actuators:
@@ -253,60 +238,79 @@ def check_format(model: RobotModel, form: ExportFormat) -> None:
         )
 
 
-def costs_of(
-    case: Case,
-    held: HeldModel,
-    form: ExportFormat,
-    motions: Sequence[Motion],
-    ignored: Sequence[str],
-) -> tuple[Costs, tuple[Lost, ...]]:
-    """Return the errors with and without what an export lacks, and that with what each costs.
+def _nrms(case: Case, model: RobotModel) -> float:
+    return comparison(reopen(case, model)).errors.nrms
 
-    Args:
-        ignored: Names of effects upon which the simulator does not act.
-    """
+
+def _costs(case: Case, held: RobotModel, ignored: Sequence[str]) -> Costs:
+    """Return the errors of a model, of its export, and without what the simulator ignores."""
+    acting = tuple(f for f in held.effects if f.effect.name not in ignored)
+    acted = None
+    if len(acting) < len(held.effects):
+        acted = _nrms(case, replace(held, effects=acting))
+    return Costs(comparison(case).errors.nrms, _nrms(case, held), acted)
+
+
+def _costed(
+    case: Case, form: ExportFormat, motions: Sequence[Motion], lost: Sequence[Lost]
+) -> tuple[Lost, ...]:
+    """Return what an export lacks with the error without each, those that cost most first."""
     holds = form.holding(case.model)
 
-    def nrms(model: RobotModel) -> float:
-        return comparison(reopen(case, model)).errors.nrms
+    def nrms(name: str) -> float:
+        without, _ = held_by(case.model, holds, motions, keep=lambda other: other.name != name)
+        return _nrms(case, without)
 
-    def without(name: str) -> RobotModel:
-        return held_by(case.model, holds, motions, keep=lambda other: other.name != name).model
-
-    acting = tuple(f for f in held.model.effects if f.effect.name not in ignored)
-    acted = replace(held.model, effects=acting)
-    lacks = [replace(lost, nrms=nrms(without(lost.effect))) for lost in held.lost]
-    ignored_too = nrms(acted) if len(acting) < len(held.model.effects) else None
-    costs = Costs(comparison(case).errors.nrms, nrms(held.model), ignored_too)
-    return costs, tuple(sorted(lacks, key=lambda lost: -(lost.nrms or 0.0)))
+    found = [replace(each, nrms=nrms(each.effect)) for each in lost]
+    return tuple(sorted(found, key=lambda each: -(each.nrms or 0.0)))
 
 
-def lost_integrals(model: RobotModel, form: ExportFormat, case: Case | None) -> tuple[str, ...]:
-    """Return a note on servos whose integral an export does not hold; none if it holds all.
+def _servo_notes(model: RobotModel, form: ExportFormat, case: Case | None) -> list[str]:
+    """Return notes on what an export does not have of servos.
 
-    It says what a robot departs by without integrals and with them, where logs have commands.
+    Of integrals they say by what the motion under logged commands departs without and with them.
     """
-    joints = [servo.joint for servo in servos_of(model) if servo and servo.integral]
-    if not joints or not form.servos:
-        return ()
-    words = f"servos of {form.name} have no integral gain, such as that of {', '.join(joints)}"
+    found, servos = [], [servo for servo in servos_of(model) if servo]
+    in_drake = "PositionServo in a Drake diagram"
+    if told := ", ".join(servo.joint for servo in servos if not form.servos):
+        found.append(
+            f"{form.name} has no servo gains, such as those of {told}; mjcf and isaac do, and "
+            f"{in_drake}"
+        )
+    integrals = [servo.joint for servo in servos if servo.integral and form.servos]
+    if integrals:
+        words = f"servos of {form.name} have no integral gain, such as that of "
+        words += ", ".join(integrals) + _integral_cost(case, integrals)
+        found.append(f"{words}; {in_drake} has it")
+    if idle := ", ".join(servo.joint for servo in servos if servo.dead_band):
+        found.append(
+            f"{form.name} has no dead band of servos, such as that of {idle}; {in_drake} has it"
+        )
+    return found
+
+
+def _integral_cost(case: Case | None, joints: Sequence[str]) -> str:
+    """Return what servos depart by without integrals and with them; "" if logs do not tell."""
+    if case is None:
+        return ""
+    model = case.model
     at = [model.joints.index(joint) for joint in joints]
-    if case is not None and any(told_joints(case.model, log)[at].any() for log in case.asked.logs):
-        signals = tuple(replace(s, integral=0.0) for s in case.model.effort_signals)
-        models = replace(case.model, effort_signals=signals), case.model
-        try:
-            shares = [
-                case_rollout(replace(case, model=each), most=_WINDOWS, commands=True).relative
-                for each in models
-            ]
-        except (LogError, ModelError):  # logs that are too short, or a robot that is not simulated
-            shares = [np.nan]
-        if np.isfinite(shares).all():
-            words += (
-                f": the motion error under the logged commands is {100 * shares[0]:.2g} % "
-                f"without it, and {100 * shares[1]:.2g} % with it"
-            )
-    return (f"{words}; PositionServo in a Drake diagram has it",)
+    if not any(told_joints(model, log)[at].any() for log in case.asked.logs):
+        return ""
+    signals = tuple(replace(signal, integral=0.0) for signal in model.effort_signals)
+    try:
+        shares = [
+            case_rollout(replace(case, model=each), most=_WINDOWS, commands=True).relative
+            for each in (replace(model, effort_signals=signals), model)
+        ]
+    except (LogError, ModelError):  # logs that are too short, or a robot that is not simulated
+        return ""
+    if not np.isfinite(shares).all():
+        return ""
+    return (
+        f": the motion error under the logged commands is {100 * shares[0]:.2g} % "
+        f"without it, and {100 * shares[1]:.2g} % with it"
+    )
 
 
 ROUNDING = 1e-6
@@ -344,16 +348,19 @@ class Proof:
 
 
 def prove(
-    held: RobotModel, file: Path, engines: Sequence[str], motion: Motion, starts: Sequence[Start]
+    held: RobotModel,
+    file: Path,
+    engines: Sequence[type[Engine]],
+    motion: Motion,
+    starts: Sequence[Start],
 ) -> Proof:
     """Compare simulators that load an export with the model in it."""
     differences, ignored, notes = list[Difference](), None, list[str]()
-    for name in engines:
-        make = engine(name)
-        if make is None:
+    for make in engines:
+        if find_spec(make.package) is None:
             notes.append(
-                f"{name} is not installed, so the export was not tested in it: pip install "
-                '"geodrake[export]"'
+                f"{make.package} is not installed, so the export was not tested in it: pip "
+                'install "geodrake[export]"'
             )
             continue
         try:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,14 @@ from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.tree import BodyIndex, RigidBody
 
 from geodrake.boundary.escaping import printable
-from geodrake.control.export_proof.held import Exported, ExportFormat, HeldModel, Holding, Write
+from geodrake.control.export_proof.engines import (
+    DrakeEngine,
+    Engine,
+    MujocoEngine,
+    PinocchioEngine,
+    PythonEngine,
+)
+from geodrake.control.export_proof.held import Holds
 from geodrake.control.export_proof.joints import exported_joints
 from geodrake.control.export_proof.model_text import (
     model_file,
@@ -52,7 +60,35 @@ _FILES = {
 """Template -> its place in the package."""
 
 
-def ros2_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
+@dataclass(frozen=True)
+class Exported:
+    """The files of an export."""
+
+    files: Mapping[str, bytes]  # name in the folder -> content; what a simulator loads first
+    notes: tuple[str, ...] = ()  # what is worth knowing about them
+
+
+Holding = Callable[[RobotModel], Holds]
+"""For a model, whether the files hold one of its effects as it is."""
+
+Write = Callable[[RobotModel, RobotModel, Path], Exported]
+"""Writes a model: the whole one, what the format holds of it, and the folder of the files."""
+
+
+@dataclass(frozen=True)
+class ExportFormat:
+    """A format."""
+
+    name: str  # what it is called, as in `--to`
+    holding: Holding  # inertias and payloads are always held
+    write: Write
+    engines: tuple[type[Engine], ...] = ()  # the simulators in which the files are tried
+    # Whether the files have the efforts of actuators behind a transmission, too.
+    at_actuators: bool = False
+    servos: bool = False  # whether the files have the gains of servos
+
+
+def ros2_files(model: RobotModel, held: RobotModel, folder: Path) -> Exported:
     """Return a package for colcon with a chainable controller.
 
     Its efforts are those of the exported C++ function at no acceleration.
@@ -64,7 +100,7 @@ def ros2_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
             "model has others.",
             advice="Export to cpp, and write a controller that calls the function.",
         )
-    source = effort_source(held.model, "cpp", sign_width=SIGN_WIDTH)
+    source = effort_source(held, "cpp", sign_width=SIGN_WIDTH)
     robot = source.file_name.removesuffix("_effort.hpp")
     package = re.sub(r"[^a-z0-9]+", "_", robot.lower()).strip("_") + "_feedforward"
     order = model.positions(np.arange(count, dtype=float)[None])[0]
@@ -99,7 +135,7 @@ def ros2_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
     return Exported(files, notes)
 
 
-def isaac_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
+def isaac_files(model: RobotModel, held: RobotModel, folder: Path) -> Exported:
     """Return a robot's URDF and the values that Isaac Lab's actuators take, by name.
 
     Viscous friction is `viscous_friction`, since `damping` is a gain; static `friction` is what
@@ -108,8 +144,8 @@ def isaac_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
     `min_delay` and `max_delay` of a DelayedPDActuatorCfg are it in steps of the simulation.
     `effort_delay` is that of measured efforts, which drives do not have.
     """
-    name, data, notes = model_file(held.model, "urdf", folder)
-    stem, held_joints = name.removesuffix(".urdf"), exported_joints(held.model)
+    name, data, notes = model_file(held, "urdf", folder)
+    stem, held_joints = name.removesuffix(".urdf"), exported_joints(held)
     at_rest = {  # by how much friction exceeds that of a moving joint
         fitted.effect.where[0]: float(fitted.parameters[0])
         for fitted in model.effects
@@ -160,7 +196,7 @@ def _holding(
         able: Whether they can hold these of a model.
     """
 
-    def holding(model: RobotModel) -> Callable[[Effect], bool]:
+    def holding(model: RobotModel) -> Holds:
         springs = written_kind(model, kinds) in _WITH_SPRINGS
         more = beside if beside and able(model) else ()
         if stands_as_it_is(model, kinds[0]):
@@ -179,9 +215,9 @@ def _holding(
 def _file(kind: str) -> Write:
     """Write one file of a format."""
 
-    def write(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
+    def write(model: RobotModel, held: RobotModel, folder: Path) -> Exported:
         stands = stands_as_it_is(model, kind)
-        name, data, notes = model_file(held.model, kind, folder, stands=stands)
+        name, data, notes = model_file(held, kind, folder, stands=stands)
         return Exported({name: data}, notes)
 
     return write
@@ -190,26 +226,26 @@ def _file(kind: str) -> Write:
 def _source(language: str) -> Write:
     """Write the effort as a function in a language."""
 
-    def write(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
-        source = effort_source(held.model, language)
+    def write(model: RobotModel, held: RobotModel, folder: Path) -> Exported:
+        source = effort_source(held, language)
         notes = tuple(f"not included: {effect}" for effect in source.left_out)
         return Exported({source.file_name: source.text.encode()}, notes)
 
     return write
 
 
-def _drake_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
+def _drake_files(model: RobotModel, held: RobotModel, folder: Path) -> Exported:
     """Return a robot's file, the directives that add and weld it, and the package that they are.
 
     A tilted base is welded as it stands.
     """
     kind = written_kind(model, _DRAKE_KINDS)
-    name, data, notes = model_file(held.model, kind, folder)
+    name, data, notes = model_file(held, kind, folder)
     package = re.sub(r"[^a-z0-9_]+", "_", folder.resolve().name.lower()).strip("_") or "robot"
     plant = model.plant
     roots, instance = [], name.partition(".")[0]
     if name == model.path.name:
-        roots = _free_roots(held.model)
+        roots = _free_roots(held)
         last = plant.get_body(BodyIndex(plant.num_bodies() - 1))
         instance = plant.GetModelInstanceName(last.model_instance())
     lines = [
@@ -267,21 +303,20 @@ def _free_roots(model: RobotModel) -> list[tuple[RigidBody, RigidTransform]]:
     return found
 
 
-_URDF_ENGINES = ("drake", "pinocchio")
+_URDF_ENGINES = (DrakeEngine, PinocchioEngine)
 _OF_DRAKE = _holding(*_DRAKE_KINDS, beside=(Tilt,), able=_stands_free)
+_OF_MUJOCO = _holding("xml", beside=(Tilt, Delay))
 _OF_ISAAC = _holding("urdf", beside=(Delay,))
 
 FORMATS = {
     each.name: each
     for each in (
         ExportFormat("urdf", _holding("urdf"), _file("urdf"), _URDF_ENGINES),
-        ExportFormat("sdf", _holding("sdf"), _file("sdf"), ("drake",)),
-        ExportFormat(
-            "mjcf", _holding("xml", beside=(Tilt, Delay)), _file("xml"), ("mujoco",), servos=True
-        ),
-        ExportFormat("drake", _OF_DRAKE, _drake_files, ("drake",)),
+        ExportFormat("sdf", _holding("sdf"), _file("sdf"), (DrakeEngine,)),
+        ExportFormat("mjcf", _OF_MUJOCO, _file("xml"), (MujocoEngine,), servos=True),
+        ExportFormat("drake", _OF_DRAKE, _drake_files, (DrakeEngine,)),
         ExportFormat("isaac", _OF_ISAAC, isaac_files, _URDF_ENGINES, servos=True),
-        ExportFormat("python", lambda _: is_written, _source("python"), ("python",), True),
+        ExportFormat("python", lambda _: is_written, _source("python"), (PythonEngine,), True),
         ExportFormat("cpp", lambda _: is_written, _source("cpp"), at_actuators=True),
         ExportFormat("ros2", lambda _: is_written, ros2_files),
     )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,22 +36,16 @@ class Lost:
     nrms: float | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class HeldModel:
-    """A model as far as a format holds it."""
-
-    model: RobotModel  # of effects that the format holds
-    lost: tuple[Lost, ...]  # what of the whole model it is without
-
-
 def held_by(
     model: RobotModel,
     holds: Holds,
     motions: Sequence[Motion],
     *,
     keep: Holds = lambda effect: False,
-) -> HeldModel:
+) -> tuple[RobotModel, tuple[Lost, ...]]:
     """Return the model that a format can hold and that is nearest to a model on some motion.
+
+    With it comes what it is without.
 
     Effects of a kind at a joint become one. What the format cannot hold is approximated at each
     joint by least squares over the motion: friction that depends on load or direction, or that
@@ -77,7 +70,7 @@ def held_by(
             for effect, names in named.items():
                 into[effect] = tuple(dict.fromkeys([*into.get(effect, ()), *names]))
     effects = tuple(fitted for fitted in merged.values() if fitted.effect.role is not Role.INERTIA)
-    return HeldModel(replace(model, effects=effects, information=None), _named(lost, into))
+    return replace(model, effects=effects, information=None), _named(lost, into)
 
 
 def _folded(effects: Sequence[FittedEffect], holds: Holds, keep: Holds) -> list[FittedEffect]:
@@ -193,33 +186,3 @@ def _named(lost: Sequence[FittedEffect], into: dict[Effect, tuple[str, ...]]) ->
         names = dict.fromkeys([*before.into, *into.get(fitted.effect, ())])
         found[name] = Lost(name, tuple(where), tuple(names))
     return tuple(found.values())
-
-
-@dataclass(frozen=True)
-class Exported:
-    """The files of an export."""
-
-    files: Mapping[str, bytes]  # name in the folder -> content; what a simulator loads first
-    notes: tuple[str, ...] = ()  # what is worth knowing about them
-
-
-Holding = Callable[[RobotModel], Callable[[Effect], bool]]
-"""For a model, whether the files hold one of its effects as it is."""
-
-Write = Callable[[RobotModel, HeldModel, Path], Exported]
-"""Writes a model: the whole one, what the format holds of it, and the folder of the files."""
-
-
-@dataclass(frozen=True)
-class ExportFormat:
-    """A format."""
-
-    name: str  # what it is called, as in `--to`
-    # What tells, for a model, whether the files hold an effect as it is; inertias and payloads they
-    # always hold.
-    holding: Holding
-    write: Write
-    engines: tuple[str, ...] = ()  # names of the simulators in which the files are tried
-    # Whether the files have the efforts of actuators behind a transmission, too.
-    at_actuators: bool = False
-    servos: bool = False  # whether the files have the gains of servos

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geodrake.control.export_proof.joints import exported_joints
+from geodrake.control.rollout.passages import Passage
 from geodrake.effects import Effect
 from geodrake.inertia import Array
-from geodrake.logs.motion import MEMORY, Motion, Trajectory
-from geodrake.logs.smoothing import Segment, Stretch
+from geodrake.logs.motion import Motion, Trajectory
 from geodrake.model.file_terms import DryFriction
 from geodrake.model.robot_model import RobotModel
 
@@ -145,30 +145,14 @@ def _acceleration(model: RobotModel, q: Array, v: Array, effort: Array) -> Array
 
 def logged_motions(model: RobotModel, trajectories: Sequence[Trajectory]) -> list[Motion]:
     """Choose passages of logs, spread evenly."""
-    stretches = [s for trajectory in trajectories for s in trajectory.segments]
-    began = [t.began for t in trajectories for _ in t.segments]
     passages = [
-        (k, start)
-        for k, stretch in enumerate(stretches)
+        Passage(trajectory.name, trajectory.began, stretch[start : start + _CHUNK], stretch, start)
+        for trajectory in trajectories
+        for stretch in trajectory.segments
         for start in range(0, max(1, len(stretch) - _CHUNK // 2), _CHUNK)
     ]
     spread = np.linspace(0, len(passages) - 1, min(_CHUNKS, len(passages))).round().astype(int)
-    return [
-        _motion(model, stretches[k], start, began[k])
-        for k, start in (passages[i] for i in dict.fromkeys(spread.tolist()))
-    ]
-
-
-def _motion(model: RobotModel, stretch: Stretch, start: int, began: float) -> Motion:
-    part = stretch[start : start + _CHUNK]
-    before = stretch[max(0, start - MEMORY) : start].position
-    return Motion(
-        model.positions(part.position),
-        part.velocity,
-        part.acceleration,
-        part.time - began,
-        model.positions(before),
-    )
+    return [passages[k].motion(model) for k in dict.fromkeys(spread.tolist())]
 
 
 def random_motion(model: RobotModel, seed: int = 0) -> Motion:
@@ -200,25 +184,21 @@ def logged_starts(held: RobotModel, trajectories: Sequence[Trajectory]) -> list[
     stretches = [s for trajectory in trajectories for s in trajectory.segments]
     longest = sorted(stretches, key=len, reverse=True)[:_STARTS]
     shares = (np.arange(_STARTS) + 0.5) / _STARTS
-    found = []
+    time, found = np.arange(round(HORIZON / STEP)) * STEP, []
     for stretch, share in zip(longest * _STARTS, shares.tolist(), strict=False):
         count = int(np.ceil(HORIZON / stretch.period)) + 2
         if len(stretch) < count:
             continue
         start = int(share * (len(stretch) - count))
-        found.append(_logged_start(held, stretch[start : start + count]))
+        part = stretch[start : start + count]
+        effort = part.effort.copy()
+        for fitted in held.effects:
+            if isinstance(fitted.effect, DryFriction):
+                at = held.joints.index(fitted.effect.joint)
+                effort[:, at] -= fitted.parameters[0] * np.sign(part.velocity[:, at])
+        acted = [np.interp(time, part.time - part.time[0], column) for column in effort.T]
+        found.append(Start(part.position[0], part.velocity[0], np.array(acted).T))
     return found
-
-
-def _logged_start(held: RobotModel, part: Segment) -> Start:
-    effort = part.effort.copy()
-    for fitted in held.effects:
-        if isinstance(fitted.effect, DryFriction):
-            at = held.joints.index(fitted.effect.joint)
-            effort[:, at] -= fitted.parameters[0] * np.sign(part.velocity[:, at])
-    time = np.arange(round(HORIZON / STEP)) * STEP
-    acted = [np.interp(time, part.time - part.time[0], column) for column in effort.T]
-    return Start(part.position[0], part.velocity[0], np.array(acted).T)
 
 
 def random_starts(held: RobotModel, motion: Motion) -> list[Start]:
