@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import product
 
@@ -99,20 +100,19 @@ def make_stance(
                 joint=name,
             )
     plant_q = robot.plant_positions(q)[0]
-    feet = feet_of(robot, feet, plant_q)
     context = robot.create_context()
     robot.plant.SetPositions(context, plant_q)
-    X_WG = _ground(robot, feet, context)
-    polygon = _polygon(robot, feet, context, X_WG)
+    feet = _feet_of(robot, feet, context)
+    X_GW, polygon = _ground(robot, feet, context)
     closures = []
     for foot in feet:
-        frame = frame_of(robot.plant, foot.frame)
+        frame = _frame_of(robot.plant, foot.frame)
         X_FP = RigidTransform() if foot.is_sole else RigidTransform(np.asarray(foot.points)[0])
-        X_GP = X_WG.inverse() @ frame.CalcPoseInWorld(context) @ X_FP
+        X_GP = X_GW @ frame.CalcPoseInWorld(context) @ X_FP
         bodies = WORLD, frame.body().scoped_name().get_full()
         poses = X_GP, frame.GetFixedPoseInBodyFrame() @ X_FP
         closures.append(Closure(foot.frame, bodies, poses, foot.is_sole, radius=foot.radius))
-    X_GB = X_WG.inverse() @ robot.plant.EvalBodyPoseInWorld(context, root_of(robot))
+    X_GB = X_GW @ robot.plant.EvalBodyPoseInWorld(context, root_of(robot))
     turned = RollPitchYaw(X_GB.rotation()).vector()[::-1]
     based = dict(zip(robot.base_joints, [*X_GB.translation(), *turned], strict=True))
     how = LoopJoints(
@@ -152,15 +152,13 @@ def _on_loops(robot: RobotModel, closures: Sequence[Closure], how: LoopJoints) -
         effort_noise=None,
         fading_speed=None,
     )
-    if robot.fading_speed is not None or robot.effort_noise is not None:
-        at = [robot.joints.index(name) for name in model.joints]
-        noise, fading = robot.effort_noise, robot.fading_speed
-        model = replace(
-            model,
-            effort_noise=None if noise is None else noise[at],
-            fading_speed=None if fading is None else fading[at],
-        )
-    return model
+    at = [robot.joints.index(name) for name in model.joints]
+    noise, fading = robot.effort_noise, robot.fading_speed
+    return replace(
+        model,
+        effort_noise=None if noise is None else noise[at],
+        fading_speed=None if fading is None else fading[at],
+    )
 
 
 def _reachable(loop: LoopTransmission, robot: RobotModel) -> tuple[Array, Array]:
@@ -189,21 +187,28 @@ def _reachable(loop: LoopTransmission, robot: RobotModel) -> tuple[Array, Array]
     )
 
 
-def _ground(robot: RobotModel, feet: Sequence[Foot], context: Context) -> RigidTransform:
-    """Return the pose of the ground through all feet, with z upwards and its origin amid them."""
+def _ground(
+    robot: RobotModel, feet: Sequence[Foot], context: Context
+) -> tuple[RigidTransform, Array]:
+    """Return the pose of the world from the ground through all feet, and their polygon (k, 2).
+
+    The ground has z upwards and its origin amid the feet. Corners are counterclockwise, m.
+    """
     normal, above = np.array([0.0, 0.0, 1.0]), robot.plant.CalcCenterOfMassPositionInWorld(context)
+    poses = [_frame_of(robot.plant, foot.frame).CalcPoseInWorld(context) for foot in feet]
+    centers = [X.multiply(np.asarray(f.points).T).T for X, f in zip(poses, feet, strict=True)]
     for _ in range(_LEVELLING):
-        points = np.vstack([_touching(robot, foot, context, normal) for foot in feet])
+        touching = [c - foot.radius * normal for c, foot in zip(centers, feet, strict=True)]
+        points = np.vstack(touching)
         center = points.mean(axis=0)
         if len(points) > 2:
             normal = np.linalg.svd(points - center)[2][2]
             normal = normal if normal @ (above - center) > 0.0 else -normal
-    heights = (points - center) @ normal
-    if np.abs(heights).max() > _LEVEL:
-        at = np.cumsum([0, *(len(np.asarray(foot.points)) for foot in feet)])
+    if np.abs((points - center) @ normal).max() > _LEVEL:
+        heights = [1e3 * (p - center) @ normal for p in touching]
         words = ", ".join(
-            f"{foot.frame} {1e3 * heights[a:b].min():.0f} to {1e3 * heights[a:b].max():.0f} mm"
-            for foot, a, b in zip(feet, at[:-1], at[1:], strict=True)
+            f"{foot.frame} {own.min():.0f} to {own.max():.0f} mm"
+            for foot, own in zip(feet, heights, strict=True)
         )
         raise ArgumentError(
             f"The feet are not on one plane in this posture: over one through all are {words}.",
@@ -212,27 +217,13 @@ def _ground(robot: RobotModel, feet: Sequence[Foot], context: Context) -> RigidT
     x = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
     x /= np.linalg.norm(x)
     R = RotationMatrix(np.stack([x, np.cross(normal, x), normal], -1))
-    return RigidTransform(R, center)
-
-
-def _touching(robot: RobotModel, foot: Foot, context: Context, normal: Array) -> Array:
-    """Return where a foot touches the ground of a normal, (k, 3), in the world, m."""
-    X_WF = frame_of(robot.plant, foot.frame).CalcPoseInWorld(context)
-    return np.asarray(X_WF.multiply(np.asarray(foot.points).T).T - foot.radius * normal)
-
-
-def _polygon(
-    robot: RobotModel, feet: Sequence[Foot], context: Context, X_WG: RigidTransform
-) -> Array:
-    """Return the corners (k, 2) of the polygon of feet, on the ground, counterclockwise."""
-    normal = X_WG.rotation().matrix()[:, 2]
-    points = np.vstack([_touching(robot, foot, context, normal) for foot in feet])
-    flat = X_WG.inverse().multiply(points.T).T[:, :2]
+    X_GW = RigidTransform(R, center).inverse()
+    flat = X_GW.multiply(points.T).T[:, :2]
     spread = np.linalg.svd(flat - flat.mean(axis=0), compute_uv=False)
-    try:
-        hull = None if len(flat) < 3 or spread[1] < _NARROW else ConvexHull(flat)
-    except QhullError:
-        hull = None
+    hull = None
+    if len(flat) > 2 and spread[1] >= _NARROW:
+        with suppress(QhullError):
+            hull = ConvexHull(flat)
     if hull is None:
         raise ArgumentError(
             f"{', '.join(foot.frame for foot in feet)} touch the ground at a point or along a "
@@ -244,10 +235,10 @@ def _polygon(
         angles = np.linspace(0.0, 2.0 * np.pi, _SIDES, endpoint=False)
         ways = np.stack([np.cos(angles), np.sin(angles)], -1)
         corners = corners[np.unique(np.argmax(corners @ ways.T, axis=0))]
-    return np.asarray(corners)
+    return X_GW, np.asarray(corners)
 
 
-def frame_of(plant: MultibodyPlant, name: str) -> Frame:
+def _frame_of(plant: MultibodyPlant, name: str) -> Frame:
     """Return a link's frame, or another of the model file."""
     if not plant.HasFrameNamed(name):
         links = [member.name for body in lumped_bodies(plant) for member in body.members]
@@ -257,22 +248,19 @@ def frame_of(plant: MultibodyPlant, name: str) -> Frame:
     return plant.GetFrameByName(name)
 
 
-def feet_of(robot: RobotModel, feet: Sequence[str | Foot], q: Array) -> tuple[Foot, ...]:
-    """Return feet, those that are named from the collision geometry that is lowest at q (nq,)."""
-    if all(isinstance(foot, Foot) for foot in feet):
-        return tuple(foot for foot in feet if isinstance(foot, Foot))
-    solids, plant = solids_of_file(robot.path, robot.given), robot.plant
-    context, found = plant.CreateDefaultContext(), []
-    plant.SetPositions(context, q)
+def _feet_of(robot: RobotModel, feet: Sequence[str | Foot], context: Context) -> tuple[Foot, ...]:
+    """Return feet, those that are named from the collision geometry that is lowest."""
+    named = any(isinstance(foot, str) for foot in feet)
+    solids = solids_of_file(robot.path, robot.given) if named else {}
+    found = []
     for foot in feet:
-        if isinstance(foot, Foot):
+        if not isinstance(foot, str):
             found.append(foot)
             continue
-        frame = frame_of(plant, foot)
-        X_WF = frame.CalcPoseInWorld(context)
+        frame = _frame_of(robot.plant, foot)
         own = solids.get(frame.body().scoped_name().get_full(), [])
         X_FB = frame.GetFixedPoseInBodyFrame().inverse()
-        found.append(_lowest(foot, own, X_FB, X_WF))
+        found.append(_lowest(foot, own, X_FB, frame.CalcPoseInWorld(context)))
     return tuple(found)
 
 

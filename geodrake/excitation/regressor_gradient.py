@@ -180,11 +180,7 @@ def regressor_motion_gradient(
     if target.X_WP is not None or measurement.seen is None:
         samples = motion.q, motion.v, motion.vd
         return base_wrench_regressor_gradient(tree, *samples, rows, X_WP=target.X_WP)
-    parts, start = [], len(target.columns)
-    for fitted in target.further:
-        stop = start + len(fitted.effect.parameters)
-        parts.append((fitted.effect, weights[:, :, start:stop]))
-        start = stop
+    parts = [(fitted.effect, weights[:, :, span]) for fitted, span in target.further_spans]
     return _with_effects(target.model, motion, measurement.seen, rows, parts)
 
 

@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise, product
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,6 +44,7 @@ from geodrake.inertia import Array
 from geodrake.logs.floating import QUATERNION
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
+from geodrake.robot.coordinates import DrivenCoordinates, RobotCoordinates
 from geodrake.robot.joints import joint_names, single_joints
 from geodrake.robot.regressor import base_wrench_regressor, zero_moment_point
 from geodrake.robot.transmission import times
@@ -101,6 +102,55 @@ class Foot(Short):
 
 
 @dataclass(frozen=True, eq=False)
+class MotorCoordinates(DrivenCoordinates):
+    """The map from the free joints of a robot on its feet to its motors, θ = T(q)."""
+
+    coordinates: RobotCoordinates
+    motors: tuple[str, ...]
+
+    @cached_property
+    def free(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Numbers of the motors that are free, and of the free joints that they are."""
+        names = self.coordinates.names
+        pairs = [(k, names.index(n)) for k, n in enumerate(self.motors) if n in names]
+        motors, at = np.array(pairs, np.intp).reshape(-1, 2).T
+        return motors, at
+
+    @cached_property
+    def following(self) -> NDArray[np.intp]:
+        """Numbers of the motors that follow the free joints."""
+        return np.setdiff1d(np.arange(len(self.motors)), self.free[0])
+
+    @property
+    def driven(self) -> NDArray[np.intp]:
+        """Velocities of the free joints that are those of actuators of drives."""
+        return self.coordinates.driven
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Numbers of motors and of free joints."""
+        return len(self.motors), len(self.coordinates.names)
+
+    @cached_property
+    def constant(self) -> Array | None:
+        """G (m, nv) if no motor follows; else None."""
+        return None if len(self.following) else np.eye(self.shape[1])[self.free[1]]
+
+    def along(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
+        """Return positions (N, m) of the motors, G and its rate."""
+        theta, (motors, at) = np.empty((len(q), self.shape[0])), self.free
+        G, rate = np.zeros((2, len(q), *self.shape))
+        theta[:, motors] = q[:, at]
+        G[:, motors, at] = 1.0
+        if len(follow := self.following):
+            behind = [self.coordinates.behind[self.motors[k]] for k in follow]
+            every = self.coordinates.every.along(q, v)
+            for own, found in zip((theta, G, rate), every, strict=True):
+                own[:, follow] = found[:, behind]
+        return theta, G, rate
+
+
+@dataclass(frozen=True, eq=False)
 class Stance(Short):
     """A robot on feet that do not move.
 
@@ -141,47 +191,27 @@ class Stance(Short):
     # Where motors are.
 
     @cached_property
-    def _own(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Numbers of the motors that are free, and of the free joints that they are."""
-        joints = self.model.joints
-        pairs = [(k, joints.index(j)) for k, j in enumerate(self.motors) if j in joints]
-        first, second = np.array(pairs, np.intp).reshape(-1, 2).T
-        return first, second
+    def coordinates(self) -> MotorCoordinates:
+        """The map to the motors."""
+        return MotorCoordinates(self.model.coordinates, self.motors)
 
-    @cached_property
+    @property
     def following(self) -> NDArray[np.intp]:
         """Numbers of the motors that follow the free joints."""
-        return np.setdiff1d(np.arange(len(self.motors)), self._own[0])
-
-    @cached_property
-    def _places(self) -> NDArray[np.intp]:
-        """Where motors that follow are in `RobotCoordinates.every`."""
-        behind = self.model.coordinates.behind
-        return np.array([behind[self.motors[k]] for k in self.following], np.intp)
-
-    def _ratios(self, J: Array) -> Array:
-        """Return G (N, motors, nv), of J of `RobotCoordinates.every`."""
-        found = np.zeros((len(J), len(self.motors), J.shape[2]))
-        found[:, self._own[0], self._own[1]] = 1.0
-        found[:, self.following] = J[:, self._places]
-        return found
+        return self.coordinates.following
 
     def motor_states(self, states: Array) -> Array:
         """Return positions and their derivatives (3, N, m) of motors, of those (3, N, nv)."""
-        found = np.empty((3, states.shape[1], len(self.motors)))
-        found[:, :, self._own[0]] = states[:, :, self._own[1]]
-        if len(self.following):
-            theta, rates, accelerations, _ = self.model.coordinates.all_samples(*states)
-            for own, moving in zip(found, (theta, rates, accelerations), strict=True):
-                own[:, self.following] = moving[:, self._places]
-        return found
+        q, v, vd = states
+        theta, G, rate = self.coordinates.along(q, v)
+        return np.stack([theta, times(G, v), times(G, vd) + times(rate, v)])
 
     def free(self, motors: Array, name: str) -> Array:
         """Return positions (nv,) of the free joints where motors are at (m,), rad or m."""
         motors = real_array(motors, name, (len(self.motors),))
-        q = self.posture.copy()
-        q[self._own[1]] = motors[self._own[0]]
-        placed = self.motor_states(np.stack([q, 0 * q, 0 * q])[:, None])[0, 0]
+        q, (own, at) = self.posture.copy(), self.coordinates.free
+        q[at] = motors[own]
+        placed = self.coordinates.joint_positions(q[None])[0]
         off = np.abs(placed - motors)
         if off.max() > _SLACK:
             k = int(np.argmax(off))
@@ -204,19 +234,35 @@ class Stance(Short):
         names += [f"base.orientation.{axis}" for axis in QUATERNION]
         return dict(zip(names, np.array(rows).T, strict=True))
 
+    def limits(self) -> MotionLimits:
+        """Return the limits of the free joints.
+
+        Those of a base are a range in which its feet can stay, and speeds and accelerations at
+        which each of the motors that follow keeps its own, if the base moves along one axis.
+        """
+        own, joints, (motors, at) = self.motor_limits, self.model.joints, self.coordinates.free
+        sides = own.lower, own.upper, own.velocity, own.acceleration, own.effort, own.jerk
+        found = np.full((len(sides), len(joints)), np.inf)
+        found[:2] = np.nan
+        found[:, at] = np.stack(np.broadcast_arrays(*sides))[:, motors]
+        base = np.flatnonzero(np.isin(joints, self.robot.base_joints))
+        if len(base):
+            low, high = self.model.position_limits  # ranges in which the feet can stay
+            found[0], found[1] = np.fmax(found[0], low), np.fmin(found[1], high)
+            random = np.random.default_rng(0)
+            q = random.uniform(found[0], found[1], (_RANDOM, len(joints)))
+            G = np.abs(self.coordinates.jacobian(q).max(axis=0))[:, base]
+            with np.errstate(divide="ignore"):
+                for values, limit in zip(found[2:4], sides[2:4], strict=True):
+                    values[base] = (limit[:, None] / G).min(axis=0)
+        return MotionLimits(joints, *found)
+
     # Efforts.
 
     def efforts(self, motion: Motion, sign_width: ArrayLike = 0.0) -> Array:
         """Return efforts (N, motors) of a motion of the free joints, N·m or N."""
         needed = self.model.effort(motion, sign_width=sign_width)
-        if not len(self.following):
-            return np.asarray(needed[:, self._order])
-        G = self._ratios(self.model.coordinates.every.jacobian(motion.q))
-        return self._shared(G, needed)[0]
-
-    @property
-    def _order(self) -> NDArray[np.intp]:
-        return self._own[1][np.argsort(self._own[0])]
+        return self._shared(self.coordinates.jacobian(motion.q), needed)[0]
 
     @cached_property
     def _weights(self) -> Array:
@@ -235,21 +281,15 @@ class Stance(Short):
     def _effort_gradient(self, motion: Motion, sign_width: Array, weights: Array) -> MotionGradient:
         """Return the gradient of Σ w ∘ τ for w (N, motors)."""
         seen = self.model.motion(motion, sign_width=sign_width)
-        if not len(self.following):
-            own = np.empty_like(motion.v)
-            own[:, self._order] = weights
-            return effort_gradient(self.model, motion, seen, own)
-        G, D = self._ratios(self.model.coordinates.every.jacobian(motion.q)), self._weights
+        G, D = self.coordinates.jacobian(motion.q), self._weights
         tau, b, C = self._shared(G, self.model.effort(motion, sign_width=sign_width))
         a = _solved(C, times(np.swapaxes(G, 1, 2), D * weights))
         found = effort_gradient(self.model, motion, seen, a)
-        # dτ also has dG: D dG b − D G C⁻¹ (dGᵀ D G + Gᵀ D dG) b.
-        rest = D * (weights - times(G, a))
-        P = rest[:, :, None] * b[:, None] - tau[:, :, None] * a[:, None]
-        every = self.model.coordinates.every
-        products = np.zeros((len(P), *every.shape))
-        products[:, self._places] = P[:, self.following]
-        found.q[:] += every.bend(motion.q, products)
+        if self.coordinates.constant is None:
+            # dτ also has dG: D dG b − D G C⁻¹ (dGᵀ D G + Gᵀ D dG) b.
+            rest = D * (weights - times(G, a))
+            products = rest[:, :, None] * b[:, None] - tau[:, :, None] * a[:, None]
+            found.q[:] += self.coordinates.bend(motion.q, products)
         return found
 
     def target(
@@ -294,7 +334,7 @@ class Stance(Short):
     def noise(self, noise: ArrayLike) -> Array:
         """Return deviations (nv,) of free joints' efforts in the posture, of those of motors."""
         given = one_or_each(noise, "noise", len(self.motors), strict=True)
-        G = self._ratios(self.model.coordinates.every.jacobian(self.posture[None]))[0]
+        G = self.coordinates.jacobian(self.posture[None])[0]
         return np.sqrt(np.square(given[:, None] * G).sum(axis=0))
 
     # Balance.
@@ -307,12 +347,11 @@ class Stance(Short):
         return np.asarray(((p + q) * areas[:, None]).sum(axis=0) / (3.0 * areas.sum()))
 
     @cached_property
-    def sides(self) -> tuple[Array, Array]:
-        """(k, 2) outward normals of the polygon's sides, and distances (k,) from its middle, m."""
+    def _sides(self) -> Array:
+        """(k, 2) outward normals of the polygon's sides over their distances from its middle."""
         along = np.roll(self.corners, -1, axis=0) - self.corners
         normals = np.stack([along[:, 1], -along[:, 0]], -1)
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        return normals, ((self.corners - self.middle) * normals).sum(axis=1)
+        return normals / ((self.corners - self.middle) * normals).sum(axis=1, keepdims=True)
 
     @cached_property
     def weight(self) -> float:
@@ -321,17 +360,14 @@ class Stance(Short):
         return float(mass * np.linalg.norm(self.model.tree.gravity))
 
     @cached_property
-    def _rows(self) -> Array:
-        """(r, 6) rows R such that all of R w ≤ 0 for wrenches w in balance."""
-        (normals, distances), (x, y), mu = self.sides, self.middle, self.friction
-        least, rows = float(distances.min()), []
-        for a, h in zip(normals, distances, strict=True):
-            rows.append(np.array([a[1], -a[0], 0, 0, 0, -(a @ self.middle + self.margin * h)]) / h)
-        rows += [np.array([0, 0, 0, i, j, -mu]) / mu for i, j in product((1, -1), repeat=2)]
-        for sign in (1, -1):
-            turning = sign * np.array([0, 0, 1, y, -x, 0]) - [0, 0, 0, 0, 0, mu * least]
-            rows.append(turning / (mu * least))
-        return np.array(rows) / self.weight
+    def _uses(self) -> Array:
+        """(k + 6, 6) rows U such that U w/f_z are shares of the polygon, then of the friction."""
+        (x, y), mu = self.middle, self.friction
+        polygon = [[a[1], -a[0], 0, 0, 0, -(a @ self.middle)] for a in self._sides]
+        sliding = [np.array([0, 0, 0, i, j, 0]) / mu for i, j in product((1, -1), repeat=2)]
+        least = 1.0 / np.linalg.norm(self._sides, axis=1).max()
+        turning = np.array([0, 0, 1, y, -x, 0]) / (mu * least)
+        return np.array([*polygon, *sliding, turning, -turning])
 
     def wrenches(self, motion: Motion) -> Array:
         """Return the ground's wrenches (N, 6) on the robot about the origin, N·m and N."""
@@ -350,16 +386,11 @@ class Stance(Short):
 
         Infinite where the feet would lift off.
         """
-        wrenches, (normals, distances) = self.wrenches(motion), self.sides
-        off = zero_moment_point(wrenches) - self.middle
-        shares = (off @ normals.T / distances).max(axis=1)
-        *_, nz, fx, fy, fz = wrenches.T
-        x, y = self.middle
-        turning = np.abs(nz + y * fx - x * fy) / distances.min()
-        pulled = np.maximum(np.abs(fx) + np.abs(fy), turning)
-        lifted = np.isnan(shares)
-        used = pulled / np.where(lifted, 1.0, self.friction * fz)
-        return np.where(lifted, np.inf, shares), np.where(lifted, np.inf, used)
+        wrenches, count = self.wrenches(motion), len(self.corners)
+        lifted = np.isnan(zero_moment_point(wrenches)[:, 0])
+        shares = wrenches @ self._uses.T / np.where(lifted, 1.0, wrenches[:, 5])[:, None]
+        shares[lifted] = np.inf
+        return shares[:, :count].max(axis=1), shares[:, count:].max(axis=1)
 
     def excess(self, motion: Motion, sign_width: Array) -> tuple[Array, MotionGradient]:
         """Return a smooth maximum (N,) of what is beyond the limits, and its gradient.
@@ -367,45 +398,33 @@ class Stance(Short):
         At most 0 where the robot is in balance, and limits of motors that follow and of all efforts
         are kept. These are in shares of themselves.
         """
-        wrenches = self.wrenches(motion)
-        limits, follow = self.motor_limits, self.following
-        states = np.stack([motion.q, motion.v, motion.vd])
-        values = [wrenches @ self._rows.T]
-        middle = np.zeros(len(self.motors)), np.zeros(len(self.motors))
-        scales = [(limits.middle, limits.reach), (middle[0], limits.velocity)]
-        scales.append((middle[1], limits.acceleration))
-        if len(follow):
-            for x, (center, reach) in zip(self.motor_states(states), scales, strict=True):
-                share = ((x - center) / reach)[:, follow]
-                values += [share - 1.0, -share - 1.0]
-        efforts = self.efforts(motion, sign_width) / limits.effort
-        values += [efforts - 1.0, -efforts - 1.0]
-        stacked = _SHARP * np.hstack(values)
-        total = logsumexp(stacked, axis=1)
-        shares = np.exp(stacked - total[:, None])
-        at = np.cumsum([0, *(x.shape[1] for x in values)])
-        parts = [shares[:, a:b] for a, b in pairwise(at.tolist())]
-        W = (parts[0] @ self._rows)[:, :, None] * self.model.total_phi.ravel()
+        limits, follow, tree = self.motor_limits, self.following, self.model.tree
+        most = np.where(np.arange(len(self._uses)) < len(self.corners), self.margin, 1.0)
+        rows = (self._uses - most[:, None] * [0, 0, 0, 0, 0, 1.0]) / self.weight
+        scales = limits.reach[follow], limits.velocity[follow], limits.acceleration[follow]
         samples = motion.q, motion.v, motion.vd
-        found = [base_wrench_regressor_gradient(self.model.tree, *samples, W)]
-        found.append(
-            self._effort_gradient(motion, sign_width, (parts[-2] - parts[-1]) / limits.effort)
-        )
+        states = self.motor_states(np.stack(samples))[:, :, follow]
+        states[0] -= limits.middle[follow]
+        efforts = self.efforts(motion, sign_width) / limits.effort
+        shares = np.hstack([x / scale for x, scale in zip(states, scales, strict=True)])
+        shares = np.hstack([shares, efforts])
+        values = _SHARP * np.hstack([self.wrenches(motion) @ rows.T, shares - 1.0, -shares - 1.0])
+        total = logsumexp(values, axis=1)
+        by = np.exp(values - total[:, None])
+        by_balance, above, below = np.split(by, [len(rows), len(rows) + shares.shape[1]], axis=1)
+        *by_states, by_efforts = np.split(above - below, len(follow) * np.arange(1, 4), axis=1)
+        weights = (by_balance @ rows)[:, :, None] * self.model.total_phi.ravel()
+        parts = [
+            base_wrench_regressor_gradient(tree, *samples, weights),
+            self._effort_gradient(motion, sign_width, by_efforts / limits.effort),
+        ]
         if len(follow):
-            by = [parts[1 + 2 * k] - parts[2 + 2 * k] for k in range(3)]
-            by = [x / reach[follow] for x, (_, reach) in zip(by, scales, strict=True)]
-            found.append(self._by_following(motion, by))
-        sums = (np.sum(parts, axis=0) for parts in zip(*found, strict=True))
-        return total / _SHARP, MotionGradient(*sums)
-
-    def _by_following(self, motion: Motion, weights: Sequence[Array]) -> MotionGradient:
-        """Return the gradient with the free joints' motion, of that with motors that follow."""
-        coordinates = self.model.coordinates.every
-        rows = [np.zeros((len(motion), coordinates.num_joints)) for _ in weights]
-        for row, own in zip(rows, weights, strict=True):
-            row[:, self._places] = own
-        J = coordinates.jacobian(motion.q)
-        return at_actuators(coordinates, J, motion, MotionGradient(*rows))
+            motors = np.zeros((3, len(motion), len(self.motors)))
+            for own, slope, scale in zip(motors, by_states, scales, strict=True):
+                own[:, follow] = slope / scale
+            G = self.coordinates.jacobian(motion.q)
+            parts.append(at_actuators(self.coordinates, G, motion, MotionGradient(*motors)))
+        return total / _SHARP, MotionGradient(*(sum(part) for part in zip(*parts, strict=True)))
 
     def balanced(
         self,
@@ -424,8 +443,9 @@ class Stance(Short):
         still = np.zeros_like(q)
         v, vd = (still, still) if motion is None else (motion.v, motion.vd)
         for _ in range(_NEWTON):
-            wrenches = self.wrenches(Motion(q[left], v[left], vd[left]))
-            off = _outside(zero_moment_point(wrenches) - self.middle, *self.sides, share)
+            off = self.zero_moment_points(Motion(q[left], v[left], vd[left])) - self.middle
+            used = (off @ self._sides.T).max(axis=1, keepdims=True)
+            off *= 1.0 - np.minimum(1.0, share / np.maximum(used, 1e-9))
             far = np.linalg.norm(off, axis=1) > _ARRIVED
             left, off = left[far], off[far]
             if not len(left):
@@ -448,47 +468,9 @@ class Stance(Short):
         transposed = np.swapaxes(J, 1, 2)
         return reach * times(transposed, _solved(J @ transposed + _NOTHING * np.eye(2), off))
 
-    # Limits.
-
-    def limits(self) -> MotionLimits:
-        """Return the limits of the free joints.
-
-        Those of a base are a range in which its feet can stay, and speeds and accelerations at
-        which each of the motors that follow keeps its own, if the base moves along one axis.
-        """
-        joints, own, nv = self.model.joints, self.motor_limits, len(self.model.joints)
-        motors, at = self._own
-        lower, upper = np.full((2, nv), np.nan)
-        velocity, acceleration, effort, jerk = np.full((4, nv), np.inf)
-        for values, given in (
-            (lower, own.lower),
-            (upper, own.upper),
-            (velocity, own.velocity),
-            (acceleration, own.acceleration),
-            (effort, own.effort),
-            (jerk, np.broadcast_to(own.jerk, own.lower.shape)),
-        ):
-            values[at] = given[motors]
-        base = [k for k, name in enumerate(joints) if name in self.robot.base_joints]
-        if base:
-            own_low, own_high = self.model.position_limits  # ranges in which the feet can stay
-            lower, upper = np.fmax(lower, own_low), np.fmin(upper, own_high)
-            q = np.random.default_rng(0).uniform(lower, upper, (_RANDOM, nv))
-            G = np.abs(self._ratios(self.model.coordinates.every.jacobian(q)).max(axis=0))
-            with np.errstate(divide="ignore"):
-                for values, given in ((velocity, own.velocity), (acceleration, own.acceleration)):
-                    values[base] = (given[:, None] / G[:, base]).min(axis=0)
-        return MotionLimits(joints, lower, upper, velocity, acceleration, effort, jerk)
-
 
 def _solved(C: Array, e: Array) -> Array:
     return np.asarray(np.linalg.solve(C, e[:, :, None])[:, :, 0])
-
-
-def _outside(off: Array, normals: Array, distances: Array, most: float) -> Array:
-    """Return what of points (N, 2) from the middle of a polygon is beyond an inner share."""
-    share = (off @ normals.T / distances).max(axis=1, keepdims=True)
-    return np.asarray(off * (1.0 - np.minimum(1.0, most / np.maximum(share, 1e-9))))
 
 
 def root_of(robot: RobotModel) -> RigidBody:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -111,6 +112,18 @@ class Target(Short):
             known = bool(is_physical(fitted.parameters))
             rows.append(np.asarray(fitted.parameters) if known else payload_reference(phi))
         return np.array(rows).reshape(-1, PARAMETERS_PER_BODY)
+
+    @cached_property
+    def spans(self) -> tuple[slice, ...]:
+        """Which of the p unknown parameters are those of each effect, after the bodies'."""
+        counts = [len(fitted.effect.parameters) for fitted in self.effects]
+        ends = PARAMETERS_PER_BODY * len(self.bodies) + np.cumsum([0, *counts])
+        return tuple(slice(*pair) for pair in pairwise(ends.tolist()))
+
+    @property
+    def further_spans(self) -> list[tuple[FittedEffect, slice]]:
+        """The effects that are no payloads, each with its parameters."""
+        return [*zip(self.effects, self.spans, strict=True)][len(self.payloads) :]
 
     @property
     def size(self) -> int:
@@ -302,13 +315,12 @@ def sized_effects(target: Target) -> tuple[FittedEffect, ...]:
     wanted = _LEAST_SHARE * np.where(np.isfinite(limits), limits, 0.0)[:, None]
     least = np.where(acting > 0, wanted / np.where(acting > 0, acting, 1.0), np.inf).min(axis=0)
     sizes = np.maximum(target.effect_sizes, np.where(np.isfinite(least), least, 0.0))
-    found, at = [*target.payloads], 0
-    for fitted in target.further:
-        count = len(fitted.parameters)
-        values = np.where(fitted.parameters, fitted.parameters, sizes[at : at + count])
-        found.append(FittedEffect(fitted.effect, values))
-        at += count
-    return tuple(found)
+    usual = np.concatenate([np.zeros(len(target.columns)), sizes])
+    further = (
+        FittedEffect(f.effect, np.where(f.parameters, f.parameters, usual[span]))
+        for f, span in target.further_spans
+    )
+    return (*target.payloads, *further)
 
 
 def usual_target(model: RobotModel, *, noise: ArrayLike, effects: Sequence[Effect]) -> Target:

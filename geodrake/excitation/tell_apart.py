@@ -303,23 +303,26 @@ class Separation(Objective):
         rows = measurement.regressor * (known / self.target.noise[:, None])
         rows = rows.reshape(-1, rows.shape[2])
         R = np.asarray(np.linalg.qr(np.concatenate([rows, self.prior]), mode="r"))
-        solutions = [pair.effects.copy() for pair in self.pairs]
+        own, none = self._robots, np.zeros((0, R.shape[1]))
+        robots = np.concatenate([none, *(pair.effects for pair in self.pairs)])
         for columns, members in self._groups.items():
             at = np.array(columns, np.intp)
-            robots = np.concatenate([self.pairs[k].effects for k in members])
-            explained = self._explained(R, at, R @ robots.T)
-            for k in members:
-                count = len(solutions[k])
-                solutions[k][:, at] -= explained[:count]
-                explained = explained[count:]
-        return np.array([np.square(R @ x.T).sum() for x in solutions]), solutions
+            robots[np.ix_(members, at)] -= self._explained(R, at, R @ robots[members].T)
+        left = np.square(R @ robots.T).sum(axis=0)
+        return np.add.reduceat(left, own[:-1]), np.split(robots, own[1:-1])
+
+    @cached_property
+    def _robots(self) -> Indices:
+        """(K + 1,) numbers of the first robot of every pair, and of all robots."""
+        return np.cumsum([0, *(len(pair.effects) for pair in self.pairs)])
 
     @cached_property
     def _groups(self) -> dict[tuple[int, ...], list[int]]:
-        """Columns -> the pairs whose explanations use them."""
+        """Columns -> numbers of the robots whose explanations use them."""
         found: dict[tuple[int, ...], list[int]] = {}
-        for k, pair in enumerate(self.pairs):
-            found.setdefault(tuple(pair.columns.tolist()), []).append(k)
+        for pair, first in zip(self.pairs, self._robots.tolist(), strict=False):
+            numbers = range(first, first + len(pair.effects))
+            found.setdefault(tuple(pair.columns.tolist()), []).extend(numbers)
         return found
 
     def _explained(self, R: Array, columns: Indices, targets: Array) -> Array:
@@ -329,31 +332,20 @@ class Separation(Objective):
         sizes = np.where(sizes > 0, sizes, 1.0)
         A, low, high = A / sizes, self.lower[columns] * sizes, self.upper[columns] * sizes
         found = np.asarray(np.linalg.lstsq(A, targets)[0].T)
-        outside = ((found < low) | (found > high)).any(axis=1)
-        if outside.any():
-            bound = np.isfinite(low) | np.isfinite(high)
-            found[outside] = _bounded(A, bound, targets[:, outside], (low[bound], high[bound]))
+        outside = np.flatnonzero(((found < low) | (found > high)).any(axis=1))
+        if not len(outside):
+            return found / sizes
+        # Columns without bounds are eliminated first, so that the bounded problem is small.
+        bound = np.isfinite(low) | np.isfinite(high)
+        free, held, count = A[:, ~bound], A[:, bound], np.count_nonzero(bound)
+        wanted = np.concatenate([held, targets[:, outside]], axis=1)
+        shares = np.linalg.lstsq(free, wanted)[0]
+        factor = np.asarray(np.linalg.qr(wanted - free @ shares, mode="r"))
+        for row, k in enumerate(outside, count):
+            bounds = low[bound], high[bound]
+            x = lsq_linear(factor[:, :count], factor[:, row], bounds, method="bvls").x
+            found[k, bound], found[k, ~bound] = x, shares[:, row] - shares[:, :count] @ x
         return found / sizes
-
-
-def _bounded(
-    A: Array, bound: NDArray[np.bool_], targets: Array, bounds: tuple[Array, Array]
-) -> Array:
-    """Return least-squares solutions (r, c), some of the columns within bounds.
-
-    The others are eliminated first, so that the bounded problem is small.
-    """
-    free, held = A[:, ~bound], A[:, bound]
-    shares = np.linalg.lstsq(free, np.concatenate([held, targets], axis=1))[0]
-    count = held.shape[1]
-    small, rest = held - free @ shares[:, :count], targets - free @ shares[:, count:]
-    factor = np.asarray(np.linalg.qr(np.concatenate([small, rest], axis=1), mode="r"))
-    found = np.empty((targets.shape[1], A.shape[1]))
-    for k in range(targets.shape[1]):
-        problem = lsq_linear(factor[:, :count], factor[:, count + k], bounds, method="bvls")
-        found[k, bound] = problem.x
-        found[k, ~bound] = shares[:, count + k] - shares[:, :count] @ problem.x
-    return found
 
 
 def make_separation(
@@ -393,14 +385,12 @@ def make_separation(
     if stance is not None:
         target = replace(target, trial=stance.random_motion())
         fading = _fading(stance, rivals)
-    columns, start = {}, PARAMETERS_PER_BODY * len(target.bodies)
-    for fitted in target.effects:
-        columns[fitted.effect] = start + np.arange(len(fitted.effect.parameters))
-        start += len(fitted.effect.parameters)
+    every = np.arange(target.size)
+    spans = zip(target.effects, target.spans, strict=True)
+    columns = {fitted.effect: every[span] for fitted, span in spans}
     sizes = _sizes(target, model, (first, second))
-    base = np.concatenate(
-        [np.arange(PARAMETERS_PER_BODY * len(target.bodies)), *(columns[f.effect] for f in common)]
-    ).astype(np.intp)
+    bodies = every[: PARAMETERS_PER_BODY * len(target.bodies)]
+    base = np.concatenate([bodies, *(columns[fitted.effect] for fitted in common)])
     pairs = []
     for truth, rival in ((first, second), (second, first)):
         for alternative in truth.alternatives:
@@ -410,13 +400,13 @@ def make_separation(
                     robots = np.zeros((len(sizes[effect]), target.size))
                     robots[:, columns[effect]] = sizes[effect]
                     words = (_words(truth, effect), _words(rival, other[0]))
-                    pairs.append(Pair(*words, effect.where, robots, used.astype(np.intp)))
+                    pairs.append(Pair(*words, effect.where, robots, used))
     prior, lower, upper = np.zeros((len(base), target.size)), *_bounds(target, columns, common)
     prior[:, base] = _root(_information(model, common, spread))
-    every = Separation(
+    separation = Separation(
         target, Criterion("e_optimality"), "none", None, tuple(pairs), prior, lower, upper, fading
     )
-    return replace(every, pairs=_different(every))
+    return replace(separation, pairs=_different(separation))
 
 
 def _fading(stance: Stance, effects: Sequence[Effect]) -> dict[str, float]:
@@ -518,24 +508,18 @@ def _words(rival: Rival, effect: Effect) -> str:
 
 def _sizes(target: Target, model: RobotModel, rivals: Sequence[Rival]) -> dict[Effect, Array]:
     """Return parameters (r, k) of r robots that have an effect, for every rival effect."""
-    every = [effect for rival in rivals for effect in rival.effects]
-    values = {fitted.effect: fitted.parameters for fitted in model.effects}
-    known = {e: values[e] for e in every if e in values and np.any(values[e])}
+    known = {f.effect: f.parameters for f in model.effects if np.any(f.parameters)}
     typical = {fitted.effect: fitted.parameters for fitted in sized_effects(target)}
-    found = {effect: value[None] for effect, value in known.items()}
+    found = {}
     for rival, other in zip(rivals, reversed(rivals), strict=True):
         for effect in rival.effects:
-            if effect in found:
-                continue
-            found[effect] = (
-                np.diag(typical[effect]) if not is_payload(effect) else typical[effect][None]
-            )
-            for counterpart in other.effects:
+            alone = known.get(effect, typical[effect] if is_payload(effect) else None)
+            found[effect] = np.diag(typical[effect]) if alone is None else alone[None]
+            for counterpart in other.effects if effect not in known else ():
                 shared = set(effect.where) & set(counterpart.where) or not effect.where
                 if counterpart in known and shared:
                     like = _imitations(target, counterpart, known[counterpart], effect)
-                    if like is not None:
-                        found[effect] = like[None]
+                    found[effect] = found[effect] if like is None else like[None]
     return found
 
 
@@ -557,12 +541,9 @@ def _information(model: RobotModel, common: Sequence[FittedEffect], spread: floa
     if model.information is None:
         sizes = [np.diag(1.0 / np.maximum(f.parameters**2, 1e-12)) for f in common]
         return np.asarray(block_diag(pullback_information(model.with_volume.phi, spread), *sizes))
-    kept = np.ones(len(model.information), bool)
-    at, wanted = model.phi.size, {fitted.effect for fitted in common}
-    for fitted in model.effects:
-        count = len(fitted.effect.parameters)
-        kept[at : at + count] = fitted.effect in wanted
-        at += count
+    wanted = {fitted.effect for fitted in common}
+    counts = [model.phi.size, *(len(fitted.effect.parameters) for fitted in model.effects)]
+    kept = np.repeat([True, *(fitted.effect in wanted for fitted in model.effects)], counts)
     known, rest = model.information[np.ix_(kept, kept)], model.information[np.ix_(~kept, ~kept)]
     cross = model.information[np.ix_(kept, ~kept)]
     return np.asarray(known - cross @ np.linalg.pinv(rest, hermitian=True) @ cross.T)

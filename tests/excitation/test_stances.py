@@ -567,7 +567,7 @@ def test_effects_are_told_apart_on_two_feet(place):
     at = stance.motors.index(place)
     speeds = stance.motor_states(np.stack([motion.q, motion.v, motion.vd]))[1][:, at]
     more = added.efforts(motion) - stance.efforts(motion)
-    G = stance._ratios(stance.model.coordinates.every.jacobian(motion.q))
+    G = stance.coordinates.jacobian(motion.q)
     expected = 2.0 * speeds[:, None] * G[:, at]
     np.testing.assert_allclose(
         (np.swapaxes(G, 1, 2) @ more[..., None])[..., 0], expected, atol=1e-9
