@@ -163,6 +163,12 @@ class LogModel:
         known = {e for e in self.unknowns.effects if is_expandable(e) or isinstance(e, Episode)}
         self.terms = terms_of(model, dataset, [e for e in effects if e not in known], beliefs)
         self.compatibility = Compatibility(self.terms, keys)
+        # All shapes of an effect at a joint have the same odds, alone and beside others.
+        prices = dict[object, int]()
+        self._prices = {
+            term: prices.setdefault((term.price, term.parts), len(prices)) for term in self.terms
+        }
+        self._odds = dict[tuple[int, ...], float]()
         self._other_odds = dict[tuple[float, Delay], float]()
         self.widths = beliefs.widths if model.information is None else (1.0, 3.0)
         self.rows = dataset.rows.astype(float)
@@ -388,7 +394,10 @@ class LogModel:
         key = choice.width, choice.delay
         if key not in self._other_odds:
             self._other_odds[key] = self._odds_of_coordinates(choice)
-        return odds_against(choice.terms) + self._other_odds[key]
+        alike = tuple(sorted([self._prices[term] for term in choice.terms]))
+        if alike not in self._odds:
+            self._odds[alike] = odds_against(choice.terms)
+        return self._odds[alike] + self._other_odds[key]
 
     def _odds_of_coordinates(self, choice: Choice) -> float:
         """Return twice the logarithm of the odds against its width and delays alone."""

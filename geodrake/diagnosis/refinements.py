@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 _SHARES = (0.75, 0.5, 0.25, 0.0)  # of a step to bodies that are not physical
 _MARGIN = 1.5  # of the noise, above which other speeds at which friction fades are tried
 _MOST = 0.5  # of the squared error is what another speed must leave at most
+_SAME = 1e-9  # delays that differ by less are the same, s
 _OTHER_LOADS = 0.02
 """Columns are made anew if a load changes by more than this share of the effort's deviation."""
 
@@ -62,24 +63,30 @@ def delays_of(model: LogModel, fit: Fit) -> tuple[Array, Array]:
     seconds = dataset.delays[list(delay), joints].copy()
     deviations = np.full(len(delay), np.inf)
     late = model.lateness(fit.choice)
-    alone = [[j] for j in np.flatnonzero(np.abs(late) > 1e-9).tolist()]
-    alike = len(alone) == len(late) and np.ptp(late) < 1e-9
+    alone = [[j] for j in np.flatnonzero(np.abs(late) > _SAME).tolist()]
+    alike = len(alone) == len(late) and np.ptp(late) < _SAME
     for moved in [joints.tolist()] if alike else alone:
         grid, own = dataset.delays[:, moved[0]], delay[moved[0]]
         order = np.argsort(grid)
         if alike:  # each joint may have been advanced by another delay
             apart = np.ptp(dataset.delays - dataset.delays[own], axis=1)
-            order = order[apart[order] < 1e-9]
-        order = order[(grid[order] != grid[own]) | (order == own)]
+            order = order[apart[order] < _SAME]
+        order = order[(np.abs(grid[order] - grid[own]) > _SAME) | (order == own)]
+        order = order[np.diff(grid[order], prepend=-np.inf) > _SAME]
         at = int(np.flatnonzero(order == own)[0])
-        if not 0 < at < len(order) - 1:
-            continue
-        near = order[at - 1 : at + 2]
-        scores = [_score_at(model, fit, moved, int(k)) for k in near]
-        if any(score is None for score in scores):
-            continue
-        step, deviations[moved] = least_between(grid[near] - grid[own], -np.array(scores, float))
-        seconds[moved] += step
+        while 0 < at < len(order) - 1:
+            near = order[at - 1 : at + 2]
+            scores = [_score_at(model, fit, moved, int(k)) for k in near]
+            if any(score is None for score in scores):
+                break
+            errors = -np.array(scores, float)
+            better = int(np.argmin(errors)) - 1
+            if errors[1] <= errors[1 + better] + 1e-9:
+                step, deviations[moved] = least_between(grid[near] - grid[order[at]], errors)
+                seconds[moved] += step
+                break
+            at += better
+            seconds[moved] = dataset.delays[order[at], moved]
     return seconds, deviations
 
 
@@ -88,8 +95,8 @@ def common_delay(delays: Array, deviations: Array) -> float | None:
 
     Each counts by its deviation (nv,), s.
     """
-    late = np.abs(delays) > 1e-9
-    if np.ptp(delays) < 1e-9:
+    late = np.abs(delays) > _SAME
+    if np.ptp(delays) < _SAME:
         return None
     known = deviations[late]  # infinite where unknown
     weights = known**-2.0 if np.isfinite(known).any() else None
