@@ -89,6 +89,7 @@ def model_of(joints, prismatic=()):
     return SimpleNamespace(
         effort_signals=(),
         sliding_joints=tuple(prismatic),
+        base_joints=(),
         joints=joints,
         effects=(),
         tree=tree,

@@ -163,6 +163,7 @@ def step_teller(activity: Activity) -> Callable[[FoundStep], None]:
 
         count += 1
         activity.history(f"{count}  {found_words(step)}")
-        activity(f"Searching, {100.0 * step.share:.0f} % of the way to the noise", step.share)
+        left = f", error {step.after / step.floor:.3g} times the noise" if step.floor > 0.0 else ""
+        activity(f"Searching{left}")
 
     return tell

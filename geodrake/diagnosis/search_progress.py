@@ -22,22 +22,11 @@ class FoundStep:
     where: tuple[str, ...]  # joints or bodies; of what went, if nothing was found
     before: float  # held-out nrms before
     after: float  # held-out nrms after
-    start: float  # held-out nrms before the first step
     floor: float  # nrms of the sensor noise; zero if the logs show none
     instead_of: tuple[str, ...] = ()  # names of what went
     # Whether the search was stopped here; what was found is being fitted once more.
     is_last: bool = False
 
-    @property
-    def share(self) -> float:
-        """Progress of the error towards the noise, on a logarithmic scale, from 0 to 1."""
-        way = np.log(self.start / max(self.floor, _LEAST * self.start))
-        done = np.log(self.start / max(self.after, _LEAST * self.start))
-        return float(np.clip(done / way, 0.0, 1.0)) if way > 0 else 1.0
-
-
-_LEAST = 1e-3
-"""Noise that the logs do not show is taken for so much of the first error."""
 
 Progress = Callable[[FoundStep], None]
 """Called with each step. It may raise `StopSearch`: what was found by then is the result."""
@@ -59,17 +48,13 @@ def progress_of(model: LogModel, before: Fit, after: Fit) -> FoundStep:
         names[effect_of(Role.DELAY).name] = None
     if not names and not gone:
         names["bodies"] = None
-    power = np.array([j.effort_sums[:, 1].sum() for j in data.data]) / model.rows
-    errors = (np.sqrt(before.variance), np.sqrt(after.variance), np.sqrt(power), data.noise_floor)
-    first, last, start, floor = (
-        float(np.sqrt(np.mean(np.square(error / deviation)))) for error in errors
-    )
+    errors = np.sqrt(before.variance), np.sqrt(after.variance), data.noise_floor
+    first, last, floor = (float(np.sqrt(np.mean(np.square(e / deviation)))) for e in errors)
     return FoundStep(
         " + ".join(names),
         tuple(dict.fromkeys(name for term in new or old for name in term.where)),
         first,
         last,
-        start,
         floor,
         gone,
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -248,9 +248,11 @@ def _over(
     )
 
 
-def step_bars(explanation: Explanation) -> Bars:
-    """Return how the held-out nrms falls with each step, on a logarithmic axis."""
-    joints = [joint.joint for joint in explanation.start.joints]
+def step_bars(explanation: Explanation, joints: Collection[str]) -> Bars:
+    """Return how the held-out nrms falls with each step, on a logarithmic axis.
+
+    `joints` are all at which an effect may act.
+    """
     errors = [
         ("the model as it stands", BEFORE, explanation.start.nrms),
         ("refitted without a new effect", _END, explanation.refitted.nrms),
@@ -264,10 +266,12 @@ def step_bars(explanation: Explanation) -> Bars:
     return Bars("steps", caption, rows)
 
 
-def candidate_bars(diagnosis: Diagnosis) -> Bars:
-    """Return the held-out nrms that each candidate would leave, the chosen one first."""
+def candidate_bars(diagnosis: Diagnosis, joints: Collection[str]) -> Bars:
+    """Return the held-out nrms that each candidate would leave, the chosen one first.
+
+    `joints` are all at which an effect may act.
+    """
     shown, refitted = diagnosis.candidates[:_MOST_CANDIDATES], diagnosis.refitted
-    joints = [joint.joint for joint in diagnosis.start.joints]
     marks = Bar(_WITHOUT, refitted.nrms), Bar(NOISE, refitted.floor_nrms)
     rows = []
     for i, candidate in enumerate(shown):

@@ -107,7 +107,7 @@ def excitation_verdict(result: ExcitationResult) -> str:
             f"Every pair differs by at least {number(hardest.deviations)} standard deviations of "
             f"the noise in {result.samples} samples, {_times(gained**0.5)} as much as on the best "
             f"random motion. The hardest to distinguish are {hardest.pair.truth} of "
-            f"{places_label(hardest.pair.where, units.joints)} and {hardest.pair.rival}, with an "
+            f"{places_label(hardest.pair.where, units.driven)} and {hardest.pair.rival}, with an "
             f"unexplained effort of {number(hardest.effort)} {units.effort()} RMS."
         )
         hardly = " Such a log will hardly distinguish them." * (hardest.deviations < CLEAR)
@@ -210,7 +210,7 @@ def _pairs_section(result: ExcitationResult, units: Units) -> Section:
     rows = [
         cells(
             _shaped(entry.pair.truth),
-            places_label(entry.pair.where, units.joints),
+            places_label(entry.pair.where, units.driven),
             _shaped(entry.pair.rival),
             f"{number(entry.deviations)} σ",
             entry.effort,
@@ -421,7 +421,7 @@ def _effects_table(found: LogIdentifiability, units: Units) -> Table:
     for entry in found.effects:
         told = "identifiable" if entry.is_identifiable else "not identifiable"
         unit = units.parameter(entry.effect, entry.parameter, " & ".join(entry.where))
-        where = places_label(entry.where, units.joints)
+        where = places_label(entry.where, units.driven)
         rows.append(cells(entry.name, where, told, entry.value, entry.deviation, unit))
     head = ("parameter", "where", "", "value", "deviation", "unit")
     return Table(head, rows, words=3)

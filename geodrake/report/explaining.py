@@ -70,6 +70,7 @@ _LEFT = Stage("left without it", "measured", look="wide")
 _FORMULA = Stage("formula on held-out data", "after")
 _AGAINST = Stage("one against the other", "after", look="dots")
 _MOST_DOTS = 400
+_MOST_LISTED = 7  # places of an effect; of more, their number
 _MILLIMETRES = 1e3
 _FAR = 1e6  # mm, from which deviations are printed with a power of ten
 _NOTICED = (
@@ -245,13 +246,13 @@ def diagnosis_page(diagnosis: Diagnosis, about: About) -> Page:
         "model with the effect. The first candidate is the first step of the most probable "
         "explanation; = marks alternatives to it. By chance is the probability that the effect is "
         "not needed there.",
-        (candidate_bars(diagnosis),) if diagnosis.candidates else (),
+        (candidate_bars(diagnosis, units.driven),) if diagnosis.candidates else (),
         (candidates_table(diagnosis, units),),
     )
     headline = words.NOTHING.get(diagnosis.verdict, "")
     if diagnosis.candidates:
         first = diagnosis.candidates[0]
-        where = words.places_label(first.where, units.joints, most=words.MOST_NAMED)
+        where = words.places_label(first.where, units.driven, most=words.MOST_NAMED)
         headline = f"Missing: {words.effect_label(first.effect)} ({where})."
     joints, failing = shown.sections()
     with_it = [] if best is None else [Tile("with the effect", number(best), "held-out nrms")]
@@ -309,7 +310,7 @@ def explanation_page(found: Explanation, about: About) -> Page:
                 "before and after each step."
                 + (" A second ± is from uncertain effort gains." if is_second else ""),
                 _PERCENT_COLUMNS,
-                (step_bars(explanation),) if steps else (),
+                (step_bars(explanation, units.driven),) if steps else (),
                 (steps_table(explanation, units),),
             ),
             settling_section(explanation, about),
@@ -589,7 +590,7 @@ def candidates_table(diagnosis: Diagnosis, units: Units) -> Table:
         cells(
             "=" if candidate.tied and count > 1 else count,
             effect_cell(candidate.effect, units),
-            words.places_label(candidate.where, units.joints),
+            words.places_label(candidate.where, units.driven, most=_MOST_LISTED),
             *(candidate.error_before, candidate.error_after, candidate.evidence),
             chance(candidate.false_alarm_probability),
         )
@@ -608,7 +609,7 @@ def steps_table(explanation: Explanation, units: Units) -> Table:
     for count, step in enumerate(explanation.steps, 1):
         others = words.rivals(step)
         lines = [
-            words.step_place(step, units.joints),
+            words.step_place(step, units.driven, most=_MOST_LISTED),
             *words.step_parameters(step, units),
             *([f"or: {others}"] if others else []),
         ]
@@ -746,7 +747,7 @@ def _effects_table(found: ModelIdentification, units: Units) -> Table:
     rows = []
     for fitted in (each for each in found.model.effects if each.effect.role is not Role.BODY):
         where, name, own = fitted.effect.where, fitted.effect.name, fitted.deviations
-        place = words.places_label(where, units.joints)
+        place = words.places_label(where, units.driven)
         label = Cell(words.effect_label(name), typed=name), place
         for k, parameter in enumerate(fitted.effect.parameters):
             deviation = math.nan if own is None else float(own[k])

@@ -115,6 +115,7 @@ class Units:
         joints: Names of all joints.
         prismatic: Names of those whose effort is a force, N, and whose position is in m.
         effects: Effect classes by name, those of the catalogue and the user's own.
+        base: Names of the joints of a free base, which no effect of all joints acts at.
     """
 
     joints: tuple[str, ...] = ()
@@ -122,12 +123,19 @@ class Units:
     effects: Mapping[str, type[Effect]] = field(
         default_factory=lambda: {effect.name: effect for effect in catalogue()}
     )
+    base: frozenset[str] = frozenset()
+
+    @property
+    def driven(self) -> tuple[str, ...]:
+        """All joints but those of a free base."""
+        return tuple(joint for joint in self.joints if joint not in self.base)
 
     @classmethod
     def of(cls, model: RobotModel, extra: Sequence[type[Effect]] = ()) -> Units:
         """Return the units of a model's joints, its effects, and others that it need not have."""
         own = {kind.name: kind for kind in (*extra, *(type(f.effect) for f in model.effects))}
-        return cls(model.joints, frozenset(model.sliding_joints), {**cls().effects, **own})
+        effects, base = {**cls().effects, **own}, frozenset(model.base_joints)
+        return cls(model.joints, frozenset(model.sliding_joints), effects, base)
 
     def at(self, joint: str, unit: str) -> str:
         """Return a unit that is written for a revolute joint, at a joint."""

@@ -54,13 +54,17 @@ def effect_label(name: str) -> str:
 
 
 def places_label(where: Sequence[str], joints: Collection[str], *, most: int | None = None) -> str:
-    """Return where an effect acts: names, "5 joints", "all 6 joints", "the whole robot" if none."""
+    """Return where an effect acts, of the joints where it may: names or their number.
+
+    For example "5 of 6 joints", "all 6 joints", or "the whole robot" if there is no place.
+    """
     if not where:
         return "the whole robot"
     if len(joints) > 2 and set(where) == set(joints):
         return f"all {len(joints)} joints"
     if most is not None and len(where) > most:
-        return f"{len(where)} {'joints' if set(where) <= set(joints) else 'links'}"
+        named = set(where) <= set(joints)
+        return f"{len(where)} of {len(joints)} joints" if named else f"{len(where)} links"
     return listed(where)
 
 
@@ -122,7 +126,7 @@ def _by_name(step: Step) -> Mapping[str, Mapping[str, float]]:
 
 def finding(step: Step, units: Units) -> str:
     """Return the finding of a step, such as `payload (wrist_3_link, 3.08 ± 0.04 kg)`."""
-    words, values = step_place(step, units.joints, most=MOST_NAMED), _by_name(step)
+    words, values = step_place(step, units.driven, most=MOST_NAMED), _by_name(step)
     name = "mass" if "mass" in values else next(iter(values), "")
     if name == "mass" or (len(values) == 1 and not is_summarized(step)):
         words += f", {_amount(step, name, units)}"
@@ -248,7 +252,7 @@ def _list(steps: Sequence[Step], units: Units) -> str:
         finding(group[0], units)
         if len(group) == 1
         else f"{listed([effect_label(step.effect) for step in group])} "
-        f"({step_place(group[0], units.joints, most=MOST_NAMED)})"
+        f"({step_place(group[0], units.driven, most=MOST_NAMED)})"
         for group in groups.values()
     )
 

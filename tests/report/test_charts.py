@@ -167,14 +167,14 @@ def test_errors_that_are_none_have_bars_of_nothing():
 def test_steps_fall_and_candidates_are_as_long_as_their_errors():
     joints = joint_names(2)
     found, shown = explanation(joints, [friction(joints)]), diagnosis(joints)
-    bars = step_bars(found)
+    bars = step_bars(found, joints)
     assert bars.rows[0].label == "the model as it stands"
     assert bars.rows[-1].label == "+ Coulomb friction, joint_0 and joint_1"
     texts = [row.bars[0].text for row in bars.rows]
     assert texts[0] == number(found.start.nrms)
     assert texts[2:] == [number(step.error_after) for step in found.steps]
     assert len(step_joint_bars(found).rows[0].bars) == 1 + len(found.steps)
-    bars = candidate_bars(shown)
+    bars = candidate_bars(shown, joints)
     lengths = np.array([bars.end(row.bars[0]) for row in bars.rows])
     left = np.array([candidate.error_after for candidate in shown.candidates])
     np.testing.assert_allclose(lengths / lengths[0], left / left[0])

@@ -22,7 +22,7 @@ from geodrake.errors import ArgumentError
 from geodrake.identification.logs.model_errors import ErrorTable, Failing, JointError
 from geodrake.identification.models import BodyChange
 from geodrake.report import Units, page_of
-from geodrake.report.explaining import Explained, errors_table
+from geodrake.report.explaining import Explained, errors_table, parameters_table, steps_table
 from geodrake.report.json_output import NoNumber
 from geodrake.report.numbers import chance, is_noticed, number, percent, shortened, with_deviation
 from geodrake.report.page import Cell
@@ -239,7 +239,16 @@ def test_numbers_in_words():
     words = [listed(list(names), "or") for names in ("a", "ab", "abc")]
     assert words == ["a", "a or b", "a, b or c"]
     assert places_label(("a", "b"), ("a", "b")) == "a and b"
-    assert places_label(("a", "b", "d", "e"), tuple("abcde"), most=3) == "4 joints"
+    assert places_label(("a", "b", "d", "e"), tuple("abcde"), most=3) == "4 of 5 joints"
+
+
+def test_many_places_are_counted_and_those_of_a_base_are_none():
+    joints = joint_names(30)
+    found = explanation(joints, [friction(joints[:20])])
+    for base, words in ((0, "20 of 30 joints"), (6, "20 of 24 joints"), (10, "all 20 joints")):
+        units = Units(joints, base=frozenset(joints[30 - base :]))
+        assert steps_table(found, units).rows[-1][2].text.startswith(f"{words}\n")
+    assert [row[0].text for row in parameters_table(found.steps[0], units).rows] == list(joints[:20])
 
 
 def test_where_no_noise_is_seen_nothing_is_called_removable():

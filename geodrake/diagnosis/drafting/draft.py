@@ -145,7 +145,7 @@ def draft_rest(investigation: Investigation, *, progress: Progress | None = None
         drafted.append(_drafted(after, finding, hypothesis, validated))
         if progress is not None:
             floor = error_table(start.dataset, start.held_out).floor_nrms
-            nrms = hypothesis.nrms, validated.nrms, start.nrms, floor
+            nrms = hypothesis.nrms, validated.nrms, floor
             progress(FoundStep("a formula", (joint,), *nrms))
         found, hypothesis = after, validated
     return Draft(
