@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass
 from itertools import count
@@ -16,7 +17,6 @@ from tempfile import TemporaryDirectory
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.geometry import (
     Box,
@@ -26,7 +26,6 @@ from pydrake.geometry import (
     GeometrySet,
     Mesh,
     Role,
-    SceneGraph,
     Shape,
     SignedDistancePair,
     Sphere,
@@ -63,7 +62,7 @@ _FEW, _GRID = 1000, 2e-4  # corners of a hull, and where those of one with more 
 _INFLUENCE = 0.05  # m beyond the clearance at which the constraint begins to feel a distance
 _POSTURES = 40
 _ALWAYS = 0.9  # share of random postures in which parts overlap that are made to
-_SIZES = {"box": 3, "sphere": 1, "cylinder": 2, FLOOR: 1}
+_SHAPES = {"box": (Box, 3), "sphere": (Sphere, 1), "cylinder": (Cylinder, 2), FLOOR: (None, 1)}
 _SCENES, _MESHES = (".urdf", ".sdf", ".xml", ".xacro", ".yaml", ".yml"), (".obj", ".stl", ".vtk")
 _FORMS = (
     "Write box:0.6,0.8,0.05@0.5,0,0.4 (sizes @ x, y, z of the centre, then optionally roll, "
@@ -126,7 +125,7 @@ def read_obstacles(texts: Iterable[str]) -> tuple[Solid, ...]:
         pose = _pose(place, text) if at else RigidTransform()
         kind, colon, sizes = what.partition(":")
         suffix = Path(what).suffix.lower()
-        if colon and kind in _SIZES:
+        if colon and kind in _SHAPES:
             found.append(_plain(label or f"{kind} {k}", kind, _numbers(sizes, text), pose))
         elif suffix in _MESHES:
             shape = Convex(points=_points(Path(what)).T, label=label or Path(what).stem)
@@ -160,13 +159,14 @@ def _pose(text: str, whole: str) -> RigidTransform:
 
 
 def _plain(name: str, kind: str, sizes: list[float], pose: RigidTransform) -> Solid:
-    if len(sizes) != _SIZES[kind]:
-        raise ArgumentError(f"A {kind} needs {_SIZES[kind]} sizes; got {sizes}.", advice=_FORMS)
-    if kind == FLOOR:
+    shape, count = _SHAPES[kind]
+    if len(sizes) != count:
+        raise ArgumentError(f"A {kind} needs {count} sizes; got {sizes}.", advice=_FORMS)
+    if shape is None:
         return _floor(name, sizes[0])
     if not min(sizes) > 0:
         raise ArgumentError(f"Sizes of a {kind} must be positive; got {sizes}.", advice=_FORMS)
-    return Solid(name, {"box": Box, "sphere": Sphere, "cylinder": Cylinder}[kind](*sizes), pose)
+    return Solid(name, shape(*sizes), pose)
 
 
 def _points(path: Path) -> Array:
@@ -205,47 +205,6 @@ def _scene(path: Path, name: str, X_WS: RigidTransform) -> list[Solid]:
             advice="Add <collision> elements to its links, or use boxes instead.",
         )
     return found
-
-
-def add_collision_plant(
-    builder: DiagramBuilder,
-    model: RobotModel,
-    obstacles: Sequence[Solid],
-    own: Mapping[str, Sequence[Solid]],
-    links: Mapping[str, Sequence[Solid]],
-) -> tuple[MultibodyPlant, SceneGraph]:
-    """Add a finalized plant of the model with collision geometry, and its SceneGraph.
-
-    Args:
-        own: Scoped link name -> solids of the robot's file.
-        links: Link name -> further solids of the link.
-    """
-    plant, scene = AddMultibodyPlantSceneGraph(builder, 0.0)
-    with drake_messages(), drake_errors(model.path):
-        read_description(model.path, model.given).add_to(plant)
-        arrange_as(plant, model.plant)
-    bodies = [plant.get_body(BodyIndex(i)) for i in range(plant.num_bodies())]
-    by_scope = {body.scoped_name().get_full(): body for body in bodies}
-    for scope, solids in own.items():
-        for solid in solids if scope in by_scope else ():
-            _register(plant, by_scope[scope], solid)
-    for solid in obstacles:
-        _register(plant, plant.world_body(), solid)
-    for name, further in links.items():
-        found = [body for body in bodies if name in (body.name(), body.scoped_name().get_full())]
-        if not found:
-            raise ArgumentError(
-                f"There is no link {name!r}.",
-                advice=f"Links are: {', '.join(body.name() for body in bodies[1:])}.",
-            )
-        for solid in further:
-            _register(plant, found[0], solid)
-    plant.Finalize()
-    return plant, scene
-
-
-def _register(plant: MultibodyPlant, body: object, solid: Solid) -> None:
-    plant.RegisterCollisionGeometry(body, solid.X_BG, solid.shape, solid.name, _CONTACT)
 
 
 def solids_of_file(path: Path, given: Given) -> dict[str, list[Solid]]:
@@ -288,28 +247,6 @@ def _in_memory(shape: Shape, label: str) -> Shape:
     return Convex(points=corners.T, label=label)
 
 
-def _unusable(place: str | Path, reason: str) -> ModelError:
-    return ModelError(
-        f"Mesh {place} cannot be used for collisions: {reason}.",
-        advice="Correct the file, or pass the shapes of links as `links` and ignore those of "
-        "the model's file (use_file=False).",
-        mesh=str(place),
-    )
-
-
-def _hull(vertices: Array) -> tuple[Array, NDArray[np.intp]]:
-    """Return the vertices of a convex hull and the corners of its triangles.
-
-    What is flat has no hull: it is returned with all its triangles, of three vertices each.
-    """
-    try:
-        hull = ConvexHull(vertices)
-    except QhullError:
-        return vertices, np.arange(len(vertices)).reshape(-1, 3)
-    corners = np.searchsorted(hull.vertices, hull.simplices, sorter=np.argsort(hull.vertices))
-    return vertices[np.sort(hull.vertices)], corners
-
-
 def _readable(name: str, where: Where, replacement: Path) -> Path:
     """Return the file of a mesh, or the file that replaces an STL file."""
     path: str | Path = name
@@ -319,12 +256,21 @@ def _readable(name: str, where: Where, replacement: Path) -> Path:
             return regular_mesh(path)
         vertices = stl_vertices(path)
     except ModelError as error:
-        words = error.problem.replace(f"Mesh {path} ", "it ").rstrip(".")
-        raise _unusable(path, words) from error
-    vertices, corners = _hull(vertices)
+        reason = error.problem.replace(f"Mesh {path} ", "it ").rstrip(".")
+        raise ModelError(
+            f"Mesh {path} cannot be used for collisions: {reason}.",
+            advice="Correct the file, or pass the shapes of links as `links` and ignore those of "
+            "the model's file (use_file=False).",
+            mesh=str(path),
+        ) from error
+    faces = np.arange(len(vertices)).reshape(-1, 3)
+    with suppress(QhullError):  # what is flat has no hull
+        hull = ConvexHull(vertices)
+        corners = np.sort(hull.vertices)
+        vertices, faces = vertices[corners], np.searchsorted(corners, hull.simplices)
     with replacement.open("w", encoding="utf-8") as file:
         np.savetxt(file, vertices, "v %.9g %.9g %.9g")
-        np.savetxt(file, 1 + corners, "f %d %d %d")
+        np.savetxt(file, 1 + faces, "f %d %d %d")
     return replacement
 
 
@@ -367,20 +313,44 @@ class CollisionWorld:
         return world
 
     def _place(self, obstacles: Sequence[Solid]) -> None:
-        model, builder = self._model, DiagramBuilder()
+        model, builder, (own, links) = self._model, DiagramBuilder(), self._solids
         self.obstacles = tuple(solid.name for solid in obstacles)
-        self._plant, self._scene = add_collision_plant(builder, model, obstacles, *self._solids)
+        plant, self._scene = AddMultibodyPlantSceneGraph(builder, 0.0)
+        with drake_messages(), drake_errors(model.path):
+            read_description(model.path, model.given).add_to(plant)
+            arrange_as(plant, model.plant)
+        bodies = [plant.get_body(BodyIndex(i)) for i in range(plant.num_bodies())]
+        by_scope = {body.scoped_name().get_full(): body for body in bodies}
+        shapes: list[tuple[RigidBody, Sequence[Solid]]] = [
+            *((by_scope[scope], solids) for scope, solids in own.items() if scope in by_scope),
+            (plant.world_body(), obstacles),
+        ]
+        for name, further in links.items():
+            found = [
+                body for body in bodies if name in (body.name(), body.scoped_name().get_full())
+            ]
+            if not found:
+                raise ArgumentError(
+                    f"There is no link {name!r}.",
+                    advice=f"Links are: {', '.join(body.name() for body in bodies[1:])}.",
+                )
+            shapes.append((found[0], further))
+        for body, solids in shapes:
+            for solid in solids:
+                geometry = solid.X_BG, solid.shape, solid.name, _CONTACT
+                plant.RegisterCollisionGeometry(body, *geometry)
+        plant.Finalize()
         if not self._scene.model_inspector().NumGeometriesWithRole(Role.kProximity):
             raise ArgumentError(
                 f"{model.path} has no collision geometry, and there are no obstacles.",
                 advice="Pass the shapes of links as `links`, or omit collisions.",
             )
-        self._diagram = builder.Build()
+        self._plant, self._diagram = plant, builder.Build()
         self._root = self._diagram.CreateDefaultContext()
-        self._context = self._plant.GetMyMutableContextFromRoot(self._root)
-        self.notes = self._allow_overlaps(model)
+        self._context = plant.GetMyMutableContextFromRoot(self._root)
+        self.notes = self._allow_overlaps()
         self._constraint = MinimumDistanceLowerBoundConstraint(
-            plant=self._plant,
+            plant=plant,
             bound=self.clearance,
             plant_context=self._context,
             influence_distance_offset=_INFLUENCE,
@@ -392,8 +362,7 @@ class CollisionWorld:
         No more than `clearance` + 0.05 m is distinguished from infinity.
         """
         found, names = np.full(len(q), np.inf), [""] * len(q)
-        whole = self._model.plant_positions(q)
-        for i, pairs in enumerate(self._pairs(whole, self.clearance + _INFLUENCE)):
+        for i, pairs in enumerate(self._near(q)):
             if pairs:
                 nearest = min(pairs, key=lambda pair: pair.distance)
                 found[i], names[i] = nearest.distance, " and ".join(self._names(nearest))
@@ -407,7 +376,7 @@ class CollisionWorld:
             never within `clearance` + 0.05 m is left out.
         """
         found: dict[str, tuple[float, str]] = {}
-        for pairs in self._pairs(self._model.plant_positions(q), self.clearance + _INFLUENCE):
+        for pairs in self._near(q):
             for pair in pairs:
                 names = self._names(pair)
                 party = next((name for name in names if name in self.obstacles), ITSELF)
@@ -431,14 +400,16 @@ class CollisionWorld:
         J = self._model.coordinates.jacobian(q)
         return values, np.einsum("nij,ni->nj", J, gradients)
 
-    def _pairs(self, q: Array, within: float) -> list[list[SignedDistancePair]]:
-        """Return, for each posture, Drake's signed distances of pairs that are so near."""
-        result = []
+    def _near(self, q: Array) -> Iterator[list[SignedDistancePair]]:
+        """Yield Drake's signed distances of pairs that matter, for each posture of the model."""
+        return self._pairs(self._model.plant_positions(q), self.clearance + _INFLUENCE)
+
+    def _pairs(self, q: Array, within: float) -> Iterator[list[SignedDistancePair]]:
+        """Yield Drake's signed distances of pairs that are so near, for each of the plant's."""
         for posture in q:
             self._plant.SetPositions(self._context, posture)
             query = self._plant.get_geometry_query_input_port().Eval(self._context)
-            result.append(query.ComputeSignedDistancePairwiseClosestPoints(within))
-        return result
+            yield query.ComputeSignedDistancePairwiseClosestPoints(within)
 
     def _bodies(self, pair: SignedDistancePair) -> list[RigidBody]:
         inspector = self._scene.model_inspector()
@@ -453,33 +424,30 @@ class CollisionWorld:
         ]
         return names[0], names[1]
 
-    def _allow_overlaps(self, model: RobotModel) -> tuple[str, ...]:
+    def _allow_overlaps(self) -> tuple[str, ...]:
         """Allow collisions of links that always overlap, with notes."""
-        lower, upper = self._plant.GetPositionLowerLimits(), self._plant.GetPositionUpperLimits()
+        plant, world = self._plant, self._plant.world_body().index()
+        lower, upper = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
         bounded = np.isfinite(lower) & np.isfinite(upper)
         lower, upper = np.where(bounded, lower, -np.pi), np.where(bounded, upper, np.pi)
         q = np.random.default_rng(0).uniform(lower, upper, (_POSTURES, len(lower)))
-        count: Counter[tuple[int, ...]] = Counter()
-        words: dict[tuple[int, ...], str] = {}
+        count, words = Counter[tuple[int, ...]](), dict[tuple[int, ...], str]()
         for pairs in self._pairs(q, 0.0):
-            found = {}
-            for pair in pairs:
-                key = tuple(sorted(int(body.index()) for body in self._bodies(pair)))
-                found[key] = " and ".join(self._names(pair))
-            words |= found
-            count.update(found.keys())
-        world = int(self._plant.world_body().index())  # obstacles, which are not drawn to overlap
-        overlapping = [
-            key for key, times in count.items() if times >= _ALWAYS * _POSTURES and world not in key
-        ]
+            keys = [tuple(sorted(int(b.index()) for b in self._bodies(pair))) for pair in pairs]
+            words |= {k: " and ".join(self._names(p)) for k, p in zip(keys, pairs, strict=True)}
+            count.update(set(keys))
         context = self._scene.GetMyMutableContextFromRoot(self._root)
-        manager = self._scene.collision_filter_manager(context)
-        for key in overlapping:
-            bodies = (self._plant.get_body(BodyIndex(index)) for index in key)
-            sets = (GeometrySet(self._plant.GetCollisionGeometriesForBody(b)) for b in bodies)
+        manager, notes = self._scene.collision_filter_manager(context), []
+        for key, times in count.items():
+            if (
+                times < _ALWAYS * _POSTURES or int(world) in key
+            ):  # obstacles are not drawn to overlap
+                continue
+            bodies = (plant.get_body(BodyIndex(index)) for index in key)
+            sets = (GeometrySet(plant.GetCollisionGeometriesForBody(body)) for body in bodies)
             manager.Apply(CollisionFilterDeclaration().ExcludeBetween(*sets))
-        return tuple(
-            f"{words[key]} of {model.path.name} overlap in nearly all postures, so their "
-            "collisions are ignored."
-            for key in overlapping
-        )
+            notes.append(
+                f"{words[key]} of {self._model.path.name} overlap in nearly all postures, so their "
+                "collisions are ignored."
+            )
+        return tuple(notes)

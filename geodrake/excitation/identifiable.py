@@ -134,33 +134,30 @@ def measurement_factor(
         (p, p) R with RᵀR = AᵀA of the whitened regressor; (p + 1, p + 1) of [A b] with
         measurements.
     """
-    instance(target, "target", Target)
+    noise = instance(target, "target", Target).noise[:, None]
     given = (motions,) if isinstance(motions, Motion) else motions
     every = instances(given, "motions", Motion)
-    outputs: list[Array | None] = [None] * len(every)
+    outputs: Sequence[object] = [None] * len(every)
     if measured is not None:
-        outputs = [real_array(b, "measured") for b in instances(measured, "measured", object)]
+        outputs = instances(measured, "measured", object)
     if len(outputs) != len(every) or not every:
         raise ArgumentError(
             f"There are {len(every)} motions, but measurements of {len(outputs)}.",
             advice="Pass one array of measurements for each motion.",
         )
-    return triangular_factor(_whitened(target, every, outputs))
 
-
-def _whitened(
-    target: Target, motions: Sequence[Motion], outputs: Sequence[Array | None]
-) -> Iterator[Array]:
-    """Yield blocks of whitened rows."""
-    for motion, output in zip(motions, outputs, strict=True):
-        if output is not None:
-            real_array(output, "measured", (len(motion), len(target.noise)))
-        for start in range(0, len(motion), _SAMPLES):
-            part = slice(start, start + _SAMPLES)
-            rows = target.measure(motion[part]).regressor
+    def whitened() -> Iterator[Array]:
+        for motion, output in zip(every, outputs, strict=True):
+            shape = len(motion), len(noise)
+            b = np.zeros((*shape, 0))
             if output is not None:
-                rows = np.concatenate([rows, output[part, :, None]], axis=2)
-            yield (rows / target.noise[:, None]).reshape(-1, rows.shape[2])
+                b = real_array(output, "measured", shape)[:, :, None]
+            for start in range(0, len(motion), _SAMPLES):
+                part = slice(start, start + _SAMPLES)
+                rows = np.concatenate([target.measure(motion[part]).regressor, b[part]], axis=2)
+                yield (rows / noise).reshape(-1, rows.shape[2])
+
+    return triangular_factor(whitened())
 
 
 def identifiable_parameters(
@@ -244,22 +241,19 @@ def _seen(singular: Array) -> int:
 
 @dataclass(frozen=True)
 class IdentifiableBlock:
-    """How much of a body or of an effect is identifiable."""
+    """How much of a body, or of a parameter of an effect, is identifiable."""
 
     name: str  # of the body, or of the effect: "<parameter> of <effect>" if it has several
     where: tuple[str, ...]  # joints or body of the effect; () for a body
-    # How many of its parameters are identifiable, 0 to 10 for a body and 0 to 1 for an effect; part
-    # of one can be.
+    # How many of its parameters are, 0 to 10 for a body and 0 to 1 for an effect, part of one too.
     count: float
     possible: float  # how many are from the best of motions
-    # Of an effect's parameter, its value in the model, or that of a fit to the logs; NaN for a
-    # body.
+    # Of an effect: its value in the model, or that of a fit to the logs, and the deviation of an
+    # estimate from these logs alone, infinite where they do not determine it.
     value: float = np.nan
-    # Of an effect's parameter, the deviation of an estimate from these logs alone, in its own unit;
-    # infinite where they do not determine it, NaN for a body.
     deviation: float = np.nan
-    effect: str = ""  # name of the effect; "" for a body
-    parameter: str = ""  # name of the effect's parameter; "" for a body
+    effect: str = ""
+    parameter: str = ""
 
     @property
     def label(self) -> str:
@@ -429,33 +423,28 @@ def _blocks(
     found: IdentifiableParameters,
 ) -> tuple[tuple[IdentifiableBlock, ...], tuple[IdentifiableBlock, ...]]:
     """Return bodies, and parameters of effects."""
-    target = found.target
-    counts, possible = found.counts, found.shares.sum(axis=1)
-    count = len(target.columns) // PARAMETERS_PER_BODY
-    numbers = zip(counts.tolist(), possible.tolist(), strict=True)
-    bodies = tuple(
-        IdentifiableBlock(name, (), *pair)
-        for name, pair in zip(target.bodies, numbers, strict=False)
-    )
-    parameters, at = [], len(target.columns)
-    for fitted in target.further:
-        effect, several = fitted.effect, len(fitted.effect.parameters) > 1
-        for parameter, value in zip(effect.parameters, fitted.parameters, strict=True):
-            k = count + at - len(target.columns)
+    target, bodies = found.target, found.target.bodies
+    numbers = np.stack([found.counts, found.shares.sum(axis=1)], axis=1).tolist()
+    parameters, of_effects = [], iter(numbers[len(target.columns) // PARAMETERS_PER_BODY :])
+    for f, span in target.further_spans:
+        rows = found.directions[span]
+        each = zip(f.effect.parameters, f.parameters.tolist(), rows, of_effects, strict=False)
+        for parameter, value, row, (count, possible) in each:
+            several = f"{parameter.name} of {f.effect.name}"
             parameters.append(
                 IdentifiableBlock(
-                    f"{parameter.name} of {effect.name}" if several else effect.name,
-                    effect.where,
-                    count=float(counts[k]),
-                    possible=float(possible[k]),
-                    value=float(value),
-                    deviation=_deviation(found.directions[at], found.variances),
-                    effect=effect.name,
+                    several if len(rows) > 1 else f.effect.name,
+                    f.effect.where,
+                    count=count,
+                    possible=possible,
+                    value=value,
+                    deviation=_deviation(row, found.variances),
+                    effect=f.effect.name,
                     parameter=parameter.name,
                 )
             )
-            at += 1
-    return bodies, tuple(parameters)
+    pairs = zip(bodies, numbers, strict=False)
+    return tuple(IdentifiableBlock(name, (), *own) for name, own in pairs), tuple(parameters)
 
 
 def _combinations(found: IdentifiableParameters) -> tuple[ParameterCombination, ...]:

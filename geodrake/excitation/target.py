@@ -83,7 +83,7 @@ class Target(Short):
         """Names of the m measurements of a sample: joints, or components of a wrench."""
         return self.model.joints if self.X_WP is None else WRENCH
 
-    @property
+    @cached_property
     def payloads(self) -> tuple[FittedEffect, ...]:
         """The payloads among the effects."""
         return tuple(fitted for fitted in self.effects if is_payload(fitted.effect))
@@ -303,11 +303,10 @@ def _ranges(model: RobotModel) -> tuple[Array, Array]:
 
 
 def sized_effects(target: Target) -> tuple[FittedEffect, ...]:
-    """Return the effects of a target, those without values as large as such effects usually are.
+    """Return the effects of a target, those of parameters zero as large as they usually are.
 
     Friction is there however light a load is, so that the load alone does not give its size.
-
-    Those with parameters of zero are those of unknown size; payloads stay as they are.
+    Payloads stay as they are.
     """
     limits = target.model.effort_limits
     X = target.measure(target.random_motion).regressor[:, :, len(target.columns) :]

@@ -303,13 +303,14 @@ class Separation(Objective):
         rows = measurement.regressor * (known / self.target.noise[:, None])
         rows = rows.reshape(-1, rows.shape[2])
         R = np.asarray(np.linalg.qr(np.concatenate([rows, self.prior]), mode="r"))
-        own, none = self._robots, np.zeros((0, R.shape[1]))
+        first, none = self._robots, np.zeros((0, R.shape[1]))
         robots = np.concatenate([none, *(pair.effects for pair in self.pairs)])
         for columns, members in self._groups.items():
             at = np.array(columns, np.intp)
-            robots[np.ix_(members, at)] -= self._explained(R, at, R @ robots[members].T)
+            own = np.array(members)[:, None], at
+            robots[own] -= self._explained(R, at, R @ robots[members].T)
         left = np.square(R @ robots.T).sum(axis=0)
-        return np.add.reduceat(left, own[:-1]), np.split(robots, own[1:-1])
+        return np.add.reduceat(left, first[:-1]), np.split(robots, first[1:-1])
 
     @cached_property
     def _robots(self) -> Indices:
@@ -337,7 +338,7 @@ class Separation(Objective):
             return found / sizes
         # Columns without bounds are eliminated first, so that the bounded problem is small.
         bound = np.isfinite(low) | np.isfinite(high)
-        free, held, count = A[:, ~bound], A[:, bound], np.count_nonzero(bound)
+        free, held, count = A[:, ~bound], A[:, bound], int(np.count_nonzero(bound))
         wanted = np.concatenate([held, targets[:, outside]], axis=1)
         shares = np.linalg.lstsq(free, wanted)[0]
         factor = np.asarray(np.linalg.qr(wanted - free @ shares, mode="r"))
