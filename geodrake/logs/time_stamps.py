@@ -27,6 +27,7 @@ _DAY = 86400.0  # s
 _RATES = 5.0, 5000.0  # rows a second of a log
 _ROWS = 100_000  # that tell the unit
 _SLOWEST = 0.5  # s between rows: what has more says nothing about accelerations
+_SLOW = 5.0  # s between rows of a log that is of use for other questions
 _SMOOTH = 0.01  # of its range, by which a position that is logged often bends from row to row
 _ALIKE = 0.1  # of a unit, by which joints may differ in what their speeds say of it
 _MOST_SETS = 40  # of a clock, in a log
@@ -65,7 +66,8 @@ def time_unit(
         return None
     typical, period = float(np.median(known)), float(np.median(np.abs(np.diff(known))))
     for unit, (factor, before) in _SINCE.items():
-        if _EPOCH[0] < factor * typical - before < _EPOCH[1]:
+        is_of_epoch = _EPOCH[0] < factor * typical - before < _EPOCH[1]
+        if is_of_epoch and factor * period < _SLOW:  # not of an uptime in a smaller unit
             return factor, f"time is in {unit}, judging by its size: converted"
     for program, (first, last) in _DAYS.items():
         if first <= typical < last and _RATES[0] <= 1.0 / max(_DAY * period, _INSTANT) <= _RATES[1]:

@@ -432,7 +432,7 @@ LAYOUTS = {
     "parts of an arm may be counted through": (COUNTED, {"{part}_q_{one}": "q",
         "{part}_tau_{one}": "tau"}),
     "objects of CiA 402 are no joints": (HIP, {"axis{k}_position_actual_value_6064": "q",
-        "axis{k}_velocity (0x606C)": "v", "axis{k}_torque_actual_value_6077": "tau"}),
+        "axis{k}_velocity (0x606C) [rad/s]": "v", "axis{k}_torque_actual_value_6077": "tau"}),
     "numbers of servos are no objects": (SERVOS, {"{joint}.pos": "q", "{joint}.torque": "tau"}),
     "boards are counted where all have one axis": (HIP, {"odrv{k}.axis0.pos_estimate": "turns",
         "odrv{k}.axis0.vel_estimate": "turns/s", "odrv{k}.axis0.motor.torque_estimate": "tau"}),
@@ -442,7 +442,7 @@ LAYOUTS = {
     **{form: (LEGS, {f"{form} pos": "q", f"{form} torque": "tau"})
        for form in ("{letter}_{rest}", "{rest}_{side}", "{capital} {rest}")},
     **{f"q is plainer than {other}": (PANDA, {other: "other", "q{k}": "q", "tau_ff_{k}": "other",
-        "tau_rnea_{k}": "other", "tau_{k}": "tau"})
+        "tau_rnea_{k}": "other", "dynamic_tor[{k}]": "other", "tau_{k}": "tau"})
        for other in ("q{k}_hat", "q_prev_{k}", "q_{k}_predicted", "q_filtered_{k}")},
     **{f"settings: {kind}": (PANDA, dict(zip(forms.split(), ("8", "0", "q", "tau"), strict=True)))
        for kind, forms in SETTINGS.items()},
@@ -543,6 +543,14 @@ def test_positions_of_two_robots_with_efforts_of_one_are_asked_about(tmp_path):
     with pytest.raises(LogError, match="each joint twice: of master and of slave"):
         read_log(path, joints=PANDA)
     check(read_log(path, joints=PANDA, reading=Reading(topic="slave")), PANDA, q, None, tau)
+
+
+def test_names_that_may_be_of_several_joints_are_asked_about(tmp_path):
+    time, q, _, tau = motion(UR)
+    called = ["base", "shoulder", "elbow", "wrist1", "wrist2", "wrist3"]
+    names = ["time", *(f"{n}_pos" for n in called), *(f"{n}_torque" for n in called)]
+    with pytest.raises(LogError, match="has joint 'shoulder', but the model does not"):
+        read_log(write(tmp_path / "log.csv", names, [time, q, tau]), joints=UR, partial=True)
 
 
 def test_one_name_that_fits_by_chance_is_not_the_only_joint(tmp_path):
@@ -690,6 +698,9 @@ CLOCKS = {
                             (("sec", "msec"), 1e3))},
     "nanoseconds": ({"ZeitSek": np.floor(CLOCK) + 1.7e9, "ZeitNanoSek": np.rint(CLOCK % 1 * 1e9)},
         1e-9, ""),
+    "times of day": ({"Time": [f"23:59:{59 + k // 100}" if k < 100 else "00:00:00" for k in
+        range(ROWS)], "ms": 10 * (np.arange(ROWS) % 100)}, 1e-9, ""),
+    "ns since a start": ({"timestamp": 3.2e12 + 1e9 * CLOCK}, 1e-3, "time is in ns, judging by"),
     **{f"{clock} beside {other}": ({clock: start + CLOCK / unit, other: rest + np.arange(ROWS) % 7},
         1e-6, "")  # which may be no part of it
        for clock, other, unit, start, rest in (
@@ -839,7 +850,7 @@ def test_recordings_by_words_in_two_columns_follow_each_other(tmp_path):
     assert np.count_nonzero(np.diff(log.time) > 0.5) == 3
 
 
-@pytest.mark.parametrize("unit", ["furlong", "V"])
+@pytest.mark.parametrize("unit", ["furlong", "V", "per mille of rated"])
 def test_units_that_are_not_known_are_asked_for(tmp_path, unit):
     time, q, _, tau = motion(UR)
     names = ["t [s]", *(f"q{k} [{unit}]" for k in range(6)), *(f"tau{k} [Nm]" for k in range(6))]

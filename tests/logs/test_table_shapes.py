@@ -169,6 +169,7 @@ def tables_with_keys(kind, times):
         for name, cells in said.items()
     ]
     if kind == "LabVIEW":
+        head.append("***End_of_Header***\t")
         head.append(f"{head.pop(0)}\tComment")
     rows = ("\t".join(map(repr, r)) for r in np.transpose(both).tolist())
     return text("\n".join(["a title", "File\tC:\\arm", "", *head, "", *rows]))
@@ -248,6 +249,11 @@ SHAPES = {
     "message.json": text(json.dumps([{"topic": "/states", "timestamp": each["time"], "message":
         {k: each[k] for k in ("name", "position", "effort")}} for each in LIST_RECORDS])),
     "names_beside.json": text(json.dumps({"info": {"joint_names": JOINTS[::-1]}, "data": UNNAMED})),
+    "lists_of_names.csv": table(pandas.DataFrame({"Time": TIME, "name": str([*JOINTS[::-1]])} | {
+        f"{quantity}_{k}": values[:, 1 - k] for quantity, values in
+        (("position", POSITION), ("effort", EFFORT)) for k in (0, 1)})),
+    "typed_arrays.json": text(json.dumps([{n: dict(enumerate(x)) if n in ("position", "effort")
+        else x for n, x in each.items()} for each in LIST_RECORDS])),
     "labels.csv": table(NAMED.rename(columns={"name": "labels"})),
     "labels.npz": lambda path: np.savez(path, labels=JOINTS[::-1], **TURNED),
     "keys_beside.json": text(json.dumps({"keys": JOINTS[::-1], "data": UNNAMED})),
@@ -381,6 +387,12 @@ SHAPES = {
     **{f"KUKA {k}.csv": logger("TIME", q, e, factor=180 / np.pi) for k, (q, e) in enumerate((
         ("AXIS_ACT_A{}", "TORQUE_AXIS_ACT_A{}"), ("AXIS_ACT_A{}", "CURR_ACT_A{}"),
         ("$AXIS_ACT.A{}", "$TORQUE_AXIS_ACT[{}]")))},
+    "Simscape.csv": logger("Time (s)", "{}_joint.Rz.q (deg)", "{}.Rz.t (N*m)", JOINTS, 180 / np.pi),
+    "Greek.csv": logger("t", "θ{}", "τ_{}"),
+    "EGM.csv": logger("tm", "feedback_pos_j{}", "feedback_torque_j{}"),
+    "dSPACE.csv": text("Version;1.0\n\npath;" + ";".join(f"Model Root/{q}{k}" for q in
+        ("q", "tau") for k in (1, 2)) + "\nunit;rad;rad;Nm;Nm\ntrace_values;\n"
+        + PLAIN.to_csv(index=False, header=False, sep=";")),
     "Isaac.csv": logger("sim_time", "robot/joint_pos/{}", "robot/applied_torque/{}", JOINTS),
     "ODrive.csv": logger("t", "axis{}.encoder.pos_estimate",
         "axis{}.motor.current_control.Iq_measured", (0, 1), 0.5 / np.pi),
@@ -411,7 +423,8 @@ SHAPES = {
     **dict.fromkeys(("echo.txt", "echo.yaml", "echo"), echoed()),
     "rsi.xml": text("\n".join(f'<Rob Type="KUKA"><RIst X="1.0" Y="2.0"/><AIPos A1="{a!r}" '
         f'A2="{b!r}"/><MATorque A1="{c!r}" A2="{d!r}"/><IPOC>{4208163 + round(1000 * t)}</IPOC>'
-        "</Rob>" for t, a, b, c, d in PLAIN.iloc[:, [0, 1, 2, 3, 4]].to_numpy().tolist())),
+        "</Rob>" for t, a, b, c, d in
+        (PLAIN.to_numpy() * [1.0, *[180 / np.pi] * 2, 1.0, 1.0]).tolist())),
     "matrices.npz": lambda path: np.savez(path, t=TIME, q=POSITION, dq=VELOCITY, tau=EFFORT,
         O_T_EE=np.zeros((3, 4, 4))),
     "frame.h5": frame_of_pandas(False), "indexed.h5": frame_of_pandas(True),
@@ -996,6 +1009,15 @@ def test_stamps_of_whole_seconds_are_refused_with_what_to_do(tmp_path):
     with pytest.raises(LogError, match="uniform, give their rate with --rate"):
         read_log(path)
     np.testing.assert_allclose(read_log(path, reading=Reading(rate=100.0)).time, TIME)
+
+
+@pytest.mark.parametrize("value", [-9999, 99999])
+def test_nines_far_from_all_others_are_no_measurements(tmp_path, value):
+    columns = {name: PLAIN[name].to_numpy().copy() for name in PLAIN}
+    columns["base.effort"][5:50:9] = value
+    log = read_log(csv_of(tmp_path, columns), joints=JOINTS)
+    np.testing.assert_array_equal(np.isnan(log.effort[:, 0]), columns["base.effort"] == value)
+    assert f"'base.effort' is {value} in 5 rows: taken as not measured" in log.notes
 
 
 def test_signals_of_unknown_names_are_mapped(tmp_path):

@@ -79,7 +79,8 @@ def read_json(path: Path, reading: Reading) -> LogTable:
 
 def _json_values(text: str) -> tuple[list[Any], str]:
     """Return the values that follow each other in a text, as in lines, and what is cut off."""
-    values, at, decoder, blank = list[Any](), 0, json.JSONDecoder(), re.compile(r"\s*")
+    values, at, blank = list[Any](), 0, re.compile(r"\s*")
+    decoder = json.JSONDecoder(object_hook=_counted)
     while (at := blank.match(text, at).end()) < len(text):  # type: ignore[union-attr]
         try:
             value, at = decoder.raw_decode(text, at)
@@ -89,6 +90,12 @@ def _json_values(text: str) -> tuple[list[Any], str]:
             return values, text[at:].strip()
         values.append(value)
     return values, ""
+
+
+def _counted(content: dict[str, Any]) -> Any:
+    """Return an object with the keys 0, 1, … as a list, as JavaScript writes typed arrays."""
+    is_list = "0" in content and [*content] == [*map(str, range(len(content)))]
+    return [*content.values()] if is_list else content
 
 
 def read_yaml(path: Path, reading: Reading) -> LogTable:
@@ -169,9 +176,6 @@ def _of_rows(path: Path, content: Any) -> Any:
         names, rows = lists
         if all(isinstance(row, list) for row in rows) and len(rows[0]) == len(names):
             return _under_names(path, names, rows)
-    rows = [tuple(each) if isinstance(each, Mapping) else () for each in content.values()]
-    if len(rows) > 1 and rows[0][:2] == ("0", "1") and set(rows) == {rows[0]}:
-        return {name: [*each.values()] for name, each in content.items()}
     return content
 
 

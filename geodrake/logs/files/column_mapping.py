@@ -845,7 +845,7 @@ def time_source(table: LogTable, reading: Reading) -> Meaning | None:
         best = min(times, key=lambda meaning: meaning.role)
         source = settled(table.path, best, "", reading, table.units)
     if source.column in table.origins:  # whatever its name says
-        return Meaning(source.column, "time", unit=unit_of("s", "time"))
+        source = Meaning(source.column, "time", unit=unit_of("s", "time"))
     return replace(source, beside=_beside(table, source)) if source.factor == 1.0 else source
 
 

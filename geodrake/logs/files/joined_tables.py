@@ -414,7 +414,11 @@ def _named(table: LogTable, naming: Mapping[str, Texts]) -> LogTable:
     in_lists = all(name.endswith("]") for name in naming)
     columns = [name for name in table.columns if name not in table.origins]  # no dates
     measured = [m for m in meanings_of(columns) if m.quantity in OF_JOINTS]
-    measured = [m for m in measured if m.role <= PLAIN and (m.column.endswith("]") or not in_lists)]
+    measured = [m for m in measured if m.role <= PLAIN]
+    if in_lists:  # whose items are in columns of lists, too, or in numbered ones, from 0 on
+        measured = [m for m in measured if m.column.endswith("]")] or [
+            m for m in measured if m.number is not None and m.number < len(naming)
+        ]
     owner = {name: _named_by(name, naming) for name in naming}
     found = {m.column: (m, n) for n, is_of in owner.items() for m in measured if is_of(m)}
     meanings = {column: m for column, (m, _) in found.items()}

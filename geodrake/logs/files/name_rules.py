@@ -75,12 +75,13 @@ _MEANT = {  # by MuJoCo, of motors at joints and of others; and by ODrive, what 
     "qfrc_smooth": "qfrc_external",
     "controller.input_": "controller.desired_",
     "current_state": "",
+    "Model Root/": "",  # of dSPACE
 }
 _INCREMENTAL = ("inc", "cnt", "qc")  # a kind of encoder, where they stand in no brackets
 _OBSERVED = ("observation.state", "observation.position")  # of LeRobot
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 _OBJECT = re.compile(  # of CiA 402's that are measured or asked for, behind what it is
-    r"[\s_(\[]+(?:0x)?60(?:6[2-4BC]|7[1479A]|F[4F])[)\]]?$", re.IGNORECASE
+    r"[\s_(\[]+(?:0x)?60(?:6[2-4BC]|7[1479A]|F[4F])[)\]]?(?=$|\s*[\[(])", re.IGNORECASE
 )
 _TORQUE_J = re.compile(r"(?<![A-Za-z])tau_J(?![A-Za-z0-9])")  # of Franka, where J is no joint
 _AXIS = re.compile(r"(?i)(?<![a-z])axis(?=_(?:act|soll|ist|set|cmd)(?![a-z]))")  # of KUKA
@@ -89,7 +90,10 @@ _BRACKETS = re.compile(r"\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]\s*$")
 _INDEX = re.compile(r"\[(\d+)\]")
 _FIRST_SENSOR = re.compile(r"(?<=\][./]temperature)\[0\]$")  # of several in the same motor
 _FURTHER_SENSOR = re.compile(r"\][./]temperature\[[1-9]\d*\]$")
-_BRACKET_FORMS = str.maketrans("（）［］【】｛｝", "()[][]{}")
+_FORMS = str.maketrans(  # of brackets, and of symbols of quantities and their derivatives
+    dict(zip("（）［］【】｛｝", "()[][]{}", strict=True))
+    | {"θ": "theta", "φ": "angle", "ω": "omega", "τ": "tau", "\u0307": "_dot", "\u0308": "_ddot"}
+)
 _UNSPACED = re.compile(  # words between which no blanks are written
     "|".join(
         sorted(re.findall(r"[\u3040-\u30ff\u4e00-\u9fff]+", str(WORDS)), key=len, reverse=True)
@@ -157,7 +161,7 @@ def meaning_of(name: str) -> Meaning | None:
     own = _own(name)
     if own is not None or len(name) > _LONGEST_NAME:
         return own
-    plain = _UNSPACED.sub(r" \g<0> ", name.translate(_BRACKET_FORMS)).strip()
+    plain = _UNSPACED.sub(r" \g<0> ", name.translate(_FORMS)).strip()
     found = next((found for rule in RULES if (found := rule(plain)) is not None), None)
     return None if found is None else replace(found, column=name)
 
@@ -168,11 +172,11 @@ def meanings_of(names: Iterable[str], joints: Sequence[str] = ()) -> list[Meanin
     A letter that is a unit of what the name says, as in `cur_A`, is no joint if no other has it.
 
     Args:
-        joints: Those of a model, whose names may have words that say something else, as `base` and
-            `wrist_angle` do.
+        joints: Those of a model: a column with the whole name of one is of it, whatever else words
+            of this say, such as `base` and `wrist_angle`.
     """
     names = list(names)
-    odd = {_split(joint): joint for joint in joints if _misleads(joint)}
+    odd = {_split(joint): joint for joint in joints if _misleads(joint) or _has_name(joint)}
     roman = _roman_numbers(names)
     of_model = {number: joint for joint, (_, number) in _roman_numbers(joints).items()}
     each = (
@@ -269,14 +273,14 @@ def quantity_of(text: str) -> str | None:
 
 def bracketed(column: str) -> str:
     """Return the text in brackets behind a name."""
-    found = _BRACKETS.search(column.translate(_BRACKET_FORMS))
+    found = _BRACKETS.search(column.translate(_FORMS))
     return found[1] if found else ""
 
 
 def is_unknown_word(text: str) -> bool:
     """Return whether a text is a word that names of columns do not have otherwise."""
     known = _FILLERS | _FLAGS | ROLE_WORDS.keys() | QUANTITY_WORDS.keys() | _SIDES.keys()
-    return bool(re.fullmatch(r"[^\W\d_][^\d\s]*", text)) and known.isdisjoint(_split(text))
+    return bool(re.fullmatch(r"[^\W\d_]\D*", text)) and known.isdisjoint(_split(text))
 
 
 @lru_cache(maxsize=10_000)
@@ -562,8 +566,7 @@ def matched(
             told, is_ordered = _match_style(part, own)
             names, by_order = {**names, **told}, by_order or is_ordered
         names = {m.column: names[m.column] for m in style if _may_be(m, names.get(m.column))}
-        is_own = style[0].style[0] == "own"
-        found |= (_by_their_own_words(style) if is_own or not names else {}) | names
+        found |= _by_their_own_words(style) | names
         if by_order and names:
             for meaning in style:
                 if meaning.number is not None and meaning.column in names:
@@ -708,11 +711,15 @@ def _by_name(keys: Mapping[Words, Meaning], joints: Sequence[str]) -> dict[Words
         for first in range(len(words)):
             ends[words[first:]].append((first, joint))
     sided = dict(zip(keys, _with_side_first([*keys]), strict=True))
+    # Words that all columns have and no joint, such as Simscape's `Rz`, say nothing.
+    shared = set.intersection(*map(set, sided.values())) if len(keys) > 1 else set[str | int]()
+    shared = {word for word in shared if isinstance(word, str)}
+    shared.difference_update(*map(words_of, joints))
     found = {}
     for key, meaning in keys.items():
         if meaning.number is not None:
             continue  # a number alone may count from 0: see _by_number
-        words = sided[key]
+        words = tuple(word for word in sided[key] if word not in shared)
         tails = (words[first:] for first in range(len(words)))
         near = next((ends[tail] for tail in tails if tail in ends), [])
         least = [joint for extra, joint in near if extra == min(near)[0]]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
@@ -28,6 +29,7 @@ _RUN, _ENOUGH_ROWS = 20, 100  # rows without an empty cell that are of use, and 
 _STILL = 2e-3  # rad or m, by which a joint may move and still stand
 _COMPLEMENTS = (16, 32)  # bits of registers in two's complement
 _SIGN_BITS = (10, 15)  # bits that hold a sign beside a magnitude, as of Feetech's servos
+_NINES = re.compile(r"-?9{3,}")  # what loggers write where nothing was measured
 _LEAST = 3  # rows with either sign
 _HELD, _MARGIN = 0.99, 0.05  # share of positions that limits hold, and rad by which they may pass
 _ROUNDING = 1e-3  # by which a whole number is off after a unit's factor
@@ -46,7 +48,7 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
             advice="Record several seconds of motion.",
         )
 
-    signed = list(_take_signs(columns, numbers))
+    signed = [*_leave_out_nines(columns, numbers), *_take_signs(columns, numbers)]
 
     def column(joint: str, quantity: str) -> Array:
         source = columns.places.get((joint, quantity))
@@ -123,6 +125,22 @@ def _side_by_side(columns: Sequence[Array]) -> Array:
         for place, column in enumerate(columns):
             found[block, place] = column[block]
     return found
+
+
+def _leave_out_nines(columns: Columns, numbers: dict[str, Array]) -> Iterator[str]:
+    """Leave out numbers such as −9999, which stand for nothing; yield notes.
+
+    They are farther from all others of their column than these are apart.
+    """
+    for column in {source.column: None for (joint, _), source in columns.places.items() if joint}:
+        for value in (np.fmin.reduce(numbers[column]), np.fmax.reduce(numbers[column])):
+            if not _NINES.fullmatch(f"{value:g}"):
+                continue
+            lost = numbers[column] == value
+            rest = numbers[column][~lost & np.isfinite(numbers[column])]
+            if len(rest) and np.abs(rest - value).min() > np.ptp(rest):
+                numbers[column] = np.where(lost, np.nan, numbers[column])
+                yield f"{column!r} is {value:g} in {lost.sum()} rows: taken as not measured"
 
 
 def _take_signs(columns: Columns, numbers: dict[str, Array]) -> Iterator[str]:

@@ -180,6 +180,8 @@ def text_layout(path: Path, file: Iterator[str], reading: Reading) -> TextLayout
         header = _told_apart(header)
         units = _units(header, lines[begin].split(separator))
         names, begin = _with_units(header, units), begin + bool(units)
+        while sum(map(bool, _cells_of(lines[begin], separator))) == 1 < len(names):
+            begin += 1  # over a title of the numbers
     layout = TextLayout(tuple(names), separator, ".", begin, units, unnamed, is_keyed)
     below = lines[begin : begin + _LINES_AHEAD]
     if _MAY_BE_MARKED[separator].search("".join(below)):
@@ -227,9 +229,10 @@ def _rows_above(
             break
     else:
         return [], begin, None
-    rows = [(k, cells) for k in range(begin, at) if any(cells := _cells_of(lines[k], separator))]
+    rows = [(k, _cells_of(lines[k], separator)) for k in range(begin, at)]
+    rows = [(k, cells) for k, cells in rows if sum(map(bool, cells)) > 1]  # no titles or rules
     wide = takewhile(lambda row: len(row[1]) - len(first) in (0, 1), reversed(rows))
-    above = dropwhile(lambda row: _names_nothing(row[1]), reversed([*wide]))
+    above = dropwhile(lambda row: _are_numbers(row[1][:1]), reversed([*wide]))
     return [*above], at, separator
 
 
@@ -237,11 +240,6 @@ def _names_at(above: Sequence[tuple[int, list[str]]]) -> int:
     """Return the line of the first row that names each column otherwise; else the first one."""
     whole = (k for k, cells in above if all(cells) and len({*cells}) == len(cells))
     return next(whole, above[0][0])
-
-
-def _names_nothing(cells: Sequence[str]) -> bool:
-    """Return whether cells are only a title, or a row with few numbers."""
-    return sum(map(bool, cells)) == 1 or _are_numbers(cells[:1])
 
 
 def _has_numbers(cells: Sequence[str]) -> bool:

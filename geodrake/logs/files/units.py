@@ -137,7 +137,7 @@ def _scaled(text: str, quantity: str) -> Unit | None:
 @lru_cache(1024)
 def _spelled(text: str) -> tuple[str, ...]:
     """Return spellings of a unit: unchanged, without dots, with a slash, lower case, singular."""
-    text = "%" if text.startswith("%") else text  # of what is rated
+    text = text[0] if text.startswith(("%", "‰")) else text  # of what is rated
     plain = re.sub(r"[·*\s.⋅-]", "", text).replace("^2", "²").replace("s2", "s²")
     over = re.sub(r"(?i:_per_|_|per)([Ss]|[Mm]in)", lambda found: f"/{found[1].lower()}", plain)
     over = over.replace("/s/s", "/s²").replace("/sec", "/s")
