@@ -248,7 +248,9 @@ def test_many_places_are_counted_and_those_of_a_base_are_none():
     for base, words in ((0, "20 of 30 joints"), (6, "20 of 24 joints"), (10, "all 20 joints")):
         units = Units(joints, base=frozenset(joints[30 - base :]))
         assert steps_table(found, units).rows[-1][2].text.startswith(f"{words}\n")
-    assert [row[0].text for row in parameters_table(found.steps[0], units).rows] == list(joints[:20])
+    assert [row[0].text for row in parameters_table(found.steps[0], units).rows] == list(
+        joints[:20]
+    )
 
 
 def test_where_no_noise_is_seen_nothing_is_called_removable():

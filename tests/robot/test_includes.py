@@ -362,6 +362,12 @@ class TestXacro:
         monkeypatch.setenv("AMENT_PREFIX_PATH", f"/nowhere:{tmp_path / 'install'}")
         assert load_model(robot).phi[0, 0] == pytest.approx(2.0)
 
+    def test_a_folder_above_is_a_package_by_its_name(self, robot, tmp_path):
+        (tmp_path / "ws" / "parts" / "package.xml").unlink()
+        inside = tmp_path / "ws" / "parts" / "urdf" / "arm.urdf.xacro"
+        inside.parent.mkdir()
+        assert load_model(robot.rename(inside)).phi[0, 0] == pytest.approx(2.0)
+
     def test_what_is_missing_is_said(self, robot, tmp_path, monkeypatch):
         with pytest.raises(ModelError, match=r"package 'parts', which was not found.*--package"):
             load_model(robot)

@@ -153,8 +153,8 @@ _MOST_FOLDERS = 20_000  # looked through below one entry of ROS_PACKAGE_PATH
 _GAZEBO_PATHS = ("GZ_SIM_RESOURCE_PATH", "SDF_PATH", "GAZEBO_MODEL_PATH")
 PACKAGE_ADVICE = (
     "Packages are searched by package.xml or model.config in and beside folders above the model, "
-    "and in ROS_PACKAGE_PATH, AMENT_PREFIX_PATH and GZ_SIM_RESOURCE_PATH; --package NAME=FOLDER "
-    "adds one."
+    "by the names of these folders, and in ROS_PACKAGE_PATH, AMENT_PREFIX_PATH and "
+    "GZ_SIM_RESOURCE_PATH; --package NAME=FOLDER adds one."
 )
 _MARKERS = frozenset({"AMENT_IGNORE", "CATKIN_IGNORE", "COLCON_IGNORE"})
 
@@ -173,7 +173,7 @@ def add_packages(
     """Register packages: given ones, those around a file, and those on ROS's paths.
 
     Only those that are asked for are looked up: a manifest that cannot be read does no harm to
-    models that do not need it.
+    models that do not need it. One without a manifest may be a folder above the file by its name.
     """
     for name, folder in (folders or {}).items():
         if not packages.Contains(name):
@@ -185,6 +185,10 @@ def add_packages(
         if found in wanted:
             packages.Add(found, str(place))
             wanted.remove(found)
+    for place in path.resolve().parents:
+        if place.name in wanted:
+            packages.Add(place.name, str(place))
+            wanted.remove(place.name)
 
 
 def folder_of_package(name: str, path: Path, folders: Mapping[str, Path]) -> Path:
