@@ -17,7 +17,7 @@ import numpy as np
 from pydrake.math import RigidTransform
 
 from geodrake.effects.base import Effect, FittedEffect
-from geodrake.inertia import Array
+from geodrake.inertia import Array, from_spatial_inertia
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.model.file_terms import (
     Carried,
@@ -176,10 +176,12 @@ def _add_of_bodies(found: StatedEffects, loaded: LoadedPlant) -> None:
     weights = defaultdict[str, Array](lambda: np.zeros(4))
     for member in chain.from_iterable(body.members for body in lumped_bodies(plant)):
         share, link = terms.carried.get(member.scoped_name, 0.0), plant.get_body(member.index)
-        if share and link.default_mass() > 0.0:
-            com = member.X_RB @ link.default_spatial_inertia().get_com()
+        own = from_spatial_inertia(link.default_spatial_inertia())
+        mass, *moment = terms.set_aside.get(member.scoped_name, own)[:4]
+        if share and 0.0 < mass < np.inf:
+            com = member.X_RB @ (np.array(moment) / mass)
             body = places[member.scoped_name][0]
-            weights[body] += share * link.default_mass() * np.append(1.0, com)
+            weights[body] += share * mass * np.append(1.0, com)
     for body, weight in weights.items():
         for by, sign in _carriers(loaded, body) if weight[0] else ():
             carried = Carried((body, by), *(weight[1:] / weight[0]).tolist())

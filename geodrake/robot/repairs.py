@@ -107,6 +107,7 @@ def repair_inertias(
         scoped = {member.scoped_name for member in body.members}
         if after is not phi or scoped & description.terms.set_aside.keys():
             changed = True
+            description.terms.set_aside |= {name: links[name] for name in scoped}
             _write(description, body, after)
     return tuple(repairs), tuple(notes), changed
 

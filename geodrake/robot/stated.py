@@ -193,7 +193,7 @@ class FileTerms:
         of_bases: Sentences on what bears on efforts of a free base alone, and is nowhere here.
         lost: Sentences on inertias that nothing tells.
         gravity: (3,) acceleration of gravity, m/s²; None for Drake's.
-        set_aside: Link -> (10,) inertial parameters that no body can have; not in the plant.
+        set_aside: Link -> (10,) inertial parameters in the file, where the plant has others.
         lengths: What joints, fixed tendons and motors have.
         start: Joint -> where the file has it by default, rad or m; otherwise at 0.
         floating: Link -> where a joint of six degrees has it by default.

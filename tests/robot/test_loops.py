@@ -195,6 +195,11 @@ def test_what_a_ball_of_a_loop_has_is_told(tmp_path):
     assert any("damping of ball joint rod" in words for words in model.left_out)
     assert not check_dynamics(model, samples=2).holds
     assert not load(tmp_path, leg()).left_out
+    motor = f'<motor joint="{model.joints[0]}"/><motor name="m" joint="rod" {{}}/></actuator>'
+    for more, told in (("", False), ('armature=".1"', True)):
+        text = leg().replace("</actuator>", motor.format(more))
+        left_out = load(tmp_path, text).left_out
+        assert ("The actuator m of ball joint rod of a closed loop is ignored." in left_out) is told
 
 
 def test_springs_hold_what_motors_do_not_determine(tmp_path):

@@ -53,6 +53,7 @@ def assert_as_mujoco(folder, text, joints="", change=lambda theirs: None):
     path = write(folder, text)
     model, theirs = load_model(path), mujoco.MjModel.from_xml_path(str(path))
     change(theirs)
+    theirs.opt.enableflags = 0
     every = {theirs.joint(k).name for k in range(theirs.njnt)}
     assert set(model.joints) == (set(joints.split()) or every)
     motion = np.random.default_rng(0).uniform(-1, 1, (3, 4, 9))[..., : len(model.joints)]
@@ -152,6 +153,15 @@ TAKEN = {
                 f'axis="1 0 .3"/>{GEOM}</body>',
             )
         ).replace('<body name="t"', '<body name="t" gravcomp=".5"')
+    ),
+    "a least inertia of a body without mass": mjcf(
+        tip(geom=GEOM + '<body euler="9 8 7"/>'), head='<compiler boundinertia=".2"/>'
+    ),
+    "compensated gravity of a body that carries a point": mjcf(
+        tip(geom=GEOM + '<body><inertial pos=".1 0 0" mass="2" diaginertia="0 0 0"/></body>')
+    ).replace('<body name="t"', '<body name="t" gravcomp=".5"'),
+    "inverse dynamics of a step": mjcf(
+        tip('damping="1"'), head='<option><flag invdiscrete="enable"/></option>'
     ),
     "limits without an end": mjcf(tip('range="-inf inf"'), arm=GEOM + tip('range="0 inf"')).replace(
         'name="t"', 'name="u"', 2

@@ -82,6 +82,15 @@ def test_gravity_that_is_off(tmp_path):
     assert not model.left_out and model.total_phi[1, 0] == 1.0
 
 
+def test_a_point_without_gravity_has_no_part_in_weight(tmp_path):
+    point = """<link name="p"><inertial><mass value="3"/></inertial></link><joint name="w"
+    type="fixed"><parent link="l1"/><child link="p"/><origin xyz=".2 0 0"/></joint>"""
+    off = '<gazebo reference="{}"><gravity>0</gravity></gazebo>'.format
+    load_of = {name: held(load(tmp_path, URDF, robot=point + off(name))) for name in ("p", "l1")}
+    np.testing.assert_allclose(load_of["p"], held(load(tmp_path, URDF)))
+    np.testing.assert_allclose(load_of["l1"], [-9.81 * 3.0 * 0.2])
+
+
 @pytest.mark.parametrize(
     ("text", "part", "stated", "words"),
     [

@@ -605,6 +605,13 @@ def plain_tree(source: CompiledMjcf, name: str) -> Element:
     SubElement(root, "compiler", angle="radian")
     elements = {0: SubElement(root, "worldbody")}
     free = unused({m.body(at).name for at in range(m.nbody)})
+    data, massless = load_mujoco().MjData(m), dict[int, Array]()
+    load_mujoco().mj_kinematics(m, data)
+    poses, axes = data.xmat.reshape(-1, 3, 3), data.ximat.reshape(-1, 3, 3)
+    inertias = (axes * m.body_inertia[:, None]) @ axes.swapaxes(1, 2)  # in the world
+    for at in np.flatnonzero(m.body_mass == 0.0).tolist():  # what <compiler boundinertia> gives
+        welded = int(m.body_weldid[at])
+        massless[welded] = massless.get(welded, 0.0) + inertias[at]
     for at in range(1, m.nbody):
         own, parent = m.body(at).name, elements[int(m.body_parentid[at])]
         like, X_PB = source.elements.get(own), pose_of(m.body_pos[at], m.body_quat[at])
@@ -619,8 +626,8 @@ def plain_tree(source: CompiledMjcf, name: str) -> Element:
             X_PB = RigidTransform()
         elements[at] = parent if joints else _body(parent, own, X_PB, like)
         if m.body_mass[at] > 0.0 and own not in source.unknown:
-            turn = pose_of(np.zeros(3), m.body_iquat[at]).rotation().matrix()
-            inertia = turn @ np.diag(m.body_inertia[at]) @ turn.T
+            inertia = inertias[at] + massless.pop(int(m.body_weldid[at]), 0.0)
+            inertia = poses[at].T @ inertia @ poses[at]
             SubElement(
                 elements[at],
                 "inertial",

@@ -121,6 +121,7 @@ class CompiledMjcf:
             if self._split_balls(spec):
                 self.model = spec.compile()
         m = self.model
+        m.opt.enableflags = 0  # with invdiscrete, efforts would be those of a step
         tables = m.body_mass, m.body_ipos, m.body_inertia, m.body_iquat, m.body_pos, m.body_quat
         for at in range(m.nbody):
             if not all(np.isfinite(table[at]).all() for table in tables):
@@ -296,6 +297,13 @@ class CompiledMjcf:
             numbers = {key: np.array(getattr(old, key), float) for key in (*_OF_BALLS, "stiffness")}
             place, holder = np.array(old.pos), next(b for b in spec.bodies if b.name == body)
             spec.delete(old)
+            on_joint = load_mujoco().mjtTrn.mjTRN_JOINT, load_mujoco().mjtTrn.mjTRN_JOINTINPARENT
+            for motor in list(spec.actuators):
+                if motor.target == name and motor.trntype in on_joint:
+                    spec.delete(motor)
+                    what = f"actuator {motor.name} of ball joint {name} of a closed loop"
+                    said = self.left_out if motor.armature or any(motor.damping) else self.notes
+                    said.append(f"The {what} is ignored.")
             for own, direction in zip(names, (*across, axis), strict=True):
                 made = holder.add_joint(name=own, type=hinge, axis=direction, pos=place)
                 for key in _OF_BALLS:
@@ -400,7 +408,8 @@ def _balls(m: Any) -> dict[int, Array]:
     data, found = mujoco.MjData(m), dict[int, Array]()
     mujoco.mj_kinematics(m, data)
     connect, weld = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
-    for at in range(m.neq):
+    off = mujoco.mjtDisableBit.mjDSBL_EQUALITY, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    for at in range(0 if m.opt.disableflags & sum(map(int, off)) else m.neq):
         if not m.eq_active0[at] or int(m.eq_type[at]) not in (connect, weld):
             continue
         ends = closed_frames(m, at)

@@ -211,7 +211,8 @@ class ModelText(abc.ABC):
     @property
     def heavy(self) -> set[str]:
         """Scoped names of links with an inertia."""
-        return {name for name, link in self._links.items() if link.find("inertial") is not None}
+        stated = {name for name, link in self._links.items() if link.find("inertial") is not None}
+        return stated | {name for name, phi in self.terms.set_aside.items() if phi[0]}
 
     def included(self, links: Container[str]) -> dict[str, Path]:
         """Return which of some links are in files that the file includes, and in which."""
