@@ -61,3 +61,30 @@ def arm(seed=0, *, joints="RRR", frames=None, length=1.0, mass=1.0, time=1.0, ef
 def motion_of(model, seed=0, count=40, *, time=1.0):
     q, v, vd = np.random.default_rng(seed).uniform(-2, 2, (3, count, len(model.joints)))
     return Motion(q, v / time, vd / time**2)
+
+
+def assert_gradient(function, motion, gradient, *, rtol=1e-6, step=1e-4):
+    """Check the gradient of a number, or of one a sample, along random directions."""
+    random = np.random.default_rng(5)
+    for name in ("q", "v", "vd"):
+        samples, slopes = getattr(motion, name), getattr(gradient, name)
+        direction = random.normal(size=samples.shape)
+        size = step * max(np.abs(samples).max(initial=0.0), 1.0)
+        moved = [replace(motion, **{name: samples + k * size * direction}) for k in (-2, -1, 1, 2)]
+        expected = np.tensordot([1, -8, 8, -1], [function(each) for each in moved], 1) / (12 * size)
+        found = (slopes * direction).sum(axis=1)
+        found = found if np.ndim(expected) else found.sum()
+        atol = rtol * (np.abs(expected).max(initial=0.0) + 1e-2)
+        np.testing.assert_allclose(found, expected, rtol=rtol, atol=atol)
+
+
+def assert_jacobian(function, y, *, rtol=1e-6):
+    """Check the Jacobian of values along a random direction, and return the values."""
+    direction, h = np.random.default_rng(3).normal(size=y.size), 1e-6
+    value, jacobian = function(y)
+    assert np.isfinite(value).all()
+    ends = [np.asarray(function(y + by * direction)[0]) for by in (h, -h)]
+    slope = (ends[0] - ends[1]) / (2 * h)
+    atol = rtol * (np.abs(slope).max() + 1e-3)
+    np.testing.assert_allclose(jacobian @ direction, slope, atol=atol)
+    return value

@@ -32,7 +32,6 @@ from pydrake.multibody.plant import MultibodyPlant
 from geodrake.boundary.arguments import real_array
 from geodrake.compiling import compiled, contiguous, inlined
 from geodrake.effects import Effect, RobotMotion
-from geodrake.effects.gradient import RobotGradient
 from geodrake.excitation.target import Measurement, Target
 from geodrake.identification.logs.dataset import is_payload
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
@@ -86,6 +85,10 @@ class MotionGradient(NamedTuple):
     q: Array  # (N, nq) with respect to the positions
     v: Array  # (N, nv) with respect to the velocities
     vd: Array  # (N, nv) with respect to the accelerations
+
+    def plus(self, *others: MotionGradient) -> MotionGradient:
+        """Return the gradient of the sum of several numbers."""
+        return MotionGradient(*(sum(parts) for parts in zip(self, *others, strict=True)))
 
 
 def inverse_dynamics_regressor_gradient(
@@ -205,16 +208,14 @@ def _with_effects(
     parts: Sequence[tuple[Effect, Array]],
 ) -> MotionGradient:
     """Return the gradient of Σ rows ∘ Y + Σ weights ∘ Y_e; `rows` is changed."""
-    at = model.single_places
-    direct, load = RobotGradient.zero(seen), np.zeros(motion.v.shape)
-    unknown = []
+    at, load = model.single_places, np.zeros(motion.v.shape)
+    known, unknown = [], []
     for effect, weights in parts:
         gradient = effect.gradient(seen, weights)
         if gradient is None:
             unknown.append((effect, weights))
             continue
-        for name in ("q", "v", "vd"):
-            getattr(direct, name)[:] += getattr(gradient, name)
+        known.append(gradient)
         load += gradient.load
         for body, by_columns in gradient.bodies.items():
             first = PARAMETERS_PER_BODY * model.bodies.index(body)
@@ -222,14 +223,13 @@ def _with_effects(
     if load.any():
         rows += load[:, :, None] * model.total_phi.ravel()
     total = inverse_dynamics_regressor_gradient(model.tree, motion.q, motion.v, motion.vd, rows)
-    total.q[:, at] += direct.q[:, at]
-    total.v[:] += direct.v
-    total.vd[:] += direct.vd
-    if unknown:
-        rest = _by_differences(model, motion, unknown, seen.sign_width)
-        for into, part in zip(total, rest, strict=True):
-            into[:] += part
-    return total
+    for gradient in known:
+        total.q[:, at] += gradient.q[:, at]
+        total.v[:] += gradient.v
+        total.vd[:] += gradient.vd
+    return (
+        total.plus(_by_differences(model, motion, unknown, seen.sign_width)) if unknown else total
+    )
 
 
 def _by_differences(
@@ -248,18 +248,16 @@ def _by_differences(
         shares = [np.einsum("nik,nik->n", w, effect.regressor(seen)) for effect, w in parts]
         return np.asarray(sum(shares))
 
-    result = MotionGradient(*(np.zeros(x.shape) for x in (motion.q, motion.v, motion.vd)))
-    for name, found in zip(result._fields, result, strict=True):
+    found = []
+    for name in MotionGradient._fields:
         samples = getattr(motion, name)
-        for k in range(samples.shape[1]):
-            step = _STEP * max(float(np.abs(samples[:, k]).max(initial=0.0)), 1e-3)
-            ends = []
-            for by in (step, -step):
-                moved = samples.copy()
-                moved[:, k] += by
-                ends.append(values(replace(motion, **{name: moved})))
-            found[:, k] = (ends[0] - ends[1]) / (2.0 * step)
-    return result
+        step = _STEP * np.maximum(np.abs(samples).max(axis=0, initial=0.0), 1e-3)
+        ahead, behind = (
+            [values(replace(motion, **{name: samples + s * way})) for way in np.diag(step)]
+            for s in (1, -1)
+        )
+        found.append((np.array(ahead) - np.array(behind)).T / (2.0 * step))
+    return MotionGradient(*found)
 
 
 def reverse_recursion(tree: KinematicTree, samples: Samples, weights: Array) -> MotionGradient:

@@ -424,7 +424,7 @@ class Stance(Short):
                 own[:, follow] = slope / scale
             G = self.coordinates.jacobian(motion.q)
             parts.append(at_actuators(self.coordinates, G, motion, MotionGradient(*motors)))
-        return total / _SHARP, MotionGradient(*(sum(part) for part in zip(*parts, strict=True)))
+        return total / _SHARP, parts[0].plus(*parts[1:])
 
     def balanced(
         self,

@@ -261,8 +261,7 @@ class Separation(Objective):
         gradient.v[:] += slope * own / self.target.sign_width
         if self.fading:
             by_legs = (slope * known)[:, self._base].sum(axis=1)
-            for part, more in zip(gradient, self._by_legs(motion, by_legs), strict=True):
-                part[:] += more
+            gradient = gradient.plus(self._by_legs(motion, by_legs))
         return value, gradient
 
     def _by_legs(self, motion: Motion, weights: Array) -> MotionGradient:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from excitation_robots import MODELS, arm, motion_of, random_pose
+from excitation_robots import MODELS, arm, assert_gradient, motion_of, random_pose
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from own_code import own_effect
@@ -179,28 +179,16 @@ class TestInvariance:
 
 class TestGradient:
     @staticmethod
-    def assert_gradient(objective, motion, *, rtol=1e-6):
-        value, gradient = objective.value_and_gradient(motion)
-        rng = np.random.default_rng(5)
-        for _ in range(3):
-            q, v, vd = (rng.normal(size=x.shape) for x in (motion.q, motion.v, motion.vd))
-
-            def moved(h, q=q, v=v, vd=vd):
-                there = Motion(motion.q + h * q, motion.v + h * v, motion.vd + h * vd)
-                return objective.value_and_gradient(there)[0]
-
-            h = 1e-4
-            slope = (8 * (moved(h) - moved(-h)) - (moved(2 * h) - moved(-2 * h))) / (12 * h)
-            analytic = (gradient.q * q).sum() + (gradient.v * v).sum() + (gradient.vd * vd).sum()
-            assert analytic == pytest.approx(slope, rel=rtol)
-        assert np.isfinite(value)
+    def check(objective, motion):
+        gradient = objective.value_and_gradient(motion)[1]
+        assert_gradient(lambda there: objective.value_and_gradient(there)[0], motion, gradient)
 
     @pytest.mark.parametrize("name", CRITERIA)
     @pytest.mark.parametrize("normalization", NORMALIZATIONS)
     def test_every_criterion_and_normalization(self, name, normalization):
         target = make_target(arm(effects=friction()), noise=[0.1, 0.2, 0.3], sign_width=0.5)
         objective = Objective(target, Criterion(name), normalization)
-        self.assert_gradient(objective, motion_of(target.model))
+        self.check(objective, motion_of(target.model))
 
     def test_many_effects(self):
         effects = [
@@ -212,7 +200,7 @@ class TestGradient:
         ]
         target = make_target(arm(effects=effects), noise=0.1, sign_width=0.5)
         assert target.size == 30 + 12
-        self.assert_gradient(Objective(target), motion_of(target.model, count=60))
+        self.check(Objective(target), motion_of(target.model, count=60))
 
     def test_effects_that_state_no_gradient(self):
         def rows(self, motion):
@@ -221,12 +209,12 @@ class TestGradient:
 
         drag = own_effect("drag", BodyEffect, rows=rows)("body_2")
         target = make_target(arm(), effects=[drag], noise=0.1)
-        self.assert_gradient(Objective(target), motion_of(target.model))
+        self.check(Objective(target), motion_of(target.model))
 
     def test_base_wrench(self):
         X_WP = random_pose(np.random.default_rng(3))
         target = make_target(arm(), noise=[1.5] * 3 + [0.5] * 3, X_WP=X_WP)
-        self.assert_gradient(Objective(target), motion_of(target.model))
+        self.check(Objective(target), motion_of(target.model))
 
 
 class TestTarget:
@@ -281,42 +269,17 @@ class TestTarget:
         assert Objective(target).value(still) > 1e20
 
 
-NAMES = ("q", "v", "vd")
-
-
-def differences(function, motion, step=1e-4):
-    """Fourth-order differences of (N, ...) values that depend on their own sample only."""
-    found = []
-    for which in range(3):
-        columns = []
-        for column in range(motion[which].shape[1]):
-
-            def moved(by, which=which, column=column):
-                changed = [x.copy() for x in motion]
-                changed[which][:, column] += by
-                return function(*changed)
-
-            near, far = moved(step) - moved(-step), moved(2 * step) - moved(-2 * step)
-            columns.append((8 * near - far) / (12 * step))
-        found.append(np.stack([*columns, function(*motion)], -1)[..., :-1])  # of none, too
-    return found
-
-
-def assert_gradient(gradient, expected):
-    for name, values in zip(NAMES, expected, strict=True):
-        scale = np.abs(values).max(initial=0.0) + 1.0
-        np.testing.assert_allclose(getattr(gradient, name), values, rtol=0, atol=2e-9 * scale)
-
-
 def assert_equals_differences(plant, rng):
-    tree, motion = KinematicTree.from_plant(plant), random_motion(plant, rng, 3)
+    tree, motion = KinematicTree.from_plant(plant), Motion(*random_motion(plant, rng, 3))
     weights = rng.normal(size=(3, plant.num_velocities(), 10 * len(tree.bodies)))
 
-    def value(*motion):
-        return np.einsum("nij,nij->n", weights, inverse_dynamics_regressor(tree, *motion))
+    def value(motion):
+        Y = inverse_dynamics_regressor(tree, motion.q, motion.v, motion.vd)
+        return np.einsum("nij,nij->n", weights, Y)
 
-    gradient = inverse_dynamics_regressor_gradient(plant, *motion, weights)
-    assert_gradient(gradient, differences(value, motion))
+    samples = motion.q, motion.v, motion.vd
+    gradient = inverse_dynamics_regressor_gradient(plant, *samples, weights)
+    assert_gradient(value, motion, gradient, rtol=2e-9)
 
 
 def test_a_chain_of_every_joint_type():
@@ -336,16 +299,20 @@ def test_random_trees(kinds, seed):
 def test_base_wrench(base):
     rng = np.random.default_rng(2)
     plant = random_plant(rng, (base, "prismatic", "ball", "revolute", "weld", "universal"))
-    tree, motion = KinematicTree.from_plant(plant), random_motion(plant, rng, 4)
-    weights = rng.normal(size=(4, 6, 10 * len(tree.bodies)))
+    tree, motion = KinematicTree.from_plant(plant), Motion(*random_motion(plant, rng, 4))
+    weights, samples = (
+        rng.normal(size=(4, 6, 10 * len(tree.bodies))),
+        (motion.q, motion.v, motion.vd),
+    )
     poses = [RigidTransform(RollPitchYaw(rng.normal(size=3)), rng.normal(size=3)) for _ in "1234"]
     for X_WP in (None, poses[0], np.stack([X.GetAsMatrix4() for X in poses])):
 
-        def value(*motion, X_WP=X_WP):
-            return np.einsum("nij,nij->n", weights, base_wrench_regressor(tree, *motion, X_WP=X_WP))
+        def value(motion, X_WP=X_WP):
+            Y = base_wrench_regressor(tree, motion.q, motion.v, motion.vd, X_WP=X_WP)
+            return np.einsum("nij,nij->n", weights, Y)
 
-        gradient = base_wrench_regressor_gradient(plant, *motion, weights, X_WP=X_WP)
-        assert_gradient(gradient, differences(value, motion))
+        gradient = base_wrench_regressor_gradient(plant, *samples, weights, X_WP=X_WP)
+        assert_gradient(value, motion, gradient, rtol=2e-9)
 
 
 NOISE = 0.5
@@ -537,18 +504,7 @@ class TestSeparation:
         if "coulomb_friction" in names:
             model = replace(model, effects=())
         separation = separation_of(model, names, noise=EFFORT_NOISE, sign_width=2.0 * WIDTH)
-        motion, rng = motion_of(model, 5, 25), np.random.default_rng(0)
-        gradient = separation.value_and_gradient(motion)[1]
-        for name in ("q", "v", "vd"):
-            direction = rng.normal(size=motion.v.shape)
-            ends = [
-                separation.value_and_gradient(
-                    replace(motion, **{name: getattr(motion, name) + step * direction})
-                )[0]
-                for step in (1e-6, -1e-6)
-            ]
-            slope = np.sum(getattr(gradient, name) * direction)
-            assert slope == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=2e-4, abs=1e-6)
+        TestGradient.check(separation, motion_of(model, 5, 25))
 
     def test_an_effect_of_known_size_sets_that_of_its_rival(self):
         """The rival is as large as it must be to be taken for it."""

@@ -6,7 +6,7 @@ from functools import cache
 import mujoco
 import numpy as np
 import pytest
-from excitation_robots import MODELS
+from excitation_robots import MODELS, assert_gradient, assert_jacobian
 from free_robots import FreeRobot
 from quadruped import FEET as DOG_FEET
 from quadruped import JOINTS, quadruped
@@ -151,18 +151,10 @@ class TestAgainstPinocchio:
         stance = replace(stance, model=replace(stance.model, effects=effects))
         options, target = DesignOptions(samples=12, stance=stance), stance.target(noise=1.0)
         problem = make_problem(Objective(target), None, family, options)
-        rng = np.random.default_rng(3)
         begin = random_excitation(target, trajectory=family, options=options)
         y = problem.variables(begin.coefficients).ravel()
-        direction = rng.normal(size=y.size)
         for function in (problem.cost, problem.excess):
-            value, jacobian = function(y)
-            h = 1e-6
-            ahead, behind = (np.asarray(function(y + s * h * direction)[0]) for s in (1, -1))
-            numeric = (ahead - behind) / (2.0 * h)
-            assert np.isfinite(value).all()
-            error = np.abs(numeric - jacobian @ direction).max()
-            assert error < 1e-4 * max(np.abs(numeric).max(), 1e-3)
+            assert_jacobian(function, y, rtol=1e-4)
 
 
 def test_random_motions_differ_and_keep_the_limits():
@@ -459,14 +451,13 @@ def test_legs_with_transmissions_stand(feet):
 
 def check_excess(stance, motion):
     """The gradient of what is beyond the limits is that of differences."""
-    way, width = np.random.default_rng(1).normal(size=motion.q.shape), np.full(motion.q.shape[1], 1)
-    _, gradient = stance.excess(motion, width)
-    for name, slope in zip(("q", "v", "vd"), gradient, strict=True):
-        size = 1e-6 * max(1.0, np.abs(getattr(motion, name)).max())
-        moved = (replace(motion, **{name: getattr(motion, name) + s * size * way}) for s in (1, -1))
-        ahead, behind = (stance.excess(each, width)[0] for each in moved)
-        found = (slope * way).sum(axis=1)
-        np.testing.assert_allclose((ahead - behind) / (2 * size), found, rtol=1e-4, atol=1e-5)
+    width = np.full(motion.q.shape[1], 1)
+    gradient = stance.excess(motion, width)[1]
+
+    def excess(there):
+        return stance.excess(there, width)[0]
+
+    assert_gradient(excess, motion, gradient, rtol=1e-4, step=1e-6)
 
 
 def pantographs():
@@ -551,16 +542,12 @@ def test_effects_are_told_apart_on_two_feet(place):
     separation = make_separation(stance.model, *rivals, noise=1.0, sign_width=width, stance=stance)
     assert {pair.truth for pair in separation.pairs} == {*names}
     motion = stance.random_motion()[:40]
-    _, gradient = separation.value_and_gradient(motion)
-    way, size = np.random.default_rng(0).normal(size=(3, *motion.q.shape)), 1e-6
-    for k, name in enumerate(("q", "v", "vd")):
-        step = size * (1.0 if name == "q" else np.abs(getattr(motion, name)).max())
-        moved = (
-            replace(motion, **{name: getattr(motion, name) + s * step * way[k]}) for s in (1, -1)
-        )
-        ahead, behind = (separation.value_and_gradient(each)[0] for each in moved)
-        found = (getattr(gradient, name) * way[k]).sum()
-        assert (ahead - behind) / (2.0 * step) == pytest.approx(found, rel=1e-3, abs=1e-7), name
+    gradient = separation.value_and_gradient(motion)[1]
+
+    def value(there):
+        return separation.value_and_gradient(there)[0]
+
+    assert_gradient(value, motion, gradient, rtol=1e-4)
     seen = stance.model.motion(motion, sign_width=width)
     rubbing = FittedEffect(make_effect("viscous_friction", (place,)), np.array([2.0]))
     added = replace(stance, model=replace(stance.model, effects=(rubbing,)))
