@@ -24,7 +24,7 @@ from scipy.io import savemat
 import geodrake
 from geodrake import control, effects, excitation, fleet, inertia
 from geodrake.control import parameter_manifold
-from geodrake.control.adaptation import AdaptationLaw, LinearSet, mass_limits
+from geodrake.control.adaptation import AdaptationLaw, ConvexSet, mass_limits
 from geodrake.effects import FittedEffect
 from geodrake.excitation import FourierMotion
 from geodrake.excitation.trajectory import drake_trajectory
@@ -199,7 +199,7 @@ BY_TYPE = {
     "Manifold": lambda: Positive(2),
     "UpdateLaw": law,
     "AdaptationLaw": law,
-    "ConvexSet": lambda: LinearSet(polyhedron()),
+    "ConvexSet": lambda: ConvexSet(lambda p: p[0] - 2.0, lambda p: np.eye(len(p))[0]),
     "Polyhedron": polyhedron,
     "Transmission": lambda: LinearTransmission.of([[1.0, 0.0], [1.0, 2.0]]),
     "Effect": lambda: effects.CoulombFriction("elbow"),

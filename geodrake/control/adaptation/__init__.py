@@ -10,8 +10,6 @@ Parameters are one vector [φ, μ], in the order of `geodrake.control.regressor.
 
 from geodrake.control.adaptation.constraints import (
     ConvexSet,
-    FunctionSet,
-    LinearSet,
     body_limits,
     center_of_mass_box,
     inside_ellipsoid,
@@ -34,8 +32,6 @@ __all__ = [
     "AdaptationLaw",
     "ConstantMetric",
     "ConvexSet",
-    "FunctionSet",
-    "LinearSet",
     "PartialLaw",
     "ProjectedLaw",
     "UpdateLaw",

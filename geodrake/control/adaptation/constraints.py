@@ -1,11 +1,9 @@
-"""Convex sets for estimates: c(p) ≤ 0, and the linear ones that robots have."""
+"""Convex sets for estimates: functions of your own, and the linear limits that robots have."""
 
 from __future__ import annotations
 
-import abc
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,25 +17,13 @@ from geodrake.manifolds.projections import Polyhedron
 _MOST = 10_000  # parameters of one robot
 
 
-class ConvexSet(abc.ABC):
-    """The points p (n,) with c(p) ≤ 0 for k convex functions c, [Lee2019] Eq. (5.4.54)."""
-
-    @abc.abstractmethod
-    def values(self, p: Array) -> Array:
-        """Return c(p) (k,)."""
-
-    @abc.abstractmethod
-    def gradients(self, p: Array) -> Array:
-        """Return ∇c(p) (k, n), one row for each c; any subgradient where there is no gradient."""
-
-
 @dataclass(frozen=True, eq=False)
-class FunctionSet(ConvexSet):
-    """A convex set from functions of your own.
+class ConvexSet:
+    """The points p (n,) with c(p) ≤ 0 for k convex functions c of your own, [Lee2019] Eq. (5.4.54).
 
     Attributes:
         function: Maps p (n,) to c(p), a number or (k,).
-        gradient: Maps p (n,) to ∇c(p), (n,) or (k, n).
+        gradient: Maps p (n,) to ∇c(p), (n,) or (k, n); any subgradient where there is no gradient.
     """
 
     function: Callable[[Array], ArrayLike]
@@ -47,40 +33,10 @@ class FunctionSet(ConvexSet):
         for name in ("function", "gradient"):
             function(getattr(self, name), name)
 
-    def values(self, p: Array) -> Array:
-        """Return c(p) (k,)."""
-        return np.atleast_1d(np.asarray(self.function(p), float))
-
-    def gradients(self, p: Array) -> Array:
-        """Return ∇c(p) (k, n)."""
-        return np.atleast_2d(np.asarray(self.gradient(p), float))
-
-
-@dataclass(frozen=True, eq=False)
-class LinearSet(ConvexSet):
-    """The polyhedron lower ≤ A p ≤ upper as a convex set."""
-
-    polyhedron: Polyhedron
-
-    def __post_init__(self) -> None:
-        instance(self.polyhedron, "polyhedron", Polyhedron)
-
-    @cached_property
-    def rows(self) -> tuple[Array, Array]:
-        """G (k, n) and g (k,) with the set as G p ≤ g."""
-        above, below = np.isfinite(self.polyhedron.upper), np.isfinite(self.polyhedron.lower)
-        matrix = self.polyhedron.matrix
-        G = np.concatenate([matrix[above], -matrix[below]])
-        return G, np.concatenate([self.polyhedron.upper[above], -self.polyhedron.lower[below]])
-
-    def values(self, p: Array) -> Array:
-        """Return how far each limit is exceeded (k,)."""
-        G, g = self.rows
-        return np.asarray(G @ p - g)
-
-    def gradients(self, p: Array) -> Array:
-        """Return outward normals (k, n)."""
-        return self.rows[0]
+    def limits(self, p: Array) -> tuple[Array, Array]:
+        """Return c(p) (k,) and ∇c(p) (k, n)."""
+        values = np.atleast_1d(np.asarray(self.function(p), float))
+        return values, np.atleast_2d(np.asarray(self.gradient(p), float))
 
 
 def body_limits(

@@ -62,21 +62,13 @@ class UpdateLaw(abc.ABC):
         estimate = real_array(parameters, "parameters", self._shape, finite=False)
         return bool(np.isfinite(estimate).all()) and self.calc_contains(estimate)
 
-    def reach(self, parameters: ArrayLike, rows: ArrayLike) -> float:
-        """Return a rate, 1/s, that no error Y p̃ exceeds as it drives the law, b = Yᵀ Y p̃.
-
-        Rows Y are (k, n). It is zero for a law that does not know one.
-        """
-        p, rows = self._inside(parameters, rows, "rows", "k")
-        return self.calc_reach(p, rows)
-
     def rate(self, parameters: ArrayLike, b: ArrayLike) -> Array:
         """Return the rate (n,) of an estimate (n,) under a covector b (n,), such as Yᵀ r."""
-        return self.calc_rate(*self._inside(parameters, b, "b"))
+        return self.calc_rate(*self._inside(parameters, b))
 
     def step(self, parameters: ArrayLike, b: ArrayLike, dt: float) -> Array:
         """Return the estimate (n,) after b (n,) has acted for dt seconds."""
-        return self.calc_step(*self._inside(parameters, b, "b"), number(dt, "dt"))
+        return self.calc_step(*self._inside(parameters, b), number(dt, "dt"))
 
     def parameter_error(self, truth: ArrayLike, parameters: ArrayLike) -> Array:
         """Return V_p, what a Lyapunov function has for the error of estimates (..., n)."""
@@ -91,15 +83,13 @@ class UpdateLaw(abc.ABC):
     def _shape(self) -> tuple[int | str]:
         return ("n" if self.dimension is None else self.dimension,)
 
-    def _inside(
-        self, parameters: ArrayLike, more: ArrayLike, name: str, *axes: str
-    ) -> tuple[Array, Array]:
-        """Return an estimate (n,) that the law can move, and covectors (*axes, n)."""
+    def _inside(self, parameters: ArrayLike, b: ArrayLike) -> tuple[Array, Array]:
+        """Return an estimate (n,) that the law can move, and a covector (n,)."""
         sizes: Sizes = {}
         p = real_array(parameters, "parameters", self._shape, sizes)
-        more = real_array(more, name, (*axes, *self._shape), sizes)
+        b = real_array(b, "b", self._shape, sizes)
         self._check_inside(p)
-        return p, more
+        return p, b
 
     def _check_inside(self, p: Array) -> None:
         """Refuse parameters (n,) that the law cannot move."""
@@ -120,7 +110,10 @@ class UpdateLaw(abc.ABC):
         return True
 
     def calc_reach(self, parameters: Array, rows: Array) -> float:
-        """Kernel of `reach`."""
+        """Return a rate, 1/s, that no error Y p̃ exceeds as it drives the law, b = Yᵀ Y p̃.
+
+        Rows Y are (k, n). It is zero for a law that does not know one.
+        """
         return 0.0
 
     @abc.abstractmethod

@@ -17,7 +17,7 @@ from scipy.optimize import nnls
 from geodrake.boundary.arguments import instance, mask, number, real_array
 from geodrake.boundary.showing import Short
 from geodrake.compiling import contiguous
-from geodrake.control.adaptation.constraints import ConvexSet, LinearSet
+from geodrake.control.adaptation.constraints import ConvexSet
 from geodrake.control.adaptation.law import AdaptationLaw, Steps, UpdateLaw
 from geodrake.errors import ArgumentError, ConvergenceError, GeodrakeError
 from geodrake.inertia import Array
@@ -133,7 +133,7 @@ class ProjectedLaw(_OuterLaw):
     estimate that begins outside of C stays outside by its rate alone: begin with `project` of it.
 
     Attributes:
-        constraints: C; a `Polyhedron`, or any `ConvexSet`.
+        constraints: C; a `Polyhedron`, or a `ConvexSet`.
         margin: Distance in the manifold's metric below which a limit binds.
     """
 
@@ -145,30 +145,37 @@ class ProjectedLaw(_OuterLaw):
         n = instance(self.law, "law", AdaptationLaw).manifold.dimension
         number(self.margin, "margin", lower=0.0)
         instance(self.constraints, "constraints", (ConvexSet, Polyhedron))
-        convex = self._set
-        if isinstance(convex, LinearSet) and convex.polyhedron.matrix.shape[1] != n:
-            raise ArgumentError(
-                f"The law has {n} parameters, but the limits {convex.polyhedron.matrix.shape[1]}."
-            )
+        if (k := self._rows[0].shape[1]) != n:
+            raise ArgumentError(f"The law has {n} parameters, but the limits {k}.")
 
     @cached_property
-    def _set(self) -> ConvexSet:
-        given = self.constraints
-        return LinearSet(given) if isinstance(given, Polyhedron) else given
+    def _rows(self) -> tuple[Array, Array]:
+        """G (k, n) and g (k,) of limits G p ≤ g; none of them of functions."""
+        if isinstance(limits := self.constraints, ConvexSet):
+            return np.zeros((0, self.law.dimension)), np.zeros(0)
+        above, below = np.isfinite(limits.upper), np.isfinite(limits.lower)
+        G = np.concatenate([limits.matrix[above], -limits.matrix[below]])
+        return contiguous(G), np.concatenate([limits.upper[above], -limits.lower[below]])
+
+    def limits(self, p: Array) -> tuple[Array, Array]:
+        """Return c(p) (k,) of p (n,), at most zero in C, and ∇c(p) (k, n)."""
+        if isinstance(self.constraints, ConvexSet):
+            return self.constraints.limits(p)
+        G, g = self._rows
+        return G @ p - g, G
 
     @cached_property
     def compiled(self) -> Steps | None:
         """Return the steps of the law, within limits of a polyhedron."""
-        if self.law.compiled is None or not isinstance(self._set, LinearSet):
+        if self.law.compiled is None or isinstance(self.constraints, ConvexSet):
             return None
-        G, g = self._set.rows
-        return self.law.compiled[0], contiguous(G), contiguous(g)
+        return self.law.compiled[0], *self._rows
 
     def calc_rate(self, parameters: Array, b: Array) -> Array:
         """Return the rate of the law, tangent to limits that bind ([Lee2019] Eq. (5.4.57))."""
         p = parameters
         v = self.law.calc_rate(p, b)
-        values, normals = self._set.values(p), self._set.gradients(p)
+        values, normals = self.limits(p)
         leaving = normals @ v > 0
         if not leaving.any():
             return v
@@ -193,7 +200,7 @@ class ProjectedLaw(_OuterLaw):
                 the manifold.
         """
         p = self.law.calc_step(parameters, b, dt)
-        if not (self._set.values(p) > 0).any():
+        if not (self.limits(p)[0] > 0).any():
             return p
         try:
             return self.project(p)
@@ -218,11 +225,11 @@ class ProjectedLaw(_OuterLaw):
             ArgumentError: The estimate is not inside of the manifold, as after an Euler step.
         """
         p = real_array(parameters, "parameters", (self.law.manifold.dimension,))
-        if not (self._set.values(p) > 0).any():
+        if not (self.limits(p)[0] > 0).any():
             return p
-        if isinstance(self._set, LinearSet):
-            return _project_by_rows(self.law.manifold, p, *self._set.rows)
-        return _project_by_cuts(self.law.manifold, p, self._set)
+        if isinstance(self.constraints, ConvexSet):
+            return _project_by_cuts(self.law.manifold, p, self.constraints)
+        return _project_by_rows(self.law.manifold, p, *self._rows)
 
 
 def _project_by_rows(manifold: Manifold, p: Array, G: Array, g: Array) -> Array:
@@ -247,7 +254,7 @@ def _project_by_cuts(manifold: Manifold, p: Array, convex: ConvexSet) -> Array:
     """
     point, rows, upper = p, np.zeros((0, len(p))), np.zeros(0)
     for _ in range(_MOST_CUTS):
-        values, normals = convex.values(point), convex.gradients(point)
+        values, normals = convex.limits(point)
         lengths = np.sqrt((normals * manifold.calc_inverse_metric_times(p, normals)).sum(-1))
         outside = values > _CUT_TOLERANCE * lengths
         if not outside.any():
@@ -259,7 +266,7 @@ def _project_by_cuts(manifold: Manifold, p: Array, convex: ConvexSet) -> Array:
         point = bregman_projection(manifold, p, limits)
     raise ConvergenceError(
         f"No point of the set was found after {_MOST_CUTS} cuts; the last one violates it by "
-        f"{convex.values(point).max():.3g}.",
+        f"{convex.limits(point)[0].max():.3g}.",
         advice="Check that the functions are convex, and their gradients against differences.",
         last=point,
     )
