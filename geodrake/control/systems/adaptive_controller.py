@@ -129,6 +129,8 @@ class AdaptiveController(LeafSystem):
         if prediction is not None:
             instance(prediction, "prediction", PredictionError)
             self._prediction = Prediction(prediction, control, time_step)
+        # Whether the tracking error does not move the estimate.
+        self._alone = prediction is not None and prediction.alone
         if law is not None:
             instance(law, "law", UpdateLaw)
         self.DeclareNumericParameter(BasicVector(gains))
@@ -143,7 +145,7 @@ class AdaptiveController(LeafSystem):
         self._watch = Watch(nv)
         if time_step > 0:
             guards = safeguards.stale_time, safeguards.drift, safeguards.settling_time
-            self._watch = Watch(nv, time_step, *guards)
+            self._watch = Watch(nv, *map(float, (time_step, *guards)))
         self._state_port = self.DeclareVectorInputPort("estimated_state", BasicVector(2 * nv))
         self._desired_port = self.DeclareVectorInputPort("desired_state", BasicVector(2 * nv))
         self._acceleration_port = self.DeclareVectorInputPort(
@@ -196,11 +198,6 @@ class AdaptiveController(LeafSystem):
     @abc.abstractmethod
     def _tracking_energy(self, truth: Array, seen: Seen, gains: Array) -> float:
         """Return V_t."""
-
-    @property
-    def _alone(self) -> bool:
-        """Return whether the tracking error does not move the estimate."""
-        return self._prediction is not None and self._prediction.alone
 
     def _resting(self, seen: Seen, gains: Array) -> bool:
         """Return whether r = q̇ − q̇_d + Λ (q − q_d) is within the dead zone."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,7 +30,6 @@ from geodrake.control.online_estimation import (
 )
 from geodrake.control.regressor import ControlModel, Plain, calc_plain_momentum
 from geodrake.control.systems.safeguards import (
-    Limits,
     Safeguards,
     Watch,
     calc_measured,
@@ -45,7 +45,14 @@ from geodrake.manifolds.robot_kernels import calc_clearly_inside
 _SLOTS = 24  # samples in memory
 _ESTIMATE, _MEMORY, _SEEN, _RESIDUAL, _ERROR, _COUNT = range(6)  # discrete states
 
-_Compiled = tuple[Plain, Limits, tuple[float, float, bool], Projecting]
+
+class _Compiled(NamedTuple):
+    """What `calc_estimated` is told."""
+
+    robot: Plain
+    watch: Watch
+    filtered: tuple[float, float, bool]  # `FilteredRegressor.how`
+    projecting: Projecting
 
 
 @dataclass
@@ -150,7 +157,7 @@ class BregmanProjectionEstimator(LeafSystem):
         self._nv, self._time_step = nv, time_step
         self._every = update_every
         self._spacing = max(1, round(memory / (_SLOTS * time_step * update_every)))
-        self._watch = Watch(nv, time_step, stale_time)
+        self._watch = Watch(nv, float(time_step), float(stale_time))
         self._state_port = self.DeclareVectorInputPort("estimated_state", BasicVector(2 * nv))
         self._effort_port = self.DeclareVectorInputPort("effort", BasicVector(nv))
         watch, zero = self._watch.start(), np.zeros(nv)
@@ -159,7 +166,7 @@ class BregmanProjectionEstimator(LeafSystem):
         self._compiled: _Compiled | None = None
         robot, projecting = getattr(control, "plain", None), update.compiled
         if robot is not None and projecting is not None:
-            self._compiled = robot, self._watch.limits, filtered.how, projecting
+            self._compiled = _Compiled(robot, self._watch, filtered.how, projecting)
         # (Not discrete state, all of which Drake copies at every update.)
         samples = _Remembered(np.zeros((_SLOTS, *filtered.shape)), np.zeros((_SLOTS, nv)))
         self._samples = self.DeclareAbstractState(AbstractValue.Make(samples))
@@ -239,7 +246,6 @@ def calc_estimated(
     """Update everything with one sample of a plain robot.
 
     Args:
-        how: The robot, and what `calc_measured`, `calc_filtered` and `calc_projected` are told.
         sample: (2 nv,) positions and velocities, and (nv,) efforts.
         states: Memories of watch and filter, (n,) estimate, and (nv,) residual; all but the
             estimate become those after the sample.
@@ -250,12 +256,12 @@ def calc_estimated(
         Whether the sample is a new one, the error of `calc_projected`, and whether the estimate is
         clearly inside of the manifold; nothing but memories is written if it is no new one.
     """
-    (robot, limits, (period, share, held), projecting), (x, effort) = how, sample
-    (watched, memory, p, residual), nv = states, len(effort)
-    measured, new = calc_measured(x, limits, watched)
+    (period, share, held), (x, effort), nv = how.filtered, sample, how.watch.size
+    watched, memory, p, residual = states
+    measured, new = calc_measured(x, how.watch, watched)
     both = np.zeros((2, nv, len(p)))
     if measured:
-        calc_plain_momentum(robot, x[:nv], x[nv:], both)
+        calc_plain_momentum(how.robot, x[:nv], x[nv:], both)
     told = period, share, held, not new
     if not (measured and calc_filtered(both, effort, told, memory)):
         memory[0] = 0.0
@@ -263,6 +269,6 @@ def calc_estimated(
     if new:
         Y, known = filtered_rows(memory, nv, len(p))
         residual[:] = known - np.dot(Y, p)
-        error, _ = calc_projected(p, (Y, known), earlier, projecting, following)
-        return True, error, calc_clearly_inside(following, projecting[1])
+        error, _ = calc_projected(p, (Y, known), earlier, how.projecting, following)
+        return True, error, calc_clearly_inside(following, how.projecting[1])
     return False, np.inf, False

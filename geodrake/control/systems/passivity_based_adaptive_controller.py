@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,9 +24,9 @@ from geodrake.control.systems.adaptive_controller import (
 )
 from geodrake.control.systems.prediction_error import PredictionError
 from geodrake.control.systems.safeguards import (
-    Limits,
     Safeguards,
     Seen,
+    Watch,
     calc_applied,
     calc_looked,
     is_usable,
@@ -34,7 +35,17 @@ from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.model.simulation.scalar_system import differenced
 
-_How = tuple[Plain, tuple[Limits, float], tuple[Array, tuple[bool, bool], float], Steps]
+
+class _Usual(NamedTuple):
+    """What is constant about the usual steps of a plain robot."""
+
+    robot: Plain
+    watch: Watch
+    most: Array  # (nv,) limits of efforts
+    varies: bool  # whether gains vary with the estimate
+    measured: bool  # whether friction is of the measured velocity
+    period: float  # s
+    steps: Steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,14 +166,14 @@ class PassivityBasedAdaptiveController(AdaptiveController):
         self._set_gains(context, vector)
 
     @cached_property
-    def _usual(self) -> _How | None:
+    def _usual(self) -> _Usual | None:
         """What `calc_usual_step` is told; None where it will not do."""
         robot, law = getattr(self.control, "plain", None), self.law
         steps = None if law is None else law.compiled
         if robot is None or steps is None or self._prediction is not None or self._dead_zone.any():
             return None
         kinds = self._varying, self.control.measured_friction
-        return robot, self._watch.told, (self._limits, kinds, self._time_step), steps
+        return _Usual(robot, self._watch, self._limits, *kinds, self._watch.period, steps)
 
     def _step_as_usual(self, context: Context, state: DiscreteValues) -> bool:
         if self._usual is None:
@@ -206,7 +217,7 @@ def _gain_vector(gains: VaryingGains | FixedGains, nv: int) -> Array:
 
 @compiled
 def calc_usual_step(
-    how: _How,
+    how: _Usual,
     inputs: tuple[Array, Array, Array],
     gains: tuple[Array, float],
     states: tuple[Array, Array, Array, Array],
@@ -217,36 +228,33 @@ def calc_usual_step(
     its own.
 
     Args:
-        how: The robot, what `calc_looked` is told, limits of efforts (nv,), whether gains vary and
-            friction is of the measured velocity, the time step, and what `calc_limited_step` needs.
         inputs: Measured and desired states (2 nv,), and desired accelerations (nv,).
         gains: Those of `_gain_vector`, and γ.
         states: Estimate, actuation, and memories of watch and earlier estimates.
     """
-    (robot, told, (most, (varies, measured), step), steps), (p, actuation, watch, before) = (
-        how,
-        states,
-    )
+    p, actuation, watch, before = states
     n, memory = len(actuation), watch.copy()
     motion, Y = np.empty((5, n)), np.zeros((n, len(p)))
-    trusted, _, _, settled = calc_looked(inputs, told, memory, motion)
+    trusted, _, _, settled = calc_looked(inputs, how.watch, memory, motion)
     if not (trusted and settled) or memory[-2] == 0.0:
         return False
     q, qd, (q_d, v_d, a_d) = motion[0].copy(), motion[1].copy(), motion[2:]
     rate, damping = gains[0][:n], gains[0][n:]
     v = v_d - rate * (q - q_d)
     a, r = a_d - rate * (qd - v_d), qd - v
-    if varies:
+    if how.varies:
         a -= rate * r
-    calc_plain_regressor(robot, (q, qd, v, a), qd if measured else v, Y)
+    calc_plain_regressor(how.robot, (q, qd, v, a), qd if how.measured else v, Y)
     effort, applied, b, following = np.dot(Y, p), np.empty(n), np.dot(r, Y), np.empty(len(p))
-    if not varies:
+    if not how.varies:
         effort -= damping * r
-    finite, beyond = calc_applied(effort, most, applied)
+    finite, beyond = calc_applied(effort, how.most, applied)
     if beyond or not (finite and is_usable(b)):
         return False
-    if not (calc_limited_step(p, b, steps, step / gains[1], following) and is_usable(following)):
+    if not calc_limited_step(p, b, how.steps, how.period / gains[1], following):
+        return False
+    if not is_usable(following):
         return False
     actuation[:], watch[:], p[:] = applied, memory, following
-    remember(before, following, step)
+    remember(before, following, how.period)
     return True

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -23,9 +22,6 @@ from geodrake.manifolds import Manifold
 
 _MOVING = 1e-4  # rad/s or m/s, speed above which two equal measurements are one
 _LARGEST = 1e6  # rad, m, rad/s or m/s, norm of a state that no robot has
-Limits = tuple[float, float, float]
-"""Period and stale time, s, and drift, rad or m, of a `Watch`."""
-
 SUSPECT = 0.25  # s, for which drift adds up, and for which a loop goes on before it is believed
 
 
@@ -56,12 +52,10 @@ class Safeguards(Short):
     factor: float = 10.0
 
     def __post_init__(self) -> None:
-        for name in ("stale_time", "drift"):
-            if not number(given := getattr(self, name), name, finite=False) > 0:
-                raise ArgumentError(f"{name} must be positive; got {given}.")
+        for name, least in (("stale_time", 0.0), ("drift", 0.0), ("factor", 1.0)):
+            if not number(given := getattr(self, name), name, finite=False) > least:
+                raise ArgumentError(f"{name} must be above {least:g}; got {given}.")
         number(self.settling_time, "settling_time", lower=0.0)
-        if not number(self.factor, "factor", finite=False) > 1:
-            raise ArgumentError(f"factor must be above one; got {self.factor}.")
         self.dead_zones(real_array(self.dead_zone, "dead_zone").size)
         if self.effort_limits is not None:
             self.limits(real_array(self.effort_limits, "effort_limits", finite=False).size)
@@ -118,8 +112,7 @@ class Seen(NamedTuple):
         )
 
 
-@dataclass(frozen=True)
-class Watch:
+class Watch(NamedTuple):
     """Looks after a sensor, and replaces inputs that are missing.
 
     A state is missing where it is not finite, has stood still for too long, or contradicts the last
@@ -154,12 +147,7 @@ class Watch:
 
     def measure(self, memory: Array, state: Array) -> tuple[bool, bool]:
         """Return whether a state (2 n,) is trusted and whether it is new, and remember it."""
-        return calc_measured(contiguous(state), self.limits, memory)
-
-    @cached_property
-    def limits(self) -> Limits:
-        """What `calc_measured` is told."""
-        return float(self.period), float(self.stale_time), float(self.drift)
+        return calc_measured(contiguous(state), self, memory)
 
     def look(
         self, memory: Array, state: Array, desired: Array, acceleration: Array
@@ -172,13 +160,8 @@ class Watch:
         following, motion = memory.copy(), np.empty((5, self.size))
         inputs = contiguous(state), contiguous(desired), contiguous(acceleration)
         q, qd, q_d, v_d, a_d = motion
-        answers = calc_looked(inputs, self.told, following, motion)
+        answers = calc_looked(inputs, self, following, motion)
         return Seen(q, qd, q_d, v_d, a_d, *answers), following
-
-    @cached_property
-    def told(self) -> tuple[Limits, float]:
-        """What `calc_looked` is told."""
-        return self.limits, float(self.settling_time)
 
     def interrupt(self, memory: Array) -> bool:
         """Return whether a loop that had gone on for a quarter of a second is interrupted.
@@ -193,10 +176,9 @@ class Watch:
 
 
 @compiled
-def calc_measured(state: Array, limits: Limits, memory: Array) -> tuple[bool, bool]:
+def calc_measured(state: Array, watch: Watch, memory: Array) -> tuple[bool, bool]:
     """Kernel of `Watch.measure`; the memory (4 n + 4,) becomes that of this sample."""
-    period, stale, most = limits
-    n = len(state) // 2
+    period, stale, n = watch.period, watch.stale_time, watch.size
     drift, counts = memory[3 * n : 4 * n], memory[4 * n :]
     counts[0] += 1.0
     counts[2:] += 1.0
@@ -215,7 +197,7 @@ def calc_measured(state: Array, limits: Limits, memory: Array) -> tuple[bool, bo
     for i in range(n) if gap <= oldest else range(0):
         off = state[i] - memory[i] - 0.5 * gap * (state[n + i] + memory[n + i])
         following[i] = np.exp(-gap / SUSPECT) * drift[i] + off
-        believed &= not abs(following[i]) > most
+        believed &= not abs(following[i]) > watch.drift
     if not believed:
         counts[2] = 0.0
         return False, False
@@ -227,11 +209,11 @@ def calc_measured(state: Array, limits: Limits, memory: Array) -> tuple[bool, bo
 
 @compiled
 def calc_looked(
-    inputs: tuple[Array, Array, Array], told: tuple[Limits, float], memory: Array, motion: Array
+    inputs: tuple[Array, Array, Array], watch: Watch, memory: Array, motion: Array
 ) -> tuple[bool, bool, bool, bool]:
     """Kernel of `Watch.look`: write the five rows of `Seen`, and return its four answers."""
-    (state, desired, acceleration), (limits, settling_time), n = inputs, told, len(inputs[2])
-    measured, new = calc_measured(state, limits, memory)
+    (state, desired, acceleration), n = inputs, watch.size
+    measured, new = calc_measured(state, watch, memory)
     last, (q, qd, q_d, v_d, a_d) = memory[2 * n : 3 * n], motion
     asked = is_usable(desired) and is_usable(acceleration)
     if asked:
@@ -246,7 +228,7 @@ def calc_looked(
         q[:], qd[:] = state[:n], state[n:]
     else:
         q[:], qd[:] = q_d, v_d
-    both, settled = measured and asked, memory[-2] * limits[0] >= settling_time
+    both, settled = measured and asked, memory[-2] * watch.period >= watch.settling_time
     return both and new and settled, both and not new, known, memory[-1] >= 0.0
 
 
