@@ -29,18 +29,16 @@ from diagrams.harness import MODELS, run_draws, script_parser, show, write
 from diagrams.studies.adaptive.faults import FAULTS, Array, Episode, faulty_loop
 from diagrams.studies.adaptive.loop import Record, on_its_base
 from geodrake.control import (
+    AdaptiveComputedTorqueController,
+    AdaptiveController,
     ControlModel,
     PassivityBasedAdaptiveController,
+    PredictionError,
+    Safeguards,
     natural_adaptation,
     parameter_manifold,
 )
 from geodrake.control.adaptation import UpdateLaw
-from geodrake.control.systems import (
-    AdaptiveComputedTorqueController,
-    AdaptiveController,
-    PredictionError,
-    Safeguards,
-)
 from geodrake.effects import FittedEffect, ViscousFriction
 from geodrake.inertia import perturb, pseudo_inertia
 from geodrake.model import RobotModel, load_model

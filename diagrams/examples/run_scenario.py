@@ -41,11 +41,13 @@ from geodrake.boundary.arguments import one_of, positive
 from geodrake.boundary.escaping import printable
 from geodrake.control import (
     AdaptiveComputedTorqueController,
+    AdaptiveController,
     AdaptiveLoop,
     ControlModel,
     FixedGains,
     PassivityBasedAdaptiveController,
     PredictionError,
+    Safeguards,
     VaryingGains,
     add_adaptive_loop,
     euclidean_adaptation,
@@ -53,7 +55,6 @@ from geodrake.control import (
     parameter_manifold,
     pullback_adaptation,
 )
-from geodrake.control.systems import AdaptiveController, Safeguards
 from geodrake.errors import ArgumentError, ConvergenceError, GeodrakeError, ModelError, OutputError
 from geodrake.inertia import Array
 from geodrake.logs import JointLog, write_log

@@ -45,6 +45,7 @@ from diagrams.studies.ambidex.arm import (
 )
 from diagrams.studies.ambidex_arm import HULL, identified, prior_of
 from geodrake.control import (
+    AdaptiveController,
     ControlModel,
     EffectForce,
     PartialLaw,
@@ -53,7 +54,6 @@ from geodrake.control import (
     add_adaptive_loop,
     parameter_manifold,
 )
-from geodrake.control.systems import AdaptiveController
 from geodrake.effects import (
     CoulombFriction,
     CoupledFriction,

@@ -34,11 +34,11 @@ from diagrams.studies.adaptive import laws, loop, wam
 from diagrams.studies.adaptive.faults import NoisyVelocities
 from geodrake.control import (
     AdaptiveComputedTorqueController,
+    AdaptiveController,
     PassivityBasedAdaptiveController,
     PredictionError,
     VaryingGains,
 )
-from geodrake.control.systems import AdaptiveController
 
 SIGMAS = tuple(round(0.05 * k, 2) for k in range(1, 9))
 AMPLITUDES = (0.4, 0.6, 0.8, 1.0, 1.2)  # rad

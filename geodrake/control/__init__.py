@@ -11,22 +11,27 @@ from geodrake.control.loops import AdaptiveLoop, add_adaptive_loop
 from geodrake.control.online_estimation import SampleUpdate
 from geodrake.control.regressor import ControlModel
 from geodrake.control.rollout import fit_rollouts, roll_out
-from geodrake.control.systems import (
+from geodrake.control.systems.adaptive_computed_torque_controller import (
     AdaptiveComputedTorqueController,
-    BregmanProjectionEstimator,
-    DelayedEffort,
-    EffectForce,
+)
+from geodrake.control.systems.adaptive_controller import AdaptiveController
+from geodrake.control.systems.bregman_projection_estimator import BregmanProjectionEstimator
+from geodrake.control.systems.log_source import LogSource
+from geodrake.control.systems.model_residual import ModelResidual
+from geodrake.control.systems.passivity_based_adaptive_controller import (
     FixedGains,
-    LogSource,
-    ModelResidual,
     PassivityBasedAdaptiveController,
-    PositionServo,
-    PredictionError,
     VaryingGains,
 )
+from geodrake.control.systems.position_servo import PositionServo
+from geodrake.control.systems.prediction_error import PredictionError
+from geodrake.control.systems.safeguards import Safeguards
+from geodrake.model.simulation.effect_force import EffectForce
+from geodrake.model.simulation.robot_in_diagram import DelayedEffort
 
 __all__ = [
     "AdaptiveComputedTorqueController",
+    "AdaptiveController",
     "AdaptiveLoop",
     "BregmanProjectionEstimator",
     "ControlModel",
@@ -39,6 +44,7 @@ __all__ = [
     "PassivityBasedAdaptiveController",
     "PositionServo",
     "PredictionError",
+    "Safeguards",
     "SampleUpdate",
     "VaryingGains",
     "add_adaptive_loop",

@@ -20,11 +20,11 @@ from pydrake.systems.primitives import LogVectorOutput, MatrixGain, TrajectorySo
 from pydrake.trajectories import Trajectory
 
 from geodrake.boundary.arguments import instance, positive
-from geodrake.control.systems import AdaptiveController, EffectForce
+from geodrake.control.systems.adaptive_controller import AdaptiveController
 from geodrake.effects.base import RobotEffect
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
-from geodrake.model.simulation.effect_force import EffectWithValues
+from geodrake.model.simulation.effect_force import EffectForce, EffectWithValues
 from geodrake.robot.robot_instance import RobotInstance, RobotPorts
 
 

@@ -45,6 +45,7 @@ from geodrake.control import (
     PartialLaw,
     PassivityBasedAdaptiveController,
     PredictionError,
+    Safeguards,
     VaryingGains,
     add_adaptive_loop,
     euclidean_adaptation,
@@ -55,7 +56,6 @@ from geodrake.control import (
 from geodrake.control.adaptation import adapted_parameters
 from geodrake.control.adaptation.outer_laws import limited
 from geodrake.control.online_estimation import FilteredRegressor
-from geodrake.control.systems import Safeguards
 from geodrake.control.systems.safeguards import Watch
 from geodrake.effects import FittedEffect
 from geodrake.errors import ArgumentError

@@ -19,9 +19,6 @@ from effect_motions import instances
 from mujoco_efforts import mujoco_efforts
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
-from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
-from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import ConstantVectorSource
 
 from geodrake import load_model
 from geodrake.control.export_proof import export_to
@@ -30,8 +27,6 @@ from geodrake.control.export_proof.export import prove
 from geodrake.control.export_proof.formats import FORMATS, SIGN_WIDTH, export_format
 from geodrake.control.export_proof.held import held_by
 from geodrake.control.export_proof.reference import (
-    STEP,
-    Start,
     compared,
     random_motion,
     random_starts,
@@ -682,39 +677,6 @@ def chain(tmp_path):
     path = tmp_path / "chain.urdf"
     path.write_text(CHAIN.format(links=links))
     return load_model(path)
-
-
-def test_rollouts_are_those_of_the_simulated_model():
-    """By Drake's integrator at a tight accuracy."""
-    model = load_model(MODEL)
-    a, b = model.joints
-    payload = from_mass_com_inertia(0.3, np.array([0.0, 0.0, -0.1]), 1e-3 * np.eye(3))
-    smooth = (
-        FittedEffect(ViscousFriction(a), np.array([0.2])),
-        FittedEffect(RotorInertia(b), np.array([0.02])),
-        FittedEffect(JointSpring(b, center=0.4), np.array([1.5, 0.0])),
-        FittedEffect(Payload(model.bodies[-1]), payload),
-    )
-    dry = FittedEffect(CoulombFriction(a), np.array([0.5]))
-    model = replace(model, effects=(*smooth, dry))
-    effort = np.array([0.4, -0.2])
-    start = Start(np.array([0.3, -0.5]), np.array([0.7, 1.1]), np.tile(effort, (200, 1)))
-    (ours,) = roll_out_all(model, [start], STEP)
-
-    builder = DiagramBuilder()
-    robot = replace(model, effects=smooth).add_to_builder(builder)
-    source = builder.AddSystem(ConstantVectorSource(effort))
-    builder.Connect(source.get_output_port(), robot.effort)
-    simulator = Simulator(builder.Build())
-    root = simulator.get_mutable_context()
-    robot.set_inertias(root)
-    robot.set_state(root, start.q, start.v)
-    ResetIntegratorFromFlags(simulator, "runge_kutta3", 1e-3)
-    simulator.get_mutable_integrator().set_target_accuracy(1e-9)
-    simulator.AdvanceTo(0.2)
-    there = robot.plant.GetPositions(robot.plant.GetMyContextFromRoot(root))
-    np.testing.assert_allclose(ours[-1], there, atol=1e-8)
-    assert np.abs(ours[-1] - ours[0]).min() > 0.05
 
 
 def with_value(effect):

@@ -17,7 +17,7 @@ from geodrake.control import fit_rollouts, roll_out
 from geodrake.control.rollout import FittedValue, RolloutFit
 from geodrake.control.rollout.fit_rollouts import better_model, held_out
 from geodrake.control.rollout.linearized_motion import LinearizedMotion
-from geodrake.control.rollout.motion_search import blinds, rollout_values, values_at, with_values
+from geodrake.control.rollout.motion_search import blinds, rollout_values
 from geodrake.control.rollout.passages import Conditions, chosen_passages
 from geodrake.control.rollout.roll_out import Rollout, Window
 from geodrake.control.rollout.simulation import simulations
@@ -194,46 +194,30 @@ def test_a_spring_under_commands_is_found(pendulum):
 UNSURE = dataclasses.replace(PD, deviation=10.0, damping_deviation=0.6)
 
 
-def test_what_is_free_of_a_servo(pendulum):
-    """All that is not exact, and then the delay; the gain takes along what is beside it."""
-    pid = dataclasses.replace(UNSURE, integral=200.0, integral_deviation=9.0)
-    model = servoed(pendulum, 2.0, pid)
-    springs = rollout_values(model)
-    values = rollout_values(model, commands=True)
-    assert values[: len(springs)] == springs
-    names = [value.name for value in values[len(springs) :]]
-    assert names == ["gain", "damping", "integral", "delay"]
-    assert rollout_values(servoed(pendulum, 2.0, PD), commands=True) == springs
-    new, _ = values_at(values, np.array([np.log(0.5), 0.0, 1.0, -1.0, 0.5, -2.0]))
-    expected = [1.0 / STIFFNESS, 0.05, 110.0, 1.1 * (6.0 - 0.6), 1.1 * 210.0, 0.013 / 30.0]
-    np.testing.assert_allclose(new, expected, rtol=1e-12)
-    (servo,) = with_values(model, values, new, np.full(6, 0.1)).effort_signals
-    assert (servo.gain, servo.damping, servo.integral, servo.delay) == tuple(new[2:])
-    deviations = servo.deviation, servo.damping_deviation, servo.integral_deviation
-    assert deviations == pytest.approx((11.0, 0.1, 0.1))
-
-
-def test_what_is_free_of_a_motor(pendulum):
-    """Friction and the rotor, as far as they are not exact; nothing that may be of either sign."""
-    beside = (
-        (effects.AsymmetricFriction("hinge"), [1.0, 0.5, 0.0, 0.2], [0.1, 0.0, 0.1, 0.1]),
-        (effects.EffortOffset("hinge"), [0.3], [0.1]),
-        (effects.GravityCompensator("hinge"), [2.0, 0.1], [0.1, 0.1]),
-        (effects.RotorInertia("hinge"), [0.4], [0.1]),
-    )
-    motors = [effects.FittedEffect(e, np.array(x), np.array(unsure)) for e, x, unsure in beside]
-    model = servoed(pendulum, 1.0, EffortSignal("hinge", "command", 100.0, deviation=10.0))
-    model = dataclasses.replace(model, effects=(model.effects[-1], *motors))
-    values = rollout_values(model, commands=True)
-    assert [(value.effect, value.name) for value in values[4:]] == [
-        ("asymmetric_friction", "coulomb_positive"),
-        ("asymmetric_friction", "viscous_negative"),
-        ("rotor_inertia", "inertia"),
-    ]
-    new, _ = values_at(values, np.full(len(values), 0.5))
-    found = with_values(model, values, new, np.full(len(values), 0.01)).effects
-    np.testing.assert_allclose(found[1].parameters, [new[4], 0.5, 0.0, new[5]])
-    np.testing.assert_allclose(found[1].deviations, [0.01, 0.0, 0.1, 0.01])
+def test_a_servo_and_its_motor_are_found_with_a_spring(pendulum):
+    """All that is not exact, and the delay; nothing that may be of either sign."""
+    wrong = dataclasses.replace(UNSURE, gain=80.0, damping=4.8)
+    model = servoed(pendulum, 1.5, wrong)
+    *motor, spring = model.effects
+    motor += having(pendulum, ROTOR, FRICTION, (effects.EffortOffset("hinge"), 1e-3)).effects[-1:]
+    unsure = [replace(each, deviations=0.1 * each.parameters) for each in motor]
+    model = replace(model, effects=(*unsure, spring))
+    fit = fit_rollouts(model, [followed(0, PD, noise=1e-4, seconds=5.0)], most=4, commands=True)
+    assert fit.taken and fit.held_out[1].relative < 0.1 * fit.held_out[0].relative
+    found = {(value.effect, value.name): value.after for value in fit.values}
+    expected = {
+        ("joint_elasticity", "compliance"): pytest.approx(1.0 / STIFFNESS, rel=0.1),
+        ("joint_elasticity", "damping"): pytest.approx(0.05, rel=0.3),
+        ("servo", "gain"): pytest.approx(PD.gain, rel=0.01),
+        ("servo", "damping"): pytest.approx(PD.damping, rel=0.02),
+        ("servo", "delay"): pytest.approx(PD.delay, rel=0.03),
+        ("rotor_inertia", "inertia"): pytest.approx(ROTOR, rel=0.02),
+        ("viscous_friction", "viscous"): pytest.approx(FRICTION, rel=0.1),
+    }
+    assert found == expected
+    (servo,) = fit.model.effort_signals
+    assert servo.deviation == pytest.approx(UNSURE.deviation / 80.0 * servo.gain)
+    assert fit.model.effects[2] is unsure[2]
 
 
 def test_what_cannot_follow_commands_is_said(pendulum):

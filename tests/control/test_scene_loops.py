@@ -23,9 +23,9 @@ from geodrake.control import (
     ControlModel,
     EffectForce,
     PassivityBasedAdaptiveController,
+    Safeguards,
     add_adaptive_loop,
 )
-from geodrake.control.systems import Safeguards
 from geodrake.effects import FittedEffect
 from geodrake.errors import ArgumentError
 from geodrake.logs.motion import Motion

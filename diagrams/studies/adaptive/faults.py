@@ -17,8 +17,7 @@ from pydrake.systems.framework import (
 from pydrake.trajectories import Trajectory
 
 from diagrams.studies.adaptive.loop import Record, simulate_loop
-from geodrake.control import add_adaptive_loop
-from geodrake.control.systems import AdaptiveController
+from geodrake.control import AdaptiveController, add_adaptive_loop
 from geodrake.inertia import Array
 from geodrake.robot import RobotPorts
 

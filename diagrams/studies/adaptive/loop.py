@@ -14,8 +14,7 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorC
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, System
 from pydrake.trajectories import PiecewisePolynomial, Trajectory
 
-from geodrake.control import AdaptiveLoop, add_adaptive_loop
-from geodrake.control.systems import AdaptiveController
+from geodrake.control import AdaptiveController, AdaptiveLoop, add_adaptive_loop
 from geodrake.inertia import Array
 
 LOG_PERIOD = 1e-2  # s

@@ -154,12 +154,13 @@ class LinearizedMotion:
         one = np.ones(len(motors))
         sizes = {"vd": one, "v": seen.sign_width + 1e-9, "q": _MOVED * one}
         for (name, size), rest in zip(sizes.items(), self.slopes, strict=True):
-            moved = (
-                replace(seen, **{name: getattr(seen, name) + way * size}) for way in (1.0, -1.0)
-            )
-            ahead, behind = (_effort(forces, each) for each in moved)
             by.append(rest.copy())
-            by[-1][:, motors, motors] += (ahead - behind) / (2.0 * size)
+            if felt := [fitted for fitted in forces if name in fitted.effect.depends_on]:
+                ahead, behind = (
+                    _effort(felt, replace(seen, **{name: getattr(seen, name) + way * size}))
+                    for way in (1.0, -1.0)
+                )
+                by[-1][:, motors, motors] += (ahead - behind) / (2.0 * size)
         rest = self.rest + _effort(forces, seen) @ self.law.of_motors
         inertia, damping, stiffness = map(contiguous, by)
         added = (inertia - self.slopes[0])[:, motors, motors]
@@ -195,13 +196,13 @@ class LinearizedMotion:
         soft = self.law.soft.velocities
         load = self.at_links[:AT_START, soft]
         give_way = self.seen.effort_slopes.position[:AT_START, soft, soft]
+        stiffness, plays = np.transpose([(each.stiffness, each.play) for each in couplings])
         lags = np.zeros_like(load)
         for _ in range(_LAG_ITERATIONS):
-            torques = load - give_way * lags
-            for i, coupling in enumerate(couplings):
-                lags[:, i] = torques[:, i] / coupling.stiffness
-                lags[:, i] += coupling.play * np.sign(torques[:, i])
-        plays = np.array([coupling.play for coupling in couplings])
+            torques, before = load - give_way * lags, lags
+            lags = torques / stiffness + plays * np.sign(torques)
+            if np.array_equal(lags, before):
+                break
         time, names = self.passage.time[:AT_START], self.law.soft.names
         return first_lag(lags, plays, time, lambda: thrown(effects, self.before, names))
 

@@ -102,7 +102,11 @@ def chosen_passages(
         for trajectory in case.trajectories
         for stretch in trajectory.segments
         for start, segment in _moving(stretch, horizon, peak, case.model.delays)
-        if within is None or any(_holds(span, trajectory.name, segment.time) for span in within)
+        if within is None
+        or any(
+            name == trajectory.name and first <= segment.time[0] and segment.time[-1] <= last
+            for name, first, last in within
+        )
     ]
     if not found:
         raise LogError(
@@ -131,11 +135,6 @@ def _on_ground(model: RobotModel, trajectory: Trajectory, passage: Passage) -> P
     forces = times(inverse, left)
     ground = scales * times(np.swapaxes(J, 1, 2), forces)
     return replace(passage, segment=replace(segment, effort=segment.effort + ground))
-
-
-def _holds(span: Span, log: str, time: Array) -> bool:
-    name, first, last = span
-    return name == log and first <= time[0] and time[-1] <= last
 
 
 def _moving(

@@ -71,33 +71,35 @@ class LogSource(LeafSystem):
         self._largest_gap = usual if largest_gap is None else largest_gap
         if not number(self._largest_gap, "largest_gap", finite=False) > 0:
             raise ArgumentError(f"The largest gap must be positive; got {largest_gap} s.")
-        if log.velocity is None:
+        velocity = log.velocity
+        if velocity is None:
             velocity = np.gradient(position, self._time, axis=0)
         else:
-            velocity = log.velocity[stamped]
-        ports = {"position": position, "velocity": velocity, "effort": effort}
-        ports = {"state": np.hstack([position, velocity]), **ports}
-        for name, values in ports.items():
-            last = values[-1].copy()
-            if name in ("state", "velocity"):
-                last[-len(log.joints) :] = 0.0
-            calc, known = partial(self._calc, values, last), {self.time_ticket()}
-            self.DeclareVectorOutputPort(name, BasicVector(len(last)), calc, known)
+            velocity = velocity[stamped]
+        self._values = np.hstack([position, velocity, effort])
+        n = len(log.joints)
+        ports = {"state": (0, 2), "position": (0, 1), "velocity": (1, 2), "effort": (2, 3)}
+        for name, (first, end) in ports.items():
+            calc, size = partial(self._calc, slice(first * n, end * n)), (end - first) * n
+            self.DeclareVectorOutputPort(name, BasicVector(size), calc, {self.time_ticket()})
 
     @property
     def duration(self) -> float:
         """Time from the first sample to the last, s."""
         return float(self._time[-1])
 
-    def _calc(self, values: Array, last: Array, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._at(context.get_time(), values, last))
+    def _calc(self, columns: slice, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._at(context.get_time())[columns])
 
-    def _at(self, t: float, values: Array, last: Array) -> Array:
-        if t > self._stamps[-1]:
-            return last
-        i = min(max(bisect_right(self._stamps, t) - 1, 0), len(self._stamps) - 2)
-        gap = self._stamps[i + 1] - self._stamps[i]
-        share = max(t - self._stamps[i], 0.0) / gap
+    def _at(self, t: float) -> Array:
+        """Return positions, velocities and efforts (3 n,) at an instant."""
+        values, stamps = self._values, self._stamps
+        if t > stamps[-1]:
+            n = len(self.log.joints)
+            return np.concatenate([values[-1, :n], np.zeros(n), values[-1, 2 * n :]])
+        i = min(max(bisect_right(stamps, t) - 1, 0), len(stamps) - 2)
+        gap = stamps[i + 1] - stamps[i]
+        share = max(t - stamps[i], 0.0) / gap
         if share in (0.0, 1.0):
             return values[i + int(share)]
         if gap > self._largest_gap:
