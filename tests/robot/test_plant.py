@@ -382,6 +382,7 @@ def test_impossible_member_of_a_possible_body_is_no_problem(load):
         ("r.urdf", "<robot name='r'/>", "no links"),
         ("r.urdf", urdf().replace('child link="l1"', 'child link="l2"'), "l2"),
         ("r.sdf", "<sdf version='1.7'/>", "Drake cannot read"),
+        ("r.sdf", "<sdf><model name='r'><link name='l'/></model></sdf>", "1: <sdf> has no version"),
     ],
 )
 def test_not_a_robot(load, name, text, words):

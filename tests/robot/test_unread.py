@@ -175,6 +175,7 @@ def test_a_point_without_gravity_has_no_part_in_weight(tmp_path):
         ),
         (URDF, "link", '<contact><inertia_scaling value="3"/></contact>', "<inertia_scaling> 3"),
         (URDF, "robot", '<gazebo><plugin name="LiftDragPlugin"/></gazebo>', "LiftDragPlugin"),
+        (URDF, "robot", '<gazebo><plugin filename="libuuv_x.so"/></gazebo>', "libuuv_x.so"),
     ],
 )
 def test_what_a_file_states_and_nothing_reads(tmp_path, text, part, stated, words):
@@ -215,6 +216,35 @@ def test_a_spring_and_no_weight_of_gazebo(tmp_path):
     np.testing.assert_allclose(held(model) - held(load(tmp_path, URDF)), [-2.0])
     off = '<gazebo reference="l1"><turnGravityOff>true</turnGravityOff></gazebo>'
     assert not held(load(tmp_path, URDF, robot=off)).any()
+
+
+@pytest.mark.parametrize(
+    ("part", "other"),
+    [
+        (
+            "a><springStiffness>4</springStiffness><springReference>.5</springReference>",
+            'a><springStiffness value="4"/></gazebo>'
+            '<gazebo reference=a><springReference value=".5"/>',
+        ),
+        ("l1><turnGravityOff>true</turnGravityOff>", 'l1><turnGravityOff value="true"/>'),
+        ("l1><gravity>1</gravity>", "l1><turnGravityOff>no</turnGravityOff>"),
+    ],
+)
+def test_gazebo_is_written_in_several_ways(tmp_path, part, other):
+    both = (f"<gazebo reference={each}</gazebo>" for each in (part, other))
+    quoted = (text.replace("=a>", '="a">').replace("=l1>", '="l1">') for text in both)
+    one, two = (held(load(tmp_path, URDF, robot=text)) for text in quoted)
+    np.testing.assert_array_equal(one, two)
+
+
+@pytest.mark.parametrize("auto", ["true", "1"])
+def test_an_inertia_may_follow_from_collisions(tmp_path, auto):
+    shape = "<geometry><box><size>.1 .1 .1</size></box></geometry>"
+    ball = f"""<link name="l3"><inertial auto="{auto}"><density>5000</density></inertial>
+    <collision name="c">{shape}</collision></link>
+    <joint name="c" type="fixed"><parent>l1</parent><child>l3</child></joint>"""
+    model = load(tmp_path, SDF.replace("1.9", "1.11"), model=ball)
+    assert model.total_phi[0, 0] == pytest.approx(7.0)
 
 
 def test_a_spring_of_gazebo_that_is_no_number(tmp_path):

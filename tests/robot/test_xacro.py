@@ -55,6 +55,11 @@ CONSTRUCTS = {
 }
 
 
+def test_a_file_called_xacro_needs_no_elements_of_it(tmp_path):
+    (tmp_path / "r.xacro").write_text('<robot name="$(optenv NO_SUCH_NAME r)"/>')
+    assert b'name="r"' in read_expanded(tmp_path / "r.xacro", Given())
+
+
 @pytest.mark.parametrize("construct", CONSTRUCTS)
 def test_files_expand_as_the_package_expands_them(package, construct, monkeypatch):
     path = written(package / "urdf", CONSTRUCTS[construct])

@@ -46,9 +46,9 @@ def numbers(text: str, count: int) -> Array:
 
 
 def is_off(text: str) -> bool:
-    """Return whether a text is empty, `false`, or all zeros."""
+    """Return whether a text is empty, `false`, `no`, or all zeros."""
     words = text.split()
-    if not words or text.strip().lower() == "false":
+    if not words or text.strip().lower() in ("false", "no"):
         return True
     try:
         return not any(float(word) for word in words)

@@ -342,8 +342,7 @@ def _put_sdf_inertia(link: Element, phi: Array) -> None:
     none = 0.0, np.zeros(3), np.zeros((3, 3))
     mass, com, inertia = to_mass_com_inertia(phi) if phi.any() else none
     inertial = child_of(link, "inertial")
-    if inertial.get("auto") == "true":
-        inertial.set("auto", "false")
+    inertial.attrib.pop("auto", None)
     pose = child_of(inertial, "pose")
     angles = sdf_pose(pose)[1]
     turn, rest = rotation(angles), " ".join((pose.text or "").split()[3:])

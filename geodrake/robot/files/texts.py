@@ -100,7 +100,7 @@ DYNAMICS_READ = frozenset({"damping", "friction"})
 
 _FORCES = re.compile(
     r"buoyan|lift.?drag|hydrodyn|wind(?!ow)|spring|apply.?(link.?)?(force|wrench)|thruster|"
-    r"motor.?model|propell",
+    r"motor.?model|propell|uuv|underwater",
     re.I,
 )
 
@@ -137,6 +137,7 @@ def _of(element: Element, tags: Collection[str], path: Path) -> Iterator[str]:
         yield f"{place_of(element, path)}: <{element.tag}> {value} is ignored."
 
 
+_TRUE = ("true", "1")
 _BALL = "drake:ball_constraint"
 _JOINTS = ("joint", "drake:joint")
 DRAKES_SPRINGS: Mapping[str, str | None] = {
@@ -229,7 +230,7 @@ class ModelText(abc.ABC):
 
     def _stated(self, link: Element) -> Array | None:
         inertial = link.find("inertial")
-        if inertial is None or inertial.get("auto") == "true":  # the latter of SDF
+        if inertial is None or inertial.get("auto") in _TRUE:  # the latter of SDF
             return None
         return self._inertia(inertial)
 
@@ -396,6 +397,8 @@ class SdfText(ModelText):
 
     def _read(self) -> None:
         terms = self.terms
+        if not self.root.get("version"):
+            raise wrong_at(self.root, self.path, "<sdf> has no version.")
         nowhere = self._take_includes()
         terms.left_out += unread(self.root, SDF_UNREAD, self.path)
         self._take_gravity()
@@ -410,7 +413,7 @@ class SdfText(ModelText):
         plugins = {name: model.findall("plugin") for name, model in models}
         for link in self.root.iter("link"):
             inertial = link.find("inertial")
-            if inertial is None or inertial.get("auto") != "true":
+            if inertial is None or inertial.get("auto") not in _TRUE:
                 drop(link, "collision")
         drop(self.root, "visual", "sensor", "plugin", "drake:collision_filter_group", *_FOREIGN)
         for name, model in models:
@@ -518,7 +521,7 @@ class UrdfText(ModelText):
             if lacks := [key for key in TENSOR if key not in inertia.attrib]:
                 what = f"<inertia> lacks {', '.join(lacks)}, which count as 0."
                 terms.notes.append(f"{place_of(inertia, self.path)}: {what}")
-        gazebo, shapes = root.findall("gazebo"), ("visual", "collision")
+        gazebo, shapes = _joined(root.findall("gazebo")), ("visual", "collision")
         links = [link for link in root.findall("link") if not any(map(link.findall, shapes))]
         drop(root, "visual", "collision", "gazebo", "material", "drake:collision_filter_group")
         self._transmissions = [deepcopy(e) for e in root.iter("transmission")]
@@ -684,6 +687,17 @@ class UrdfText(ModelText):
         inertia = symmetric(moments.get(key, "0") for key in TENSOR)
         mass = number(inertial, "mass", "value")
         return inertial_parameters_of(mass, com, rotation(rpy), inertia)
+
+
+def _joined(elements: Sequence[Element]) -> list[Element]:
+    """Return one <gazebo> for each reference, with the children of all, as Gazebo joins them."""
+    found = dict[str | None, Element]()
+    for element in elements:
+        for child in element:
+            child.text = child.get("value") or child.text
+        if (first := found.setdefault(element.get("reference"), element)) is not element:
+            first.extend(element)
+    return list(found.values())
 
 
 def _end(joint: Element, tag: str) -> str:

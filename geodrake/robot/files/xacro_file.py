@@ -60,12 +60,9 @@ class RefusedError(BaseException):
 
 
 def is_xacro(path: Path) -> bool:
-    """Return whether a model file has elements of xacro."""
-    return _has_elements(read_regular(path, "model file", ModelError, largest=LARGEST_FILE))
-
-
-def _has_elements(data: bytes) -> bool:
-    return _TAG.search(_COMMENT.sub(b"", data)) is not None
+    """Return whether a model file is called `.xacro`, or has elements of xacro."""
+    data = read_regular(path, "model file", ModelError, largest=LARGEST_FILE)
+    return path.suffix == ".xacro" or _TAG.search(_COMMENT.sub(b"", data)) is not None
 
 
 def read_expanded(path: Path, given: Given) -> bytes:
@@ -74,9 +71,8 @@ def read_expanded(path: Path, given: Given) -> bytes:
     They are kept in `given`, and taken from there while the file, and those that it reads, are the
     same.
     """
-    data = read_regular(path, "model file", ModelError, largest=LARGEST_FILE)
-    if not _has_elements(data):
-        return data
+    if not is_xacro(path):
+        return read_regular(path, "model file", ModelError, largest=LARGEST_FILE)
     known = given.expansions.get(path)
     if known is None or any(_digest(file) != digest for file, digest in known.read.items()):
         read = {path: _digest(path)}
