@@ -408,8 +408,6 @@ def test_logs_without_commands_are_refused(arm):
         roll_out(replace(model, effort_signals=()), [log], commands=True)
     with pytest.raises(LogError, match="commands of a servo"):
         roll_out(model, [replace(log, command=None)], commands=True)
-    with pytest.raises(ArgumentError, match="horizon"):
-        roll_out(model, [log], horizon=0.0, commands=True)
 
 
 def test_steps_move_a_rigid_robot_as_drake_does(arm):

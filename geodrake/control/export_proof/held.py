@@ -56,10 +56,22 @@ def held_by(
         keep: Which effects stay although the format does not hold them, to see what others cost.
     """
     kept, lost = list[FittedEffect](), list[FittedEffect]()
-    for fitted in _folded(model.effects, holds, keep):
+    sprung = {
+        fitted.effect.where
+        for fitted in model.effects
+        if isinstance(fitted.effect, Spring)
+        and fitted.effect.exponent == 1
+        and fitted.parameters[0] > 0
+        and holds(fitted.effect)
+    }
+    for fitted in model.effects:
         effect = fitted.effect
         stays = holds(effect) or keep(effect) or effect.role in (Role.BODY, Role.INERTIA)
-        (kept if stays else lost).append(fitted)
+        if isinstance(effect, Offset) and not stays and effect.where in sprung:
+            of_spring = np.array([0.0, fitted.parameters[0]])
+            kept.append(FittedEffect(Spring(effect.joint), of_spring))
+        else:
+            (kept if stays else lost).append(fitted)
     merged, into = _merged(kept), dict[Effect, tuple[str, ...]]()
     bases = [kind for kind in _BASES if holds(kind(model.joints[0]))]
     if bases and motions:
@@ -71,27 +83,6 @@ def held_by(
                 into[effect] = tuple(dict.fromkeys([*into.get(effect, ()), *names]))
     effects = tuple(fitted for fitted in merged.values() if fitted.effect.role is not Role.INERTIA)
     return replace(model, effects=effects, information=None), _named(lost, into)
-
-
-def _folded(effects: Sequence[FittedEffect], holds: Holds, keep: Holds) -> list[FittedEffect]:
-    """Effects, in which an offset at a joint with a spring that is held is a part of the spring."""
-    springs = {
-        fitted.effect.where: fitted
-        for fitted in effects
-        if isinstance(fitted.effect, Spring)
-        and fitted.effect.exponent == 1
-        and fitted.parameters[0] > 0
-        and holds(fitted.effect)
-    }
-    found = []
-    for fitted in effects:
-        spring = springs.get(fitted.effect.where)
-        stays = holds(fitted.effect) or keep(fitted.effect)
-        if spring is None or stays or not isinstance(fitted.effect, Offset):
-            found.append(fitted)
-        else:
-            found.append(FittedEffect(spring.effect, np.array([0.0, fitted.parameters[0]])))
-    return found
 
 
 def _merged(effects: Sequence[FittedEffect]) -> dict[Effect, FittedEffect]:

@@ -153,16 +153,17 @@ class AdaptiveController(LeafSystem):
         )
         inputs = self._state_port, self._desired_port, self._acceleration_port
         self._inputs = {port.ticket() for port in inputs}
-        if time_step > 0:
-            self._declare_discrete(start)
-        else:
-            self._declare_continuous(start)
+        declare = self._declare_discrete if time_step > 0 else self._declare_continuous
+        estimate = declare(start)
+        if self._truth is not None:
+            known = {*self._inputs, estimate, self.all_parameters_ticket()}
+            self.DeclareVectorOutputPort("lyapunov", BasicVector(1), self._calc_lyapunov, known)
         if self._prediction is not None:
             self._memory = self.DeclareDiscreteState(self._prediction.start())
             if self._prediction.measured:
                 self._effort_port = self.DeclareVectorInputPort("effort", BasicVector(nv))
 
-    def _declare_discrete(self, start: Array) -> None:
+    def _declare_discrete(self, start: Array) -> DependencyTicket:
         parameters, actuation, *_ = (
             self.DeclareDiscreteState(value)
             for value in (start, np.zeros(self._nv), self._watch.start(), _before(start))
@@ -170,9 +171,9 @@ class AdaptiveController(LeafSystem):
         self.DeclarePeriodicDiscreteUpdateEvent(self._time_step, 0.0, self._update)
         self.DeclareStateOutputPort("actuation", actuation)
         self.DeclareStateOutputPort("parameters", parameters)
-        self._declare_lyapunov(self.discrete_state_ticket(parameters))
+        return self.discrete_state_ticket(parameters)
 
-    def _declare_continuous(self, start: Array) -> None:
+    def _declare_continuous(self, start: Array) -> DependencyTicket:
         parameters = self.DeclareContinuousState(BasicVector(start))
         producer = ValueProducer(
             allocate=lambda: AbstractValue.Make(object()), calc=self._calc_result
@@ -184,12 +185,7 @@ class AdaptiveController(LeafSystem):
             "actuation", BasicVector(self._nv), self._calc_actuation, {self._result.ticket()}
         )
         self.DeclareStateOutputPort("parameters", parameters)
-        self._declare_lyapunov(self.xc_ticket())
-
-    def _declare_lyapunov(self, estimate: DependencyTicket) -> None:
-        if self._truth is not None:
-            known = {*self._inputs, estimate, self.all_parameters_ticket()}
-            self.DeclareVectorOutputPort("lyapunov", BasicVector(1), self._calc_lyapunov, known)
+        return self.xc_ticket()
 
     @abc.abstractmethod
     def _result_at(self, p: Array, seen: Seen, gains: Array) -> ControlResult:
