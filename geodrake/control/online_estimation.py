@@ -266,10 +266,6 @@ class SampleUpdate(Short):
         _ = self._limited  # what does not fit is reported now, not while a robot moves
 
     @cached_property
-    def _tolerances(self) -> Array:
-        return np.asarray(self.tolerance, float)
-
-    @cached_property
     def _limited(self) -> ProjectedLaw | None:
         if self.constraints is None:
             return None
@@ -316,7 +312,7 @@ class SampleUpdate(Short):
         Y, effort = rows
         if earlier is not None:
             Y, effort = np.concatenate((Y, earlier[0])), np.concatenate((effort, earlier[1]))
-        epsilon = np.resize(self._tolerances, len(effort))
+        epsilon = np.resize(np.asarray(self.tolerance, float), len(effort))
         if self.method == "nudge":
             nudged = slab_step(self.manifold, p, Y, effort, epsilon, relaxation=self._share)
             return SlabProjection(nudged, np.inf, 1)
@@ -334,7 +330,7 @@ class SampleUpdate(Short):
         if self.method == "nudge" or robot is None or others:
             return None
         how = self.manifold.least_weight, float(self._share)
-        return np.atleast_1d(self._tolerances), robot, how
+        return np.atleast_1d(np.asarray(self.tolerance, float)), robot, how
 
     def _forgotten(self, p: Array, dt: float) -> Array:
         """Return the point whose ∇h is nearer to that of the prior, by the share of a time step."""

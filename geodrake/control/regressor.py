@@ -126,25 +126,24 @@ class ControlModel:
         counts = [len(e.parameters) for e in self.effects[: effect + 1]]
         return slice(self.num_inertial + sum(counts[:-1]), self.num_inertial + sum(counts))
 
-    def at(
-        self, q: Array, qd: Array, v: Array, a: Array, *, load_phi: Array | None = None
-    ) -> ControlSample:
+    def at(self, q: Array, qd: Array, v: Array, a: Array) -> ControlSample:
         """Return the Slotine–Li regressor Y(q, q̇, v, a) at one sample, ready to be multiplied.
 
         Y p = M(q) a + C(q, q̇) v − τ_g(q) + effects at v and a, with Ṁ − 2 C skew symmetric. With
         v = q̇ and a = v̇ it is the regressor of inverse dynamics and of computed torque. Values are
         not checked: whatever is not finite comes out as such.
 
+        The load of load-dependent friction is that of the robot model with its payloads, so that
+        the columns do not depend on the estimate. For the same reason a scale of efforts is one of
+        the model's efforts.
+
         Args:
             q: (nq,) positions in Drake's order.
             qd: (nv,) measured velocities.
             v: (nv,) reference velocities ([Lee2019] Eq. (5.2.11)).
             a: (nv,) reference accelerations ([Lee2019] Eq. (5.2.12)).
-            load_phi: (nb, 10) inertial parameters behind the load of load-dependent friction; those
-                of the robot model with its payloads if None, so that the columns do not depend on
-                the estimate. For the same reason a scale of efforts is one of the model's efforts.
         """
-        return ControlSample(self, (q, qd, v, a), load_phi)
+        return ControlSample(self, (q, qd, v, a))
 
     @cached_property
     def plain(self) -> Plain | None:
@@ -230,7 +229,6 @@ class ControlSample:
 
     model: ControlModel
     _motion: tuple[Array, Array, Array, Array]
-    _load_phi: Array | None
 
     @cached_property
     def rigid(self) -> RigidSample:
@@ -319,8 +317,7 @@ class ControlSample:
         model, q = self.model, self._motion[0]
         load = np.zeros(len(v))
         if "load" in model._columns.depends_on:
-            phi = model._total_phi if self._load_phi is None else self._load_phi
-            load = self.rigid.effort(phi)
+            load = self.rigid.effort(model._total_phi)
         q_joint = q if model.single_joints else np.where(model._single, q, np.nan)
         return JointMotion(q_joint, v, a, load, model._direction(v))
 
