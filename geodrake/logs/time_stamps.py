@@ -167,14 +167,16 @@ def with_clock_set_back(time: Array) -> tuple[Array, tuple[str, ...]]:
 def order_of_time(time: Array, position: Array) -> NDArray[np.intp] | None:
     """Return the order of rows by time if many are out of order; None otherwise.
 
-    Positions must be smooth in that order, and not as they are: those of two recordings are not,
-    nor those of rows whose time is damaged.
+    Positions must be smooth in that order, and not as they are, unless all rows are in the reverse
+    one: those of two recordings are not, nor those of rows whose time is damaged.
     """
     rows = np.flatnonzero(np.isfinite(time))
     backwards = np.count_nonzero(np.diff(time[rows]) < 0.0)
     if len(rows) < _FEWEST or backwards <= _EVEN * len(rows):
         return None
     order = rows[np.argsort(time[rows], kind="stable")]
+    if backwards == len(rows) - 1:  # the latest first
+        return order
     repeated = np.count_nonzero(np.diff(time[order]) == 0.0)
     smooth, given = (np.abs(np.diff(position[each], 2, axis=0)) for each in (order, rows))
     if repeated or not (np.isfinite(smooth).any() and np.isfinite(given).any()):

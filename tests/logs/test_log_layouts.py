@@ -431,6 +431,8 @@ LAYOUTS = {
        for form in ("q[{joint}]", "joint_position_{joint}", "robot/{joint}/position")},
     "parts of an arm may be counted through": (COUNTED, {"{part}_q_{one}": "q",
         "{part}_tau_{one}": "tau"}),
+    "qd beside qdot is desired": (PANDA, {"q_{k}": "q", "qd_{k}": "other", "qdot_{k}": "v",
+        "tau_{k}": "tau"}),
     "objects of CiA 402 are no joints": (HIP, {"axis{k}_position_actual_value_6064": "q",
         "axis{k}_velocity (0x606C) [rad/s]": "v", "axis{k}_torque_actual_value_6077": "tau"}),
     "numbers of servos are no objects": (SERVOS, {"{joint}.pos": "q", "{joint}.torque": "tau"}),

@@ -387,7 +387,24 @@ SHAPES = {
     **{f"KUKA {k}.csv": logger("TIME", q, e, factor=180 / np.pi) for k, (q, e) in enumerate((
         ("AXIS_ACT_A{}", "TORQUE_AXIS_ACT_A{}"), ("AXIS_ACT_A{}", "CURR_ACT_A{}"),
         ("$AXIS_ACT.A{}", "$TORQUE_AXIS_ACT[{}]")))},
-    "Simscape.csv": logger("Time (s)", "{}_joint.Rz.q (deg)", "{}.Rz.t (N*m)", JOINTS, 180 / np.pi),
+    "Simscape.csv": logger("Time", "{}_joint.Rz.q (deg)", "{}.Rz.t (N*m)", JOINTS, 180 / np.pi),
+    "bare_names.csv": table(PLAIN.set_axis(["t", *JOINTS, "base_torque", "elbow_torque"], axis=1)),
+    "bare_numbers.csv": logger("t", "joint{}", "torque{}"),
+    "encoders.csv": logger("t", "enc_{}", "torque_{}", (0, 1)),
+    "latest_first.csv": table(PLAIN[::-1]),
+    **{f"{mark!r} in cells.csv": table(pandas.DataFrame({"t": TIME} | {n: [form.format(*x) for x in
+        LISTS[n].tolist()] for n in ("q", "tau")})) for mark, form in {" ": "{!r} {!r}",
+        ";": "{!r};{!r}", "NumPy": "[np.float64({!r}), np.float64({!r})]"}.items()},
+    "three_levels.csv": table(PLAIN.set_axis(pandas.MultiIndex.from_arrays(
+        [["t", *["robot"] * 4], ["", *JOINTS, *JOINTS], ["", *["q"] * 2, *["tau"] * 2]]), axis=1)),
+    "units_in_attributes.h5": in_hdf5({"time": 1e3 * TIME, "q": np.rad2deg(POSITION),
+        "tau": EFFORT}, {"time": {"units": "ms"}, "q": {"unit": b"deg"}}),
+    "units_beside.json": text(json.dumps({"units": {"time": "ms", "q": "deg"}, "data": listed(
+        {"time": 1e3 * TIME, "q": np.rad2deg(POSITION), "tau": EFFORT})})),
+    "names_of_columns.mat": lambda path: savemat(path, {"data": PLAIN.to_numpy(),
+        "names": np.array([*PLAIN], object)}),
+    "structs.mat": lambda path: savemat(path, {"joints": np.array([{"name": n, "t": TIME,
+        "q": POSITION[:, k], "tau": EFFORT[:, k]} for k, n in enumerate(JOINTS)], object)}),
     "Greek.csv": logger("t", "θ{}", "τ_{}"),
     "EGM.csv": logger("tm", "feedback_pos_j{}", "feedback_torque_j{}"),
     "dSPACE.csv": text("Version;1.0\n\npath;" + ";".join(f"Model Root/{q}{k}" for q in

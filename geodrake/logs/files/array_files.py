@@ -283,8 +283,9 @@ def _of_hdf5(path: Path, reading: Reading, *, matlab: bool = True) -> dict[str, 
             array = _array(wanted[name], matlab=matlab) if name in wanted else None
             _put(variables, name, {} if name in groups else array)
     for name, value in told:
-        if describes_columns(name, value):
-            _put(variables, name, value)
+        said = value.decode(errors="replace") if isinstance(value, bytes) else value
+        if describes_columns(name, said):
+            _put(variables, name, said)
     return variables
 
 

@@ -21,12 +21,14 @@ from geodrake.logs.files.name_rules import (
     NUMBERED,
     OF_JOINTS,
     ONLY,
+    OTHER,
     PAIRS,
     PART,
     PLAIN,
     PREVIOUS,
     ROLES,
     Meaning,
+    as_positions,
     bracketed,
     is_unknown_word,
     matched,
@@ -137,7 +139,7 @@ Best = dict[tuple[str, str], list[Meaning]]
 
 _MOST_CLOCKS, _EVEN = 50, 0.9  # columns that are looked at, and share of steps that are even
 _CLOCKS = frozenset(("time", "timestamp", "stamp", "ts", "clock", "duration", "uptime", "elapsed"))
-_KEPT = {"m": 1, "motor": 1, "filtered": 1, "filt": 1, "smoothed": 1, "raw": 2}
+_KEPT = {"m": 1, "motor": 1, "filtered": 1, "filt": 1, "smoothed": 1, "qd": 1, "raw": 2}
 _STEADY = 0.2  # of its mean, by which the voltage of a supply may vary
 
 
@@ -225,8 +227,8 @@ def _is_own(meaning: Meaning) -> bool:
 def _preference(meaning: Meaning, joint: str, said: str | None) -> tuple[bool | int, ...]:
     """Return the sort key of several columns of one quantity of a joint, best first.
 
-    What was filtered hides its noise, what is raw is often in counts, and m may be of the motor;
-    what else names have more than others is of something else.
+    What was filtered hides its noise, what is raw is often in counts, m may be of the motor, and
+    beside `qdot` `qd` is desired; what else names have more than others is of something else.
     """
     kept = max((_KEPT[word] for word in plain_words(meaning.column) if word in _KEPT), default=0)
     more = len(_other_words(meaning, joint)), len(plain_words(meaning.column))
@@ -480,7 +482,11 @@ def _by_names(
     """Return the meaning of columns by their names; a `clock` is left out."""
     path, units = table.path, table.units
     beside = [name for name in table.names if name != clock and floating_name(name) is None]
-    told = [m for m in meanings_of(beside, joints or ()) if m.quantity in OF_JOINTS]
+    told, said = [m for m in meanings_of(beside, joints or ()) if m.quantity in OF_JOINTS], []
+    if joints and not any(m.quantity == "position" and m.role < OTHER for m in told):
+        bare = as_positions(beside, joints)
+        said = [f"position: {_span(bare)} taken, as they are called as joints"] if bare else []
+        told += bare
     asked = [words for words in map(plain_words, reading.topics) if words]
     told = [m for m in told if any(words <= plain_words(m.column) for words in asked)] or told
     of_joints = _with_targets(table, told)
@@ -499,7 +505,7 @@ def _by_names(
     if (time := time_source(table, reading)) is not None:
         places = {("", "time"): time, **places}
     own = frozenset(m.joint for m in of_joints if m.style[0] == "own")
-    said, rate = [*notes, *choice_words(best)], reading.rate
+    said, rate = [*said, *notes, *choice_words(best)], reading.rate
     unknown = {k: s for k, s in places.items() if s.unit is not None and np.isnan(s.unit.factor)}
     if unknown:
         lost = listed([source.column for source in unknown.values()])

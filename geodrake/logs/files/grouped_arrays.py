@@ -37,6 +37,9 @@ from geodrake.logs.time_stamps import longest_step
 
 _NUMBERS = frozenset([int, float])
 _MOST_PARTS = 200  # more records are samples, and no joints
+UNIT_OF = re.compile(r"(?:^|[._/])units?(?:[._/]|$)", re.IGNORECASE)
+"""The part of a name by which a text is the unit of an array."""
+
 _STEPS_BETWEEN, _BETWEEN = 30.0, 1.0  # steps and s between episodes at least, which are a gap
 _EPISODE = re.compile(
     r"(?:demo|demonstration|episode|ep|traj|trajectory|rollout|trial|run)s?[_ -]?(\d+)", re.I
@@ -76,7 +79,20 @@ def content_table(
             f"Log {str(path)!r} is neither a JSON object nor a list of records.", advice=advice
         )
     arrays = arrays_of(content)
-    return numeric_table(path, arrays, rows_of(arrays))
+    table = numeric_table(path, arrays, rows_of(arrays))
+    return replace(table, units=_units_beside(content, table.names))
+
+
+def _units_beside(content: Mapping[str, Any], names: Sequence[str]) -> dict[str, str]:
+    """Return units of columns by texts beside the arrays, such as `q_units` or `units.q`."""
+    told = {UNIT_OF.sub(".", n).strip("."): x for n, x in fields_of(content) if UNIT_OF.search(n)}
+    heads = {name: f".{name.partition('[')[0]}" for name in names}
+    return {
+        name: unit
+        for name, head in heads.items()
+        for what, unit in told.items()
+        if isinstance(unit, str) and head.endswith(f".{what}")
+    }
 
 
 def arrays_of(variables: Mapping[str, Any]) -> dict[str, Any]:
@@ -106,7 +122,8 @@ def _by_names(content: Mapping[str, Any]) -> Mapping[str, Any]:
     found = dict[str, Any]()
     for key, value in content.items():
         records = value if are_records(value) and len(value) <= _MOST_PARTS else []
-        lists = [[name for name, x in each.items() if isinstance(x, list)] for each in records]
+        arrays = (list, np.ndarray)
+        lists = [[name for name, x in each.items() if isinstance(x, arrays)] for each in records]
         called = [str(x) for each in records for n, x in each.items() if names_joints(n)]
         is_of_joints = all(lists) and len(set(called)) == len(records) > 0
         found |= dict(zip(called, records, strict=True)) if is_of_joints else {key: value}
@@ -129,10 +146,11 @@ def _with_signals(variables: Mapping[str, Any], called: str = "signal{}") -> Map
 
 
 def describes_columns(name: str, value: Any) -> bool:
-    """Return whether a value beside arrays is their sampling rate, or may name their joints."""
+    """Return whether a value beside arrays is their rate or unit, or may name their joints."""
     is_list = isinstance(value, list | np.ndarray) and len(np.atleast_1d(value)) > 0
     named = is_list and all(isinstance(x, str) for x in np.atleast_1d(value))
-    return named or (np.isscalar(value) and rate_in(name, value) is not None)
+    is_unit = isinstance(value, str) and UNIT_OF.search(name) is not None
+    return named or is_unit or (np.isscalar(value) and rate_in(name, value) is not None)
 
 
 def records_table(
@@ -372,7 +390,7 @@ def _parts_in(content: Any, name: tuple[str, ...] = ()) -> Iterator[tuple[tuple[
     """Yield names and tables or lists of records that have their own time."""
     if are_records(content):
         times = [x for n, x in content[0].items() if is_time(n)]
-        if times and not any(isinstance(x, list) for x in times):
+        if times and not any(isinstance(x, list | np.ndarray) for x in times):
             yield name, content
             return
         for k, record in enumerate(content if len(content) <= _MOST_PARTS else ()):

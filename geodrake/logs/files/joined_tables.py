@@ -116,7 +116,9 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
 def _of_model(tables: Sequence[LogTable], reading: Reading) -> Sequence[LogTable]:
     """Drop tables whose joints are all unknown to the model, such as those of a gripper."""
     beside = [[n for n in table.columns if floating_name(n) is None] for table in tables]
-    told = [[m for m in meanings_of(each) if m.quantity in OF_JOINTS] for each in beside]
+    told = [
+        [m for m in meanings_of(each, reading.joints) if m.quantity in OF_JOINTS] for each in beside
+    ]
     joints = [set(matched(each, reading.joints)[0].values()) for each in told]
     model = {*reading.joints}
     is_own = [not m or not j.isdisjoint(model) for m, j in zip(told, joints, strict=True)]

@@ -55,7 +55,7 @@ MAPPED = ("mapped",)
 """The style of columns that the user named."""
 
 _COMMAND, _SHORT, _FILLERS = map(_words, ("commands", "short", "fillers"))
-_FLAGS = _words("flags")
+_FLAGS, _COUNTED = _words("flags"), _words("counted")
 _NO_SIGNAL, _SUPPLY, _NAMING = map(_words, ("no_signal", "supply", "naming"))
 _TIMES, _NANOSECONDS, _SAMPLES = map(_words, ("times", "nanoseconds", "samples"))
 _ROBOTS, _RECORDINGS, _COUNTING = map(_words, ("robots", "recordings", "counting"))
@@ -176,13 +176,13 @@ def meanings_of(names: Iterable[str], joints: Sequence[str] = ()) -> list[Meanin
             of this say, such as `base` and `wrist_angle`.
     """
     names = list(names)
-    odd = {_split(joint): joint for joint in joints if _misleads(joint) or _has_name(joint)}
+    whole = {_split(joint): joint for joint in joints if _has_name(joint)}
     roman = _roman_numbers(names)
     of_model = {number: joint for joint, (_, number) in _roman_numbers(joints).items()}
     each = (
         _by_roman(name, *roman[name], of_model)
         if name in roman
-        else _of_joint(name, odd) or meaning_of(name)
+        else _of_joint(name, whole) or meaning_of(name)
         for name in names
     )
     found = [meaning for meaning in each if meaning is not None]
@@ -200,6 +200,18 @@ def meanings_of(names: Iterable[str], joints: Sequence[str] = ()) -> list[Meanin
         unit = find_unit(meaning.joint, meaning.quantity) if is_letter else None
         if unit is not None and counts[meaning.words] == 1:
             found[k] = replace(meaning, joint="", words=(), unit=unit)
+    return found
+
+
+def as_positions(names: Iterable[str], joints: Sequence[str]) -> list[Meaning]:
+    """Return the columns that are called only as joints of a model, or as `joint` and number."""
+    called = {words_of(joint): joint for joint in joints if _has_name(joint)}
+    found = []
+    for name in names:
+        words, own = _split(name), called.get(words_of(name), "")
+        is_counted = len(words) == 2 and words[0] in _COUNTED and isinstance(words[1], int)
+        if (own or is_counted) and meaning_of(name) is None:
+            found.append(Meaning(name, "position", own, words_of(name), style=("position",)))
     return found
 
 
@@ -237,12 +249,6 @@ def _units_of_family(names: Sequence[str]) -> Mapping[str, str]:
         if len(said) >= _FEW_OF_FAMILY:
             return family
     return {}
-
-
-def _misleads(joint: str) -> bool:
-    """Return whether words of a joint's name, or a stroke, could be taken for something else."""
-    words = (str(word) for word in _split(joint))
-    return "/" in joint or any(w in QUANTITY_WORDS or ROLE_WORDS.get(w) == OTHER for w in words)
 
 
 def _of_joint(name: str, joints: Mapping[Words, str]) -> Meaning | None:
@@ -711,15 +717,11 @@ def _by_name(keys: Mapping[Words, Meaning], joints: Sequence[str]) -> dict[Words
         for first in range(len(words)):
             ends[words[first:]].append((first, joint))
     sided = dict(zip(keys, _with_side_first([*keys]), strict=True))
-    # Words that all columns have and no joint, such as Simscape's `Rz`, say nothing.
-    shared = set.intersection(*map(set, sided.values())) if len(keys) > 1 else set[str | int]()
-    shared = {word for word in shared if isinstance(word, str)}
-    shared.difference_update(*map(words_of, joints))
     found = {}
     for key, meaning in keys.items():
         if meaning.number is not None:
             continue  # a number alone may count from 0: see _by_number
-        words = tuple(word for word in sided[key] if word not in shared)
+        words = sided[key]
         tails = (words[first:] for first in range(len(words)))
         near = next((ends[tail] for tail in tails if tail in ends), [])
         least = [joint for extra, joint in near if extra == min(near)[0]]

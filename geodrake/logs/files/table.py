@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from geodrake.boundary.arguments import Array
 from geodrake.boundary.memory import machine_memory
 from geodrake.errors import GeodrakeError, LogError
-from geodrake.logs.files.name_rules import is_time
+from geodrake.logs.files.name_rules import is_time, meaning_of
 from geodrake.logs.files.packed_files import log_name
 from geodrake.logs.files.units import WORDS
 from geodrake.logs.time_stamps import check_time
@@ -353,6 +353,7 @@ def numbered(cells: Sequence[str]) -> list[str]:
 
 _ONE_SECOND = np.timedelta64(1, "s")
 _MOST_NAMES = 8
+_MOST_NAMED = 1000  # columns of a matrix
 _LONGEST_TEXT = 60
 _SAYS_NOTHING = ("", "nan", "nat", "none", "null", "na", "n/a", "<na>", "#n/a", "-", "--")
 NOTHING = frozenset(f(word) for word in _SAYS_NOTHING for f in (str, str.upper, str.title)) | {
@@ -362,6 +363,8 @@ NOTHING = frozenset(f(word) for word in _SAYS_NOTHING for f in (str, str.upper, 
 """Cells that mean a missing value."""
 
 LIST = re.compile(r"(?:(?:array|tensor)\()?[\[({]([^\[\](){}]*)[\])}](?:, dtype=[\w.]+)?\)?")
+_BARE = re.compile(r"([^\s;]*\d\.[^\s;]*(?:(?:; ?| )[^\s;]*\d\.[^\s;]*)+)")  # without brackets
+_SCALAR = re.compile(r"np\.\w+\(([^()]*)\)")  # as NumPy writes those in a list
 _FORTRAN = re.compile(r"(?<=\d)[Dd](?=[+-]\d)")  # in 1.5D+00
 _BETWEEN = re.compile(r"\s*[,;]\s*|\s+")
 _NUMBERS = msgspec.json.Decoder(list[float])
@@ -412,7 +415,8 @@ def _list_in(cell: Any) -> list[float] | None:
         try:
             return _NUMBERS.decode(cell)  # as nearly all lists are JSON, which is read at once
         except msgspec.DecodeError:
-            found = LIST.fullmatch(cell.strip())
+            cell = _SCALAR.sub(r"\1", cell.strip())
+            found = LIST.fullmatch(cell) or _BARE.fullmatch(cell)
             cell = _BETWEEN.split(found[1].strip()) if found else None
     try:
         return [float(number) for number in cell] if isinstance(cell, Sized) else None  # type: ignore[attr-defined]
@@ -448,6 +452,7 @@ def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
     columns, notes = dict[str, Array](), dict[str, None]()
     origins, silent, words = {}, {}, dict[str, Texts]()
     rates = {name: rate for name, x in arrays.items() if (rate := rate_in(name, x)) is not None}
+    called = {len(names): names for x in arrays.values() if (names := _columns_in(x))}
     for name, given in arrays.items():
         if name in rates:
             continue
@@ -459,7 +464,8 @@ def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
             silent[name] = _what_else(values, rows)
             words |= _texts(name, values, rows)
             continue
-        columns.update(spread(name, found))
+        own = called.get(found.shape[-1]) if found.ndim > 1 else None
+        columns.update(zip(own, found.T, strict=True) if own else spread(name, found))
         if origin is not None:
             origins[name] = origin
         notes |= {note: None} if note else {}
@@ -484,6 +490,14 @@ def rate_in(name: str, value: Any) -> float | None:
     number = number_in(value) or np.nan
     rate = number if is_rate else 1.0 / number
     return rate if 1.0 <= rate <= _HIGHEST_RATE else None
+
+
+def _columns_in(values: Any) -> list[str]:
+    """Return the names of columns of a matrix, if an array has such; otherwise an empty list."""
+    is_list = isinstance(values, list) or getattr(values, "ndim", 0) == 1
+    cells = [*values] if is_list and 1 < len(values) < _MOST_NAMED else []
+    cells = [x.decode(errors="replace") if isinstance(x, bytes) else x for x in cells]
+    return cells if all(isinstance(x, str) and meaning_of(x) for x in cells) else []
 
 
 def _texts(name: str, values: Any, rows: int) -> dict[str, Texts]:

@@ -291,16 +291,20 @@ def _whole_header(
 ) -> tuple[Sequence[str], int]:
     """Return the header extended by lines below it, and the index of the line after it.
 
-    Names that come twice may have a second level below. Rows may have names that no column has.
+    Names that come twice may have further levels below. Rows may have names that no column has.
     """
     below, spread = _cells_of(lines[after], separator), list[str]()
     for name in header:  # that of several cells stands in the first
         spread.append(name or "".join(spread[-1:]))
-    levels = [*zip(spread, below, strict=False)]
-    is_level = len(set(spread)) < len(header) == len(below) == len(set(levels))
-    if is_level and below[-1] and not any(map(is_number, below)):
-        header, after = [_of_levels(*level) for level in levels], after + 1
-        below = _cells_of(lines[after], separator)
+    names, next_line = spread, after
+    while len(set(names)) < len(header) == len(below):
+        if not below[-1] or any(map(is_number, below)):
+            break
+        names = [_of_levels(*level) for level in zip(names, below, strict=True)]
+        next_line += 1
+        below = _cells_of(lines[next_line], separator)
+    if len(set(names)) == len(header) and next_line > after:
+        header, after = names, next_line
         if below[:1] > [""] and not any(below[1:]):  # a name that pandas gives the index
             header, after = [below[0], *header[1:]], after + 1
             below = _cells_of(lines[after], separator)
