@@ -205,8 +205,8 @@ class SplineMotion(MotionFamily):
 
     @property
     def fastest(self) -> float:
-        """Two intervals between knots, s."""
-        return 2.0 * self.duration / (self.points - self.degree)
+        """Two intervals between knots, s, or all of it if there is but one."""
+        return 2.0 * self.duration / max(self.points - self.degree, 2)
 
     @property
     def knots(self) -> Array:
@@ -262,43 +262,6 @@ class FreeSamples(MotionFamily):
     def conditions(self, *, rest: bool, start: bool) -> Array:
         """Return no rows, as there is neither start nor end."""
         return np.zeros((0, self.count))
-
-
-@dataclass(frozen=True)
-class RampMotion(MotionFamily):
-    """Ways through postures with a rest at each, of polynomials 10 x³ − 15 x⁴ + 6 x⁵ of time.
-
-    The postures are the coefficients, each for three control points of a spline.
-
-    Attributes:
-        durations: Of the ways, s.
-    """
-
-    durations: tuple[float, ...]
-
-    name = "ramp"
-
-    @property
-    def count(self) -> int:
-        """Return the postures."""
-        return len(self.durations) + 1
-
-    @property
-    def length(self) -> float:
-        """Duration, s."""
-        return float(sum(self.durations))
-
-    @property
-    def fastest(self) -> float:
-        """Shortest way, s."""
-        return min(self.durations)
-
-    def _basis(self, t: Array, orders: int) -> Array:
-        """Return shares of the postures and their derivatives."""
-        ends = np.cumsum([0.0, *self.durations])
-        knots = np.concatenate([ends[:1], ends, ends[-1:]]).repeat(3)
-        spline = BSpline(knots, np.eye(self.count).repeat(3, axis=0), 5)
-        return np.stack([spline(np.clip(t, *ends[[0, -1]]), nu=order) for order in range(orders)])
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from pydrake.solvers import ClpSolver, MathematicalProgram
@@ -13,7 +14,7 @@ from scipy.interpolate import PchipInterpolator
 from geodrake.boundary.arguments import real_array
 from geodrake.errors import ArgumentError
 from geodrake.excitation.collisions import FLOOR, CollisionWorld
-from geodrake.excitation.families import RampMotion
+from geodrake.excitation.families import SplineMotion
 from geodrake.excitation.limits import MotionLimits
 from geodrake.excitation.margins import COARSE, joint_use, keeps_limits, stays_clear
 from geodrake.excitation.problem import DesignProblem, limit_motion
@@ -314,7 +315,8 @@ def within_limits(
 
 
 _SHARE = 0.5  # of the limits of speed, acceleration and jerk
-_PEAKS = 1.875, 10.0 / np.sqrt(3.0), 60.0  # of 10 x³ − 15 x⁴ + 6 x⁵ and its derivatives
+# Of derivatives of 10 x³ − 15 x⁴ + 6 x⁵, a spline with thrice the same point at either end.
+_PEAKS = 1.875, 10.0 / np.sqrt(3.0), 60.0
 _LEAST = 1.0  # s, of a way
 _SLOWER, _TIMES = 1.5, 8  # where efforts are too large
 _VIA = 100  # postures by way of which a ramp may lead
@@ -332,7 +334,7 @@ def with_ramps(
     there = _ramp(problem, trajectory, stand, begin)
     back = _ramp(problem, trajectory, end, stand)
     parts = [part for part in (there, trajectory, back) if part is not None]
-    return parts[0].followed_by(*parts[1:]) if len(parts) > 1 else trajectory
+    return parts[0].followed_by(*parts[1:])
 
 
 def _ramp(
@@ -351,8 +353,12 @@ def _ramp(
         ]
         durations = np.maximum(np.max(needed, axis=(0, 2)), _LEAST)
         for slower in _SLOWER ** np.arange(_TIMES):
-            family = RampMotion(tuple((slower * durations).tolist()))
-            way = replace(like, family=family, coefficients=postures)
+            families = [SplineMotion(slower * duration, 6) for duration in durations]
+            ways = [
+                replace(like, family=family, coefficients=np.repeat(ends, 3, axis=0))
+                for family, ends in zip(families, pairwise(postures), strict=True)
+            ]
+            way = ways[0].followed_by(*ways[1:])
             use, motion = joint_use(problem, way)
             if use.is_within:
                 if world is None or stays_clear(world, motion.q):

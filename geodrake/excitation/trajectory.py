@@ -82,6 +82,8 @@ class ExcitationTrajectory(Short):
 
     def followed_by(self, *others: ExcitationTrajectory) -> ExcitationTrajectory:
         """Return this and other motions of the same joints, one after the other."""
+        if not others:
+            return self
         parts = self, *others
         coefficients = np.concatenate([part.coefficients for part in parts])
         family = JoinedMotion(tuple(part.family for part in parts))
