@@ -130,7 +130,8 @@ def motion_limits(
     """
     instance(model, "model", RobotModel)
     model.positions(np.zeros((1, len(model.joints))))  # refuses joints of several degrees
-    joints, at = motors_of(model), _places(model)
+    joints = motors_of(model)
+    at = np.flatnonzero(np.isin(model.joints, joints))
     lower, upper = (ends[at] for ends in model.position_limits)
     turning = np.array([name not in model.sliding_joints for name in joints])
     lower = np.where(turning & np.isneginf(lower), np.minimum(-np.pi, upper - 2 * np.pi), lower)
@@ -161,10 +162,6 @@ def motors_of(model: RobotModel) -> tuple[str, ...]:
     return tuple(name for name in model.joints if name not in model.base_joints)
 
 
-def _places(model: RobotModel) -> list[int]:
-    return [model.joints.index(name) for name in motors_of(model)]
-
-
 def motor_accelerations(model: RobotModel, limits: MotionLimits) -> Array:
     """Return accelerations of joints without stated limits, rad/s² or m/s².
 
@@ -173,7 +170,7 @@ def motor_accelerations(model: RobotModel, limits: MotionLimits) -> Array:
     speed in 0.2 s, since inertias of wrists are so small that model files without their rotors let
     them do anything. Gravity and couplings count in the efforts of a design itself.
     """
-    random, at = np.random.default_rng(0), _places(model)
+    random, at = np.random.default_rng(0), np.flatnonzero(np.isin(model.joints, limits.joints))
     shares = random.uniform(-1.0, 1.0, (_POSTURES, len(at)))
     q, still = np.zeros((2, _POSTURES, len(model.joints)))
     q[:, at] = limits.middle + limits.reach * shares

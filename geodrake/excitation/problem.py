@@ -171,7 +171,7 @@ class DesignProblem(Short):
     def offset(self) -> Array:
         """(count, nv) C₀: the robot at the start, if there is one, and zero otherwise."""
         nv = len(self.limits.joints)
-        if self.start is None or not self.family.timed:
+        if self.start is None:
             return np.zeros((self.family.count, nv))
         given = np.zeros((len(self.conditions), nv))
         given[-1] = self.start
@@ -195,7 +195,7 @@ class DesignProblem(Short):
         limit, instants are closer.
         """
         times = self.family.limit_times()
-        if self.start is not None and self.family.timed:
+        if self.start is not None:
             times = np.union1d(times, _AFTER_START * times[1])
         return self.family.basis(times, orders=len(self.bounds))
 
@@ -223,14 +223,13 @@ class DesignProblem(Short):
         """(f, nv) s."""
         reach = np.abs(self.limit_basis[:3] @ self.free).max(axis=1)  # (3, f)
         bounds = np.stack([self.limits.reach, self.limits.velocity, self.limits.acceleration])
-        with np.errstate(divide="ignore"):
-            ratios = bounds[:, None, :] / np.maximum(reach, 1e-300)[:, :, None]
+        ratios = bounds[:, None, :] / np.maximum(reach, 1e-300)[:, :, None]
         return np.asarray(ratios.min(axis=0))
 
     @cached_property
     def still(self) -> Array | None:
         """(count,) coefficients of the constant one; None if the family has it not."""
-        wanted = np.concatenate([np.ones(self.basis.shape[1]), np.zeros(2 * self.basis.shape[1])])
+        wanted = np.repeat([1.0, 0.0, 0.0], self.basis.shape[1])
         stacked = self.basis.reshape(-1, self.family.count)
         found = np.linalg.lstsq(stacked, wanted)[0]
         return np.asarray(found) if np.abs(stacked @ found - wanted).max() < _STILL else None

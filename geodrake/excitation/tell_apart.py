@@ -50,7 +50,7 @@ from geodrake.excitation.regressor_gradient import (
     at_actuators,
     regressor_motion_gradient,
 )
-from geodrake.excitation.stance import Stance
+from geodrake.excitation.stance import MotorCoordinates, Stance
 from geodrake.excitation.target import SIZE_WORDS, Measurement, Target, make_target, sized_effects
 from geodrake.identification.logs.criteria import SPREAD
 from geodrake.identification.logs.dataset import is_payload
@@ -58,6 +58,7 @@ from geodrake.identification.logs.unknowns import pullback_information
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
+from geodrake.robot.transmission import times
 
 Indices = NDArray[np.intp]
 
@@ -266,19 +267,18 @@ class Separation(Objective):
 
     def _by_legs(self, motion: Motion, weights: Array) -> MotionGradient:
         """Return the gradient of Σ w log Π s, w (N,), with the signs s of joints that follow."""
-        every, (v, at, width) = self.target.model.coordinates.every, self._legs(motion)
-        sign, rows = np.tanh(v / width), np.zeros((3, len(motion), every.num_joints))
+        (legs, width), rows = self._legs, np.zeros((3, len(motion), len(self.fading)))
+        G = legs.jacobian(motion.q)
+        sign = np.tanh(times(G, motion.v) / width)
         slope = (1.0 - sign**2) / (width * np.where(sign == 0.0, 1.0, sign))
-        rows[1][:, at] = weights[:, None] * slope
-        J = every.jacobian(motion.q)
-        return at_actuators(every, J, motion, MotionGradient(*rows))
+        rows[1] = weights[:, None] * slope
+        return at_actuators(legs, G, motion, MotionGradient(*rows))
 
-    def _legs(self, motion: Motion) -> tuple[Array, list[int], Array]:
-        """Return speeds (N, k) of joints that follow, where they are, and their fading speeds."""
-        coordinates = self.target.model.coordinates
-        at = [coordinates.behind[joint] for joint in self.fading]
-        _, rates, _, _ = coordinates.all_samples(motion.q, motion.v, motion.vd)
-        return rates[:, at], at, np.array([*self.fading.values()])
+    @cached_property
+    def _legs(self) -> tuple[MotorCoordinates, Array]:
+        """The map to joints that follow, and their fading speeds."""
+        joints = MotorCoordinates(self.target.model.coordinates, tuple(self.fading))
+        return joints, np.array([*self.fading.values()])
 
     @cached_property
     def _base(self) -> Indices:
@@ -288,11 +288,11 @@ class Separation(Objective):
 
     def _known(self, measurement: Measurement) -> Array:
         """Return smoothed signs (N, nv) of joints' speeds, the roots of samples' weights."""
-        motion = measurement.motion
+        motion, (legs, width) = measurement.motion, self._legs
         known = np.tanh(motion.v / self.target.sign_width)
         known[:, self._base] = 1.0
         if self.fading:
-            v, _, width = self._legs(motion)
+            v = times(legs.jacobian(motion.q), motion.v)
             known[:, self._base] = np.tanh(v / width).prod(axis=1, keepdims=True)
         return known
 
@@ -551,8 +551,8 @@ def _information(model: RobotModel, common: Sequence[FittedEffect], spread: floa
 
 def _root(information: Array) -> Array:
     """Return rows whose product RᵀR is an information matrix; units are scaled out first."""
-    sizes = np.sqrt(np.maximum(np.diag(information), 0.0))
-    sizes = np.where(sizes > 0, sizes, 1.0)
+    diagonal = np.diag(information)
+    sizes = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     values, vectors = np.linalg.eigh(information / sizes[:, None] / sizes)
     return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T * sizes)
 
