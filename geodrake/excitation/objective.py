@@ -33,7 +33,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
-from scipy.special import logsumexp, softmax
 
 from geodrake.boundary.arguments import Sizes, instance, integer, number, one_of, real_array
 from geodrake.boundary.showing import Short
@@ -118,7 +117,9 @@ def _soft_maximum(x: Array, sharpness: float) -> tuple[float, Array]:
     if np.isinf(sharpness):
         multiple = x >= highest - _EQUAL
         return highest, multiple / multiple.sum()
-    return float(logsumexp(sharpness * x)) / sharpness, softmax(sharpness * x)
+    parts = np.exp(sharpness * (x - highest))
+    total = float(parts.sum())
+    return highest + float(np.log(total)) / sharpness, parts / total
 
 
 def normalizing_map(
