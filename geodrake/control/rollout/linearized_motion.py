@@ -203,8 +203,8 @@ class LinearizedMotion:
             lags = torques / stiffness + plays * np.sign(torques)
             if np.array_equal(lags, before):
                 break
-        time, names = self.passage.time[:AT_START], self.law.soft.names
-        return first_lag(lags, plays, time, lambda: thrown(effects, self.before, names))
+        loose = thrown(effects, self.before, self.law.soft.names)
+        return first_lag(lags, plays, self.passage.time[:AT_START], loose)
 
 
 def _is_servo(robot: LoggedRobot) -> NDArray[np.bool_]:

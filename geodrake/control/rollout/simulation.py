@@ -72,9 +72,6 @@ class Simulation:
         builder, phi, nv = DiagramBuilder(), model.total_phi, len(model.joints)
         loaded = load_plant(model.path, floating=model.floating, held=model.held, given=model.given)
         self._plant = plant = builder.AddSystem(loaded.plant)
-        places = model.positions(np.arange(nv, dtype=float)[None])[0]
-        self._order = np.argsort(places)  # where the position of each velocity stands
-        own = np.concatenate([self._order, len(places) + np.arange(nv)])
         self._driving = model.driving(plant, self.sign_width, log, robot.temperatures)
         effects = [fitted for fitted in model.effects if fitted.effect.role in FORCES]
         self._force = force = EffectForce.AddToBuilder(
@@ -86,11 +83,13 @@ class Simulation:
             log=log,
             temperatures=robot.temperatures,
         )
-        self._soft = bool(force.soft_joints)
         state = plant.get_state_output_port()
-        self._apart = self._soft or self._driving is not None
-        measured = force.GetOutputPort("motor_state") if self._apart else state
-        effort = robot.add(builder, selected(builder, measured, own))
+        if force.soft_joints or self._driving is not None:
+            state = force.GetOutputPort("motor_state")
+        places = model.positions(np.arange(nv, dtype=float)[None])[0]
+        own = np.concatenate([np.argsort(places), len(places) + np.arange(nv)])
+        self._measured = selected(builder, state, own)
+        effort = robot.add(builder, self._measured)
         builder.Connect(effort, force.GetInputPort("applied_effort"))
         if self._driving is None:
             add_generalized_force(builder, plant, effort)
@@ -129,7 +128,8 @@ class Simulation:
         simulator.get_mutable_integrator().set_target_accuracy(_ACCURACY)
         simulator.Initialize()
         simulator.set_monitor(self._limit)
-        found = np.full((len(time), len(self._order)), np.nan)
+        nv, system = len(self.model.joints), self._measured.get_system()
+        found = np.full((len(time), nv), np.nan)
         for k, instant in enumerate(time):
             try:
                 status = simulator.AdvanceTo(instant)
@@ -137,7 +137,7 @@ class Simulation:
                 break
             if status.reason() != SimulatorStatus.ReturnReason.kReachedBoundaryTime:
                 break
-            found[k] = self._measured(root)[self._order]
+            found[k] = self._measured.Eval(system.GetMyContextFromRoot(root))[:nv]
         return found
 
     def _start(self, passage: Passage, root: Context) -> float:
@@ -152,25 +152,17 @@ class Simulation:
             plant.SetPositionsAndVelocities(context, self._driving.joined(q, v))
             still = PlantState(q, v, root.get_time(), np.zeros(self.law.state_count))
             own = (0.0 * v, (self.law.mu, self.law.phi))
-            slopes = [
+            rates = [
                 self.law.response(replace(still, v=change), *own).acceleration
                 for change in _CHANGE * np.vstack([0.0 * v, np.eye(len(v))])
             ]
-            return _fastest_decay((np.array(slopes[1:]) - slopes[0]).T)
-        if self._soft:
+            return _fastest_decay(rates)
+        if self._force.soft_joints:
             self._deflect(passage, root, (q, v))
         plant.SetPositions(context, q)
         decay = self._decay(root)
         plant.SetVelocities(context, v)
         return decay
-
-    def _measured(self, root: Context) -> Array:
-        """Return positions (nq,) of the model: of the motors where joints are soft."""
-        if self._apart:
-            own = self._force.GetMyContextFromRoot(root)
-            state = self._force.GetOutputPort("motor_state").Eval(own)
-            return state[: self.law.plant.sizes[0]]
-        return self._plant.GetPositions(self._plant.GetMyContextFromRoot(root))
 
     def _deflect(self, passage: Passage, root: Context, start: tuple[Array, Array]) -> None:
         """Put links where their load has them, and have their motors move as was measured.
@@ -184,11 +176,8 @@ class Simulation:
         motion = self.model.positions(first.position), first.velocity, first.acceleration
         lags = np.array([force.lags(context, *each) for each in zip(*motion, strict=True)])
         plays = np.array([each.play for each in force.couplings(context)])
-
-        def loose() -> tuple[Array, Array]:
-            seen = motion_before(self.model, passage, self.sign_width)
-            return thrown(self.model.effects, seen, force.soft_joints)
-
+        before = motion_before(self.model, passage, self.sign_width)
+        loose = thrown(self.model.effects, before, force.soft_joints)
         lag, rate = first_lag(lags, plays, first.time, loose)
         q, v = start
         force.set_motors(context, lag, v[soft.velocities])
@@ -223,12 +212,13 @@ class Simulation:
             rates = self._force.EvalTimeDerivatives(motors).CopyToVector()[len(own) - m :]
             slopes.append(np.concatenate([port.Eval(context), rates]))
         motors.SetContinuousState(own)
-        return _fastest_decay((np.array(slopes[1:]) - slopes[0]).T)
+        return _fastest_decay(slopes)
 
 
-def _fastest_decay(slope: Array) -> float:
-    """Return the fastest rate, 1/s, of rates that change by (n, n) with small velocities."""
-    return float(np.abs(np.linalg.eigvals(slope / _CHANGE)).max())
+def _fastest_decay(rates: Sequence[Array]) -> float:
+    """Return the fastest decay, 1/s, by accelerations (n,) at rest and at each small velocity."""
+    slope = (np.array(rates[1:]) - rates[0]).T / _CHANGE
+    return float(np.abs(np.linalg.eigvals(slope)).max())
 
 
 def hidden_states(model: RobotModel, passage: Passage, sign_width: Array) -> dict[Effect, Array]:
@@ -246,23 +236,21 @@ def hidden_states(model: RobotModel, passage: Passage, sign_width: Array) -> dic
 
 
 def first_lag(
-    lags: Array, plays: Array, time: Array, loose: Callable[[], tuple[Array, Array]]
+    lags: Array, plays: Array, time: Array, loose: tuple[Array, Array]
 ) -> tuple[Array, Array]:
     """Return lags (m,) of links behind their motors, and their rates, when a passage begins.
 
     Args:
         lags: (K, m) those that loads make at the first samples, rad or m.
         plays: (m,) half widths of dead bands, rad or m.
-        loose: Gives lags in dead bands, and their rates; called only if there are any.
+        loose: Lags in dead bands, and their rates; see `thrown`.
     """
     bends = lags - np.clip(lags, -plays, plays)
     degree = min(2, len(lags) - 1)
     slope = np.polyfit(time - time[0], bends, degree)
     lag, rate = lags[0], slope[-2] if degree else np.zeros(len(plays))
-    if plays.any():
-        inside, rates = loose()
-        lag, rate = np.where(plays, bends[0] + inside, lag), np.where(plays, rates, rate)
-    return lag, rate
+    inside, rates = loose
+    return np.where(plays, bends[0] + inside, lag), np.where(plays, rates, rate)
 
 
 def motion_before(model: RobotModel, passage: Passage, sign_width: Array) -> RobotMotion:
