@@ -45,8 +45,10 @@ NAMES = {
 }  # fmt: skip
 """Quantity -> names, and joint or number in each; limits and supplies are no signals of joints."""
 UNITS = {
-    "deg": (np.pi / 180.0, ("q1[deg]", "q_deg_1")),
-    "deg/s": (np.pi / 180.0, ("vel_1[deg/s]", "joint1VelDegS", "vel1_dps",
+    "deg": (np.pi / 180.0, ("q1[deg]", "q_deg_1", "q1 / deg", "q1 in °", "q1, deg", "[deg] q1",
+        "q1.deg")),
+    "deg/s": (np.pi / 180.0, ("vel_1[deg/s]", "joint1VelDegS", "vel1_dps", "dq1 / deg/s",
+        "dq1 (degrees/second)", "dq1.degs",
         "J1 Velocity (deg/sec)")),
     "rpm": (np.pi / 30.0, ("speed1 (rpm)",)), "rad": (1.0, ("q1 (rads)",)),
     "rad/s": (1.0, ("velocity_1_rad_s", "vel1 (rads)", "vel1 [rads/s]")),

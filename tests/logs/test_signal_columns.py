@@ -167,6 +167,7 @@ def test_the_voltage_of_a_supply_is_none_of_a_motor():
         ("current_J", {"current": "mA"}, "current", 1e-3),
         ("effort_J", {"effort": "mA"}, "current", 1e-3),
         ("effort_J_mA", {}, "current", 1e-3),
+        ("current_J [0.01 A]", {}, "current", 1e-2),
         ("voltage_J", {"voltage": "mV"}, "voltage", 1e-3),
         ("pwm_J", {"pwm": "%"}, "pwm", 1e-2),
         ("duty_J [%]", {}, "pwm", 1e-2),

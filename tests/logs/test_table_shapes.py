@@ -243,6 +243,7 @@ SHAPES = {
     "names.parquet": NAMED.to_parquet,
     "names_once.json": text(json.dumps({**listed(TURNED), "joint_names": JOINTS[::-1]})),
     "names_once.npz": lambda path: np.savez(path, joint_names=JOINTS[::-1], **TURNED),
+    "names_once.nc": in_hdf5({**TURNED, "joint": list(JOINTS[::-1])}),
     "names_once.h5": in_hdf5({**TURNED, "joint_names": list(JOINTS[::-1])}),
     "named_motors.jsonl": text("\n".join(json.dumps({"time": t, "joints": [
         {"name": n, "position": p, "torque": e} for n, p, e in each]}) for t, each in REVERSED)),
@@ -389,6 +390,9 @@ SHAPES = {
         ("$AXIS_ACT.A{}", "$TORQUE_AXIS_ACT[{}]")))},
     "Simscape.csv": logger("Time", "{}_joint.Rz.q (deg)", "{}.Rz.t (N*m)", JOINTS, 180 / np.pi),
     "bare_names.csv": table(PLAIN.set_axis(["t", *JOINTS, "base_torque", "elbow_torque"], axis=1)),
+    "dashes.txt": text(PLAIN.to_string(index=False, float_format="{:.17g}".format).replace(
+        "\n", "\n" + "---------- " * 5 + "\n", 1)),
+    "WandB.csv": logger("_timestamp", "run1 - q/{}", "run1 - tau/{}", (0, 1)),
     "bare_numbers.csv": logger("t", "joint{}", "torque{}"),
     "encoders.csv": logger("t", "enc_{}", "torque_{}", (0, 1)),
     "latest_first.csv": table(PLAIN[::-1]),

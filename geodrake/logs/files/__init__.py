@@ -171,6 +171,8 @@ def _check_silent(table: LogTable, reading: Reading, joints: Sequence[str] | Non
             advice = "Use numbers, or for time dates such as 2026-05-01T12:00:00.25Z."
             if words.startswith(RARE):
                 advice = "Log that joint as often as the others, or fix it: --lock JOINT=POSITION."
+            elif words.startswith("has the shape"):
+                advice = "Save a row a sample, as of one of several environments: array[:, 0]."
             elif words.startswith("has lists"):
                 advice = "Write lists of equal length, or null in rows that lack some."
             raise LogError(

@@ -43,7 +43,10 @@ from geodrake.logs.files.text_file import read_sheet, read_text
 
 Reader = Callable[[Path, Reading], LogTable]
 
-_TEXT, _JSON = (".csv", ".txt", ".dat", ".tsv", ".log", ".lvm"), (".json", ".jsonl", ".ndjson")
+_TEXT, _JSON = (
+    (".csv", ".txt", ".dat", ".tsv", ".log", ".lvm", ".asc", ".prn"),
+    (".json", ".jsonl", ".ndjson"),
+)
 _SHEETS, _YAML = (".xlsx", ".xlsm"), (".yaml", ".yml")
 _OTHERS = {
     **dict.fromkeys((".zip", ".tar", ".7z", ".rar", ".tgz"), "Unpack it first."),
@@ -64,7 +67,7 @@ _READERS: Mapping[Reader, Sequence[str]] = {
     read_feather: (".feather", ".arrow"),
     read_lcm: (".lcm", ".lcmlog"),
     read_mat: (".mat",),
-    read_hdf5: (".h5", ".hdf5"),
+    read_hdf5: (".h5", ".hdf5", ".nc"),
     read_json: _JSON,
     read_yaml: _YAML,
     read_sheet: _SHEETS,
@@ -104,7 +107,8 @@ def table_of(path: Path, reading: Reading) -> LogTable:
             f"Log {str(path)!r} has the unknown format {path.suffix!r}.",
             advice="Is it the model? `geodrake log` takes that with --model."
             if path.suffix.lower() in _MODELS
-            else _OTHERS.get(path.suffix.lower()) or f"Convert it to one of {', '.join(SUFFIXES)}.",
+            else _OTHERS.get(path.suffix.lower())
+            or f"Name it .csv if it is text, or convert it to one of {', '.join(SUFFIXES)}.",
         )
     table = reader(path, reading)
     if kind not in (*_TEXT, *_SHEETS, ".npy", ".npz"):

@@ -87,6 +87,8 @@ _TORQUE_J = re.compile(r"(?<![A-Za-z])tau_J(?![A-Za-z0-9])")  # of Franka, where
 _AXIS = re.compile(r"(?i)(?<![a-z])axis(?=_(?:act|soll|ist|set|cmd)(?![a-z]))")  # of KUKA
 _GROUP = re.compile(r"(?<=.)[/.](?![^(\[]*[)\]])")  # behind a name that stands in no brackets
 _BRACKETS = re.compile(r"\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]\s*$")
+_FRONT = re.compile(r"[\[(]([^\])]+)[\])]\s*(.+)")
+_APART = re.compile(r"\s+(?:[/-]|in)\s+|,\s*")  # between a name and its unit
 _INDEX = re.compile(r"\[(\d+)\]")
 _FIRST_SENSOR = re.compile(r"(?<=\][./]temperature)\[0\]$")  # of several in the same motor
 _FURTHER_SENSOR = re.compile(r"\][./]temperature\[[1-9]\d*\]$")
@@ -161,7 +163,7 @@ def meaning_of(name: str) -> Meaning | None:
     own = _own(name)
     if own is not None or len(name) > _LONGEST_NAME:
         return own
-    plain = _UNSPACED.sub(r" \g<0> ", name.translate(_FORMS)).strip()
+    plain = _in_brackets(_UNSPACED.sub(r" \g<0> ", name.translate(_FORMS)).strip())
     found = next((found for rule in RULES if (found := rule(plain)) is not None), None)
     return None if found is None else replace(found, column=name)
 
@@ -450,7 +452,9 @@ def _joint(column: str) -> Meaning | None:
         joint = parts[place]
         numbers = [w for w in _split(joint) if isinstance(w, int)]
     named = _has_name(joint)
-    words = words_of(joint) if named else tuple(numbers[-1:])
+    is_item = is_counted and parts[-1].isdecimal()  # as of run1_q/0
+    words = words_of(joint) if named else ()
+    words += tuple(numbers[-1:]) if is_item or not named else ()
     roles = [ROLE_WORDS[w] for w in _split(name) if isinstance(w, str) and w in ROLE_WORDS]
     is_other = _FURTHER_SENSOR.search(column) or _is_flag(_split(name))
     role = OTHER if is_other else max(roles, default=PLAIN)
@@ -523,6 +527,16 @@ def _rest(text: str, used: frozenset[str]) -> str:
     return re.sub(r"[\s_.\-\[\]()]*\0[\s_.\-]*", "_", kept).strip(" _.-[]()")
 
 
+def _in_brackets(name: str) -> str:
+    """Return a name with its unit in brackets behind it: of `q1 / deg`, `q1 in °` or `[deg] q1`."""
+    front = _FRONT.fullmatch(name)
+    apart = [(name[: mark.start()], name[mark.end() :]) for mark in _APART.finditer(name)]
+    for rest, unit in [front.group(2, 1)] if front else apart:
+        if any(find_unit(unit, quantity) for quantity in UNITS):
+            return f"{rest} [{unit}]"
+    return name
+
+
 def _without_brackets(name: str, quantity: str) -> tuple[str, Unit | None]:
     """Return a name, and the unit that was in brackets behind it."""
     found = _BRACKETS.search(name)
@@ -535,7 +549,7 @@ def _without_unit(name: str, quantity: str, *, alone: bool = True) -> tuple[str,
     plain, unit = _without_brackets(name, quantity)
     if unit is not None:
         return plain, unit
-    parts = re.split(r"[_\s]+", name)
+    parts = re.split(r"[_\s.]+", name)
     for count in (3, 2, 1):
         for first in range(len(parts) - count, 0, -1):
             text = "_".join(parts[first : first + count])

@@ -57,7 +57,7 @@ from geodrake.logs.files.table import (
 )
 from geodrake.logs.files.units import UNITS, find_unit
 
-COMMENTS = ("#", "%", "//")
+COMMENTS = ("#", "%", "//", "---", "===")
 _HEADER_LINES = 1000  # of a header whose names have line ends
 _PREFACE = 100  # lines, among which names are looked for
 _KEYED_ROWS = 4  # rows above numbers that begin with what they say, at least

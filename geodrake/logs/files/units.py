@@ -66,7 +66,8 @@ class Unit:
     @property
     def signal(self) -> str | None:
         """The signal that it measures instead of effort, "current" for mA; None for other units."""
-        return next((kind for kind, units in _SIGNALS.items() if self.name in units), None)
+        plain = self.name.rpartition(" ")[2]  # without a power of ten
+        return next((kind for kind, units in _SIGNALS.items() if plain in units), None)
 
 
 def unit_advice(quantity: str) -> str:
@@ -140,7 +141,8 @@ def _spelled(text: str) -> tuple[str, ...]:
     text = text[0] if text.startswith(("%", "‰")) else text  # of what is rated
     plain = re.sub(r"[·*\s.⋅-]", "", text).replace("^2", "²").replace("s2", "s²")
     over = re.sub(r"(?i:_per_|_|per)([Ss]|[Mm]in)", lambda found: f"/{found[1].lower()}", plain)
-    over = over.replace("/s/s", "/s²").replace("/sec", "/s")
+    over = over.replace("/s/s", "/s²")
+    over = re.sub(r"/sec(?:ond)?", "/s", over)
     found = [plain, over]
     for each in (plain, over):
         head, stroke, tail = each.partition("/")
