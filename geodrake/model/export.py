@@ -139,13 +139,13 @@ def export_bodies(model: RobotModel) -> Export:
             name: new
             for name, old, new in zip(names, before, after, strict=True)
             if not np.all(np.abs(new - old) <= _UNCHANGED * np.abs(new).max())  # NaN differs
-            or (anew and name in here and new[0] > 0.0)
+            or (anew and new[0] > nothing)
         }
         if not changed.keys() <= here:
             _check_in_itself(model, description, changed.keys())
         if not changed.keys() <= here and kind == "xml":
             absent.append(body.name)  # between several joints of one body, or made by MuJoCo
-            continue
+            changed = {name: new for name, new in changed.items() if anew and name in here}
         written |= changed
         if how and changed:
             shared.append(how)

@@ -304,6 +304,30 @@ def test_point_masses_get_a_volume_for_mujoco(tmp_path):
     assert any("exports use 2 kg" in note for note in proven.notes)
 
 
+ODD = """<mujoco model="r"><option gravity="1 2 -3"/><worldbody>
+<body name="a"><joint name="a" axis="0 1 0" springdamper=".5 .8"/><geom size=".1" pos=".3 0 0"/>
+<body name="b" pos=".5 0 0"><joint name="b"/><geom size=".1" pos="0 .2 0"/></body></body>
+</worldbody><actuator>
+<pid joint="a" kp="1" input="pos vel" velrange="-1 1"/><motor joint="b" ctrlrange="-3 3"/>
+</actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("to", ["mjcf", "sdf", "urdf"])
+def test_gravity_and_springs_of_a_time_constant_are_those_of_the_model(to, tmp_path):
+    text = ODD
+    if not hasattr(mujoco.MjModel, "actuator_ctrladr"):  # several signals are of MuJoCo 4
+        text = "".join(line for line in ODD.splitlines() if "<pid" not in line)
+    (tmp_path / "odd.xml").write_text(text)
+    model = load_model(tmp_path / "odd.xml")
+    assert model.effort_limits[1] == 3.0
+    damping = [f for f in model.effects if f.effect.name == "viscous_friction"]
+    changed = replace(model, effects=tuple(damping))
+    proven = export_to(to, changed, tmp_path / "out")
+    assert all(each.is_rounding for each in proven.proof.differences)
+    told = any("gravity, which is 1 2 -3 m/s²: set it there" in note for note in proven.notes)
+    assert told is (to != "mjcf")
+
+
 def followed_in_mujoco(path, model, moved):
     """Efforts (N, n) at the leaders, along whose motion the equalities do no work."""
     theirs, J = mujoco.MjModel.from_xml_path(str(path)), model.coordinates.constant

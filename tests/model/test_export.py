@@ -300,6 +300,29 @@ def test_settings_of_masses_are_not_exported(tmp_path, settings):
     assert any("settings of m.xml with which MuJoCo changes masses" in n for n in exported.notes)
 
 
+def test_what_settings_of_masses_do_to_copies_is_told(tmp_path):
+    text = MASSES.format('settotalmass="5"').replace("</body>\n</body>", "</body></body>")
+    copies = '<replicate count="2" offset="0 1 0"><body name="a">'
+    text = text.replace('<body name="a">', copies).replace(
+        "</worldbody>", "</replicate></worldbody>"
+    )
+    (tmp_path / "m.xml").write_text(text, encoding="utf-8")
+    notes = " ".join(export_model(load_model(tmp_path / "m.xml")).notes)
+    assert "cannot hold the inertias of a0, b0, a1, b1" in notes
+
+
+def test_geoms_without_a_part_in_inertias_keep_none(tmp_path):
+    ghost = '<geom size=".3" group="4"/><body><inertial pos="0 0 1" mass="1"'
+    text = MASSES.format('inertiagrouprange="0 2"').replace(
+        '<geom type="box" size=".1 .2 .3" pos=".1 0 0"/>',
+        f'{ghost} diaginertia=".1 .1 .1"/></body>',
+    )
+    (tmp_path / "m.xml").write_text(text, encoding="utf-8")
+    model = load_model(tmp_path / "m.xml")
+    (tmp_path / "out.xml").write_bytes(export_model(replace(model, phi=1.5 * model.phi)).content)
+    np.testing.assert_allclose(load_model(tmp_path / "out.xml").phi, 1.5 * model.phi, rtol=1e-9)
+
+
 def test_inertias_that_stand_in_frames_of_an_mjcf(tmp_path):
     path = tmp_path / "r.xml"
     path.write_text(

@@ -104,6 +104,8 @@ class DrakeEngine(Engine):
             add_packages(parser.package_map(), model.path, named_packages(text))
             parser.AddModels(str(file))
             weld_roots(self._plant)
+            gravity = model.plant.gravity_field().gravity_vector()
+            self._plant.mutable_gravity_field().set_gravity_vector(gravity)
             self._plant.Finalize()
             self._diagram = builder.Build()
         said = (message.partition("\n")[0].rpartition("warning: ")[2] for message in messages)
@@ -207,7 +209,7 @@ class MujocoEngine(Engine):
         self._held = {int(in_q[places[n]]): x for n, x in model.held.items() if n in places}
         self._friction = self._model.dof_frictionloss[self._at].copy()
         # Older versions have no delays, and one signal for each actuator.
-        count = self._model.nu
+        count = len(self._model.actuator_trntype)
         self._delays = getattr(self._model, "actuator_delay", np.zeros(count))
         self._signals = getattr(self._model, "actuator_ctrladr", np.arange(count))
         self._through = self._take_actuators(model, joints, ids)
@@ -279,7 +281,8 @@ class MujocoEngine(Engine):
         own, found = self._model, dict[int, int]()
         kinds = (int(self._mj.mjtTrn.mjTRN_JOINT), int(self._mj.mjtTrn.mjTRN_JOINTINPARENT))
         by_joint: dict[int, list[int]] = {}
-        for actuator in range(own.nu):
+        every = range(len(own.actuator_trntype))  # which may have more than one signal
+        for actuator in every:
             if own.actuator_trntype[actuator] in kinds:
                 by_joint.setdefault(int(own.actuator_trnid[actuator][0]), []).append(actuator)
         wanted = exported_joints(model)
@@ -287,7 +290,7 @@ class MujocoEngine(Engine):
             actuators = by_joint.get(j, []) if joint in wanted else []
             if len(actuators) == 1 and self._is_like(actuators[0], wanted[joint]):
                 found[at] = actuators[0]
-        for actuator in set(range(own.nu)).difference(found.values()):
+        for actuator in set(every).difference(found.values()):
             own.actuator_gainprm[actuator], own.actuator_biasprm[actuator] = 0.0, 0.0
         own.actuator_forcelimited[:] = False
         own.jnt_actfrclimited[:] = False
@@ -327,6 +330,8 @@ class PinocchioEngine(Engine):
 
     def __init__(self, file: Path, model: RobotModel) -> None:
         self._again = load_description(file, held=model.held)
+        gravity = model.plant.gravity_field().gravity_vector()
+        self._again.plant.mutable_gravity_field().set_gravity_vector(gravity)
         places = {joint: k for k, joint in enumerate(self._again.joints)}
         self._order = np.array(order_of(model.joints, places, file, "Pinocchio"))
         still = np.zeros((1, len(places)))

@@ -36,6 +36,7 @@ from geodrake.robot.plant import motor_joints, scoped_joint_names
 
 _DRAKE = "http://drake.mit.edu"
 _ALWAYS = ("damping", "friction")  # written where they are 0, too
+_USUAL = [0.0, 0.0, -9.81]  # gravity of simulators, m/s²
 _UNLIMITED = 1e9  # effort and speed, where a URDF must state some
 SUFFIXES = {"urdf": ".urdf", "sdf": ".sdf", "xml": ".xml"}
 
@@ -304,9 +305,11 @@ def model_file(
         f"{name} is generated from the bodies and joints of {model.path.name}, without "
         "geometry; welded links are merged"
     )
-    data = from_plant(model, kind, _tilted_gravity(model))
+    data, gravity = from_plant(model, kind, _tilted_gravity(model)), _gravity(model)
     if kind != "xml":
-        return name, data, (note,)
+        stated = " ".join(f"{x:g}" for x in gravity)
+        told = f"{name} does not tell simulators of gravity, which is {stated} m/s²: set it there"
+        return name, data, (note,) if gravity.tolist() == _USUAL else (note, told)
     file = EditedFile(data, folder / name)
     more = add_actuators(file, model, anew=True)
     return name, file.content, (note, *more)
@@ -364,8 +367,12 @@ def _notes_on_motors(model: RobotModel) -> tuple[str, ...]:
 
 def _tilted_gravity(model: RobotModel) -> Array:
     """Return (3,) gravity in the frame of a model's base, as that is turned, m/s²."""
-    gravity = np.array(model.plant.gravity_field().gravity_vector())
-    return np.asarray(tilt_rotation(model).T @ gravity)
+    return np.asarray(tilt_rotation(model).T @ _gravity(model))
+
+
+def _gravity(model: RobotModel) -> Array:
+    """Return (3,) gravity in the world of a model's file, m/s²."""
+    return np.array(model.plant.gravity_field().gravity_vector())
 
 
 def tilt_rotation(model: RobotModel) -> Array:

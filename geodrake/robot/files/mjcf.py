@@ -145,7 +145,8 @@ class MjcfTerms:
         elif elements:
             name = getattr(self.m, kind)(at).name
         named = [element for element in elements if name and element.get("name") == name]
-        counts = {"tendon": self.m.ntendon, "actuator": self.m.nu, "equality": self.m.neq}
+        counts = {"tendon": self.m.ntendon, "equality": self.m.neq}
+        counts["actuator"] = len(self.m.actuator_trntype)
         if not named and len(elements) == counts.get(kind):
             named = [elements[at]]
         return place_of(named[0]) if named else ""
@@ -324,8 +325,10 @@ class MjcfTerms:
             and int(m.actuator_dyntype[at]) == mujoco.mjtDyn.mjDYN_NONE
         )
         limited = getattr(m, "actuator_ctrllimited")  # noqa: B009, as older versions have it, too
-        if plain and len(limited) > at and limited[at]:
-            ranges.append(float(m.actuator_gainprm[at][0]) * np.asarray(m.actuator_ctrlrange[at]))
+        signals = getattr(m, "actuator_ctrladr", range(len(limited)))  # several of one actuator
+        if plain and limited[signal := int(signals[at])]:
+            most = np.asarray(m.actuator_ctrlrange[signal])
+            ranges.append(float(m.actuator_gainprm[at][0]) * most)
         if ranges and gear:
             self._limit(joint, min(abs(gear) * float(np.abs(each).max()) for each in ranges))
 

@@ -48,17 +48,18 @@ _MJCF_NAMES = {
     "rest": "springref",
 }
 _TURNS = ("quat", "euler", "axisangle", "xyaxes", "zaxis")
-_OF_MASSES = (
-    *("settotalmass", "boundmass", "boundinertia", "balanceinertia", "inertiafromgeom"),
-    "inertiagrouprange",
-)
+_OF_MASSES = ("settotalmass", "boundmass", "boundinertia", "balanceinertia", "inertiafromgeom")
 _TENDONS = ("tendon", "fixed", "spatial")
-MOTORS = ("general", "motor", "position", "velocity", "intvelocity", "damper", "cylinder")
+MOTORS = (
+    *("general", "motor", "position", "velocity", "intvelocity", "damper", "cylinder"),
+    *("muscle", "pid", "dcmotor"),
+)
 """Tags of the actuators of an MJCF."""
 
 _PASSIVE: Mapping[str, tuple[str, ...]] = {
     "option": ("density", "viscosity", "wind"),
     "body": ("gravcomp",),
+    "joint": ("springdamper",),  # which would replace stiffness and damping
     **dict.fromkeys(_TENDONS, ("stiffness", "damping", "armature", "frictionloss")),
     **dict.fromkeys(MOTORS, ("armature", "damping")),
 }
@@ -560,5 +561,6 @@ def check_in_itself(names: Iterable[str], there: Container[str], path: Path) -> 
     if missing:
         raise ModelError(
             f"{', '.join(name.rpartition('::')[2] for name in missing)} is not in {path} itself.",
-            advice="Copy included files into the model.",
+            advice="Copy included files into the model; MuJoCo writes out what an MJCF replicates "
+            "or attaches: mujoco.mj_saveLastXML(NAME, mujoco.MjModel.from_xml_path(...)).",
         )
