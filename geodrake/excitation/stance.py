@@ -202,9 +202,12 @@ class Stance(Short):
 
     def motor_states(self, states: Array) -> Array:
         """Return positions and their derivatives (3, N, m) of motors, of those (3, N, nv)."""
-        q, v, vd = states
+        return self._states_and_ratios(*states)[0]
+
+    def _states_and_ratios(self, q: Array, v: Array, vd: Array) -> tuple[Array, Array]:
+        """Return the states of motors (3, N, m), and G (N, m, nv)."""
         theta, G, rate = self.coordinates.along(q, v)
-        return np.stack([theta, times(G, v), times(G, vd) + times(rate, v)])
+        return np.stack([theta, times(G, v), times(G, vd) + times(rate, v)]), G
 
     def free(self, motors: Array, name: str) -> Array:
         """Return positions (nv,) of the free joints where motors are at (m,), rad or m."""
@@ -278,11 +281,12 @@ class Stance(Short):
         b = _solved(C, needed)
         return D * times(G, b), b, C
 
-    def _effort_gradient(self, motion: Motion, sign_width: Array, weights: Array) -> MotionGradient:
-        """Return the gradient of Σ w ∘ τ for w (N, motors)."""
-        seen = self.model.motion(motion, sign_width=sign_width)
-        G, D = self.coordinates.jacobian(motion.q), self._weights
-        tau, b, C = self._shared(G, self.model.effort(motion, sign_width=sign_width))
+    def _effort_gradient(
+        self, motion: Motion, sign_width: Array, G: Array, needed: Array, weights: Array
+    ) -> MotionGradient:
+        """Return the gradient of Σ w ∘ τ for w (N, motors), with efforts needed (N, nv)."""
+        seen, D = self.model.motion(motion, sign_width=sign_width), self._weights
+        tau, b, C = self._shared(G, needed)
         a = _solved(C, times(np.swapaxes(G, 1, 2), D * weights))
         found = effort_gradient(self.model, motion, seen, a)
         if self.coordinates.constant is None:
@@ -403,9 +407,11 @@ class Stance(Short):
         rows = (self._uses - most[:, None] * [0, 0, 0, 0, 0, 1.0]) / self.weight
         scales = limits.reach[follow], limits.velocity[follow], limits.acceleration[follow]
         samples = motion.q, motion.v, motion.vd
-        states = self.motor_states(np.stack(samples))[:, :, follow]
+        states, G = self._states_and_ratios(*samples)
+        states = states[:, :, follow]
         states[0] -= limits.middle[follow]
-        efforts = self.efforts(motion, sign_width) / limits.effort
+        needed = self.model.effort(motion, sign_width=sign_width)
+        efforts = self._shared(G, needed)[0] / limits.effort
         shares = np.hstack([x / scale for x, scale in zip(states, scales, strict=True)])
         shares = np.hstack([shares, efforts])
         values = _SHARP * np.hstack([self.wrenches(motion) @ rows.T, shares - 1.0, -shares - 1.0])
@@ -416,13 +422,12 @@ class Stance(Short):
         weights = (by_balance @ rows)[:, :, None] * self.model.total_phi.ravel()
         parts = [
             base_wrench_regressor_gradient(tree, *samples, weights),
-            self._effort_gradient(motion, sign_width, by_efforts / limits.effort),
+            self._effort_gradient(motion, sign_width, G, needed, by_efforts / limits.effort),
         ]
         if len(follow):
             motors = np.zeros((3, len(motion), len(self.motors)))
             for own, slope, scale in zip(motors, by_states, scales, strict=True):
                 own[:, follow] = slope / scale
-            G = self.coordinates.jacobian(motion.q)
             parts.append(at_actuators(self.coordinates, G, motion, MotionGradient(*motors)))
         return total / _SHARP, parts[0].plus(*parts[1:])
 
