@@ -166,9 +166,11 @@ def test_mjcf_includes(tmp_path):
     inner = """<mujocoinclude><worldbody><body name="b"><joint name="j"/>
     <inertial pos="0 0 1" mass="2" diaginertia="1 1 1"/></body></worldbody></mujocoinclude>"""
     write(tmp_path / "parts" / "b.xml", inner)
-    outer = '<mujoco model="m"><include file="parts/b.xml"/></mujoco>'
-    model = load_model(write(tmp_path / "robot.xml", outer))
-    assert (model.joints, model.phi[0, 0]) == (("j",), 2.0)
+    outer = '<mujoco model="m"><include file="{}.xml"/></mujoco>'
+    for name in ("parts/b", "b"):  # from the folder of the model, and from the file's own
+        write(tmp_path / "parts" / "a.xml", outer.format(name))
+        model = load_model(write(tmp_path / "robot.xml", outer.format("parts/a")))
+        assert (model.joints, model.phi[0, 0]) == (("j",), 2.0)
 
 
 @pytest.mark.parametrize("world", [False, True])

@@ -403,6 +403,13 @@ def test_a_weld_of_a_free_base_is_told_where_it_is_free(tmp_path, other):
     assert "line 1: <equality>: the constraint <weld> of b and " in said
 
 
+def test_how_long_muscles_are_does_not_matter(tmp_path):
+    path = write(tmp_path, mjcf(tip(), tail='<actuator><muscle joint="t"/></actuator>'))
+    with pytest.raises(ValueError, match="Lengthrange"):
+        mujoco.MjModel.from_xml_path(str(path))
+    assert load_model(path).joints == ("a", "t")
+
+
 def test_a_warning_of_mujoco_is_said_once(tmp_path):
     part = '<mujoco model="s"><option gravity="0 0 -3"/><worldbody><body name="g"/></worldbody>'
     text = mjcf(

@@ -110,12 +110,15 @@ class Includes:
     def insert_elements(self, root: Element, chain: tuple[Path, ...] = ()) -> None:
         """Replace an MJCF's includes with the contents of the files that they name.
 
-        Paths are relative to the folder of the model file, whichever file they are in.
+        Paths are relative to the folder of the model file, or if nothing is there, of their own.
         """
         chain = chain or (self.path.resolve(),)
         for parent in list(root.iter()):
             for include in parent.findall("include"):
-                file = self.path.parent / include.get("file", "")
+                name = include.get("file", "")
+                file, beside = self.path.parent / name, chain[-1].parent / name
+                with suppress(OSError):  # of a name that is too long
+                    file = beside if beside.exists() and not file.exists() else file
                 below = self.enter(chain, file)
                 included = parse_xml(file)
                 self.insert_elements(included, below)

@@ -110,6 +110,7 @@ class CompiledMjcf:
         with self._refusals(places), quiet_mujoco() as said:
             spec = load_mujoco().MjSpec.from_string(text, include=self.models or None)
             spec.compiler.usethread = False
+            spec.compiler.LRopt.mode = int(load_mujoco().mjtLRMode.mjLRMODE_NONE)  # of muscles
             free = unused({joint.name for joint in spec.joints})
             for body in spec.bodies:  # whose joints MuJoCo may have made
                 for i, joint in enumerate(body.joints):
