@@ -23,7 +23,8 @@ def joints_of(names, joints):
 NAMES = {
     "position": {"elbow.position": "elbow", "actual_q_0": 0, "q1": 1, "current_position_1": 1,
         "/joint_states/position[2]": 2, "pos_shoulder": "shoulder", "MeasuredJointPosition_A1": 1},
-    "velocity": {"q_dot_1": 1, "/joint_states/elbow_joint/velocity": "elbow_joint", "qd2": 2},
+    "velocity": {"q_dot_1": 1, "/joint_states/elbow_joint/velocity": "elbow_joint", "qd2": 2,
+        "joint_speeds[1]": 1},
     "acceleration": {"q2d_3": 3, "qd2[1]": 1},
     "effort": {"target_moment_0": 0, "tau_J[3]": 3, "shoulder_eff": "shoulder", "q1_torque": 1,
         "MeasuredTorque_A1": 1, "field.effort4": 4, "qfrc_actuator[elbow]": "elbow",

@@ -429,6 +429,8 @@ LAYOUTS = {
     **{f"{beside} beside {form}": (IIWA, {beside: "other:4", form: "q", "tau_{k}": "tau"})
        for beside in ("finger_{one}_pos", "cube_pos_{one}", "hand_joint_pos[{one}]")
        for form in ("q[{joint}]", "joint_position_{joint}", "robot/{joint}/position")},
+    "forces of a hand stand for no currents": (PANDA, {"hand_force_{one}": "other:3", "q{k}": "q",
+        "current_{k}": "tau"}),
     "parts of an arm may be counted through": (COUNTED, {"{part}_q_{one}": "q",
         "{part}_tau_{one}": "tau"}),
     "qd beside qdot is desired": (PANDA, {"q_{k}": "q", "qd_{k}": "other", "qdot_{k}": "v",
