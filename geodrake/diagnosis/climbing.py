@@ -69,9 +69,10 @@ def settled(model: LogModel, fit: Fit) -> Fit:
         for _ in range(_MOST_STEPS):
             choices = [choice for choice in neighbours(model, better) if choice.key not in seen]
             tried = model.ranked(choices, shares, better.noise)
-            if not tried or tried[0].score <= better.score:
+            gains = [model.lead(each, better, shares) for each in tried]
+            if max(gains, default=0.0) <= 0.0:
                 break
-            better = tried[0]
+            better = tried[int(np.argmax(gains))]
             seen.add(better.choice.key)
         if better.choice.key == was:
             break
@@ -98,6 +99,8 @@ def _step(
     choices = [choice for choice in choices if choice.key not in seen]
     tried = model.ranked(choices, high, fit.noise)
     promising = tried[:_JUDGED]
+    if model.are_apart(fit.choice.delay, model.on_time):
+        promising += [each for each in tried if each.choice.delay == model.on_time]
     if not hopeful:
         choices = [each.choice for each in tried[:_COUNTED]]
         promising += model.ranked(choices, own, fit.noise)[:_JUDGED]
@@ -130,8 +133,6 @@ def gain_of(
     """
     shares = np.where(other.variance < fit.variance, model.shares(other), model.shares(fit))
     shares = np.maximum(shares, _OPTIMISTIC) if hopeful else shares
-    one = model.fit(fit.choice, shares, fit.noise)
+    one = model.fit(fit.choice, shares, fit.noise) or fit
     two = model.fit(other.choice, shares, other.noise)
-    if two is None:
-        return None
-    return two.score - (fit.score if one is None else one.score), two
+    return None if two is None else (model.lead(two, one, shares), two)

@@ -485,6 +485,24 @@ class LogModel:
             prior[below, below] += _PINNED
         return None
 
+    def lead(self, other: Fit, fit: Fit, shares: Array) -> float:
+        """Return how much higher another fit scores, at the same `shares` (nv,).
+
+        Errors that fits allow their delays average noise away, so that a small delay may seem more
+        probable than none. So one must be more probable as an exact delay, too.
+        """
+        gain, delays = other.score - fit.score, (other.choice.delay, fit.choice.delay)
+        if not self.are_apart(*delays):
+            return gain
+        exact = [self.fit(f.choice, shares, f.noise, is_timed=True) for f in (other, fit)]
+        scores = [f.score for f in exact if f is not None]
+        if len(scores) < len(exact):
+            return gain
+        is_late, was_late = (self.are_apart(delay, self.on_time) for delay in delays)
+        if not was_late:
+            return min(gain, scores[0] - scores[1])
+        return scores[0] - scores[1] if is_late else max(gain, scores[0] - scores[1])
+
     def ranked(self, choices: Iterable[Choice], shares: Array, variance: Array) -> list[Fit]:
         """Fit explanations, the most probable first, without those that `fit` refuses."""
         fits = [self.fit(choice, shares, variance) for choice in choices]

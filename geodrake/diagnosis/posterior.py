@@ -64,7 +64,7 @@ class Posterior:
         likely = [each.choice for each in fits.values() if each.score > own.score - _FAR]
         add(other for choice in likely for other in other_widths(model, choice))
         self._model, self._fit, self._fits = model, fit, [*fits.values()]
-        scores = np.array([each.score for each in self._fits])
+        scores = np.array([model.lead(each, own, shares) for each in self._fits])
         weights = np.exp(0.5 * (scores - scores.max())) * self._shares_of_shapes(scores)
         self._weights = weights / weights.sum()
 
