@@ -573,23 +573,39 @@ def test_noise_at_other_instants_is_no_evidence_of_a_delay():
     assert (np.array(left) >= raw).all()
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_noise_that_rates_of_efforts_average_away_is_no_evidence_of_a_delay(seed):
-    """Efforts that are 4 ms late, with delays of 2.5 and 10 ms tried."""
+def late_search(seed, ticks):
+    """Return a search of a noisy log in which efforts are late by so many times 2 ms."""
     rng, time = np.random.default_rng(seed), np.arange(0.0, 60.0, 0.002)
     rates = 2.0 * np.pi * np.array([[0.11, 0.23, 0.41], [0.14, 0.29, 0.37]])
     angle = rates * time[:, None, None] + rng.uniform(0.0, 2.0 * np.pi, rates.shape)
     q, v = np.sin(angle).sum(axis=2), (rates * np.cos(angle)).sum(axis=2)
     vd = -(rates**2 * np.sin(angle)).sum(axis=2)
-    late = np.roll(body_effort(0.5 * q, 0.5 * v, 0.5 * vd), 2, axis=0)[5::5]
+    late = np.roll(body_effort(0.5 * q, 0.5 * v, 0.5 * vd), ticks, axis=0)[5::5]
     effort = late + 0.01 * late.std(axis=0) * rng.normal(size=late.shape)
     position = 0.5 * q[5::5] + 1e-5 * rng.normal(size=late.shape)
     log = JointLog("late", JOINTS, time[5::5], position, effort)
-    search = Search(open_case(PENDULUM, [log], candidates=True, bandwidth=8.3))
+    return Search(open_case(PENDULUM, [log], candidates=True, bandwidth=8.3))
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_noise_that_rates_of_efforts_average_away_is_no_evidence_of_a_delay(seed):
+    """Efforts that are 4 ms late, with delays of 2.5 and 10 ms tried."""
+    search = late_search(seed, ticks=2)
     model, fit = search.model, search.fit
     (delay, _), *_ = Neighbourhood(model, fit).delays()
     moved = model.fit(replace(fit.choice, delay=delay), model.shares(fit), fit.noise)
     assert delays_of(model, moved)[0] == pytest.approx([0.004] * 2, abs=1e-3)
+
+
+def test_a_small_delay_must_be_more_probable_as_an_exact_one():
+    """Efforts on time: the errors of delays that fits allow make up for one of a millisecond."""
+    search = late_search(0, ticks=0)
+    model, fit, shares = search.model, search.fit, np.ones(2)
+    at = int(np.argmin(np.abs(model.dataset.delays[:, 0] - 1e-3)))
+    none, late = (model.fit(replace(fit.choice, delay=(k, k)), shares, fit.noise) for k in (0, at))
+    assert late.score - none.score > -10.0
+    assert model.lead(late, none, shares) < -100.0
+    assert model.lead(none, late, shares) > 100.0
 
 
 def test_the_less_noise_there_is_the_more_rows_reverse(problem):
