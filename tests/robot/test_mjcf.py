@@ -420,6 +420,19 @@ def test_a_warning_of_mujoco_is_said_once(tmp_path):
     assert said.startswith("MuJoCo: ") and said.endswith("keeping parent value")
 
 
+def test_angles_of_an_attached_model_are_read_by_its_own_compiler(tmp_path):
+    body = f'<body name="g" euler="0 .5 0">{GEOM}{tip()}</body>'.replace('"t"', '"u"')
+    part = f'<mujoco model="s"><compiler angle="radian"/><worldbody>{body}</worldbody></mujoco>'
+    text = mjcf(
+        tip() + '<attach model="s" body="g" prefix="x"/>',
+        head='<compiler fusestatic="{}"/><asset><model name="s" file="part.xml"/></asset>',
+    )
+    one, two = (load_model(write(tmp_path, text.format(x), part=part)) for x in ("true", "false"))
+    np.testing.assert_array_equal(one.phi, two.phi)
+    (said,) = set(one.notes) - set(two.notes)
+    assert "with fusestatic, MuJoCo reads angles of attached models" in said
+
+
 FOLLOW = '<joint joint1="t" joint2="a" polycoef="0 {} {} 0 0"/>'
 BACK = '<joint joint1="a" joint2="t" polycoef="0 1 .2 0 0"/>'
 

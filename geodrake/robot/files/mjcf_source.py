@@ -97,7 +97,13 @@ class CompiledMjcf:
         self.models, self.meshes = dict[str, bytes](), dict[str, Path]()
         self.notes, self.left_out, self.lost = list[str](), list[str](), list[str]()
         self.unknown, self.touching, self.wrapped = set[str](), list[str](), set[str]()
+        fuses = any(each.get("fusestatic") == "true" for each in root.findall("compiler"))
         self._prepare(root, path, "", (path.resolve(),))
+        if fuses and self.models:
+            self.notes.append(
+                f"{path}: with fusestatic, MuJoCo reads angles of attached models by the compiler "
+                "of the file that attaches them; here they are read by their own."
+            )
         worlds = root.findall("worldbody")
         self.elements = {e.get("name", ""): e for world in worlds for e in world.iter("body")}
         text, places = numbered_text(root)
