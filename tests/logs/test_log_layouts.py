@@ -447,7 +447,7 @@ LAYOUTS = {
        for form in ("{letter}_{rest}", "{rest}_{side}", "{capital} {rest}")},
     **{f"q is plainer than {other}": (PANDA, {other: "other", "q{k}": "q", "tau_ff_{k}": "other",
         "tau_rnea_{k}": "other", "dynamic_tor[{k}]": "other", "tau_g_{k}": "other",
-        "tau_fb_{k}": "tau"})
+        "reactionForces_{k}": "other", "tau_fb_{k}": "tau"})
        for other in ("q{k}_hat", "q_prev_{k}", "q_{k}_predicted", "q_filtered_{k}")},
     **{f"settings: {kind}": (PANDA, dict(zip(forms.split(), ("8", "0", "q", "tau"), strict=True)))
        for kind, forms in SETTINGS.items()},

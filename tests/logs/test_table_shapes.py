@@ -410,7 +410,7 @@ SHAPES = {
     "structs.mat": lambda path: savemat(path, {"joints": np.array([{"name": n, "t": TIME,
         "q": POSITION[:, k], "tau": EFFORT[:, k]} for k, n in enumerate(JOINTS)], object)}),
     "Greek.csv": logger("t", "θ{}", "τ_{}"),
-    "EGM.csv": logger("tm", "feedback_pos_j{}", "feedback_torque_j{}"),
+    "EGM.csv": logger("tm", "feedback_joints_j{}", "feedback_torque_j{}"),
     "dSPACE.csv": text("Version;1.0\n\npath;" + ";".join(f"Model Root/{q}{k}" for q in
         ("q", "tau") for k in (1, 2)) + "\nunit;rad;rad;Nm;Nm\ntrace_values;\n"
         + PLAIN.to_csv(index=False, header=False, sep=";")),

@@ -88,7 +88,7 @@ _AXIS = re.compile(r"(?i)(?<![a-z])axis(?=_(?:act|soll|ist|set|cmd)(?![a-z]))") 
 _GROUP = re.compile(r"(?<=.)[/.](?![^(\[]*[)\]])")  # behind a name that stands in no brackets
 _BRACKETS = re.compile(r"\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]\s*$")
 _FRONT = re.compile(r"[\[(]([^\])]+)[\])]\s*(.+)")
-_APART = re.compile(r"\s+(?:[/-]|in)\s+|,\s*")  # between a name and its unit
+_APART = re.compile(r"\s+(?:/|in|-(?=\s+\S\S))\s+|,\s*")  # `pos - A` may be of joint A
 _INDEX = re.compile(r"\[(\d+)\]")
 _FIRST_SENSOR = re.compile(r"(?<=\][./]temperature)\[0\]$")  # of several in the same motor
 _FURTHER_SENSOR = re.compile(r"\][./]temperature\[[1-9]\d*\]$")
@@ -211,9 +211,14 @@ def as_positions(names: Iterable[str], joints: Sequence[str]) -> list[Meaning]:
     found = []
     for name in names:
         words, own = _split(name), called.get(words_of(name), "")
-        is_counted = len(words) == 2 and words[0] in _COUNTED and isinstance(words[1], int)
+        said = [word for word in words[:-1] if word not in ROLE_WORDS]
+        is_counted = bool(said) and _COUNTED.issuperset(said) and isinstance(words[-1], int)
         if (own or is_counted) and meaning_of(name) is None:
-            found.append(Meaning(name, "position", own, words_of(name), style=("position",)))
+            role = max((ROLE_WORDS[w] for w in words if w in ROLE_WORDS), default=PLAIN)  # type: ignore[index]
+            style = ("position", str(role))
+            found.append(
+                Meaning(name, "position", own, words_of(own) or words[-1:], role, style=style)
+            )
     return found
 
 
