@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from difflib import get_close_matches
 from typing import Any
 
 
@@ -55,6 +57,12 @@ class FleetError(GeodrakeError):
 
 class OutputError(GeodrakeError):
     """A result cannot be written where it was asked for."""
+
+
+def nearest(name: object, known: Iterable[str], count: int = 3) -> str:
+    """Return "Did you mean …? " with the known names nearest to an unknown one, or ""."""
+    near = get_close_matches(str(name), list(known), count, 0.5)
+    return f"Did you mean {', '.join(near)}? " if near else ""
 
 
 def _remade(

@@ -26,7 +26,7 @@ from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hin
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.errors import ArgumentError
+from geodrake.errors import ArgumentError, nearest
 
 _LONGEST = 60  # characters of a value that a message shows
 
@@ -89,7 +89,11 @@ def one_of(value: Any, name: str, choices: Collection[str]) -> str:
     """Return an argument that must be one of a few words."""
     if not isinstance(value, str) or value not in choices:
         words = ", ".join(f'"{choice}"' for choice in choices)
-        raise ArgumentError(f"{name} must be one of {words}; it is {shown(value)}.", name=name)
+        raise ArgumentError(
+            f"{name} must be one of {words}; it is {shown(value)}.",
+            advice=nearest(value, choices).strip(),
+            name=name,
+        )
     return value
 
 

@@ -10,7 +10,7 @@ from importlib.resources import as_file, files
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperArgument, TyperCommand, TyperGroup
+from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
 
 from geodrake.boundary.escaping import printable
 from geodrake.boundary.version import versions
@@ -25,6 +25,14 @@ _GARBAGE = 100_000  # allocations between two runs of the garbage collector
 
 class _Command(TyperCommand):
     """A command whose help has no Python types, and advanced options only with --help-all."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        _, _, given = self.make_parser(ctx).parse_args(list(args))
+        for each in given:
+            once = isinstance(each, TyperOption) and not each.multiple
+            if once and given.count(each) > 1 and (not each.is_flag or each.secondary_opts):
+                raise typer.BadParameter("it is given more than once. Give it once.", ctx, each)
+        return super().parse_args(ctx, args)
 
     def get_params(self, ctx: Any) -> list[Any]:
         found: list[Any] = super().get_params(ctx)

@@ -15,7 +15,7 @@ from geodrake.cli.identify import named_effects, split_effects
 from geodrake.cli.input_options import pairs
 from geodrake.cli.options import ExciteOptions, IdentifiableOptions
 from geodrake.cli.progress import STOPPING
-from geodrake.errors import ArgumentError, ModelError
+from geodrake.errors import ArgumentError, ModelError, nearest
 from geodrake.excitation import (
     CollisionWorld,
     Criterion,
@@ -452,7 +452,8 @@ def limits_of(
         if quantity not in _QUANTITIES:
             raise ArgumentError(
                 f"--limits {text!r}: unknown quantity {quantity!r}.",
-                advice=f"Quantities are {', '.join(_QUANTITIES)}. {_EXAMPLE}",
+                advice=f"{nearest(quantity, _QUANTITIES)}Quantities are {', '.join(_QUANTITIES)}. "
+                f"{_EXAMPLE}",
             )
         if joint:
             _check_joint(joint, motors, "--limits")
@@ -511,5 +512,5 @@ def _check_joint(joint: str, joints: Sequence[str], option: str) -> None:
     if joint not in joints:
         raise ArgumentError(
             f"{option} names {joint!r}, which is not a joint of the model.",
-            advice=f"Joints are: {', '.join(joints)}.",
+            advice=f"{nearest(joint, joints)}Joints are: {', '.join(joints)}.",
         )

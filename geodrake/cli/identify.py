@@ -9,7 +9,7 @@ from pathlib import Path
 from geodrake.cli.command import Command, Input, Output, run
 from geodrake.cli.options import IdentifyOptions
 from geodrake.effects import Effect, effect_class, make_effect
-from geodrake.errors import ArgumentError
+from geodrake.errors import ArgumentError, nearest
 from geodrake.excitation.tell_apart import every_place
 from geodrake.identification.models import (
     IdentificationSettings,
@@ -115,7 +115,8 @@ def _check_places(places: Sequence[str], model: RobotModel, *, on_bodies: bool) 
         if place not in known:
             raise ArgumentError(
                 f"The model has no {'body' if on_bodies else 'joint'} {place!r}.",
-                advice=f"{why_no_place(model, place)}It has {', '.join(known)}.",
+                advice=f"{why_no_place(model, place) or nearest(place, known)}"
+                f"It has {', '.join(known)}.",
             )
 
 

@@ -15,7 +15,7 @@ from geodrake.diagnosis.results import Explanation
 from geodrake.diagnosis.search import Search
 from geodrake.effects import Effect, Role, effect_class
 from geodrake.effects.user_effects import candidates_of
-from geodrake.errors import ArgumentError
+from geodrake.errors import ArgumentError, nearest
 from geodrake.identification.logs.case import Case, open_case
 from geodrake.logs.motion import JointLog
 from geodrake.model.holding import why_no_place
@@ -86,7 +86,8 @@ def check_places(model: RobotModel, where: Sequence[str], *, of_joints: bool = F
         if name not in known:
             raise ArgumentError(
                 f"The model has no joint {'' if of_joints else 'or body '}{name!r}.",
-                advice=f"{why_no_place(model, name)}It has {', '.join(known)}.",
+                advice=f"{why_no_place(model, name) or nearest(name, known)}"
+                f"It has {', '.join(known)}.",
             )
 
 

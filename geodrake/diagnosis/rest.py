@@ -86,7 +86,9 @@ def _predictable(
         return 0.0
     b, at = joint.residual[seen], folds[seen]
     signals = columns[seen].reshape(len(seen), 3, -1)
-    scaled = signals / np.maximum(signals.std(axis=0), np.finfo(float).tiny)
+    deviations, largest = signals.std(axis=0), np.abs(signals).max(axis=0)
+    varying = deviations > np.sqrt(np.finfo(float).eps) * largest  # a direction may be constant
+    scaled = signals / np.where(varying, deviations, np.inf)
     moving = np.flatnonzero(speeds)
     groups = [scaled[:, 0, moving], *(scaled[:, :, sorted({own, k})] for k in moving.tolist())]
     offered = [

@@ -17,7 +17,7 @@ from pydrake.systems.framework import Context
 from scipy.spatial import ConvexHull, QhullError
 
 from geodrake.boundary.arguments import instance, instances, number, real_array
-from geodrake.errors import ArgumentError, ModelError
+from geodrake.errors import ArgumentError, ModelError, nearest
 from geodrake.excitation.collisions import Solid, corners_of, solids_of_file
 from geodrake.excitation.limits import MotionLimits, motion_limits, motors_of
 from geodrake.excitation.stance import Foot, Stance, root_of
@@ -243,7 +243,8 @@ def _frame_of(plant: MultibodyPlant, name: str) -> Frame:
     if not plant.HasFrameNamed(name):
         links = [member.name for body in lumped_bodies(plant) for member in body.members]
         raise ArgumentError(
-            f"The model has no link {name!r} to stand on.", advice=f"Links: {', '.join(links)}."
+            f"The model has no link {name!r} to stand on.",
+            advice=f"{nearest(name, links)}Links: {', '.join(links)}.",
         )
     return plant.GetFrameByName(name)
 

@@ -11,7 +11,7 @@ import msgspec
 from geodrake.boundary.arguments import file_path, typed
 from geodrake.boundary.yaml_schema import Schema, as_schema
 from geodrake.boundary.yaml_text import yaml_content
-from geodrake.errors import ArgumentError
+from geodrake.errors import ArgumentError, nearest
 
 Published = tuple[float, float, str]
 """A value, its standard deviation, and where it is published."""
@@ -55,7 +55,8 @@ def motor_named(name: str, motors: Mapping[str, Motor] | None = None) -> Motor:
     if found is None:
         raise ArgumentError(
             f"Motor {name!r} is unknown.",
-            advice=f"Known motors are {', '.join(table)}; --motors FILE.yaml adds others.",
+            advice=f"{nearest(name, table)}Known motors are {', '.join(table)}; "
+            "--motors FILE.yaml adds others.",
         )
     return found
 

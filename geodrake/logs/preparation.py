@@ -206,9 +206,9 @@ def _check_outputs(uniform: UniformLog, low_pass: ZeroPhaseFilter, outputs: int)
     ends = 4 * low_pass.halfwidth * uniform.period
     hint = position_unit_hint(uniform.log)
     raise LogError(
-        f"Log {uniform.log.name!r} is too short: its {uniform.seconds:.3g} s give {outputs} "
-        f"filtered samples at a bandwidth of {low_pass.bandwidth:.3g} Hz, but "
-        f"{LEAST_OUTPUTS} are needed.",
+        f"Log {uniform.log.name!r} is too short: its {uniform.seconds:.3g} s leave {outputs} of "
+        f"the {LEAST_OUTPUTS} filtered samples that are needed at a bandwidth of "
+        f"{low_pass.bandwidth:.3g} Hz.",
         advice=(f"{hint} " if hint else "")
         + f"Record at least {ends + LEAST_OUTPUTS * low_pass.output_period:.3g} s of motion "
         "without gaps, or use a larger bandwidth.",

@@ -10,7 +10,7 @@ import numpy as np
 from geodrake.effects import FittedEffect, Role
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.lookup import effect_of
-from geodrake.errors import ArgumentError
+from geodrake.errors import ArgumentError, nearest
 from geodrake.inertia import Array, change_frame
 from geodrake.inertia.bodies import LumpedBody, lumped_bodies
 from geodrake.logs.known_payload import KnownPayload
@@ -99,5 +99,5 @@ def _in_frame_of_body(bodies: Sequence[LumpedBody], payload: KnownPayload) -> tu
     raise ArgumentError(
         f"The model has no moving body {payload.body!r} to carry the known payload of "
         f"{payload.mass:g} kg.",
-        advice=f"Bodies are {', '.join(names)}.",
+        advice=f"{nearest(payload.body, names)}Bodies are {', '.join(names)}.",
     )

@@ -35,7 +35,7 @@ from scipy.cluster.hierarchy import DisjointSet
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import shortest_path
 
-from geodrake.errors import ModelError
+from geodrake.errors import ModelError, nearest
 from geodrake.inertia.bodies import BASE_FRAMES, is_base_frame
 from geodrake.robot.joints import Tie, joints_of, scoped
 from geodrake.robot.stated import CLOSING, Closure, CutJoint
@@ -264,7 +264,7 @@ def checked_held(
         if name not in joints:
             raise ModelError(
                 f"{path} has no joint {name!r} that can be fixed.",
-                advice=f"Joints are: {', '.join(joints)}.",
+                advice=f"{nearest(name, joints)}Joints are: {', '.join(joints)}.",
             )
         if (tie := ties.get(name)) is not None:
             leader = names[tie.leader]

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from importlib.resources import files
 
 import numpy as np
 import pinocchio as pin
@@ -30,6 +31,15 @@ DRY, WET = np.array([0.3, 0.15]), np.array([0.2, 0.1])
 
 
 MODEL = load_model(PENDULUM)
+
+
+def test_a_log_in_which_joints_turn_one_way_only(tmp_path):
+    demo = files("geodrake") / "demo"
+    lines = (demo / "demo.csv").read_text().splitlines()[:101]  # half a second
+    (tmp_path / "short.csv").write_text("\n".join(lines))
+    found = explain(load_model(demo / "demo.urdf"), [tmp_path / "short.csv"])
+    assert found.verdict == "unexplained"
+    assert found.end.nrms < 0.1 * found.start.nrms
 
 
 def places(explanation):

@@ -32,7 +32,7 @@ from geodrake.control.export_proof.model_text import (
     written_kind,
 )
 from geodrake.effects import Effect
-from geodrake.errors import ArgumentError, ModelError
+from geodrake.errors import ArgumentError, ModelError, nearest
 from geodrake.model.export import repair_comments
 from geodrake.model.file_terms import (
     Damping,
@@ -171,8 +171,8 @@ def isaac_files(model: RobotModel, held: RobotModel, folder: Path) -> Exported:
         table["notes"] = repairs  # as JSON has no comments
     values = (json.dumps(table, indent=2) + "\n").encode()
     note = (
-        f"the values in {stem} are named as in Isaac Lab's ActuatorBaseCfg; stiffness and "
-        "damping there are gains of a drive, 0 for joints with commanded efforts"
+        f"the values in {stem}.actuators.json are named as in Isaac Lab's ActuatorBaseCfg; "
+        "stiffness and damping there are gains of a drive, 0 for joints with commanded efforts"
     )
     return Exported({name: data, f"{stem}.actuators.json": values}, (*notes, note))
 
@@ -329,6 +329,6 @@ def export_format(name: str) -> ExportFormat:
     if name not in FORMATS:
         raise ArgumentError(
             f"Export format {name!r} is unknown.",
-            advice=f"Formats are {', '.join(FORMATS)}.",
+            advice=f"{nearest(name, FORMATS)}Formats are {', '.join(FORMATS)}.",
         )
     return FORMATS[name]

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from geodrake.boundary.arguments import Array
-from geodrake.errors import ArgumentError, LogError
+from geodrake.errors import ArgumentError, LogError, nearest
 from geodrake.logs.files.mapping_file import propose
 from geodrake.logs.files.name_rules import (
     DESIRED,
@@ -814,7 +814,7 @@ class Columns:
             if joint not in self.joints:
                 raise LogError(
                     f"{option} names {joint!r}, which is not a joint of the log.",
-                    advice=f"Its joints are {listed(self.joints)}.",
+                    advice=f"{nearest(joint, self.joints)}Its joints are {listed(self.joints)}.",
                 )
             if kind == PASSIVE or joint in self.having(
                 "command" if kind == "command" else "effort"

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from geodrake.boundary.arguments import Array, instance, instances, integer, number, positive
-from geodrake.errors import ArgumentError
+from geodrake.errors import ArgumentError, nearest
 from geodrake.logs.files.units import unit_of
 from geodrake.logs.motion import EFFORT_KINDS, PASSIVE, USUAL_GAIN_DEVIATION
 from geodrake.logs.motors import Motor
@@ -159,7 +159,7 @@ class Reading:
                 whose = f" of {joint!r}" if joint else ""
                 raise ArgumentError(
                     f"{kind!r} is not a known kind of efforts{whose}.",
-                    advice=f"Kinds are {', '.join(KINDS)}.",
+                    advice=f"{nearest(kind, KINDS)}Kinds are {', '.join(KINDS)}.",
                 )
 
     @property

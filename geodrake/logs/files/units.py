@@ -12,7 +12,7 @@ from typing import Any
 
 import msgspec
 
-from geodrake.errors import ArgumentError
+from geodrake.errors import ArgumentError, nearest
 
 WORDS: Mapping[str, Any] = msgspec.yaml.decode(
     Path(__file__).with_name("words.yaml").read_bytes(), type=dict[str, Any]
@@ -89,13 +89,13 @@ def unit_of(text: str, quantity: str) -> Unit:
     if quantity not in UNITS:
         raise ArgumentError(
             f"Quantity {quantity!r} is unknown or has no unit.",
-            advice=f"Quantities are {', '.join(UNITS)}.",
+            advice=f"{nearest(quantity, UNITS)}Quantities are {', '.join(UNITS)}.",
         )
     unit = _scaled(text, quantity)
     if unit is None or math.isnan(unit.factor):
         raise ArgumentError(
             f"{text!r} is not a known unit of {quantity}.",
-            advice=unit_advice(quantity),
+            advice=f"{nearest(text, UNITS[quantity])}{unit_advice(quantity)}",
         )
     return unit
 
