@@ -27,10 +27,11 @@ class _Command(TyperCommand):
     """A command whose help has no Python types, and advanced options only with --help-all."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        _, _, given = self.make_parser(ctx).parse_args(list(args))
+        _, _, parameters = self.make_parser(ctx).parse_args(list(args))
+        given = [each for each in parameters if isinstance(each, TyperOption)]
         for each in given:
-            once = isinstance(each, TyperOption) and not each.multiple
-            if once and given.count(each) > 1 and (not each.is_flag or each.secondary_opts):
+            once = not each.multiple and (not each.is_flag or each.secondary_opts)
+            if once and given.count(each) > 1:
                 raise typer.BadParameter("it is given more than once. Give it once.", ctx, each)
         return super().parse_args(ctx, args)
 

@@ -189,7 +189,7 @@ def test_rows_out_of_order():
 
 
 def test_too_short():
-    with pytest.raises(LogError, match=r"its 3 s give .* samples at a bandwidth of 4") as caught:
+    with pytest.raises(LogError, match=r"its 3 s leave .* at a bandwidth of 4") as caught:
         prepare_logs([_make_log(_uniform(3.0))], bandwidth=4.0)[0]
     assert "Record at least 4.08 s" in caught.value.advice
     with pytest.raises(LogError, match="8 successive rows"):
