@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
+from warnings import catch_warnings
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -39,7 +40,7 @@ _NORM = 0.02  # by which the length of a quaternion may differ from one
 _UPRIGHT = np.radians(80.0)  # of pitch, beyond which yaw and roll are nearly one
 _TILT = 0.5  # rad, by which the mean specific force may be off the vertical
 _TURNING = 0.1  # s, in which a base turns by more than the noise of its orientation
-_AGREES = 0.25  # of the squared rotation, which is half of the rotation itself
+_AGREES, _DIFFERS = 0.1, 0.4  # of squared rotations, by which two of them are off
 _ADVICE = "Log base.position.x … and base.orientation.w …, or imu.angular_velocity.x … and so on."
 
 
@@ -99,6 +100,8 @@ def with_base(log: JointLog, model: RobotModel) -> JointLog:
         notes=tuple(notes),
         **padded,
     )
+    if vectors(log.floating, "base.position") is not None:
+        _check_ground(found, model)
     return with_ground(found, model)
 
 
@@ -136,6 +139,8 @@ def _orientation(
 ) -> tuple[Rotation, NDArray[np.bool_]]:
     """Return R_WB of N rows, and in which (N,) it is known."""
     quaternion = vectors(log.floating, "base.orientation")
+    if force is not None:
+        _check_felt(force, gravity, log.name)
     if quaternion is not None:
         quaternion = _checked(quaternion, force, gravity, log.name)
         _check_rates(quaternion, spin, log)
@@ -187,7 +192,9 @@ def _checked(quaternion: Array, force: Array | None, gravity: Array, name: str) 
 
     if not known.any():
         return np.asarray(quaternion / length[:, None])
-    given, best, least = _readings(quaternion[known], off)
+    given, others = _readings(quaternion[known], off)
+    others["its z axis or its accelerations have the other sign"] = np.pi - given
+    best, least = min(others.items(), key=lambda each: each[1])
     if given > _TILT:
         hint = f" It would be upright if {best}." if least < _TILT else ""
         raise LogError(
@@ -199,59 +206,89 @@ def _checked(quaternion: Array, force: Array | None, gravity: Array, name: str) 
     return np.asarray(quaternion / length[:, None])
 
 
-def _readings(quaternion: Array, off: Callable[[Rotation], float]) -> tuple[float, str, float]:
-    """Return how far `off` an orientation (N, 4) is, the best other way to read it, and its own."""
+def _readings(
+    quaternion: Array, off: Callable[[Rotation], float]
+) -> tuple[float, dict[str, float]]:
+    """Return how far `off` an orientation (N, 4) is, and it is if it is read another way."""
     turn = Rotation.from_quat(quaternion[:, [1, 2, 3, 0]])
-    others = {
+    return off(turn), {
         "its columns are x, y, z, w": off(Rotation.from_quat(quaternion)),
         "it rotates the world into the body": off(turn.inv()),
     }
-    best = min(others, key=others.__getitem__)
-    return off(turn), best, others[best]
 
 
 def _check_rates(quaternion: Array, spin: Array | None, log: JointLog) -> None:
-    """Refuse an orientation that a gyroscope contradicts, and not if it is read another way.
+    """Refuse an orientation that a gyroscope contradicts, and not if one is read another way.
 
     Of a robot that stands upright, gravity does not tell the order of the columns.
     """
     if spin is None:
         return
     known = np.isfinite(quaternion).all(axis=1) & np.isfinite(spin).all(axis=1)
-    time, spin = log.time[known], spin[known]
+    time, spin, quaternion = log.time[known], spin[known], quaternion[known]
     lag = max(1, round(_TURNING / float(np.median(np.diff(time))))) if len(time) > 1 else 1
     if len(time) <= lag:
         return
-    steps = np.diff(time)[:, None] * 0.5 * (spin[1:] + spin[:-1])
-    sums = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
-    turned = sums[lag:] - sums[:-lag]
 
-    def off(turn: Rotation) -> float:
-        seen = (turn[:-lag].inv() * turn[lag:]).as_rotvec()
-        return float(np.square(seen - turned).sum() / max(np.square(turned).sum(), 1e-12))
+    def turned(spin: Array) -> Array:
+        steps = np.diff(time)[:, None] * 0.5 * (spin[1:] + spin[:-1])
+        sums = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
+        return np.asarray(sums[lag:] - sums[:-lag])
 
-    given, best, least = _readings(quaternion[known], off)
-    if given > 1.0 and least < _AGREES:
+    def seen(turn: Rotation) -> Array:
+        return np.asarray((turn[:-lag].inv() * turn[lag:]).as_rotvec())
+
+    def off(first: Array, second: Array) -> float:
+        size = np.square(first).sum() + np.square(second).sum()
+        return float(np.square(first - second).sum() / max(size, 1e-12))
+
+    own, turn = turned(spin), Rotation.from_quat(quaternion[:, [1, 2, 3, 0]])
+    given, others = _readings(quaternion, lambda turn: off(seen(turn), own))
+    rotated = seen(turn)
+    others["these are in degrees"] = off(rotated, np.radians(own))
+    others["these are in the axes of the world"] = off(rotated, turned(turn.inv().apply(spin)))
+    if own.any() and rotated.any():
+        with catch_warnings(action="ignore"):  # of a turn about one axis
+            axes, _ = Rotation.align_vectors(rotated, own)
+        others[_axes_words(axes, "the root")] = off(rotated, axes.apply(own))
+    best, least = min(others.items(), key=lambda each: each[1])
+    if given > _DIFFERS and least < _AGREES:
         raise LogError(
             f"The orientation of log {log.name!r} does not turn as its angular velocities say. It "
             f"would if {best}.",
             advice="The orientation is w, x, y, z of the root body in the world; angular "
-            "velocities are in that body's axes.",
+            "velocities are in rad/s in that body's axes.",
         )
 
 
-def _integrated(log: JointLog, gyro: Array, force: Array, gravity: Array) -> Rotation:
-    """Return the orientation by the gyroscope, with the mean specific force upwards."""
+def _axes_words(turn: Rotation, what: str) -> str:
+    """Return how axes are those of the log turned, in words."""
+    right = Rotation.create_group("O")
+    off = (right.inv() * turn).magnitude()
+    if off.min() < _RIGHT:
+        signs = right[int(off.argmin())].as_matrix().round().astype(int).tolist()
+        named = [f"{'-' * (-1 in row)}{'xyz'[[*map(abs, row)].index(1)]}" for row in signs]
+        return f"x, y, z of {what} are, for example, {', '.join(named)} of the log"
+    angles = ", ".join(f"{x:.0f}°" for x in turn.as_euler("ZYX", degrees=True))
+    return f"axes of {what} are those of the log turned by {angles} (yaw, pitch, roll)"
+
+
+def _check_felt(force: Array, gravity: Array, name: str) -> None:
+    """Refuse specific forces (N, 3) that do not have the size of gravity on average."""
     felt = np.linalg.norm(force[np.isfinite(force).all(axis=1)], axis=1)
     g = float(np.linalg.norm(gravity))
     if felt.size == 0 or not 0.5 * g < np.mean(felt) < 2.0 * g:
         found = f"{np.mean(felt):.3g} m/s² on average" if felt.size else "no value"
         raise LogError(
-            f"The IMU of log {log.name!r} has {found} of specific force, but at rest it must "
-            f"be {g:.3g}, so the vertical is unknown.",
-            advice="Log imu.linear_acceleration.x … including gravity, in m/s², or "
-            "base.orientation.w ….",
+            f"The IMU of log {name!r} has {found} of specific force, but at rest it must be "
+            f"{g:.3g}.",
+            advice="Log imu.linear_acceleration.x … including gravity, in m/s², or omit them and "
+            "log base.orientation.w ….",
         )
+
+
+def _integrated(log: JointLog, gyro: Array, force: Array, gravity: Array) -> Rotation:
+    """Return the orientation by the gyroscope, with the mean specific force upwards."""
     turns, now = [np.array([0.0, 0.0, 0.0, 1.0])], Rotation.identity()
     steps = np.diff(log.time)[:, None] * 0.5 * (gyro[1:] + gyro[:-1])
     for step in Rotation.from_rotvec(np.nan_to_num(steps)):
@@ -299,6 +336,8 @@ _HELD = (
     "If the robot is held or fixed to the world, omit --floating; otherwise log contacts or forces "
     "of everything that touches it."
 )
+_FEW_POSES, _UNEVEN, _LEVEL = 200, 0.001, 0.3  # of heights, m, and as a share of others
+_OFTEN = 0.05  # of the samples, in which a foot must be low
 _FEW = 5000  # samples whose forces are compared with the weight
 _RIGHT = np.radians(3.0)  # by which a rotation by right angles may be off
 
@@ -393,12 +432,68 @@ def contact_frames(model: RobotModel, names: Sequence[str]) -> tuple[ContactFram
     return tuple(found)
 
 
+def _some_positions(log: JointLog, model: RobotModel) -> Array:
+    """Return positions (K, n) of the model's joints in some rows, where all are known."""
+    q = log.position[:, [log.joints.index(joint) for joint in model.joints]]
+    q = q[np.isfinite(q).all(axis=1)]
+    return q[:: max(1, len(q) // _FEW_POSES)]
+
+
+def _low_links(log: JointLog, model: RobotModel, told: Sequence[str]) -> tuple[str, ...]:
+    """Return ends of limbs near the ground, beside frames of which something is told."""
+    q = _some_positions(log, model)
+    if vectors(log.floating, "base.position") is None or not len(q):
+        return ()
+    bodies = RobotBodies(model.tree, model.positions(q), model.total_phi)
+    known = {frame.body for frame in contact_frames(model, told)}
+    frames = [f for f in contact_frames(model, _last_links(model)) if f.body not in known]
+    lowest = np.min([f.height(bodies) for f in contact_frames(model, told)], axis=0)
+    ground = np.percentile(lowest, _LOWEST)
+    return tuple(f.name for f in frames if np.mean(f.height(bodies) < ground + _NEAR) > _OFTEN)
+
+
+def _check_ground(log: JointLog, model: RobotModel) -> None:
+    """Refuse a pose with which feet do not stay on the ground, but do if it is read another way."""
+    q = _some_positions(log, model)
+    base = [model.joints.index(joint) for joint in model.base_joints]
+    frames = contact_frames(model, _last_links(model))
+    if not len(q) or not frames:
+        return
+    place, turn = q[:, base[:3]], Rotation.from_euler("ZYX", q[:, base[3:]])
+    up = Rotation.from_euler("x", 90.0, degrees=True)
+    others = {"y is upwards": (up.apply(place.copy()), up * turn)}
+    others["the quaternion rotates the world into the body"] = place, turn.inv()
+    swapped = Rotation.from_quat(turn.as_quat()[:, [3, 0, 1, 2]])
+    others["the quaternion's columns are x, y, z, w"] = place, swapped
+    for unit, size in {"mm": 1e-3, "cm": 1e-2, "inches": 0.0254}.items():
+        others[f"positions are in {unit}"] = size * place, turn
+
+    def spread(place: Array, turn: Rotation) -> float:
+        moved = q.copy()
+        moved[:, base] = np.hstack([place, turn.as_euler("ZYX")])
+        bodies = RobotBodies(model.tree, model.positions(moved), model.total_phi)
+        return float(np.std(np.min([frame.height(bodies) for frame in frames], axis=0)))
+
+    given, off = spread(place, turn), {words: spread(*pose) for words, pose in others.items()}
+    best = min(off, key=off.__getitem__)
+    if given > _UNEVEN and off[best] < _LEVEL * given:
+        raise LogError(
+            f"The lowest link of log {log.name!r} rises and falls by {given:.2g} m (standard "
+            f"deviation), but by {off[best]:.2g} m if {best}.",
+            advice="Log base.position.x … in m, with z upwards, and base.orientation.w … of the "
+            "root in the world.",
+        )
+
+
 def with_ground(log: JointLog, model: RobotModel) -> JointLog:
     """Return a log with the efforts of measured wrenches, or with the frames that may touch."""
     loaded, flagged = frames_of(log.floating, FORCE), frames_of(log.floating, FLAG)
     whole = set(model.joints) <= set(log.joints)
     if loaded and whole:
         ground, notes = _efforts_of_wrenches(log, model, loaded)
+        if low := _low_links(log, model, loaded):
+            words = f"no forces at {', '.join(low)}, near the ground: what they carry is missing"
+            notes = (*notes, words)
         base = np.isin(log.joints, model.base_joints)
         words = (
             f"wrenches at {', '.join(loaded)} are included in the efforts of the base and "
@@ -416,14 +511,19 @@ def with_ground(log: JointLog, model: RobotModel) -> JointLog:
             "heavy the robot is.",
             advice="Log <joint>.effort …, or <frame>.force.x, .y and .z at each foot.",
         )
-    names = flagged or _last_links(model)
+    low = _low_links(log, model, flagged) if flagged and whole else ()
+    names = (*flagged, *low) or _last_links(model)
     frames = contact_frames(model, names)
     flags = np.zeros((len(log), len(names)), bool)
     doubts: tuple[str, ...] = ()
     if flagged:
-        columns = [log.floating[f"{name}{FLAG}"] for name in names]
+        none = np.zeros(len(log))
+        columns = [log.floating.get(f"{name}{FLAG}", none) for name in names]
         logged = np.nan_to_num(np.stack(columns, -1), nan=1.0) > 0.5
         doubts = _check_held(log, logged.astype(float))
+        if low:
+            words = f"no contact flags of {', '.join(low)}: they count as touching near the ground"
+            doubts = (*doubts, words)
         wrong = dict(zip(names, odd_flags(log.time, logged).tolist(), strict=True))
         said = [f"{x:.0%} of those of {name}" for name, x in wrong.items() if x > _ODD]
         if said:
@@ -512,6 +612,7 @@ def _efforts_of_wrenches(
     efforts = np.full((len(log), len(model.joints)), np.nan)
     efforts[known] = 0.0
     few = slice(None, None, max(1, np.count_nonzero(known) // _FEW))
+    bare = list[str]()  # soles without moments
     forces, turns = list[Array](), list[Array]()  # f in the axes of links L, and R_WL
     for frame in contact_frames(model, names):
         if (force := vectors(log.floating, f"{frame.name}.force")) is None:
@@ -520,6 +621,7 @@ def _efforts_of_wrenches(
                 advice="Log all three, in the axes of the link.",
             )
         torque = vectors(log.floating, f"{frame.name}.torque")
+        bare += [frame.name] * (torque is None and len(names) < _POINTS and not frame.radius)
         torque = np.zeros_like(force) if torque is None else torque
         motion = bodies.motion(frame.body)
         R_WL = motion.rotation @ frame.rotation
@@ -529,7 +631,9 @@ def _efforts_of_wrenches(
         turns.append(R_WL[few])
         J = np.concatenate([motion.jacobian_at(frame.origin), motion.angular], axis=1)
         efforts[known] += np.einsum("nij,ni->nj", J, in_world.reshape(-1, 6))
-    doubts = _check_axes(np.stack(forces, 1), np.stack(turns, 1), model, log.name)
+    words = f"no moments at {', '.join(bare)}: taken as zero, which soles have not"
+    doubts: tuple[str, ...] = (words,) if bare else ()
+    doubts += _check_axes(np.stack(forces, 1), np.stack(turns, 1), model, log.name)
     found = np.zeros(log.effort.shape)
     found[:, [log.joints.index(joint) for joint in model.joints]] = efforts
     return found, doubts
@@ -587,13 +691,7 @@ def _other_readings(forces: Array, turns: Array, weight: Array) -> dict[str, Arr
     nearest = right[int(np.argmin([np.linalg.norm(misses(way)) for way in right]))]
     fit = least_squares(lambda x: misses(Rotation.from_rotvec(x) * nearest), np.zeros(3))
     turned = Rotation.from_rotvec(fit.x) * nearest
-    if np.linalg.norm(fit.x) < _RIGHT:
-        signs = nearest.as_matrix().round().astype(int).tolist()
-        named = [f"{'-' * (-1 in row)}{'xyz'[[*map(abs, row)].index(1)]}" for row in signs]
-        words = f"if x, y, z of the links are, for example, {', '.join(named)} of the log"
-    else:
-        angles = ", ".join(f"{x:.0f}°" for x in turned.as_euler("ZYX", degrees=True))
-        words = f"if links' axes are those of the log turned by {angles} (yaw, pitch, roll)"
+    words = f"if {_axes_words(turned, 'the links')}"
     in_links, in_world = np.einsum("sfij,sfj->si", turns, forces), forces.sum(axis=1)
     against = "as forces of the robot on the ground"
     return {

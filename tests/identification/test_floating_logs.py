@@ -576,6 +576,54 @@ def test_bad_poses_are_refused(model, maker):
         with_base(maker.log(wrenches=False, **{"tail.contact": np.ones(count)}), model)
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda own, R: np.degrees(own), "these are in degrees"),
+        (lambda own, R: R.apply(own), "axes of the world"),
+        (lambda own, R: own[:, [1, 0, 2]] * [1.0, -1.0, 1.0], "are, for example, -y, x, z of"),
+    ],
+)
+def test_angular_velocities_in_other_units_and_axes_are_refused(model, maker, change, words):
+    turned = Maker()
+    turned.R = Rotation.from_euler("z", 2.0) * turned.R
+    spin = change(maker.gyro, turned.R)
+    columns = {f"imu.angular_velocity.{axis}": spin[:, k] for k, axis in enumerate("xyz")}
+    with pytest.raises(LogError, match=f"would if .*{words}"):
+        with_base(turned.log(wrenches=False, **columns), model)
+
+
+def _level(maker):
+    """Return the log of a dog whose lowest foot stays on the ground."""
+    dog, place = FreeRobot(quadruped(), JOINTS), maker.place[0].copy()
+    motion = np.hstack([place, maker.angles[0], maker.joints[0]])
+    for k, q in enumerate(motion):
+        dog.efforts(q, 0.0 * q, 0.0 * q)
+        place[k, 2] -= min(dog.pose(foot)[1][2] for foot in FEET)
+    log = maker.log(wrenches=False, **dict(zip(PLACE, place.T, strict=True)))
+    kept = (name for name in log.floating if not name.startswith("imu") and name != CONTACT)
+    return replace(log, floating={name: log.floating[name] for name in kept})
+
+
+PLACE, CONTACT = [f"base.position.{axis}" for axis in "xyz"], "fr_foot.contact"
+TURN = [f"base.orientation.{axis}" for axis in "wxyz"]
+
+
+def test_poses_with_which_feet_leave_the_ground_are_refused(model, maker):
+    log = _level(maker)
+    read = with_base(log, model)
+    assert any("no contact flags of fr_foot: " in note for note in read.notes)
+    own = log.floating
+    for names, change, words in (
+        (PLACE, lambda *x: [1e3 * each for each in x], "positions are in mm"),
+        (TURN, lambda w, x, y, z: (w, -x, -y, -z), "rotates the world into the body"),
+        (TURN, lambda w, x, y, z: (x, y, z, w), "columns are x, y, z, w"),
+    ):
+        columns = dict(zip(names, change(*(own[name] for name in names)), strict=True))
+        with pytest.raises(LogError, match=f"rises and falls .* if .*{words}"):
+            with_base(replace(log, floating=own | columns), model)
+
+
 def _posed(maker, rotation, force=None, missing=slice(0, 0)):
     quaternion = np.roll(rotation.as_quat(), 1, axis=1)
     quaternion[missing] = np.nan
