@@ -162,7 +162,8 @@ def _run(command: Command[R], options: Any) -> R:
         show_page(console, page, details=getattr(options, "details", True))
         show_saved(console, saved, others)
         if command.last:
-            console.print(f"\n{command.last}", soft_wrap=True)
+            console.print()
+            console.print(command.last, soft_wrap=True)
     if code := INTERRUPTED if getattr(result, "is_interrupted", False) else command.code(result):
         raise typer.Exit(code)
     return result

@@ -212,7 +212,7 @@ def _ground(
         )
         raise ArgumentError(
             f"The feet are not on one plane in this posture: over one through all are {words}.",
-            advice="Choose a posture in which they stand on level ground: --stand.",
+            advice=f"Choose a posture in which they stand flat (--stand). {_ADVICE}",
         )
     x = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
     x /= np.linalg.norm(x)

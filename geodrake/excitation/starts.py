@@ -182,7 +182,8 @@ def _apart(postures: Array, collisions: CollisionWorld, most: int) -> Array:
             f"The robot collides in all of {len(postures)} postures; in the best one, "
             f"{nearest} are {best:.4g} m apart, less than the clearance of "
             f"{collisions.clearance:g} m.",
-            advice="Check the geometry and the poses of obstacles.",
+            advice="Check the geometry and the poses of obstacles. The floor that a command "
+            "assumes is left out with --no-floor.",
         )
     return np.array(free)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib.metadata
 import math
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any
@@ -405,7 +406,7 @@ def identification_page(found: ModelIdentification, about: About) -> Page:
 def settling_section(found: Diagnosis | Explanation, about: About) -> Section:
     """Return the commands that design motions which tell ambiguous effects apart."""
     commands = tuple(
-        f"{command.replace('MODEL', about.saved)} --save motion_{k}.csv"
+        f"{command.replace('MODEL', shlex.quote(about.saved))} --save motion_{k}.csv"
         for k, command in enumerate(distinguishing_commands(found), 1)
     )
     return Section(

@@ -209,10 +209,10 @@ def test_what_chooses_nothing_is_noted_and_models_are_read_as_everywhere(tmp_pat
 def test_a_mapping_is_written_that_corrects_the_columns(tmp_path):
     right = table()
     wrong = right * [1e3, *[180.0 / np.pi] * 2, -1.0, 1.0]
-    log = write(tmp_path / "log.csv", "stamp [ms],q1 (deg),q2 (deg),tau1,tau2", wrong)
+    log = write(tmp_path / "my log.csv", "stamp [ms],q1 (deg),q2 (deg),tau1,tau2", wrong)
     mapping = tmp_path / "fixed.yaml"
     said = told("log", log, "--model", PENDULUM, "--write-mapping", mapping)
-    assert f"geodrake explain {PENDULUM} {log} --mapping {mapping}" in said
+    assert f" geodrake explain {PENDULUM} '{log}' --mapping {mapping}" in said
     read = read_log(log, reading=Reading(mapping=read_mapping(mapping)))
     assert read.joints == ("shoulder", "elbow")
     np.testing.assert_allclose(

@@ -1,6 +1,7 @@
 """Pages: complete, self-contained, and safe whatever joints are called."""
 
 import dataclasses
+import html
 import math
 import re
 from html.parser import HTMLParser
@@ -151,10 +152,10 @@ def test_verdicts_without_steps():
 
 def test_a_diagnosis_tells_ties_and_silence():
     joints = joint_names(3)
-    text = check_self_contained(page(diagnosis(joints)))
+    text = html.unescape(check_self_contained(page(diagnosis(joints), saved="my arm.yaml")))
     assert "Missing: Coulomb friction + viscous friction (all 3 joints)." in text
     assert "It may be asymmetric friction instead." in text
-    command = "geodrake excite MODEL --tell-apart coulomb_friction,asymmetric_friction"
+    command = "geodrake excite 'my arm.yaml' --tell-apart coulomb_friction,asymmetric_friction"
     assert f"{command} --save motion_1.csv" in text
     text = check_self_contained(page(diagnosis(joints, candidates=False)))
     assert "No known effect explains" in text
