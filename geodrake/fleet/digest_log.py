@@ -25,6 +25,7 @@ from geodrake.identification.logs.log_slices import Layout
 from geodrake.identification.logs.model_fit import effects_of, model_unknowns
 from geodrake.identification.logs.noise import known_noise
 from geodrake.identification.logs.reduce import (
+    STILL_NOISE,
     STILL_SPEED,
     gain_uncertainty,
     least_sign_widths,
@@ -140,6 +141,7 @@ def make_settings(
     effects = (*effects_of(own), *settled)
     effects = tuple(effect for effect in dict.fromkeys(effects) if effect.parameters)
     widths = own.sign_widths(least_sign_widths(peaks, trajectory.speed_noise))
+    still = np.maximum(STILL_SPEED * peaks, STILL_NOISE * trajectory.speed_noise)
     bandwidth, motion_bandwidth = trajectory.bandwidths
     validation_blocks([trajectory], blocks=wanted.blocks or BLOCKS)  # it is long enough
     return DigestSettings(
@@ -150,7 +152,7 @@ def make_settings(
         float(bandwidth),
         float(motion_bandwidth),
         widths,
-        STILL_SPEED * peaks,
+        still,
         candidate_delays(trajectory.filter),
         tuple(map(DigestEffect.of, effects)),
         own_sources(wanted.extra),

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from geodrake.diagnosis.columns.assignment import Assignment
 from geodrake.identification.logs.evidence import effective_samples_of_each
-from geodrake.identification.logs.reduce import STILL_SPEED, peak_speeds, sign_widths
+from geodrake.identification.logs.reduce import sign_widths, still_speeds
 from geodrake.logs.folds import Block, Fold
 from geodrake.logs.motion import Trajectory
 from geodrake.logs.smoothing import CHUNK
@@ -87,7 +87,7 @@ def column_samples(
     blocks = [block for fold in folds for block in fold.blocks]
     blocks.sort(key=lambda block: block.trajectory)
     stride = max(1, -(-sum(len(block) for block in blocks) // _MOST))
-    speed = np.maximum(width, STILL_SPEED * peak_speeds(trajectories))
+    speed = np.maximum(width, still_speeds(trajectories))
     parts = [_block(trajectories[b.trajectory], b, speed, stride) for b in blocks]
     counts = [len(part[0]) for part in parts]
     most = min(map(len, parts))  # without measured velocities where a log has none

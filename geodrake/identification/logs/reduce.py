@@ -34,7 +34,7 @@ LEAST_SIGN_WIDTH = 0.002  # of a joint's peak speed, below which its direction i
 SIGN_NOISE = 1.2  # deviations σ of a speed's noise; the mean sign is erf(v/√2σ) ≈ tanh(v/1.2σ)
 AT_REST = 8.0  # deviations of a speed's noise, below which a joint never moves
 LEAST_SPEED = 1e-4  # of the fastest joint's speed, below which a joint never moves
-STILL_SPEED = 0.01  # of a joint's peak speed, below which it is at rest
+STILL_SPEED, STILL_NOISE = 0.01, 2.0  # of the peak speed, and of its noise: below, a joint rests
 _AT_ONCE = 0.1  # of the time for which the joint that moves less is in motion
 _ALIKE = 0.1  # of a joint's speed, by which it is another joint's times a ratio
 WORTHWHILE = 20  # times more rows than columns are folded into a triangular factor
@@ -65,7 +65,7 @@ def reduce_logs(
         LogError: The effort of a joint never changes, or a joint moves for a moment only.
     """
     effects = tuple(e for e in dict.fromkeys(effects) if e.parameters)
-    still = STILL_SPEED * peak_speeds(trajectories)
+    still = still_speeds(trajectories)
     still[np.isin(model.joints, model.base_joints)] = 0.0
     widths = sign_widths(model, trajectories)
     shared = RowCache(0) if shared is None else shared
@@ -219,6 +219,12 @@ def peak_speeds(trajectories: Sequence[Trajectory]) -> Array:
     noise = np.max([trajectory.speed_noise for trajectory in trajectories], axis=0)
     moving = (peak > AT_REST * noise) & (peak > LEAST_SPEED * peak.max())
     return np.where(moving, peak, 0.0)
+
+
+def still_speeds(trajectories: Sequence[Trajectory]) -> Array:
+    """Return (nv,) the speed below which a joint is at rest, or its noise cannot tell."""
+    noise = np.max([trajectory.speed_noise for trajectory in trajectories], axis=0)
+    return np.maximum(STILL_SPEED * peak_speeds(trajectories), STILL_NOISE * noise)
 
 
 def moving_together(trajectories: Sequence[Trajectory]) -> NDArray[np.bool_]:
