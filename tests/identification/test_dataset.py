@@ -150,12 +150,13 @@ def test_every_joint_has_delays_of_its_own():
             np.testing.assert_allclose(rows.b, truth, atol=2e-3)
 
 
-def test_joint_at_rest_has_no_rows_of_that_time():
+@pytest.mark.parametrize("noise", [0.0, 2e-3])  # rad, of positions
+def test_joint_at_rest_has_no_rows_of_that_time(noise):
     """Dry friction of a joint that rests may be anything: those samples say nothing."""
-    time = np.arange(8000) / 200.0
-    q = multisine(time, np.random.default_rng(4))[0]
+    time, rng = np.arange(8000) / 200.0, np.random.default_rng(4)
+    q = multisine(time, rng)[0]
     q[:, 1] *= np.clip(np.abs(time - 20.0) - 5.0, 0.0, 1.0) ** 3  # the elbow rests from 15 to 25 s
-    log = replace(pendulum_log(4), time=time, position=q)
+    log = replace(pendulum_log(4), time=time, position=q + noise * rng.normal(size=q.shape))
     trajectories = prepare_logs([log], bandwidth=8.0)
     dataset = reduce_logs(MODEL, trajectories, validation_blocks(trajectories), effects=())
     shoulder, elbow = (
