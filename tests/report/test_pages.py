@@ -1,9 +1,9 @@
 """Pages: complete, self-contained, and safe whatever joints are called."""
 
 import dataclasses
-import html
 import math
 import re
+from html import unescape
 from html.parser import HTMLParser
 
 import numpy as np
@@ -152,7 +152,7 @@ def test_verdicts_without_steps():
 
 def test_a_diagnosis_tells_ties_and_silence():
     joints = joint_names(3)
-    text = html.unescape(check_self_contained(page(diagnosis(joints), saved="my arm.yaml")))
+    text = unescape(check_self_contained(page(diagnosis(joints), saved="my arm.yaml")))
     assert "Missing: Coulomb friction + viscous friction (all 3 joints)." in text
     assert "It may be asymmetric friction instead." in text
     command = "geodrake excite 'my arm.yaml' --tell-apart coulomb_friction,asymmetric_friction"
