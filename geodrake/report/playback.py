@@ -350,7 +350,8 @@ def _played(
         ],
         axis=-1,
     )
-    relative = error / np.array([joint.std for joint in found.errors.joints])
+    stds = {joint.joint: joint.std for joint in found.errors.joints}
+    relative = error / np.array([stds.get(joint, np.nan) for joint in joints])
     return PlayedModel(
         title,
         case.model,

@@ -171,6 +171,12 @@ def test_the_page_says_what_is_held_out_and_loads_nothing(page, after, before):
     assert "training data" in page_of(found)
 
 
+def test_a_joint_whose_effort_is_unknown_has_no_error(before):
+    log = replace(read_log(LOG), effort_kinds={"wrist_spin": "unmeasured"})
+    (played,) = play_back(before, [log]).models
+    assert np.isnan(played.relative).all(axis=0).tolist() == [False] * 5 + [True]
+
+
 def test_models_of_other_robots_are_refused(before):
     with pytest.raises(ArgumentError, match="Use two models of one robot"):
         play_back(before, [LOG], before=load_model(PENDULUM))
