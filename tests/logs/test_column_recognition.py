@@ -5,7 +5,15 @@ import re
 import numpy as np
 import pytest
 
-from geodrake.logs.files.name_rules import MEASURED, OTHER, PLAIN, matched, meaning_of, meanings_of
+from geodrake.logs.files.name_rules import (
+    MEASURED,
+    OTHER,
+    PLAIN,
+    as_positions,
+    matched,
+    meaning_of,
+    meanings_of,
+)
 
 UR = tuple(
     f"{name}_joint"
@@ -100,6 +108,12 @@ def test_letters_of_units_are_joints_where_several_columns_or_geodrakes_names_ha
     assert found == ["A", "A", "B", "m"]
     (_, current) = meanings_of(["pos_deg", "cur_A"])
     assert (current.joint, current.unit.name) == ("", "A")
+    assert meanings_of(["arm.A.torque"], ["A"])[0].joint == "A"
+
+
+def test_columns_called_as_joints_are_positions_but_those_of_accelerations():
+    names = ["joint1", "actual_axis_2", "elbow", "a1", "box1"]
+    assert [m.column for m in as_positions(names, ["elbow"])] == names[:3]
 
 
 @pytest.mark.parametrize(

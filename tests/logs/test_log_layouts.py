@@ -437,6 +437,8 @@ LAYOUTS = {
         "tau_{k}": "tau"}),
     "objects of CiA 402 are no joints": (HIP, {"axis{k}_position_actual_value_6064": "q",
         "axis{k}_velocity (0x606C) [rad/s]": "v", "axis{k}_torque_actual_value_6077": "tau"}),
+    "letters of the model are no units": (("A", "B"), {"arm.{joint}.position": "q",
+        "arm.{joint}.torque": "tau"}),
     "numbers of servos are no objects": (SERVOS, {"{joint}.pos": "q", "{joint}.torque": "tau"}),
     "boards are counted where all have one axis": (HIP, {"odrv{k}.axis0.pos_estimate": "turns",
         "odrv{k}.axis0.vel_estimate": "turns/s", "odrv{k}.axis0.motor.torque_estimate": "tau"}),

@@ -255,6 +255,11 @@ SHAPES = {
         (("position", POSITION), ("effort", EFFORT)) for k in (0, 1)})),
     "typed_arrays.json": text(json.dumps([{n: dict(enumerate(x)) if n in ("position", "effort")
         else x for n, x in each.items()} for each in LIST_RECORDS])),
+    "motors_from_0.json": text(json.dumps({"time": TIME.tolist(), "servos": {str(k): listed(
+        {"position": POSITION[:, k], "effort": EFFORT[:, k]}) for k in (0, 1)}})),
+    "records_of_motors_from_0.json": text(json.dumps([{"time": t, "motors": {str(k): {
+        "position": q[k], "effort": tau[k]} for k in (0, 1)}} for t, q, tau in
+        zip(TIME, POSITION.tolist(), EFFORT.tolist(), strict=True)])),
     "labels.csv": table(NAMED.rename(columns={"name": "labels"})),
     "labels.npz": lambda path: np.savez(path, labels=JOINTS[::-1], **TURNED),
     "keys_beside.json": text(json.dumps({"keys": JOINTS[::-1], "data": UNNAMED})),

@@ -93,9 +93,14 @@ def _json_values(text: str) -> tuple[list[Any], str]:
 
 
 def _counted(content: dict[str, Any]) -> Any:
-    """Return an object with the keys 0, 1, … as a list, as JavaScript writes typed arrays."""
-    is_list = "0" in content and [*content] == [*map(str, range(len(content)))]
-    return [*content.values()] if is_list else content
+    """Return values with the keys 0, 1, … as a list, as JavaScript writes typed arrays.
+
+    Objects and lists stay as they are: their keys may be numbers of motors, or of recordings.
+    """
+    is_counted = "0" in content and [*content] == [*map(str, range(len(content)))]
+    if not is_counted or any(isinstance(value, dict | list) for value in content.values()):
+        return content
+    return [*content.values()]
 
 
 def read_yaml(path: Path, reading: Reading) -> LogTable:

@@ -171,7 +171,8 @@ def meaning_of(name: str) -> Meaning | None:
 def meanings_of(names: Iterable[str], joints: Sequence[str] = ()) -> list[Meaning]:
     """Return the meanings of columns whose names have one.
 
-    A letter that is a unit of what the name says, as in `cur_A`, is no joint if no other has it.
+    A letter that is a unit of what the name says, as in `cur_A`, is no joint if neither the model
+    nor another column has it.
 
     Args:
         joints: Those of a model: a column with the whole name of one is of it, whatever else words
@@ -198,7 +199,8 @@ def meanings_of(names: Iterable[str], joints: Sequence[str] = ()) -> list[Meanin
             found[k] = replace(meaning, words=(0,))
     counts = Counter(meaning.words for meaning in found)
     for k, meaning in enumerate(found):
-        is_letter = len(meaning.joint) == 1 and meaning.style[:1] != ("own",)
+        is_known = meaning.joint in joints or meaning.style[:1] == ("own",)
+        is_letter = len(meaning.joint) == 1 and not is_known
         unit = find_unit(meaning.joint, meaning.quantity) if is_letter else None
         if unit is not None and counts[meaning.words] == 1:
             found[k] = replace(meaning, joint="", words=(), unit=unit)
