@@ -309,7 +309,9 @@ class CompiledMjcf:
                 if motor.target == name and motor.trntype in on_joint:
                     spec.delete(motor)
                     what = f"actuator {motor.name} of ball joint {name} of a closed loop"
-                    said = self.left_out if motor.armature or any(motor.damping) else self.notes
+                    # Motors of older versions have neither armature nor damping.
+                    has = [np.any(getattr(motor, key, 0.0)) for key in ("armature", "damping")]
+                    said = self.left_out if any(has) else self.notes
                     said.append(f"The {what} is ignored.")
             for own, direction in zip(names, (*across, axis), strict=True):
                 made = holder.add_joint(name=own, type=hinge, axis=direction, pos=place)
