@@ -439,9 +439,7 @@ class CollisionWorld:
         context = self._scene.GetMyMutableContextFromRoot(self._root)
         manager, notes = self._scene.collision_filter_manager(context), []
         for key, times in count.items():
-            if (
-                times < _ALWAYS * _POSTURES or int(world) in key
-            ):  # obstacles are not drawn to overlap
+            if times < _ALWAYS * _POSTURES or int(world) in key:  # such as an obstacle
                 continue
             bodies = (plant.get_body(BodyIndex(index)) for index in key)
             sets = (GeometrySet(plant.GetCollisionGeometriesForBody(body)) for body in bodies)

@@ -227,9 +227,9 @@ def _with_effects(
         total.q[:, at] += gradient.q[:, at]
         total.v[:] += gradient.v
         total.vd[:] += gradient.vd
-    return (
-        total.plus(_by_differences(model, motion, unknown, seen.sign_width)) if unknown else total
-    )
+    if not unknown:
+        return total
+    return total.plus(_by_differences(model, motion, unknown, seen.sign_width))
 
 
 def _by_differences(

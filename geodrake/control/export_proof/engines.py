@@ -45,7 +45,6 @@ class Engine(abc.ABC):
     """A simulator with a robot that it read from a file.
 
     Joints are those of the model, one position and one velocity each; or those of its plant.
-
     """
 
     package: ClassVar[str]  # that it needs
