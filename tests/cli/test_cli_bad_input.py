@@ -200,7 +200,7 @@ BAD = {
     "compare": {
         "nothing.urdf log.csv": "nothing.urdf",
         "robot.urdf nothing.csv": "nothing.csv",
-        "log.csv log_2.csv": "not a robot description",
+        "log.csv robot.urdf": "A model comes before its logs",
         "page.urdf log.csv": "page.urdf",
         "folder.json log.csv": "is a folder",
         "robot.urdf log.csv ./log.csv": "given twice",

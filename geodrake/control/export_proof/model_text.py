@@ -124,7 +124,7 @@ def from_plant(model: RobotModel, kind: str, gravity: Array) -> bytes:
     if model.floating:
         raise ModelError(
             "A floating robot can only be written in the format of its own file.",
-            advice="Choose that format.",
+            advice=f"Choose that of {model.path.name}.",
         )
     name = model.path.name.partition(".")[0]
     root = _WRITERS[kind](_links_of(model), name, gravity)

@@ -55,7 +55,7 @@ def parse_xml_bytes(data: bytes, path: Path) -> Element:
     except (expat.ExpatError, ValueError, LookupError) as error:  # the last two of encodings
         raise ModelError(
             f"{path} is not a robot description: it is not valid XML ({error}).",
-            advice=SUPPORTED_FORMATS,
+            advice=f"{SUPPORTED_FORMATS} A model comes before its logs.",
         ) from error
     prefixes = [  # that a program gave to Drake's namespace when it wrote the file
         key.removeprefix("xmlns:")
