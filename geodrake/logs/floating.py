@@ -10,12 +10,11 @@
     <frame>.force.x … z             N, of what it touches on the robot, in the frame's axes
     <frame>.torque.x … z            N·m, about the frame's origin
 
-ROS's names of the fields of Odometry, PoseStamped, Imu and WrenchStamped are understood as well.
+Other names and units are understood as well: see `geodrake.logs.files.base_names`.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -25,49 +24,7 @@ from numpy.typing import NDArray
 from geodrake.boundary.arguments import Array
 
 AXES, QUATERNION = ("x", "y", "z"), ("w", "x", "y", "z")
-_FIELDS = {
-    "position": "base.position",
-    "orientation": "base.orientation",
-    "translation": "base.position",
-    "rotation": "base.orientation",
-    "linear_velocity": "base.linear_velocity",
-    "twist.linear": "base.linear_velocity",
-    "twist.angular": "base.angular_velocity",
-    "angular_velocity": "angular_velocity",
-    "linear_acceleration": "imu.linear_acceleration",
-    "force": "force",
-    "torque": "torque",
-    "moment": "torque",
-}
-IS_BASE = re.compile(r"odom|base|pose|mocap|floating|root|trunk|torso|pelvis", re.IGNORECASE)
-_IMU = re.compile(r"imu", re.IGNORECASE)
-_VECTOR = re.compile(
-    rf"(?P<head>.*?)[./]?(?P<field>{'|'.join(map(re.escape, _FIELDS))})\.(?P<axis>[wxyz])",
-    re.IGNORECASE,
-)
-_CONTACT = re.compile(r"(?P<frame>.+?)[./](?:in_)?contact(?:_state)?", re.IGNORECASE)
 _BESIDE = 0.02  # s, around a touch or a lift within which a frame may be in contact
-
-
-def floating_name(column: str) -> str | None:
-    """Return the meaning of a column of a floating base or a contact; None otherwise."""
-    if (found := _CONTACT.fullmatch(column)) is not None:
-        return f"{found['frame']}.contact"
-    found = _VECTOR.fullmatch(re.sub(r"(?<=\w)/(?=\w)", ".", column.strip("/")))
-    if found is None:
-        return None
-    head = re.sub(r"(\.|^)(pose|twist|wrench)$", "", found["head"].strip("."))
-    what, axis = _FIELDS[found["field"].lower()], found["axis"].lower()
-    if what in ("force", "torque"):
-        return f"{head}.{what}.{axis}" if head and axis != "w" else None
-    if what == "angular_velocity":
-        what = f"imu.{what}" if _IMU.search(head) else f"base.{what}"
-    is_its = _IMU.search(head) if what.startswith("imu.") else IS_BASE.search(column)
-    if is_its is None or (axis == "w") > (what == "base.orientation"):
-        return None
-    if what == "base.orientation" and _IMU.search(head):
-        return None
-    return f"{what}.{axis}"
 
 
 def vectors(columns: Mapping[str, Array], name: str) -> Array | None:

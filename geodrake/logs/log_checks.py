@@ -14,6 +14,8 @@ from geodrake.logs.motion import JointLog
 
 _STILL = 2e-3  # rad or m, by which a joint may move and still stand
 _SAME = 1e-6  # of what a joint moves, by which a copy of its positions may differ: it is rounded
+_RATIOS = 57.3, 652.0, 11.4  # of rad, degrees and ticks of 4,096 a turn
+_LAG, _FOLLOWS = 0.4, 0.8  # of such a ratio's logarithm, and correlation of what follows
 _LATEST = 3  # rows by which a copy may be late
 _WINDOW, _MOVING = 0.05, 0.1  # s, and the share of the largest way in them of a joint that moves
 _FULL, _MOST = 1.0 - 1e-6, 0.9  # of the largest effort, and the share of rows that may be at it
@@ -21,7 +23,7 @@ _STEPS = 8  # of resolution that a largest value has at least, where it is none 
 
 
 def check_commands(log: JointLog) -> None:
-    """Raise for commands that always equal the joint's position."""
+    """Raise for commands that always equal the joint's position, or are in another unit."""
     for at, joint in enumerate(log.joints):
         if log.command is None or np.isfinite(log.effort[:, at]).any():
             continue
@@ -29,6 +31,14 @@ def check_commands(log: JointLog) -> None:
         known = np.isfinite(position)
         if not known.any() or position[known].max() - _STILL <= position[known].min():
             continue
+        size = _times(command, position)
+        if any(abs(abs(np.log(size)) - np.log(ratio)) < _LAG for ratio in _RATIOS):
+            raise LogError(
+                f"Commands of {joint} in log {log.name!r} move as positions, but {size:.3g} times "
+                "as far.",
+                advice="One of them is in another unit; give that of both, for example --units "
+                "position=rad,command=deg, or ticks@2048.",
+            )
         if any(_is_copy(command, position, late) for late in range(_LATEST + 1)):
             raise LogError(
                 f"The command of {joint} in log {log.name!r} always equals its position, so "
@@ -37,6 +47,16 @@ def check_commands(log: JointLog) -> None:
                 "that is the command, move the joint faster, in steps or oscillations of "
                 "some hertz, or with a load, so that the servo lags.",
             )
+
+
+def _times(command: Array, position: Array) -> float:
+    """Return how many times as far as positions (N,) commands that follow them move; else 1."""
+    known = np.isfinite(command) & np.isfinite(position)
+    first, second = command[known], position[known]
+    sizes = (float(first.std()), float(second.std())) if known.any() else (0.0, 0.0)
+    if not min(sizes) > 0.0 or np.corrcoef(first, second)[0, 1] < _FOLLOWS:
+        return 1.0
+    return sizes[0] / sizes[1]
 
 
 def _is_copy(command: Array, position: Array, late: int) -> bool:

@@ -19,6 +19,7 @@ _LEAST_LIMIT = 1e-9  # N·m or N: no motor is that weak
 _NEAR_ZERO, _TOUCHES = 0.03, 4  # of the largest effort, and how often one comes down to it
 _LOOKS = 200  # at a position, between which its noise turns it round
 _LEAST_DEGREES = 45.0  # seven turns of a joint in radians
+_MOST_NORMALIZED = 101.0
 _MOST_DEGREES = 3600.0  # ten turns
 _LEAST_TICKS = 100.0  # no joint goes there in radians
 _FEW = 0.01  # share of samples that may be spikes
@@ -68,7 +69,14 @@ def position_unit_hint(log: JointLog) -> str | None:
         return None
     if peaks[worst] > _MOST_DEGREES:
         return f"Positions are neither rad nor degrees: {farthest}. {_UNIT_ADVICE}"
-    return f"Positions seem to be in degrees: {farthest}. --units position=deg converts them."
+    others = (
+        " (or, for LeRobot's −100 to 100 of a joint's range, position=normalized)"
+        if peaks.max() <= _MOST_NORMALIZED
+        else ""
+    )
+    return (
+        f"Positions seem to be in degrees: {farthest}. --units position=deg converts them{others}."
+    )
 
 
 def check_ticks(log: JointLog) -> None:

@@ -152,7 +152,8 @@ def _orientation(
         turn, known = _integrated(log, gyro, force, gravity), np.ones(len(log), bool)
     else:
         raise LogError(
-            f"The model floats, but log {log.name!r} has no orientation of the base and no IMU.",
+            f"The model floats, but log {log.name!r} has no orientation of the base and no IMU"
+            f"{''.join(f'; {note}' for note in log.notes if note.startswith('columns ignored'))}.",
             advice=f"{_ADVICE} For a robot that is fixed to the world omit --floating.",
         )
     if not known.any():
@@ -488,6 +489,9 @@ def _check_ground(log: JointLog, model: RobotModel) -> None:
 def with_ground(log: JointLog, model: RobotModel) -> JointLog:
     """Return a log with the efforts of measured wrenches, or with the frames that may touch."""
     loaded, flagged = frames_of(log.floating, FORCE), frames_of(log.floating, FLAG)
+    if lost := [name for name in frames_of(log.floating, ".force.z") if name not in loaded]:
+        words = f"forces at {', '.join(lost)} are not used, as they lack x or y"
+        log = replace(log, notes=(*log.notes, words))
     whole = set(model.joints) <= set(log.joints)
     if loaded and whole:
         ground, notes = _efforts_of_wrenches(log, model, loaded)
@@ -517,9 +521,7 @@ def with_ground(log: JointLog, model: RobotModel) -> JointLog:
     flags = np.zeros((len(log), len(names)), bool)
     doubts: tuple[str, ...] = ()
     if flagged:
-        none = np.zeros(len(log))
-        columns = [log.floating.get(f"{name}{FLAG}", none) for name in names]
-        logged = np.nan_to_num(np.stack(columns, -1), nan=1.0) > 0.5
+        logged = _flags(log, names)
         doubts = _check_held(log, logged.astype(float))
         if low:
             words = f"no contact flags of {', '.join(low)}: they count as touching near the ground"
@@ -550,6 +552,20 @@ def with_ground(log: JointLog, model: RobotModel) -> JointLog:
     what = "forces and moments" if on_soles(contacts, frames) else "forces"
     words = f"unknown {what} at {', '.join(names)} ({told}) are eliminated"
     return replace(log, contacts=contacts, notes=(*log.notes, *doubts, words))
+
+
+def _flags(log: JointLog, names: Sequence[str]) -> NDArray[np.bool_]:
+    """Return whether frames touch (N, c) by the log, or may touch as a cell is empty."""
+    none = np.zeros(len(log))
+    columns = [log.floating.get(f"{name}{FLAG}", none) for name in names]
+    for name, values in zip(names, columns, strict=True):
+        if (most := float(np.nanmax(values, initial=0.0))) > 1.0:
+            raise LogError(
+                f"The contact of {name} in log {log.name!r} goes up to {most:.4g}, but it is "
+                "1 while the link touches the ground and 0 in the air.",
+                advice=f"Call per cent '{name}.contact [%]', and forces {name}.force.x to .z.",
+            )
+    return np.asarray(np.nan_to_num(np.stack(columns, -1), nan=1.0) > 0.5)
 
 
 def on_soles(contacts: ContactFlags, frames: Sequence[ContactFrame]) -> bool:

@@ -545,6 +545,38 @@ def test_wrong_contact_flags_are_said(model, maker):
     assert "% of those of fr_foot" in said[0] and "fl_foot" not in said[0]
 
 
+@pytest.mark.parametrize(
+    ("form", "name", "factor"),
+    [
+        ("base_pos_{} [mm]", "base.position", 1e-3),
+        ("mocap.rot.{}", "base.orientation", 1.0),
+        ("base_q{}", "base.orientation", 1.0),
+        ("imu_gyro_{}_dps", "imu.angular_velocity", np.pi / 180.0),
+        ("imu.linear_acceleration.{} [g]", "imu.linear_acceleration", 9.80665),
+        ("fl_foot.force.{}_kgf", "fl_foot.force", 9.80665),
+        ("fl_foot.contact [%]", "fl_foot.contact", 0.01),
+    ],
+)
+def test_other_names_and_units_of_a_base_and_feet(tmp_path, model, maker, form, name, factor):
+    columns = maker.log(wrenches=True).columns()
+    for old in [c for c in columns if c.startswith(name)]:
+        columns[form.format(old[-1])] = columns.pop(old) / factor
+    pandas.DataFrame(columns).to_csv(tmp_path / "log.csv", index=False)
+    read = read_log(tmp_path / "log.csv", joints=JOINTS, reading=reading_for(model))
+    expected = maker.log(wrenches=True).floating
+    assert read.floating.keys() == expected.keys()
+    for each, values in expected.items():
+        np.testing.assert_allclose(read.floating[each], values, atol=1e-9)
+
+
+def test_contacts_in_per_cent_and_forces_along_one_axis_are_said(model, maker):
+    count = len(maker.time)
+    with pytest.raises(LogError, match=r"goes up to 98, .*fl_foot.contact \[%\]"):
+        with_base(maker.log(wrenches=False, **{"fl_foot.contact": np.full(count, 98.0)}), model)
+    log = with_base(maker.log(wrenches=False, **{"fl_foot.force.z": np.ones(count)}), model)
+    assert any("forces at fl_foot are not used" in note for note in log.notes)
+
+
 def test_bad_poses_are_refused(model, maker):
     count = len(maker.time)
     with pytest.raises(LogError, match="unit quaternion"):

@@ -12,6 +12,7 @@ from geodrake.errors import ArgumentError, LogError
 from geodrake.logs import JointLog, Reading, log_of_frame, read_log, write_log
 from geodrake.logs.files import read_mapping
 from geodrake.logs.files.reading import ColumnMapping, MappedColumn, parsed_gain
+from geodrake.logs.files.units import unit_of
 from geodrake.logs.inspection import inspect_log, mapping_text
 from geodrake.logs.log_checks import check_commands, check_saturation
 from geodrake.logs.preparation import prepare_logs
@@ -297,6 +298,46 @@ def test_commands_that_say_nothing():
     with pytest.raises(LogError, match=r"shoulder .* always equals"):
         check_commands(log(np.roll(Q, -2, axis=0)))  # what was told is there two rows later
     check_commands(JointLog("x", JOINTS, TIME, Q, S, command=Q))  # efforts are measured
+
+
+@pytest.mark.parametrize("unit", ["deg", "ticks"])
+def test_commands_in_another_unit_than_positions_are_refused(unit):
+    columns = frame(actual_q_J=Q, target_q_J=C / unit_of(unit, "command").factor)
+    with pytest.raises(LogError, match=r"times as far.*--units position=rad,command=deg, or"):
+        check_commands(log_of_frame(columns, joints=JOINTS))
+    reading = Reading(units={"command": unit})
+    log = log_of_frame(columns, joints=JOINTS, reading=reading)
+    np.testing.assert_allclose(log.command, C, atol=1e-9)
+    check_commands(log)
+
+
+def test_commands_that_are_written_as_they_change_are_held():
+    told = np.where(np.arange(len(C))[:, None] % 5 == 2, C, np.nan)
+    log = log_of_frame(frame(actual_q_J=Q, target_q_J=told), joints=JOINTS)
+    np.testing.assert_array_equal(log.position, Q)
+    np.testing.assert_array_equal(log.command[2:], C[2 + (np.arange(len(C) - 2) // 5) * 5])
+
+
+def test_positions_of_leaders_are_commands_of_followers():
+    log = log_of_frame(frame(leader_q_J=C, follower_q_J=Q), joints=JOINTS)
+    np.testing.assert_array_equal(log.position, Q)
+    np.testing.assert_array_equal(log.command, C)
+
+
+@pytest.mark.parametrize("joint", ["elbow", "gripper"])
+def test_normalized_positions_are_shares_of_the_range(joint):
+    """As LeRobot's: from −100 to 100 of joints, and from 0 to 100 of grippers."""
+    share = 50.0 * (1.0 + np.sin(TIME))
+    columns = {"time": TIME, f"{joint}.pos": share, f"action.{joint}": share}
+    units, limits = {"position": "normalized"}, {joint: (-2.5, 1.5)}
+    reading = Reading(units=units, limits=limits)
+    log = log_of_frame(columns, joints=[joint], reading=reading)
+    low, high = (-2.5, 1.5) if joint == "gripper" else (-0.5, 1.5)
+    expected = low + (high - low) * share / 100.0
+    np.testing.assert_allclose(log.position[:, 0], expected, atol=1e-9)
+    np.testing.assert_allclose(log.command[:, 0], expected, atol=1e-9)
+    with pytest.raises(LogError, match="the model has no limits of it"):
+        log_of_frame(columns, joints=[joint], reading=Reading(units=units))
 
 
 def test_efforts_that_are_saturated():

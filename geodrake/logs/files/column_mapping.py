@@ -13,6 +13,7 @@ import numpy as np
 
 from geodrake.boundary.arguments import Array
 from geodrake.errors import ArgumentError, LogError, nearest
+from geodrake.logs.files.base_names import floating_meaning
 from geodrake.logs.files.mapping_file import propose
 from geodrake.logs.files.name_rules import (
     DESIRED,
@@ -30,6 +31,7 @@ from geodrake.logs.files.name_rules import (
     Meaning,
     as_positions,
     bracketed,
+    is_gripper,
     is_unknown_word,
     matched,
     meaning_of,
@@ -41,7 +43,6 @@ from geodrake.logs.files.packed_files import log_name
 from geodrake.logs.files.reading import ColumnMapping, MappedColumn, Reading
 from geodrake.logs.files.table import LogTable, date_words
 from geodrake.logs.files.units import UNITS, find_unit, unit_advice, unit_of
-from geodrake.logs.floating import floating_name
 from geodrake.logs.motion import (
     EFFORT_KINDS,
     PARTIAL,
@@ -259,6 +260,18 @@ def settled(
                 "rev/4096@2048 if 2048 is counted where the joint is at 0), or for each "
                 "column in a mapping, with gain −1 for reversed ones.",
             )
+        if unit and unit.name == "normalized" and quantity in ("position", "command"):
+            low, high = reading.limits.get(joint, (-np.inf, np.inf))
+            if not np.isfinite(high - low):
+                raise LogError(
+                    f"Column {meaning.column!r} of log {str(path)!r} is a share of the range of "
+                    f"{joint}, but the model has no limits of it.",
+                    advice="Add them to the model, or use --model.",
+                )
+            half, middle = 0.5 * (high - low), 0.5 * (high + low)
+            whole = is_gripper(joint)  # which is closed at 0
+            factor, offset = (2.0 * half, low) if whole else (half, middle)
+            unit = replace(unit, factor=unit.factor * factor, offset=offset)
         return replace(meaning, unit=unit)
     said = reading.kind_of(joint)
     said = None if said == "command" else said
@@ -481,7 +494,7 @@ def _by_names(
 ) -> Columns:
     """Return the meaning of columns by their names; a `clock` is left out."""
     path, units = table.path, table.units
-    beside = [name for name in table.names if name != clock and floating_name(name) is None]
+    beside = [name for name in table.names if name != clock and floating_meaning(name) is None]
     told, said = [m for m in meanings_of(beside, joints or ()) if m.quantity in OF_JOINTS], []
     if joints and not any(m.quantity == "position" and m.role < OTHER for m in told):
         bare = as_positions(beside, joints)
@@ -498,7 +511,7 @@ def _by_names(
     best, others = candidates(of_joints, found, reading)
     _check_one_robot(path, best)
     places = {
-        (joint, quantity): settled(path, same[0], joint, reading, units)
+        (joint, quantity): settled(path, _as_command(same[0], quantity), joint, reading, units)
         for (joint, quantity), same in best.items()
     }
     _check_units(table, places)
@@ -516,6 +529,11 @@ def _by_names(
         rate, name = table.rate
         said.append(f"{rate:.6g} Hz, from {name!r} in the file")
     return Columns(path, reading, places, said, rate, own, others)
+
+
+def _as_command(meaning: Meaning, quantity: str) -> Meaning:
+    """Return a column as one of commands, if it is taken for that."""
+    return replace(meaning, quantity=quantity) if quantity == "command" else meaning
 
 
 def _check_one_robot(path: Path, best: Best) -> None:
@@ -751,8 +769,8 @@ class Columns:
             and (joint not in self.standing or quantity == "position")
         }
         for name in names:
-            if name not in used and (known := floating_name(name)) is not None:
-                self.floating.setdefault(known, Meaning(name, known))
+            if name not in used and (known := floating_meaning(name)) is not None:
+                self.floating.setdefault(known.quantity, known)
         self.notes += unit_words(self.sources, reading)
         known_too = {c for source in of_joints.values() for c in source.columns}
         if ignored := [n for n in names if n and n not in {*self.files, *known_too}]:
@@ -795,8 +813,8 @@ class Columns:
 
     def _has_base(self, names: Sequence[str]) -> bool:
         """Return whether there are columns of a free base or its IMU."""
-        known = [*self.floating, *filter(None, map(floating_name, names))]
-        return any(name.startswith(("base.", "imu.")) for name in known)
+        told = [known.quantity for name in names if (known := floating_meaning(name))]
+        return any(name.startswith(("base.", "imu.")) for name in (*self.floating, *told))
 
     def having(self, *quantities: str) -> list[str]:
         """Return joints with one of some quantities, in the order of the file."""

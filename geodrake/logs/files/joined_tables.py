@@ -11,6 +11,7 @@ import numpy as np
 
 from geodrake.boundary.arguments import Array
 from geodrake.errors import LogError
+from geodrake.logs.files.base_names import floating_meaning
 from geodrake.logs.files.column_mapping import (
     in_seconds,
     likely_clock,
@@ -37,7 +38,7 @@ from geodrake.logs.files.name_rules import (
 )
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable, Texts
-from geodrake.logs.floating import FLAG, floating_name, vectors
+from geodrake.logs.floating import FLAG, vectors
 from geodrake.logs.motion import EFFORT_KINDS
 from geodrake.logs.time_stamps import longest_step
 
@@ -115,7 +116,7 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
 
 def _of_model(tables: Sequence[LogTable], reading: Reading) -> Sequence[LogTable]:
     """Drop tables whose joints are all unknown to the model, such as those of a gripper."""
-    beside = [[n for n in table.columns if floating_name(n) is None] for table in tables]
+    beside = [[n for n in table.columns if floating_meaning(n) is None] for table in tables]
     told = [
         [m for m in meanings_of(each, reading.joints) if m.quantity in OF_JOINTS] for each in beside
     ]
@@ -155,8 +156,9 @@ def _what(column: str, reading: Reading) -> tuple[str, str]:
         if mapped.column == column:
             joint, _, quantity = name.rpartition(".")
             return joint, "effort" if quantity in EFFORT_KINDS else quantity
-    if (known := floating_name(column)) is not None:
-        return "", FLAG if known.endswith(FLAG) else known.rpartition(".")[0]
+    if (known := floating_meaning(column)) is not None:
+        name = known.quantity
+        return "", FLAG if name.endswith(FLAG) else name.rpartition(".")[0]
     meaning = meaning_of(column)
     return ("", "") if meaning is None else (meaning.joint, meaning.log_quantity)
 
@@ -212,7 +214,8 @@ def _slow_parts(
 
 def _turns_slowly(columns: Mapping[str, Array]) -> bool:
     """Return whether orientations of a base are close to the interpolation of their neighbours."""
-    named = {known: values for c, values in columns.items() if (known := floating_name(c))}
+    told = {floating_meaning(column): values for column, values in columns.items()}
+    named = {meaning.quantity: values for meaning, values in told.items() if meaning}
     q = vectors(named, "base.orientation")
     q = np.zeros((0, 4)) if q is None else q[np.isfinite(q).all(axis=1)]
     if len(q) < _FEWEST_TURNS:

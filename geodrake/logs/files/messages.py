@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import Array
 from geodrake.errors import LogError
+from geodrake.logs.files.base_names import IS_BASE, floating_meaning
 from geodrake.logs.files.grouped_arrays import fields_of
 from geodrake.logs.files.name_rules import MEASURED, OTHER, PLAIN, PREVIOUS, Meaning, meaning_of
 from geodrake.logs.files.table import LogTable
-from geodrake.logs.floating import IS_BASE, floating_name
 from geodrake.logs.motion import EFFORT_KINDS, QUANTITIES
 
 Stamps = NDArray[np.int64]
@@ -466,7 +466,7 @@ def _floating(paths: tuple[str, ...], frame: str) -> dict[str, str]:
     """Return columns of a free base, an IMU or a foot, and the fields of a message for them."""
     heads = {path.partition(".")[0] for path in paths}
     kind = "imu" if "linear_acceleration" in heads else "foot" if "wrench" in heads else "base"
-    found = {path: name for path in paths if (name := floating_name(f"{kind}.{path}"))}
+    found = {path: m.quantity for path in paths if (m := floating_meaning(f"{kind}.{path}"))}
     if kind != "foot":
         return {name: path for path, name in found.items()}
     return {f"{frame}{name.removeprefix(kind)}": path for path, name in found.items()}

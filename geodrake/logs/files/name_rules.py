@@ -335,6 +335,11 @@ def plain_words(text: str) -> frozenset[str]:
     return frozenset(word for word in _split(text) if isinstance(word, str))
 
 
+def is_gripper(joint: str) -> bool:
+    """Return whether a joint is called a gripper."""
+    return not _GRIPPERS.isdisjoint(_split(joint))
+
+
 def number_of(text: str) -> int | None:
     """Return the number that a text ends in."""
     last = _split(text)[-1:]
@@ -440,9 +445,9 @@ def _joint(column: str) -> Meaning | None:
         return None  # as of "Temps (s)" in French
     # Signals may be in units of another kind, see `understanding`.
     for kind in (quantity, "effort") if quantity in SIGNAL_KINDS else (quantity,):
-        parts[-1], unit = _without_unit(parts[-1], kind, alone=len(parts) == 1)
+        parts[-1], unit = without_unit(parts[-1], kind, alone=len(parts) == 1)
         if unit is None:
-            parts[place], unit = _without_unit(parts[place], kind)
+            parts[place], unit = without_unit(parts[place], kind)
         plain = parts[place]
         if unit is not None:
             break
@@ -484,7 +489,7 @@ def _measured_in(name: str) -> Meaning | None:
     Units of time, and of what stands for efforts, count in brackets alone.
     """
     units = {q: _without_brackets(name, q) for q in ("time", *QUANTITIES, *SIGNAL_KINDS)}
-    bare = [(quantity, *_without_unit(name, quantity)) for quantity in QUANTITIES]
+    bare = [(quantity, *without_unit(name, quantity)) for quantity in QUANTITIES]
     bare = [each for each in bare if each[2] is not None and each[2].signal is None]
     for quantity, plain, unit in [*((q, *told) for q, told in units.items()), *bare]:
         if unit is None:
@@ -551,7 +556,7 @@ def _without_brackets(name: str, quantity: str) -> tuple[str, Unit | None]:
     return (name[: found.start()], unit) if found and unit else (name, None)
 
 
-def _without_unit(name: str, quantity: str, *, alone: bool = True) -> tuple[str, Unit | None]:
+def without_unit(name: str, quantity: str, *, alone: bool = True) -> tuple[str, Unit | None]:
     """Return a name without its unit, in brackets or its own part: `q_deg_1`, `torque_Nmm`."""
     plain, unit = _without_brackets(name, quantity)
     if unit is not None:
@@ -568,7 +573,7 @@ def _without_unit(name: str, quantity: str, *, alone: bool = True) -> tuple[str,
             if unit is not None and (last or parts[-1].isdecimal()):
                 return "_".join(parts[:first] + parts[first + count :]), unit
     words = _CAMEL.sub("_", name)  # of joint1PosDeg
-    return (name, None) if words == name or "_" in name else _without_unit(words, quantity)
+    return (name, None) if words == name or "_" in name else without_unit(words, quantity)
 
 
 ONLY = "joint"  # what a joint is called whose columns name none

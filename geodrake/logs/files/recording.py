@@ -94,6 +94,10 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
         held = ("command", *columns.floating)
         data = {n: _at(time[rarest], time, x, holds=n in held) for n, x in data.items()}
         time = time[rarest]
+    elif "command" in data:  # of which changes alone may be written
+        told = np.where(np.isfinite(data["command"]), np.arange(len(time))[:, None], 0)
+        last = np.maximum.accumulate(told, axis=0)
+        data["command"] = np.take_along_axis(data["command"], last, axis=0)
     uncertainty = columns.reading.effort_uncertainty(joints)
     passive = np.array([kinds.get(joint) == PASSIVE for joint in joints])
     return JointLog(
@@ -305,7 +309,7 @@ def _rows_of_the_rarest(time: Array, values: Mapping[str, Array]) -> NDArray[np.
 
     It has whole rows if half of them come in runs that are long enough to be of use.
     """
-    quantities = [values[q] for q in ("position", "effort", "command") if q in values]
+    quantities = [values[q] for q in ("position", "effort") if q in values]
     if all(np.isfinite(numbers).all() for numbers in quantities):
         return None
     known = [np.isfinite(column) for numbers in quantities for column in numbers.T]

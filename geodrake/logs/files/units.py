@@ -27,7 +27,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "time": _UNITS["time"],
     "position": _WAYS,
     "velocity": {f"{unit}/s": factor for unit, factor in _WAYS.items()} | _UNITS["speed"],
-    "acceleration": {f"{unit}/s²": factor for unit, factor in _WAYS.items()},
+    "acceleration": {f"{unit}/s²": factor for unit, factor in _WAYS.items()} | {"g": 9.80665},
     "effort": _UNITS["effort"] | _SIGNALS["current"] | _SIGNALS["voltage"] | _SIGNALS["pwm"],
     **_SIGNALS,
     "command": _WAYS,
