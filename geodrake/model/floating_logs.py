@@ -489,8 +489,9 @@ def _check_ground(log: JointLog, model: RobotModel) -> None:
 def with_ground(log: JointLog, model: RobotModel) -> JointLog:
     """Return a log with the efforts of measured wrenches, or with the frames that may touch."""
     loaded, flagged = frames_of(log.floating, FORCE), frames_of(log.floating, FLAG)
-    if lost := [name for name in frames_of(log.floating, ".force.z") if name not in loaded]:
-        words = f"forces at {', '.join(lost)} are not used, as they lack x or y"
+    heads = dict.fromkeys(name[:-2] for name in log.floating if name[-2] == ".")
+    if lost := [head for head in heads if vectors(log.floating, head) is None]:
+        words = f"{', '.join(lost)}: not used, as an axis is missing"
         log = replace(log, notes=(*log.notes, words))
     whole = set(model.joints) <= set(log.joints)
     if loaded and whole:
