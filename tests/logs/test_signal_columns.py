@@ -340,6 +340,15 @@ def test_normalized_positions_are_shares_of_the_range(joint):
         log_of_frame(columns, joints=[joint], reading=Reading(units=units))
 
 
+@pytest.mark.parametrize(
+    ("quantity", "unit"),
+    [("velocity", "normalized/s"), ("position", "normalized/100"), ("command", "normalized@50")],
+)
+def test_only_positions_are_normalized_and_without_a_scale(quantity, unit):
+    with pytest.raises(ArgumentError, match=f"not a known unit of {quantity}"):
+        Reading(units={quantity: unit})
+
+
 def test_efforts_that_are_saturated():
     def log(effort, **more):
         return JointLog("x", JOINTS, TIME, Q, effort, **more)

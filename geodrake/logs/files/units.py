@@ -21,16 +21,17 @@ WORDS: Mapping[str, Any] = msgspec.yaml.decode(
 
 _UNITS: dict[str, dict[str, float]] = WORDS["units"]
 _WAYS = _UNITS["angle"] | _UNITS["length"]
+_PLACES = _WAYS | _UNITS["range"]
 _SIGNALS = {kind: _UNITS[kind] for kind in ("current", "voltage", "pwm")}
 
 UNITS: Mapping[str, Mapping[str, float]] = {
     "time": _UNITS["time"],
-    "position": _WAYS,
+    "position": _PLACES,
     "velocity": {f"{unit}/s": factor for unit, factor in _WAYS.items()} | _UNITS["speed"],
     "acceleration": {f"{unit}/s²": factor for unit, factor in _WAYS.items()} | {"g": 9.80665},
     "effort": _UNITS["effort"] | _SIGNALS["current"] | _SIGNALS["voltage"] | _SIGNALS["pwm"],
     **_SIGNALS,
-    "command": _WAYS,
+    "command": _PLACES,
     "temperature": _UNITS["temperature"],
 }
 """Quantity -> unit -> how many rad, m, s, N·m, N, A, V, shares of the supply or °C it is.
@@ -126,6 +127,8 @@ def _scaled(text: str, quantity: str) -> Unit | None:
     unit = find_unit(inner, quantity)
     scale = float(factor or 1.0) / (float(share or 1.0) or math.inf)
     if unit is None or unit.offset or not 0.0 < scale < math.inf:
+        return None
+    if unit.name in _UNITS["range"]:  # which has its scale from the model
         return None
     name = (f"{factor} " if factor else "") + unit.name + (f"/{share}" if share else "")
     if zero is None:
