@@ -121,15 +121,15 @@ def test_what_is_wrong_is_one_line_and_leaves_nothing(folder, monkeypatch):
     before = contents(folder)
     for words, says in (
         ("--workers -1", "workers must be"),
-        ("--false-alarms 0", "false_alarms must be"),
-        ("--every 0 --watch", "--every must be"),
-        ("--watch --once", "exclude each other"),
-        ("--once --json -", "Name a file"),
-        ("--json fleet.yaml", "--json"),
-        ("--report x.txt", "--report"),
-        ("--scheduler nowhere", "The scheduler nowhere cannot be reached"),
+        ("--workers 0 --false-alarms 0", "false_alarms must be"),
+        ("--workers 0 --every 0 --watch", "--every must be"),
+        ("--workers 0 --watch --once", "exclude each other"),
+        ("--workers 0 --once --json -", "Name a file"),
+        ("--workers 0 --json fleet.yaml", "--json"),
+        ("--workers 0 --report x.txt", "--report"),
+        ("--workers 0 --scheduler nowhere", "The scheduler nowhere cannot be reached"),
     ):
-        assert says in refused("fleet", "fleet.yaml", "--workers", "0", "-q", *words.split())
+        assert says in refused("fleet", "fleet.yaml", "-q", *words.split())
     for file in ("none.yaml", HEAVY):
         assert file in refused("fleet", file, "--workers", "0", "-q")
     assert contents(folder) == before

@@ -222,9 +222,13 @@ def peak_speeds(trajectories: Sequence[Trajectory]) -> Array:
 
 
 def still_speeds(trajectories: Sequence[Trajectory]) -> Array:
-    """Return (nv,) the speed below which a joint is at rest, or its noise cannot tell."""
+    """Return (nv,) the speed below which a joint is at rest, or its noise cannot tell.
+
+    It is zero for joints that never move: what they hold is all that is known of them.
+    """
+    peaks = peak_speeds(trajectories)
     noise = np.max([trajectory.speed_noise for trajectory in trajectories], axis=0)
-    return np.maximum(STILL_SPEED * peak_speeds(trajectories), STILL_NOISE * noise)
+    return np.where(peaks > 0.0, np.maximum(STILL_SPEED * peaks, STILL_NOISE * noise), 0.0)
 
 
 def moving_together(trajectories: Sequence[Trajectory]) -> NDArray[np.bool_]:
