@@ -183,6 +183,13 @@ def test_what_a_file_states_and_nothing_reads(tmp_path, text, part, stated, word
     assert words in said and ", line " in said and said.endswith("is ignored.")
 
 
+def test_elements_with_the_same_attributes_are_said_once(tmp_path):
+    """As every joint of a Panda has them."""
+    own = '<dynamics damping="0.3" K="7000" mu="16"/>'
+    (said,) = load(tmp_path, URDF, joint=f"{own}\n{own}").left_out
+    assert said.endswith("K=7000, mu=16 of <dynamics>, and of 1 more like it, are ignored.")
+
+
 @pytest.mark.parametrize(("text", "part"), [(SDF, "model"), (URDF, "robot")], ids=["sdf", "urdf"])
 def test_what_ties_bodies_and_is_not_read_is_said_with_its_lines(tmp_path, text, part):
     ties = "<drake:linear_bushing_rpy/>\n<drake:weld_constraint/>\n<drake:linear_bushing_rpy/>"

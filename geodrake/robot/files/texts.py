@@ -106,7 +106,11 @@ _FORCES = re.compile(
 
 
 def unread(root: Element, table: Mapping[str, Collection[str]], path: Path) -> Iterator[str]:
-    """Yield a sentence on each element that bears on efforts and is not read."""
+    """Yield a sentence on each element that bears on efforts and is not read.
+
+    There is one on all elements with the same attributes.
+    """
+    alike = dict[str, list[Element]]()
     for element in root.iter():
         for child in element if element.tag in table else ():
             yield from _of(child, table[element.tag], path)
@@ -119,10 +123,14 @@ def unread(root: Element, table: Mapping[str, Collection[str]], path: Path) -> I
         ignored = set(URDF_ATTRIBUTES.get(element.tag, ()))
         if element.tag == "dynamics":
             ignored = set(element.attrib) - DYNAMICS_READ
-        for key in sorted(ignored) if root.tag == "robot" else ():
-            value = element.get(key, "").strip()
-            if not is_off(value):
-                yield f"{where}: {key}={value[:50]} of <{element.tag}> is ignored."
+        values = {key: element.get(key, "").strip() for key in sorted(ignored)}
+        stated = [f"{key}={value[:50]}" for key, value in values.items() if not is_off(value)]
+        if stated and root.tag == "robot":
+            alike.setdefault(f"{', '.join(stated)} of <{element.tag}>", []).append(element)
+    for words, (first, *more) in alike.items():
+        others = f", and of {len(more)} more like it," if more else ""
+        verb = "are" if more or ", " in words else "is"
+        yield f"{place_of(first, path)}: {words}{others} {verb} ignored."
 
 
 def _of(element: Element, tags: Collection[str], path: Path) -> Iterator[str]:
