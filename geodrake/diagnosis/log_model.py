@@ -494,14 +494,14 @@ class LogModel:
         gain, delays = other.score - fit.score, (other.choice.delay, fit.choice.delay)
         if not self.are_apart(*delays):
             return gain
-        exact = [self.fit(f.choice, shares, f.noise, is_timed=True) for f in (other, fit)]
-        scores = [f.score for f in exact if f is not None]
-        if len(scores) < len(exact):
+        two, one = (self.fit(f.choice, shares, f.noise, is_timed=True) for f in (other, fit))
+        if one is None or two is None:
             return gain
+        exact = two.score - one.score
         is_late, was_late = (self.are_apart(delay, self.on_time) for delay in delays)
         if not was_late:
-            return min(gain, scores[0] - scores[1])
-        return scores[0] - scores[1] if is_late else max(gain, scores[0] - scores[1])
+            return min(gain, exact)
+        return exact if is_late else max(gain, exact)
 
     def ranked(self, choices: Iterable[Choice], shares: Array, variance: Array) -> list[Fit]:
         """Fit explanations, the most probable first, without those that `fit` refuses."""
@@ -788,9 +788,8 @@ class LogModel:
         ]
         weighted = [w * np.swapaxes(A, 1, 2) for w, (A, _) in zip(weights, systems, strict=True)]
         pairs = [*zip(weighted, systems, strict=True)]
-        gram = sum(
-            (own @ A for own, (A, _) in pairs), np.zeros(())
-        )  # not np.sum, which needs all at once
+        # Not by np.sum, which needs all at once.
+        gram = sum((own @ A for own, (A, _) in pairs), np.zeros(()))
         rhs = np.sum([(own @ b[..., None])[..., 0] for own, (_, b) in pairs], axis=0)
         known = fit.hessian @ fit.x - fit.weights @ self.moments(fit.columns, fit.choice.delay)[0]
         factor, scale = scaled_cholesky(self.even_hessian(fit) - gram)

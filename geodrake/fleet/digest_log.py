@@ -25,10 +25,9 @@ from geodrake.identification.logs.log_slices import Layout
 from geodrake.identification.logs.model_fit import effects_of, model_unknowns
 from geodrake.identification.logs.noise import known_noise
 from geodrake.identification.logs.reduce import (
-    STILL_NOISE,
-    STILL_SPEED,
     gain_uncertainty,
     least_sign_widths,
+    least_still_speeds,
     peak_speeds,
     reduce_over,
 )
@@ -141,7 +140,6 @@ def make_settings(
     effects = (*effects_of(own), *settled)
     effects = tuple(effect for effect in dict.fromkeys(effects) if effect.parameters)
     widths = own.sign_widths(least_sign_widths(peaks, trajectory.speed_noise))
-    still = np.maximum(STILL_SPEED * peaks, STILL_NOISE * trajectory.speed_noise)
     bandwidth, motion_bandwidth = trajectory.bandwidths
     validation_blocks([trajectory], blocks=wanted.blocks or BLOCKS)  # it is long enough
     return DigestSettings(
@@ -152,7 +150,7 @@ def make_settings(
         float(bandwidth),
         float(motion_bandwidth),
         widths,
-        still,
+        least_still_speeds(peaks, trajectory.speed_noise),
         candidate_delays(trajectory.filter),
         tuple(map(DigestEffect.of, effects)),
         own_sources(wanted.extra),

@@ -219,7 +219,7 @@ def _readings(
 
 
 def _check_rates(quaternion: Array, spin: Array | None, log: JointLog) -> None:
-    """Refuse an orientation that a gyroscope contradicts, and not if one is read another way.
+    """Refuse an orientation that a gyroscope contradicts, if another reading of either agrees.
 
     Of a robot that stands upright, gravity does not tell the order of the columns.
     """
@@ -441,7 +441,7 @@ def _some_positions(log: JointLog, model: RobotModel) -> Array:
 
 
 def _low_links(log: JointLog, model: RobotModel, told: Sequence[str]) -> tuple[str, ...]:
-    """Return ends of limbs near the ground, beside frames of which something is told."""
+    """Return ends of limbs that come near the ground, other than the frames in the log."""
     q = _some_positions(log, model)
     if vectors(log.floating, "base.position") is None or not len(q):
         return ()
@@ -454,7 +454,7 @@ def _low_links(log: JointLog, model: RobotModel, told: Sequence[str]) -> tuple[s
 
 
 def _check_ground(log: JointLog, model: RobotModel) -> None:
-    """Refuse a pose with which feet do not stay on the ground, but do if it is read another way."""
+    """Refuse a pose with which feet leave the ground, if another reading keeps them there."""
     q = _some_positions(log, model)
     base = [model.joints.index(joint) for joint in model.base_joints]
     frames = contact_frames(model, _last_links(model))
@@ -564,7 +564,7 @@ def _flags(log: JointLog, names: Sequence[str]) -> NDArray[np.bool_]:
             raise LogError(
                 f"The contact of {name} in log {log.name!r} goes up to {most:.4g}, but it is "
                 "1 while the link touches the ground and 0 in the air.",
-                advice=f"Call per cent '{name}.contact [%]', and forces {name}.force.x to .z.",
+                advice=f"Name per cent '{name}.contact [%]', and forces {name}.force.x to .z.",
             )
     return np.asarray(np.nan_to_num(np.stack(columns, -1), nan=1.0) > 0.5)
 
@@ -648,7 +648,7 @@ def _efforts_of_wrenches(
         turns.append(R_WL[few])
         J = np.concatenate([motion.jacobian_at(frame.origin), motion.angular], axis=1)
         efforts[known] += np.einsum("nij,ni->nj", J, in_world.reshape(-1, 6))
-    words = f"no moments at {', '.join(bare)}: taken as zero, which soles have not"
+    words = f"no moments at {', '.join(bare)}: taken as zero, although soles carry them"
     doubts: tuple[str, ...] = (words,) if bare else ()
     doubts += _check_axes(np.stack(forces, 1), np.stack(turns, 1), model, log.name)
     found = np.zeros(log.effort.shape)

@@ -226,8 +226,12 @@ def still_speeds(trajectories: Sequence[Trajectory]) -> Array:
 
     It is zero for joints that never move: what they hold is all that is known of them.
     """
-    peaks = peak_speeds(trajectories)
     noise = np.max([trajectory.speed_noise for trajectory in trajectories], axis=0)
+    return least_still_speeds(peak_speeds(trajectories), noise)
+
+
+def least_still_speeds(peaks: Array, noise: Array) -> Array:
+    """Return `still_speeds` of peak speeds (nv,) and their noise (nv,), rad/s or m/s."""
     return np.where(peaks > 0.0, np.maximum(STILL_SPEED * peaks, STILL_NOISE * noise), 0.0)
 
 

@@ -10,6 +10,7 @@ import re
 from functools import lru_cache
 
 from geodrake.logs.files.name_rules import Meaning, without_unit
+from geodrake.logs.floating import FLAG
 
 _FIELDS = {
     "position": "base.position",
@@ -46,7 +47,7 @@ _QUANTITIES = {  # of units, by what a column has
     "acceleration": "acceleration",
     "force": "effort",
     "torque": "effort",
-    "contact": "pwm",
+    FLAG[1:]: "pwm",
 }
 IS_BASE = re.compile(r"odom|base|pose|mocap|floating|root|trunk|torso|pelvis", re.IGNORECASE)
 _IMU = re.compile(r"imu", re.IGNORECASE)
@@ -78,7 +79,7 @@ def floating_meaning(column: str) -> Meaning | None:
 def _floating_name(column: str) -> str | None:
     """Return geodrake's own name of a column without a unit; None if it is something else."""
     if (found := _CONTACT.fullmatch(column)) is not None:
-        return f"{found['frame']}.contact"
+        return f"{found['frame']}{FLAG}"
     plain = re.sub(r"(?<=\w)/(?=\w)", ".", column.strip("/"))
     short = _UNDERSCORED.fullmatch(plain) if _IMU.search(plain) or IS_BASE.search(plain) else None
     found = _VECTOR.fullmatch(plain) or short

@@ -498,7 +498,7 @@ def _by_names(
     told, said = [m for m in meanings_of(beside, joints or ()) if m.quantity in OF_JOINTS], []
     if joints and not any(m.quantity == "position" and m.role < OTHER for m in told):
         bare = as_positions(beside, joints)
-        said = [f"position: {_span(bare)} taken, as they are called as joints"] if bare else []
+        said = [f"position: {_span(bare)} taken, as they are named like joints"] if bare else []
         told += bare
     asked = [words for words in map(plain_words, reading.topics) if words]
     told = [m for m in told if any(words <= plain_words(m.column) for words in asked)] or told
