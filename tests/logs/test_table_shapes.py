@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from zipfile import ZipFile
 
 import h5py
 import numpy as np
@@ -192,6 +193,21 @@ def frame_of_pandas(index):
     values = PLAIN.to_numpy()[:, index:]
     return in_hdf5({"df/axis0": np.array(names, "S"), "df/block0_items": np.array(names, "S"),
         "df/axis1": TIME if index else np.arange(ROWS), "df/block0_values": values})  # fmt: skip
+
+
+def zipped(members):
+    def write(path):
+        with ZipFile(path, "w") as archive:
+            for name, content in members.items():
+                archive.writestr(name, content)
+
+    return write
+
+
+def under(head, *, encoding="utf-8", separator=","):
+    """Rows of the plain table under another header, in an encoding."""
+    rows = PLAIN.to_csv(index=False, header=False, sep=separator)
+    return lambda path: path.write_bytes(f"{head}\n{rows}".encode(encoding))
 
 
 IN_GERMAN = pandas.DataFrame(
@@ -454,6 +470,43 @@ SHAPES = {
     "matrices.npz": lambda path: np.savez(path, t=TIME, q=POSITION, dq=VELOCITY, tau=EFFORT,
         O_T_EE=np.zeros((3, 4, 4))),
     "frame.h5": frame_of_pandas(False), "indexed.h5": frame_of_pandas(True),
+    "folder.zip": zipped({"run/": "", "run/log.csv": PLAIN.to_csv(index=False),
+        "run/readme.txt": "", "__MACOSX/run/._log.csv": "", "run/.hidden.csv": "",
+        "run/photo.png": ""}),
+    "one.csv.zip": zipped({"a.csv": PLAIN.to_csv(index=False)}),
+    "records.zip": zipped({"a.jsonl": "\n".join(map(json.dumps, LIST_RECORDS))}),
+    **dict.fromkeys(("lines.txt", "lines.log"), text("\n".join(map(json.dumps, LIST_RECORDS)))),
+    "widths.csv": under("time,q[2],tau[2]"), "spans.csv": under("time,q1-q2,tau_0..1"),
+    "widths_and_units.txt": under("# time(1) q(2) [rad] tau(2) [Nm]", separator=" "),
+    "names_before_blanks.csv": under("time,q,,tau,"),
+    "GB18030.csv": under("时间,关节1位置,关节2位置,关节1力矩,关节2力矩", encoding="gb18030"),
+    "Shift-JIS.csv": under("時刻,軸1位置,軸2位置,軸1トルク,軸2トルク", encoding="shift_jis"),
+    "Windows-1251.csv": under("время,положение 1,положение 2,момент 1,момент 2", encoding="cp1251"),
+    "UTF-16-LE.csv": under("time,q1,q2,tau1,tau2", encoding="utf-16-le"),
+    "two_clocks.csv": table(pandas.DataFrame({"t_q_ms": 1e3 * TIME, "q1": POSITION[:, 0],
+        "q2": POSITION[:, 1], "t_tau": TIME, "tau1": EFFORT[:, 0], "tau2": EFFORT[:, 1]})),
+    "pairs_of_values_and_clocks.csv": table(pandas.DataFrame({n: x for q, values in
+        (("position", POSITION), ("effort", EFFORT)) for k, joint in enumerate(JOINTS)
+        for n, x in ((f"{joint}_{q}", values[:, k]), (f"{joint}_{q}_time", TIME))})),
+    "periods.csv": table(PLAIN.assign(time=0.01).rename(columns={"time": "dt"})),
+    "today.csv": table(PLAIN.assign(time=1e3 * TIME).rename(columns={"time": "ms_today"})),
+    "topics.csv": table(PLAIN.set_axis(["elapsed time", "/s.position[0]", "/s.position[1]",
+        "/s.effort[0]", "/s.effort[1]"], axis=1).melt("elapsed time", var_name="topic")
+        .assign(**{"header.stamp": ""})),
+    "nano.txt": table(PLAIN.assign(time=np.rint(1e9 * TIME), s=1.7e9)[["s", *PLAIN]].set_axis(
+        ["TimeSec", "TimeNano", "q1", "q2", "tau1", "tau2"], axis=1), sep=" "),
+    "milliseconds.csv": table(PLAIN.assign(time="12:00:00", Millisecond=1e3 * TIME)
+        .rename(columns={"time": "Time"})),
+    "clocks_in_groups.mat": lambda path: savemat(path, {"data": {"q": POSITION, "lcm_timestamp":
+        TIME, "tau_est": EFFORT}, "order": {"tau_ff": 7 + EFFORT, "lcm_timestamp": TIME}}),
+    "states.npz": lambda path: np.savez(path, t=TIME, joint_states=POSITION, tau_J=EFFORT),
+    "percent.csv": table(pandas.DataFrame({"t": TIME, **{f"q{k}": POSITION[:, k] for k in (0, 1)},
+        **{f"torque{k}_pct": TIME for k in (0, 1)}, **{f"torque{k}_Nm": EFFORT[:, k]
+        for k in (0, 1)}})),
+    "RAPID.csv": logger("ClkRead", "rax_{}", "MotorTorque_{}"),
+    "ODrive_names.csv": logger("t", "node{}.Pos_Estimate", "node{}.Torque_Estimate", (0, 1),
+        0.5 / np.pi),
+    "theta.csv": logger("t", "th{}", "tau{}"),
     "lists.yaml": text(yaml.safe_dump(LIST_RECORDS)),
     "inside.yaml": text(yaml.safe_dump({"samples": LIST_RECORDS})),
     "records.yaml": text(yaml.safe_dump([{"time": float(t), "joints": {n: {"position": p,
@@ -604,7 +657,7 @@ def test_words_for_nothing(tmp_path, monkeypatch, many):
     monkeypatch.setattr(text_file, "_MANY", 20 if many else 10**6)
     effort = EFFORT.copy()
     effort[0, 0] = effort[30, 1] = np.nan
-    for word in ("NA", "N/A", "null", "None", "-", "#N/A", "NaN", "1.#QNAN", "#DIV/0!"):
+    for word in ("NA", "N/A", "null", "None", "-", "---", "?", "missing", "#N/A", "NaN", "1.#QNAN"):
         frame = PLAIN.astype(object)
         frame.iloc[0, 3] = frame.iloc[30, 4] = word
         np.testing.assert_allclose(read_log(csv_of(tmp_path, frame)).effort, effort)
@@ -810,6 +863,19 @@ def test_many_lines_are_read_by_arrow_as_without_it(tmp_path, monkeypatch, odd):
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
+        ("a.zip", zipped({"a.csv": "", "b/c.csv": ""}), r"of 2 logs of .* it has a\.csv, b/c\.csv"),
+        ("a.zip", zipped({"a.npz": ""}), r"of 0 logs of text or JSON; it has a\.npz"),
+        ("a.zip", text("PK"), "is not a readable|no format|not end in a format"),
+        ("a.tdms", text("TDSm"), "Convert it to CSV"),
+        (
+            "a.json",
+            text(
+                json.dumps(
+                    [{**r, "effort": r["effort"] if k else 0.0} for k, r in enumerate(LIST_RECORDS)]
+                )
+            ),
+            "lists of 2 numbers, but one number alone in row 1",
+        ),
         ("a.json", '{"a": 1', "not a readable JSON file"),
         ("a.json", "3", "neither a JSON object nor a list of records"),
         ("a.jsonl", "[1]\n[2]", "neither a JSON object nor a list of records"),

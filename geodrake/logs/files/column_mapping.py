@@ -41,8 +41,8 @@ from geodrake.logs.files.name_rules import (
 )
 from geodrake.logs.files.packed_files import log_name
 from geodrake.logs.files.reading import ColumnMapping, MappedColumn, Reading
-from geodrake.logs.files.table import LogTable, date_words
-from geodrake.logs.files.units import UNITS, find_unit, unit_advice, unit_of
+from geodrake.logs.files.table import LogTable, date_words, rate_in
+from geodrake.logs.files.units import UNITS, Unit, find_unit, unit_advice, unit_of
 from geodrake.logs.motion import (
     EFFORT_KINDS,
     PARTIAL,
@@ -103,7 +103,7 @@ def check_text(path: Path, names: Sequence[str]) -> None:
             f"The first line of log {str(path)!r} has null characters: it is not UTF-8 text.",
             advice="Is it UTF-16 or binary? Save it as CSV in UTF-8, or as .npz.",
         )
-    check_once(path, names, [name for name in names if is_used(name)])
+    check_once(path, names, [name for name in names if is_used(name) and name != "time"])
 
 
 def no_header(path: Path, first: Sequence[str]) -> LogError:
@@ -237,7 +237,8 @@ def _preference(meaning: Meaning, joint: str, said: str | None) -> tuple[bool | 
     if meaning.log_quantity != "effort":
         return own, *rest
     other = said is not None and said != meaning.quantity
-    return other, own, meaning.role >= DESIRED, EFFORT_KINDS.index(meaning.quantity), *rest
+    kind = (meaning.unit and meaning.unit.signal) or meaning.quantity
+    return other, own, meaning.role >= DESIRED, EFFORT_KINDS.index(kind), *rest
 
 
 def settled(
@@ -474,19 +475,37 @@ def likely_clock(table: LogTable) -> tuple[Meaning | None, str, bool]:
             steps = np.diff(values)
             step = float(np.median(steps)) if len(steps) else 0.0
             even = np.abs(steps - step) <= 0.5 * step
-            is_called = bool(_CLOCKS & plain_words(name))
-            unit = dict(told)[name]
-            is_unit = unit is not None and unit.quantity == PART and bool((steps > 0.0).all())
+            is_called, known = bool(_CLOCKS & plain_words(name)), dict(told)[name]
+            is_part = known is not None and known.quantity == PART
+            unit = known.unit if known is not None and is_part else _unit_in(name)
+            is_unit = unit is not None and bool((steps > 0.0).all())
             counts = step == 1.0 and not (is_called or is_unit)  # rows
             if step > 0.0 and not counts and (is_unit or float(even.mean()) > _EVEN):
                 words = f"{name!r} increases by {step:.4g} from row to row"
                 is_first = name == table.names[0] or name.startswith("__index_level")
                 is_sure = is_called or is_unit or (is_first and step % 1.0 != 0.0)
-                clock = unit if is_unit and unit is not None else Meaning(name, PART)
-                clock = replace(clock, quantity="time", unit=clock.unit or find_unit(name, "time"))
+                clock = known if known is not None and is_part else Meaning(name, PART)
+                clock = replace(clock, quantity="time", unit=unit or find_unit(name, "time"))
                 return clock, words, is_sure
     close = difflib.get_close_matches("time", [name.lower() for name in table.names[:100]], 1)
     return None, f"Is it {close[0]!r}? " if close else "", False
+
+
+def _unit_in(name: str) -> Unit | None:
+    """Return a unit of time shorter than a second among the words of a name."""
+    units = (find_unit(word, "time") for word in plain_words(name))
+    return next((unit for unit in units if unit is not None and unit.factor < 1.0), None)
+
+
+def _steady_rate(table: LogTable) -> tuple[float, str] | None:
+    """Return the rate that each row of a column says, as its period does, and the column."""
+    names = [name for name in table.names if rate_in(name, 0.01) or rate_in(name, 100.0)]
+    for name, values in table.read(names, skip=True)[0].items() if names else ():
+        known = values[np.isfinite(values)]
+        rate = rate_in(name, float(known[0])) if len(known) else None
+        if rate is not None and (known == known[0]).all():
+            return rate, name
+    return None
 
 
 def _by_names(
@@ -525,8 +544,8 @@ def _by_names(
         of = ", ".join({source.unit.name: None for source in unknown.values() if source.unit})
         said.append(f"not used, as the scale of {of} is unknown: {lost}")
     places = {key: source for key, source in places.items() if key not in unknown}
-    if rate is None and time is None and table.rate is not None:
-        rate, name = table.rate
+    if rate is None and time is None and (told_rate := table.rate or _steady_rate(table)):
+        rate, name = told_rate
         said.append(f"{rate:.6g} Hz, from {name!r} in the file")
     return Columns(path, reading, places, said, rate, own, others)
 
@@ -863,6 +882,7 @@ def time_source(table: LogTable, reading: Reading) -> Meaning | None:
         source = _mapped("time", mapped, table, reading)
     else:
         times = [m for m in meanings_of(table.names) if m.quantity == "time"]
+        times = [m for m in times if table.has_numbers(m.column)] or times
         times = times or [Meaning(n, "time") for n in table.origins if table.is_time(n)]
         if not times:
             return None

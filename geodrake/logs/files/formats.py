@@ -35,7 +35,7 @@ from geodrake.logs.files.name_rules import (
     tells_recordings,
     tells_robots,
 )
-from geodrake.logs.files.packed_files import unpacked
+from geodrake.logs.files.packed_files import JSON, TEXT, unpacked
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.ros_bag import read_bag
 from geodrake.logs.files.table import LogTable
@@ -43,13 +43,13 @@ from geodrake.logs.files.text_file import read_sheet, read_text
 
 Reader = Callable[[Path, Reading], LogTable]
 
-_TEXT, _JSON = (
-    (".csv", ".txt", ".dat", ".tsv", ".log", ".lvm", ".asc", ".prn"),
-    (".json", ".jsonl", ".ndjson"),
-)
 _SHEETS, _YAML = (".xlsx", ".xlsm"), (".yaml", ".yml")
 _OTHERS = {
-    **dict.fromkeys((".zip", ".tar", ".7z", ".rar", ".tgz"), "Unpack it first."),
+    **dict.fromkeys((".tar", ".7z", ".rar", ".tgz"), "Unpack it first."),
+    **dict.fromkeys(
+        (".tdms", ".mf4", ".mdf", ".blf", ".ulg"),
+        "Convert it to CSV, as npTDMS, asammdf, cantools or ulog2csv do.",
+    ),
     **dict.fromkeys(
         (".pkl", ".pickle", ".pt", ".joblib"),
         "It may run any program when it is read: save its arrays with numpy.savez, or a data frame "
@@ -59,7 +59,7 @@ _OTHERS = {
 _MODELS = (".urdf", ".sdf", ".xml", ".mjcf", ".xacro", *_YAML)
 
 _READERS: Mapping[Reader, Sequence[str]] = {
-    read_text: _TEXT,
+    read_text: TEXT,
     read_npy: (".npy",),
     read_npz: (".npz",),
     read_bag: (".bag", ".mcap", ".db3"),
@@ -68,7 +68,7 @@ _READERS: Mapping[Reader, Sequence[str]] = {
     read_lcm: (".lcm", ".lcmlog"),
     read_mat: (".mat",),
     read_hdf5: (".h5", ".hdf5", ".nc"),
-    read_json: _JSON,
+    read_json: JSON,
     read_yaml: _YAML,
     read_sheet: _SHEETS,
 }
@@ -89,6 +89,7 @@ BEGINNINGS: Mapping[bytes, Reader] = {
     b"---\nheader:": read_yaml,
     b"header {": read_gazebo,
     b"<Rob ": read_rsi,
+    b'{"': read_json,
 }
 """Reader of files by their first bytes: lcm-logger's names end in a date."""
 
@@ -96,7 +97,7 @@ BEGINNINGS: Mapping[bytes, Reader] = {
 def table_of(path: Path, reading: Reading) -> LogTable:
     """Return the columns of a file of any format, which may be yet to be read."""
     kind = unpacked(path).suffix.lower()
-    if unpacked(path) != path and kind not in (*_TEXT, *_JSON):
+    if unpacked(path) != path and kind not in (*TEXT, *JSON):
         raise LogError(
             f"Log {str(path)!r} is compressed, but its name does not end in a format of text "
             "or JSON.",
@@ -111,7 +112,7 @@ def table_of(path: Path, reading: Reading) -> LogTable:
             or f"Name it .csv if it is text, or convert it to one of {', '.join(SUFFIXES)}.",
         )
     table = reader(path, reading)
-    if kind not in (*_TEXT, *_SHEETS, ".npy", ".npz"):
+    if kind not in (*TEXT, *_SHEETS, ".npy", ".npz"):
         return table
     words = frozenset().union(*map(plain_words, table.names))  # of which one may tell a robot
     topics = ", ".join(t for t in reading.topics if not plain_words(t) & words)
@@ -132,7 +133,7 @@ def reader_of(path: Path) -> Reader | None:
     if path.is_dir():
         return next((reader for mark, reader in FOLDERS.items() if any(path.glob(mark))), None)
     kind = unpacked(path).suffix.lower()
-    if kind in (*_TEXT, *_MODELS) or kind not in SUFFIXES:
+    if kind in (*TEXT, *_MODELS) or kind not in SUFFIXES:
         with open_regular(path, "log", LogError) as file:
             first = file.read(max(map(len, BEGINNINGS)))
         found = (reader for begin, reader in BEGINNINGS.items() if first.startswith(begin))

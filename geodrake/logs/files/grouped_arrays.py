@@ -14,7 +14,7 @@ import numpy as np
 from geodrake.boundary.arguments import Array
 from geodrake.errors import LogError
 from geodrake.logs.files.column_mapping import listed
-from geodrake.logs.files.joined_tables import joined_tables, reshaped
+from geodrake.logs.files.joined_tables import by_clocks, joined_tables, reshaped
 from geodrake.logs.files.name_rules import (
     OF_JOINTS,
     is_time,
@@ -280,7 +280,7 @@ def regrouped(table: LogTable, reading: Reading) -> LogTable:
             continue
         of_one = _of_one_robot if tells_robots(name) else _of_recordings
         table = of_one(table, name, cells, reading)
-    return reshaped(table, reading)
+    return reshaped(by_clocks(table, reading), reading)
 
 
 def _of_one_robot(table: LogTable, name: str, cells: Texts, reading: Reading) -> LogTable:

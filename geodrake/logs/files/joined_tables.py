@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -34,10 +35,13 @@ from geodrake.logs.files.name_rules import (
     number_of,
     numbers_joints,
     plain_words,
+    tells_clock,
+    without_unit,
     words_of,
 )
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable, Texts
+from geodrake.logs.files.units import find_unit
 from geodrake.logs.floating import FLAG, vectors
 from geodrake.logs.motion import EFFORT_KINDS
 from geodrake.logs.time_stamps import longest_step
@@ -335,6 +339,37 @@ def at_instants(instants: Array, time: Array, values: Array, *, holds: bool = Fa
     gap &= (since > _ROUNDING) & (until > _ROUNDING)
     found = np.interp(instants, time, values, left=np.nan, right=np.nan)
     return np.where(gap, values[after - 1] if holds else np.nan, found)
+
+
+def by_clocks(table: LogTable, reading: Reading) -> LogTable:
+    """Return a table with one clock, of one whose groups of columns begin or end with their own.
+
+    Clocks increase where they have numbers, and have columns of joints between them.
+    """
+    names = [name for name in table.names if name not in table.first_words]
+    clocks = [name for name in names if tells_clock(name)]
+    if reading.mapping is not None or reading.rate is not None or len(clocks) < 2:
+        return table
+    names = names if names[0] in clocks else names[::-1]
+    starts = [names.index(name) for name in clocks]
+    bounds = [*sorted(starts), len(names)]
+    groups = [names[first:last] for first, last in pairwise(bounds)]
+    measured = {m.column for m in meanings_of(names) if m.quantity in OF_JOINTS} - {*clocks}
+    if bounds[0] > 0 or not all(measured & {*group} for group in groups):
+        return table
+    read, parts = table.loaded(skip=reading.skip_bad_rows), list[LogTable]()
+    for clock, *group in groups:
+        rows = np.isfinite(read.columns[clock])
+        if not rows.any() or not (np.diff(read.columns[clock][rows]) > 0.0).all():
+            return table
+        own = {name: read.columns[name][rows] for name in (clock, *group)}
+        unit = find_unit(table.units.get(clock, ""), "time") or without_unit(clock, "time")[1]
+        units = {**table.units} | ({"t": unit.name} if unit else {})
+        origins = {"t": table.origins[clock]} if clock in table.origins else {}
+        part = LogTable(Path(clock), own, units, (), origins)
+        parts.append(part.renamed({clock: "t"}))
+    joined = joined_tables(table.path, parts, reading)
+    return joined.noting(f"columns have clocks of their own: {listed(clocks)}", *read.notes)
 
 
 _NAMES = frozenset(["name", "names"])

@@ -55,7 +55,7 @@ MAPPED = ("mapped",)
 """The style of columns that the user named."""
 
 _COMMAND, _SHORT, _FILLERS = map(_words, ("commands", "short", "fillers"))
-_FLAGS, _COUNTED = _words("flags"), _words("counted")
+_FLAGS, _COUNTED, _STATES = map(_words, ("flags", "counted", "states"))
 _NO_SIGNAL, _SUPPLY, _NAMING = map(_words, ("no_signal", "supply", "naming"))
 _TIMES, _NANOSECONDS, _SAMPLES = map(_words, ("times", "nanoseconds", "samples"))
 _ROBOTS, _RECORDINGS, _COUNTING = map(_words, ("robots", "recordings", "counting"))
@@ -213,7 +213,7 @@ def as_positions(names: Iterable[str], joints: Sequence[str]) -> list[Meaning]:
     found = []
     for name in names:
         words, own = _split(name), called.get(words_of(name), "")
-        said = [word for word in words[:-1] if word not in ROLE_WORDS]
+        said = {w for w in words[:-1] if w not in ROLE_WORDS and w not in _STATES}
         is_counted = bool(said) and _COUNTED.issuperset(said) and isinstance(words[-1], int)
         if (own or is_counted) and meaning_of(name) is None:
             role = max((ROLE_WORDS[w] for w in words if w in ROLE_WORDS), default=PLAIN)  # type: ignore[index]
@@ -252,7 +252,7 @@ def _by_roman(name: str, plain: str, number: int, joints: Mapping[int, str]) -> 
 
 def _units_of_family(names: Sequence[str]) -> Mapping[str, str]:
     """Return the unit of quantities that columns tell by what their maker has beside them."""
-    ends = {name.lower() for name in names}
+    ends = {name.lower().rstrip("_0123456789") for name in names}
     for family in WORDS["families"].values():
         said = [w for w in family["words"].split() if any(e.endswith(w) for e in ends)]
         if len(said) >= _FEW_OF_FAMILY:
@@ -279,6 +279,11 @@ def is_time(name: str) -> bool:
     """Return whether a column name means time, or a part of it."""
     meaning = meaning_of(name)
     return meaning is not None and meaning.quantity in ("time", PART)
+
+
+def tells_clock(name: str) -> bool:
+    """Return whether a name has a word for time, and may be the clock of columns beside it."""
+    return is_time(name) or not _TIMES.isdisjoint(_split(name))
 
 
 def quantity_of(text: str) -> str | None:
@@ -460,7 +465,7 @@ def _joint(column: str) -> Meaning | None:
     counted = f"{plain}/{parts[-1]}" if is_counted else plain
     numbers = [w for w in _split(counted) if isinstance(w, int)]
     if not _has_name(joint) and not numbers and (place > 0 or not is_before):
-        place = place - 1 if is_before else len(parts) - 1
+        place = _telling_before(parts, place) if is_before else len(parts) - 1
         joint = parts[place]
         numbers = [w for w in _split(joint) if isinstance(w, int)]
     named = _has_name(joint)
@@ -477,6 +482,12 @@ def _joint(column: str) -> Meaning | None:
     return Meaning(column, quantity, called, words, role, unit, style, group, DESIRED in roles)
 
 
+def _telling_before(parts: Sequence[str], place: int) -> int:
+    """Return the place of the nearest part before another that names or counts a joint."""
+    told = (k for k in reversed(range(place)) if _telling(_split(parts[k])))
+    return next(told, place - 1)
+
+
 def _is_flag(words: Words) -> bool:
     """Return whether a word behind the last quantity says that it is a flag of this."""
     told = [k for k, word in enumerate(words) if word in QUANTITY_WORDS or word in _COMMAND]
@@ -486,10 +497,11 @@ def _is_flag(words: Words) -> bool:
 def _measured_in(name: str) -> Meaning | None:
     """Read a name in any language by the unit behind it, as in `Winkel 1 [°]` or `elbow_deg`.
 
-    Units of time, and of what stands for efforts, count in brackets alone.
+    Units of time, and of what stands for efforts, count in brackets alone; a `stepCount` counts.
     """
     units = {q: _without_brackets(name, q) for q in ("time", *QUANTITIES, *SIGNAL_KINDS)}
-    bare = [(quantity, *without_unit(name, quantity)) for quantity in QUANTITIES]
+    counts = name.lower().endswith(("count", "cnt"))
+    bare = [(quantity, *without_unit(name, quantity)) for quantity in QUANTITIES if not counts]
     bare = [each for each in bare if each[2] is not None and each[2].signal is None]
     for quantity, plain, unit in [*((q, *told) for q, told in units.items()), *bare]:
         if unit is None:

@@ -1,4 +1,4 @@
-"""Compressed logs, such as `log.csv.gz`, decompressed while they are read."""
+"""Compressed logs, such as `log.csv.gz` or a `.zip` of one, decompressed while they are read."""
 
 from __future__ import annotations
 
@@ -7,12 +7,17 @@ import gzip
 import lzma
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, BinaryIO
+from zipfile import ZipFile, is_zipfile
 
 from geodrake.boundary.input_files import open_regular
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
+
+TEXT = (".csv", ".txt", ".dat", ".tsv", ".log", ".lvm", ".asc", ".prn")
+JSON = (".json", ".jsonl", ".ndjson")
+"""Suffixes of formats that may be compressed."""
 
 
 def _zstandard(file: BinaryIO) -> Any:
@@ -20,18 +25,48 @@ def _zstandard(file: BinaryIO) -> Any:
     return pyarrow.CompressedInputStream(file, "zstd")
 
 
+def _zipped(file: BinaryIO) -> Any:
+    archive = ZipFile(file)
+    return archive.open(_log_in(archive, str(file.name)))
+
+
 PACKED: Mapping[str, Callable[[Any], Any]] = {
     ".gz": gzip.open,
     ".bz2": bz2.open,
     ".xz": lzma.open,
     ".zst": _zstandard,
+    ".zip": _zipped,
 }
 """Suffix of compressed files -> function that decompresses an open one."""
 
 
+def _log_in(archive: ZipFile, called: str) -> str:
+    """Return the name of the only log in an archive, leaving out what systems put beside it."""
+    names = [PurePosixPath(name) for name in archive.namelist() if not name.endswith("/")]
+    seen = [n for n in names if not any(part.startswith((".", "__MACOSX")) for part in n.parts)]
+    logs = [name for name in seen if name.suffix.lower() in (*TEXT, *JSON)]
+    tables = [name for name in logs if name.stem.lower() != "readme"]
+    if len(tables) == 1:
+        return str(tables[0])
+    found = ", ".join(map(str, (tables or seen)[:8])) or "nothing"
+    raise LogError(
+        f"Log {called!r} is an archive of {len(tables)} logs of text or JSON; it has {found}.",
+        advice="Unpack it, and give one of its files, or several that belong together as "
+        "q.csv+efforts.csv.",
+    )
+
+
 def unpacked(path: Path) -> Path:
-    """Return the path without the suffix of its compression."""
-    return path.with_suffix("") if path.suffix.lower() in PACKED else path
+    """Return the path without the suffix of its compression; of an archive, with its log's."""
+    if path.suffix.lower() not in PACKED:
+        return path
+    inner = path.with_suffix("")
+    if path.suffix.lower() == ".zip" and path.is_file():
+        with open_regular(path, "log", LogError) as file:
+            if is_zipfile(file):
+                name = PurePosixPath(_log_in(ZipFile(file), str(path)))
+                return inner.with_suffix(name.suffix)
+    return inner
 
 
 def log_name(path: Path) -> str:

@@ -317,6 +317,10 @@ class LogTable:
             return is_time(name)
         return is_time(name) or not (len(self.origins) > 1 or any(map(is_time, self.names)))
 
+    def has_numbers(self, name: str) -> bool:
+        """Return whether a column has a number."""
+        return bool(np.isfinite(self.columns[name]).any())
+
     def read(
         self, names: Sequence[str], *, skip: bool = False
     ) -> tuple[dict[str, Array], TornRows]:
@@ -355,10 +359,27 @@ _ONE_SECOND = np.timedelta64(1, "s")
 _MOST_NAMES = 8
 _MOST_NAMED = 1000  # columns of a matrix
 _LONGEST_TEXT = 60
-_SAYS_NOTHING = ("", "nan", "nat", "none", "null", "na", "n/a", "<na>", "#n/a", "-", "--")
+_SAYS_NOTHING = (
+    *(
+        "",
+        "nan",
+        "nat",
+        "none",
+        "null",
+        "na",
+        "n/a",
+        "<na>",
+        "#n/a",
+        "-",
+        "--",
+        "---",
+        "?",
+        "missing",
+    ),
+)
 NOTHING = frozenset(f(word) for word in _SAYS_NOTHING for f in (str, str.upper, str.title)) | {
     *("NaN", "[]", "()", "NaN (ind)", "nan(ind)", "-nan(ind)", "1.#QNAN", "-1.#IND", "1.#IND"),
-    *("#NUM!", "#DIV/0!", "#VALUE!", "#REF!"),
+    *("1.#INF", "-1.#INF", "#NUM!", "#DIV/0!", "#VALUE!", "#REF!", r"\N"),
 }
 """Cells that mean a missing value."""
 
@@ -469,11 +490,13 @@ def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
         if origin is not None:
             origins[name] = origin
         notes |= {note: None} if note else {}
-    if lacking := [n for n in silent if n not in words and not _is_alone(arrays[n])]:
-        more = " …" if len(lacking) > _MOST_NAMES else ""
-        named = ", ".join(lacking[:_MOST_NAMES])
+    lacking = [n for n in silent if n not in words and not _is_alone(arrays[n])]
+    if fewer := [n for n in lacking if len(arrays[n]) != rows]:
+        more = " …" if len(fewer) > _MOST_NAMES else ""
+        named = ", ".join(fewer[:_MOST_NAMES])
         notes[f"columns with fewer values than rows: {named}{more}"] = None
-    said = tuple(notes)
+    others = [f"{n!r} is not used: it {silent[n]}" for n in lacking if n not in fewer]
+    said = (*notes, *others[:_MOST_NAMES])
     told = next(((rate, name) for name, rate in rates.items()), None)
     return LogTable(path, columns, {}, said, origins, silent, words, rate=told)
 
@@ -551,6 +574,9 @@ def _what_else(values: Any, rows: int) -> str:
         if isinstance(value, Sized) and not isinstance(value, str) and len(value)
     }
     first = next(iter(lists.values()), 0)
+    alone = next((k for k, x in enumerate(values, 1) if isinstance(x, int | float)), None)
+    if first and alone is not None:
+        return f"has lists of {first} numbers, but one number alone in row {alone}"
     row = next((k for k, length in lists.items() if length != first), None)
     if row is not None:
         return f"has lists of {first} numbers, but one of {lists[row]} in row {row}"

@@ -55,9 +55,10 @@ from geodrake.logs.files.table import (
     order_of_days,
     readable,
 )
-from geodrake.logs.files.units import UNITS, find_unit
+from geodrake.logs.files.units import UNITS, WORDS, find_unit
 
-COMMENTS = ("#", "%", "//", "---", "===")
+_RULES = ("---", "===")  # between rows, where they stand without numbers
+COMMENTS = ("#", "%", "//", *_RULES)
 _HEADER_LINES = 1000  # of a header whose names have line ends
 _PREFACE = 100  # lines, among which names are looked for
 _KEYED_ROWS = 4  # rows above numbers that begin with what they say, at least
@@ -83,6 +84,8 @@ _HEADS = (
 )
 """Text before the names of joints, in ROS 2 and in ROS 1."""
 
+_SEVERAL = re.compile(r"(.*?[^\W\d])[\[({](\d+)[\])}](\s*[\[(][^\d\W].*)?")  # q[6] [rad]
+_SPAN = re.compile(r"(.*?)(\d+)(?:-|–|:|\.{2,3}|…|\s+to\s+)(?:\1)?(\d+)(.*)")  # q1-q6, q_0..5
 _EXCEL = re.compile(r'"?sep=(.)"?')  # the first line of what is to be opened by it
 
 
@@ -139,13 +142,20 @@ class TextLayout:
             rows = ((reader.line_num, cells) for cells in reader)
         names, is_usual = [*self.names], self.decimal == "." and not self.grouped
         for line, cells in rows:
-            if not cells or cells[0].lstrip().startswith(COMMENTS) or cells == names:
+            if not cells or _is_comment(cells) or cells == names:
                 continue
             trailing = len(cells) == len(names) + 1 and not cells[-1].strip()
             kept = cells[:-1] if trailing else cells  # a separator behind the last cell
             if not is_usual:
                 kept = [plain(c, self.decimal, self.grouped.get(k)) for k, c in enumerate(kept)]
             yield line, kept
+
+
+def _is_comment(cells: Sequence[str]) -> bool:
+    """Return whether a row is a comment; one of dashes may have numbers behind them."""
+    first = cells[0].lstrip()
+    has_numbers = first.startswith(_RULES) and any(map(is_number, cells[1:]))
+    return first.startswith(COMMENTS) and not has_numbers
 
 
 def text_layout(path: Path, file: Iterator[str], reading: Reading) -> TextLayout:
@@ -308,17 +318,47 @@ def _whole_header(
         if below[:1] > [""] and not any(below[1:]):  # a name that pandas gives the index
             header, after = [below[0], *header[1:]], after + 1
             below = _cells_of(lines[after], separator)
+    if not all(header) and len(header) == len(below) and all(map(is_number, below)):
+        header = _below_blanks(header, spread)
+    header = _of_several(header, len(below))
     if len(below) == len(header) + 1 and all(below) and any(map(is_number, below)):
         header = ["_row", *header]  # which have numbers or names, as R and pandas write them
     return header, after
 
 
+def _of_several(names: Sequence[str], count: int) -> Sequence[str]:
+    """Return names of single columns, where one stands for several, as `q[6]` or `q1-q6` does."""
+    found = list[str]()
+    for name in names if len(names) != count else ():
+        several, span = _SEVERAL.fullmatch(name), _SPAN.fullmatch(name)
+        if several and int(several[2]) <= count:
+            head, number, unit = several.groups("")
+            items = [f"{head}[{k}]{unit}" for k in range(int(number))]
+            found += items if len(items) > 1 else [head + unit]
+        elif span and 0 < int(span[3]) - int(span[2]) < count:
+            numbers = range(int(span[2]), int(span[3]) + 1)
+            found += [f"{span[1]}{k}{span[4]}" for k in numbers]
+        else:
+            found.append(name)
+    return found if len(found) == count else names
+
+
+def _below_blanks(header: Sequence[str], spread: Sequence[str]) -> Sequence[str]:
+    """Return numbered names for columns without one behind some that have as many each."""
+    counts = {name: spread.count(name) for name in header if name}
+    several = [name for name in counts if counts[name] > 1]
+    if len(several) < 2 or len({counts[name] for name in several}) > 1 or not all(spread):
+        return header
+    places = {name: spread.index(name) for name in several}
+    return [f"{n}[{k - places[n]}]" if n in places else n for k, n in enumerate(spread)]
+
+
 def _told_apart(header: Sequence[str]) -> list[str]:
-    """Return names with numbers where they come again, as pandas does; not time and own ones."""
+    """Return names with numbers where they come again, as pandas does; not geodrake's own ones."""
     counts, found = dict[str, int](), list[str]()
     for name in header:
         k = counts[name] = counts.get(name, -1) + 1
-        found.append(name if not k or is_time(name) or "." in name else f"{name}.{k}")
+        found.append(name if not k or "." in name else f"{name}.{k}")
     return found
 
 
@@ -411,19 +451,20 @@ def _are_numbers(cells: Sequence[str]) -> bool:
 
 def renamed(path: Path, reading: Reading, cells: Sequence[str]) -> Sequence[str]:
     """Return the names given by the user, which must match the number of columns."""
-    if len(reading.columns) != len(cells):
+    names = _of_several(reading.columns, len(cells))
+    if len(names) != len(cells):
         raise LogError(
-            f"Log {str(path)!r} has {len(cells)} columns, but --columns names "
-            f"{len(reading.columns)}.",
-            advice="Name every column in order; _ skips one.",
+            f"Log {str(path)!r} has {len(cells)} columns, but --columns names {len(names)}.",
+            advice="Name every column in order; _ skips one, and q[6] is six.",
         )
-    return [f"_{k}" if name == "_" else name for k, name in enumerate(reading.columns, 1)]
+    return [f"_{k}" if name == "_" else name for k, name in enumerate(names, 1)]
 
 
 def _names_in_comment(cells: Sequence[str], comment: str) -> Sequence[str]:
     """Return names in the comment before a first line of numbers, if they are as many."""
     named = [name.strip() for name in comment.replace(";", ",").replace("\t", ",").split(",")]
-    for names in (named, comment.split(), _UNIT_BEHIND.sub("", comment).split()):
+    for each in (named, _UNIT_BEHIND.sub("", comment).split(), comment.split()):
+        names = _of_several(each, len(cells))
         if len(names) == len(cells) and all(names) and not _are_numbers(names):
             return names
     return ()
@@ -453,6 +494,10 @@ class TextTable(LogTable):
     def names(self) -> Sequence[str]:
         """Names of the columns."""
         return [name for name, _, _ in self._layout.columns]
+
+    def has_numbers(self, name: str) -> bool:
+        """Return whether a column has a number among the first rows."""
+        return any(name in (each, f"{each}[0]") for each in self._layout.first)
 
     @property
     def first_words(self) -> dict[str, str]:
@@ -568,6 +613,7 @@ def read_text(path: Path, reading: Reading) -> LogTable:
             check_room(path, len(content), f"{len(content) / 1e9:.3g} GB of {encoding}")
     if not encoding:
         return _text_table(path, reading, lambda: open_log(path))
+    note = f"text is in {encoding}, judging by its words" if encoding in _CODECS else ""
     try:
         text = content.decode(encoding)
     except UnicodeDecodeError as error:
@@ -575,16 +621,37 @@ def read_text(path: Path, reading: Reading) -> LogTable:
             f"Log {str(path)!r} is not {encoding} text: {error.reason} at byte {error.start}.",
             advice="Save it as UTF-8.",
         ) from error
-    return _text_table(path, reading, partial(BytesIO, text.encode()))
+    table = _text_table(path, reading, partial(BytesIO, text.encode()))
+    return table.noting(note) if note else table
+
+
+_CODECS = ("cp1252", "gb18030", "shift_jis", "euc_kr", "big5", "cp1251", "mac_roman")
+"""Encodings that are told by words in them."""
+
+_FOREIGN = re.compile(
+    "|".join(sorted((w for w in re.findall(r"\w+", str(WORDS)) if not w.isascii()), key=len)[::-1])
+)
+_BEGINNING = 10_000  # bytes, which have the names of columns
 
 
 def _encoding(head: bytes) -> str:
-    """Return the encoding of a text by its first bytes, as Excel writes it; "" for UTF-8."""
+    """Return the encoding of a text by its first bytes; "" for UTF-8.
+
+    Of several it is that in which most letters are of words that name columns.
+    """
     if head.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) and head[2:]:
         return "UTF-16"
+    zeros = [2 * head[k:_BEGINNING:2].count(0) for k in (0, 1)]
+    if len(head) > 1 and max(zeros) > 0.9 * min(len(head), _BEGINNING) and not min(zeros):
+        return "UTF-16-LE" if zeros[1] else "UTF-16-BE"
     try:
         head.decode()
     except UnicodeDecodeError as error:
+        text = {each: head[:_BEGINNING].decode(each, "replace") for each in _CODECS}
+        known = {each: sum(map(len, _FOREIGN.findall(text[each]))) for each in _CODECS}
+        best = max(known, key=lambda each: known[each])
+        if known[best] and b"\0" not in head and error.end < len(head):
+            return best
         others = head.translate(None, bytes(range(128)) + "°²³µ·±äöüÄÖÜßéèêàçñ".encode("cp1252"))
         return "Windows-1252" if not others and b"\0" not in head and error.end < len(head) else ""
     return ""
@@ -656,7 +723,10 @@ def _lines(block: bytes) -> list[str]:
 
 def _by_arrow(block: bytes, layout: TextLayout, columns: Sequence[int]) -> list[Array] | None:
     """Return columns (K,) of lines with only numbers in these cells, by Arrow; None otherwise."""
-    if layout.grouped or layout.decimal == layout.separator or find_spec("pyarrow") is None:
+    has_rules = block.startswith(b"---") or b"\n---" in block
+    if layout.grouped or layout.decimal == layout.separator or has_rules:
+        return None
+    if find_spec("pyarrow") is None:
         return None
     if not block.isascii():
         block.decode()  # or it is no text in UTF-8

@@ -51,7 +51,8 @@ def messages_table(path: Path, records: Any, reading: Reading) -> LogTable | Non
         return None
     said = [*map(_topic_and_message, records)]
     names = (x for _, each in said for n, x in each.items() if names_joints(n))
-    named = {tuple(sorted(map(str, x))) for x in names if isinstance(x, list)}
+    lists = (x for x in names if isinstance(x, list) and all(isinstance(n, str) for n in x))
+    named = {tuple(sorted(x)) for x in lists}
     if len({topic for topic, _ in said}) < 2 and len(named) < 2:
         return None
     clock = next((n for n, x in records[0].items() if is_time(n) and not isinstance(x, dict)), "")
