@@ -95,9 +95,8 @@ def inspect_log(
     gap = steps > longest_step(period)
     missing = [joint for joint in joints or () if joint not in (*log.joints, *log.standing)]
     notes += [f"the model's {', '.join(missing)} have no measurements"] if missing else []
-    converted = any(s.unit for n, s in columns.sources.items() if n.endswith(".position"))
     time = columns.sources.get("time")
-    hints = [None if converted else position_unit_hint(log), effort_sign_hint(log), unused]
+    hints = [position_unit_hint(log), effort_sign_hint(log), unused]
     first = tuple(filter(None, hints))
     return LogInspection(
         log,

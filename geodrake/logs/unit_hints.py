@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from geodrake.boundary.arguments import Array
 from geodrake.errors import LogError
-from geodrake.logs.files.recording import are_whole
+from geodrake.logs.files.units_of_values import are_whole, peaks_of
 from geodrake.logs.motion import JointLog
 from geodrake.logs.resting import LARGEST
 
@@ -36,7 +38,7 @@ def effort_unit_hint(log: JointLog, effort_limits: ArrayLike) -> str | None:
     known = np.isfinite(limits) & (limits > _LEAST_LIMIT) & ~np.isin(log.joints, log.passive)
     if not known.any():
         return None
-    peaks = np.minimum(_peaks(log.motor_effort), _LARGEST)
+    peaks = np.minimum(peaks_of(log.motor_effort), _LARGEST)
     ratio = np.where(known, peaks / np.where(known, limits, 1.0), np.nan)
     worst = int(np.nanargmax(ratio))
     if ratio[worst] > 3.0:
@@ -54,6 +56,11 @@ def effort_unit_hint(log: JointLog, effort_limits: ArrayLike) -> str | None:
     return None
 
 
+_CONVERTED = re.compile(r"position is in .*converted|positions are .*taken as servo ticks")
+_OF_MOTORS = (
+    " Are they of motors, before the gears? Give the ratios, as in --units position=rev/100 for "
+    "turns of motors with a gear of 100, or as gains in a mapping."
+)
 _UNIT_ADVICE = (
     "Set their unit: --units position=deg, position=mm or, for an encoder with 4096 counts "
     "a turn of the joint and zero at 2048, position=rev/4096@2048."
@@ -61,8 +68,10 @@ _UNIT_ADVICE = (
 
 
 def position_unit_hint(log: JointLog) -> str | None:
-    """Return a hint if positions look like degrees or ticks; else None."""
-    peaks = _peaks(log.position)
+    """Return a hint if positions of which nobody said the unit look like degrees or ticks."""
+    peaks = peaks_of(log.position)
+    if any(map(_CONVERTED.match, log.notes)):
+        return None
     worst = int(np.argmax(peaks))
     farthest = f"{log.joints[worst]} reaches {peaks[worst]:.4g}, and most joints exceed 10"
     if not peaks[worst] > _LEAST_DEGREES or np.mean(peaks > 10.0) <= 0.5:
@@ -83,7 +92,7 @@ def check_ticks(log: JointLog) -> None:
     """Raise for positions that are integers beyond the range of joints in rad."""
     if not are_whole(log.position[:_ROWS]):
         return
-    peaks = _peaks(log.position)
+    peaks = peaks_of(log.position)
     worst = int(np.argmax(peaks))
     if not _LEAST_TICKS <= peaks[worst] <= LARGEST:
         return
@@ -144,10 +153,11 @@ def position_limit_hint(log: JointLog, lower: ArrayLike, upper: ArrayLike) -> st
         return None
     share, name, beyond, known, low, high = max(found, key=lambda each: each[0])
     others = f"; joints beyond: {len(found)}" if len(found) > 1 else ""
+    doubted = any(note.startswith("position: by their names") for note in log.notes)
     return (
         f"Positions exceed the model's limits: {name} in {100 * share:.0f} % of the samples "
         f"of log {log.name!r}, by up to {beyond:.3g} rad (m) beyond {low:.4g} … "
-        f"{high:.4g}{others}.{_cause_beyond(known, low, high)}"
+        f"{high:.4g}{others}.{_OF_MOTORS if doubted else _cause_beyond(known, low, high)}"
     )
 
 
@@ -193,12 +203,3 @@ def row_order_hint(log: JointLog) -> str | None:
         f"{np.median(steps[:, most]):.3g} rad (m) from row to row, within a range of "
         f"{reach[most]:.3g}."
     )
-
-
-def _peaks(values: Array) -> Array:
-    """Return (n,) largest magnitude of each column, 0 without measurements."""
-    peaks = np.zeros(values.shape[1])
-    for first in range(0, len(values), _ROWS):
-        part = np.abs(values[first : first + _ROWS])
-        peaks = np.maximum(peaks, np.max(part, axis=0, initial=0.0, where=np.isfinite(part)))
-    return peaks

@@ -505,6 +505,41 @@ def test_other_positions_are_no_ticks(tmp_path, positions, units):
     np.testing.assert_array_equal(read_log(path, joints=JOINTS).position, TICKS)
 
 
+V = np.array([2.0, 3.0]) * np.cos(TIME[:, None] * np.array([2.0, 3.0]))
+DEG, RPM = 180.0 / np.pi, 30.0 / np.pi
+UNITS = {
+    "far beyond limits": ({"q_J": DEG * Q, "cmd_J": DEG * C}, DEG, None),
+    "and speeds as they change": ({"q_J": DEG * Q, "v_J": DEG * V}, DEG, 1.0),
+    "speeds in rad/s": ({"q_J": DEG * Q, "v_J": V}, DEG, 1.0),
+    "turns and rad/s": ({"q_J": Q / (2.0 * np.pi), "dq_J_rad_s": V}, 0.5 / np.pi, 1.0),
+    "speeds in deg/s": ({"q_J": Q, "v_J": DEG * V}, 1.0, 1.0),
+    "speeds in rpm": ({"q_J_rad": Q, "v_J": RPM * V}, 1.0, 1.0),
+    "speeds of motors": ({"q_J": Q, "v_J": 100.0 * V}, 1.0, 100.0),
+    "shares of LeRobot": ({"servo_J.pos": DEG * Q}, 1.0, None),
+    "motors": ({"motor_q_J": DEG * Q}, 1.0, None),
+    "two turns": ({"q_J": 16.0 * Q}, 1.0, None),
+    "thousandths": ({"q_J": 1000.0 * Q}, 1.0, None),
+    "in rad as asked": ({"q_J": DEG * Q}, 1.0, None),
+}
+"""Columns -> how many of their units a rad is, or 1 if that is not certain; and so of speeds."""
+
+
+@pytest.mark.parametrize("kind", UNITS)
+def test_units_that_nobody_says_are_converted_where_values_are_certain(tmp_path, kind):
+    told, angle, speed = UNITS[kind]
+    path = write(tmp_path / "log.csv", frame(**told, effort_J=S))
+    units = {"position": "rad"} if "asked" in kind else {}
+    reading = Reading(limits=dict.fromkeys(JOINTS, (-2.0, 2.0)), units=units)
+    log = read_log(path, joints=JOINTS, reading=reading)
+    given = next(iter(told.values()))
+    np.testing.assert_allclose(log.position, given / angle, atol=1e-12)
+    assert ("position is in" in said(log)) == (angle != 1.0)
+    if speed is not None:
+        np.testing.assert_allclose(log.velocity, speed * V, rtol=1e-9, atol=1e-12)
+    if log.command is not None:
+        np.testing.assert_allclose(log.command, C, atol=1e-12)
+
+
 CLOCK = np.arange(2000) / 100.0
 SWING = np.sin(CLOCK[:, None] * np.array([2.0, 3.0]))
 WARMTH = np.stack([30.0 + CLOCK, 45.0 - 0.5 * CLOCK], 1)

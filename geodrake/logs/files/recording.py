@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,26 +12,21 @@ from geodrake.boundary.arguments import Array
 from geodrake.errors import LogError
 from geodrake.logs.files.column_mapping import Columns, in_seconds, read_column, with_own_parts
 from geodrake.logs.files.joined_tables import at_instants
-from geodrake.logs.files.name_rules import Meaning
 from geodrake.logs.files.packed_files import log_name
 from geodrake.logs.files.table import TornRows
-from geodrake.logs.files.units import Unit, unit_of
+from geodrake.logs.files.units_of_values import ROUNDING, are_whole, take_units
 from geodrake.logs.motion import PASSIVE, JointLog
 from geodrake.logs.time_stamps import evened, order_of_time, repeats, unwrapped, with_clock_set_back
 
 LEAST_ROWS = 10
-TICKS = 4096  # of a turn, of servos with twelve bits
 _DAY = 86_400_000_000_000  # ns
 _BLOCK = 4096  # rows that are copied at once
-_FIRST = 1000  # rows that mostly tell that numbers are no whole ones
 _RUN, _ENOUGH_ROWS = 20, 100  # rows without an empty cell that are of use, and of a column
 _STILL = 2e-3  # rad or m, by which a joint may move and still stand
 _COMPLEMENTS = (16, 32)  # bits of registers in two's complement
 _SIGN_BITS = (10, 15)  # bits that hold a sign beside a magnitude, as of Feetech's servos
 _NINES = re.compile(r"-?9{3,}")  # what loggers write where nothing was measured
 _LEAST = 3  # rows with either sign
-_HELD, _MARGIN = 0.99, 0.05  # share of positions that limits hold, and rad by which they may pass
-_ROUNDING = 1e-3  # by which a whole number is off after a unit's factor
 
 
 def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> JointLog:
@@ -81,7 +75,7 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
         even += (f"{again.sum()} of {rows} rows with a repeated time stamp are skipped",)
     kept, left_out = torn.settle(time)
     kept &= ~again
-    _take_ticks(data, columns)
+    take_units(time, data, columns)
     kinds, motors = _without_motors(data, columns)
     if not kept.all():
         time, data = time[kept], {name: values[kept] for name, values in data.items()}
@@ -179,9 +173,9 @@ def _register(numbers: Array, *, magnitudes: bool) -> tuple[float, bool] | None:
     others begin at that bit; this is looked for if `magnitudes`.
     """
     largest = np.fmax.reduce(numbers, initial=0.0)
-    if largest < 2 ** _SIGN_BITS[0] or np.fmin.reduce(numbers) < -_ROUNDING:
+    if largest < 2 ** _SIGN_BITS[0] or np.fmin.reduce(numbers) < -ROUNDING:
         return None
-    if not (are_whole(numbers[:_FIRST]) and are_whole(numbers)):
+    if not are_whole(numbers):
         return None
     known = np.rint(numbers[np.isfinite(numbers)])
     for bits in _COMPLEMENTS:
@@ -196,71 +190,12 @@ def _register(numbers: Array, *, magnitudes: bool) -> tuple[float, bool] | None:
     return None
 
 
-def are_whole(numbers: Array) -> bool:
-    """Return whether numbers (N,) are integers, except for rounding, empty cells and infinity."""
-    with np.errstate(invalid="ignore"):
-        return not np.any(np.abs(numbers - np.rint(numbers)) > _ROUNDING)
-
-
 def _are_apart(numbers: Array, half: float, least: float) -> bool:
     """Return whether numbers below `half` stay half of it away from `least`, and both occur."""
     above = numbers >= half
     crossings = np.count_nonzero(above[1:] != above[:-1])
     few = min(np.count_nonzero(above), np.count_nonzero(~above)) < _LEAST
     return bool(not few and crossings >= 2 and least - numbers[~above].max() >= half)
-
-
-def _take_ticks(data: dict[str, Array], columns: Columns) -> None:
-    """Turn positions and commands (N, n) into rad where they are ticks of servos.
-
-    Whole numbers from 0 to less than 4,096, and beyond 1,024, are taken for ticks if nobody says
-    their unit, as geodrake's own names of columns do: in rad no joint goes so far, and in degrees
-    hardly one in whole ones. Drivers count angles from the middle of the turn on, at 2,048; so
-    does the log, unless the model's limits hold positions from tick 0 on, and not those.
-    """
-    told = [n for n in data if n in ("position", "command") and np.isfinite(data[n]).any()]
-    if "position" not in told:
-        return
-    sources = dict[tuple[str, str], Meaning]()
-    for quantity in told:
-        places = [(joint, quantity) for joint in columns.joints]
-        own = {p: source for p in places if (source := columns.places.get(p)) is not None}
-        if any(s.unit or s.factor != 1.0 or s.column == ".".join(p) for p, s in own.items()):
-            return
-        sources |= own
-        numbers, least = data[quantity], TICKS / 4 if quantity == "position" else 0.0
-        if not (are_whole(numbers[:_FIRST]) and are_whole(numbers)):
-            return
-        if not np.nanmin(numbers) >= 0.0 or not least < np.nanmax(numbers) < TICKS:
-            return
-    ticks = data["position"]
-    middle, bottom = (unit_of(name, "position") for name in ("ticks@2048", "ticks"))
-    held = {unit: _share_within(columns, ticks, unit) for unit in (middle, bottom)}
-    unit, other = (bottom, middle) if held[bottom] > _HELD > held[middle] else (middle, bottom)
-    zero = "2048, as in drivers" if unit is middle else "0, as the model's limits suggest"
-    words = (
-        f"positions are integers from {np.nanmin(ticks):.0f} to {np.nanmax(ticks):.0f}: "
-        f"taken as servo ticks, {TICKS} a turn, with zero at tick {zero} (--units "
-        f"{','.join(f'{each}={other.name}' for each in told)} for zero at "
-        f"{'0' if unit is middle else '2048'}; other units with --units or a mapping)"
-    )
-    for quantity in told:
-        data[quantity] *= unit.factor
-        data[quantity] += unit.offset
-    columns.places |= {place: replace(source, unit=unit) for place, source in sources.items()}
-    columns.notes.append(words)
-
-
-def _share_within(columns: Columns, ticks: Array, unit: Unit) -> float:
-    """Return the share of positions (N, n) in a unit that are within the model's limits."""
-    limits = columns.reading.limits
-    within = [
-        (low - _MARGIN <= unit.factor * q + unit.offset)
-        & (unit.factor * q + unit.offset <= high + _MARGIN)
-        for joint, q in zip(columns.joints, ticks.T, strict=True)
-        for low, high in [limits.get(joint, (-np.inf, np.inf))]
-    ]
-    return float(np.mean(np.array(within)[np.isfinite(ticks.T)]))
 
 
 def _without_motors(data: dict[str, Array], columns: Columns) -> tuple[dict[str, str], list[str]]:

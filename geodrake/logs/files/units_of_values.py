@@ -1,0 +1,186 @@
+"""Units of positions and velocities that nobody says, but values tell."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+
+from geodrake.boundary.arguments import Array
+from geodrake.logs.files.column_mapping import Columns
+from geodrake.logs.files.name_rules import MOTOR, Meaning
+from geodrake.logs.files.units import UNITS, Unit, unit_of
+
+TICKS = 4096  # of a turn, of servos with twelve bits
+ROUNDING = 1e-3  # by which a whole number is off after a unit's factor
+_HELD, _MARGIN = 0.99, 0.05  # share of positions that limits hold, and rad by which they may pass
+_FIRST = 1000  # rows that mostly tell that numbers are no whole ones
+_FAR, _MOST_FAR = 45.0, 10.0  # rad that one joint goes beyond in degrees, and that most do
+_NORMALIZED = 101.0  # of LeRobot's share of a range
+_OF_LEROBOT = re.compile(r"\.pos$|^observation\.state")
+_ROWS, _WINDOW = 50_000, 25  # rows that tell a ratio, and over which way and speed are compared
+_OFF, _ALIKE = 0.02, 0.99  # by which a ratio may be off, and correlation of what moves together
+_ANGLES = ("deg", "rev", "rad")
+_SPEEDS = ("rad/s", "deg/s", "rev/s", "rpm")
+
+
+def take_units(time: Array, data: dict[str, Array], columns: Columns) -> None:
+    """Turn positions, velocities and commands (N, n) into SI units, where values tell another."""
+    bare = {quantity: _bare(columns, quantity) for quantity in data}
+    if not _take_ticks(data, columns, bare):
+        _take_angles(time, data, columns, bare)
+
+
+def _bare(columns: Columns, quantity: str) -> dict[tuple[str, str], Meaning]:
+    """Return the columns of a quantity, or none if one has a unit, as geodrake's own names do."""
+    places = [(joint, quantity) for joint in columns.joints]
+    own = {p: source for p in places if (source := columns.places.get(p)) is not None}
+    told = (s.unit or s.factor != 1.0 or s.column == ".".join(p) for p, s in own.items())
+    return {} if any(told) else own
+
+
+def _convert(
+    data: dict[str, Array], columns: Columns, sources: dict[tuple[str, str], Meaning], unit: Unit
+) -> None:
+    for quantity in {quantity for _, quantity in sources}:
+        data[quantity] *= unit.factor
+        data[quantity] += unit.offset
+    columns.places |= {place: replace(source, unit=unit) for place, source in sources.items()}
+
+
+def _take_angles(
+    time: Array,
+    data: dict[str, Array],
+    columns: Columns,
+    bare: dict[str, dict[tuple[str, str], Meaning]],
+) -> None:
+    """Turn angles and their speeds into rad and rad/s, where values are certain of other units.
+
+    The ratio of a velocity to the rate of change of its position tells both units. If it is that of
+    equal ones, or there are no velocities, positions of which most are far beyond the model's
+    limits in rad, and within them in degrees, are in degrees.
+    """
+    places = bare.get("position", {})
+    if any(source.role == MOTOR for source in places.values()):
+        return
+    angle, speed, ratio = _by_motion(time, data, bare)
+    why = f"velocities are {ratio:.4g} times as fast as positions change"
+    is_told = (angle, speed) != ("rad", "rad/s")
+    if places and not is_told and (beyond := _beyond_limits(data["position"], columns)):
+        angle, speed, why = "deg", "deg/s" if bare.get("velocity") else speed, beyond
+    for quantity, unit in {"position": angle, "command": angle, "velocity": speed}.items():
+        if UNITS[quantity][unit] != 1.0 and bare.get(quantity):
+            _convert(data, columns, bare[quantity], unit_of(unit, quantity))
+            words = f"{quantity} is in {unit}, as {why}: converted"
+            columns.notes.append(f"{words} (--units {quantity}=UNIT if it is in another)")
+
+
+def _by_motion(
+    time: Array, data: dict[str, Array], bare: dict[str, dict[tuple[str, str], Meaning]]
+) -> tuple[str, str, float]:
+    """Return units of angles and speeds by their ratio, and this; SI units where it tells none."""
+    known = "rad", "rad/s", 1.0
+    if "velocity" not in data or len(time) <= _WINDOW:
+        return known
+    position, velocity, time = data["position"][:_ROWS], data["velocity"][:_ROWS], time[:_ROWS]
+    steps = 0.5 * (velocity[1:] + velocity[:-1]) * np.diff(time)[:, None]
+    way = np.cumsum(np.vstack([np.zeros(velocity.shape[1]), np.nan_to_num(steps)]), axis=0)
+    found = list[float]()
+    for q, s in zip(position.T, way.T, strict=True):
+        moved, driven = (x[_WINDOW:] - x[:-_WINDOW] for x in (q, s))
+        there = np.isfinite(moved) & np.isfinite(driven)
+        moved, driven = moved[there], driven[there]
+        size = np.linalg.norm(moved) * np.linalg.norm(driven)
+        if size > 0.0 and moved @ driven > _ALIKE * size:
+            found.append(float(driven @ driven / (moved @ driven)))
+    ratio = float(np.median(found)) if found else 1.0
+    if not found or np.ptp(found) > 2.0 * _OFF * ratio:
+        return known
+    angles = _ANGLES if bare.get("position") else ("rad",)
+    speeds = _SPEEDS if bare.get("velocity") else ("rad/s",)
+    for angle, speed in ((a, s) for s in speeds for a in angles):
+        expected = UNITS["position"][angle] / UNITS["velocity"][speed]
+        if abs(ratio / expected - 1.0) < _OFF and abs(expected - 1.0) > _OFF:
+            return angle, speed, ratio
+    return known
+
+
+def _beyond_limits(position: Array, columns: Columns) -> str:
+    """Return why positions (N, n) can only be degrees by the model's limits, or ""."""
+    peaks = peaks_of(position)
+    names = (columns.places[joint, "position"].column for joint in columns.joints)
+    may_be_shares = peaks.max() <= _NORMALIZED and any(map(_OF_LEROBOT.search, names))
+    if may_be_shares or peaks.max() < _FAR or np.mean(peaks > _MOST_FAR) <= 0.5:
+        return ""
+    inside, outside = (
+        _share_within(columns, position, unit_of(u, "position")) for u in _ANGLES[::2]
+    )
+    if not inside > _HELD or outside > 0.5:
+        return ""
+    joint = columns.joints[int(peaks.argmax())]
+    return f"{joint} reaches {peaks.max():.4g}, and the model's limits hold no positions in rad"
+
+
+def _take_ticks(
+    data: dict[str, Array],
+    columns: Columns,
+    bare: dict[str, dict[tuple[str, str], Meaning]],
+) -> bool:
+    """Turn positions and commands (N, n) into rad where they are ticks of servos.
+
+    Whole numbers from 0 to less than 4,096, and beyond 1,024, are taken for ticks if nobody says
+    their unit, as geodrake's own names of columns do: in rad no joint goes so far, and in degrees
+    hardly one in whole ones. Drivers count angles from the middle of the turn on, at 2,048; so
+    does the log, unless the model's limits hold positions from tick 0 on, and not those.
+    """
+    told = [n for n in data if n in ("position", "command") and np.isfinite(data[n]).any()]
+    if "position" not in told or not all(bare[quantity] for quantity in told):
+        return False
+    for quantity in told:
+        numbers, least = data[quantity], TICKS / 4 if quantity == "position" else 0.0
+        if not are_whole(numbers):
+            return False
+        if not np.nanmin(numbers) >= 0.0 or not least < np.nanmax(numbers) < TICKS:
+            return False
+    ticks = data["position"]
+    middle, bottom = (unit_of(name, "position") for name in ("ticks@2048", "ticks"))
+    held = {unit: _share_within(columns, ticks, unit) for unit in (middle, bottom)}
+    unit, other = (bottom, middle) if held[bottom] > _HELD > held[middle] else (middle, bottom)
+    zero = "2048, as in drivers" if unit is middle else "0, as the model's limits suggest"
+    words = (
+        f"positions are integers from {np.nanmin(ticks):.0f} to {np.nanmax(ticks):.0f}: "
+        f"taken as servo ticks, {TICKS} a turn, with zero at tick {zero} (--units "
+        f"{','.join(f'{each}={other.name}' for each in told)} for zero at "
+        f"{'0' if unit is middle else '2048'}; other units with --units or a mapping)"
+    )
+    for quantity in told:
+        _convert(data, columns, bare[quantity], unit)
+    columns.notes.append(words)
+    return True
+
+
+def _share_within(columns: Columns, position: Array, unit: Unit) -> float:
+    """Return the share of positions (N, n) in a unit that are within the model's limits."""
+    limits = np.array([columns.reading.limits.get(j, (-np.inf, np.inf)) for j in columns.joints])
+    bounded = np.isfinite(limits).all(axis=1)
+    low, high = limits[bounded].T
+    q = unit.factor * position[:: len(position) // _ROWS + 1, bounded] + unit.offset
+    within = (low - _MARGIN <= q) & (q <= high + _MARGIN)
+    return float(np.mean(within[np.isfinite(q)])) if np.isfinite(q).any() else 1.0
+
+
+def are_whole(numbers: Array) -> bool:
+    """Return whether numbers are integers, except for rounding, empty cells and infinity."""
+    with np.errstate(invalid="ignore"):
+        parts = (numbers[:_FIRST], numbers)  # the first mostly tell
+        return not any(np.any(np.abs(part - np.rint(part)) > ROUNDING) for part in parts)
+
+
+def peaks_of(values: Array) -> Array:
+    """Return (n,) largest magnitude of each column, 0 without measurements."""
+    peaks = np.zeros(values.shape[1])
+    for first in range(0, len(values), _ROWS):
+        part = np.abs(values[first : first + _ROWS])
+        peaks = np.maximum(peaks, np.max(part, axis=0, initial=0.0, where=np.isfinite(part)))
+    return peaks
