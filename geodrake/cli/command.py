@@ -15,7 +15,6 @@ from urllib.parse import quote
 import typer
 from rich.console import Console
 
-from geodrake.boundary.arguments import number
 from geodrake.boundary.version import version
 from geodrake.boundary.whole_files import Content, check_writable, write_together
 from geodrake.cli.input_options import AxisOptions, proposing, read_model, written_axis
@@ -306,8 +305,7 @@ def _read(
         command.check(model)
         carried = known_payloads(paths, getattr(options, "known_payload", None) or (), model)
         named = zip(paths, found, strict=True)
-        carrying = [replace(o, payloads=carried[p]) if p in carried else o for p, o in named]
-        logs = with_facts(carrying, getattr(options, "log_facts", {}), reading)
+        logs = tuple(replace(o, payloads=carried[p]) if p in carried else o for p, o in named)
     else:
         command.check(model)
     return Input(model, logs, extra, settings, update)
@@ -450,17 +448,3 @@ def known_payloads(
     for payloads in carried.values():
         carried_phi(model, payloads)  # raises for unknown bodies, before the work
     return carried
-
-
-def with_facts(
-    logs: Sequence[JointLog], facts: Mapping[str, Any], reading: Reading
-) -> tuple[JointLog, ...]:
-    """Return logs with common fields set; gains with stated deviations keep these."""
-    found = []
-    for log in logs:
-        own = dict(facts)
-        if (share := own.get("effort_uncertainty")) is not None:
-            number(share, "effort_uncertainty", lower=0.0, upper=1.0)
-            own["effort_uncertainty"] = reading.effort_uncertainty(log.joints, share)
-        found.append(replace(log, **own))
-    return tuple(found)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from geodrake.boundary.arguments import number, one_of, positive
 from geodrake.cli.command import Command, Input, Output, run
 from geodrake.cli.identify import named_effects, split_effects
-from geodrake.cli.input_options import pairs
+from geodrake.cli.input_options import number_in, pairs
 from geodrake.cli.options import ExciteOptions, IdentifiableOptions
 from geodrake.cli.progress import STOPPING
 from geodrake.errors import ArgumentError, ModelError, nearest
@@ -416,12 +416,7 @@ def feet_in(text: str) -> list[str | Foot]:
             found.append(Foot(link, np.zeros((1, 3))))
         else:
             length, _, width = size.partition("x")
-            try:
-                sides = float(length), float(width)
-            except ValueError:
-                raise ArgumentError(
-                    f"{size!r} of --feet {text!r} is no size.", advice=_FEET
-                ) from None
+            sides = (number_in(side, f"--feet {text!r}", _FEET) for side in (length, width))
             found.append(Foot.sole(link, *sides))
     return found
 
@@ -443,10 +438,8 @@ def limits_of(
     shares = {quantity: dict[str, float]() for quantity in _QUANTITIES}
     for text in filter(None, ",".join(given or ()).split(",")):
         key, equals, value = (part.strip() for part in text.partition("="))
-        amount = value if equals else key
-        percent = amount.endswith("%")
         if not equals:
-            scale *= _amount(amount)
+            scale *= _amount(key)
             continue
         joint, _, quantity = key.rpartition(".")
         if quantity not in _QUANTITIES:
@@ -457,39 +450,40 @@ def limits_of(
             )
         if joint:
             _check_joint(joint, motors, "--limits")
-        joints = motors
-        if quantity in SIGNAL_KINDS:
-            joints = tuple(each.joint for each in model.effort_signals if each.kind == quantity)
-            if percent:
-                raise ArgumentError(
-                    f"--limits {text!r}: the model has no {quantity} limit to take a share of.",
-                    advice=f"Give a number, such as {quantity}=8.",
-                )
-        if not joints or (joint and joint not in joints):
+        signals = tuple(each.joint for each in model.effort_signals if each.kind == quantity)
+        joints, percent = signals if quantity in SIGNAL_KINDS else motors, value.endswith("%")
+        if percent and quantity in SIGNAL_KINDS:
+            raise ArgumentError(
+                f"--limits {text!r}: the model has no {quantity} limit to take a share of.",
+                advice=f"Give a number, such as {quantity}=8.",
+            )
+        if not joints or joint not in ("", *joints):
             raise ArgumentError(
                 f"--limits {text!r}: the model computes no efforts from a "
                 f"{quantity}{f' of {joint}' * bool(joint)}.",
                 advice="Limit the effort, or use a model that was fitted to such a log.",
             )
-        limit: Any = None if quantity == "position" else _amount(amount)
-        if quantity == "position":
-            low, colon, high = value.partition(":")
-            if not colon:
-                message = f"--limits has position={value}, not a range."
-                raise ArgumentError(message, advice=_EXAMPLE)
-            limit = _number(low, "--limits"), _number(high, "--limits")
+        limit: Any = _range(value) if quantity == "position" else _amount(value)
         for each in [joint] if joint else joints:
             said[quantity].pop(each, None)
             shares[quantity].pop(each, None)
             (shares if percent else said)[quantity][each] = limit
-    signals = {j: most for kind in SIGNAL_KINDS for j, most in said.pop(kind).items()}
+    signal_most = {j: most for kind in SIGNAL_KINDS for j, most in said.pop(kind).items()}
     limits = motion_limits(model, bounded=bounded, **said)
     for quantity in said.keys() - {"position"}:
         share = np.array([shares[quantity].get(joint, 1.0) for joint in motors])
         limits = replace(limits, **{quantity: share * getattr(limits, quantity)})
     # After the shares, which are of the model's limits: the lesser counts.
-    most = np.minimum(limits.effort, signal_limits(model, signals))
+    most = np.minimum(limits.effort, signal_limits(model, signal_most))
     return replace(limits, effort=most).scaled(scale)
+
+
+def _range(text: str) -> tuple[float, float]:
+    """Return the ends of a range, `-1:0.5`."""
+    low, colon, high = text.partition(":")
+    if not colon:
+        raise ArgumentError(f"--limits has position={text}, not a range.", advice=_EXAMPLE)
+    return _number(low, "--limits"), _number(high, "--limits")
 
 
 def _amount(text: str) -> float:
@@ -500,12 +494,8 @@ def _amount(text: str) -> float:
 
 
 def _number(text: str, option: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        advice = _EXAMPLE if option == "--limits" else f"Write 0.1, or {_JOINTS}."
-        message = f"{option} got {text.strip()!r}, which is not a number."
-        raise ArgumentError(message, advice=advice) from None
+    advice = _EXAMPLE if option == "--limits" else f"Write 0.1, or {_JOINTS}."
+    return number_in(text, option, advice)
 
 
 def _check_joint(joint: str, joints: Sequence[str], option: str) -> None:

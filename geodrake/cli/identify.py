@@ -8,8 +8,9 @@ from pathlib import Path
 
 from geodrake.cli.command import Command, Input, Output, run
 from geodrake.cli.options import IdentifyOptions
+from geodrake.diagnosis.add import check_places
 from geodrake.effects import Effect, effect_class, make_effect
-from geodrake.errors import ArgumentError, nearest
+from geodrake.errors import ArgumentError
 from geodrake.excitation.tell_apart import every_place
 from geodrake.identification.models import (
     IdentificationSettings,
@@ -17,7 +18,6 @@ from geodrake.identification.models import (
     identify_model,
 )
 from geodrake.model.export import check_export, export_model
-from geodrake.model.holding import why_no_place
 from geodrake.model.robot_model import RobotModel
 
 
@@ -94,7 +94,7 @@ def named_effects(
         effect = effect_class(kind, extra)
         if place:
             places = [tuple(place.split("+"))]
-            _check_places(places[0], model, on_bodies=effect.places == "body")
+            check_places(model, places[0], kinds=["body" if effect.places == "body" else "joint"])
         else:
             places = every_place(effect, model)
         try:
@@ -107,17 +107,6 @@ def named_effects(
             ) from error
         found |= dict.fromkeys(e for e in made if place or (e.name, e.where) not in taken)
     return tuple(found)
-
-
-def _check_places(places: Sequence[str], model: RobotModel, *, on_bodies: bool) -> None:
-    known = model.bodies if on_bodies else model.joints
-    for place in places:
-        if place not in known:
-            raise ArgumentError(
-                f"The model has no {'body' if on_bodies else 'joint'} {place!r}.",
-                advice=f"{why_no_place(model, place) or nearest(place, known)}"
-                f"It has {', '.join(known)}.",
-            )
 
 
 def _figure(found: ModelIdentification, path: Path) -> bytes:

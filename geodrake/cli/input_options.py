@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 from xml.sax.saxutils import quoteattr
 
 from geodrake.boundary.whole_files import write_whole
@@ -49,7 +49,7 @@ _URDF = """<?xml version="1.0"?>
 class ReadingOptions:
     """How logs are read where their column names are not enough.
 
-    Attributes:
+    Logs:
         mapping (FILE.yaml): Mapping of columns to joints and quantities. For unknown column names,
             a draft is written into the working folder.
         columns (NAME,…): Column names of logs without a header: time,q1,q2,tau1,tau2; _ skips one.
@@ -70,8 +70,6 @@ class ReadingOptions:
         episode (N): Episode of a LeRobot dataset or of a file of demonstrations; default all.
         skip_bad_rows: Skip corrupt rows, up to 1 %, and report their number.
     """
-
-    PANEL: ClassVar = "logs"
 
     mapping: Path | None = None
     columns: str | None = None
@@ -96,7 +94,7 @@ class ReadingOptions:
                 "--columns and --mapping exclude each other.",
                 advice="In a mapping, give column numbers instead of names.",
             )
-        gains = self._gains
+        gains, usual = self._gains, getattr(self, "effort_uncertainty", None)
         return Reading(
             mapping=None if self.mapping is None else read_mapping(self.mapping),
             columns=tuple(part.strip() for part in (self.columns or "").split(",") if part.strip()),
@@ -104,6 +102,7 @@ class ReadingOptions:
             units=pairs("--units", [self.units or ""], "position=deg,time=ms"),
             gains={joint: gain for joint, (gain, _) in gains.items()},
             gain_deviations={j: spread for j, (_, spread) in gains.items() if spread is not None},
+            **({} if usual is None else {"usual_deviation": usual}),
             kinds=self._kinds,
             motors=self._motors,
             skip_bad_rows=self.skip_bad_rows,
@@ -174,6 +173,15 @@ def pairs(option: str, given: Sequence[str], example: str) -> dict[str, str]:
     return found
 
 
+def number_in(text: str, option: str, advice: str) -> float:
+    """Return the number in a part of an option's value."""
+    try:
+        return float(text)
+    except ValueError:
+        message = f"{option} got {text.strip()!r}, which is not a number."
+        raise ArgumentError(message, advice=advice) from None
+
+
 @contextmanager
 def proposing(logs: Sequence[Path]) -> Iterator[None]:
     """Write a draft mapping for a log whose columns are unknown, and add its path to the error.
@@ -206,7 +214,7 @@ def proposing(logs: Sequence[Path]) -> Iterator[None]:
 class ModelOptions:
     """How a model file is read.
 
-    Attributes:
+    Models:
         lock (JOINT=VALUE): Fix a joint at a position, rad or m. Joints that no log has are fixed
             automatically. Repeatable.
         robot (NAME): Robot of a file that has several (x lists them).
@@ -220,8 +228,6 @@ class ModelOptions:
             default ARM.transmission.yaml beside ARM.urdf, if it exists.
         floating: Give bodies that are not fixed to the world a floating base.
     """
-
-    PANEL: ClassVar = "models"
 
     lock: list[str] | None = None
     robot: str | None = None
@@ -249,16 +255,9 @@ class ModelOptions:
     @property
     def held(self) -> dict[str, float]:
         """Joint -> position at which it is fixed, rad or m."""
-        found = dict[str, float]()
-        for joint, value in pairs("--lock", self.lock or (), "finger=0.04, in rad or m").items():
-            try:
-                found[joint] = float(value)
-            except ValueError:
-                raise ArgumentError(
-                    f"--lock has {joint}={value}; {value!r} is not a number.",
-                    advice="Write --lock JOINT=VALUE, in rad or m, such as --lock finger=0.04.",
-                ) from None
-        return found
+        said = pairs("--lock", self.lock or (), "finger=0.04, in rad or m")
+        advice = "Write --lock JOINT=VALUE, in rad or m, such as --lock finger=0.04."
+        return {j: number_in(value, f"--lock of {j!r}", advice) for j, value in said.items()}
 
 
 def read_model(
@@ -300,12 +299,10 @@ def repairs_in_short(repairs: Sequence[str]) -> tuple[str, ...]:
 class AxisOptions(ReadingOptions):
     """A single axis in place of a model file.
 
-    Attributes:
+    Models:
         axis (prismatic|revolute): Write a new MODEL (.urdf): one horizontal axis with --mass.
         mass (KG): Approximate mass that --axis moves; the fit corrects it.
     """
-
-    PANEL: ClassVar = "models"
 
     axis: str | None = None
     mass: float | None = None

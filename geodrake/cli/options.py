@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable
 from dataclasses import MISSING, Field, dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
 import typer
 
@@ -116,12 +116,6 @@ class _Steps(Options):
     """
 
     effort_uncertainty: float | None = None
-
-    @property
-    def log_facts(self) -> dict[str, Any]:
-        """Fields of `JointLog` that options set."""
-        share = self.effort_uncertainty
-        return {} if share is None else {"effort_uncertainty": share}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -235,10 +229,15 @@ class _NamedEffects:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Regularization:
-    """How identified inertias are regularized.
+class IdentifyOptions(_NamedEffects, Options):
+    """Options of identify.
 
     Attributes:
+        export (FILE.urdf|.sdf|.xml): Write a copy of the model file with the identified inertias.
+        ellipsoids (FILE.png): Draw the inertia ellipsoids before and after.
+        meshcat (FILE.html): Write an interactive page of the inertia ellipsoids.
+
+    Regularization:
         regularizer (NAME): Distance from the model's inertias: entropic, pullback, riemannian, …
             (x lists them).
         gamma (GAMMA): Weight of the regularizer; 100 keeps inertias within about 1/√100 = 10 %. By
@@ -249,25 +248,11 @@ class _Regularization:
         compare: Compare all regularizers at the same training residual.
     """
 
-    PANEL: ClassVar = "regularization"
-
     regularizer: str = "entropic"
     gamma: float | None = None
     residual_bound: float | None = None
     total_mass: float | None = None
     compare: bool = False
-
-
-@dataclass(frozen=True, kw_only=True)
-class IdentifyOptions(_NamedEffects, Options, _Regularization):
-    """Options of identify.
-
-    Attributes:
-        export (FILE.urdf|.sdf|.xml): Write a copy of the model file with the identified inertias.
-        ellipsoids (FILE.png): Draw the inertia ellipsoids before and after.
-        meshcat (FILE.html): Write an interactive page of the inertia ellipsoids.
-    """
-
     export: Path | None = None
     ellipsoids: Path | None = None
     meshcat: Path | None = None
@@ -326,10 +311,21 @@ class IdentifiableOptions(_NamedEffects, ValidationOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Motion:
-    """Motions that excite optimizes.
+class ExciteOptions(_NamedEffects, ModelOptions, CommonOptions):
+    """Options of excite.
 
     Attributes:
+        tell_apart (EFFECT,EFFECT[@PLACE]): Find the motion that best distinguishes two effects,
+            with everything else refitted.
+        feet (LINK,…): Links on which a legged robot stands and which do not move: the motion keeps
+            it in balance. Its base is free. A link without collision geometry has its size:
+            LINK=LENGTHxWIDTH in m, or LINK=point.
+        save (FILE): Save the motion as a log with predicted efforts (.csv, .npz), a ROS
+            JointTrajectory (.yaml), or a Drake BsplineTrajectory (.drake.yaml).
+        rate (HZ): Sampling rate of the saved motion.
+        meshcat (FILE.html): Write a page that replays the motion.
+
+    Motion:
         trajectory (FAMILY): fourier, spline, or free: unconnected samples, a bound for any motion.
         duration (SECONDS): Length of the motion.
         harmonics (N): Harmonics of a Fourier motion; default 5.
@@ -337,23 +333,8 @@ class _Motion:
             --tell-apart, so that every block of the log shows the difference.
         points (N): Control points of a spline motion; default 16.
         samples (N): Samples at which information is evaluated; default 300, or 50 free ones.
-    """
 
-    PANEL: ClassVar = "motion"
-
-    trajectory: str = "fourier"
-    duration: float = 10.0
-    harmonics: int | None = None
-    frequency: float | None = None
-    points: int | None = None
-    samples: int | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Robot:
-    """Constraints of the motions.
-
-    Attributes:
+    Robot and environment:
         friction (NUMBER): Coefficient of friction between ground and feet, with --feet.
         force_plate: The wrench of the ground is measured, with --feet, not the efforts of joints.
         limits (LIMIT,…): Limits that override the model file's: 0.5 for half of all,
@@ -369,26 +350,8 @@ class _Robot:
         clearance (METRES): Minimum distance from obstacles and between links.
         collisions: Use the collision geometry of the model file.
         floor: Keep the robot above its base. Off for a robot that starts below it.
-    """
 
-    PANEL: ClassVar = "robot and environment"
-
-    friction: float = 0.5
-    force_plate: bool = False
-    limits: list[str] | None = None
-    start: str | None = None
-    stand: str | None = None
-    obstacle: list[str] | None = None
-    clearance: float = 0.01
-    collisions: bool = True
-    floor: bool = True
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Choosing:
-    """Criterion and search of excite.
-
-    Attributes:
+    Search:
         criterion (NAME): e_optimality, a_optimality, d_optimality or condition_number.
         normalization (NAME): geometric, diagonal or none.
         noise (NOISE): Standard deviation of the measured efforts in N·m or N: one number, or
@@ -401,8 +364,28 @@ class _Choosing:
         solver (NAME): snopt or ipopt.
     """
 
-    PANEL: ClassVar = "search"
-
+    model: Path
+    tell_apart: str | None = None
+    feet: str | None = None
+    save: Path | None = None
+    rate: float = 100.0
+    report: Path | None = None
+    meshcat: Path | None = None
+    trajectory: str = "fourier"
+    duration: float = 10.0
+    harmonics: int | None = None
+    frequency: float | None = None
+    points: int | None = None
+    samples: int | None = None
+    friction: float = 0.5
+    force_plate: bool = False
+    limits: list[str] | None = None
+    start: str | None = None
+    stand: str | None = None
+    obstacle: list[str] | None = None
+    clearance: float = 0.01
+    collisions: bool = True
+    floor: bool = True
     criterion: str = "e_optimality"
     normalization: str = "geometric"
     noise: str | None = None
@@ -411,31 +394,6 @@ class _Choosing:
     seconds: float = 180.0
     iterations: int = 300
     solver: str = "snopt"
-
-
-@dataclass(frozen=True, kw_only=True)
-class ExciteOptions(_NamedEffects, ModelOptions, _Motion, _Robot, _Choosing, CommonOptions):
-    """Options of excite.
-
-    Attributes:
-        tell_apart (EFFECT,EFFECT[@PLACE]): Find the motion that best distinguishes two effects,
-            with everything else refitted.
-        feet (LINK,…): Links on which a legged robot stands and which do not move: the motion keeps
-            it in balance. Its base is free. A link without collision geometry has its size:
-            LINK=LENGTHxWIDTH in m, or LINK=point.
-        save (FILE): Save the motion as a log with predicted efforts (.csv, .npz), a ROS
-            JointTrajectory (.yaml), or a Drake BsplineTrajectory (.drake.yaml).
-        rate (HZ): Sampling rate of the saved motion.
-        meshcat (FILE.html): Write a page that replays the motion.
-    """
-
-    model: Path
-    tell_apart: str | None = None
-    feet: str | None = None
-    save: Path | None = None
-    rate: float = 100.0
-    report: Path | None = None
-    meshcat: Path | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -551,7 +509,7 @@ ALL_OPTIONS = "geodrake.all_options"  # key of a context's `meta`: show advanced
 _ADVANCED, _HELP_ALL = "Advanced: ", "help_all"
 _ARGUMENTS = ("effect", "model", "logs", "folder", "fleet")
 _FIRST = (*_ARGUMENTS, "save", "report", "json")
-_RARE = {"bandwidth", "blocks", "debug", "draft_effect", "effort_uncertainty", "known_payload"}
+_RARE = {"bandwidth", "blocks", "debug", "effort_uncertainty", "known_payload"}
 _RARE |= {"no_auto_lock", "series", "horizon", "windows", "live", "speed", "seconds", "quiet"}
 _RARE |= {"ellipsoids", "scheduler", "workers"}
 _ENTRY = re.compile(r"(?P<name>\w+)(?: \((?P<metavar>[^)]*)\))?: (?P<help>.*)")
@@ -566,18 +524,8 @@ def taking(options: type[T]) -> Callable[[Callable[[T], None]], Callable[..., No
     hints, texts = get_type_hints(options), _documented(options)
     kinds = {field.name: field for field in fields(options)}
     names = sorted(kinds, key=lambda name: _FIRST.index(name) if name in _FIRST else len(_FIRST))
-    rare = _RARE | (
-        {"effects"} if texts["effects"] == _documented(CommonOptions)["effects"] else set()
-    )
-    panels = dict.fromkeys(rare, f"{_ADVANCED}rarely needed")
-    for each in options.__mro__:
-        if "PANEL" in vars(each):
-            panels |= dict.fromkeys(
-                inspect.get_annotations(each), f"{_ADVANCED}{vars(each)['PANEL']}"
-            )
     parameters = [
-        _parameter(kinds[name], hints[name], panels.get(name), texts.get(name, (None, "")))
-        for name in names
+        _parameter(kinds[name], hints[name], *texts.get(name, (None, "", None))) for name in names
     ]
     parameters.append(_help_all())
 
@@ -611,23 +559,32 @@ def path(text: str) -> Path:
     return whole_if_folder(text, found)
 
 
-def _documented(options: type[Any]) -> dict[str, tuple[str | None, str]]:
-    """Return option -> metavariable and help, from the docstrings of a class and its bases."""
-    found: dict[str, tuple[str | None, str]] = {}
+def _documented(options: type[Any]) -> dict[str, tuple[str | None, str, str | None]]:
+    """Return option -> metavariable, help and panel, from the docstrings of a class and its bases.
+
+    The panel of an option is the title of its section, unless that is "Attributes".
+    """
+    found: dict[str, tuple[str | None, str, str | None]] = {}
     for each in reversed(options.__mro__):
-        text = inspect.cleandoc(each.__doc__ or "").partition("Attributes:\n")[2]
-        for entry in re.split(r"\n(?=    \w)", text):
-            if match := _ENTRY.match(" ".join(entry.split())):
-                found[match["name"]] = match["metavar"], match["help"]
+        _, *sections = re.split(r"^(\w[\w ]*):\n", inspect.cleandoc(each.__doc__ or ""), flags=re.M)
+        for title, text in zip(sections[::2], sections[1::2], strict=True):
+            for entry in re.split(r"\n(?=    \w)", text):
+                if match := _ENTRY.match(" ".join(entry.split())):
+                    name, metavar, help_text = match.group("name", "metavar", "help")
+                    is_rare = name in _RARE or metavar == "FILE.py"  # code of the user's own
+                    panel = "rarely needed" if is_rare else None
+                    panel = panel if title == "Attributes" else title.lower()
+                    found[name] = metavar, help_text, panel
     return found
 
 
 def _parameter(
-    field: Field[Any], kind: Any, panel: str | None, texts: tuple[str | None, str]
+    field: Field[Any], kind: Any, metavar: str | None, help_text: str, panel: str | None
 ) -> inspect.Parameter:
     """Return a parameter of a command; flags that are off by default have no negation."""
     name, default = field.name, field.default
-    common: Any = {"metavar": texts[0], "help": texts[1], "rich_help_panel": panel}
+    common: Any = {"metavar": metavar, "help": help_text}
+    common["rich_help_panel"] = panel and f"{_ADVANCED}{panel}"
     common |= {"parser": path} if name == "model" else {}
     if name in _ARGUMENTS and (default is MISSING or name in ("logs", "folder")):
         option = typer.Argument(**common)

@@ -76,16 +76,20 @@ def _refuse_what_cannot_be(
         shown = kind.role is Role.EPISODE
         whose = "found in the residual" if shown else "one of the whole robot"
         raise ArgumentError(f"{kind.name} is {whose}, so it has no place.")
-    check_places(model, where or (), of_joints=kind.role is Role.DELAY)
+    kinds = ["joint"] if kind.role is Role.DELAY else ["joint", "body"]
+    check_places(model, where or (), kinds=kinds)
 
 
-def check_places(model: RobotModel, where: Sequence[str], *, of_joints: bool = False) -> None:
-    """Raise an ArgumentError unless a model has all joints, and bodies, of some names."""
-    known = model.joints if of_joints else (*model.joints, *model.bodies)
+def check_places(
+    model: RobotModel, where: Sequence[str], *, kinds: Sequence[str] = ("joint", "body")
+) -> None:
+    """Raise an ArgumentError unless a model has all joints, or bodies, of some names."""
+    places = {"joint": model.joints, "body": model.bodies}
+    known = [name for kind in kinds for name in places[kind]]
     for name in where:
         if name not in known:
             raise ArgumentError(
-                f"The model has no joint {'' if of_joints else 'or body '}{name!r}.",
+                f"The model has no {' or '.join(kinds)} {name!r}.",
                 advice=f"{why_no_place(model, name) or nearest(name, known)}"
                 f"It has {', '.join(known)}.",
             )

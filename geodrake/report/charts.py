@@ -6,8 +6,7 @@ import base64
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
-from math import inf, isfinite, log
+from math import isfinite, log
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.escaping import printable
 from geodrake.inertia import Array
+from geodrake.report.json_output import picked
 from geodrake.report.numbers import number
 
 MOST_PANELS = 8  # panels that are shown at first, and that figures have
@@ -137,10 +137,7 @@ class Chart:
     def data(self) -> str:
         """The chart as JSON for embedding in a page."""
         numbers = {
-            "ends": self.ends,
-            "axis": self.axis,
-            "unit": self.unit,
-            "abreast": self.abreast,
+            **picked(self, "ends", "axis", "unit", "abreast"),
             "spans": [(printable(name), *numbers) for name, *numbers in self.stretches],
             "stages": [
                 {"key": s.key, "label": printable(s.label), "color": s.color, "look": s.look}
@@ -184,12 +181,8 @@ def _panel(panel: Panel) -> dict[str, Any]:
         "plots": [
             {
                 "label": printable(plot.label),
-                "limits": plot.limits,
+                **picked(plot, "limits", "centred", "span", "tall", "log"),
                 "floor": plot.floor if isfinite(plot.floor) else 0.0,
-                "centred": plot.centred,
-                "span": plot.span,
-                "tall": plot.tall,
-                "log": plot.log,
                 "axis": printable(plot.axis),
                 "over": None if plot.over is None else packed(plot.over),
                 "curves": pack,
@@ -256,31 +249,17 @@ NOISE = Stage("sensor noise", "noise", look="thin")
 
 
 @dataclass(frozen=True)
-class Bar:
-    """A bar, or a mark across a row's bars, that ends at a value; NaN where it is not known."""
-
-    stage: Stage
-    value: float
-    note: str = ""
-
-    @property
-    def text(self) -> str:
-        """Return the value in words."""
-        return number(self.value) + self.note
-
-
-@dataclass(frozen=True)
 class BarRow:
-    """The bars of one name; marks without a value are not drawn."""
+    """Bars of one name, and marks across them, by what they are of; NaN where not known."""
 
     label: str
-    bars: tuple[Bar, ...]
-    marks: tuple[Bar, ...] = ()
+    bars: Mapping[Stage, float]
+    marks: Mapping[Stage, float]
+    note: str = ""  # behind the numbers
 
-    @property
-    def shown_marks(self) -> tuple[Bar, ...]:
-        """Return the marks that have a value."""
-        return tuple(mark for mark in self.marks if 0.0 < mark.value < inf)
+    def text(self, value: float) -> str:
+        """Return a value in words."""
+        return number(value) + self.note
 
 
 @dataclass(frozen=True)
@@ -296,25 +275,25 @@ class Bars:
     @property
     def legend(self) -> tuple[Stage, ...]:
         """Return the stages of the bars, then those of the marks."""
-        own = [bar.stage for row in self.rows for bar in row.bars]
-        return tuple(dict.fromkeys((*own, *(mark.stage for r in self.rows for mark in r.marks))))
+        bars, marks = ([s for row in self.rows for s in getattr(row, of)] for of in _PARTS)
+        return tuple(dict.fromkeys((*bars, *marks)))
 
     @property
     def letters(self) -> int:
         """Return the maximum number of characters beside the longest bar."""
-        return max((len(bar.text) for row in self.rows for bar in row.bars), default=0)
+        texts = (row.text(value) for row in self.rows for value in row.bars.values())
+        return max(map(len, texts), default=0)
 
-    def end(self, bar: Bar) -> float:
+    def end(self, value: float) -> float:
         """Return the end of a bar, from 0 to 1; 0 without a value."""
-        if not isfinite(bar.value):
+        values = [x for row in self.rows for of in _PARTS for x in getattr(row, of).values()]
+        known = [max(x, _LEAST) for x in values if isfinite(x)] or [1.0]
+        if not isfinite(value):
             return 0.0
-        low, high = self._range
         if not self.log:
-            return bar.value / high
-        return log(max(bar.value, _LEAST) / low) / log(high / low)
+            return value / max(known)
+        low, high = 0.6 * min(known), 1.01 * max(known)
+        return log(max(value, _LEAST) / low) / log(high / low)
 
-    @cached_property
-    def _range(self) -> tuple[float, float]:
-        drawn = [bar.value for row in self.rows for bar in (*row.bars, *row.shown_marks)]
-        known = [max(value, _LEAST) for value in drawn if isfinite(value)] or [1.0]
-        return (0.6 * min(known), 1.01 * max(known)) if self.log else (0.0, max(known))
+
+_PARTS = "bars", "marks"

@@ -7,14 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from matplotlib.colors import to_rgb
+from matplotlib.colors import LightSource, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from mpl_toolkits.mplot3d.art3d import (  # type: ignore[import-untyped]
-    Line3DCollection,
-    Poly3DCollection,
-)
+from mpl_toolkits.mplot3d.art3d import Line3DCollection  # type: ignore[import-untyped]
 from mpl_toolkits.mplot3d.axes3d import Axes3D  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 from pydrake.geometry import Cylinder, Ellipsoid, Meshcat, Rgba, Sphere
@@ -53,7 +50,7 @@ _POINT = np.array([1.0, 0.0, 0.0, 0.0, 1e-6, 1e-6, 1e-6, 0.0, 0.0, 0.0])
 
 _LINE_WIDTH, _SHORTEST = 0.006, 1e-4  # m
 _LEAST_GAP = 0.3  # m
-_LIGHT = np.array([0.45, -0.6, 0.66])
+_LIGHT = LightSource(azdeg=143.0, altdeg=41.0)
 _MOST_COLUMNS = 3
 _OPAQUE, _ZOOM, _VIEW = 0.62, 1.15, (18.0, -62.0)  # of elevation and azimuth, degrees
 _WORDS = (
@@ -265,29 +262,19 @@ def ellipsoid_figure(
 
 
 def _draw_panel(ax: Axes3D, one: EllipsoidSet, bodies: PlacedEllipsoids, lines: Array) -> None:
-    """Draw a panel's faces as one collection, so that matplotlib sorts them by depth together."""
-    points = bodies.points()
-    corners = [points[:, :-1, :-1], points[:, 1:, :-1], points[:, 1:, 1:], points[:, :-1, 1:]]
-    faces = np.stack(corners, 3)
-    around = np.cross(faces[..., 2, :] - faces[..., 0, :], faces[..., 3, :] - faces[..., 1, :])
-    length = np.linalg.norm(around, axis=-1, keepdims=True)
-    bright = 0.75 + 0.25 * (around / np.where(length > 0, length, 1.0)) @ _LIGHT
-    colors = np.array([to_rgb(one.body_color(k)) for k in range(len(points))])
-    shaded = np.empty((*bright.shape, 4))
-    shaded[..., :3] = colors[:, None, None] * bright[..., None]
-    shaded[..., 3] = _OPAQUE
-    marked = one.at_boundary[:, None, None, None]
-    edges = np.where(marked, [*to_rgb(BOUNDARY), 0.9], 0.0 * shaded)
-    mesh = Poly3DCollection(
-        faces.reshape(-1, 4, 3),
-        facecolors=np.clip(shaded, 0, 1).reshape(-1, 4),
-        edgecolors=edges.reshape(-1, 4),
-        linewidths=0.6,
-    )
-    ax.add_collection3d(mesh)
-    robot = Line3DCollection(lines, colors=style.INK, linewidths=1.6)
-    robot.set_zorder(10)
-    ax.add_collection3d(robot)
+    """Draw the bodies and the robot in a panel."""
+    for body, points in enumerate(bodies.points()):
+        flat = bool(one.at_boundary[body])
+        ax.plot_surface(
+            *points[::-1].transpose(2, 0, 1),
+            rstride=1,
+            cstride=1,
+            color=one.body_color(body),
+            alpha=_OPAQUE,
+            edgecolor=BOUNDARY if flat else "none",
+            lightsource=_LIGHT,
+        )
+    ax.add_collection3d(Line3DCollection(lines, colors=style.INK, linewidths=1.6))
 
 
 class AdaptationView(LeafSystem):

@@ -19,7 +19,6 @@ from geodrake.inertia import Array
 from geodrake.report.charts import (
     MOST_PANELS,
     NOISE,
-    Bar,
     BarRow,
     Bars,
     Chart,
@@ -260,8 +259,8 @@ def step_bars(explanation: Explanation, joints: Collection[str]) -> Bars:
     for step in explanation.steps:
         words = f"+ {effect_label(step.effect)}, {step_place(step, joints, most=3)}"
         errors.append((shortened(words, _MOST_LETTERS), _END, step.error_after))
-    marks = (Bar(NOISE, explanation.end.floor_nrms),)
-    rows = tuple(BarRow(words, (Bar(color, nrms),), marks) for words, color, nrms in errors)
+    marks = {NOISE: explanation.end.floor_nrms}
+    rows = tuple(BarRow(words, {stage: nrms}, marks) for words, stage, nrms in errors)
     caption = "nrms on held-out data after each step, on a logarithmic axis."
     return Bars("steps", caption, rows)
 
@@ -272,13 +271,14 @@ def candidate_bars(diagnosis: Diagnosis, joints: Collection[str]) -> Bars:
     `joints` are all at which an effect may act.
     """
     shown, refitted = diagnosis.candidates[:_MOST_CANDIDATES], diagnosis.refitted
-    marks = Bar(_WITHOUT, refitted.nrms), Bar(NOISE, refitted.floor_nrms)
+    marks = {_WITHOUT: refitted.nrms, NOISE: refitted.floor_nrms}
     rows = []
     for i, candidate in enumerate(shown):
         words = f"{effect_label(candidate.effect)}, {places_label(candidate.where, joints, most=3)}"
-        color = _CHOSEN if i == 0 else _TIED if candidate.tied else _LESS
-        bar = Bar(color, candidate.error_after, ", tied" if i and candidate.tied else "")
-        rows.append(BarRow(shortened(words, _MOST_LETTERS), (bar,), marks))
+        stage = _CHOSEN if i == 0 else _TIED if candidate.tied else _LESS
+        note = ", tied" if i and candidate.tied else ""
+        bar = {stage: candidate.error_after}
+        rows.append(BarRow(shortened(words, _MOST_LETTERS), bar, marks, note))
     count = len(diagnosis.candidates)
     return Bars(
         "candidates",
@@ -289,19 +289,16 @@ def candidate_bars(diagnosis: Diagnosis, joints: Collection[str]) -> Bars:
     )
 
 
-def joint_bars(errors: ErrorTable, stages: Sequence[tuple[str, Sequence[float]]] = ()) -> Bars:
+def joint_bars(errors: ErrorTable, stages: Sequence[tuple[str, Mapping[str, float]]] = ()) -> Bars:
     """Return the RMS of each joint, at first and after stages, over its effort's deviation."""
     shades = np.linspace(0.25, 1.0, len(stages)) if len(stages) > 1 else np.ones(len(stages))
-    colors = [
-        Stage(words, "after", opacity=round(float(shade), 2))
-        for shade, (words, _) in zip(shades, stages, strict=True)
-    ]
     names, rows = set(worst_joints(errors)), []
-    for i, joint in enumerate(errors.joints):
-        if joint.joint in names:
-            rms = (joint.rms, *(values[i] for _, values in stages))
-            own = (Bar(c, x / joint.std) for c, x in zip((BEFORE, *colors), rms, strict=True))
-            rows.append(BarRow(joint.joint, tuple(own), (Bar(NOISE, joint.floor / joint.std),)))
+    for joint in (joint for joint in errors.joints if joint.joint in names):
+        bars = {BEFORE: joint.rms / joint.std}
+        for shade, (words, rms) in zip(shades, stages, strict=True):
+            stage = Stage(words, "after", opacity=round(float(shade), 2))
+            bars[stage] = rms.get(joint.joint, np.nan) / joint.std
+        rows.append(BarRow(joint.joint, bars, {NOISE: joint.floor / joint.std}))
     caption = (
         "RMS error of each joint over the standard deviation of its effort, on a logarithmic axis."
     )
@@ -312,9 +309,5 @@ def joint_bars(errors: ErrorTable, stages: Sequence[tuple[str, Sequence[float]]]
 
 def step_joint_bars(explanation: Explanation) -> Bars:
     """Return the errors of joints at the start, and after each step of an explanation."""
-    joints = [joint.joint for joint in explanation.start.joints]
-    stages = [
-        (f"+ {effect_label(s.effect)}", [s.rms_after.get(joint, np.nan) for joint in joints])
-        for s in explanation.steps
-    ]
+    stages = [(f"+ {effect_label(step.effect)}", step.rms_after) for step in explanation.steps]
     return joint_bars(explanation.start, stages)

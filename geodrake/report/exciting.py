@@ -319,7 +319,7 @@ def identifiability_page(found: LogIdentifiability, about: About) -> Page:
     """Return the page of the identifiability of logs."""
     most = percent(found.identifiable.threshold**0.5)
     count, of = sum(entry.is_identifiable for entry in found.effects), len(found.effects)
-    headline, *beyond = _identifiable_sentences(found)
+    headline, *beyond = identifiable_sentences(found)
     rest = found.unidentifiable
     combinations = [
         cells(each.words, each.value, each.deviation, relative(each.relative))
@@ -372,7 +372,7 @@ def identifiability_page(found: LogIdentifiability, about: About) -> Page:
     )
 
 
-def _identifiable_sentences(found: LogIdentifiability) -> list[str]:
+def identifiable_sentences(found: LogIdentifiability) -> list[str]:
     """Return what is identifiable from logs, and what a better model would identify.
 
     For example `9 of 12 directions are identifiable to within 10 %; hand in full.`
@@ -392,11 +392,6 @@ def _identifiable_sentences(found: LogIdentifiability) -> list[str]:
     if found.count_at_floor > found.count:
         sentences.append(f"If only sensor noise remained, {found.count_at_floor} would be.")
     return sentences
-
-
-def identifiability_verdict(found: LogIdentifiability) -> str:
-    """Return what is identifiable from logs, in a few sentences."""
-    return " ".join(_identifiable_sentences(found))
 
 
 def _bodies_table(found: LogIdentifiability) -> Table:
@@ -508,7 +503,7 @@ def _identifiable_values(found: LogIdentifiability) -> dict[str, Any]:
     """Return directions, and the effort noise of each joint."""
     variances, shares = found.identifiable.variances, found.identifiable.shares.T
     return {
-        "verdict": identifiability_verdict(found),
+        "verdict": " ".join(identifiable_sentences(found)),
         "directions": [
             (own, ideal, k < found.count, dict(zip(found.blocks, of, strict=True)))
             for k, (own, ideal, of) in enumerate(

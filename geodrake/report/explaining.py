@@ -50,7 +50,6 @@ from geodrake.report.numbers import (
 from geodrake.report.page import (
     About,
     Cell,
-    ColoredList,
     Page,
     Records,
     Section,
@@ -121,11 +120,7 @@ class _Errors:
     def sections(self) -> tuple[Section, Section]:
         """Return the errors of all joints, and where they are concentrated."""
         chart = effort_chart(self.models, self.units, self.between)
-        lists = tuple(
-            ColoredList(words.capitalized(stage.label), stage.color, said)
-            for stage, comparison in self.models.items()
-            for said in [words.failing_list(comparison) or (_EVEN,)]
-        )
+        lists = {stage: words.failing_list(c) or (_EVEN,) for stage, c in self.models.items()}
         return (
             Section(
                 "Joint by joint",
@@ -361,7 +356,7 @@ def identification_page(found: ModelIdentification, about: About) -> Page:
         {"before": before, "after": after},
         {_IDENTIFIED: found.comparison},
         units,
-        joint_bars(before, [("identified", [joint.rms for joint in after.joints])]),
+        joint_bars(before, [("identified", after.by_joint())]),
     )
     joints, failing = shown.sections()
     headline = f"nrms on held-out data {number(before.nrms)} → {number(after.nrms)}"

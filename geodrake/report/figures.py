@@ -163,16 +163,17 @@ def bars_figure(bars: Bars) -> Figure:
     at, ticks = 0.0, []
     for row in bars.rows:
         ends = [at + k for k in range(len(row.bars))]
-        for y, bar in zip(ends, row.bars, strict=True):
-            color = style.COLORS[bar.stage.color]
-            ax.barh(y, bars.end(bar), 0.86, color=color, alpha=bar.stage.opacity)
+        for y, (stage, value) in zip(ends, row.bars.items(), strict=True):
+            end, color = bars.end(value), style.COLORS[stage.color]
+            ax.barh(y, end, 0.86, color=color, alpha=stage.opacity)
             ax.annotate(
-                bar.text, (bars.end(bar), y), (4, 0), textcoords="offset points", va="center",
+                row.text(value), (end, y), (4, 0), textcoords="offset points", va="center",
                 **style.plain(style.SMALL),
             )  # fmt: skip
-        for mark in row.shown_marks:
-            color = style.COLORS[mark.stage.color]
-            ax.vlines(bars.end(mark), ends[0] - 0.6, ends[-1] + 0.6, color=color, linestyle="--")
+        for stage, value in row.marks.items():
+            if value > 0:
+                color, span = style.COLORS[stage.color], (ends[0] - 0.6, ends[-1] + 0.6)
+                ax.vlines(bars.end(value), *span, color=color, linestyle="--")
         ticks.append(float(np.mean(ends)))
         at = ends[-1] + 1.8
     labels = [style.label(row.label, 62) for row in bars.rows]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from itertools import compress
 from typing import TYPE_CHECKING, Any
 
-from geodrake.report.charts import Bars, Chart
+from geodrake.report.charts import Bars, Chart, Stage
 from geodrake.report.json_output import record
 from geodrake.report.numbers import Units, number
 
@@ -62,15 +62,6 @@ def _text(entry: str | float | None) -> str:
 
 
 @dataclass(frozen=True)
-class ColoredList:
-    """A list about one of the models; `color` is the model's in the style sheet."""
-
-    title: str
-    color: str
-    items: tuple[str, ...]
-
-
-@dataclass(frozen=True)
 class Section:
     """A part of a page under a heading."""
 
@@ -80,7 +71,7 @@ class Section:
     bars: tuple[Bars, ...] = ()
     tables: tuple[Table, ...] = ()
     items: tuple[str, ...] = ()
-    lists: tuple[ColoredList, ...] = ()
+    lists: Mapping[Stage, tuple[str, ...]] = field(default_factory=dict)  # of models, side by side
     commands: tuple[str, ...] = ()  # commands to copy
     charts: tuple[Chart, ...] = ()
     detailed: bool = False  # whether only HTML pages show it

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from subprocess import SubprocessError
 from tempfile import TemporaryDirectory
@@ -74,10 +75,9 @@ def error_pictures(model: RobotModel, compared: Mapping[str, Comparison]) -> Pic
 
     None where it has no posture that a log says, or nothing is to be seen.
     """
-    try:
+    with suppress(GeodrakeError):
         return _drawn(model, compared)
-    except GeodrakeError:
-        return None
+    return None
 
 
 def _drawn(model: RobotModel, compared: Mapping[str, Comparison]) -> Pictures | None:
@@ -95,7 +95,7 @@ def _drawn(model: RobotModel, compared: Mapping[str, Comparison]) -> Pictures | 
     nrms = np.array([[own.get(joint, np.nan) for joint in model.joints] for own in known])
     top, links = top_error(nrms, 1.0), posed_links(model, q, shapes)
     drawn = [
-        DrawnRobots([(links, error_colors(own[None], top))], camera).picture(0) for own in nrms
+        next(drawn_robots([(links, error_colors(own[None], top))], camera, [0])) for own in nrms
     ]
     if not drawn[0].any():
         return None
@@ -183,11 +183,10 @@ def _frames(found: Playback, numbers: list[int]) -> Iterator[Pixels]:
     far, target = camera_place(found.extent, len(robots))
     place = target + _CLOSER * (far - target)
     colored = [(robot.links, robot.colors) for robot in robots]
-    view = DrawnRobots(colored, Camera(place, target, _WIDTH, _HEIGHT))
+    views = drawn_robots(colored, Camera(place, target, _WIDTH, _HEIGHT), numbers)
     plot, left, right = _error_plot(found)
     titles = " | ".join(robot.played.title for robot in robots)
-    for number_ in numbers:
-        drawn = view.picture(number_)
+    for number_, drawn in zip(numbers, views, strict=True):
         cover = drawn[..., 3:] / 255.0
         seen = np.rint(drawn[..., :3] * cover + np.array(_GROUND) * (1.0 - cover))
         picture = Image.fromarray(np.vstack([seen.astype(np.uint8), plot]))
@@ -252,39 +251,35 @@ class Camera:
         return np.stack([x, y, np.where(-at[..., 2] > _NEAR, nearness, -1.0)], -1)
 
 
-class DrawnRobots:
-    """Robots in the colours of their joints, ready to be drawn in any frame.
+def drawn_robots(
+    robots: Sequence[tuple[Sequence[PosedLink], Pixels]], camera: Camera, frames: Iterable[int]
+) -> Iterator[Pixels]:
+    """Yield frames (height, width, 4), RGBA, of robots in the colours of their joints.
+
+    The background is transparent.
 
     Args:
         robots: Links of each robot, and colours (F, nv, 4) of its joints, RGBA.
+        frames: Numbers of the frames.
     """
-
-    def __init__(
-        self, robots: Sequence[tuple[Sequence[PosedLink], Pixels]], camera: Camera
-    ) -> None:
-        size = _FINER * camera.width, _FINER * camera.height
-        self._camera = Camera(camera.place, camera.target, *size)
-        self._parts = [
-            (link, colors, *_surface(link.shapes)) for links, colors in robots for link in links
-        ]
-
-    def picture(self, frame: int) -> Pixels:
-        """Return a frame (height, width, 4), RGBA, with a transparent background."""
-        camera, placed, painted = self._camera, list[Array](), list[Array]()
-        for link, colors, corners, own in self._parts:
+    fine = replace(camera, width=_FINER * camera.width, height=_FINER * camera.height)
+    parts = [(link, colors, *_surface(link.shapes)) for links, colors in robots for link in links]
+    for frame in frames:
+        placed, painted = list[Array](), list[Array]()
+        for link, colors, corners, own in parts:
             X_WB = link.X_WB[frame]
             placed.append(corners @ X_WB.rotation().matrix().T + X_WB.translation())
             color = own if link.joint is None else colors[frame, link.joint, :3]
             painted.append(np.broadcast_to(color, own.shape))
         points = np.concatenate(placed)
-        shaded = np.concatenate(painted) * _brightness(points @ camera.R_WC)[:, None]
-        image = np.zeros((camera.height, camera.width, 4), np.float32)
-        _draw(contiguous(camera.seen(points)), contiguous(shaded), image, np.zeros(image.shape[:2]))
+        shaded = np.concatenate(painted) * _brightness(points @ fine.R_WC)[:, None]
+        image = np.zeros((fine.height, fine.width, 4), np.float32)
+        _draw(contiguous(fine.seen(points)), contiguous(shaded), image, np.zeros(image.shape[:2]))
         some = [image[i::_FINER, j::_FINER] for i in range(_FINER) for j in range(_FINER)]
         total = sum(some[1:], some[0])
         total[..., :3] /= np.maximum(total[..., 3:], 1.0)
         total[..., 3] *= 255.0 / len(some)
-        return np.rint(total).astype(np.uint8)
+        yield np.rint(total).astype(np.uint8)
 
 
 def _surface(shapes: Sequence[LinkShape]) -> tuple[Array, Array]:
@@ -385,12 +380,10 @@ def _points(shape: Shape) -> Array:
         return shape.radius() * ball
     if isinstance(shape, Ellipsoid):
         return ball * [shape.a(), shape.b(), shape.c()]
-    if isinstance(shape, Capsule):
+    if isinstance(shape, Capsule | Cylinder):
+        end = shape.radius() * (ball if isinstance(shape, Capsule) else circle)
         shift = 0.5 * shape.length() * up
-        return np.concatenate([shape.radius() * ball + shift, shape.radius() * ball - shift])
-    if isinstance(shape, Cylinder):
-        shift = 0.5 * shape.length() * up
-        return np.concatenate([shape.radius() * circle + shift, shape.radius() * circle - shift])
+        return np.concatenate([end + shift, end - shift])
     if isinstance(shape, Box):
         signs = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), -1).reshape(-1, 3)
         return np.asarray(signs * shape.size())

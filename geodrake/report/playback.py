@@ -22,9 +22,10 @@ from geodrake.identification.logs.model_errors import Comparison
 from geodrake.inertia import Array
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
+from geodrake.report.charts import Stage
 from geodrake.report.explaining import comparison_page
 from geodrake.report.numbers import Units, number, percent
-from geodrake.report.page import About, ColoredList, Page, Section, View
+from geodrake.report.page import About, Page, Section, View
 from geodrake.report.robot_scene import (
     FRAMES,
     Extent,
@@ -402,14 +403,11 @@ def _worst(
 def playback_page(playback: Playback, about: About) -> Page:
     """Return the page of a playback."""
     *_, last = playback.models
-    lists = tuple(
-        ColoredList(
-            f"{played.title}, nrms {number(played.comparison.errors.nrms)} on {played.data}",
-            "after" if played is last else "before",
-            tuple(map(playback.moment_words, played.moments)),
-        )
-        for played in playback.models
-    )
+    lists = {}
+    for played in playback.models:
+        words = f"{played.title}, nrms {number(played.comparison.errors.nrms)} on {played.data}"
+        stage = Stage(words, "after" if played is last else "before")
+        lists[stage] = tuple(map(playback.moment_words, played.moments))
     page = comparison_page(last.comparison, about)
     *others, notes = page.sections
     notes = replace(notes, items=(*playback.left_out, *playback.shapes.notes, *notes.items))

@@ -66,9 +66,9 @@ def show_section(console: Console, section: Section, *, details: bool = True) ->
                 _head(console, table.title)
             _show_table(console, table if details else table.in_short)
     _show_items(console, (*section.items, *section.commands))
-    for each in section.lists:
-        _head(console, f"{section.title}: {each.title[:1].lower()}{each.title[1:]}")
-        _show_items(console, each.items)
+    for stage, items in section.lists.items():
+        _head(console, f"{section.title}: {stage.label[:1].lower()}{stage.label[1:]}")
+        _show_items(console, items)
 
 
 def show_saved(console: Console, saved: Mapping[Path, str], others: Sequence[object] = ()) -> None:

@@ -40,10 +40,6 @@ _KINDS = {
 """Module here -> the results that its `VIEWS` are of; imported only where there is one of them."""
 
 
-_PARTS = {"records": "rows of numbers"}
-"""How parts of a `View` are called in words, where that is not their name."""
-
-
 def view_of(result: object, part: str = "page") -> View:
     """Return how to see a result; refuse what is none, or has no such part as `View` calls it."""
     for kind in type(result).__mro__:
@@ -52,7 +48,7 @@ def view_of(result: object, part: str = "page") -> View:
                 view = import_module(f"geodrake.report.{module}").VIEWS.get(kind)
                 if view is not None and getattr(view, part):
                     return view
-    raise ArgumentError(f"{type(result).__name__} has no {_PARTS.get(part, part)}.")
+    raise ArgumentError(f"{type(result).__name__} has no {part}.")
 
 
 def page_of(result: object, about: About | None = None) -> Page:

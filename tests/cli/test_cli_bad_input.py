@@ -67,7 +67,7 @@ BAD = {
         "--lock right=0": "'right' cannot be fixed, as it follows 'left'",
         "--lock lef=1": "Did you mean left",
         "--lock left": "--lock got 'left'",
-        "--lock left=b": "--lock has left=b; 'b' is not a number",
+        "--lock left=b": "--lock of 'left' got 'b', which is not a number",
         "--lock left=0 --lock left=0": "has 'left' twice",
         "--lock left=0 --lock shoulder=0 --lock elbow=0": "All joints",
         "--json none/x.json": "No such file",

@@ -283,7 +283,7 @@ class TestFeet:
             (("--floating",), "Name the links that it stands on: --feet LINK,LINK"),
             (("--force-plate",), "Add --feet LINK,LINK"),
             (("--feet", "l_foot="), "LINK=LENGTHxWIDTH"),
-            (("--feet", "l_foot=big"), "'big' of --feet 'l_foot=big' is no size"),
+            (("--feet", "l_foot=big"), "'l_foot=big' got 'big', which is not a number"),
             (("--feet", "paw"), "The model has no link 'paw' to stand on"),
             (("--feet", "l_foot", "--force-plate", "--effects", "effort_offset"), "force plate"),
             (("--feet", "l_foot", "--friction", 0), "--friction"),

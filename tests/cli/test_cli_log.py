@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import foreign_logs
@@ -20,7 +21,6 @@ from foreign_logs import (
 from pendulum_logs import PENDULUM, body_effort
 from PIL import Image
 
-from geodrake.cli.command import with_facts
 from geodrake.cli.input_options import ReadingOptions
 from geodrake.cli.options import AddOptions
 from geodrake.logs import JointLog, Reading, read_log
@@ -112,9 +112,9 @@ def test_gains_with_deviations_count_beside_what_is_said_of_all(tmp_path):
     rows = table()
     log = write(tmp_path / "log.csv", "t,q1,q2,i1,i2", rows)
     reading = ReadingOptions(gain=["shoulder=2±0.2", "elbow=4"]).reading
+    reading = replace(reading, usual_deviation=0.01)
     read = read_log(log, joints=("shoulder", "elbow"), reading=reading)
-    (known,) = with_facts([read], {"effort_uncertainty": 0.01}, reading)
-    assert np.allclose(known.effort_uncertainty, [0.1, 0.01])
+    assert np.allclose(read.effort_uncertainty, [0.1, 0.01])
     assert not read.effort_kinds
 
 

@@ -159,9 +159,12 @@ def test_steps_can_be_chosen_where_their_predictions_are_known():
 
 def test_errors_that_are_none_have_bars_of_nothing():
     for rms, text in ((np.nan, "–"), (np.inf, "–"), (0.0, "0")):
-        bars = joint_bars(errors(joint_names(2), 0.5), [("then", [rms, 0.1])])
-        assert np.isfinite([bars.end(bar) for row in bars.rows for bar in row.bars]).all()
-        assert bars.rows[0].bars[1].text == text
+        joints = joint_names(2)
+        then = dict(zip(joints, (rms, 0.1), strict=True))
+        bars = joint_bars(errors(joints, 0.5), [("then", then)])
+        assert np.isfinite([bars.end(x) for row in bars.rows for x in row.bars.values()]).all()
+        _, last = bars.rows[0].bars.values()
+        assert bars.rows[0].text(last) == text
 
 
 def test_steps_fall_and_candidates_are_as_long_as_their_errors():
@@ -170,12 +173,12 @@ def test_steps_fall_and_candidates_are_as_long_as_their_errors():
     bars = step_bars(found, joints)
     assert bars.rows[0].label == "the model as it stands"
     assert bars.rows[-1].label == "+ Coulomb friction, joint_0 and joint_1"
-    texts = [row.bars[0].text for row in bars.rows]
+    texts = [row.text(value) for row in bars.rows for value in row.bars.values()]
     assert texts[0] == number(found.start.nrms)
     assert texts[2:] == [number(step.error_after) for step in found.steps]
     assert len(step_joint_bars(found).rows[0].bars) == 1 + len(found.steps)
     bars = candidate_bars(shown, joints)
-    lengths = np.array([bars.end(row.bars[0]) for row in bars.rows])
+    lengths = np.array([bars.end(value) for row in bars.rows for value in row.bars.values()])
     left = np.array([candidate.error_after for candidate in shown.candidates])
     np.testing.assert_allclose(lengths / lengths[0], left / left[0])
 

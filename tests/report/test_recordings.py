@@ -18,7 +18,7 @@ from report_results import JOINT, LOG, URDF, comparison
 
 from geodrake import load_model
 from geodrake.report import page_of, pictures, recordings, render
-from geodrake.report.pictures import Camera, DrawnRobots, error_pictures, triangles
+from geodrake.report.pictures import Camera, drawn_robots, error_pictures, triangles
 from geodrake.report.playback import play_back
 from geodrake.report.robot_scene import PosedLink, drawn_shapes, link_joints, posed_links
 from geodrake.robot.shapes import LinkShape
@@ -220,7 +220,7 @@ def boxes(*places):
 def test_the_nearest_link_is_seen_whatever_the_order():
     camera = Camera(np.array([2.0, 0.0, 0.0]), np.zeros(3), 80, 60)
     for places in (([0, 0, 0], [0.5, 0, 0]), ([0.5, 0, 0], [0, 0, 0])):
-        picture = DrawnRobots([boxes(*places)], camera).picture(0)
+        picture = next(drawn_robots([boxes(*places)], camera, [0]))
         assert picture.shape == (60, 80, 4)
         assert picture[30, 40, :3].argmax() == places.index([0.5, 0, 0])
         assert picture[30, 40, 3] == 255 and not picture[0, 0].any()
@@ -229,7 +229,7 @@ def test_the_nearest_link_is_seen_whatever_the_order():
 def test_what_is_where_the_camera_says():
     """A box 1 m above the middle, seen from 4 m: 75 degrees of view fill the height."""
     camera = Camera(np.array([4.0, 0.0, 0.0]), np.zeros(3), 80, 60)
-    cover = DrawnRobots([boxes([0, 0, 1])], camera).picture(0)[..., 3]
+    cover = next(drawn_robots([boxes([0, 0, 1])], camera, [0]))[..., 3]
     rows, columns = np.nonzero(cover)
     above = 30 - 30 / np.tan(np.radians(37.5)) / 4.0
     assert rows.mean() == pytest.approx(above, abs=1.0)
@@ -238,7 +238,7 @@ def test_what_is_where_the_camera_says():
 
 def test_what_is_behind_the_camera_is_not_seen():
     camera = Camera(np.array([2.0, 0.0, 0.0]), np.zeros(3), 80, 60)
-    assert not DrawnRobots([boxes([3.0, 0, 0])], camera).picture(0).any()
+    assert not next(drawn_robots([boxes([3.0, 0, 0])], camera, [0])).any()
 
 
 def test_pages_show_the_robot_before_and_after():

@@ -102,6 +102,7 @@ class Reading:
             command) -> its unit.
         gains: Joint -> what its efforts are multiplied by, such as current · constant · ratio.
         gain_deviations: Some of these joints -> standard deviation of the gain.
+        usual_deviation: Relative standard deviation of the gains of all other joints.
         kinds: Joint -> what its efforts are, of `KINDS`; by the name "", those of all joints whose
             columns do not say it.
         skip_bad_rows: Leave out rows that no recorder meant, if they are at most 1 %.
@@ -128,6 +129,7 @@ class Reading:
     topic: str | Sequence[str] | None = None
     episode: int | None = None
     gain_deviations: Mapping[str, float] = field(default_factory=dict)
+    usual_deviation: float = USUAL_GAIN_DEVIATION
     kinds: Mapping[str, str] = field(default_factory=dict)
     ignored: frozenset[str] = frozenset()
     motorless: frozenset[str] = frozenset()
@@ -144,6 +146,7 @@ class Reading:
             instance(getattr(self, name), name, Mapping)
         if self.rate is not None:
             positive(self.rate, "The sampling rate of a log, Hz,")
+        number(self.usual_deviation, "effort_uncertainty", lower=0.0, upper=1.0)
         instances(self.topics, "topic", str)
         if self.episode is not None:
             integer(self.episode, "episode", lower=0)
@@ -176,10 +179,9 @@ class Reading:
         found = {joint: self.motors.get(joint, self.motors.get("")) for joint in joints}
         return {joint: motor for joint, motor in found.items() if motor is not None}
 
-    def effort_uncertainty(
-        self, joints: Sequence[str], usual: float = USUAL_GAIN_DEVIATION
-    ) -> float | Array:
+    def effort_uncertainty(self, joints: Sequence[str]) -> float | Array:
         """Return how well the gains of efforts are known: a share of each (n,), or one of all."""
+        usual = self.usual_deviation
         stated = {joint: self._stated_uncertainty(joint) for joint in joints}
         if all(share is None for share in stated.values()):
             return usual
