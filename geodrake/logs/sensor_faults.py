@@ -6,7 +6,8 @@ as it does elsewhere in the log, and a sensor jumps as it likes. On 97 joints of
 quick turns) the largest step of a position is 2.2 times an ordinary one, at 15 rad/s; that of a
 velocity 12 times, at 1,800 rad/s²; that of an effort 14 times, at 1.2e6 N·m/s. Efforts stay the
 same for 0.02 s at most while their joint moves, and positions while theirs goes on by 4e-4 rad. The
-thresholds are some ten times that. What is found is left out, as an empty cell is, and said.
+thresholds are some ten times that. One or two readings that come back at once differ from those
+beside them by 6.5 ordinary steps at most. What is found is left out, as an empty cell is, and said.
 """
 
 from __future__ import annotations
@@ -33,7 +34,9 @@ _JUMP = {"position": (20.0, 20.0), "velocity": (100.0, 1e5), "effort": (100.0, 1
 
 _BLOCK, _ORDINARY = 50, 0.75  # rows, and the share of such blocks without a larger step
 _FEW = 5  # rows after which a spike is over
-_BACK = 0.1  # of a spike's height by which the reading after it may differ from that before
+_MOST = 0.99  # of steps, which are ordinary where a joint rests most of the time
+_BRIEF, _HIGH = 2, 15.0  # rows of a brief spike at most, and its least height in ordinary steps
+_BACK = 0.2  # of a spike's height by which the reading after it may differ from that before
 _ALONE = 0.05  # of a jump that the steps before and after it have at most
 _TURNS, _WRAP = (2.0 * np.pi, 360.0), 0.05  # one turn, and the share of it that a wrap may be off
 _FROZEN_SECONDS, _FROZEN_ROWS = 0.25, 20  # that a frozen reading lasts at least
@@ -170,30 +173,44 @@ class _Sensor:
 
     def _jumps(self) -> Indices:
         """Return the readings before impossible steps."""
-        steps = np.abs(np.diff(self.values))
+        steps = self._steps
         ratio, rate = _JUMP[self.quantity]
         if not steps.max(initial=0.0) > rate * self.period:
             return np.zeros(0, int)
         limit = rate * np.maximum(np.diff(self.time), self.period)
-        return np.flatnonzero(steps > np.maximum(limit, ratio * _typical(steps)))
+        return np.flatnonzero(steps > np.maximum(limit, ratio * self._ordinary))
+
+    @cached_property
+    def _steps(self) -> Array:
+        """(K − 1,) sizes of the steps from reading to reading."""
+        return np.abs(np.diff(self.values))
+
+    @cached_property
+    def _ordinary(self) -> float:
+        """Size of an ordinary step."""
+        return _typical(self._steps)
 
     def _spikes(self, jumps: Indices) -> Indices:
-        """Return readings between a jump and the way back, and those at an end of the log."""
-        values, last = self.values, len(self.values) - 1
-        steps = np.abs(np.diff(values)) if len(jumps) else np.zeros(0)
-        found, free = [np.zeros(0, int)], 0
-        for before in jumps.tolist():
+        """Return readings between a jump and the way back, and those at an end of the log.
+
+        What is back after one or two readings needs no jump of a size that no robot makes.
+        """
+        values, last, steps = self.values, len(self.values) - 1, self._steps
+        ordinary = self._ordinary or float(np.quantile(steps, _MOST) if len(steps) else 0.0)
+        high = _HIGH * ordinary if ordinary else np.inf
+        impossible, found, free = set(jumps.tolist()), [np.zeros(0, int)], 0
+        for before in np.union1d(jumps, np.flatnonzero(steps > high)).tolist():
             if before < free:
                 continue
-            height = steps[before]
-            after = values[before + 2 : before + 2 + _FEW]
+            height, jumped = steps[before], before in impossible
+            after = values[before + 2 : before + 2 + (_FEW if jumped else _BRIEF)]
             back = np.flatnonzero(np.abs(after - values[before]) <= _BACK * height)
             start = before + 1
             if len(back):
                 free = before + 2 + int(back[0])
-            elif before < _FEW and steps[before + 1] <= _ALONE * height:
+            elif jumped and before < _FEW and steps[before + 1] <= _ALONE * height:
                 start, free = 0, before + 1
-            elif last - before <= _FEW and steps[before - 1] <= _ALONE * height:
+            elif jumped and last - before <= _FEW and steps[before - 1] <= _ALONE * height:
                 free = last + 1
             else:
                 continue
@@ -202,7 +219,7 @@ class _Sensor:
 
     def _stays(self, jumps: Indices) -> Iterator[tuple[slice, str]]:
         """Yield readings before jumps that do not return, as many as make a gap there."""
-        steps = np.abs(np.diff(self.values)) if len(jumps) else np.zeros(0)
+        steps = self._steps
         for before in jumps.tolist():
             beside = steps[max(0, before - 1) : before], steps[before + 1 : before + 2]
             if max(step.max(initial=0.0) for step in beside) <= _ALONE * steps[before]:
@@ -214,7 +231,7 @@ class _Sensor:
 
     def _frozen(self, jumps: Indices) -> Iterator[tuple[int, int]]:
         """Yield the first and last reading of stretches that are the same while the joint moves."""
-        steps = np.abs(np.diff(self.values))
+        steps = self._steps.copy()
         edges = np.concatenate([[-1], np.flatnonzero(steps), [len(steps)]])
         lengths = np.diff(edges)
         least = max(_FROZEN_ROWS, round(_FROZEN_SECONDS / self.period))

@@ -123,6 +123,30 @@ def test_many_spikes_are_found():
     assert np.array_equal(np.flatnonzero(np.isnan(found.position[:, 0])), rows)
 
 
+@pytest.mark.parametrize(
+    ("quantity", "height"), [("effort", 20.0), ("velocity", -3.0), ("position", 0.4)]
+)
+def test_brief_spikes_that_a_robot_could_make_otherwise_are_found(quantity, height):
+    log, rows = swing(), [5, 640, 641, 1240, 1242, 3996]
+    readings = getattr(log, quantity)[:, 1]
+    found = without_faults(changed(log, quantity, rows, 1, readings[rows] + height))
+    assert np.flatnonzero(np.isnan(getattr(found, quantity)[:, 1])).tolist() == rows
+
+
+def test_efforts_that_stay_high_for_a_moment_are_no_spikes():
+    log = swing()
+    pushed = changed(log, "effort", slice(2000, 2003), 1, 20.0)
+    assert without_faults(pushed) is pushed
+
+
+def test_a_few_flickering_readings_of_a_resting_joint_are_no_spikes():
+    log = swing()
+    still = changed(log, "position", slice(None), 1, 0.3)
+    still = changed(still, "velocity", slice(None), 1, 0.0)
+    flickering = changed(still, "position", [700, 1500], 1, 0.3001)
+    assert without_faults(flickering) is flickering
+
+
 @pytest.mark.parametrize("low", [-np.pi, 0.0])
 @pytest.mark.parametrize("velocity", [True, False])
 def test_wraps_are_unwrapped(low, velocity):
