@@ -7,7 +7,6 @@ import pytest
 from excitation_robots import MODELS, arm, assert_gradient, motion_of, random_pose
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from own_code import own_effect
 from pydrake.math import RigidTransform, RollPitchYaw
 from random_plants import JOINTS, random_motion, random_plant, random_tree
 from scipy.linalg import block_diag, eigh, sqrtm
@@ -15,7 +14,6 @@ from scipy.optimize import lsq_linear
 
 from geodrake import effects
 from geodrake.effects import (
-    BodyEffect,
     CoulombFriction,
     CoupledFriction,
     FittedEffect,
@@ -29,11 +27,7 @@ from geodrake.effects import (
 from geodrake.errors import ArgumentError
 from geodrake.excitation import (
     Criterion,
-    DesignOptions,
-    FourierMotion,
-    MotionLimits,
     Objective,
-    design_excitation,
     identifiable_parameters,
     make_rival,
     make_separation,
@@ -202,15 +196,6 @@ class TestGradient:
         assert target.size == 30 + 12
         self.check(Objective(target), motion_of(target.model, count=60))
 
-    def test_effects_that_state_no_gradient(self):
-        def rows(self, motion):
-            arm = motion.body_columns(self.body)[:, 1, 1]
-            return {"joint_1": (arm * motion.v[:, 1] ** 2)[:, None]}
-
-        drag = own_effect("drag", BodyEffect, rows=rows)("body_2")
-        target = make_target(arm(), effects=[drag], noise=0.1)
-        self.check(Objective(target), motion_of(target.model))
-
     def test_base_wrench(self):
         X_WP = random_pose(np.random.default_rng(3))
         target = make_target(arm(), noise=[1.5] * 3 + [0.5] * 3, X_WP=X_WP)
@@ -218,16 +203,6 @@ class TestGradient:
 
 
 class TestTarget:
-    def test_effects_count(self):
-        """Friction is among the base parameters, and a robot that rests tells nothing of it."""
-        bare, full = (make_target(arm(effects=e), noise=0.1) for e in ((), friction()))
-        assert full.base.rank == bare.base.rank + 4  # the rotor inertia of the first joint is Izz
-        assert any("coulomb_friction of joint_1" in label for label in full.labels)
-        motion = motion_of(full.model)
-        slow = Motion(motion.q, 0.01 * motion.v, motion.vd)
-        fast, still = (Objective(full).value(m) for m in (motion, slow))
-        assert still > 10 * fast
-
     def test_payloads_belong_to_the_prior_or_to_the_unknown(self):
         payload = FittedEffect(Payload("body_2"), BODY)
         model = arm(effects=[payload, *friction(1)])
@@ -237,15 +212,6 @@ class TestTarget:
         unknown = make_target(model, effects=[*friction(1), payload], bodies=("body_2",))
         np.testing.assert_allclose(unknown.inertial_prior, [model.phi[2], BODY])
         assert unknown.base.rank == make_target(model, bodies=("body_2",)).base.rank
-
-    def test_effects_of_unknown_size(self):
-        model = arm()
-        target = make_target(model, effects=[CoulombFriction("joint_1"), Payload("body_2")])
-        load = np.abs(model.motion(target.random_motion).load[:, 1])
-        assert 0.03 * load.mean() < target.effect_sizes[0] < 0.3 * load.mean()
-        assert target.inertial_prior[-1, 0] == pytest.approx(0.1 * model.phi[:, 0].sum())
-        given = make_target(arm(effects=friction(1)))
-        np.testing.assert_array_equal(given.effect_sizes, [1.5, 0.4, 0.3])
 
     def test_bad_arguments(self):
         model = arm(effects=friction())
@@ -368,22 +334,6 @@ class TestProperties:
         expected = Objective(target).eigenvalues(motion)
         np.testing.assert_allclose(1.0 / found.variances, expected[::-1], rtol=1e-8)
 
-    def test_shares_and_counts(self):
-        friction = [FittedEffect(CoulombFriction("joint_0"), np.array([2.0]))]
-        target, motion, *_ = measured_case(effects=friction)
-        found = identifiable_parameters(target, measurement_factor(target, motion), threshold=1.0)
-        assert found.shares.shape == (4, target.base.rank)
-        np.testing.assert_allclose(found.shares.sum(axis=0), 1.0)
-        assert found.counts.sum() == pytest.approx(found.kept)
-        assert (found.counts[:3] <= 10).all() and 0 <= found.counts[3] <= 1 + 1e-9
-
-    def test_long_motions_are_reduced_in_pieces(self):
-        target, *_ = measured_case()
-        motion = motion_of(target.model, 0, 4500)
-        X = target.measure(motion).regressor.reshape(-1, target.size) / NOISE
-        R = measurement_factor(target, motion)
-        np.testing.assert_allclose(R.T @ R, X.T @ X, rtol=1e-9, atol=1e-6)
-
 
 class TestBadInput:
     def test_nothing_is_kept(self):
@@ -410,26 +360,6 @@ class TestBadInput:
         np.testing.assert_allclose(full.parameters, target.prior, atol=1e-6)
         with pytest.raises(ArgumentError, match=r"the data identify only \d+"):
             reduced_identification(target, factor, kept=target.base.rank)
-
-
-def test_a_motion_for_as_many_directions_as_are_asked_for():
-    model = arm(joints="RR")
-    sizes = np.full(2, -0.3), np.full(2, 0.3), np.full(2, 0.5), np.full(2, 2.0)
-    limits = MotionLimits(model.joints, *sizes, np.full(2, np.inf))
-    target, values = make_target(model, noise=0.05), []
-    for kept in (2, 4):
-        found = design_excitation(
-            target,
-            limits,
-            criterion=Criterion(kept=kept),
-            trajectory=FourierMotion(4.0, 2),
-            options=DesignOptions(samples=50, iterations=40, sharpness=(8.0,)),
-            seeds=1,
-        )
-        told = identifiable_parameters(target, measurement_factor(target, found.motion), kept=kept)
-        assert told.threshold == pytest.approx(found.value, rel=1e-6)
-        values.append(found.value)
-    assert values[0] < values[1]
 
 
 EFFORT_NOISE = np.array([0.1, 0.2, 0.05])
@@ -525,29 +455,6 @@ class TestSeparation:
 
 
 class TestRivals:
-    def test_places(self):
-        model = pendulum()
-        limits = motion_limits(model)
-        everywhere = make_rival("coulomb_friction", model, limits)
-        assert [e.where for e in everywhere.effects] == [("shoulder",), ("elbow",)]
-        assert len(make_rival("coulomb_friction", model, limits, where=["elbow"]).effects) == 1
-        assert make_rival("gravity_tilt", model, limits).effects[0].where == ()
-
-    def test_shapes_are_those_of_the_model_or_all_that_a_diagnosis_tries(self):
-        limits = motion_limits(pendulum())
-        tried = make_rival("nonlinear_viscous_friction", pendulum(), limits)
-        assert len(tried.alternatives) == len(
-            tuple(effects.NonlinearViscousFriction.candidates("elbow", 1.0))
-        )
-        own = effects.NonlinearViscousFriction("elbow", exponent=2.2)
-        model = pendulum(effects.FittedEffect(own, np.array([1.0])))
-        known = make_rival("nonlinear_viscous_friction", model, limits, where=["elbow"])
-        assert known.effects == (own,)
-        said = make_rival(
-            "nonlinear_viscous_friction", model, limits, where=["elbow"], shape={"exponent": 3.0}
-        )
-        assert said.effects[0].exponent == 3.0
-
     def test_what_cannot_be_told_apart(self):
         model = pendulum()
         limits = motion_limits(model)

@@ -9,7 +9,7 @@ import pytest
 import yaml
 from chain_logs import inverse_dynamics
 from excitation_robots import MODELS, arm, assert_jacobian
-from pydrake.geometry import Box, Capsule, Sphere
+from pydrake.geometry import Box, Sphere
 from pydrake.math import RigidTransform
 
 from geodrake.boundary.interrupts import StopSearch
@@ -33,9 +33,7 @@ from geodrake.excitation import (
 )
 from geodrake.excitation.problem import make_problem
 from geodrake.excitation.trajectory import ros_joint_trajectory
-from geodrake.logs import read_log
 from geodrake.model import EffortSignal, load_description
-from geodrake.robot import inverse_dynamics as efforts_of
 
 FAST = DesignOptions(samples=60, iterations=40, sharpness=(8.0,))
 SHORT = FourierMotion(4.0, 2)
@@ -170,38 +168,6 @@ class TestDesigns:
         back = again.outcomes[-1]  # from a smaller motion to SNOPT's optimum, or to a better one
         assert back.value - found.value < 0.02 * (back.random_value - found.value)
 
-    def test_free_samples(self):
-        model = arm()
-        result = design_excitation(
-            model,
-            limits_of(model),
-            criterion="condition_number",
-            trajectory=FreeSamples(20),
-            options=FAST,
-            seeds=1,
-        )
-        q, v, vd = result.trajectory.states([0.0])
-        assert q.shape == (20, 3) and result.samples == 20
-        for values, limit in ((q, 2.0), (v, 2.0), (vd, 8.0)):
-            assert (np.abs(values) <= limit * (1 + 1e-6)).all()
-        assert result.value < 0.7 * result.outcomes[0].random_value
-
-    @pytest.mark.parametrize(
-        ("family", "start"),
-        [(FourierMotion(8.0, 5), [0.5, -0.3, 1.9]), (SplineMotion(4.0, 12), [2.0, -2.0, 2.0])],
-        ids=repr,
-    )
-    def test_start(self, family, start):
-        model = arm()
-        options = replace(FAST, start=start)
-        result = design_excitation(
-            model, limits_of(model), trajectory=family, options=options, seeds=1
-        )
-        assert result.value < 0.5 * result.outcomes[0].random_value
-        assert result.value < 1e3
-        np.testing.assert_allclose(result.trajectory.states([0.0])[0, 0], start, atol=1e-9)
-        assert_limits_are_kept(result, model)
-
     @pytest.mark.parametrize("begun", [1, 2])
     def test_a_stopped_design_is_the_best_motion_so_far(self, begun):
         model, told = arm(joints="RR"), []
@@ -243,15 +209,6 @@ class TestCollisions:
         assert kept.use.is_within and kept.use.distance >= 0.02 - 1e-6
         assert kept.value >= 0.99 * free.value
 
-    def test_links_of_ones_own_and_overlaps(self, tmp_path):
-        model = planar(tmp_path, count=3)
-        fat = {"link_0": [Solid("fat", Sphere(1.2), RigidTransform())]}
-        world = CollisionWorld(model, links=fat)
-        assert any("link_0" in note and "link_2" in note for note in world.notes)
-        thin = [Solid("thin", Capsule(0.02, 0.3), RigidTransform())]
-        bare = CollisionWorld(model, use_file=False, links={"link_0": thin, "link_2": thin})
-        assert not bare.notes
-
     def test_start_in_collision_and_no_way_out(self, tmp_path):
         model = planar(tmp_path)
         ball = Solid("ball", Sphere(0.15), RigidTransform([0.7, 0.0, 0.0]))
@@ -278,21 +235,6 @@ class TestBadInput:
         assert np.isinf(limits.acceleration).all()
         with pytest.raises(ArgumentError, match=r"acceleration of joint 'joint_0'.*free samples"):
             design_excitation(model, limits, trajectory=FreeSamples(20))
-
-    def test_accelerations_that_nobody_limits(self, tmp_path):
-        """Against Drake's mass matrix, at the worst of a grid of postures."""
-        model = planar(tmp_path, effort=0.5)
-        limits = motion_limits(model, bounded=True)
-        context, inertia = model.plant.CreateDefaultContext(), np.zeros(2)
-        for angle in np.linspace(-2.5, 2.5, 201):
-            model.plant.SetPositions(context, [0.0, angle])
-            M = model.plant.CalcMassMatrixViaInverseDynamics(context)
-            inertia = np.maximum(inertia, np.diag(M))
-        expected = np.minimum(0.5 / inertia, limits.velocity / 0.2)
-        np.testing.assert_allclose(limits.acceleration, expected, rtol=2e-3)
-        np.testing.assert_allclose(limits.jerk, limits.acceleration / 0.1)
-        told = motion_limits(model, acceleration=[3.0, np.inf], bounded=True)
-        assert told.acceleration.tolist() == [3.0, np.inf]
 
     def test_a_motion_keeps_jerks_and_ramps_too(self):
         model = arm()
@@ -403,18 +345,6 @@ def designed(clock, seconds, seeds):
     return result, clock.monotonic() - begin
 
 
-@pytest.mark.usefixtures("clock")
-def test_what_ends_by_itself_is_the_same_with_more_time():
-    model, values = arm(), []
-    for seconds in (60.0, 600.0):
-        options = replace(FAST, iterations=10, seconds=seconds)
-        found = design_excitation(
-            model, limits_of(model), trajectory=SHORT, options=options, seeds=2
-        )
-        values.append(found.value)
-    assert values[0] == values[1]
-
-
 def test_starts_share_the_time(clock):
     result, took = designed(clock, 1.5, seeds=4)
     assert took < 1.1 * 1.5 + SLACK + LAST_LOOK
@@ -453,25 +383,6 @@ class TestTimed:
         np.testing.assert_allclose(slopes / scale, here[1:] / scale, atol=1e-7)
         assert here.shape == (3, 30, family.count)
 
-    def test_rest_at_both_ends(self, family):
-        E = family.conditions(rest=True, start=True)
-        assert np.linalg.matrix_rank(E) == len(E)
-        c = np.random.default_rng(1).normal(size=family.count)
-        c -= np.linalg.pinv(E) @ (E @ c)
-        ends = family.basis([0.0, family.length]) @ c
-        np.testing.assert_allclose(ends[1:], 0.0, atol=1e-9)
-        assert ends[0, 0] == pytest.approx(0.0, abs=1e-9)
-        assert np.abs(family.basis(family.times(20)) @ c).max() > 0.01
-
-    def test_limits_hold_between_their_instants(self, family):
-        """The greatest value of any motion is hardly greater than that at the instants."""
-        coarse, fine = family.limit_times(), np.linspace(0.0, family.length, 4001)
-        assert coarse[0] == 0.0 and coarse[-1] == family.length
-        for seed in range(5):
-            c = np.random.default_rng(seed).normal(size=(family.count, 4))
-            found, peak = (np.abs(family.basis(t) @ c).max(1) for t in (coarse, fine))
-            assert (peak <= 1.02 * found).all()
-
     def test_drake_trajectory_in_a_file(self, family, tmp_path):
         model, path = arm(joints="RPR"), tmp_path / "motion.drake.yaml"
         trajectory = trajectory_of(family, model)
@@ -486,20 +397,6 @@ class TestTimed:
             found = np.array([drake.EvalDerivative(t, order).ravel() for t in times])
             scale = np.abs(expected).max()
             np.testing.assert_allclose(found, expected, atol=(1e-9, 1e-7, 1e-5)[order] * scale)
-
-    def test_log_reads_back(self, family, tmp_path):
-        model = arm(joints="RPR")
-        trajectory = trajectory_of(family, model)
-        write_trajectory(trajectory, tmp_path / "motion.csv", model, rate=50.0)
-        log = read_log(tmp_path / "motion.csv")
-        assert log.joints == model.joints
-        assert log.time[-1] == family.length
-        q, v, vd = trajectory.states(log.time)
-        np.testing.assert_allclose(log.position, q)
-        np.testing.assert_allclose(log.velocity, v)
-        np.testing.assert_allclose(log.acceleration, vd)
-        expected = efforts_of(model.plant, q, v, vd, model.phi)
-        np.testing.assert_allclose(log.effort, expected, atol=1e-9)
 
 
 def test_free_samples():

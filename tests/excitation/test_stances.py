@@ -19,7 +19,6 @@ from geodrake.excitation import (
     FourierMotion,
     FreeSamples,
     Objective,
-    SplineMotion,
     design_excitation,
     make_rival,
     make_separation,
@@ -124,23 +123,6 @@ class TestAgainstPinocchio:
             off = zmp - corner
             assert (way[0] * off[:, 1] - way[1] * off[:, 0] > -1e-9).all()
 
-    def test_designs_keep_limits_and_beat_their_start(self, feet):
-        result, stance = designed(*feet), standing(*feet)
-        limits, (q, v, vd) = result.limits, result.trajectory.states(np.linspace(0.0, 5.0, 1001))
-        assert limits.joints == stance.motors == result.trajectory.joints
-        assert ((q >= limits.lower - 1e-6) & (q <= limits.upper + 1e-6)).all()
-        assert (np.abs(v) <= limits.velocity + 1e-6).all()
-        assert (np.abs(vd) <= limits.acceleration + 1e-6).all()
-        efforts = result.trajectory.efforts(stance.model, np.linspace(0.0, 5.0, 201))
-        assert (np.abs(efforts) <= limits.effort + 1e-6).all()
-        assert result.use.is_within and 0.0 < result.use.polygon <= stance.margin + 1e-6
-        (outcome,) = result.outcomes
-        assert outcome.value < outcome.random_value - 0.5 * len(result.eigenvalues)
-        np.testing.assert_allclose(-np.log(result.eigenvalues).sum(), outcome.value, rtol=1e-9)
-        ends = result.executed.states([0.0, result.executed.length])
-        np.testing.assert_allclose(ends[0], [balanced(stance)] * 2, atol=1e-9)
-        np.testing.assert_allclose(ends[1:], 0.0, atol=1e-9)
-
     def test_gradients(self, feet):
         """Of legs with friction, which follow the base on two feet."""
         stance, family = standing(*feet), FAMILY if len(feet) > 1 else FreeSamples(12)
@@ -155,22 +137,6 @@ class TestAgainstPinocchio:
         y = problem.variables(begin.coefficients).ravel()
         for function in (problem.cost, problem.excess):
             assert_jacobian(function, y, rtol=1e-4)
-
-
-def test_random_motions_differ_and_keep_the_limits():
-    stance, spline = standing("l_foot"), SplineMotion(3.0, 10)
-    target = stance.target(noise=[1.0] * 6, on_plate=True)
-    found = [
-        random_excitation(target, trajectory=spline, options=DesignOptions(stance=stance), seed=s)
-        for s in (0, 1, 0)
-    ]
-    np.testing.assert_array_equal(found[0].coefficients, found[2].coefficients)
-    assert np.abs(found[0].coefficients - found[1].coefficients).max() > 0.1
-    for trajectory in found:
-        motion = trajectory.motion(np.linspace(0.0, 3.0, 301))
-        polygon, friction = stance.support(motion)
-        assert polygon.max() <= stance.margin and friction.max() <= 1.0
-        assert np.ptp(motion.q, axis=0).max() > 0.2
 
 
 def test_a_force_plate_measures_what_the_ground_gives():
@@ -197,15 +163,6 @@ class TestFeet:
         np.testing.assert_allclose(both.middle, 0.0, atol=1e-9)
         given = standing(*(Foot.sole(foot, 0.1, 0.08) for foot in FEET))
         np.testing.assert_allclose(np.ptp(given.corners, axis=0), [0.1, 0.26], atol=1e-9)
-
-    def test_a_tilted_base_is_turned_until_the_feet_are_level(self):
-        names = motion_limits(biped()).joints
-        lean = {"leg_aky": -0.4, "leg_hpy": -0.3, "leg_kny": 0.8}
-        posture = [lean.get(name[2:], 0.0) for name in names]
-        stance = make_stance(biped(), FEET, posture=posture)
-        up = stance.base_columns(at_rest(stance.posture[None]))
-        pitch = 2.0 * np.arctan2(up["base.orientation.y"][0], up["base.orientation.w"][0])
-        assert pitch == pytest.approx(-0.1, abs=1e-9)  # hip, knee and ankle add up to 0.1
 
     def test_balls_are_points(self, tmp_path):
         text = BIPED.read_text()

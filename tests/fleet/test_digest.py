@@ -18,7 +18,6 @@ from geodrake import load_model
 from geodrake.boundary.whole_files import write_new
 from geodrake.errors import ArgumentError, DigestError, LogError, OutputError
 from geodrake.fleet import (
-    Digest,
     LogFacts,
     digest_content,
     digest_dataset,
@@ -100,20 +99,6 @@ def assert_same_normal_matrices(found, expected):
         assert np.allclose(own.carried, other.carried, rtol=1e-10, atol=1e-10)
 
 
-def test_merged_digests_are_those_of_a_reading_of_all_logs(digests, together):
-    found = digest_dataset(merge(digests), MODEL)
-    assert found.effects == together.effects
-    assert found.folds == together.folds
-    assert found.logs == together.logs
-    assert np.array_equal(found.delays, together.delays)
-    assert np.array_equal(found.samples, together.samples)
-    assert_same_normal_matrices(found, together)
-    for name in ("effort_std", "noise_floor", "still", "gain_uncertainty", "payload"):
-        assert np.allclose(getattr(found, name), getattr(together, name), rtol=1e-12), name
-    own = slice(10 * len(MODEL.bodies), None)  # those that priors of effects are made from
-    assert np.allclose(found.column_peak[own], together.column_peak[own], rtol=1e-12)
-
-
 def test_merging_goes_in_any_order_and_in_steps(digests):
     at_once = merge(digests).normal_matrices()
     size = np.sqrt(np.einsum("jii->ji", at_once))
@@ -157,15 +142,6 @@ def test_samples_are_worth_what_residuals_of_the_library_say(digests, logs, sett
         assert np.all(digest.effective < 0.7 * digest.samples)  # friction is missing
     white = digested(MODEL, chain_log(MODEL, 7, seconds=22.0, share=0.3), settings)
     assert np.median(white.effective / white.samples) > 0.7
-
-
-def test_a_log_is_worth_no_more_than_its_sensors_are(digests):
-    """A model may leave hardly anything of a log of few rows."""
-    log = replace(digests[1].logs[0], residual_power=np.zeros(len(digests[1].joints)))
-    digest = replace(digests[1], logs=(log,))
-    found, squares = weighted_grams(digest, np.arange(len(digest.columns)))
-    for joint, square, noise in zip(found, squares, digest.noise_floor, strict=True):
-        assert joint.grams[0, -1, -1] <= square / noise**2
 
 
 def test_behind_a_transmission_digests_are_exact_and_have_temperatures(tmp_path):
@@ -218,17 +194,6 @@ def read_back(digest, folder):
     path = folder / "x.digest"
     path.write_bytes(digest_content(digest))
     return read_digest(path)
-
-
-def test_a_file_holds_all_of_a_digest(digests, tmp_path):
-    for digest in (digests[0], merge(digests)):
-        found = read_back(digest, tmp_path)
-        assert isinstance(found, Digest)
-        assert found.settings.hash == digest.settings.hash
-        assert found.settings.columns == digest.columns
-        assert np.array_equal(found.normal_matrices(), digest.normal_matrices())
-        assert np.array_equal(found.effective, digest.effective)
-        assert digest_content(found) == digest_content(digest)
 
 
 def test_the_same_log_gives_the_same_file(logs, settings, digests):
@@ -472,43 +437,6 @@ def files_of(folder):
     }
 
 
-def test_a_digest_that_is_there_is_not_made_again(logged, folder):
-    before = files_of(folder)
-    told = []
-    run = digest_logs(
-        SMALL, [logged / "log_2.csv", logged / "log_1.csv"], folder, told=lambda *w: told.append(w)
-    )
-    assert [row.status for row in run.rows] == ["there", "there"]
-    assert not run.chosen
-    assert [share for _, share in told] == [0.0, 0.5]
-    assert files_of(folder) == before
-    more = digest_logs(SMALL, [logged / "log_3.csv", logged / "log_3.csv"], folder)
-    assert [row.status for row in more.rows] == ["made", "there"]
-    assert len(digest_files(folder)) == 3
-    moved = logged / "moved.csv"  # what counts are the bytes, not the name
-    moved.write_bytes((logged / "log_3.csv").read_bytes())
-    assert digest_logs(SMALL, [moved], folder).rows[0].status == "there"
-
-
-def test_logs_that_cannot_be_read_leave_the_others_alone(logged, tmp_path):
-    bad, short, pipe = (logged / name for name in ("bad.csv", "short.csv", "folder.csv"))
-    bad.write_text("time,x\n1,2\n", encoding="utf-8")
-    lines = (logged / "log_1.csv").read_text(encoding="utf-8").splitlines()
-    short.write_text("\n".join(lines[:60]), encoding="utf-8")
-    pipe.mkdir(exist_ok=True)
-    logs = [bad, logged / "none.csv", logged / "log_1.csv", short, pipe, logged / "log_2.csv"]
-    run = digest_logs(SMALL, logs, tmp_path / "digests")
-    statuses = ["failed", "failed", "made", "failed", "failed", "made"]
-    assert [row.status for row in run.rows] == statuses
-    assert (run.count("failed"), run.count("made"), run.count("there")) == (4, 2, 0)
-    assert all(bool(row.reason) == (row.status == "failed") for row in run.rows)
-    assert "does not exist" in run.rows[1].reason
-    assert "\n" not in "".join(row.reason for row in run.rows)
-    nothing = digest_logs(SMALL, [bad], tmp_path / "empty")
-    assert nothing.settings is None
-    assert not (tmp_path / "empty").exists()
-
-
 def test_settings_of_something_else_are_refused_by_name(logged, folder):
     log, before = [logged / "log_3.csv"], files_of(folder)
     own = read_settings(folder)
@@ -551,18 +479,6 @@ def test_damaged_settings_are_refused(logged, folder, change, words):
     with pytest.raises(DigestError, match=words):
         digest_logs(SMALL, [logged / "log_3.csv"], folder)
     assert files_of(folder) == before
-
-
-def test_a_digest_by_other_settings_is_made_again(logged, folder, tmp_path):
-    other = tmp_path / "other"
-    wanted = Wanted(bandwidth=4.0)
-    stranger = digest_logs(SMALL, [logged / "log_1.csv"], other, wanted=wanted).rows[0].digest
-    own = digest_logs(SMALL, [logged / "log_1.csv"], folder).rows[0].digest
-    assert stranger.name != own.name
-    own.write_bytes(stranger.read_bytes())
-    run = digest_logs(SMALL, [logged / "log_1.csv"], folder)
-    assert run.rows[0].status == "made"
-    assert "differ in bandwidth" in run.rows[0].reason
 
 
 def test_a_full_disk_leaves_nothing_half_written(logged, folder, monkeypatch):

@@ -36,11 +36,9 @@ from small_fleet import (
 from geodrake.effects import CoulombFriction, FittedEffect, StribeckFriction
 from geodrake.errors import ArgumentError, FleetError, LogError
 from geodrake.fleet import FleetWork, read_fleet, run_fleet
-from geodrake.fleet.digest import read_digest_of
 from geodrake.fleet.fleet_logs import DIGESTS, digest_task, find_tasks, read_records
 from geodrake.fleet.history import DAY, MOST_TIMES, HistoryTask, read_history, time_cells
 from geodrake.fleet.log_places import (
-    absolute_pattern,
     check_date_pattern,
     date_in_path,
     date_text,
@@ -196,21 +194,6 @@ def test_logs_in_other_places_have_the_same_digests(undisturbed, tmp_path):
     assert run_fleet(fleet, HERE)[1].made == 0
     with pytest.raises(FleetError, match="in the memory of this process"):
         run_fleet(fleet, FleetWork(workers=2))
-
-
-def test_places_are_looked_into_anew(monkeypatch):
-    memory = fsspec.filesystem("memory")
-    listed = {}
-
-    def find(path, **how):
-        return listed.setdefault(path, plain(path, **how))
-
-    plain = memory.find
-    monkeypatch.setattr(memory, "find", find)
-    monkeypatch.setattr(memory, "invalidate_cache", listed.clear)
-    for day in (1, 2):
-        memory.pipe(f"/cached/{day}.csv", b"x")
-        assert len(find_logs("memory://cached/*.csv")) == day
 
 
 def test_a_log_that_fails_is_a_row(own, tmp_path):
@@ -412,16 +395,6 @@ def test_fleet_files_that_are_wrong(text, says, tmp_path):
     assert says in str(caught.value)
 
 
-def test_paths_of_a_fleet_may_begin_at_home(tmp_path, monkeypatch):
-    monkeypatch.setenv("HOME", "/somewhere")
-    path = tmp_path / "fleet.yaml"
-    text = "to: ~/x\ntypes:\n  arm: {model: ~/arm.urdf}\nrobots:\n- {name: a, logs: '~/a/*.csv'}\n"
-    path.write_text(text, encoding="utf-8")
-    fleet = read_fleet(path)
-    found = (fleet.folder, fleet.types["arm"].model, *fleet.robots[0].logs)
-    assert list(map(str, found)) == [f"/somewhere/{each}" for each in ("x", "arm.urdf", "a/*.csv")]
-
-
 def test_patterns_fit_what_they_find(tmp_path):
     (tmp_path / "a" / "b").mkdir(parents=True)
     for name in ("1.csv", "a/2.csv", "a/b/3.csv", "a/b/4.txt", "a/.5.csv"):
@@ -434,15 +407,6 @@ def test_patterns_fit_what_they_find(tmp_path):
         fitting = {address for address in every if fits(address, whole)}
         assert bool(found) == (pattern != "a?2.*")
         assert found == fitting - {f"{tmp_path}/a/{name}" for name in (".5.csv", "gone.csv")}
-
-
-def test_a_folder_may_have_a_name_like_a_pattern(tmp_path):
-    folder = tmp_path / "arm[1]"
-    folder.mkdir()
-    (folder / "1.csv").write_text("", encoding="utf-8")
-    pattern = absolute_pattern("*.csv", folder)
-    assert [place.address for place in find_logs(pattern)] == [f"{folder}/1.csv"]
-    assert fits(f"{folder}/1.csv", pattern)
 
 
 def test_logs_in_archives_and_by_caches_have_addresses_of_their_own():
@@ -512,25 +476,6 @@ def same_history(one, other):
     assert np.array_equal(one.temperature, other.temperature, equal_nan=True)
 
 
-def test_what_logs_say_is_kept_and_added_to(task, monkeypatch):
-    """To the same numbers, whether logs come one by one or all at once."""
-    whole, refused = read_history(task)
-    assert not refused
-    anew = whole.read()
-    task.file.unlink()
-    reads = []
-    monkeypatch.setattr(
-        "geodrake.fleet.history.read_digest_of",
-        lambda path, settings: reads.append(path) or read_digest_of(path, settings),
-    )
-    for count in (1, 2, 3, 3):
-        found = read_history(replace(task, records=task.records[:count]))[0]
-    assert len(reads) == 3
-    same_history(found.read(), anew)
-    np.testing.assert_array_equal(found.effort, whole.effort)
-    assert len(reads) == 3
-
-
 def test_a_digest_under_the_name_of_another_log_is_not_believed(task):
     first, second = (task.folder / "digests" / record.digest for record in task.records[:2])
     second.write_bytes(first.read_bytes())
@@ -552,20 +497,6 @@ def test_a_history_is_without_a_digest_that_is_damaged(task):
     assert np.array_equal(rest.read().days, whole.days[[0, 2]])
     damaged.write_bytes(content)
     same_history(read_history(task)[0].read(), whole)
-
-
-def test_a_history_that_another_run_replaced_is_summed_up_again(task):
-    """Or one that is damaged, or gone."""
-    kept = read_history(task)[0]
-    before = kept.read()
-    read_history(replace(task, records=task.records[:2]))
-    same_history(kept.read(), before)
-    for spoil in (lambda file: file.write_bytes(b"x"), Path.unlink):
-        spoil(task.file)
-        same_history(kept.read(), before)
-    content = task.file.read_bytes()
-    task.file.write_bytes(content[:-500] + bytes(500))
-    same_history(kept.read(), before)
 
 
 @pytest.mark.parametrize("gone", [1, 3])

@@ -13,7 +13,7 @@ from geodrake.fleet import make_settings
 from geodrake.fleet.changes import SCALES, calc_change_evidence, kind_of
 from geodrake.fleet.changes import find_changes as find
 from geodrake.fleet.fleet_run import parameter_levels
-from geodrake.fleet.history import DAY, RobotHistory
+from geodrake.fleet.history import DAY
 from geodrake.fleet.type_columns import Spread, body_factor, distance_factor, narrow_factor
 from geodrake.fleet.type_layout import type_layout, with_joint_effects
 from geodrake.fleet.type_learning import learn_type
@@ -49,23 +49,6 @@ def dense(model, A):
     stacked = A.reshape(-1, P)
     each = block_diag(*[a @ scatter @ a.T for a in A])
     return stacked @ own @ stacked.T + each + NOISE**2 * np.eye(len(stacked))
-
-
-def test_gains_are_columns_of_what_a_reference_says():
-    rng = np.random.default_rng(12)
-    A, b = rng.normal(size=(3, 2, 9, P)), rng.normal(size=(3, 2, 9))  # logs, joints, rows
-    A[:, 1, :, :2] = 0.0  # which the second joint does not see
-    weights, reference = rng.uniform(1.0, 2.0, size=(3, 2)), rng.normal(size=(3, P))
-    joints = tuple(Rows(A[:, j], b[:, j]).grams(weights[:, j, None, None]) for j in range(2))
-    history = RobotHistory("a", np.arange(3.0), np.full(3, np.nan), P, joints)
-    found = replace(history, reference=reference).equations()
-    assert history.joints[1].columns.tolist() == [2, 3]
-    for t in range(3):
-        said = A[t] @ reference[t]
-        rows = np.hstack([A[t].reshape(-1, P), block_diag(*said[..., None])])
-        weight = np.repeat(weights[t], 9)[:, None]
-        np.testing.assert_allclose(found.information[t], rows.T @ (weight * rows), atol=1e-12)
-        np.testing.assert_allclose(found.right[t], (weight * rows).T @ b[t].ravel(), atol=1e-12)
 
 
 def test_evidence_is_the_ratio_of_likelihoods_of_rows():
@@ -122,51 +105,6 @@ def test_common_model_and_deviations_are_those_of_one_dense_fit():
     np.testing.assert_allclose(covariance, prior - gain @ stacked[1] @ prior, rtol=0.05, atol=1e-6)
 
 
-def test_a_robot_is_known_no_better_than_its_type():
-    """By the normal matrix of μ and all deviations at once; one column is never seen."""
-    rng = np.random.default_rng(11)
-    rows = [robot(rng, logs=3, rows=8) for _ in range(2)]
-    for each in rows:
-        each.A[..., 3] = 0.0
-    logs = [each.history() for each in rows]
-    model = made(logs)
-    found = learn_type(logs, columns(), start=model, rounds=1)
-    own = np.linalg.inv(spread_covariance(model.deviations))
-    whole = block_diag(np.diag(0.01 / UNIT**2), own, own)
-    for r, each in enumerate(rows):
-        design = np.hstack([each.A.reshape(-1, P), np.zeros((24, 2 * P))])
-        design[:, P * (r + 1) : P * (r + 2)] = design[:, :P]
-        noise = dense(replace(model, deviations=np.zeros(3)), each.A)
-        whole += design.T @ np.linalg.solve(noise, design)
-    both = np.linalg.inv(whole)[: 2 * P, : 2 * P].reshape(2, P, 2, P).sum(axis=(0, 2))
-    model = replace(model, covariance=found.covariance)
-    np.testing.assert_allclose(
-        own_parameters(model, model.fit(0, logs[0].equations()))[1], both, rtol=1e-6
-    )
-
-
-def test_scales_are_learnt():
-    rng = np.random.default_rng(5)
-    logs = [robot(rng, logs=8, rows=30).history() for _ in range(30)]
-    found = learn_type(logs, columns(), rounds=20)
-    np.testing.assert_allclose(found.deviations, 0.1, rtol=0.3)
-    np.testing.assert_allclose(found.scatter, 0.03, rtol=0.35)
-    np.testing.assert_allclose(found.mean, MEAN, atol=4 * np.sqrt(0.01 / 30))
-
-
-def test_scatter_is_learnt_from_robots_that_show_it():
-    """Most have a single log, or one joint that rests in all."""
-    rng = np.random.default_rng(5)
-    single = [robot(rng, logs=1, rows=60).history() for _ in range(16)]
-    resting = [robot(rng, logs=4, rows=60) for _ in range(8)]
-    for each in resting:
-        each.A[:, :, 2:4] = 0.0
-    resting = [each.history() for each in resting]
-    others = [robot(rng, logs=25, rows=60).history() for _ in range(6)]
-    found = learn_type([*single, *resting, *others], columns())
-    np.testing.assert_allclose(found.scatter[1:], 0.03, rtol=0.25)
-
-
 def test_units_change_nothing():
     """Bodies and friction in other units; the first body column is never seen."""
     rng = np.random.default_rng(10)
@@ -188,26 +126,6 @@ def test_units_change_nothing():
     )
     for name in ("deviations", "scatter"):
         np.testing.assert_allclose(getattr(again, name), getattr(found, name), rtol=1e-5)
-
-
-def test_a_log_is_as_odd_whatever_of_a_spread_it_does_not_see():
-    """Nothing is seen of the second body column, nor of dry friction; log 4 has another body."""
-    rng = np.random.default_rng(9)
-    A = rng.normal(size=(10, 30, P)) * [1.0, 0.0, 0.0, 1.0]
-    b = A @ MEAN + NOISE * rng.normal(size=(10, 30))
-    b[4] += A[4, :, 0]
-    logs = Rows(A, b).history().equations()
-    whole = made([logs])
-    part = replace(columns(), spreads=(Spread("bodies", np.eye(P)[:, :1]), *columns().spreads[1:]))
-    found = []
-    for model in (whole, replace(whole, columns=part)):
-        odd = np.zeros((10, 3))
-        for _ in range(3):
-            odd, cost = model.oddness(model.log_scores(0, model.fit(0, logs, odd=odd)), odd)
-        found.append(odd)
-    np.testing.assert_allclose(*found)
-    assert odd[4, 0] == pytest.approx(0.25, abs=0.05)  # two deviations off, with that
-    assert cost.argmax() == 4 and not odd[:, 1].any()
 
 
 def test_levels_cover_what_logs_have():
@@ -293,14 +211,6 @@ def test_changes_are_told_with_day_effect_and_kind(found):
     assert all(each.false_alarm_probability < 1e-4 for each in (step, ramp, load))
 
 
-def test_a_season_is_of_all_and_of_no_single_robot(found):
-    (course,) = {tuple(found[0].course.values[:, 0])}
-    wave = SEASON - SEASON.mean()
-    assert np.corrcoef(course, wave)[0, 1] > 0.98
-    alone = fleet(1, 10, {}, SEASON)
-    assert (learn_type(alone, columns()).scatter[1:] > 3.0 * found[0].scatter[1:]).all()
-
-
 def test_temperatures_tell_halls_apart():
     """Friction varies with each hall's own temperature, which no common course could say."""
     rng, histories = np.random.default_rng(7), []
@@ -324,21 +234,6 @@ def test_one_log_tells_no_change():
     rng = np.random.default_rng(5)
     histories = [robot(rng, logs=1).history() for _ in range(3)]
     assert not any(find_changes(histories, columns(), passes=1)[1])
-
-
-def test_changes_are_found_however_large():
-    """Logs before them are as odd as any, and a robot may be one of its type after them only."""
-    size = 10.0
-    load = {7: lambda t: size * LOAD[7](t)}
-    less = {3: lambda t: size * np.array([0.0, 0.0, 0.3, 0.0]) * (t < 9)}
-    changes = find_changes(fleet(1, 10, {**load, **less}), columns())[1]
-    findings = [(r, c) for r, each in enumerate(changes) for c in each]
-    told = [(r, each.effect, each.kind, each.date / DAY) for r, each in findings]
-    assert told == [(3, "dry", "step", 9.0), (7, "load", "step", 6.0)]
-    assert sizes(changes[3][0])["dry"].share == pytest.approx(-0.3 * size, rel=0.1)
-    expected = [-0.2 * size * MEAN[0], 0.3 * size * MEAN[1]]
-    put_on = [each.size for each in changes[7][0].parameters]
-    np.testing.assert_allclose(put_on, expected, rtol=0.2)
 
 
 CART = """<robot name="cart"><link name="base"/>

@@ -173,33 +173,6 @@ def test_mjcf_includes(tmp_path):
         assert (model.joints, model.phi[0, 0]) == (("j",), 2.0)
 
 
-@pytest.mark.parametrize("world", [False, True])
-def test_a_file_may_be_included_twice_beside_itself(tmp_path, world):
-    write(tmp_path / "b.sdf", sdf(body("b")).replace("<mass>", "<mass>-"))
-    both = "".join(
-        f"<include><name>{name}</name><uri>b.sdf</uri></include>" for name in ("left", "right")
-    )
-    in_world = f'<sdf version="1.9"><world name="w">{both}</world></sdf>'
-    if world:
-        in_world = in_world.replace('name="w">', 'name="w"><gravity>0 0 -1.6</gravity>')
-    model = load_model(write(tmp_path / "robot.sdf", in_world if world else sdf(body() + both)))
-    assert model.tree.gravity[2] == (-1.6 if world else -9.81) and not model.left_out
-    found = {joint.removeprefix("robot::") for joint in model.joints}
-    assert found == {"left_b_joint", "right_b_joint"} | (set() if world else {"a_joint"})
-    assert any("left::b has a mass of -1 kg" in each for each in model.repairs)
-
-
-def test_directives_that_add_directives_of_a_package(tmp_path):
-    package(tmp_path, "p")
-    write(tmp_path / "arm.urdf", PENDULUM.read_text(encoding="utf-8"))
-    write(
-        tmp_path / "arm.dmd.yaml",
-        "directives:\n- add_model: {name: arm, file: package://p/arm.urdf}\n",
-    )
-    top = "directives:\n- add_directives: {file: package://p/arm.dmd.yaml}\n"
-    assert load_model(write(tmp_path / "top.dmd.yaml", top)).joints == ("shoulder", "elbow")
-
-
 def test_paths_of_directives_are_from_the_folder_of_their_own_file(tmp_path):
     write(tmp_path / "arms" / "arm.urdf", PENDULUM.read_text(encoding="utf-8"))
     inner = "directives:\n- add_model: {name: arm, file: arm.urdf}\n"
@@ -277,15 +250,6 @@ class TestSeveralRobots:
     def path(self, request, tmp_path):
         text = world(arm("left", 1.0, request.param), arm("right", -1.0, request.param))
         return write(tmp_path / "two.sdf", text)
-
-    def test_all_of_them_are_the_model_unless_one_is_chosen(self, path):
-        assert load_model(path).joints == (
-            "left_shoulder", "left_elbow", "right_shoulder", "right_elbow",
-        )  # fmt: skip
-        model = load_model(path, given=Given(robot="right"))
-        assert model.joints == ("shoulder", "elbow") and len(model.bodies) == 2
-        notes = load_model(path).notes
-        assert not notes or "left, right" in " ".join(notes)
 
     def test_the_chosen_one_moves_as_it_does_alone(self, path, tmp_path):
         alone = load_model(write(tmp_path / "one.sdf", world(arm("right", -1.0))))

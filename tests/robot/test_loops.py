@@ -164,15 +164,6 @@ def wrong_pose(position, quaternion):
     return pose_of(np.array(position) + 0.01, quaternion)
 
 
-def test_a_saved_model_has_its_loop_and_terms_again(tmp_path):
-    model = load(tmp_path, gripper())
-    save_model(model, tmp_path / "saved.yaml")
-    again = load_model(tmp_path / "saved.yaml")
-    motion = Motion(*states(model))
-    np.testing.assert_array_equal(again.effort(motion), model.effort(motion))
-    assert {f.effect.place for f in again.effects} == {"left", "right", "left_bar", "right_bar"}
-
-
 def test_a_held_joint_holds_all_of_its_loop(tmp_path):
     model = load(tmp_path, gripper())
     q, v, vd = states(model, 3)
@@ -200,19 +191,6 @@ def test_what_a_ball_of_a_loop_has_is_told(tmp_path):
         text = leg().replace("</actuator>", motor.format(more))
         left_out = load(tmp_path, text).left_out
         assert ("The actuator m of ball joint rod of a closed loop is ignored." in left_out) is told
-
-
-def test_springs_hold_what_motors_do_not_determine(tmp_path):
-    model = load(tmp_path, leg())
-    assert any("tarsus, rod_1, rod_2 follow knee, shin, heel" in note for note in model.notes)
-    assert any("determines where shin, heel of that loop are" in note for note in model.notes)
-    rigid = load(tmp_path, leg(), lock={"shin": 0.0, "heel": 0.0, "rod_spin": 0.0})
-    assert rigid.joints == ("hip", "knee", "crank")
-    q, v, vd = states(rigid, 3, spread=0.3)
-    held = holding(model, {"shin": 0.0, "heel": 0.0, "rod_spin": 0.0})
-    np.testing.assert_allclose(
-        held.effort(Motion(q, v, vd)), rigid.effort(Motion(q, v, vd)), rtol=1e-10
-    )
 
 
 def test_what_does_not_move_is_held_and_said(tmp_path):
@@ -259,23 +237,6 @@ FLAT = four_bar().replace('pos="0.3 0 -0.1"', 'pos="0.45 0 0"').replace(".25 0 0
 def test_loops_that_cannot_be_are_refused_with_names_and_values(tmp_path, text, words):
     with pytest.raises(ModelError, match=words):
         load(tmp_path, text)
-
-
-def test_an_equality_of_one_joint_holds_it(tmp_path):
-    fixed = '<joint joint1="arm" polycoef="0.3 0 0 0 0"/>'
-    text = gripper().replace("</equality>", f"{fixed}</equality>")
-    text = text.replace('<joint name="arm"', '<joint name="arm" ref="0.2"')
-    model = load(tmp_path, text)
-    assert model.joints == ("left",) and model.held == {"arm": 0.5} and not model.left_out
-    assert any("do not let them move: arm at 0.5" in note for note in model.notes)
-    plain = load(tmp_path, gripper().replace('<joint name="arm"', '<joint name="arm" ref="0.2"'))
-    q, v, vd = (x[:, 1:] for x in states(plain))
-    at = [np.column_stack([np.full(len(q), y), x]) for x, y in ((q, 0.5), (v, 0.0), (vd, 0.0))]
-    expected = plain.effort(Motion(*at))[:, 1:]
-    np.testing.assert_allclose(model.effort(Motion(q, v, vd)), expected, rtol=1e-9)
-    save_model(model, tmp_path / "saved.yaml")
-    assert load_model(tmp_path / "saved.yaml").held == {"arm": 0.5}
-    assert load(tmp_path, text, lock={"arm": 0.1}).held == {"arm": 0.1}
 
 
 def test_what_holds_a_free_body_is_left_out(tmp_path):
@@ -445,26 +406,6 @@ def test_the_joint_with_a_motor_leads(tmp_path, name):
     assert load_model(tmp_path / "robot.sdf").joints == (name,)
 
 
-def test_two_robots_in_directives_have_their_own_loops(tmp_path):
-    damped = four_bar_sdf(("revolute", dynamics(damping=0.2)))
-    (tmp_path / "robot.sdf").write_text(damped)
-    (tmp_path / "robot.xml").write_text(four_bar())
-    files = {"a": "robot.sdf", "b": "robot.sdf", "c": "robot.xml"}
-    models = "".join(
-        f"- add_model: {{name: {name}, file: file://{tmp_path / file}}}\n"
-        for name, file in files.items()
-    )
-    (tmp_path / "all.dmd.yaml").write_text(f"directives:\n{models}")
-    model = load_model(tmp_path / "all.dmd.yaml")
-    assert model.joints == ("a_crank", "b_crank", "c_crank")
-    assert {"a_pin", "b_pin"} <= {f.effect.place for f in model.effects}
-    motion = states(model)
-    found = model.effort(Motion(*motion))
-    for at, file in enumerate(files.values()):
-        own = load_model(tmp_path / file).effort(Motion(*(x[:, [at]] for x in motion)))
-        np.testing.assert_allclose(found[:, [at]], own, rtol=1e-9)
-
-
 def test_a_loop_of_an_sdf_that_cannot_be_used_is_refused(tmp_path):
     text = four_bar_sdf(("ball", "")).replace(
         '<joint name="coupler" type="revolute">', '<joint name="coupler" type="ball">'
@@ -494,17 +435,6 @@ def test_limits_are_those_of_all_joints_and_motors_of_the_free_ones(tmp_path):
     assert theta.min() == pytest.approx(-0.2, abs=0.01) and theta.min() >= -0.2 - 1e-9
     lever = np.abs(model.transmission[0].map.jacobian(q)[:, rocker, 0]).max()
     assert model.velocity_limits[0] == pytest.approx(2.0 / lever, rel=0.01)
-
-
-def test_a_leg_may_float(tmp_path):
-    pelvis = (
-        '<body name="pelvis" pos="0 0 1.2"><freejoint/><inertial mass="10" pos="0 0 0" '
-        'diaginertia=".1 .1 .1"/><body name="thigh" pos="0 0 -.2">'
-    )
-    text = leg().replace('<body name="thigh" pos="0 0 1">', pelvis)
-    model = load(tmp_path, text.replace("</worldbody>", "</body></worldbody>"), floating=True)
-    assert len(model.joints) == 12 and not model.left_out
-    assert check_dynamics(model, samples=10).holds
 
 
 TERMS = 'damping=".2"', 'armature=".03"', 'stiffness="3" springref=".1"', ""

@@ -383,15 +383,6 @@ def test_a_plugin_of_a_body_is_told(tmp_path):
     assert "robot.xml, line 1: the plugin own.drag is ignored." in said
 
 
-def test_damping_of_a_free_base_is_told_where_it_is_free(tmp_path):
-    free = '<body name="b"><joint name="root" type="free" damping="2"/>' + GEOM
-    text = mjcf(tip()).replace("<worldbody>", f"<worldbody>{free}")
-    path = write(tmp_path, text.replace("</worldbody>", "</body></worldbody>"))
-    assert not load_model(path).left_out
-    (said,) = load_model(path, floating=True).left_out
-    assert "line 1: Joint root with damping 2 is ignored." in said
-
-
 @pytest.mark.parametrize("other", ["", 'body2="m"'])
 def test_a_weld_of_a_free_base_is_told_where_it_is_free(tmp_path, other):
     text = mjcf(tip(), tail=f'<equality><weld body1="b" {other}/></equality>')
@@ -408,16 +399,6 @@ def test_how_long_muscles_are_does_not_matter(tmp_path):
     with pytest.raises(ValueError, match="Lengthrange"):
         mujoco.MjModel.from_xml_path(str(path))
     assert load_model(path).joints == ("a", "t")
-
-
-def test_a_warning_of_mujoco_is_said_once(tmp_path):
-    part = '<mujoco model="s"><option gravity="0 0 -3"/><worldbody><body name="g"/></worldbody>'
-    text = mjcf(
-        tip() + '<attach model="s" body="g" prefix="x"/>',
-        head='<asset><model name="s" file="part.xml"/></asset>',
-    )
-    (said,) = load_model(write(tmp_path, text, part=f"{part}</mujoco>")).notes
-    assert said.startswith("MuJoCo: ") and said.endswith("keeping parent value")
 
 
 def test_angles_of_an_attached_model_are_read_by_its_own_compiler(tmp_path):

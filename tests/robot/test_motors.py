@@ -153,21 +153,6 @@ def test_what_follows_a_follower_of_a_polynomial_follows_its_leader(tmp_path):
     assert_close(model.motion(Motion(*motion)).load[:, 0], expected)
 
 
-def test_a_leader_of_a_polynomial_holds_its_follower(tmp_path):
-    model = loaded(tmp_path, MJCF.format(BENT), "m.xml")
-    held = load_model(tmp_path / "m.xml", lock={"j": 0.1})
-    assert held.joints == ("s",)
-    place = 0.1 + 0.1 + 0.4 * 0.01 - 0.3 * 1e-3 + 0.2e-4
-    assert held.held == {"j": 0.1}
-    weld = held.plant.GetJointByName("k").X_FM()
-    assert place == pytest.approx(
-        weld.rotation().ToAngleAxis().angle() + np.linalg.norm(weld.translation())
-    )
-    assert_close(held.phi, holding(model, {"j": 0.1}).phi)
-    save_model(model, tmp_path / "saved.yaml")
-    assert load_model(tmp_path / "saved.yaml").joints == ("j", "s")
-
-
 def test_motors_of_leaders_of_polynomials_move_followers_too(tmp_path):
     """With j = θ / 50 + 0.2, the effort is (τ_j + p′(j) τ_k) / 50, those of MuJoCo at joints."""
     gear = "gears: [{actuator: motor, joint: j, ratio: 50, offset: 0.2}]"
@@ -206,20 +191,6 @@ def test_logged_efforts_of_followers_of_polynomials_count_at_their_leaders(tmp_p
         "the effort of k is added to that of j, which it follows"
     ]
     assert model.default_position("j") == 0.0
-
-
-def test_followers_of_two_arms_follow_their_own_leaders(tmp_path):
-    one = loaded(tmp_path, MJCF.format(BENT), "m.xml")
-    (tmp_path / "package.xml").write_text("<package><name>x</name></package>")
-    add = "- add_model: {{name: {}, file: package://x/m.xml}}\n".format
-    both = loaded(tmp_path, f"directives:\n{add('left')}{add('right')}", "two.dmd.yaml")
-    assert set(both.joints) == {"left_j", "left_s", "right_j", "right_s"}
-    assert any("left_k follows left_j, right_k follows right_j" in note for note in both.notes)
-    motion = np.random.default_rng(0).uniform(-0.8, 0.8, (3, 5, 4))
-    efforts = both.effort(Motion(*motion))
-    for arm in ("left", "right"):
-        at = [both.joints.index(f"{arm}_{joint}") for joint in one.joints]
-        assert_close(efforts[:, at], one.effort(Motion(*motion[..., at])))
 
 
 def test_motors_of_two_arms_have_the_arm_before_their_names(tmp_path):
@@ -342,20 +313,6 @@ def test_damping_friction_and_limits_are_those_of_all_that_move_together(tmp_pat
     assert any("jd follows jb" in note for note in model.notes)
 
 
-def test_a_held_leader_holds_its_followers(tmp_path):
-    model = loaded(tmp_path, gripper())
-    held = holding(model, {"jb": 0.5})
-    assert held.joints == ("ja",) and held.known_joints == model.known_joints
-    motion = motion_of(width=1)
-    at = Motion(
-        np.insert(motion.q, 1, 0.5, 1), *(np.insert(x, 1, 0.0, 1) for x in (motion.v, motion.vd))
-    )
-    assert_close(held.motion(motion).load, model.motion(at).load[:, :1])
-    for refuse in (holding, lambda _, held: load_model(model.path, lock=held)):
-        with pytest.raises(ModelError, match="'jc' cannot be fixed, as it follows 'jb'"):
-            refuse(model, {"jc": 0.0})
-
-
 @pytest.mark.parametrize(
     "mimics",
     [
@@ -372,36 +329,6 @@ def test_what_cannot_follow_moves_by_itself_and_a_note_says_so(mimics, tmp_path)
     model = loaded(tmp_path, text)
     assert len(model.joints) == 6
     assert any("<mimic> is ignored" in said and name in said for said in model.left_out)
-
-
-@pytest.mark.parametrize(
-    ("leader", "ratio", "offset", "opened"),
-    [("jb", 0.0, 0.3, ""), ("ja", 2.0, -0.2, '<joint name="ja" type="revolute">')],
-)
-def test_what_follows_a_joint_that_never_moves_is_fixed(tmp_path, leader, ratio, offset, opened):
-    own = '<joint name="spin" type="revolute">'
-    text = gripper(follows=False).replace(own, own + follow(leader, ratio, offset))
-    text = text.replace(opened or own, (opened or own).replace("revolute", "fixed", bool(opened)))
-    model = loaded(tmp_path, text)
-    assert model.held == {"spin": offset} and not model.left_out
-
-
-SDF = """<sdf version="1.9"><model name="m"><link name="base"/>{}
-<joint name="weld" type="fixed"><parent>world</parent><child>base</child></joint>
-<joint name="j" type="revolute"><parent>base</parent><child>a</child><axis><xyz>0 1 0</xyz></axis>
-</joint><joint name="k" type="revolute"><parent>a</parent><child>b</child><axis><xyz>0 1 0</xyz>
-<mimic joint="j"><multiplier>-2</multiplier><offset>0.3</offset><reference>0.1</reference></mimic>
-</axis></joint></model></sdf>"""
-
-
-def test_sdf_followers(tmp_path):
-    links = "".join(
-        f'<link name="{n}"><pose>0 0 {z} 0 0 0</pose></link>' for n, z in (("a", 1), ("b", 2))
-    )
-    model = loaded(tmp_path, SDF.format(links), "m.sdf")
-    assert model.joints == ("j",)
-    (tie,) = model.followers.values()
-    assert tie.coefficients == pytest.approx((0.5, -2.0))
 
 
 def test_efforts_of_followers_are_added_to_their_leaders(tmp_path):

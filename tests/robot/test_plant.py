@@ -1,13 +1,10 @@
 """Robots in Drake's plants: read, repaired, lumped, and beside others."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import RevoluteSpring
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 from scenes import PENDULUM, plant_of, scene
@@ -19,18 +16,13 @@ from geodrake.inertia import (
     from_mass_com_inertia,
     inertial_parameters,
     is_physical,
-    to_mass_com_inertia,
 )
 from geodrake.inertia.bodies import lumped_bodies
-from geodrake.logs.motion import Motion
 from geodrake.model import check_dynamics, save_export
 from geodrake.model.robot_model import from_loaded_plant
 from geodrake.robot import RobotInstance
-from geodrake.robot.plant import effort_limits, joint_names, load_plant, set_inertial_parameters
-from geodrake.robot.robot_instance import add_generalized_force
-from geodrake.robot.stated import Spring
+from geodrake.robot.plant import joint_names, load_plant
 
-MODELS = Path(__file__).parents[2] / "models"
 GOOD = "ixx='0.1' iyy='0.1' izz='0.1' ixy='0' ixz='0' iyz='0'"
 
 
@@ -72,27 +64,6 @@ def load(tmp_path, capfd):
     return load_text
 
 
-@pytest.mark.parametrize("name", ["double_pendulum", "arm6", "arm7"])
-def test_own_models_are_physical_and_limited(name, capfd):
-    loaded = load_plant(MODELS / f"{name}.urdf")
-    plant = loaded.plant
-    assert loaded.repairs == () and loaded.notes == ()
-    assert capfd.readouterr() == ("", "")
-    assert is_physical(inertial_parameters(plant), tolerance=1e-4).all()
-    assert (effort_limits(plant) > 0).all()
-    assert np.isfinite([*plant.GetPositionUpperLimits(), *plant.GetVelocityUpperLimits()]).all()
-
-
-def test_urdf_ignores_geometry_mimic_and_transmissions(load):
-    mesh = """<visual><geometry><mesh filename="package://none/a.dae"/></geometry></visual>
-    <collision><geometry><mesh filename="missing.stl"/></geometry></collision>"""
-    extra = """<transmission name="t"><joint name="absent"/><type>SimpleTransmission</type>
-    </transmission>"""
-    loaded = load(urdf(mesh + inertial(), joint="<mimic joint='absent'/>", extra=extra))
-    assert loaded.plant.num_velocities() == 1
-    assert any("mimic" in said and "j1" in said for said in loaded.left_out)
-
-
 def test_urdf_reads_limits_damping_and_friction(load):
     loaded = load(urdf(inertial(), joint="<dynamics damping='0.5' friction='0.3'/>"))
     model = from_loaded_plant(loaded, floating=False)
@@ -107,18 +78,6 @@ def test_urdf_reads_limits_damping_and_friction(load):
     endless = urdf(inertial()).replace('lower="-1" upper="2"', 'lower="-inf" upper="inf"')
     endless = from_loaded_plant(load(endless), floating=False)
     assert np.ravel(endless.position_limits).tolist() == [-np.inf, np.inf]
-
-
-@pytest.mark.parametrize("effort", [10, 0])
-def test_rotor_inertia_is_read_out_and_removed(load, effort):
-    extra = """<transmission><type>SimpleTransmission</type><joint name="j1"/><actuator name="a">
-    <x:rotor_inertia value="0.001"/><x:gear_ratio value="10"/></actuator></transmission>"""
-    text = urdf(inertial(), extra=extra).replace("<robot", "<robot xmlns:x='http://drake.mit.edu'")
-    text = text.replace('effort="10"', f'effort="{effort}"')
-    loaded = load(text)
-    assert stated(loaded, "r::j1") == pytest.approx([0.0, 0.1, 0.0])
-    mass = loaded.plant.CalcMassMatrix(loaded.plant.CreateDefaultContext())
-    assert mass[0, 0] == pytest.approx(0.1 + 0.1**2)
 
 
 @pytest.mark.parametrize("floating", [False, True])
@@ -149,63 +108,6 @@ def test_each_velocity_of_a_planar_joint_has_its_damping(load):
     model = from_loaded_plant(load(text), floating=False)
     found = [(f.effect.where, *f.parameters) for f in model.effects]
     assert found == [(("j1_vx",), 1.0), (("j1_vy",), 2.0), (("j1_wz",), 3.0)]
-
-
-SDF = """<sdf version="1.7"><model name="m"><link name="l1"><inertial>
-<pose>0 0 0.1 0 0 1.5707963267948966</pose><mass>{mass}</mass>
-<inertia><ixx>{ixx}</ixx><iyy>0.2</iyy><izz>0.2</izz></inertia></inertial>
-<visual name="v"><geometry><mesh><uri>package://none/a.stl</uri></mesh></geometry></visual>
-<collision name="c"><geometry><mesh><uri>model://none/a.stl</uri></mesh></geometry></collision></link>
-<joint name="j1" type="revolute"><parent>world</parent><child>l1</child><axis><xyz>0 1 0</xyz>
-<limit><effort>7</effort></limit><dynamics><damping>0.2</damping><friction>0.3</friction>
-<spring_stiffness>3</spring_stiffness></dynamics></axis></joint></model></sdf>"""
-
-
-def test_sdf(load):
-    loaded = load(SDF.format(mass=1.0, ixx=0.1), "m.sdf")
-    assert loaded.repairs == ()
-    assert stated(loaded, "m::j1") == pytest.approx([0.2, 0.0, 0.3])
-    assert effort_limits(loaded.plant) == pytest.approx([7.0])
-    springs = [x.spring for x in loaded.terms.lengths if any(x.spring.coefficients)]
-    assert springs == [Spring.linear(3.0)]
-    assert loaded.plant.num_force_elements() == 1
-
-
-def test_sdf_inertia_is_repaired_in_the_frame_of_the_link(load):
-    loaded = load(SDF.format(mass=2.0, ixx=0.5), "m.world")
-    (repair,) = loaded.repairs
-    # The pose turns by a right angle about z: ixx of the file is Iyy of the link.
-    com, inertia = np.array([0.0, 0.0, 0.1]), np.diag([0.2, 0.5, 0.2])
-    np.testing.assert_allclose(repair.before, from_mass_com_inertia(2.0, com, inertia), atol=1e-12)
-    np.testing.assert_allclose(inertial_parameters(loaded.plant)[0], repair.after, rtol=1e-9)
-
-
-def test_an_sdf_states_damping_and_friction_of_a_universal_joint_at_each_axis(load):
-    text = SDF.format(mass=1.0, ixx=0.1).replace('type="revolute"', 'type="universal"')
-    own = "<dynamics><damping>3</damping><friction>4</friction></dynamics>"
-    text = text.replace("0 1 0", "1 0 0").replace(
-        "</axis>", f"</axis><axis2><xyz>0 1 0</xyz>{own}</axis2>"
-    )
-    model = from_loaded_plant(load(text, "m.sdf"), floating=False)
-    places = [f.effect.where for f in model.effects if f.effect.name == "coulomb_friction"]
-    assert places == [("j1_wx",), ("j1_wy",)]
-    second = [f for f in model.effects if f.effect.where == ("j1_wy",)]
-    assert [f.parameters.tolist() for f in second] == [[3.0], [4.0]]
-    (said,) = model.left_out
-    assert (
-        "<spring_stiffness>" in said
-        and np.isfinite(model.effort(Motion(*np.ones((3, 1, 2))))).all()
-    )
-
-
-def test_links_of_an_sdf_weigh_nothing_where_a_welded_one_has_their_inertia(load):
-    text = SDF.format(mass=1.0, ixx=0.1).replace("<ixx>0.1</ixx>", "<ixx>0.4</ixx>")  # a thin link
-    tool = """<link name="tool"><inertial><mass>0.5</mass><inertia><ixx>0.1</ixx><iyy>0.1</iyy>
-    <izz>0.1</izz></inertia></inertial></link><joint name="weld" type="fixed"><parent>l1</parent>
-    <child>tool</child></joint></model>"""
-    loaded = load(text.replace("</model>", tool), "m.sdf")
-    assert loaded.repairs == ()
-    assert inertial_parameters(loaded.plant)[0, [0, 5]] == pytest.approx([1.5, 0.4 + 0.1 + 0.01])
 
 
 MJCF = """<mujoco model="m"><compiler meshdir="absent"/><asset><mesh name="x" file="x.stl"/>
@@ -249,37 +151,9 @@ def test_frames_between_joints_of_a_mobile_base_weigh_nothing(load):
     assert [repair.body for repair in load(seen, "m.urdf").repairs] == ["dx"]
 
 
-def test_mjcf(load):
-    loaded = load(MJCF, "m.xml")
-    plant = loaded.plant
-    assert joint_names(plant) == ("h", "s", "s2", "q_wx", "q_wy", "q_wz")
-    for name, friction in {"h": 2.0, "s": 0.5, "s2": 0.0, "q": 0.0}.items():
-        assert stated(loaded, f"m::{name}") == pytest.approx([0.3, 0.2, friction])
-    assert effort_limits(plant)[0] == pytest.approx(100.0)
-    assert any("meshes" in note and "b" in note for note in loaded.changes)
-    # The body without mass gets a thousandth of the robot's; that between two joints has none.
-    assert [repair.body for repair in loaded.repairs] == ["b"]
-    assert inertial_parameters(plant)[:, 0].sum() == pytest.approx(3.0 * 1.001)
-    X_WF = plant.EvalBodyPoseInWorld(plant.CreateDefaultContext(), plant.GetBodyByName("f"))
-    np.testing.assert_allclose(X_WF.translation(), [1, 2, 3])
-
-
 def test_mjcf_floating(load):
     names = joint_names(load(MJCF, "m.xml", floating=True).plant)
     assert names[-6:] == ("f_x", "f_y", "f_z", "f_yaw", "f_pitch", "f_roll") and len(names) == 12
-
-
-def test_directives_with_two_instances(load, tmp_path):
-    (tmp_path / "arm.urdf").write_text(urdf(inertial(2.0, tensor(1, 1, 5))))
-    text = """directives:
-- add_model: {name: left, file: arm.urdf}
-- add_model: {name: right, file: "FILE"}
-- add_weld: {parent: world, child: "left::base"}
-""".replace("FILE", (tmp_path / "arm.urdf").as_uri())
-    loaded = load(text, "two.dmd.yaml")
-    assert joint_names(loaded.plant) == ("left_j1", "right_j1")
-    assert [repair.body for repair in loaded.repairs] == ["left::l1", "right::l1"]
-    assert is_physical(inertial_parameters(loaded.plant), tolerance=1e-6).all()
 
 
 def test_world_link_stays_the_world(load):
@@ -344,15 +218,6 @@ def test_a_point_mass_on_its_axis_is_no_body_that_moves(load):
     assert not loaded.thin and "no rotational inertia" in loaded.repairs[0].problem
 
 
-def test_repair_changes_only_what_is_too_small(load):
-    (repair,) = load(urdf(inertial(1.0, tensor(1, 1, 5)))).repairs
-    _, _, before = to_mass_com_inertia(repair.before)
-    _, _, after = to_mass_com_inertia(repair.after)
-    # Second moments about the axes: 2.5, 2.5 and -1.5 before; the last alone is raised, to 1e-4.
-    np.testing.assert_allclose(before, np.diag([1, 1, 5]), atol=1e-12)
-    np.testing.assert_allclose(after, np.diag([2.5001, 2.5001, 5]), atol=1e-12)
-
-
 def test_impossible_member_of_a_possible_body_is_no_problem(load):
     def fixed(name, inertial_text):
         return f"""<link name="{name}">{inertial_text}</link><joint name="to_{name}" type="fixed">
@@ -390,18 +255,6 @@ def test_not_a_robot(load, name, text, words):
         load(text, name)
     assert name in str(error.value) and error.value.advice
     assert "\n" not in str(error.value) or "XML" in str(error.value)
-
-
-def test_written_parameters_are_read_back():
-    plant = load_plant(MODELS / "arm6.urdf").plant
-    context = plant.CreateDefaultContext()
-    phi = np.random.default_rng(2).normal(size=(6, 10)) + 3.0
-    set_inertial_parameters(plant, context, phi)
-    np.testing.assert_allclose(inertial_parameters(plant, context), phi, rtol=1e-9)
-    with pytest.raises(ArgumentError, match=r"phi must be \(6, 10\)"):
-        set_inertial_parameters(plant, context, phi[:-1])
-    with pytest.raises(ArgumentError, match="finite"):
-        set_inertial_parameters(plant, context, phi * np.nan)
 
 
 def test_several_roots_are_each_welded(load):
@@ -447,33 +300,6 @@ def test_ports_have_the_joints_in_the_order_asked_for(joints, actuated):
     np.testing.assert_allclose(value(whole), expected, rtol=1e-9, atol=1e-9)
 
 
-def test_a_state_is_set_and_nothing_else_moves():
-    plant = plant_of()
-    context = plant.CreateDefaultContext()
-    before = plant.GetPositionsAndVelocities(context)
-    robot = RobotInstance(plant, "arm")
-    robot.set_state(context, JOINTS[::-1], [0.1, 0.2, 0.3, 0.4])
-    changed = np.flatnonzero(plant.GetPositionsAndVelocities(context) != before)
-    q = robot.positions(JOINTS)
-    v = plant.num_positions() + robot.velocities
-    assert set(changed) == {*q, *v}
-    np.testing.assert_allclose(plant.GetPositions(context)[q], [0.2, 0.1])
-
-
-def test_forces_on_a_plant_add_up_however_many_come():
-    builder = DiagramBuilder()
-    plant = scene(builder)
-    rng = np.random.default_rng(0)
-    forces = rng.normal(size=(3, plant.num_velocities()))
-    for force in forces:
-        source = builder.AddSystem(ConstantVectorSource(force))
-        add_generalized_force(builder, plant, source.get_output_port())
-    root = builder.Build().CreateDefaultContext()
-    port = plant.get_applied_generalized_force_input_port()
-    found = port.Eval(plant.GetMyContextFromRoot(root))
-    np.testing.assert_allclose(found, forces.sum(0), atol=1e-14)
-
-
 def test_forces_that_are_an_input_of_the_diagram_stay_so():
     builder = DiagramBuilder()
     plant = scene(builder)
@@ -492,16 +318,6 @@ def test_forces_that_are_an_input_of_the_diagram_stay_so():
 def test_what_is_no_robot_is_refused(name, message):
     with pytest.raises(ArgumentError, match=message):
         RobotInstance(plant_of(), name)
-
-
-@pytest.mark.parametrize(("name", "found"), [("arm", True), ("other", False), (None, True)])
-def test_springs_at_joints_of_the_robot_are_its_own(name, found):
-    plant = plant_of(finalize=False)
-    arm = plant.GetModelInstanceByName("arm")
-    plant.AddForceElement(RevoluteSpring(plant.GetJointByName("elbow", arm), 0.1, 3.0))
-    plant.Finalize()
-    joint = "elbow" if name else "arm_elbow"
-    assert RobotInstance(plant, name).springs == ([(joint, 3.0, 0.1)] if found else [])
 
 
 @pytest.mark.parametrize(

@@ -280,16 +280,6 @@ def test_zero_moment_point_is_the_centre_of_pressure(seed, height):
     np.testing.assert_allclose(zero_moment_point(total[None], height=height)[0], expected)
 
 
-def test_in_the_air_there_is_no_zero_moment_point():
-    flying = np.array([[1.0, 2, 3, 0, 0, -1], [1.0, 2, 3, 0, 0, 0], [1.0, 2, 3, 0, 0, 5]])
-    np.testing.assert_array_equal(
-        np.isnan(zero_moment_point(flying)), [[True, True], [True, True], [False, False]]
-    )
-    # A sample that was not measured says nothing about the others.
-    lost = np.vstack([flying[2:], np.full((1, 6), np.nan)])
-    np.testing.assert_array_equal(np.isnan(zero_moment_point(lost)), [[False, False], [True, True]])
-
-
 @pytest.mark.parametrize(
     "kinds", [["revolute"] * 4, ["prismatic", "revolute", "ball", "universal"]]
 )
@@ -377,18 +367,6 @@ def test_two_links_in_words():
         "Izz of lower",
     )
     assert base.unseen == (0, 3, 4, 5, 7, 8, 9, 13, 14, 15, 17, 18, 19)
-
-
-def test_further_columns_are_base_parameters_of_their_own(arm6):
-    random = np.random.default_rng(1)
-    q, v, vd = random.uniform(-2, 2, (3, 80, 6))
-    friction = 1e-6 * v[:, :, None] * np.eye(6)  # in a tiny unit
-    columns = np.concatenate([inverse_dynamics_regressor(arm6, q, v, vd), friction], -1)
-    base = base_parameters(columns, extra=6)
-    assert base.rank == 42
-    assert set(range(60, 66)) <= set(base.independent)
-    names = base.labels(KinematicTree.from_plant(arm6).bodies, extra=[f"c{i}" for i in range(6)])
-    assert names[-6:] == ("c0", "c1", "c2", "c3", "c4", "c5")
 
 
 frames = st.integers(0, 2**32 - 1)

@@ -91,94 +91,46 @@ def test_a_point_without_gravity_has_no_part_in_weight(tmp_path):
     np.testing.assert_allclose(load_of["l1"], [-9.81 * 3.0 * 0.2])
 
 
+UNREAD = {
+    "one": {
+        "<enable_wind>true</enable_wind>": "line 3: <enable_wind> true is",
+        "<velocity_decay><linear>0.1</linear></velocity_decay>": "<velocity_decay> 0.1",
+        "<kinematic>true</kinematic>": "<kinematic> true",
+    },
+    "inertial": {"<fluid_added_mass><xx>3</xx></fluid_added_mass>": "<fluid_added_mass> 3"},
+    "model": {
+        '<plugin name="b" filename="gz-sim-buoyancy-system"/>': "plugin gz-sim-buoyancy",
+        "<enable_wind>1</enable_wind>": "<enable_wind> 1",
+        '<plugin name="gz::sim::systems::Hydrodynamics" filename="x"/>': "systems::Hydro",
+        '<joint name="g" type="gearbox"><parent>l1</parent></joint>': "g of the type gearbox",
+    },
+    "world": {'<plugin name="w" filename="gz-sim-apply-link-wrench-system"/>': "link-wrench"},
+    "robot": {
+        "<gazebo><static>1</static></gazebo>": "<static> 1",
+        '<mujoco><option gravity="0 0 -3"/></mujoco>': "=0 0 -3 of <option>",
+        '<mujoco><compiler settotalmass="9"/></mujoco>': "mass=9 of <compiler>",
+        '<gazebo><plugin name="m" filename="libgazebo_motor_model.so"/></gazebo>': "motor_model.so",
+        '<gazebo><joint name="j" type="gearbox"/></gazebo>': "<joint> j of <gazebo>",
+        '<gazebo reference="l1"><inertial><mass>9</mass></inertial></gazebo>': "<inertial> 9",
+        '<gazebo reference="a"><axis><damping>2</damping></axis></gazebo>': "<axis> 2",
+        '<gazebo reference="l1"><dampingFactor>.1</dampingFactor></gazebo>': "Factor> .1",
+        '<gazebo><plugin name="LiftDragPlugin"/></gazebo>': "LiftDragPlugin",
+        '<gazebo><plugin filename="libuuv_x.so"/></gazebo>': "libuuv_x.so",
+    },
+    "joint": {
+        '<origin xyz="0 0 0" quat_xyzw="0.6 0 0 0.8"/>': "quat_xyzw=0.6 0 0 0.8 of <origin>",
+        '<dynamics damping="1" spring_stiffness="3"/>': "ness=3 of <dynamics>",
+    },
+    "link": {'<contact><inertia_scaling value="3"/></contact>': "<inertia_scaling> 3"},
+}
+"""Part of a file -> what it may state and nothing reads, and words of what is said of it."""
+
+
 @pytest.mark.parametrize(
-    ("text", "part", "stated", "words"),
-    [
-        (SDF, "one", "<enable_wind>true</enable_wind>", "line 3: <enable_wind> true is"),
-        (
-            SDF,
-            "one",
-            "<velocity_decay><linear>0.1</linear></velocity_decay>",
-            "<velocity_decay> 0.1",
-        ),
-        (
-            SDF,
-            "inertial",
-            "<fluid_added_mass><xx>3</xx></fluid_added_mass>",
-            "<fluid_added_mass> 3",
-        ),
-        (
-            SDF,
-            "model",
-            '<plugin name="b" filename="gz-sim-buoyancy-system"/>',
-            "plugin gz-sim-buoyancy",
-        ),
-        (SDF, "one", "<kinematic>true</kinematic>", "<kinematic> true"),
-        (SDF, "model", "<enable_wind>1</enable_wind>", "<enable_wind> 1"),
-        (
-            SDF,
-            "model",
-            '<plugin name="gz::sim::systems::Hydrodynamics" filename="x"/>',
-            "systems::Hydro",
-        ),
-        (
-            SDF,
-            "model",
-            '<joint name="g" type="gearbox"><parent>l1</parent></joint>',
-            "<joint> g of the type gearbox",
-        ),
-        (
-            SDF,
-            "world",
-            '<plugin name="w" filename="gz-sim-apply-link-wrench-system"/>',
-            "link-wrench",
-        ),
-        (URDF, "robot", "<gazebo><static>1</static></gazebo>", "<static> 1"),
-        (URDF, "robot", '<mujoco><option gravity="0 0 -3"/></mujoco>', "=0 0 -3 of <option>"),
-        (URDF, "robot", '<mujoco><compiler settotalmass="9"/></mujoco>', "mass=9 of <compiler>"),
-        (
-            URDF,
-            "robot",
-            '<gazebo><plugin name="m" filename="libgazebo_motor_model.so"/></gazebo>',
-            "motor_model.so",
-        ),
-        (
-            URDF,
-            "robot",
-            '<gazebo><joint name="j" type="gearbox"/></gazebo>',
-            "<joint> j of <gazebo>",
-        ),
-        (
-            URDF,
-            "joint",
-            '<origin xyz="0 0 0" quat_xyzw="0.6 0 0 0.8"/>',
-            "quat_xyzw=0.6 0 0 0.8 of <origin>",
-        ),
-        (
-            URDF,
-            "robot",
-            '<gazebo reference="l1"><inertial><mass>9</mass></inertial></gazebo>',
-            "<inertial> 9",
-        ),
-        (
-            URDF,
-            "robot",
-            '<gazebo reference="a"><axis><dynamics><damping>2</damping></dynamics></axis></gazebo>',
-            "<axis> 2",
-        ),
-        (URDF, "joint", '<dynamics damping="1" spring_stiffness="3"/>', "ness=3 of <dynamics>"),
-        (
-            URDF,
-            "robot",
-            '<gazebo reference="l1"><dampingFactor>.1</dampingFactor></gazebo>',
-            "Factor> .1",
-        ),
-        (URDF, "link", '<contact><inertia_scaling value="3"/></contact>', "<inertia_scaling> 3"),
-        (URDF, "robot", '<gazebo><plugin name="LiftDragPlugin"/></gazebo>', "LiftDragPlugin"),
-        (URDF, "robot", '<gazebo><plugin filename="libuuv_x.so"/></gazebo>', "libuuv_x.so"),
-    ],
+    ("part", "stated", "words"), [(p, *row) for p, rows in UNREAD.items() for row in rows.items()]
 )
-def test_what_a_file_states_and_nothing_reads(tmp_path, text, part, stated, words):
+def test_what_a_file_states_and_nothing_reads(tmp_path, part, stated, words):
+    text = URDF if part in ("robot", "joint", "link") else SDF
     (said,) = load(tmp_path, text, **{part: stated}).left_out
     assert words in said and ", line " in said and said.endswith("is ignored.")
 
@@ -205,24 +157,6 @@ def test_moments_of_inertia_that_are_not_stated_are_told(tmp_path):
     model = load(tmp_path, URDF.replace('ixy="0" ixz="0" iyz="0"', 'iyz="0"'))
     np.testing.assert_array_equal(model.total_phi, load(tmp_path, URDF).total_phi)
     assert "line 3: <inertia> lacks ixy, ixz, which count as 0." in model.notes[0]
-
-
-def test_what_says_nothing_is_not_said(tmp_path):
-    one = "<enable_wind>0</enable_wind><velocity_decay><linear>0</linear></velocity_decay>"
-    plugin = '<plugin name="torso_lift_spring" filename="libgazebo_ros_joint_state.so"/>'
-    model = load(
-        tmp_path, SDF, one=one, model=plugin, axis="<dynamics><damping>1</damping></dynamics>"
-    )
-    assert model.repairs == () and len(model.effects) == 1
-
-
-def test_a_spring_and_no_weight_of_gazebo(tmp_path):
-    spring = "<springStiffness>4</springStiffness><springReference>0.5</springReference>"
-    gazebo = f'<gazebo reference="a">{spring}</gazebo>'
-    model = load(tmp_path, URDF, robot=gazebo)
-    np.testing.assert_allclose(held(model) - held(load(tmp_path, URDF)), [-2.0])
-    off = '<gazebo reference="l1"><turnGravityOff>true</turnGravityOff></gazebo>'
-    assert not held(load(tmp_path, URDF, robot=off)).any()
 
 
 @pytest.mark.parametrize(
@@ -275,16 +209,6 @@ def test_a_part_that_is_not_there_is_left_out_of_the_robot(tmp_path, name, scene
     assert bool(model.repairs) != scenery
 
 
-def test_a_world_of_an_older_version_or_with_foreign_parts_refuses_no_robot(tmp_path):
-    physics = "<physics><gravity>0 0 -1.62</gravity><solver>fast</solver></physics>"
-    world = f'{physics}<gui><theme/></gui><light type="own"/><road/><state world_name="w"/>'
-    moon = load(tmp_path, SDF, world="<gravity>0 0 -1.62</gravity>")
-    start = "<initial_position>1</initial_position>"
-    odd = load(tmp_path, SDF, world=world, axis=start, model="<gripper><what/></gripper>")
-    np.testing.assert_allclose(held(odd), held(moon))
-    assert not odd.left_out
-
-
 MIMIC = """<plugin name="m" filename="libroboticsgroup_gazebo_mimic_joint_plugin.so">
 <joint>a</joint><mimicJoint>b</mimicJoint><multiplier>-2</multiplier><offset>0.1</offset></plugin>"""
 
@@ -332,25 +256,6 @@ def test_an_included_urdf_is_the_one_that_is_loaded_alone(tmp_path, part):
     assert [f.effect for f in model.effects] == [f.effect for f in alone.effects]
     second = check_dynamics(model, samples=3).second
     assert second is not None and second.holds
-
-
-def test_one_of_several_models_may_be_without_gravity(tmp_path):
-    off = "<link name='x'><gravity>0</gravity><inertial><mass>3</mass></inertial></link>"
-    (tmp_path / "p.sdf").write_text(f'<sdf version="1.9"><model name="p">{off}</model></sdf>')
-    include = "<include><uri>p.sdf</uri><pose>.5 0 0 0 0 0</pose></include>"
-    hold = '<joint name="c" type="fixed"><parent>l1</parent><child>p::x</child></joint>'
-    alone, model = load(tmp_path, SDF), load(tmp_path, SDF, model=include + hold)
-    np.testing.assert_allclose(held(model), held(alone), atol=1e-12)
-    (tmp_path / "two.dmd.yaml").write_text(
-        "directives:\n- add_model: {name: r, file: package://x/r.sdf}\n"
-        "- add_model: {name: p, file: package://x/p.sdf}\n"
-        "- add_weld: {parent: r::l1, child: p::x}\n"
-    )
-    (tmp_path / "package.xml").write_text("<package><name>x</name></package>")
-    load(tmp_path, SDF)
-    both = load_model(tmp_path / "two.dmd.yaml")
-    assert not both.left_out
-    np.testing.assert_allclose(held(both), held(alone), atol=1e-12)
 
 
 def test_what_an_include_changes_in_its_model_is_changed(tmp_path):
