@@ -12,12 +12,10 @@ from pydrake.systems.primitives import LogVectorOutput, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from geodrake import effects, load_model
-from geodrake.control import EffectForce, roll_out
+from geodrake.control import EffectForce
 from geodrake.effects import FittedEffect
 from geodrake.errors import ArgumentError, ModelError
-from geodrake.inertia import inertial_parameters
-from geodrake.inertia.bodies import lumped_bodies
-from geodrake.logs.motion import JointLog, Motion
+from geodrake.logs.motion import Motion
 
 DEMO = files("geodrake") / "demo" / "demo.urdf"
 
@@ -33,13 +31,6 @@ WELDED = """<robot name="r">
   <joint name="flange" type="fixed"><parent link="arm"/><child link="tool"/>
     <origin xyz="0.1 0 0.4" rpy="0.3 0 0"/></joint>
 </robot>"""
-
-TWO_JOINTS = """<mujoco model="m"><worldbody><body name="arm">
-  <joint name="a" axis="0 1 0"/><joint name="b" axis="1 0 0"/>
-  <inertial pos="0 0 .2" mass="2" diaginertia=".1 .1 .1"/>
-  <body name="hand" pos="0 0 .5"><inertial pos="0 0 .1" mass="1" diaginertia=".1 .1 .1"/>
-    <geom type="box" size=".1 .1 .1"/></body>
-</body></worldbody></mujoco>"""
 
 
 def fitted(effect, *parameters):
@@ -146,67 +137,8 @@ class TestMotion:
         late = np.array([np.interp(time - 0.02, time, own) for own in needed.T]).T
         np.testing.assert_allclose(effort[1:], late[1:], atol=1e-2 * np.abs(needed).max())
 
-    def test_rollouts_agree(self, run):
-        model, time, _, _, state, effort = run
-        log = JointLog("swing", model.joints, time, state[:, :6], effort, state[:, 6:])
-        found = roll_out(model, [log], horizon=0.25, most=2, bandwidth=20.0)
-        assert found.relative < 1e-4
-        twice = replace(model, effects=(*model.effects, fitted(effects.EffortDelay(0.02, None))))
-        assert roll_out(twice, [log], horizon=0.25, most=2, bandwidth=20.0).relative > 0.05
-
-    def test_a_discrete_plant_goes_the_same_way(self):
-        model = with_effects(0.0)
-        ends = []
-        for time_step in (0.0, 2e-4):
-            builder = DiagramBuilder()
-            robot = model.add_to_builder(builder, time_step=time_step, sign_width=0.05)
-            simulator = Simulator(builder.Build())
-            robot.set_state(simulator.get_mutable_context(), 0.3 * np.ones(6))
-            simulator.AdvanceTo(0.2)
-            ends.append(robot.state.Eval(robot.plant.GetMyContextFromRoot(simulator.get_context())))
-        moved = np.abs(ends[0][:6] - 0.3).max()
-        assert moved > 0.1
-        np.testing.assert_allclose(ends[1][:6], ends[0][:6], atol=0.01 * moved)
-
-    def test_efforts_that_are_logged_ahead_act_late(self):
-        model = replace(load_model(DEMO), effects=(fitted(effects.EffortDelay(-0.1)),))
-        builder = DiagramBuilder()
-        robot = model.add_to_builder(builder)
-        step = PiecewisePolynomial.ZeroOrderHold([0.0, 0.05, 1.0], np.outer(np.ones(6), [0, 1, 1]))
-        source = builder.AddSystem(TrajectorySource(step))
-        builder.Connect(source.get_output_port(), robot.effort)
-        simulator = Simulator(builder.Build())
-        root = simulator.get_mutable_context()
-        port = robot.plant.get_applied_generalized_force_input_port()
-        context = robot.plant.GetMyContextFromRoot(root)
-        simulator.AdvanceTo(0.12)
-        assert port.Eval(context).tolist() == [0.0] * 6
-        simulator.AdvanceTo(0.2)
-        np.testing.assert_allclose(port.Eval(context), np.ones(6))
-
 
 class TestNaturalAttempts:
-    def test_effects_as_a_model_has_them(self):
-        """List, tuple, generator and pairs are one; so is a payload on a plant of the file."""
-        model = replace(with_effects(0.0), phi=load_model(DEMO).phi)
-        some = tuple(f for f in model.effects if not isinstance(f.effect, effects.EffortDelay))
-        pairs = [(f.effect, f.parameters) for f in some]
-        q, v, u = np.random.default_rng(4).normal(size=(3, 6))
-        expected = acceleration(replace(model, effects=some), q, v, u)
-        for given in (list(some), some, (f for f in some), pairs):
-            builder = DiagramBuilder()
-            plant = builder.AddSystem(load_model(DEMO).plant)
-            force = EffectForce.AddToBuilder(builder, plant, given)
-            builder.ExportInput(force.GetInputPort("applied_effort"), "effort")
-            builder.ConnectInput("effort", plant.get_actuation_input_port())
-            diagram = builder.Build()
-            root = diagram.CreateDefaultContext()
-            diagram.get_input_port(0).FixValue(root, u)
-            context = plant.GetMyContextFromRoot(root)
-            plant.SetPositionsAndVelocities(context, np.concatenate([q, v]))
-            port = plant.get_generalized_acceleration_output_port()
-            np.testing.assert_allclose(port.Eval(context), expected, rtol=1e-8)
-
     def test_a_payload_beside_phi_is_refused(self):
         model = with_effects(0.0)
         with pytest.raises(ArgumentError, match=r"payload of .* would count twice"):
@@ -217,30 +149,8 @@ class TestNaturalAttempts:
         with pytest.raises(ArgumentError, match="add_to_builder"):
             EffectForce(model.plant, model.effects)
 
-    def test_hysteresis_keeps_its_state(self):
-        model = load_model(DEMO)
-        bristles = fitted(effects.Hysteresis(model.joints[0], 0.02), 3.0)
-        builder = DiagramBuilder()
-        robot = replace(model, effects=(bristles,)).add_to_builder(builder)
-        root = builder.Build().CreateDefaultContext()
-        context = robot.effect_force.GetMyMutableContextFromRoot(root)
-        robot.effect_force.set_hidden_states(context, {bristles.effect: [0.5]})
-        assert robot.effect_force.get_output_port().Eval(context)[0] == pytest.approx(-1.5)
-
 
 class TestFiles:
-    @pytest.mark.parametrize("name", ["r.urdf", "r.xml"])
-    def test_the_plant_has_the_inertias(self, name, tmp_path):
-        """Of welded links, and of several joints of one body."""
-        sphere = WELDED.replace("SHAPE", '<sphere radius="0.1"/>')
-        (tmp_path / name).write_text(sphere if name == "r.urdf" else TWO_JOINTS)
-        model = load_model(tmp_path / name)
-        model = replace(model, phi=1.3 * model.phi)
-        plant = model.add_to_builder(DiagramBuilder(), time_step=1e-3).plant
-        assert plant.time_step() == 1e-3
-        np.testing.assert_allclose(inertial_parameters(plant), model.phi, rtol=1e-12, atol=1e-15)
-        assert [body.name for body in lumped_bodies(plant)] == list(model.bodies)
-
     def test_shapes_are_shown(self, tmp_path):
         path = tmp_path / "r.urdf"
         path.write_text(WELDED.replace("SHAPE", '<sphere radius="0.1"/>'))

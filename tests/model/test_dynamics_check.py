@@ -183,19 +183,6 @@ def test_an_sdf_is_read_once_more_as_it_stands(tmp_path, mass):
     assert found.by.startswith("Drake") and found.second is not None
 
 
-@pytest.mark.parametrize("floating", [False, True])
-def test_an_sdf_with_a_free_base_and_a_ball_has_drakes_opinion(tmp_path, floating):
-    weld = SDF[SDF.index('<joint name="w"') : SDF.index('<link name="a">')]
-    inertial = SDF[SDF.index("<inertial>") : SDF.index("</link>\n<joint name")]
-    ball = f"""<link name="b"><pose>0 0 .4 0 0 0</pose>{inertial}</link><joint name="k" type="ball">
-<parent>a</parent><child>b</child></joint></model>"""
-    text = SDF.replace(weld, "").replace('"base"/>', f'"base">{inertial}</link>')
-    (tmp_path / "r.sdf").write_text(text.replace("</model>", ball))
-    found = check_dynamics(load_description(tmp_path / "r.sdf", floating=floating), samples=5)
-    assert found.holds and len(found.joints) == (10 if floating else 4)
-    assert found.second is not None and found.second.relative < 1e-12
-
-
 FREE = """<mujoco model="m"><option density="100" viscosity="1" gravity="1 2 -7"/><worldbody>
 <body name="a" pos="0 0 1" quat="1 .2 .3 .1"><freejoint name="root"/>
 <geom type="box" size=".1 .2 .3" pos=".1 0 0"/><body name="b" pos=".3 0 0" euler="10 20 30">
@@ -215,35 +202,6 @@ def test_free_bodies_and_balls_have_a_second_opinion_in_their_own_coordinates(tm
     wrong = FREE.replace('gravity="1 2 -7"', 'gravity="1 2 -7.001"')
     (tmp_path / "m.xml").write_text(wrong, encoding="utf-8")
     assert not check_dynamics(model, samples=20).second.holds
-
-
-DIRECTIVES = """directives:
-- add_model: {name: left, file: arm6.urdf}
-- add_weld:
-    parent: world
-    child: left::base_link
-    X_PC: {translation: [0, 1, 0.2], rotation: !Rpy {deg: [10, 20, 30]}}
-- add_model: {name: tool, file: double_pendulum.urdf}
-- add_weld:
-    parent: left::flange
-    child: tool::base_link
-    X_PC: {translation: [0.1, 0, 0.2], rotation: !Rpy {deg: [0, 90, 10]}}
-- add_model: {name: right, file: arm6.urdf}
-- add_weld: {parent: world, child: right::base_link}
-"""
-
-
-def test_directives_have_a_second_opinion_on_all_their_models(tmp_path):
-    for path in (ARM, DOUBLE):
-        (tmp_path / path.name).write_bytes(path.read_bytes())
-    (tmp_path / "all.dmd.yaml").write_text(DIRECTIVES, encoding="utf-8")
-    model = load_model(tmp_path / "all.dmd.yaml")
-    found = check_dynamics(model, samples=10)
-    assert len(found.joints) == 14 and found.is_rounding
-    assert found.by.startswith("Drake") and found.second.relative < 1e-12
-    held = load_model(tmp_path / "all.dmd.yaml", lock={"shoulder": 0.3})
-    assert "shoulder" not in held.joints
-    assert check_dynamics(held, samples=5).second.relative < 1e-12
 
 
 def test_a_floating_base_has_a_second_opinion(tmp_path):

@@ -13,11 +13,7 @@ from measurements import REFERENCE
 from own_code import effect
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
-from servo_logs import PENDULUM, servo_log
-from typer.testing import CliRunner
 
-from geodrake.cli.app import app
-from geodrake.diagnosis import compare, explain
 from geodrake.effects import (
     CoulombFriction,
     FittedEffect,
@@ -311,18 +307,6 @@ def test_what_settings_of_masses_do_to_copies_is_told(tmp_path):
     assert "cannot hold the inertias of a0, b0, a1, b1" in notes
 
 
-def test_geoms_without_a_part_in_inertias_keep_none(tmp_path):
-    ghost = '<geom size=".3" group="4"/><body><inertial pos="0 0 1" mass="1"'
-    text = MASSES.format('inertiagrouprange="0 2"').replace(
-        '<geom type="box" size=".1 .2 .3" pos=".1 0 0"/>',
-        f'{ghost} diaginertia=".1 .1 .1"/></body>',
-    )
-    (tmp_path / "m.xml").write_text(text, encoding="utf-8")
-    model = load_model(tmp_path / "m.xml")
-    (tmp_path / "out.xml").write_bytes(export_model(replace(model, phi=1.5 * model.phi)).content)
-    np.testing.assert_allclose(load_model(tmp_path / "out.xml").phi, 1.5 * model.phi, rtol=1e-9)
-
-
 def test_inertias_that_stand_in_frames_of_an_mjcf(tmp_path):
     path = tmp_path / "r.xml"
     path.write_text(
@@ -336,21 +320,6 @@ def test_inertias_that_stand_in_frames_of_an_mjcf(tmp_path):
     (tmp_path / "s.xml").write_bytes(content)
     np.testing.assert_allclose(load_model(tmp_path / "s.xml").phi, 1.1 * model.phi, atol=1e-15)
     assert content.count(b"<inertial") == 1
-
-
-@pytest.mark.parametrize("kind", ["xml", "sdf"])
-def test_bodies_of_included_files_are_not_written_into_the_file_that_includes_them(tmp_path, kind):
-    if kind == "xml":
-        inner = MJCF
-        outer = '<mujoco><include file="inner.xml"/></mujoco>'
-    else:
-        inner = SDF
-        include = "<include><uri>inner.sdf</uri></include>"
-        outer = f'<sdf version="1.9"><world name="w">{include}</world></sdf>'
-    (tmp_path / f"inner.{kind}").write_text(inner, encoding="utf-8")
-    (path := tmp_path / f"outer.{kind}").write_text(outer, encoding="utf-8")
-    with pytest.raises(ModelError, match=rf"outer.{kind} includes .*inner.{kind}, which has one"):
-        check_export(load_model(path), tmp_path / f"copy.{kind}")
 
 
 MODELS = Path(__file__).parents[2] / "models"
@@ -405,14 +374,6 @@ def test_comes_back_exactly(fitted, saved, tmp_path):
     np.testing.assert_array_equal(again.effort(motion), fitted.effort(motion))
     save_model(again, tmp_path / "again.yaml")
     assert (tmp_path / "again.yaml").read_text() == saved.read_text()
-
-
-def test_an_unfitted_floating_model_stays_so(tmp_path):
-    path = tmp_path / "free.yaml"
-    save_model(load_model(MODELS / "double_pendulum.urdf", floating=True), path)
-    again = load_model(path)
-    assert again.plant.num_velocities() == 8 and again.effects == ()
-    assert again.information is again.effort_noise is again.fading_speed is None
 
 
 def test_models_of_before_are_read(fitted, saved):
@@ -477,19 +438,6 @@ def test_what_does_not_fit_together_is_refused(fitted, saved):
     save_model(replace(fitted, effort_signals=tuple(signals)), saved)
     with pytest.raises(ModelError, match=f"two signals for efforts of '{fitted.joints[0]}'"):
         load_model(saved)
-
-
-def test_a_log_of_a_servo_is_known_again(tmp_path):
-    """Its efforts are other ones by the fitted model: what was measured is what the model knows."""
-    path = tmp_path / "pendulum.urdf"
-    path.write_text(PENDULUM)
-    log = servo_log(integral=90.0)
-    found = explain(load_model(path), [log])
-    save_model(found.model, tmp_path / "model.yaml")
-    again = load_model(tmp_path / "model.yaml")
-    assert again.fitted_to == (log.fingerprint,)
-    notes = " ".join(compare(again, [log]).notes)
-    assert "of the model's fit" in notes and "was fitted to servo before" in notes
 
 
 class TestMovedFiles:
@@ -574,13 +522,6 @@ class TestOwnEffects:
         with pytest.raises(ModelError) as caught:
             load_model("../arm.yaml")
         assert "which was 'my hose.py': --effects FILE.py" in caught.value.advice
-
-    def test_the_advice_works(self, folder):
-        log = str(DEMO.with_suffix(".csv"))
-        refused = CliRunner().invoke(app, ["compare", "arm.yaml", log])
-        assert refused.exit_code == 2
-        taken = CliRunner().invoke(app, ["compare", "arm.yaml", log, "--effects", "my hose.py"])
-        assert taken.exit_code == 0, taken.output
 
     def test_nothing_is_run_unasked(self, folder):
         (folder / "my hose.py").write_text("open('RUN', 'w')", encoding="utf-8")

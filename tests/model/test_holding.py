@@ -9,7 +9,6 @@ from known_robots import assert_close, description
 
 from geodrake import load_model, save_model
 from geodrake.effects import (
-    AerodynamicDrag,
     CoulombFriction,
     CoupledFriction,
     FittedEffect,
@@ -17,9 +16,8 @@ from geodrake.effects import (
 )
 from geodrake.errors import LogError, ModelError
 from geodrake.inertia import from_mass_com_inertia
-from geodrake.logs import JointLog, KnownPayload, Motion
+from geodrake.logs import JointLog, Motion
 from geodrake.model import holding, model_of_logs
-from geodrake.model.carried_payloads import carrying
 from geodrake.model.logged_joints import log_of_model
 
 MODELS = Path(__file__).parents[2] / "models"
@@ -103,16 +101,6 @@ def _columns(model, seen):
     return [fitted.effect.regressor(seen) for fitted in model.effects]
 
 
-def test_what_acts_on_held_bodies_is_left_out_and_said():
-    model = load_model(MODELS / "arm6.urdf")
-    drag = FittedEffect(
-        AerodynamicDrag(model.bodies[-1]), np.zeros(len(AerodynamicDrag.parameters))
-    )
-    held = holding(replace(model, effects=(drag,)), {model.joints[5]: 0.0})
-    assert not held.effects
-    assert any(drag.effect.name in note for note in held.notes)
-
-
 def test_a_saved_model_remembers_what_it_holds(tmp_path):
     model = fitted_arm()
     model = holding(model, {model.joints[5]: 0.4})
@@ -183,15 +171,6 @@ def test_joints_that_hardly_move_in_any_log_are_held_at_their_mean():
     assert model_of_logs(fitted, [log]) is fitted
 
 
-def test_a_position_that_is_stuck_while_the_joint_moves_is_no_rest():
-    model = load_model(MODELS / "arm7.urdf")
-    log = log_of(model.joints, joint_5=(-0.8, SWAY))
-    noise = 0.1 * np.random.default_rng(0).normal(size=log.position.shape)
-    assert model_of_logs(model, [replace(log, velocity=noise)]).held == {"joint_5": -0.8}
-    moving = noise + np.sin(log.time)[:, None]
-    assert model_of_logs(model, [replace(log, velocity=moving)]) is model
-
-
 def test_logs_that_disagree_or_move_are_refused(tmp_path):
     model = model_of(description(PANDA), tmp_path)
     arm = model.joints[:7]
@@ -207,16 +186,3 @@ def test_logs_that_disagree_or_move_are_refused(tmp_path):
         model_of_logs(model, [log_of(arm, standing=dict.fromkeys(FINGERS, np.nan))])
     with pytest.raises(LogError, match=r"has no joint 'panda_joint7'.*--lock"):
         log_of_model(log_of(arm[:6]), model)
-
-
-def test_what_a_held_hand_carries_is_carried_by_its_parent(tmp_path):
-    model = model_of(description(PANDA), tmp_path)
-    held = holding(model, FINGERS)
-    carried = (KnownPayload("panda_leftfinger", 0.7, (0.0, 0.01, 0.02)),)
-    whole = np.zeros((6, 9))
-    whole[:, 7:] = list(FINGERS.values())
-    motion = motion_of(held)
-    whole[:, :7] = motion.q
-    still = (np.hstack([x, np.zeros((6, 2))]) for x in (motion.v, motion.vd))
-    expected = carrying(model, carried).motion(Motion(whole, *still)).load[:, :7]
-    assert_close(carrying(held, carried).motion(motion).load, expected)

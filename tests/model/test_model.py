@@ -22,11 +22,9 @@ from geodrake.effects import (
     Payload,
 )
 from geodrake.errors import ModelError
-from geodrake.identification.models import IdentificationSettings, identify_model
 from geodrake.inertia import from_mass_com_inertia
 from geodrake.logs.motion import Motion
 from geodrake.model.saved_model import check_model, save_model
-from geodrake.robot.regressor import inverse_dynamics_regressor
 
 MODELS = Path(__file__).parents[2] / "models"
 
@@ -70,18 +68,6 @@ def test_effects_add_to_the_effort_needed(arm, motion):
     np.testing.assert_allclose(model.effort(motion), expected, rtol=0, atol=1e-9)
 
 
-def test_motion_with_a_load_that_is_known(arm, motion):
-    seen, load = arm.motion(motion), drake_effort(arm, motion)
-    known = arm.motion(motion, load=2.0 * load)
-    np.testing.assert_allclose(seen.load, load, atol=1e-9)
-    np.testing.assert_array_equal(known.load, 2.0 * load)
-    regressor = inverse_dynamics_regressor(arm.tree, motion.q, motion.v, motion.vd)
-    for body, name in enumerate(arm.bodies):
-        columns = known.body_columns(name)
-        np.testing.assert_allclose(columns, regressor[:, :, 10 * body : 10 * body + 10])
-    assert arm.motion(motion[:0]).load.shape == (0, 6)
-
-
 def test_delays_of_joints_and_of_all_add_up(arm):
     assert not arm.delays.any()
     late = [EffortDelay(0.01, "elbow_pitch"), EffortDelay(0.002), EffortDelay(-0.001)]
@@ -90,16 +76,7 @@ def test_delays_of_joints_and_of_all_add_up(arm):
     np.testing.assert_allclose(replace(arm, effects=effects).delays, expected)
 
 
-RUBBING = friction((0.3, 0.2), (0.1, 0.05))
 DRIVEN = friction((-0.5, -0.3), (-0.2, -0.1))  # against all bounds
-
-
-def load_dependent(q, v, vd, load):
-    return 0.1 * np.abs(load) * np.sign(v) - 0.4 * load
-
-
-def heavy(q, v, vd, load):
-    return 0.8 * load + 0.4 * np.sin(q)
 
 
 @cache
@@ -127,21 +104,6 @@ def test_fits_come_back_from_any_edge(tmp_path):
     comes_back(first, tmp_path / "first.yaml")
     for effect in ("viscous_friction", "thermal_friction", "joint_elasticity", "wrong_inertia"):
         comes_back(add(effect, first, [log(2, DRIVEN)]).model, tmp_path / "second.yaml")
-
-
-@pytest.mark.parametrize(
-    ("regularizer", "hidden"),
-    [
-        ("euclidean", RUBBING),
-        ("pullback", DRIVEN),
-        ("entropic", heavy),
-        ("riemannian", load_dependent),
-    ],
-)
-def test_identified_models_come_back(regularizer, hidden, tmp_path):
-    settings = IdentificationSettings(regularizer=regularizer, gamma=0.01)
-    found = identify_model(load_model(PENDULUM), [log(3, hidden)], settings)
-    comes_back(found.model, tmp_path / "model.yaml")
 
 
 @pytest.fixture

@@ -10,8 +10,6 @@ from closed_loops import gripper
 from coupled_arm import CURVED, WRIST, arm, log_of, motion_of
 from known_robots import assert_close
 from own_code import OwnTransmission
-from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import PrismaticJoint, SpatialInertia
 from pydrake.systems.framework import DiagramBuilder
 
 from geodrake import load_model, save_model
@@ -29,7 +27,6 @@ from geodrake.logs import JointLog, Motion
 from geodrake.model import holding, python_source
 from geodrake.model.logged_joints import model_of_logs
 from geodrake.robot import base_wrench_regressor, inverse_dynamics_regressor, joint_names
-from geodrake.robot.coordinates import RobotCoordinates
 from geodrake.robot.effort_slopes import effort_slopes
 from geodrake.robot.regressor import inverse_dynamics
 from geodrake.robot.transmission import (
@@ -38,7 +35,6 @@ from geodrake.robot.transmission import (
     SideBySide,
     gears,
     rolling_joint,
-    times,
 )
 from geodrake.robot.transmission.statements import Drive, FourBarLinkage, LinearActuator
 
@@ -264,18 +260,6 @@ def test_damping_and_limits_of_the_file_are_the_actuators(tmp_path):
     np.testing.assert_allclose(model.effort(motion) - bare.effort(motion), rubbing, atol=1e-12)
 
 
-def test_within_the_limits_of_actuators_joints_keep_theirs(curved):
-    rng = np.random.default_rng(0)
-    q = rng.uniform(*np.clip(curved.position_limits, -4.0, 4.0), (200, 3))  # a crank goes around
-    v = rng.uniform(-1.0, 1.0, (200, 3)) * curved.velocity_limits
-    assert np.abs(curved.plant_positions(q)).max() <= 2.0 + 1e-9
-    assert np.abs(times(curved.coordinates.jacobian(q), v)).max() <= 3.0 + 1e-9
-    efforts = rng.uniform(-1.0, 1.0, (200, 3)) * curved.effort_limits
-    jacobian = curved.coordinates.jacobian(q)
-    at_joints = np.linalg.solve(np.swapaxes(jacobian, 1, 2), efforts[:, :, None])
-    assert np.abs(at_joints[:, 2]).max() <= 40.0 + 1e-9  # (At a crank's dead point nothing holds.)
-
-
 def test_a_function_of_ones_own_serves_and_is_not_saved(wrist, tmp_path):
     square = OwnTransmission(
         (3, 3), lambda q: q @ J.T + [0.0, 0.0, 0.1], lambda q: np.broadcast_to(J, (len(q), 3, 3))
@@ -432,23 +416,6 @@ def test_linkages_say_where_they_do_not_close():
         Drive.of(CYLINDER).map.joint_positions(np.array([[0.45]]))
     with pytest.raises(ArgumentError, match="do not reach each other at q = 0 with the crank at 3"):
         Drive.of(msgspec.structs.replace(BARS, ground=0.2, crank_angle=3.0))
-
-
-def test_a_joint_that_an_actuator_does_not_move_does_not_limit_it():
-    """Without a warning, although 0 · ∞ is no number."""
-    idle = Drive(("m",), ("a", "b"), LinearTransmission.of([[2.0], [0.0]]))
-    plant = MultibodyPlant(0.0)
-    for name, axis in (("a", [1, 0, 0]), ("b", [0, 1, 0])):
-        body = plant.AddRigidBody(name, SpatialInertia.SolidSphereWithMass(1.0, 0.1))
-        world = plant.world_frame()
-        plant.AddJoint(PrismaticJoint(name, world, body.body_frame(), axis))
-    plant.Finalize()
-    robot = RobotCoordinates.of(plant, {}, (idle,))
-    within = np.full(1, -1.0), np.full(1, 1.0)
-    most = np.array([5.0, np.inf])
-    np.testing.assert_array_equal(robot.effort_limits(most, within), [10.0])
-    np.testing.assert_array_equal(robot.rates(most, within), [2.5])
-    np.testing.assert_array_equal(robot.rates(np.zeros(2), within), [0.0])
 
 
 def test_bad_input():
