@@ -19,7 +19,7 @@ _LAG, _FOLLOWS = 0.4, 0.8  # of such a ratio's logarithm, and correlation of wha
 _LATEST = 3  # rows by which a copy may be late
 _WINDOW, _MOVING = 0.05, 0.1  # s, and the share of the largest way in them of a joint that moves
 _FULL, _MOST = 1.0 - 1e-6, 0.9  # of the largest effort, and the share of rows that may be at it
-_STEPS = 8  # of resolution that a largest value has at least, where it is none of rounding
+_STEPS = 50  # of resolution that a largest value has at least, where it is none of rounding
 
 
 def check_commands(log: JointLog) -> None:
