@@ -62,9 +62,8 @@ def quiet_density(
 ) -> Array:
     """Return (n,) densities of white noise of signals: of the quietest band above a bandwidth.
 
-    Args:
-        differences: How often the signals are differenced before, so that what is large and slow
-            in them does not leak into the spectrum; the density is that of the signals.
+    They are differenced so often before that what is large and slow in them does not leak into the
+    spectrum; the density is that of the signals.
     """
     changes = np.diff(np.asarray(signal, float), differences, axis=0)
     length = min(len(changes), max(64, round(8 * rate / bandwidth)))
@@ -109,14 +108,9 @@ def steepest_fall(signal: ArrayLike, rate: float, bandwidth: float) -> Array:
     frequency, density = spectral_density(signal, rate, length, window=SHARP)
     lowest, highest = 6.0 * rate / length, 0.45 * rate  # each band has a bin of the spectrum
     edges = lowest * _STEP ** np.arange(int(np.log(highest / lowest) / np.log(_STEP)))
-    level = np.array(
-        [
-            np.log(
-                np.maximum(density[(frequency >= low) & (frequency < _STEP * low)], 1e-300)
-            ).mean(axis=0)
-            for low in edges
-        ]
-    )
+    logs = np.log(np.maximum(density, 1e-300))
+    bands = [(frequency >= low) & (frequency < _STEP * low) for low in edges]
+    level = np.array([logs[band].mean(axis=0) for band in bands])
     if len(edges) <= _WIDE:
         return np.full(signal.shape[1], bandwidth)
     fall = level[:-_WIDE] - level[_WIDE:]
@@ -239,10 +233,8 @@ def design_filter(
 ) -> ZeroPhaseFilter:
     """Return a low-pass filter that decimates to about twice its bandwidth.
 
-    Args:
-        bandwidth: Wanted bandwidth, Hz. The result's is the nearest that whole-number decimation
-            leaves white: 20 % off at worst, decimating by 2 or 3, and 5 % by 10.
-        highest: The highest bandwidth that is let through, as a share of the sampling rate.
+    The bandwidth, Hz, is the nearest to the wanted one that whole-number decimation leaves white:
+    20 % off at worst, decimating by 2 or 3, and 5 % by 10. The `highest` is a share of the rate.
     """
     if not 0.0 < period < np.inf:
         raise ArgumentError(f"A sampling period must be positive; got {period:g} s.")
@@ -285,12 +277,10 @@ def spline_through(signal: Array) -> BSpline:
 
 
 def resample(time: Array, signals: Array, instants: Array, *, sharp: bool = False) -> Array:
-    """Interpolate jittered signals (N, n) at other instants; existing samples are unchanged.
+    """Interpolate jittered signals (N, n) at other instants (K,); existing samples are unchanged.
 
-    Args:
-        instants: (K,) new time stamps between the first and the last.
-        sharp: Whether to interpolate linearly, without overshoot, as efforts; else by a cubic
-            spline, as positions and velocities.
+    Signals that are `sharp`, as efforts, are interpolated linearly, without overshoot; others, as
+    positions and velocities, by a cubic spline.
     """
     start = int(np.argmin(np.abs(time - instants[0]))) if len(instants) else 0
     same = time[start : start + len(instants)]

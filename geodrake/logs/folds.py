@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from operator import attrgetter
 
 import numpy as np
@@ -56,13 +57,9 @@ def validation_blocks(
     """Split trajectories into folds that share no filtered sample and are apart in time.
 
     Four trajectories or more are one fold each, or two if one alone has a known payload or has
-    none; fewer are cut into blocks of equal length, about eight in all. Samples in the gaps between
-    blocks belong to no fold: these are as long as the filter's window and half a second, and at
-    most 5 % of a block.
-
-    Args:
-        blocks: Blocks for each trajectory, if it is to be cut; fewer where a block would have less
-            than ten filtered samples.
+    none; fewer are cut into blocks of equal length, about eight in all, or as many `blocks` each as
+    have ten filtered samples. Samples in the gaps between blocks belong to no fold: these are as
+    long as the filter's window and half a second, and at most 5 % of a block.
     """
     if not trajectories:
         raise ArgumentError("There are no trajectories to split into folds.")
@@ -77,11 +74,8 @@ def validation_blocks(
     if blocks is None and len(trajectories) >= _ENOUGH_TRAJECTORIES:
         alone = 1 in Counter(trajectory.payloads for trajectory in trajectories).values()
         wanted = 2 if alone else 1
-    folds = tuple(
-        fold
-        for index, trajectory in enumerate(trajectories)
-        for fold in _cut(trajectory, index, wanted)
-    )
+    cut = (_cut(trajectory, index, wanted) for index, trajectory in enumerate(trajectories))
+    folds = tuple(chain.from_iterable(cut))
     if len(folds) < 2:
         outputs = sum(trajectories[0].output_counts)
         raise LogError(
@@ -107,11 +101,8 @@ def share_motion(
     """Return folds of which none has much of a joint's motion, if possible; else these.
 
     Joints may move one after the other, in one log or in one log each. Without a fold that has half
-    of a joint's motion, too little would be left to fit its friction.
-
-    Args:
-        samples: How many samples of motion (n, folds) of each joint are in each fold.
-        instants: Of each joint, fold and block, the time stamps of these samples, s.
+    of a joint's motion, too little would be left to fit its friction. So many `samples` (n, folds)
+    of motion of each joint are in each fold, at `instants`, s, of each joint, fold and block.
     """
     if len(folds) < 2:
         return folds
@@ -147,8 +138,7 @@ def assign_folds(
 ) -> tuple[Fold, ...]:
     """Return folds of which windows are cut into pieces, every other one given to another fold.
 
-    Args:
-        others: Fold -> the fold that pieces go to, by number; by default one half of all folds on.
+    This is that of `others`, by number, and by default the one half of all folds on.
     """
     dealt: dict[int, list[Block]] = defaultdict(list)
     windows = _merged(windows)
@@ -213,9 +203,8 @@ def _cut(trajectory: Trajectory, index: int, wanted: int) -> list[Fold]:
     for start, stop in zip(cuts[:-1], cuts[1:] - gap, strict=True):
         begin = np.maximum(start - (ends - counts), 0).tolist()
         end = np.minimum(stop - (ends - counts), counts).tolist()
-        blocks = tuple(
-            Block(index, k, begin[k], end[k]) for k in range(len(counts)) if end[k] > begin[k]
-        )
+        whole = (Block(index, k, *both) for k, both in enumerate(zip(begin, end, strict=True)))
+        blocks = tuple(block for block in whole if block.stop > block.start)
         folds.append(Fold(_name(trajectory, blocks, pieces), blocks))
     return folds
 
@@ -223,12 +212,8 @@ def _cut(trajectory: Trajectory, index: int, wanted: int) -> list[Fold]:
 def _name(trajectory: Trajectory, blocks: Sequence[Block], pieces: int) -> str:
     if pieces == 1:
         return trajectory.name
-    low_pass = trajectory.filter
-    first, last = (
-        trajectory.segments[index][center : center + 1].time[0]
-        for index, center in (
-            (block.segment, low_pass.halfwidth + low_pass.decimation * sample)
-            for block, sample in ((blocks[0], blocks[0].start), (blocks[-1], blocks[-1].stop - 1))
-        )
-    )
-    return f"{trajectory.name} {first:.2f}–{last:.2f} s"
+    low_pass, ends = trajectory.filter, list[float]()
+    for block, sample in ((blocks[0], blocks[0].start), (blocks[-1], blocks[-1].stop - 1)):
+        center = low_pass.halfwidth + low_pass.decimation * sample
+        ends.append(float(trajectory.segments[block.segment][center : center + 1].time[0]))
+    return f"{trajectory.name} {ends[0]:.2f}–{ends[1]:.2f} s"

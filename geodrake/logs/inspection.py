@@ -173,7 +173,13 @@ def _columns(raw: JointLog, log: JointLog, columns: Columns) -> Iterator[Underst
         source = columns.sources.get(f"{joint}.{quantity}")
         if source is None:
             continue  # commands have the place of efforts, or the other way round
-        measured, known = (_known(_of_joint(each, joint, quantity)) for each in (raw, log))
+        values = [
+            each.alone[joint]
+            if joint in each.alone
+            else getattr(each, quantity)[:, each.joints.index(joint)]
+            for each in (raw, log)
+        ]
+        measured, known = map(_known, values)
         yield UnderstoodColumn(
             joint,
             source.quantity if quantity == "effort" else quantity,
@@ -184,13 +190,6 @@ def _columns(raw: JointLog, log: JointLog, columns: Columns) -> Iterator[Underst
             float(known.max()) if len(known) else np.nan,
             len(raw) - len(measured),
         )
-
-
-def _of_joint(log: JointLog, joint: str, quantity: str) -> Array:
-    if joint in log.alone:
-        return log.alone[joint]
-    values: Array = getattr(log, quantity)[:, log.joints.index(joint)]
-    return values
 
 
 def _rests(log: JointLog, period: float) -> Iterator[tuple[float, float]]:

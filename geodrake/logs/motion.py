@@ -184,17 +184,13 @@ class JointLog(Short):
                 kinds = self.effort_kinds if quantity == "effort" else {}
                 told = self.command is not None and not np.isnan(self.command[:, at]).all()
                 may_lack = quantity in PARTIAL or (quantity == "effort" and told)
-                lacks = kinds.get(joint) == UNMEASURED
-                if not (lacks or (may_lack and np.isnan(column).all())):
+                lacks = kinds.get(joint) == UNMEASURED or (may_lack and np.isnan(column).all())
+                if not lacks:
                     columns[f"{joint}.{kinds.get(joint, quantity)}"] = column
         return {**columns, **self.floating}
 
     def to_dataframe(self) -> Any:
-        """Return a DataFrame of pandas with the columns of a log file, `time` first.
-
-        Raises:
-            LogError: pandas is not installed.
-        """
+        """Return a DataFrame of pandas with the columns of a log file, `time` first."""
         pandas = optional_package("pandas", "logs", "data frames", LogError)
         return pandas.DataFrame(self.columns())
 
@@ -212,11 +208,7 @@ class JointLog(Short):
         return digest.hexdigest()[:16]
 
     def select(self, joints: Sequence[str]) -> JointLog:
-        """Return the log of some of its joints in the given order; itself if unchanged.
-
-        Raises:
-            LogError: If the log lacks one of them; the message offers the nearest names.
-        """
+        """Return the log of some of its joints in the given order; itself if unchanged."""
         for joint in joints:
             if joint not in self.joints:
                 raise _missing(self.name, joint, self.joints)

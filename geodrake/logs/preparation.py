@@ -192,10 +192,8 @@ def _failed_sensors(log: JointLog, known: Temperatures | None) -> list[str]:
     """Return the joints with failing temperature sensors, in words."""
     if log.temperature is None:
         return []
-    read = np.asarray(np.isfinite(log.temperature).any(axis=0))
-    courses = {} if known is None else known.courses
-    failed = [joint for joint, some in zip(log.joints, read.tolist(), strict=True) if some]
-    failed = [joint for joint in failed if joint not in courses]
+    read = np.array(log.joints)[np.isfinite(log.temperature).any(axis=0)]
+    failed = [joint for joint in read if known is None or joint not in known.courses]
     return [f"temperature of {', '.join(failed)} is not used: the sensor fails"] if failed else []
 
 

@@ -30,15 +30,9 @@ def readings(column: Array) -> Array:
 def logged_ranges(positions: Sequence[Array]) -> tuple[Array, Array, Array]:
     """Return the range of positions of joints over all logs, and that caused by noise.
 
-    Velocities are left aside, as their noise is no motion.
-
-    Args:
-        positions: (N, n) positions of each log, rad or m; NaN where none was measured,
-            and what no robot has counts as none.
-
-    Returns:
-        (n,) least, (n,) largest position, and (n,) the width of a joint's range at rest that noise
-        and steps of the encoder make. NaN of a joint that was not measured.
+    Positions (N, n) of each log are in rad or m; velocities are left aside, as their noise is no
+    motion. Returned are the (n,) least and largest position, NaN of a joint that was not measured,
+    and the (n,) width of a joint's range at rest that noise and steps of the encoder make.
     """
     joints = positions[0].shape[1]
     low, high, wide = np.full(joints, np.nan), np.full(joints, np.nan), np.zeros(joints)

@@ -259,7 +259,7 @@ class _Sensor:
         if self._rests:
             return False
         here = self._velocity[run]
-        moves = np.abs(here).mean() > max(share * self._peak_speed, speed)
+        moves = np.abs(here).mean() > max(share * np.abs(self._velocity).max(), speed)
         return bool(moves) and travels(here, self.period, least)
 
     @cached_property
@@ -283,22 +283,14 @@ class _Sensor:
         velocity = self.log.velocity[:, self.joint][self.rows]
         return np.where(np.isfinite(velocity), velocity, 0.0)
 
-    @cached_property
-    def _peak_speed(self) -> float:
-        return float(np.abs(self._velocity).max())
-
     def _is_frozen_effort(self, run: slice) -> bool:
         """Return whether the joint moves; a drive may saturate at its largest effort, or be off."""
-        if self.values[run.start] in (0.0, *self._extremes):
+        if self.values[run.start] in (0.0, self.values.min(), self.values.max()):
             return False
         position = self.log.position[:, self.joint][self.rows][run]
         position = position[np.isfinite(position)]
         low, high = np.quantile(position, [0.05, 0.95]) if len(position) else (0.0, 0.0)
         return bool(high - low > _MOVING[2])  # a spike is no motion
-
-    @cached_property
-    def _extremes(self) -> tuple[float, float]:
-        return float(self.values.min()), float(self.values.max())
 
 
 def _typical(steps: Array) -> float:

@@ -113,55 +113,46 @@ def _is_certain(factor: float, time: Array, position: Array | None, velocity: Ar
     return bool(reach.any() and (np.median(bends, axis=0) <= _SMOOTH * reach).all())
 
 
-def unwrapped(time: Array, *, of_day: bool = False) -> tuple[Array, tuple[str, ...]]:
-    """Return time stamps (N,) of a counter that begins anew as if it went on, and a note.
+def going_on(time: Array, *, of_day: bool = False) -> tuple[Array, tuple[str, ...]]:
+    """Return time stamps (N,) that go on where a counter began anew or a clock was set back.
 
-    It ends at a power of two of its units, between one row and the next; a time `of_day` after an
-    hour, half a day or a day.
+    With them comes a note. A counter ends at a power of two of its units, between one row and the
+    next; a time `of_day` after an hour, half a day or a day. Before and after a clock was set back
+    there must be many rows, as a few of another time are damaged ones; a gap is taken to be there.
     """
     rows = np.flatnonzero(np.isfinite(time))
     steps = np.diff(time[rows])
     back = np.flatnonzero(steps < 0.0)
-    if not 0 < len(back) <= _EVEN * len(rows):
+    if not len(back):
         return time, ()
-    most = _GAP_STEPS * float(np.median(steps))
+    period, falls = float(np.median(steps)), -steps[back]
+    most = _GAP_STEPS * period
     last, first = time[rows[back]], time[rows[back + 1]]
     ends = [w for w in _WRAPS if np.all((last < w) & (w - last <= most) & (np.abs(first) <= most))]
     if of_day:
         ends = [w for w in _CLOCKS if np.all((last < first + w) & (first + w <= last + most))]
-    if len(ends) != 1:
-        return time, ()
-    found = time.copy()
-    for row in rows[back + 1]:
-        found[row:] += ends[0]
     again = f"{len(back)} times, first " if len(back) > 1 else ""
-    words = (
-        f"the counter of time begins anew at {ends[0]:.6g} s, {again}at row {rows[back[0] + 1] + 1}"
-    )
-    return found, (f"{words}: it goes on",)
-
-
-def with_clock_set_back(time: Array) -> tuple[Array, tuple[str, ...]]:
-    """Return time stamps that increase where a clock was set back, with a gap there, and a note.
-
-    Before and after it there must be many rows: a few of another time are damaged ones.
-    """
-    rows = np.flatnonzero(np.isfinite(time))
-    steps = np.diff(time[rows])
-    back = np.flatnonzero(steps < 0.0)
-    ends = np.diff(np.concatenate([[0], back + 1, [len(rows)]]))
-    if not 0 < len(back) <= _MOST_SETS or ends.min() < max(10.0, _EVEN * len(rows)):
-        return time, ()
-    period = float(np.median(steps))
-    # After damaged rows, and before them, time is what it was: steps of one size lead there.
-    if (-steps[back] < 10.0 * period).any() or steps.max() > 0.5 * -steps[back].max():
-        return time, ()
-    found, gap = time.copy(), max(_GAP, 20.0 * period)
-    for k in back.tolist():
-        found[rows[k + 1] :] += gap - steps[k]
-    times = f"{len(back)} times, first " if len(back) > 1 else ""
-    words = f"the clock was set back {times}by {period - steps[back[0]]:.3g} s at row "
-    return found, (f"{words}{rows[back[0] + 1] + 1}, which is treated as a gap",)
+    row = rows[back[0] + 1] + 1
+    if len(ends) == 1 and len(back) <= _EVEN * len(rows):
+        added = np.full(len(back), ends[0])
+        words = (
+            f"the counter of time begins anew at {ends[0]:.6g} s, {again}at row {row}: it goes on"
+        )
+    else:
+        parts = np.diff(np.concatenate([[0], back + 1, [len(rows)]]))
+        are_few = len(back) <= _MOST_SETS and parts.min() >= max(10.0, _EVEN * len(rows))
+        # After damaged rows, and before them, time is what it was: steps of one size lead there.
+        if not are_few or falls.min() < 10.0 * period or steps.max() > 0.5 * falls.max():
+            return time, ()
+        added = max(_GAP, 20.0 * period) + falls
+        words = (
+            f"the clock was set back {again}by {period + falls[0]:.3g} s at row {row}, which is "
+        )
+        words += "treated as a gap"
+    found = time.copy()
+    for k, more in zip(back.tolist(), added.tolist(), strict=True):
+        found[rows[k + 1] :] += more
+    return found, (words,)
 
 
 def order_of_time(time: Array, position: Array) -> NDArray[np.intp] | None:

@@ -34,14 +34,11 @@ def step_notes(log: JointLog) -> Iterator[str]:
     """
     steps = dict(zip(log.joints, effort_steps(log).tolist(), strict=True))
     coarse = {joint: step for joint, step in steps.items() if step > 0.0}
+    each = (f"{joint} {s:.3g} (noise {s / np.sqrt(12.0):.2g})" for joint, s in coarse.items())
     if coarse:
-        each = ", ".join(
-            f"{joint} {step:.3g} (noise {step / np.sqrt(12.0):.2g})"
-            for joint, step in coarse.items()
-        )
         yield (
-            f"efforts are quantized: {each}; the step over √12 is the standard deviation of "
-            "the quantization noise before filtering"
+            f"efforts are quantized: {', '.join(each)}; the step over √12 is the standard "
+            "deviation of the quantization noise before filtering"
         )
 
 
@@ -63,14 +60,9 @@ def _step(readings: Array) -> float:
         counts = np.rint(gaps / step)
         whole = (np.abs(gaps / step - counts) <= _STEP_TOLERANCE * counts) & (counts > 0)
         if reach <= _MOST * step and whole.mean() >= _SHARE:
-            return step if _makes_the_noise(step, readings) else 0.0
+            noise = np.mean(np.diff(readings, 2) ** 2) / 6.0
+            return step if step**2 / 12.0 >= _LEAST_SHARE * noise else 0.0
     return 0.0
-
-
-def _makes_the_noise(step: float, readings: Array) -> bool:
-    """Return whether quantization is a good part of the noise of readings."""
-    noise = np.sqrt(np.mean(np.diff(readings, 2) ** 2) / 6.0)
-    return bool(step**2 / 12.0 >= _LEAST_SHARE * noise**2)
 
 
 # Where gaps of that length leave more than this share of the time in pieces shorter than this,
@@ -150,11 +142,11 @@ def make_uniform(log: JointLog, *, faultless: bool = False) -> UniformLog:
 
 def _uniform(log: JointLog, *, faultless: bool) -> UniformLog:
     if (hint := row_order_hint(log)) is not None:
-        raise LogError(
-            hint,
-            advice="Sort the rows by time, and log the time. If they are sorted, the sampling "
-            "rate is too low: record 20 rows or more in each oscillation of a joint.",
+        advice = (
+            "Sort the rows by time, and log the time. If they are sorted, the sampling rate is "
         )
+        advice += "too low: record 20 rows or more in each oscillation of a joint."
+        raise LogError(hint, advice=advice)
     log = log if faultless else without_faults(log)
     notes = [*log.notes, *step_notes(log)]
     columns = [log.joints.index(joint) for joint in log.measured]
@@ -204,19 +196,14 @@ def _never_measured(log: JointLog) -> str:
 def _check_period(log: JointLog, period: float) -> None:
     """Raise for time stamps that no log of a robot in seconds has."""
     latest = float(np.max(np.abs(log.time), initial=0.0, where=np.isfinite(log.time)))
-    span = f"from t = {log.time[0]:.6g} to {log.time[-1]:.6g} s"
-    if period >= _LONGEST_PERIOD:
+    is_slow = period >= _LONGEST_PERIOD
+    if is_slow or period < _SHORTEST_PERIOD:
+        why = "too slow for accelerations" if is_slow else "faster than any robot is logged"
+        slow = "Is time in ms, µs or ns? --units time=ms converts it to s. Otherwise record at "
         raise LogError(
-            f"Log {log.name!r} has a sample every {period:.4g} s ({span}), which is too slow "
-            "for accelerations.",
-            advice="Is time in ms, µs or ns? --units time=ms converts it to s. Otherwise "
-            "record at 50 Hz or more.",
-        )
-    if period < _SHORTEST_PERIOD:
-        raise LogError(
-            f"Log {log.name!r} has a sample every {period:.4g} s ({span}), which is faster "
-            "than any robot is logged.",
-            advice="Is time in another unit? It must be in s.",
+            f"Log {log.name!r} has a sample every {period:.4g} s (from t = {log.time[0]:.6g} to "
+            f"{log.time[-1]:.6g} s), which is {why}.",
+            advice=f"{slow}50 Hz or more." if is_slow else "Is time in another unit than s?",
         )
     if np.spacing(latest) > _COARSEST * period:
         raise LogError(

@@ -78,13 +78,10 @@ def position_unit_hint(log: JointLog) -> str | None:
         return None
     if peaks[worst] > _MOST_DEGREES:
         return f"Positions are neither rad nor degrees: {farthest}. {_UNIT_ADVICE}"
-    others = (
-        " (or, for LeRobot's −100 to 100 of a joint's range, position=normalized)"
-        if peaks.max() <= _MOST_NORMALIZED
-        else ""
-    )
+    other = " (or, for LeRobot's −100 to 100 of a joint's range, position=normalized)"
+    other = other if peaks.max() <= _MOST_NORMALIZED else ""
     return (
-        f"Positions seem to be in degrees: {farthest}. --units position=deg converts them{others}."
+        f"Positions seem to be in degrees: {farthest}. --units position=deg converts them{other}."
     )
 
 
@@ -116,17 +113,11 @@ def effort_sign_hint(log: JointLog) -> str | None:
         return None
     found = []
     for name, q, tau in zip(log.joints, position.T, effort.T, strict=True):
-        largest = float(tau.max())
-        if (
-            log.effort_kinds.get(name) in ("passive", "ground", "unmeasured")
-            or tau.min() < 0.0
-            or not largest
-        ):
+        largest, kind = float(tau.max()), log.effort_kinds.get(name)
+        if kind in ("passive", "ground", "unmeasured") or tau.min() < 0.0 or not largest:
             continue
-        low, turns = (
-            tau < _NEAR_ZERO * largest,
-            np.diff(np.sign(np.diff(q[:: len(q) // _LOOKS + 1]))),
-        )
+        low = tau < _NEAR_ZERO * largest
+        turns = np.diff(np.sign(np.diff(q[:: len(q) // _LOOKS + 1])))
         touches = np.count_nonzero(low[1:] & ~low[:-1])
         if touches >= _TOUCHES and np.count_nonzero(turns) > 1:
             found.append(name)

@@ -886,11 +886,6 @@ def test_many_lines_are_read_by_arrow_as_without_it(tmp_path, monkeypatch, odd):
         ("a.yaml", "directives:\n- add_model: {name: !Rpy 1}\n", "Is it the model"),
         ("a.yaml", "a: [1, 2]\n", "Is it the model"),
         ("a.yaml", echoed("position: ["), r"not a readable YAML file.*Remove the last message"),
-        (
-            "pairs.csv",
-            tables_with_keys("in pairs", 1000.0 * TIME + np.arange(4.0)[:, None]),
-            "4 different columns of time",
-        ),
         ("a.h5", in_hdf5({"df/table": np.zeros(9, [("values_block_0", float, 14)])}), "in pickles"),
         (
             "a.npz",
@@ -1250,7 +1245,7 @@ def test_a_file_without_episodes_has_none_to_choose(tmp_path):
         read_log(written(tmp_path, "object.json"), reading=Reading(episode=0))
 
 
-@pytest.mark.parametrize("kind", ["json", "hdf5"])
+@pytest.mark.parametrize("kind", ["json", "hdf5", "csv"])
 def test_joints_with_time_of_their_own_are_joined_by_it(tmp_path, kind):
     """Their stamps and numbers of rows differ."""
     late = TIME[:-7] + 0.003
@@ -1259,6 +1254,9 @@ def test_joints_with_time_of_their_own_are_joined_by_it(tmp_path, kind):
     path = tmp_path / f"own.{kind}"
     if kind == "json":
         path.write_text(json.dumps({name: listed(each) for name, each in fields.items()}))
+    elif kind == "csv":
+        frames = [pandas.DataFrame(x).add_prefix(f"{name}_") for name, x in fields.items()]
+        pandas.concat(frames, axis=1).to_csv(path, index=False)
     else:
         in_hdf5({f"{name}/{n}": x for name, each in fields.items() for n, x in each.items()})(path)
     log = read_log(path, joints=JOINTS)

@@ -70,24 +70,17 @@ def read_log(
     """Read a log.
 
     Args:
-        path: A table of text (`.csv`, `.txt`, `.tsv`, `.dat`), an `.npz` file of 1-D arrays, or a
-            file or folder of `formats`: bags of ROS, MCAP, Parquet, LeRobot, LCM, MATLAB's .mat.
-            Columns may come in any order; which joint and quantity they are of is told by their
-            names, and others are ignored and noted. Empty cells and `nan` become NaN. Several
-            files with `+` between them, as in `positions.csv+efforts.csv`, are joined by time.
+        path: A file or folder of any of the `formats`; several files with `+` between them, as in
+            `positions.csv+efforts.csv`, are joined by time. Columns may come in any order; what
+            they are is told by their names, and others are noted. Empty cells become NaN.
         joints: Names of a model's joints, if the log must have the same and in their order.
         partial: Whether it may lack some of these joints, or their efforts alone: joints that stand
             still then are `JointLog.standing`.
         reading: How the file is to be read, where its names do not say it.
 
-    Returns:
-        The log, its joints in the order given or of their position columns, named after the file.
-
     Raises:
-        LogError: If the file is no regular one or cannot be read, lacks a needed column or joint,
-            has one twice, has cells that are not numbers, has fewer than ten rows or more than
-            fit into memory, or if its time does not increase. Where names of columns are not
-            understood, `evidence["proposal"]` is the text of a mapping to be edited.
+        LogError: The file cannot be read or understood, or its time does not increase. Where names
+            are not understood, `evidence["proposal"]` is the text of a mapping to be edited.
     """
     return understand(path, joints=joints, partial=partial, reading=reading)[0]
 
@@ -131,27 +124,27 @@ def log_of(
 
     Columns of efforts that say nothing of them are not used, if others may stand for them.
     """
-    log, columns = _understood(table, joints, reading, partial=partial)
-    lost = frozenset[str]()
-    while useless := without_use(log, columns):
-        lost |= useless
-        reading = replace(reading, ignored=reading.ignored | useless)
-        log, columns = _understood(table, joints, reading, partial=partial)
-    if not lost:
-        return log, columns
-    words = f"columns {listed(sorted(lost))} do not describe efforts, and are not used"
-    return replace(log, notes=(*log.notes, words)), columns
-
-
-def _understood(
-    table: LogTable, joints: Sequence[str] | None, reading: Reading, *, partial: bool
-) -> tuple[JointLog, Columns]:
-    table = regrouped(table, reading)
+    table, given = regrouped(table, reading), reading
     _check_silent(table, reading, joints)
-    columns = columns_of(table, joints, reading, partial=partial)
-    log = recorded(columns, *table.read(columns.files, skip=reading.skip_bad_rows))
-    motors = reading.motors_of(log.joints)
-    return replace(log, notes=(*table.notes, *log.notes), motors=motors), columns
+    while True:
+        columns = columns_of(table, joints, reading, partial=partial)
+        log = recorded(columns, *table.read(columns.files, skip=reading.skip_bad_rows))
+        if not (useless := without_use(log, columns)):
+            break
+        reading = replace(reading, ignored=reading.ignored | useless)
+    notes = [*table.notes, *log.notes]
+    if lost := reading.ignored - given.ignored:
+        notes.append(f"columns {listed(sorted(lost))} do not describe efforts, and are not used")
+    return replace(log, notes=tuple(notes), motors=reading.motors_of(log.joints)), columns
+
+
+_ADVICE = {
+    RARE: "Log that joint as often as the others, or fix it: --lock JOINT=POSITION.",
+    "has the shape": "Save a row a sample, as of one of several environments: array[:, 0].",
+    "has lists": "Write lists of equal length, or null in rows that lack some.",
+    "": "Use numbers, or for time dates such as 2026-05-01T12:00:00.25Z.",
+}
+"""Beginning of the reason why a column has no numbers -> what to do."""
 
 
 def _check_silent(table: LogTable, reading: Reading, joints: Sequence[str] | None) -> None:
@@ -168,16 +161,9 @@ def _check_silent(table: LogTable, reading: Reading, joints: Sequence[str] | Non
         needed |= {m.column for m in meanings_of(table.silent) if m.log_quantity in missing}
     for name, words in table.silent.items():
         if name in needed:
-            advice = "Use numbers, or for time dates such as 2026-05-01T12:00:00.25Z."
-            if words.startswith(RARE):
-                advice = "Log that joint as often as the others, or fix it: --lock JOINT=POSITION."
-            elif words.startswith("has the shape"):
-                advice = "Save a row a sample, as of one of several environments: array[:, 0]."
-            elif words.startswith("has lists"):
-                advice = "Write lists of equal length, or null in rows that lack some."
+            advice = (each for begin, each in _ADVICE.items() if words.startswith(begin))
             raise LogError(
-                f"Column {name!r} of log {str(table.path)!r} {words}.",
-                advice=advice,
+                f"Column {name!r} of log {str(table.path)!r} {words}.", advice=next(advice)
             )
 
 
@@ -202,10 +188,6 @@ def log_of_frame(
         name: What messages call the log.
         reading: How columns are to be read, where their names do not say it.
 
-    Raises:
-        ArgumentError: It is no frame.
-        LogError: It lacks a needed column or joint or has a column twice, such a column has no
-            numbers, or its time does not increase.
     """
     instance(name, "name", str)
     joints = None if joints is None else instances(joints, "joints", str)
@@ -236,14 +218,11 @@ def _frame_arrays(frame: Any, called: str) -> dict[str, Any]:
             advice="Pass a DataFrame, or a dict of arrays with time, position and effort.",
         )
     check_once(Path(called), [str(name) for name in names])
-    return {str(name): _column_array(frame[name]) for name in names}
-
-
-def _column_array(column: Any) -> Any:
-    """Return the array of a column; lists of polars as nested lists."""
-    if hasattr(column, "to_numpy"):
-        return column.to_numpy()
-    return np.asanyarray(column)  # a mask says where nothing was measured
+    columns = {str(name): frame[name] for name in names}
+    return {  # a mask says where nothing was measured
+        name: column.to_numpy() if hasattr(column, "to_numpy") else np.asanyarray(column)
+        for name, column in columns.items()
+    }
 
 
 _ROWS = 50_000  # that are written at once
@@ -252,13 +231,8 @@ _ROWS = 50_000  # that are written at once
 def write_log(log: JointLog, path: str | Path) -> None:
     """Write a log so that `read_log` returns the same numbers.
 
-    The file appears whole or not at all: it is written beside `path` and then renamed.
-
-    Args:
-        path: Target; `.npz` writes arrays, `.csv` and `.txt` write text.
-
-    Raises:
-        OutputError: If the suffix is another, or the file cannot be written.
+    The file appears whole or not at all. Its suffix says what it has: `.npz` arrays, `.csv` and
+    `.txt` text.
     """
     path = file_path(path)
     write_whole(path, log_content(log, path))

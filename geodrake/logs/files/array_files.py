@@ -23,7 +23,7 @@ from geodrake.boundary.input_files import open_regular, regular_file
 from geodrake.boundary.memory import machine_memory
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
-from geodrake.logs.files.column_mapping import MOST_COLUMNS, check_once, is_used
+from geodrake.logs.files.column_mapping import MOST_COLUMNS, check_once, is_used, listed
 from geodrake.logs.files.grouped_arrays import (
     content_table,
     describes_columns,
@@ -218,8 +218,7 @@ def read_mat(path: Path, reading: Reading) -> LogTable:
         table = content_table(path, own, reading)
     if not table.columns:
         raise LogError(
-            f"Log {str(path)!r} has no numeric arrays; its variables are "
-            f"{', '.join(list(own)[:8]) or 'none'}.",
+            f"Log {str(path)!r} has no numeric arrays; its variables are {listed([*own])}.",
             advice=f"Tables and timeseries cannot be read. {_MAT_ADVICE}",
         )
     return table
@@ -279,8 +278,14 @@ def _of_hdf5(path: Path, reading: Reading, *, matlab: bool = True) -> dict[str, 
         told += _attributes(file)
         told += [(n, np.ravel(v[()])[0]) for n, v in datasets.items() if v.size == 1]
         arrays = {n: v for n, v in datasets.items() if v.shape and (matlab or _width(v.shape) <= 2)}
-        is_large = len(arrays) > MOST_COLUMNS
-        wanted = {n: v for n, v in arrays.items() if not is_large or _is_wanted(n, reading)}
+        mapped = [each.column for _, each in reading.mapping or ()] or [0]
+        wanted = arrays
+        if len(arrays) > MOST_COLUMNS and all(isinstance(each, str) for each in mapped):
+            ends = tuple("." + str(each).partition("[")[0] for each in mapped)
+            paths = {name: "." + name.replace("/", ".") for name in arrays}
+            wanted = {
+                n: arrays[n] for n in arrays if is_time(paths[n][1:]) or paths[n].endswith(ends)
+            }
         size = sum(value.size for value in wanted.values())
         check_room(path, size, f"{size} numbers")
         groups = {n for n in found if not is_of_episode(n.split("/"), reading)} - datasets.keys()
@@ -316,16 +321,6 @@ def _array(dataset: Any, *, matlab: bool) -> Any:
     if names := dataset.dtype.names:
         return {name: dataset[name] for name in names}
     return np.asarray(dataset).T if matlab else np.asarray(dataset)
-
-
-def _is_wanted(name: str, reading: Reading) -> bool:
-    """Return whether a mapping by names has an array, or the array is of time."""
-    column = name.replace("/", ".")
-    mapped = [each.column for _, each in reading.mapping or ()] or [0]
-    if not all(isinstance(each, str) for each in mapped):  # they count all columns
-        return True
-    own = [str(each).partition("[")[0] for each in mapped]
-    return is_time(column) or any(f".{column}".endswith(f".{each}") for each in own)
 
 
 def _attributes(group: Any) -> list[tuple[str, Any]]:
@@ -399,11 +394,10 @@ def arrow_numbers(column: Any) -> Any:
     if not hasattr(column.type, "value_type") or not hasattr(column.type, "value_field"):
         return column.to_numpy()
     values = column.combine_chunks()
-    rows, flat = len(values), values.flatten()
-    lengths = np.asarray(values.value_lengths())
-    if values.null_count or not rows or np.any(lengths != lengths[0]):
+    if values.null_count or len(np.unique(values.value_lengths())) != 1:
         return column.to_numpy()
-    return np.asarray(flat.to_numpy(zero_copy_only=False)).reshape(rows, -1)
+    flat = values.flatten().to_numpy(zero_copy_only=False)
+    return np.asarray(flat).reshape(len(values), -1)
 
 
 def read_npy(path: Path, reading: Reading) -> LogTable:
@@ -456,14 +450,14 @@ def read_npz(path: Path, reading: Reading) -> LogTable:
                     f"Array {name!r} in log {str(path)!r} is not 1-D: its shape is {shape}.",
                     advice=_NPZ_ADVICE,
                 )
-            if dtype.hasobject and names_joints(name) and reading.mapping is None:
-                raise LogError(
-                    f"Log {str(path)!r} names its joints in {name!r}, an array of Python objects, "
-                    "which may run any program when read.",
-                    advice="Save it as numpy.array(names, dtype=str).",
-                )
             if dtype.hasobject:
                 objects.append(name)
+                if names_joints(name) and reading.mapping is None:
+                    raise LogError(
+                        f"Log {str(path)!r} names its joints in {name!r}, an array of Python "
+                        "objects, which may run any program when read.",
+                        advice="Save it as numpy.array(names, dtype=str).",
+                    )
             elif entry in wanted:
                 with archive.open(entry) as member, np.errstate(over="ignore"):  # of long doubles
                     array = npy.read_array(member, allow_pickle=False)
@@ -486,7 +480,6 @@ def _width(shape: Sequence[int]) -> int:
 def _declared(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> tuple[tuple[int, ...], Any]:
     """Return the shape and the type of an array by its header."""
     with archive.open(entry) as file:
-        version = npy.read_magic(file)
-        read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
-        shape, _, dtype = read(file)
-    return shape, dtype
+        is_first = npy.read_magic(file) == (1, 0)
+        read = npy.read_array_header_1_0 if is_first else npy.read_array_header_2_0
+        return read(file)[::2]

@@ -42,7 +42,7 @@ from geodrake.logs.files.name_rules import (
 from geodrake.logs.files.packed_files import log_name
 from geodrake.logs.files.reading import ColumnMapping, MappedColumn, Reading
 from geodrake.logs.files.table import LogTable, date_words, rate_in
-from geodrake.logs.files.units import UNITS, Unit, find_unit, unit_advice, unit_of
+from geodrake.logs.files.units import UNITS, find_unit, unit_advice, unit_of
 from geodrake.logs.motion import (
     EFFORT_KINDS,
     PARTIAL,
@@ -250,13 +250,13 @@ def settled(
     """
     quantity, told = meaning.quantity, {} if meaning.style == MAPPED else reading.units
     stated = "" if meaning.style == MAPPED else units.get(meaning.column, "")
+    column = f"Column {meaning.column!r} of log {str(path)!r}"
     unit = meaning.unit or find_unit(stated, quantity)
     if meaning.log_quantity != "effort":
         unit = unit_of(told[quantity], quantity) if quantity in told else unit
         if unit and np.isnan(unit.factor) and quantity in ("position", "command"):
             raise LogError(
-                f"Column {meaning.column!r} of log {str(path)!r} is in {unit.name} of "
-                "unknown resolution.",
+                f"{column} is in {unit.name} of unknown resolution.",
                 advice=f"Give it, with gears, as in --units {quantity}=rev/4096 (or "
                 "rev/4096@2048 if 2048 is counted where the joint is at 0), or for each "
                 "column in a mapping, with gain −1 for reversed ones.",
@@ -265,14 +265,13 @@ def settled(
             low, high = reading.limits.get(joint, (-np.inf, np.inf))
             if not np.isfinite(high - low):
                 raise LogError(
-                    f"Column {meaning.column!r} of log {str(path)!r} is a share of the range of "
-                    f"{joint}, but the model has no limits of it.",
+                    f"{column} is a share of the range of {joint}, but the model has no limits of "
+                    "it.",
                     advice="Add them to the model, or use --model.",
                 )
-            half, middle = 0.5 * (high - low), 0.5 * (high + low)
-            whole = is_gripper(joint)  # which is closed at 0
-            factor, offset = (2.0 * half, low) if whole else (half, middle)
-            unit = replace(unit, factor=unit.factor * factor, offset=offset)
+            zero = low if is_gripper(joint) else 0.5 * (high + low)  # which is closed at 0
+            factor = high - low if is_gripper(joint) else 0.5 * (high - low)
+            unit = replace(unit, factor=unit.factor * factor, offset=zero)
         return replace(meaning, unit=unit)
     said = reading.kind_of(joint)
     said = None if said == "command" else said
@@ -286,8 +285,7 @@ def settled(
     elif joint in reading.kinds and said is not None:
         by = "the mapping" if meaning.style == MAPPED else "its name"
         raise LogError(
-            f"Column {meaning.column!r} of log {str(path)!r} is {quantity} by {by}, but "
-            f"{said} by --kind.",
+            f"{column} is {quantity} by {by}, but {said} by --kind.",
             advice="Use another column in --mapping, or omit --kind.",
         )
     if kind in told:
@@ -296,14 +294,11 @@ def settled(
         is_meant = (asked.signal or "effort") == kind or (asked.signal and quantity == "effort")
         unit = asked if is_meant else unit
     is_scaled = joint in reading.gains or meaning.gain != 1.0
-    if (
-        unit is not None
-        and (unit.signal or "effort") != kind
-        and not (kind == "effort" and is_scaled)
-    ):
+    is_other = unit is not None and (unit.signal or "effort") != kind
+    if unit is not None and is_other and not (kind == "effort" and is_scaled):
         raise LogError(
-            f"Column {meaning.column!r} of log {str(path)!r} is used as {kind} of {joint}, "
-            f"but is in {unit.name}, a unit of {unit.signal or 'effort'}.",
+            f"{column} is used as {kind} of {joint}, but is in {unit.name}, a unit of "
+            f"{unit.signal or 'effort'}.",
             advice="Set its kind with --kind JOINT=KIND, or its unit with --units.",
         )
     return replace(meaning, quantity=kind, unit=unit)
@@ -329,13 +324,12 @@ def without_use(log: JointLog, columns: Columns) -> frozenset[str]:
     return frozenset({*chosen} - {*spans}).union(steady)
 
 
-_SI = {"current": "A", "voltage": "V", "pwm": "fractions of the largest value"}
 _UNITS_WITH = {**dict.fromkeys(SIGNAL_KINDS, "effort"), "command": "position"}
 _CONSTANT = " (torque constant × gear ratio)"
 _KIND_WORDS = {
-    "current": "motor currents",
-    "voltage": "voltages",
-    "pwm": "duty cycles or percentages",
+    "current": "motor currents in A",
+    "voltage": "voltages in V",
+    "pwm": "duty cycles or percentages in fractions of the largest value",
 }
 
 
@@ -348,13 +342,12 @@ def choice_words(best: Mapping[tuple[str, str], Sequence[Meaning]]) -> Iterator[
             why = {ROLES[m.role] for m in others if m.role > PLAIN} - {""}
             why |= {m.quantity for m in others} - {m.quantity for m in chosen}
             words = f" ({', '.join(sorted(why))})" if why else ""
-            yield (f"{quantity}: {_span(chosen)} used instead of {_span(others)}{words}")
+            yield f"{quantity}: {_span(chosen)} used instead of {_span(others)}{words}"
         measured = dict.fromkeys(SIGNAL_KINDS, MOTOR)  # currents are of motors anyway
         doubtful = [m for m in chosen if m.role > measured.get(m.quantity, PLAIN)]
-        late = [m for m in doubtful if m.role == PREVIOUS]
-        elsewhere = [m for m in doubtful if m.role != PREVIOUS]
-        if late:
+        if late := [m for m in doubtful if m.role == PREVIOUS]:
             yield f"{quantity}: by name, of the row before: {_span(late)}"
+        elsewhere = [m for m in doubtful if m.role != PREVIOUS]
         if quantity not in PARTIAL and elsewhere:
             words = "may not be measured at the joints"
             yield f"{quantity}: by their names, {_span(elsewhere)} {words}"
@@ -367,8 +360,7 @@ def unit_words(sources: Mapping[str, Meaning], reading: Reading) -> Iterator[str
         quantity = name.rpartition(".")[2]
         same[source.quantity if quantity == "effort" else quantity][name] = source
     for quantity in ("time", *QUANTITIES, *SIGNAL_KINDS):
-        columns = same[quantity].values()
-        found = [s.unit for s in columns if s.unit]
+        found = [source.unit for source in same[quantity].values() if source.unit]
         units = dict.fromkeys(unit.name for unit in found if unit.factor != 1.0 or unit.offset)
         if units:
             asked = {quantity, _UNITS_WITH.get(quantity, quantity)}.intersection(reading.units)
@@ -378,14 +370,12 @@ def unit_words(sources: Mapping[str, Meaning], reading: Reading) -> Iterator[str
         joints = [name.rpartition(".")[0] for name in same[kind]]
         if joints:
             yield (
-                f"efforts of {listed(joints)} are {_KIND_WORDS[kind]} in {_SI[kind]}: their "
-                "gains are estimated with the model's inertias, unless given by --gain "
+                f"efforts of {listed(joints)} are {_KIND_WORDS[kind]}: their gains "
+                " are estimated with the model's inertias, unless given by --gain "
                 f"JOINT=VALUE{_CONSTANT if kind == 'current' else ''}"
             )
-    measured = {name.rpartition(".")[0] for name in sources if name.endswith(".effort")}
     commanded = [name.rpartition(".")[0] for name in same["command"]]
-    bare = [joint for joint in commanded if joint not in measured]
-    if bare:
+    if bare := [joint for joint in commanded if f"{joint}.effort" not in sources]:
         yield (
             f"no efforts of {listed(bare)}: their servo commands are used, with gains that "
             "are estimated with the model's inertias"
@@ -464,20 +454,19 @@ def likely_clock(table: LogTable) -> tuple[Meaning | None, str, bool]:
     It is if it increases evenly and its name says so, if it increases and its name is a unit of
     time shorter than a second, or if it is the first, even and not of whole steps.
     """
-    told = [(name, meaning_of(name)) for name in table.names[:_MOST_CLOCKS]]
-    others = [
-        n
-        for n, m in told
-        if m is None or m.quantity == PART or (m.is_bare and m.quantity == "temperature")
-    ]
+    told = {name: meaning_of(name) for name in table.names[:_MOST_CLOCKS]}
+    bare = {n for n, m in told.items() if m and m.is_bare and m.quantity == "temperature"}
+    others = [n for n, m in told.items() if m is None or m.quantity == PART or n in bare]
     with suppress(LogError):  # of cells that are no numbers
         for name, values in table.read(others, skip=True)[0].items():
             steps = np.diff(values)
             step = float(np.median(steps)) if len(steps) else 0.0
             even = np.abs(steps - step) <= 0.5 * step
-            is_called, known = bool(_CLOCKS & plain_words(name)), dict(told)[name]
+            is_called, known = bool(_CLOCKS & plain_words(name)), told[name]
             is_part = known is not None and known.quantity == PART
-            unit = known.unit if known is not None and is_part else _unit_in(name)
+            units = [find_unit(word, "time") for word in plain_words(name)]
+            short = next((u for u in units if u is not None and u.factor < 1.0), None)  # as ms
+            unit = known.unit if known is not None and is_part else short
             is_unit = unit is not None and bool((steps > 0.0).all())
             counts = step == 1.0 and not (is_called or is_unit)  # rows
             if step > 0.0 and not counts and (is_unit or float(even.mean()) > _EVEN):
@@ -489,12 +478,6 @@ def likely_clock(table: LogTable) -> tuple[Meaning | None, str, bool]:
                 return clock, words, is_sure
     close = difflib.get_close_matches("time", [name.lower() for name in table.names[:100]], 1)
     return None, f"Is it {close[0]!r}? " if close else "", False
-
-
-def _unit_in(name: str) -> Unit | None:
-    """Return a unit of time shorter than a second among the words of a name."""
-    units = (find_unit(word, "time") for word in plain_words(name))
-    return next((unit for unit in units if unit is not None and unit.factor < 1.0), None)
 
 
 def _steady_rate(table: LogTable) -> tuple[float, str] | None:
@@ -525,34 +508,30 @@ def _by_names(
     if joints and len(joints) > 1 and all(meaning.is_bare for meaning in of_joints):
         called = log_name(path)  # the joint may be said by the name of the file
         named = [replace(m, joint=called, words=words_of(called)) for m in of_joints]
-        of_joints = named if set(matched(named, joints)[0].values()) <= set(joints) else of_joints
+        of_joints = named if {*matched(named, joints)[0].values()} <= {*joints} else of_joints
     found, notes = matched(of_joints, joints)
     best, others = candidates(of_joints, found, reading)
     _check_one_robot(path, best)
     places = {
-        (joint, quantity): settled(path, _as_command(same[0], quantity), joint, reading, units)
-        for (joint, quantity), same in best.items()
+        (joint, what): settled(
+            path, replace(m, quantity=what) if what == "command" else m, joint, reading, units
+        )
+        for (joint, what), (m, *_) in best.items()
     }
     _check_units(table, places)
     if (time := time_source(table, reading)) is not None:
         places = {("", "time"): time, **places}
     own = frozenset(m.joint for m in of_joints if m.style[0] == "own")
     said, rate = [*said, *notes, *choice_words(best)], reading.rate
-    unknown = {k: s for k, s in places.items() if s.unit is not None and np.isnan(s.unit.factor)}
+    unknown = {k: s.unit.name for k, s in places.items() if s.unit and np.isnan(s.unit.factor)}
     if unknown:
-        lost = listed([source.column for source in unknown.values()])
-        of = ", ".join({source.unit.name: None for source in unknown.values() if source.unit})
-        said.append(f"not used, as the scale of {of} is unknown: {lost}")
+        lost, of = listed([places[k].column for k in unknown]), dict.fromkeys(unknown.values())
+        said.append(f"not used, as the scale of {', '.join(of)} is unknown: {lost}")
     places = {key: source for key, source in places.items() if key not in unknown}
     if rate is None and time is None and (told_rate := table.rate or _steady_rate(table)):
         rate, name = told_rate
         said.append(f"{rate:.6g} Hz, from {name!r} in the file")
     return Columns(path, reading, places, said, rate, own, others)
-
-
-def _as_command(meaning: Meaning, quantity: str) -> Meaning:
-    """Return a column as one of commands, if it is taken for that."""
-    return replace(meaning, quantity=quantity) if quantity == "command" else meaning
 
 
 def _check_one_robot(path: Path, best: Best) -> None:
@@ -698,9 +677,8 @@ class Columns:
         if self.rate is not None:
             self.places.pop(("", "time"), None)
         for (joint, quantity), source in self.places.items():
-            position = self.places.get((joint, "position"))
-            bare = source.unit is None and source.factor == 1.0
-            if quantity == "command" and bare and position is not None:
+            position = self.places.get((joint, "position")) if quantity == "command" else None
+            if position is not None and source.unit is None and source.factor == 1.0:
                 own = replace(source, unit=position.unit, gain=position.gain)
                 self.places[joint, quantity] = own
             if quantity != "time" and source.column in table.origins:
@@ -719,7 +697,8 @@ class Columns:
         path, moved = table.path, self._of_model(self.having("position"), wanted)
         efforts = self.having("effort", "command")
         heard = {*efforts, *self._without_motor(moved)}
-        if self.reading.of_base and self._has_base(table.names):
+        known = [each.quantity for n in table.names if (each := floating_meaning(n))]
+        if self.reading.of_base and any(n.startswith(("base.", "imu.")) for n in known):
             heard |= {*moved}  # forces at feet say more than efforts
         silent = [joint for joint in moved if joint not in heard]
         if len(silent) == len(moved):
@@ -774,18 +753,13 @@ class Columns:
             elif len(missing) < len(own):
                 self.notes.append(f"{quantity} is not used: there is none of {listed(missing)}")
         if said := [joint for joint in self.passive if joint not in reading.motorless]:
-            words = f"no motor at {listed(said)}: its effort is zero"
-            self.notes.append(words)
-        of_joints = {
-            (joint, quantity): source
-            for (joint, quantity), source in self.places.items()
-            if quantity == "time" or joint in (*own, *self.standing)
-        }
+            self.notes.append(f"no motor at {listed(said)}: its effort is zero")
+        every, kept = self.places.items(), (*own, *self.standing)
+        of_joints = {p: source for p, source in every if p[1] == "time" or p[0] in kept}
         self.places = {
-            (joint, quantity): self._scaled(source, joint)
-            for (joint, quantity), source in of_joints.items()
-            if quantity in ("time", *self.quantities)
-            and (joint not in self.standing or quantity == "position")
+            (joint, what): self._scaled(source, joint)
+            for (joint, what), source in of_joints.items()
+            if what in (("position",) if joint in self.standing else ("time", *self.quantities))
         }
         for name in names:
             if name not in used and (known := floating_meaning(name)) is not None:
@@ -812,11 +786,9 @@ class Columns:
         lacking = set(wanted).difference(self.having("position"))
         missing = ["".join(map(str, words_of(joint))) for joint in lacking]
         names = {joint: "".join(map(str, words_of(joint))) for joint in joints}
-        return tuple(
-            joint
-            for joint in joints
-            if joint in wanted or difflib.get_close_matches(names[joint], missing, 1)
-        )
+        close = (j for j in joints if difflib.get_close_matches(names[j], missing, 1))
+        known = {*wanted, *close}
+        return tuple(joint for joint in joints if joint in known)
 
     def _without_motor(self, joints: Sequence[str]) -> tuple[str, ...]:
         """Return the joints without a motor, according to the log, the user or the model."""
@@ -830,32 +802,23 @@ class Columns:
             or (joint in self.reading.motorless and joint not in heard and says)
         )
 
-    def _has_base(self, names: Sequence[str]) -> bool:
-        """Return whether there are columns of a free base or its IMU."""
-        told = [known.quantity for name in names if (known := floating_meaning(name))]
-        return any(name.startswith(("base.", "imu.")) for name in (*self.floating, *told))
-
     def having(self, *quantities: str) -> list[str]:
         """Return joints with one of some quantities, in the order of the file."""
         return list(dict.fromkeys(joint for joint, other in self.places if other in quantities))
 
     def check_said(self) -> None:
         """Raise for gains and kinds of joints without such a column."""
-        said = [("--gain", joint, "") for joint in self.reading.gains]
-        said += [
-            ("--passive" if kind == PASSIVE else "--kind", joint, kind)
-            for joint, kind in self.reading.kinds.items()
-            if joint
-        ]
-        for option, joint, kind in said:
+        said = [(joint, "") for joint in self.reading.gains]
+        said += [(joint, kind) for joint, kind in self.reading.kinds.items() if joint]
+        for joint, kind in said:
+            option = {"": "--gain", PASSIVE: "--passive"}.get(kind, "--kind")
             if joint not in self.joints:
                 raise LogError(
                     f"{option} names {joint!r}, which is not a joint of the log.",
                     advice=f"{nearest(joint, self.joints)}Its joints are {listed(self.joints)}.",
                 )
-            if kind == PASSIVE or joint in self.having(
-                "command" if kind == "command" else "effort"
-            ):
+            quantity = "command" if kind == "command" else "effort"
+            if kind == PASSIVE or joint in self.having(quantity):
                 continue
             raise LogError(
                 f"Log {str(self.path)!r} has no column of {joint!r} with "

@@ -80,19 +80,12 @@ def content_table(
         )
     arrays = arrays_of(content)
     table = numeric_table(path, arrays, rows_of(arrays))
-    return replace(table, units=_units_beside(content, table.names))
-
-
-def _units_beside(content: Mapping[str, Any], names: Sequence[str]) -> dict[str, str]:
-    """Return units of columns by texts beside the arrays, such as `q_units` or `units.q`."""
+    # Texts beside the arrays, such as `q_units` or `units.q`.
     told = {UNIT_OF.sub(".", n).strip("."): x for n, x in fields_of(content) if UNIT_OF.search(n)}
-    heads = {name: f".{name.partition('[')[0]}" for name in names}
-    return {
-        name: unit
-        for name, head in heads.items()
-        for what, unit in told.items()
-        if isinstance(unit, str) and head.endswith(f".{what}")
-    }
+    heads = {name: f".{name.partition('[')[0]}" for name in table.names}
+    of_what = [(f".{what}", unit) for what, unit in told.items() if isinstance(unit, str)]
+    units = {n: u for n, head in heads.items() for what, u in of_what if head.endswith(what)}
+    return replace(table, units=units)
 
 
 def arrays_of(variables: Mapping[str, Any]) -> dict[str, Any]:
@@ -184,15 +177,15 @@ def grouped_table(path: Path, content: Any, reading: Reading) -> LogTable | None
             f"Log {str(path)!r} has no episodes, such as groups demo_0, demo_1.",
             advice="Omit --episode.",
         )
-    parts = [part for part in _parts_in(content) if _has_joints(*part)]
+    parts = list[tuple[tuple[str, ...], Any]]()
+    for name, part in _parts_in(content):
+        fields = part if isinstance(part, Mapping) else part[0]
+        told = meanings_of(".".join((*name, field)) for field in fields)
+        parts += [(name, part)] * any(m.quantity in OF_JOINTS for m in told)
     if len(parts) < 2:
         return None
-    short = [name[-1:] for name, _ in parts]
-    is_told = len({*short}) == len(parts)
-    named = [
-        (".".join(own if is_told else name), each)
-        for own, (name, each) in zip(short, parts, strict=True)
-    ]
+    is_told = len({name[-1:] for name, _ in parts}) == len(parts)
+    named = [(".".join(name[-1:] if is_told else name), each) for name, each in parts]
     return joined_tables(path, [_part(name, each) for name, each in named], reading)
 
 
@@ -405,12 +398,6 @@ def _parts_in(content: Any, name: tuple[str, ...] = ()) -> Iterator[tuple[tuple[
         fields = {n: x for n, x in fields.items() if not are_records(x)}
         if any(map(is_time, fields)):
             yield name, fields
-
-
-def _has_joints(name: tuple[str, ...], part: Any) -> bool:
-    """Return whether a part has columns of joints."""
-    columns = part if isinstance(part, Mapping) else part[0]
-    return any(m.quantity in OF_JOINTS for m in meanings_of(".".join((*name, n)) for n in columns))
 
 
 def _part(name: str, part: Any) -> LogTable:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -26,7 +27,6 @@ from geodrake.logs.files.name_rules import (
     PART,
     PLAIN,
     Meaning,
-    Words,
     matched,
     meaning_of,
     meanings_of,
@@ -71,7 +71,17 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
     stamps = [_time(table, reading) for table in tables]
     bare = [str(t.path) for t, (time, _) in zip(tables, stamps, strict=True) if time is None]
     if len(bare) >= len(tables) - 1:
-        columns, again = _side_by_side(log, tables)
+        lengths = sorted({len(table) for table in tables})
+        if len(lengths) > 1:
+            raise LogError(
+                f"The parts of log {str(log)!r} have no time, and different numbers of rows: "
+                f"{', '.join(map(str, lengths))}.",
+                advice="Log the time in every part.",
+            )
+        counts = Counter(name for table in tables for name in table.columns)
+        again = [name for name in counts for _ in range(counts[name] - 1)]
+        columns = {n: x for table in tables[::-1] for n, x in table.columns.items()}
+        columns = {name: columns[name] for name in counts}
         if len(bare) == len(tables) and reading.rate is None:
             _check_rows(log, tables, again)
         zeros = {column: zero for table in tables for column, zero in table.origins.items()}
@@ -172,39 +182,36 @@ def _slow_parts(
 ) -> tuple[list[LogTable], list[str], dict[str, str]]:
     """Return the tables, slow ones reduced to columns that may be interpolated, and notes.
 
-    Columns that are left out come with why.
-
     Slow ones have less than a tenth as many rows a second as others. Temperatures and flags change
-    slowly, and so may the orientation of a base whose IMU is quick. The rest goes where the log
-    does without, as joints do that are told of less often than others.
+    slowly, and so may the orientation of a base whose IMU is quick. The rest goes, with why, where
+    the log does without, as joints do that are told of less often than others.
     """
-    is_slow = [period > _MIXED * min(periods) for period in periods]
-    parts = list(zip(tables, is_slow, strict=True))
-    quick = [_what(c, reading) for table, slow in parts if not slow for c in table.columns]
+    quickest = min(periods)
+    parts = [*zip(tables, periods, strict=True)]
+    quick = [_what(c, reading) for t, p in parts if p <= _MIXED * quickest for c in t.columns]
     kinds = {what.replace("command", "effort") for _, what in quick}
     has_imu = {"imu.angular_velocity", "imu.linear_acceleration"} <= kinds
     joints = {joint for joint, _ in quick} - {""}
     found, notes, rare, needed = list[LogTable](), list[str](), dict[str, str](), False
-    for (table, slow), period in zip(parts, periods, strict=True):
-        if not slow:
+    for table, period in parts:
+        if period <= _MIXED * quickest:
             found.append(table)
             continue
         may = {"temperature", FLAG, "time", PART}
         may |= {"base.orientation"} if has_imu and _turns_slowly(table.columns) else set()
         told = {column: _what(column, reading) for column in table.columns}
-        lost = {column: told[column] for column in told if told[column][1] not in may}
+        lost = {column: what for column, what in told.items() if what[1] not in may}
         for joint, what in lost.values():
-            if what.replace("command", "effort") in ("position", "effort"):
-                is_beside = joint in joints and what != "command"
-                needed |= is_beside or what.replace("command", "effort") not in kinds
+            if (kind := what.replace("command", "effort")) in ("position", "effort"):
+                needed |= (joint in joints and what != "command") or kind not in kinds
             needed |= what.startswith("base.") and not has_imu
             needed |= what.startswith("imu.") and "base.orientation" not in kinds
         kept = {c: values for c, values in table.columns.items() if c not in lost}
         found.append(replace(table, columns=kept))
         used = [column for column in kept if not _is_time(table, column, reading)]
-        words = [f"{listed(used)} interpolated"] if used else []
-        words += [f"{listed([*lost])} dropped"] if lost else []
-        rates = f"{1 / period:.4g} Hz, but other columns up to {1 / min(periods):.4g} Hz"
+        done = {"interpolated": used, "dropped": [*lost]}
+        words = [f"{listed(columns)} {what}" for what, columns in done.items() if columns]
+        rates = f"{1 / period:.4g} Hz, but other columns up to {1 / quickest:.4g} Hz"
         notes.append(f"{table.path} has {rates}: {', '.join(words)}")
         rare |= dict.fromkeys(lost, f"{RARE}: {rates}")
     if needed:
@@ -296,22 +303,6 @@ def _begun_together(
     return time + float(np.nanmin(known) - np.nanmin(time)), words
 
 
-def _side_by_side(log: Path, tables: Sequence[LogTable]) -> tuple[dict[str, Array], list[str]]:
-    """Return the columns of parts with the same rows, and those that several have."""
-    lengths = {len(table) for table in tables}
-    if len(lengths) > 1:
-        raise LogError(
-            f"The parts of log {str(log)!r} have no time, and different numbers of rows: "
-            f"{', '.join(map(str, sorted(lengths)))}.",
-            advice="Log the time in every part.",
-        )
-    columns, again = dict[str, Array](), list[str]()
-    for table in tables:
-        again += [column for column in table.columns if column in columns]
-        columns |= {name: x for name, x in table.columns.items() if name not in columns}
-    return columns, again
-
-
 def _check_rows(log: Path, tables: Sequence[LogTable], again: Sequence[str]) -> None:
     """Raise if a column that may be time, which several parts have, tells that rows do not meet."""
     clock, _, _ = likely_clock(tables[0])
@@ -382,26 +373,23 @@ _MOST_JOINTS, _MOST_SIGNALS = 200, 2000  # more different words are no names
 def reshaped(table: LogTable, reading: Reading) -> LogTable:
     """Return a table with a column for each joint, if cells name the joints."""
     words = {n: w for column, cells in table.words.items() for n, w in _items(column, cells)}
-    numbers = {n: _numbered(table.columns[n]) for n in table.columns if numbers_joints(n)}
-    words |= {n: w for n, w in numbers.items() if w is not None}
+    for name, values in table.columns.items():  # joints that integers number
+        if numbers_joints(name) and 1 < len(np.unique(values)) <= _MOST_JOINTS:
+            whole = np.all(values == np.rint(values))
+            words |= {name: np.array([f"joint_{x:.0f}" for x in values], object)} if whole else {}
     mapped = {each.among(table.counted) for _, each in reading.mapping or ()}
     is_mapped = reading.mapping is not None and mapped.issubset(table.names)
     spread = None if is_mapped else _spread_values(table, words, reading)
     if spread is not None or reading.mapping is not None:
         return table if spread is None else spread
     model = {words_of(joint) for joint in reading.joints}
-    said = {n: w for n, w in words.items() if names_joints(n) or _are_joints(w, model)}
-    naming = {n: w for n, w in said.items() if len({*w}) <= _MOST_JOINTS}
+    naming = {n: w for n, w in words.items() if 0 < len({*w}) <= _MOST_JOINTS}
+    naming = {n: w for n, w in naming.items() if names_joints(n) or {*map(words_of, {*w})} <= model}
     numbered = {n: w for n, w in naming.items() if re.search(r"\d", n)}
     named = {n: w for n, w in numbered.items() if _NAMES & plain_words(n) or n.endswith("]")}
     if named:
         return _named(table, named)
     return _pivoted(table, *next(iter(naming.items())), reading) if naming else table
-
-
-def _are_joints(cells: Texts, joints: Set[Words]) -> bool:
-    """Return whether cells (N,) are names of a model's joints, whatever their column is called."""
-    return len(cells) > 0 and words_of(cells[0]) in joints and {*map(words_of, {*cells})} <= joints
 
 
 def _spread_values(
@@ -431,12 +419,6 @@ def _items(column: str, cells: Texts) -> Iterator[tuple[str, Texts]]:
                 yield f"{column}[{k}]", np.array(names, object)
             return
     yield column, np.array([str(each) for each in cells], object)
-
-
-def _numbered(values: Array) -> Texts | None:
-    """Return the joints that integers number; None otherwise, or for one joint."""
-    several = 1 < len(np.unique(values)) <= _MOST_JOINTS and np.all(values == np.rint(values))
-    return np.array([f"joint_{value:.0f}" for value in values], object) if several else None
 
 
 def _check_names(table: LogTable, column: str, words: Texts) -> None:
@@ -526,9 +508,8 @@ def _pivoted(table: LogTable, naming: str, words: Texts, reading: Reading) -> Lo
         return table
     _check_names(table, naming, words)
     _check_at_once(table, naming, words)
-    return _brought_together(
-        table, naming, words, {n: f".{m.quantity}" for n, m in own.items()}, reading
-    )
+    ends = {n: f".{m.quantity}" for n, m in own.items()}
+    return _brought_together(table, naming, words, ends, reading)
 
 
 def _brought_together(

@@ -42,11 +42,8 @@ def read_lerobot(path: Path, reading: Reading) -> LogTable:
         found = parquet.read_table(files, columns=wanted, filters=only)
         columns = {**arrow_table(path, found).columns}
     if not len(found):
-        raise LogError(
-            f"LeRobot dataset {str(path)!r} has no samples"
-            + (f" of episode {episode}." if episode is not None else "."),
-            advice="Episodes are counted from 0." if episode is not None else "",
-        )
+        of, advice = ("", "") if only is None else (f" of episode {episode}", "Count them from 0.")
+        raise LogError(f"LeRobot dataset {str(path)!r} has no samples{of}.", advice=advice)
     edges = np.flatnonzero(np.diff(columns.pop("episode_index"))) + 1
     named = {name: columns[column] for (_, column), name in meaning.items() if column in columns}
     named = {"time": columns["timestamp"], **named}
@@ -59,11 +56,8 @@ def _meaning(features: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str], str
     """Yield feature and column -> `<joint>.<quantity>`, for observations of joints and actions."""
     for feature, description in features.items():
         told, is_action = meaning_of(f"{feature}[0]"), feature == _ACTION
-        if (
-            not (is_action or feature.startswith("observation"))
-            or told is None
-            or told.role >= PREVIOUS
-        ):
+        is_read = is_action or feature.startswith("observation")
+        if not is_read or told is None or told.role >= PREVIOUS:
             continue
         (size,) = description["shape"]
         names = _names(description.get("names"), size) or [""] * size
@@ -72,10 +66,8 @@ def _meaning(features: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str], str
             own = quantity_of(word) if joint else None
             if is_action and own not in (None, "position"):
                 continue  # no position that a servo goes to
-            joint, quantity = (
-                joint if own else name,
-                "command" if is_action else own or told.quantity,
-            )
+            joint = joint if own else name
+            quantity = "command" if is_action else own or told.quantity
             column = feature if size == 1 else f"{feature}[{k}]"
             yield (feature, column), f"{joint}.{quantity}" if joint else f"{quantity}[{k}]"
 

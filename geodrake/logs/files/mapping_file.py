@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -75,14 +76,10 @@ class _MappingSchema(Schema):
 def mapping_of(path: Path, content: object) -> ColumnMapping:
     """Return the mapping in the content of a file; see `read_mapping`."""
     said = as_schema(content, _MappingSchema)
-    joints = {
-        str(joint): {
-            quantity: _column(column, quantity, f"{joint}.{quantity}")
-            for quantity in _QUANTITIES
-            if (column := getattr(columns, quantity)) is not None
-        }
-        for joint, columns in said.joints.items()
-    }
+    joints = dict[str, dict[str, MappedColumn]]()
+    for joint, columns in said.joints.items():
+        named = {q: each for q in _QUANTITIES if (each := getattr(columns, q)) is not None}
+        joints[str(joint)] = {q: _column(each, q, f"{joint}.{q}") for q, each in named.items()}
     if said.rate is not None:
         positive(said.rate, "`rate`")
     if not joints:
@@ -122,12 +119,9 @@ def propose(
 ) -> LogError:
     """Return the error of a failed reading, with a mapping as evidence.
 
-    It is text to edit, filled in as far as columns are understood. There is none where the user
-    gave one, and for files with too many columns.
-
-    Args:
-        places: (joint, quantity) -> column that is understood, time among them.
-        headed: Whether the file has these names; columns of others are given by their numbers.
+    It is text to edit, filled in as far as columns are understood, which are in `places`, time
+    among them. There is none where the user gave one, and for files with too many columns. Columns
+    of files that are not `headed` by these names are given by their numbers.
     """
     if reading.mapping is not None or len(names) > MOST_COLUMNS:
         return error
@@ -151,7 +145,8 @@ def propose(
         columns[joint] = {q: found.get((joint, q)) for q in ("position", "velocity", kind)}
         if joint in reading.motorless and (kind == "effort" or known[joint, kind].role >= DESIRED):
             columns[joint] |= {kind: MappedColumn(PASSIVE)}
-    listed = "\n".join(f"#   {k}: {_word(name)}" for k, name in enumerate(names, 1))
+    scalars = (yaml.safe_dump([name], allow_unicode=True, width=math.inf) for name in names)
+    listed = "\n".join(f"#   {k}: {str(each).strip()[2:]}" for k, each in enumerate(scalars, 1))
     text = _HEAD.format(name=path.name, columns=listed, units=unit_names())
     if model:
         pairs = ", ".join(f"{joint} is {name!r}" for name, joint in model.items())
@@ -202,15 +197,9 @@ def _guess(
     names: Sequence[str], joints: Sequence[str], *, headed: bool
 ) -> dict[tuple[str, str], MappedColumn]:
     """Map (joint, quantity) to columns, if their number is that of time and all quantities."""
-    for timed in (True, False):
-        for quantities in (_ASKED, ("position", "effort")):
-            if len(names) == timed + len(joints) * len(quantities):
-                order = [("", "time")] * timed + [(j, q) for q in quantities for j in joints]
-                columns = [MappedColumn(n if headed else k) for k, n in enumerate(names, 1)]
-                return dict(zip(order, columns, strict=True))
+    columns = [MappedColumn(name if headed else k) for k, name in enumerate(names, 1)]
+    for timed, quantities in product((True, False), (_ASKED, ("position", "effort"))):
+        order = [("", "time")] * timed + [(j, q) for q in quantities for j in joints]
+        if len(names) == len(order):
+            return dict(zip(order, columns, strict=True))
     return {}
-
-
-def _word(text: str) -> str:
-    """Return a text as one scalar of YAML."""
-    return str(yaml.safe_dump([text], allow_unicode=True, width=math.inf)).strip()[2:]

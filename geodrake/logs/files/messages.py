@@ -414,12 +414,9 @@ def base_sources(kinds: Mapping[str, str], named: Sequence[str]) -> list[list[st
     found = []
     for source in _SOURCES:
         able = [name for name, kind in kinds.items() if kind in source]
-        able = [name for name in able if name in named] or [
-            name
-            for name in able
-            if not name.endswith("tf_static")
-            and (kinds[name] not in _POSES or IS_BASE.search(name))
-        ]
+        moving = [name for name in able if not name.endswith("tf_static")]
+        of_base = [n for n in moving if kinds[n] not in _POSES or IS_BASE.search(n)]
+        able = [name for name in able if name in named] or of_base
         able.sort(key=lambda n: (source.index(kinds[n]), IS_BASE.search(n) is None))
         found += [able] if source != _SOURCES[-1] else [[name] for name in able]
     return found

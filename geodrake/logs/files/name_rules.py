@@ -172,11 +172,8 @@ def meanings_of(names: Iterable[str], joints: Sequence[str] = ()) -> list[Meanin
     """Return the meanings of columns whose names have one.
 
     A letter that is a unit of what the name says, as in `cur_A`, is no joint if neither the model
-    nor another column has it.
-
-    Args:
-        joints: Those of a model: a column with the whole name of one is of it, whatever else words
-            of this say, such as `base` and `wrist_angle`.
+    nor another column has it. A column with the whole name of a joint of the model is of it,
+    whatever else words of this say, such as `base` and `wrist_angle`.
     """
     names = list(names)
     whole = {_split(joint): joint for joint in joints if _has_name(joint)}
@@ -625,25 +622,20 @@ def matched(
 
 def _may_be(meaning: Meaning, joint: str | None) -> bool:
     """Return whether a column may be of a joint, if any: not of another part of a robot."""
-    if joint is None:
-        return False
-    told = [{*map(str, words)} for words in ((*meaning.group, *meaning.words), _split(joint))]
+    told = [{*map(str, each)} for each in ((*meaning.group, *meaning.words), _split(joint or ""))]
     sides = [{_SIDES[word] for word in words if word in _SIDES} for words in told]
     is_gripper = bool(told[0] & _GRIPPERS) and not told[1] & (_GRIPPERS | _FINGERS)
-    return not is_gripper and (not all(sides) or bool(sides[0] & sides[1]))
+    is_beside = all(sides) and not sides[0] & sides[1]
+    return joint is not None and not is_gripper and not is_beside
 
 
 def _as_others(style: Sequence[Meaning], ordered: Mapping[int, set[str]]) -> dict[str, str]:
     """Return joints of numbered columns, where those of all joints are in order."""
-    found: dict[str, str] = {}
-    if len(style) == len(ordered):
-        return found
-    for meaning in style:
-        joints = ordered.get(-1 if meaning.number is None else meaning.number, set())
-        if meaning.role >= OTHER or len(joints) != 1:
-            return {}
-        found[meaning.column] = next(iter(joints))
-    return found
+    found = {m.column: ordered.get(-1 if m.number is None else m.number, set()) for m in style}
+    are_alone = all(len(joints) == 1 for joints in found.values())
+    if len(style) == len(ordered) or not are_alone or any(m.role >= OTHER for m in style):
+        return {}
+    return {column: next(iter(joints)) for column, joints in found.items()}
 
 
 def _by_their_own_words(meanings: Sequence[Meaning]) -> dict[str, str]:
@@ -677,10 +669,8 @@ def _parts_of_robot(
     ends = {meaning.words[-1] if meaning.words else "" for meaning in style}
     counts = len(ends) > 1 and all(isinstance(end, int) for end in ends)
     for meaning in style:
-        words = tuple(
-            word for word in meaning.words[: -1 if counts else None] if word not in common
-        )
-        words += meaning.words[-1:] if counts else ()
+        head = meaning.words[:-1] if counts else meaning.words
+        words = tuple(word for word in head if word not in common) + meaning.words[len(head) :]
         is_named = words and _number(words) is None
         parts[meaning.group, None if is_named else _unnumbered(words)].append(meaning)
     keys = {meaning.words: meaning for meaning in style}
@@ -692,10 +682,8 @@ def _parts_of_robot(
     said = {part: {*words} - common for part, words in zip(parts, called, strict=True)}
     named = [_unnumbered(words) for words in _with_side_first([*map(words_of, joints)])]
     if 0 in set().union(*said.values()) - set().union(*named):  # as of legs, that they count
-        said = {
-            part: {word + 1 if isinstance(word, int) else word for word in words}
-            for part, words in said.items()
-        }
+        for part, own_words in said.items():
+            said[part] = {word + 1 if isinstance(word, int) else word for word in own_words}
     own: dict[Part, list[str]] = {part: [] for part in parts}
     for joint, words in zip(joints, named, strict=True):
         near = [part for part in parts if said[part].issubset(words)]
@@ -797,19 +785,15 @@ def _unnumbered(words: Words) -> Words:
 
 def _by_number(numbers: Mapping[Words, int], joints: Sequence[str]) -> dict[Words, str] | None:
     """Return the joints whose names have these numbers, from 0 or 1; None if any is missing."""
-    ends: dict[int, list[tuple[int, str]]] = defaultdict(list)
+    ends = defaultdict[int | None, list[str]](list)
     for joint in joints:
-        words = words_of(joint)
-        if (last := _number(words)) is not None:
-            ends[last].append((len(words), joint))
-    lowest = min(numbers.values())
-    for shift in (0, 1) if lowest == 0 and 0 not in ends else (0,):
-        found = {}
-        for key, number in numbers.items():
-            near = ends.get(number + shift, [])
-            least = [joint for extra, joint in near if extra == min(near)[0]]
-            if len(least) == 1:
-                found[key] = least[0]
-        if len(found) == len(numbers):
-            return found
+        ends[_number(words_of(joint))].append(joint)
+    for shift in (0, 1) if min(numbers.values()) == 0 and 0 not in ends else (0,):
+        near = {key: ends.get(number + shift, [""]) for key, number in numbers.items()}
+        least = {key: min(own, key=lambda joint: len(words_of(joint))) for key, own in near.items()}
+        alike = (
+            len(words_of(j)) == len(words_of(least[k])) for k, own in near.items() for j in own
+        )
+        if all(least.values()) and sum(alike) == len(numbers):
+            return least
     return None

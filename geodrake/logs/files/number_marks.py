@@ -84,8 +84,5 @@ def plain(cell: str, decimal: str, mark: str | None) -> str:
     """Return a number in Python's notation; other cells, such as dates, are unchanged."""
     if mark is not None and _GROUPED[mark].fullmatch(cell.strip()):
         cell = cell.replace(mark, "")
-    return (
-        cell.replace(",", ".")
-        if decimal == "," and not cell.lstrip().startswith(("[", "(", "{"))
-        else cell
-    )
+    is_list = cell.lstrip().startswith(("[", "(", "{"))
+    return cell.replace(",", ".") if decimal == "," and not is_list else cell

@@ -181,21 +181,18 @@ class Reading:
 
     def effort_uncertainty(self, joints: Sequence[str]) -> float | Array:
         """Return how well the gains of efforts are known: a share of each (n,), or one of all."""
-        usual = self.usual_deviation
-        stated = {joint: self._stated_uncertainty(joint) for joint in joints}
-        if all(share is None for share in stated.values()):
-            return usual
-        return np.array([usual if share is None else share for share in stated.values()])
-
-    def _stated_uncertainty(self, joint: str) -> float | None:
-        shares = []
-        if joint in self.gain_deviations:
-            shares.append(self.gain_deviations[joint] / abs(self.gains[joint]))
-        mapped = {} if self.mapping is None else self.mapping.joints.get(joint, {})
-        column = mapped.get("effort")
-        if column is not None and column.deviation is not None:
-            shares.append(column.deviation / abs(column.gain))
-        return float(np.linalg.norm(shares)) if shares else None
+        stated = {joint: list[float]() for joint in joints}
+        for joint, shares in stated.items():
+            if joint in self.gain_deviations:
+                shares.append(self.gain_deviations[joint] / abs(self.gains[joint]))
+            mapped = {} if self.mapping is None else self.mapping.joints.get(joint, {})
+            column = mapped.get("effort")
+            if column is not None and column.deviation is not None:
+                shares.append(column.deviation / abs(column.gain))
+        if not any(stated.values()):
+            return self.usual_deviation
+        usual = [self.usual_deviation]
+        return np.array([np.linalg.norm(shares or usual) for shares in stated.values()])
 
 
 def parsed_gain(text: str, what: str) -> tuple[float, float | None]:

@@ -16,7 +16,7 @@ from geodrake.logs.files.packed_files import log_name
 from geodrake.logs.files.table import TornRows
 from geodrake.logs.files.units_of_values import ROUNDING, are_whole, take_units
 from geodrake.logs.motion import PASSIVE, JointLog
-from geodrake.logs.time_stamps import evened, order_of_time, repeats, unwrapped, with_clock_set_back
+from geodrake.logs.time_stamps import evened, going_on, order_of_time, repeats
 
 LEAST_ROWS = 10
 _DAY = 86_400_000_000_000  # ns
@@ -41,7 +41,6 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
             f"Log {str(columns.path)!r} has {rows} rows; at least {LEAST_ROWS} are needed.",
             advice="Record several seconds of motion.",
         )
-
     signed = [*_leave_out_nines(columns, numbers), *_take_signs(columns, numbers)]
 
     def column(joint: str, quantity: str) -> Array:
@@ -62,8 +61,7 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
     else:
         time, notes = in_seconds(stamps, given, (data["position"], data.get("velocity")))
 
-    time, wrapped = unwrapped(time, of_day=columns.origin is not None and columns.origin < _DAY)
-    time, more = with_clock_set_back(time)
+    time, more = going_on(time, of_day=columns.origin is not None and columns.origin < _DAY)
     order = None if torn.rows else order_of_time(time, data["position"])
     if order is not None:  # rows that are torn are known by their place in the file
         time, more = time[order], (*more, "rows were sorted by time")
@@ -102,7 +100,7 @@ def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> Joi
         data["effort"],
         data.get("velocity"),
         data.get("acceleration"),
-        (*columns.notes, *notes, *wrapped, *more, *even, *signed, *motors, *left_out),
+        (*columns.notes, *notes, *more, *even, *signed, *motors, *left_out),
         effort_uncertainty=np.where(passive, 0.0, uncertainty) if passive.any() else uncertainty,
         standing={joint: _place(data[f"{joint}.position"]) for joint in alone},
         alone={joint: data[f"{joint}.position"] for joint in alone},

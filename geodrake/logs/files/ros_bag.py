@@ -93,11 +93,9 @@ def _read_channels(path: Path, reading: Reading, profile: str) -> LogTable:
                     f"{channel.message_encoding!r}; its profile is {profile!r}.",
                     advice="Of MCAP files other than ROS's, JSON and protobuf are read.",
                 )
-            read = (
-                json.loads(message.data) if decode is None else plain(decode(message.data), **whole)
-            )
-            kind = schema.name if schema else "json"
-            yield channel.topic, kind, read, message.log_time
+            data = message.data
+            read = json.loads(data) if decode is None else plain(decode(data), **whole)
+            yield channel.topic, schema.name if schema else "json", read, message.log_time
 
     with readable(path, "MCAP file", _REPAIR), open_regular(path, "log", LogError) as file:
         topics = topics_of(messages(file))

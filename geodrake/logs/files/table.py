@@ -80,12 +80,10 @@ _SECOND, _DAY = 1_000_000_000, 86_400  # ns, s
 def date_of(text: str, *, day_first: bool = False) -> int | None:
     """Return a date with time of day in nanoseconds since 1970; None if the text is not one.
 
-    Args:
-        text: In ISO 8601, with a blank for the T or strokes if need be; or day, month and year with
-            points or the month's name, or month, day and year with strokes. Without a time zone it
-            is in UTC; AM or PM may stand behind it. A time of day alone, days and a time, minutes
-            and seconds with decimals, or seconds with their unit, are those since 1970.
-        day_first: Whether the day comes before the month with strokes, too.
+    It may be in ISO 8601, with a blank for the T or strokes if need be; or day, month and year with
+    points or the month's name, or month, day and year with strokes, with the day first if so asked.
+    Without a time zone it is in UTC; AM or PM may stand behind it. A time of day alone, days and a
+    time, minutes and seconds with decimals, or seconds with their unit, are those since 1970.
     """
     if (found := _SECONDS.fullmatch(text.strip())) is not None:
         return int(found[1]) * _SECOND + int((found[2] or "").ljust(9, "0"))
@@ -157,15 +155,6 @@ def date_words(nanoseconds: int) -> str:
     if nanoseconds < _DAY * _SECOND:
         return f"{instant:%H:%M:%S} of a day"
     return f"{instant:%Y-%m-%d %H:%M:%S} UTC"
-
-
-def _since_first(stamps: NDArray[np.int64]) -> tuple[Array, int]:
-    """Return (N,) seconds from the first date on, NaN for no date, and the first date."""
-    known = stamps != np.iinfo(np.int64).min
-    origin = int(stamps[known][0]) if known.any() else 0
-    seconds = np.full(len(stamps), np.nan)
-    seconds[known] = (stamps[known] - origin) / _SECOND
-    return seconds, origin
 
 
 Mask = NDArray[np.bool_]
@@ -608,7 +597,10 @@ def numbers(values: Any) -> tuple[Array | None, int | None, str]:
     try:
         array = _array(values)
         if array.dtype.kind == "M":
-            return *_since_first(array.astype("datetime64[ns]").astype(np.int64)), ""
+            stamps = array.astype("datetime64[ns]").astype(np.int64)
+            known = stamps != np.iinfo(np.int64).min
+            origin = int(stamps[known][0]) if known.any() else 0
+            return np.where(known, (stamps - origin) / _SECOND, np.nan), origin, ""
         if array.dtype.kind == "m":
             return np.asarray(array / _ONE_SECOND), None, ""
         if array.dtype.kind in "OUT":

@@ -23,7 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import Array
-from geodrake.boundary.input_files import regular_file
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.column_mapping import HEADER_ADVICE, check_text, listed, no_header
@@ -57,8 +56,8 @@ from geodrake.logs.files.table import (
 )
 from geodrake.logs.files.units import UNITS, WORDS, find_unit
 
+_COMMENTS = ("#", "%", "//")
 _RULES = ("---", "===")  # between rows, where they stand without numbers
-COMMENTS = ("#", "%", "//", *_RULES)
 _HEADER_LINES = 1000  # of a header whose names have line ends
 _PREFACE = 100  # lines, among which names are looked for
 _KEYED_ROWS = 4  # rows above numbers that begin with what they say, at least
@@ -142,7 +141,9 @@ class TextLayout:
             rows = ((reader.line_num, cells) for cells in reader)
         names, is_usual = [*self.names], self.decimal == "." and not self.grouped
         for line, cells in rows:
-            if not cells or _is_comment(cells) or cells == names:
+            first = cells[0].lstrip() if cells else "#"
+            is_rule = first.startswith(_RULES) and not any(map(is_number, cells[1:]))
+            if first.startswith(_COMMENTS) or is_rule or cells == names:
                 continue
             trailing = len(cells) == len(names) + 1 and not cells[-1].strip()
             kept = cells[:-1] if trailing else cells  # a separator behind the last cell
@@ -151,21 +152,15 @@ class TextLayout:
             yield line, kept
 
 
-def _is_comment(cells: Sequence[str]) -> bool:
-    """Return whether a row is a comment; one of dashes may have numbers behind them."""
-    first = cells[0].lstrip()
-    has_numbers = first.startswith(_RULES) and any(map(is_number, cells[1:]))
-    return first.startswith(COMMENTS) and not has_numbers
-
-
 def text_layout(path: Path, file: Iterator[str], reading: Reading) -> TextLayout:
     """Return the layout of a table of some lines."""
     lines = [*islice(file, _HEADER_LINES + _LINES_AHEAD)]
     begin, comment = _first_line(lines)
     lines.append("")
     above, data, mark = _rows_above(lines, begin)
-    keyed_names, units = _keyed_names(path, [cells for _, cells in above], lines[data:], mark)
-    begin = _names_at(above) if above else begin
+    keyed_names, units = _keyed_names([cells for _, cells in above], lines[data:], mark)
+    whole = (k for k, cells in above if all(cells) and len({*cells}) == len(cells))
+    begin = next(whole, above[0][0] if above else begin)  # names that tell the columns apart
     separator = _separator(lines[begin])
     cells, after = _header_cells(path, lines, begin, separator)
     names: Sequence[str] = () if reading.columns else _joint_state(cells)
@@ -218,7 +213,7 @@ def _first_line(lines: Sequence[str]) -> tuple[int, str]:
     comment = ""
     for k, line in enumerate(lines[:_HEADER_LINES]):
         plain = line.strip()
-        if plain.startswith(COMMENTS) and not plain.startswith("%time"):
+        if plain.startswith((*_COMMENTS, *_RULES)) and not plain.startswith("%time"):
             comment = plain.lstrip("#%/ \t")
         elif plain and not _EXCEL.fullmatch(plain):
             return k, comment
@@ -232,10 +227,13 @@ def _rows_above(
 
     Free text and titles above are left out. There are none in tables without two rows of numbers.
     """
-    for is_row, at in product((_begins_with_time, _has_numbers), range(begin, begin + _PREFACE)):
+    for is_timed, at in product((True, False), range(begin, begin + _PREFACE)):
         separator = _separator("".join(lines[at : at + 1]))
-        first, second = (_cells_of("".join(lines[k : k + 1]), separator) for k in (at, at + 1))
-        if len(first) == len(second) > 1 and is_row(first) and is_row(second):
+        both = [_cells_of("".join(lines[k : k + 1]), separator) for k in (at, at + 1)]
+        first = both[0]
+        are_rows = all(2 * sum(map(is_number, cells)) > len(cells) for cells in both)
+        are_rows &= not is_timed or all(_are_numbers(cells[:1]) for cells in both)
+        if len(first) == len(both[1]) > 1 and are_rows:
             break
     else:
         return [], begin, None
@@ -246,27 +244,13 @@ def _rows_above(
     return [*above], at, separator
 
 
-def _names_at(above: Sequence[tuple[int, list[str]]]) -> int:
-    """Return the line of the first row that names each column otherwise; else the first one."""
-    whole = (k for k, cells in above if all(cells) and len({*cells}) == len(cells))
-    return next(whole, above[0][0])
-
-
-def _has_numbers(cells: Sequence[str]) -> bool:
-    return 2 * sum(map(is_number, cells)) > len(cells)
-
-
-def _begins_with_time(cells: Sequence[str]) -> bool:
-    return _are_numbers(cells[:1]) and _has_numbers(cells)
-
-
 def _keyed_names(
-    path: Path, above: Sequence[Sequence[str]], lines: Sequence[str], separator: str | None
+    above: Sequence[Sequence[str]], lines: Sequence[str], separator: str | None
 ) -> tuple[Sequence[str], dict[str, str]]:
     """Return names and units from rows that begin with a keyword, or none.
 
     TwinCAT and LabVIEW write several, such as `Name`, `SampleTime[ms]` and `Unit`. The first column
-    of the numbers in these lines is time; others of its name must be the same.
+    of the numbers in these lines is time, and so are others of its name.
     """
     keys = {cells[0] for cells in above if not _are_numbers(cells[:1])} - {""}
     if not len(above) == len(keys) >= _KEYED_ROWS:  # or they are rows with few numbers
@@ -274,15 +258,9 @@ def _keyed_names(
     counts = [len({name for name in cells if meaning_of(name) is not None}) for cells in above]
     if not any(counts):
         return (), {}
-    rows = [_cells_of(line, separator) for line in lines]
-    header = above[counts.index(max(counts))][: len(rows[0])]
-    clocks = [k for k, name in enumerate(header) if name == header[0]]
-    if any(cells[k] != cells[0] for cells in rows if len(cells) > clocks[-1] for k in clocks):
-        raise LogError(
-            f"Log {str(path)!r} has {len(clocks)} different columns of time.",
-            advice="Export one column of time for all, or a file for each signal.",
-        )
-    names = ["Time" if meaning_of(header[0]) is None else header[0], *header[1:]]
+    header = above[counts.index(max(counts))][: len(_cells_of(lines[0], separator))]
+    clock = "Time" if meaning_of(header[0]) is None else header[0]
+    names = _told_apart([clock if name == header[0] else name for name in header])
     units = next(filter(None, (_units(names, cells) for cells in above)), {})
     return _with_units(names, units), units
 
@@ -397,12 +375,10 @@ def _first_cells(layout: TextLayout, lines: Sequence[str]) -> dict[str, str]:
 def _units(header: Sequence[str], cells: Sequence[str]) -> dict[str, str]:
     """Return units in a row below the header: as many as names, most of them known."""
     cells = [cell.strip(' \t\r\n[]()"') for cell in cells]
-    if len(cells) != len(header):
-        return {}
     known = {cell for cell in set(cells) if any(find_unit(cell, each) for each in UNITS)}
     key = None if is_number(cells[0]) else cells[0] or None  # such as Unit
     asked = [cell for cell in cells if cell != key or cell in known]
-    if 2 * sum(cell in known for cell in asked) <= len(asked):
+    if len(cells) != len(header) or 2 * sum(cell in known for cell in asked) <= len(asked):
         return {}
     return {n: c for n, c in zip(header, cells, strict=True) if c and (c != key or c in known)}
 
@@ -462,7 +438,7 @@ def renamed(path: Path, reading: Reading, cells: Sequence[str]) -> Sequence[str]
 
 def _names_in_comment(cells: Sequence[str], comment: str) -> Sequence[str]:
     """Return names in the comment before a first line of numbers, if they are as many."""
-    named = [name.strip() for name in comment.replace(";", ",").replace("\t", ",").split(",")]
+    named = [name.strip() for name in re.split("[,;\t]", comment)]
     for each in (named, _UNIT_BEHIND.sub("", comment).split(), comment.split()):
         names = _of_several(each, len(cells))
         if len(names) == len(cells) and all(names) and not _are_numbers(names):
@@ -600,7 +576,6 @@ class TextTable(LogTable):
 
 def read_text(path: Path, reading: Reading) -> LogTable:
     """Return the columns of a table of text, which may be packed."""
-    regular_file(path, "log", LogError)
     with readable(path, f"{path.suffix} file"), open_log(path) as file:
         content = file.read(_HEAD)
         if encoding := _encoding(content):
@@ -660,7 +635,7 @@ def _encoding(head: bytes) -> str:
 def read_sheet(path: Path, reading: Reading) -> LogTable:
     """Return the columns of a sheet of Excel, as those of a table of text; see `read_text`."""
     pandas = optional_package("pandas", "logs", "sheets of Excel", LogError)
-    with readable(path, "sheet of Excel"), open_log(regular_file(path, "log", LogError)) as file:
+    with readable(path, "sheet of Excel"), open_log(path) as file:
         size = sum(entry.file_size for entry in ZipFile(file).infolist())
         check_room(path, size // 8, f"{size / 1e9:.3g} GB unpacked")
         sheets = pandas.read_excel(file, sheet_name=None, header=None, dtype=object)
@@ -762,9 +737,8 @@ def _refusal(path: Path, row: int, column: str, text: str, kind: Cells) -> LogEr
     if may_be_grouped(text):
         advice = f"{MARKS_ADVICE} The lines above do not show what its mark means."
     elif (unit := _NUMBER_OF.fullmatch(text.strip())) is not None:
-        advice = (
-            f"Write numbers without units, and the unit in the column name: {column} [{unit[1]}]."
-        )
+        name = f"{column} [{unit[1]}]"
+        advice = f"Write numbers without units, and the unit in the column name: {name}."
     elif is_time(column):
         advice += " A column of dates must have them from its first row on."
     if kind.count is not None:

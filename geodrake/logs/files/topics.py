@@ -86,7 +86,14 @@ def chosen_topics(
     """Return the topic that is the log, or those that are parts of it."""
     if not topics:
         raise LogError(f"Log {str(path)!r} has no messages.", advice="Check how it was recorded.")
-    if asked := [name for name in reading.topics if not _is_of_joints(name, topics)]:
+    known = {topic.topic.strip("/") for topic in topics}
+    called = [plain_words(str(joint)) for topic in topics for joint in topic.joints]
+    asked = [
+        name  # but for words in names of joints, as of one of two robots
+        for name in reading.topics
+        if name.strip("/") in known or not any(set() < plain_words(name) <= own for own in called)
+    ]
+    if asked:
         return tuple(_named(path, topics, name, alone=len(asked) == 1) for name in asked)
     best = _best([topic for topic in topics if topic.fits])
     if len(best) == 1:
@@ -98,14 +105,6 @@ def chosen_topics(
             advice=f"Choose one, as in --topic {best[0].topic}, or several of different arms.",
         )
     return _parts(path, topics)
-
-
-def _is_of_joints(name: str, topics: Sequence[JointMessages]) -> bool:
-    """Return whether a name is no topic, but a word in names of joints, as of one of two robots."""
-    words = plain_words(name)
-    called = (plain_words(str(joint)) for topic in topics for joint in topic.joints)
-    is_topic = any(topic.topic.strip("/") == name.strip("/") for topic in topics)
-    return not is_topic and bool(words) and any(words <= own for own in called)
 
 
 def _best(topics: Sequence[JointMessages]) -> Sequence[JointMessages]:
@@ -151,10 +150,9 @@ def _named(path: Path, topics: Sequence[JointMessages], name: str, *, alone: boo
         )
     names = [topic.topic for topic in topics]
     close = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
+    near = f" (nearest: {close[0]!r})" if close else ""
     raise LogError(
-        f"Log {str(path)!r} has no topic {name!r}"
-        + (f" (nearest: {close[0]!r})" if close else "")
-        + f"; it has {_listed(topics)}.",
+        f"Log {str(path)!r} has no topic {name!r}{near}; it has {_listed(topics)}.",
         advice="Use names from the bag or LCM log; by default the best match is read.",
     )
 
@@ -178,11 +176,8 @@ def topics_table(
     """Join topics at the time stamps of the one with the lowest rate.
 
     Of a column that two have, that of the first is taken. Messages without stamps are put on the
-    clock of those with: on average they take no time from there to the recorder.
-
-    Args:
-        chosen: What `chosen_topics` found of all topics, with all of their messages.
-        base: What is said of a free base and its feet.
+    clock of those with: on average they take no time from there to the recorder. `base` is what is
+    said of a free base and its feet.
     """
     is_alone, read = len(chosen) == 1, ", ".join(f"{t.topic} ({t.kind})" for t in chosen)
     if is_alone and not chosen[0].fits:  # its first messages have efforts, but none has positions
@@ -193,9 +188,8 @@ def topics_table(
         if is_alone and other.topic != chosen[0].topic
         if other.fits and other.has_efforts >= chosen[0].has_efforts
     ]
-    said = [
-        f"read from {read}" + (f"; {', '.join(also)} would also match (--topic)" if also else "")
-    ]
+    more = f"; {', '.join(also)} would also match (--topic)" if also else ""
+    said = [f"read from {read}{more}"]
     if any(topic.from_controller for topic in chosen):
         said.append("there are no measured efforts: the controller's output is used")
     made: list[tuple[Messages, list[LogTable]]] = [
@@ -203,7 +197,8 @@ def topics_table(
     ]
     made += [(each, each.tables()) for each in base]
     clock = next(filter(None, (messages.clock for messages, _ in made)), None)
-    if _are_alike([tables for _, tables in made]):
+    names = [{n for t in tables for n in t.columns} - {"time"} for _, tables in made]
+    if len(names) > 1 and names[0] and all(each == names[0] for each in names):  # as of two arms
         made = [(messages, [t.under(f"{messages.topic}/") for t in own]) for messages, own in made]
     tables = list[LogTable]()
     for messages, own in made:
@@ -213,12 +208,6 @@ def topics_table(
     table = joined_tables(path, tables, reading)
     columns, notes = _named_by_motion(table.columns) if not is_alone else (table.columns, [])
     return replace(table, columns=columns, notes=(*said, *table.notes, *notes))
-
-
-def _are_alike(parts: Sequence[Sequence[LogTable]]) -> bool:
-    """Return whether parts have all of their columns in common, as those of two arms."""
-    names = [{n for table in tables for n in table.columns} - {"time"} for tables in parts]
-    return len(names) > 1 and all(each and each == names[0] for each in names)
 
 
 def _part_tables(topic: JointMessages, *, part: bool) -> list[LogTable]:

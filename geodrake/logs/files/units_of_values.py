@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -21,6 +22,9 @@ _NORMALIZED = 101.0  # of LeRobot's share of a range
 _OF_LEROBOT = re.compile(r"\.pos$|^observation\.state")
 _ROWS, _WINDOW = 50_000, 25  # rows that tell a ratio, and over which way and speed are compared
 _OFF, _ALIKE = 0.02, 0.99  # by which a ratio may be off, and correlation of what moves together
+Bare = Mapping[str, Mapping[tuple[str, str], Meaning]]
+"""Quantity -> its columns, where nobody says their unit."""
+
 _ANGLES = ("deg", "rev", "rad")
 _SPEEDS = ("rad/s", "deg/s", "rev/s", "rpm")
 
@@ -41,7 +45,7 @@ def _bare(columns: Columns, quantity: str) -> dict[tuple[str, str], Meaning]:
 
 
 def _convert(
-    data: dict[str, Array], columns: Columns, sources: dict[tuple[str, str], Meaning], unit: Unit
+    data: dict[str, Array], columns: Columns, sources: Mapping[tuple[str, str], Meaning], unit: Unit
 ) -> None:
     for quantity in {quantity for _, quantity in sources}:
         data[quantity] *= unit.factor
@@ -53,7 +57,7 @@ def _take_angles(
     time: Array,
     data: dict[str, Array],
     columns: Columns,
-    bare: dict[str, dict[tuple[str, str], Meaning]],
+    bare: Bare,
 ) -> None:
     """Turn angles and their speeds into rad and rad/s, where values are certain of other units.
 
@@ -76,9 +80,7 @@ def _take_angles(
             columns.notes.append(f"{words} (--units {quantity}=UNIT if it is in another)")
 
 
-def _by_motion(
-    time: Array, data: dict[str, Array], bare: dict[str, dict[tuple[str, str], Meaning]]
-) -> tuple[str, str, float]:
+def _by_motion(time: Array, data: dict[str, Array], bare: Bare) -> tuple[str, str, float]:
     """Return units of angles and speeds by their ratio, and this; SI units where it tells none."""
     known = "rad", "rad/s", 1.0
     if "velocity" not in data or len(time) <= _WINDOW:
@@ -125,7 +127,7 @@ def _beyond_limits(position: Array, columns: Columns) -> str:
 def _take_ticks(
     data: dict[str, Array],
     columns: Columns,
-    bare: dict[str, dict[tuple[str, str], Meaning]],
+    bare: Bare,
 ) -> bool:
     """Turn positions and commands (N, n) into rad where they are ticks of servos.
 
