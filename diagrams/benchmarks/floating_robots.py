@@ -37,7 +37,7 @@ from diagrams.benchmarks.simulated.scoring import (
     told,
 )
 from diagrams.harness import cpu_clock, positive_number, run_draws, script_parser, write
-from geodrake.model.floating_logs import contact_frames
+from geodrake.model.ground_contacts import contact_frames
 from geodrake.model.robot_model import load_description
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import (
     Array,
@@ -169,6 +170,16 @@ class JointLog(Short):
 
     def __len__(self) -> int:
         return len(self.time)
+
+    def rows(self, kept: NDArray[np.bool_]) -> JointLog:
+        """Return some of the rows (N,), or itself."""
+        if kept.all():
+            return self
+        names = ("time", *QUANTITIES)
+        parts: dict[str, Any] = {n: x[kept] for n in names if (x := getattr(self, n)) is not None}
+        for name in ("alone", "floating"):
+            parts[name] = {column: x[kept] for column, x in getattr(self, name).items()}
+        return replace(self, **parts)
 
     def columns(self) -> dict[str, Array]:
         """Return the measurements, (N,) each, by their names in log files.

@@ -35,7 +35,8 @@ def effort_unit_hint(log: JointLog, effort_limits: ArrayLike) -> str | None:
     They are compared with the model's (n,) limits; zeros and infinities count as unknown.
     """
     limits = np.broadcast_to(np.asarray(effort_limits, float), (len(log.joints),))
-    known = np.isfinite(limits) & (limits > _LEAST_LIMIT) & ~np.isin(log.joints, log.passive)
+    silent = (*log.passive, *log.unmeasured)
+    known = np.isfinite(limits) & (limits > _LEAST_LIMIT) & ~np.isin(log.joints, silent)
     if not known.any():
         return None
     peaks = np.minimum(peaks_of(log.motor_effort), _LARGEST)

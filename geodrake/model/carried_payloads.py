@@ -15,7 +15,7 @@ from geodrake.inertia import Array, change_frame
 from geodrake.inertia.bodies import LumpedBody, lumped_bodies
 from geodrake.logs.known_payload import KnownPayload
 from geodrake.logs.motion import JointLog
-from geodrake.model.floating_logs import contact_frames
+from geodrake.model.ground_contacts import contact_frames
 from geodrake.model.robot_model import RobotModel
 
 Payloads = tuple[KnownPayload, ...]

@@ -113,41 +113,69 @@ def _forwards_and_backwards(log_odds: Array, change: float, out: Array) -> None:
         out[n] = odds / (1.0 + odds)
 
 
+def smooth_rates(log: JointLog, model: RobotModel) -> tuple[Array, Array] | None:
+    """Return rates and smoothed accelerations (N, nv) of the model's joints; None if too short."""
+    at = [log.joints.index(joint) for joint in model.joints]
+    if len(log) < 4 or len(log) < 2 * _window(log.time):
+        return None
+    rates = log.velocity
+    if rates is None:
+        rates = np.gradient(log.position, log.time, axis=0)
+    v = rates[:, at]
+    vd = _smoothed(log.time, v, order=1)
+    if log.acceleration is not None:
+        measured = log.acceleration[:, at]
+        vd = np.where(np.isfinite(measured), measured, vd)
+    return v, vd
+
+
+def _window(time: Array) -> int:
+    return 2 * max(1, round(0.5 * _SMOOTH / float(np.median(np.diff(time))))) + 1
+
+
+def _smoothed(time: Array, values: Array, order: int = 0) -> Array:
+    """Return smoothed values (N, n) or their rates."""
+    from scipy.signal import savgol_filter  # a third of a second, for those who need it
+
+    period = float(np.median(np.diff(time)))
+    return np.asarray(
+        savgol_filter(values, _window(time), 2, deriv=order, delta=period, axis=0, mode="nearest")
+    )
+
+
 def signs_of(
-    log: JointLog, model: RobotModel, jacobians: Array, heights: Array, known: NDArray[np.bool_]
+    log: JointLog,
+    model: RobotModel,
+    jacobians: Array,
+    heights: Array,
+    known: NDArray[np.bool_],
+    *,
+    by_efforts: bool,
 ) -> FrameSigns:
-    """Return heights, speeds and loads of frames in a log.
+    """Return heights and speeds of frames in a log, and loads if asked for.
 
     Args:
         jacobians: (K, c, 3 or 6, nv) in W, of frames' points, and of their turning below.
         heights: (K, c) over the ground, m.
         known: (N,) the K instants at which positions are known.
     """
-    from scipy.signal import savgol_filter  # a third of a second, for those who need it
-
     at = [log.joints.index(joint) for joint in model.joints]
     q, tau = log.position[:, at], log.effort[:, at]
-    period = float(np.median(np.diff(log.time))) if len(log) > 1 else _SMOOTH
-    window = 2 * max(1, round(0.5 * _SMOOTH / period)) + 1
     told = np.array([log.effort_kinds.get(j, "effort") == "effort" for j in model.joints])
     count = jacobians.shape[1]
     shape = len(log), count
     high, speeds, loads = np.full((3, *shape), np.nan)
     high[known] = heights
-    if len(log) < 2 * window:
+    if (rates := smooth_rates(log, model)) is None:
         return FrameSigns(log.time, high, speeds, loads)
-    v = np.gradient(q, log.time, axis=0) if log.velocity is None else log.velocity[:, at]
-    vd = savgol_filter(v, window, 2, deriv=1, delta=period, axis=0)
-    if log.acceleration is not None:
-        measured = log.acceleration[:, at]
-        vd = np.where(np.isfinite(measured), measured, vd)
-    tau = savgol_filter(tau, window, 2, axis=0)
+    v, vd = rates
+    tau = _smoothed(log.time, tau)
     for k, J in enumerate(np.moveaxis(jacobians, 1, 0)):
         speeds[known, k] = np.linalg.norm(times(J[:, :3], v[known]), axis=1)
     weight = float(model.total_phi[:, 0].sum() * np.linalg.norm(model.tree.gravity))
-    whole = np.isfinite(np.hstack([q, v, vd])).all(axis=1)
+    whole = np.asarray(np.isfinite(np.hstack([q, v, vd])).all(axis=1))
     rows = whole[known]
-    if told.any() and rows.any():
+    if by_efforts and told.any() and rows.any():
         at_base = np.isin(model.joints, model.base_joints)
         motion = Motion(model.positions(q[whole]), v[whole], vd[whole])
         missing = model.effort(motion) - tau[whole]

@@ -14,7 +14,7 @@ from geodrake.logs.files import Reading
 from geodrake.logs.motion import JointLog, check_joints
 from geodrake.logs.motors import motor_of_robot
 from geodrake.logs.resting import LARGEST, logged_ranges, readings, resting, travels
-from geodrake.model.floating_logs import with_base
+from geodrake.model.base_motion import with_base
 from geodrake.model.holding import holding
 from geodrake.model.robot_model import RobotModel, is_of_file, read_again
 from geodrake.robot.coordinates import Places

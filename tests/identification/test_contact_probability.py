@@ -19,8 +19,9 @@ from geodrake.excitation import (
     random_excitation,
 )
 from geodrake.model import load_description
+from geodrake.model.base_motion import with_base
 from geodrake.model.contact_probability import FrameSigns, touching_probability
-from geodrake.model.floating_logs import contact_frames, with_base
+from geodrake.model.ground_contacts import contact_frames
 
 RATE, WEIGHT = 200.0, 150.0
 

@@ -27,12 +27,13 @@ from geodrake.identification.logs.noise import known_noise
 from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.logs import JointLog, read_log
 from geodrake.logs.files.messages import BaseMessages, base_sources
-from geodrake.logs.floating import ContactFlags
+from geodrake.logs.floating import ANGLES, ContactFlags
 from geodrake.logs.folds import validation_blocks
 from geodrake.logs.preparation import prepare_logs
 from geodrake.logs.unit_hints import effort_sign_hint
 from geodrake.model import Given, load_description
-from geodrake.model.floating_logs import contact_frames, contact_jacobians, on_soles, with_base
+from geodrake.model.base_motion import with_base
+from geodrake.model.ground_contacts import contact_frames, contact_jacobians, on_soles
 from geodrake.model.logged_joints import log_of_model, reading_for
 from geodrake.robot import inverse_dynamics_regressor
 from geodrake.robot.shapes import collision_balls
@@ -552,6 +553,7 @@ def test_wrong_contact_flags_are_said(model, maker):
         ("mocap.rot.{}", "base.orientation", 1.0),
         ("base_q{}", "base.orientation", 1.0),
         ("imu_gyro_{}_dps", "imu.angular_velocity", np.pi / 180.0),
+        ("base_pos[{n}]", "base.position", 1.0),
         ("imu.linear_acceleration.{} [g]", "imu.linear_acceleration", 9.80665),
         ("fl_foot.force.{}_kgf", "fl_foot.force", 9.80665),
         ("fl_foot.contact [%]", "fl_foot.contact", 0.01),
@@ -560,7 +562,7 @@ def test_wrong_contact_flags_are_said(model, maker):
 def test_other_names_and_units_of_a_base_and_feet(tmp_path, model, maker, form, name, factor):
     columns = maker.log(wrenches=True).columns()
     for old in [c for c in columns if c.startswith(name)]:
-        columns[form.format(old[-1])] = columns.pop(old) / factor
+        columns[form.format(old[-1], n="xyz".find(old[-1]))] = columns.pop(old) / factor
     pandas.DataFrame(columns).to_csv(tmp_path / "log.csv", index=False)
     read = read_log(tmp_path / "log.csv", joints=JOINTS, reading=reading_for(model))
     expected = maker.log(wrenches=True).floating
@@ -613,7 +615,7 @@ def test_bad_poses_are_refused(model, maker):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda own, R: np.degrees(own), "these are in degrees"),
+        (lambda own, R: np.degrees(own), "in degrees per second"),
         (lambda own, R: R.apply(own), "axes of the world"),
         (lambda own, R: own[:, [1, 0, 2]] * [1.0, -1.0, 1.0], "are, for example, -y, x, z of"),
     ],
@@ -623,39 +625,167 @@ def test_angular_velocities_in_other_units_and_axes_are_refused(model, maker, ch
     turned.R = Rotation.from_euler("z", 2.0) * turned.R
     spin = change(maker.gyro, turned.R)
     columns = {f"imu.angular_velocity.{axis}": spin[:, k] for k, axis in enumerate("xyz")}
-    with pytest.raises(LogError, match=f"would if .*{words}"):
+    with pytest.raises(LogError, match=f"say: .* if .*{words}"):
         with_base(turned.log(wrenches=False, **columns), model)
 
 
-def _level(maker):
-    """Return the log of a dog whose lowest foot stays on the ground."""
-    dog, place = FreeRobot(quadruped(), JOINTS), maker.place[0].copy()
-    motion = np.hstack([place, maker.angles[0], maker.joints[0]])
-    for k, q in enumerate(motion):
-        dog.efforts(q, 0.0 * q, 0.0 * q)
-        place[k, 2] -= min(dog.pose(foot)[1][2] for foot in FEET)
-    log = maker.log(wrenches=False, **dict(zip(PLACE, place.T, strict=True)))
-    kept = (name for name in log.floating if not name.startswith("imu") and name != CONTACT)
+def _on_feet(lift: float) -> JointLog:
+    """Return the log of a dog that sways, without an IMU, on feet that rest, or lift by turns."""
+    dog, sway = FreeRobot(quadruped(), JOINTS), Maker()
+    now = np.append(np.zeros(6), sway.joints[0].mean(axis=0))
+    dog.efforts(now, 0.0 * now, 0.0 * now)
+    places = np.array([dog.pose(foot)[1] for foot in FEET])
+    steps = np.sin(4.0 * np.pi * sway.time[:, None] + [0.0, np.pi, np.pi, 0.0])
+    sway.place[0, :, 2] -= 0.38
+    for k in range(len(sway.time)):
+        now[:6] = np.append(sway.place[0, k], sway.angles[0, k])
+        up = lift * np.maximum(steps[k, :, None] - 0.3, 0.0) * [0.0, 0.0, 1.0]
+        for _ in range(4):
+            dog.efforts(now, 0.0 * now, 0.0 * now)
+            off = np.array([dog.pose(foot)[1] for foot in FEET]) - places - up
+            J = np.vstack([dog.jacobian(foot)[:3, 6:] for foot in FEET])
+            now[6:] -= np.linalg.solve(J, off.ravel())
+        sway.joints[0, k] = now[6:]
+    sway.place[0, :, 2] -= places[0, 2]
+    flags = (steps <= 0.3) | (lift == 0.0)
+    log = sway.log(wrenches=False, **dict(zip(CONTACTS, flags.T.astype(float), strict=True)))
+    kept = (name for name in log.floating if not name.startswith("imu"))
     return replace(log, floating={name: log.floating[name] for name in kept})
 
 
-PLACE, CONTACT = [f"base.position.{axis}" for axis in "xyz"], "fr_foot.contact"
+@pytest.fixture(scope="module")
+def planted():
+    return _on_feet(0.0)
+
+
+PLACE, CONTACTS = [f"base.position.{axis}" for axis in "xyz"], [f"{foot}.contact" for foot in FEET]
 TURN = [f"base.orientation.{axis}" for axis in "wxyz"]
 
 
-def test_poses_with_which_feet_leave_the_ground_are_refused(model, maker):
-    log = _level(maker)
-    read = with_base(log, model)
+def _other_pose(log, world, body):
+    """Return columns of the pose of a log in axes of the world and the body that are turned."""
+    place = np.stack([log.floating[name] for name in PLACE], 1)
+    turn = Rotation.from_quat(np.stack([log.floating[n] for n in TURN], 1), scalar_first=True)
+    quaternion = (world * turn * body.inv()).as_quat(scalar_first=True)
+    return dict(zip([*PLACE, *TURN], [*world.apply(place).T, *quaternion.T], strict=True))
+
+
+MATRIX = [f"{row}{column}" for row in range(3) for column in range(3)]
+YAWED = Rotation.from_euler("z", 2.0)
+SAME, UP, OVER = (Rotation.from_euler("x", x, degrees=True) for x in (0.0, 90.0, 180.0))
+MISREAD = {
+    "positions are in mm": lambda log: {name: 1e3 * log.floating[name] for name in PLACE},
+    "rotates the world into the body": lambda log: {n: -log.floating[n] for n in TURN[1:]},
+    "columns are x, y, z, w": lambda log: {
+        n: log.floating[m] for n, m in zip(TURN, [*TURN[1:], TURN[0]], strict=True)
+    },
+    "y is upwards": lambda log: _other_pose(log, UP.inv(), SAME),
+    "z is downwards in the world": lambda log: _other_pose(log, OVER, SAME),
+    "z is downwards in the world and the body": lambda log: _other_pose(log, OVER, OVER),
+}
+
+
+@pytest.mark.parametrize("words", MISREAD)
+@pytest.mark.parametrize("placed", [True, False], ids=["with positions", "without"])
+def test_poses_with_which_feet_leave_the_ground_are_refused(model, planted, words, placed):
+    own = planted.floating | MISREAD[words](planted)
+    lost = (CONTACTS[1], *PLACE[: 0 if placed or "mm" in words else 3])
+    bare = {name: values for name, values in planted.floating.items() if name != CONTACTS[1]}
+    read = with_base(replace(planted, floating=bare), model)
     assert any("no contact flags of fr_foot: " in note for note in read.notes)
-    own = log.floating
-    for names, change, words in (
-        (PLACE, lambda *x: [1e3 * each for each in x], "positions are in mm"),
-        (TURN, lambda w, x, y, z: (w, -x, -y, -z), "rotates the world into the body"),
-        (TURN, lambda w, x, y, z: (x, y, z, w), "columns are x, y, z, w"),
+    own = {name: values for name, values in own.items() if name not in lost}
+    with pytest.raises(LogError, match=rf"feet|foot.* if .*{words}\."):
+        with_base(replace(planted, floating=own), model)
+
+
+@pytest.mark.parametrize(
+    ("words", "form", "names", "values"),
+    [
+        ("roll, pitch and yaw in rad, about fixed", "base_{}", ANGLES, lambda R: R.as_euler("xyz")),
+        ("rad, about turned", "odom.euler.{}", "xyz", lambda R: R.as_euler("XYZ")),
+        ("rad, about fixed", "root_{}_deg", ANGLES, lambda R: R.as_euler("xyz", degrees=True)),
+        ("degrees, about fixed", "base_rpy_{}", "012", lambda R: R.as_euler("xyz", degrees=True)),
+        ("row by row", "base_R_{}", MATRIX, lambda R: R.as_matrix().reshape(-1, 9)),
+        (
+            "column by column",
+            "base.rot[{}]",
+            "012345678",
+            lambda R: R.inv().as_matrix().reshape(-1, 9),
+        ),
+        ("read as x, y, z, w", "base_quat_{}", "1234", lambda R: R.as_quat()),
+        ("read as w, x, y, z", "base_quat_{}", "0123", lambda R: R.as_quat(scalar_first=True)),
+    ],
+)
+def test_orientations_in_other_forms_are_read(tmp_path, model, planted, words, form, names, values):
+    log = replace(planted, floating=planted.floating | _other_pose(planted, YAWED, SAME))
+    turn = Rotation.from_quat(np.stack([log.floating[n] for n in TURN], 1), scalar_first=True)
+    columns = {name: x for name, x in log.columns().items() if name not in TURN}
+    columns |= {form.format(n): x for n, x in zip(names, values(turn).T, strict=True)}
+    pandas.DataFrame(columns).to_csv(tmp_path / "log.csv", index=False)
+    read = with_base(
+        read_log(tmp_path / "log.csv", joints=JOINTS, reading=reading_for(model)), model
+    )
+    assert any(words in note for note in read.notes)
+    expected = with_base(log, model)
+    np.testing.assert_allclose(
+        read.select(model.joints).position, expected.select(model.joints).position, atol=1e-9
+    )
+
+
+def test_flags_of_other_feet_and_inverted_ones_are_told(model):
+    log = _on_feet(0.1)
+    own = [log.floating[name] for name in CONTACTS]
+    expected = with_base(log, model).contacts.flags
+    for order, words in (
+        ([1, 0, 2, 3], "fr_foot are of fl_foot"),
+        ([1, 3, 0, 2], "hl_foot are of hr_foot"),
     ):
-        columns = dict(zip(names, change(*(own[name] for name in names)), strict=True))
-        with pytest.raises(LogError, match=f"rises and falls .* if .*{words}"):
-            with_base(replace(log, floating=own | columns), model)
+        columns = dict(zip(CONTACTS, (own[k] for k in order), strict=True))
+        with pytest.raises(LogError, match=f"those of feet that rest in .*{words}"):
+            with_base(replace(log, floating=log.floating | columns), model)
+    for which in (CONTACTS, CONTACTS[2:3]):
+        columns = {name: 1.0 - log.floating[name] for name in which}
+        mended = with_base(replace(log, floating=log.floating | columns), model)
+        assert any("are inverted" in note for note in mended.notes)
+        np.testing.assert_array_equal(mended.contacts.flags, expected)
+
+
+def test_forces_of_other_feet_are_refused(model, maker):
+    log = maker.log(wrenches=True, noise=1.0)
+    columns = {
+        f"{foot}.force.{axis}": log.floating[f"{other}.force.{axis}"]
+        for foot, other in zip(FEET, (FEET[1], FEET[0], *FEET[2:]), strict=True)
+        for axis in "xyz"
+    }
+    with pytest.raises(LogError, match="those of fl_foot are of fr_foot, those of fr_foot are of"):
+        with_base(replace(log, floating=log.floating | columns), model)
+
+
+def test_readings_that_are_held_or_stuck_are_told(model, maker, planted):
+    held = np.arange(len(planted)) // 4 * 4
+    for log, of_use in ((maker.log(wrenches=False), slice(None)), (planted, slice(None, None, 4))):
+        slow = {name: log.floating[name][held] for name in (*PLACE, *TURN)}
+        found = with_base(replace(log, floating=log.floating | slow), model)
+        assert any("every 4 rows" in note for note in found.notes)
+        expected = with_base(log, model).position[of_use]
+        assert np.abs(found.position - expected)[: len(expected) - 4].max() < 1e-4
+    stuck = slice(400, 500)
+    frozen = {name: planted.floating[name].copy() for name in (*PLACE, *TURN)}
+    for values in frozen.values():
+        values[stuck] = values[400]
+    found = with_base(replace(planted, floating=planted.floating | frozen), model)
+    assert any("is stuck" in note for note in found.notes)
+    assert np.isnan(found.position[401:500, -6:]).all()
+
+
+def test_accelerations_in_world_axes_are_refused(model, maker):
+    R = Rotation.from_euler("z", 2.0) * maker.R
+    quaternion, force = R.as_quat(scalar_first=True), R.apply(maker.imu)
+    place = Rotation.from_euler("z", 2.0).apply(maker.place[0].copy())
+    columns = dict(zip([*TURN, *PLACE], [*quaternion.T, *place.T], strict=True))
+    columns |= {f"imu.linear_acceleration.{a}": x for a, x in zip("xyz", force.T, strict=True)}
+    with pytest.raises(LogError, match=r"does not feel .* if accelerations are in the axes of"):
+        with_base(maker.log(wrenches=False, **columns), model)
 
 
 def _posed(maker, rotation, force=None, missing=slice(0, 0)):

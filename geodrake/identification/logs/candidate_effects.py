@@ -18,7 +18,7 @@ from geodrake.logs.filtering import ZeroPhaseFilter
 from geodrake.logs.motion import Trajectory
 from geodrake.logs.smoothing import Segment
 from geodrake.model.carried_payloads import joints_on_ground, joints_with_known_gain
-from geodrake.model.floating_logs import contact_frames
+from geodrake.model.ground_contacts import contact_frames
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]

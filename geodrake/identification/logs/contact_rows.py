@@ -24,7 +24,7 @@ from geodrake.inertia import inertial_parameters
 from geodrake.logs.floating import ContactFlags
 from geodrake.logs.motion import Trajectory
 from geodrake.logs.smoothing import Segment
-from geodrake.model.floating_logs import contact_frames, contact_jacobians, on_soles
+from geodrake.model.ground_contacts import contact_frames, contact_jacobians, on_soles
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]

@@ -1,16 +1,18 @@
 """Names and units of columns of a floating base, its IMU and its contacts.
 
 They are geodrake's own (`geodrake.logs.floating`), ROS's of the fields of Odometry, PoseStamped,
-Imu and WrenchStamped, and such as `base_quat_w`, `imu_gyro_x [deg/s]` or `FL_foot.force.z_kgf`.
+Imu and WrenchStamped, and such as `base_quat_w`, `base_pos_0`, `base_roll_deg`, `base_R_00`,
+`imu_gyro_x [deg/s]` or `FL_foot.force.z_kgf`.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from functools import lru_cache
 
 from geodrake.logs.files.name_rules import Meaning, without_unit
-from geodrake.logs.floating import FLAG
+from geodrake.logs.floating import ANGLES, AXES, FLAG
 
 _FIELDS = {
     "position": "base.position",
@@ -25,12 +27,17 @@ _FIELDS = {
     "force": "force",
     "torque": "torque",
     "moment": "torque",
+    "rpy": "angles",
+    "euler": "angles",
 }
 _SHORT = {
     "pos": "position",
     "quaternion": "orientation",
     "quat": "orientation",
     "rot": "orientation",
+    "rotation_matrix": "orientation",
+    "rotmat": "orientation",
+    "r": "orientation",
     "q": "orientation",
     "lin_vel": "linear_velocity",
     "ang_vel": "angular_velocity",
@@ -43,6 +50,7 @@ _SHORT = {
 }
 _QUANTITIES = {  # of units, by what a column has
     "position": "position",
+    "orientation": "position",
     "velocity": "velocity",
     "acceleration": "acceleration",
     "force": "effort",
@@ -59,6 +67,19 @@ _UNDERSCORED = re.compile(
     rf"(?P<head>.+?)[._](?P<field>{'|'.join([*_FIELDS, *_SHORT])})[._]?(?P<axis>[wxyz])",
     re.IGNORECASE,
 )
+_NUMBERED = re.compile(
+    rf"(?P<head>.+?)[._](?P<field>{'|'.join({*_FIELDS, *_SHORT} - {'q', 'force', 'torque'})})"
+    r"[._\[]*(?P<axis>\d\d?)\]?",
+    re.IGNORECASE,
+)
+_ANGLE = re.compile(
+    r"(?P<head>.+?)[._](?P<field>(?:orientation|rotation|rot|rpy|euler)[._]?)?"
+    r"(?P<axis>roll|pitch|yaw)",
+    re.IGNORECASE,
+)
+_OTHER_FORMS = _UNDERSCORED, _NUMBERED, _ANGLE  # of names with a word for the base or its IMU
+_ANGLES = dict(zip("xyz", ANGLES, strict=True))
+_LINKS = re.compile(r"trunk|torso|pelvis", re.IGNORECASE)  # which may have joints of such names
 _CONTACT = re.compile(r"(?P<frame>.+?)[./](?:in_)?contact(?:_state)?", re.IGNORECASE)
 
 
@@ -81,20 +102,39 @@ def _floating_name(column: str) -> str | None:
     if (found := _CONTACT.fullmatch(column)) is not None:
         return f"{found['frame']}{FLAG}"
     plain = re.sub(r"(?<=\w)/(?=\w)", ".", column.strip("/"))
-    short = _UNDERSCORED.fullmatch(plain) if _IMU.search(plain) or IS_BASE.search(plain) else None
-    found = _VECTOR.fullmatch(plain) or short
-    if found is None:
+    found, is_of_base = _VECTOR.fullmatch(plain), IS_BASE.search(plain)
+    if found is None and (is_of_base or _IMU.search(plain)):
+        found = next(filter(None, (form.fullmatch(plain) for form in _OTHER_FORMS)), None)
+    if found is None or (found["field"] is None and _LINKS.search(plain)):
         return None
     head = re.sub(r"(\.|^)(pose|twist|wrench)$", "", found["head"].strip("."))
-    field, axis = found["field"].lower(), found["axis"].lower()
+    field, axis = (found["field"] or "rpy").lower().strip("._"), found["axis"].lower()
     what = _FIELDS[_SHORT.get(field, field)]
     if what in ("force", "torque"):
         return f"{head}.{what}.{axis}" if head and axis != "w" else None
     if what == "angular_velocity":
         what = f"imu.{what}" if _IMU.search(head) else f"base.{what}"
-    is_its = _IMU.search(head) if what.startswith("imu.") else IS_BASE.search(column)
-    if is_its is None or (axis == "w") > (what == "base.orientation"):
-        return None
-    if what == "base.orientation" and _IMU.search(head):
+    if what == "angles":
+        what, axis = "base.orientation", _ANGLES.get(axis, axis)
+    is_turn = what == "base.orientation"
+    is_its = _IMU.search(head) if what.startswith("imu.") else is_of_base
+    if is_its is None or (axis == "w") > is_turn or (is_turn and _IMU.search(head)):
         return None
     return f"{what}.{axis}"
+
+
+def numbered_axes(names: Iterable[str]) -> dict[str, str]:
+    """Return geodrake's own names for those that end with the number of an axis.
+
+    Three numbers are x, y and z, or roll, pitch and yaw; others count from 0 on.
+    """
+    heads, found = dict[str, list[str]](), dict[str, str]()
+    for name in names:
+        head, _, axis = name.rpartition(".")
+        if axis.isdigit():
+            heads.setdefault(head, []).append(axis)
+    for head, axes in heads.items():
+        own = ANGLES if head.endswith("orientation") else AXES
+        news = own if len(axes) == len(own) else map(str, range(len(axes)))
+        found |= {f"{head}.{a}": f"{head}.{new}" for a, new in zip(sorted(axes), news, strict=True)}
+    return found

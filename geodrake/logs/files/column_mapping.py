@@ -13,7 +13,7 @@ import numpy as np
 
 from geodrake.boundary.arguments import Array
 from geodrake.errors import ArgumentError, LogError, nearest
-from geodrake.logs.files.base_names import floating_meaning
+from geodrake.logs.files.base_names import floating_meaning, numbered_axes
 from geodrake.logs.files.mapping_file import propose
 from geodrake.logs.files.name_rules import (
     DESIRED,
@@ -764,6 +764,8 @@ class Columns:
         for name in names:
             if name not in used and (known := floating_meaning(name)) is not None:
                 self.floating.setdefault(known.quantity, known)
+        axes = numbered_axes(self.floating)
+        self.floating = {axes.get(name, name): source for name, source in self.floating.items()}
         self.notes += unit_words(self.sources, reading)
         known_too = {c for source in of_joints.values() for c in source.columns}
         if ignored := [n for n in names if n and n not in {*self.files, *known_too}]:

@@ -1,0 +1,506 @@
+"""Contacts of a robot with a free base: frames that touch the ground, and forces there.
+
+Wrenches w that were measured at frames are efforts Σ Jᵀ w of the base and of joints. If none was
+measured, the log says which frames may touch the ground and when, and the fit does without their
+forces (`geodrake.identification.logs.contact_rows`).
+
+Forces and flags may be of other frames than their names say, or in other axes, or inverted: the
+weight and where it hangs tell that of forces, feet that rest tell that of flags.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import permutations
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.multibody.plant import MultibodyPlant
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from geodrake.compiling import compiled, contiguous
+from geodrake.effects.body_motion import RobotBodies
+from geodrake.errors import LogError
+from geodrake.inertia import Array
+from geodrake.inertia.bodies import lumped_bodies
+from geodrake.logs.floating import FLAG, FORCE, ContactFlags, frames_of, odd_flags, vectors, widened
+from geodrake.logs.motion import JointLog, Motion
+from geodrake.model.contact_probability import HIGHEST, signs_of, smooth_rates, touching_probability
+from geodrake.model.robot_model import RobotModel
+from geodrake.robot.joints import joints_of
+from geodrake.robot.shapes import collision_balls
+
+_POINTS = 3  # feet that a robot can stand on if they are points
+_NEAR = 0.02  # m over the ground, within which a frame may touch it
+_LOWEST = 5.0  # per cent of the lowest heights, which are taken for the ground's
+_DOUBT = 0.01  # probability of a contact, or of none, from which it counts
+_ODD = 0.01  # of contact flags, that most of those around them contradict
+_UNLIKE = 0.2  # of the weight, by which forces at feet may differ from it
+_NOTHING, _HALF = 0.02, 0.5  # of the samples in which feet touch
+_LESS = 0.35  # of the weight, by which what feet carry may be off
+_HELD = (
+    "If the robot is held or fixed to the world, omit --floating; otherwise log contacts or forces "
+    "of everything that touches it."
+)
+_OFTEN = 0.05  # of the samples, in which a foot must be low
+_FEW = 5000  # samples whose forces are compared with the weight
+_FEW_POSES = 200
+_MISPLACED = 0.015  # of the weight, by which forces of other feet may seem to be off
+_TOGETHER = 32  # samples whose mean is looked at, without noise
+_FITS = 0.15  # of the weight, by which forces that are read rightly are off at most
+_ALIKE = 1.5  # times as far off as the best reading is a simpler one
+_FEW_FRAMES = 6  # of which all orders are tried
+_CLEARLY, _MOSTLY = 0.3, 0.8  # of the samples, by which and in which flags agree with feet
+_RIGHT = np.radians(3.0)  # by which a rotation by right angles may be off
+
+
+@dataclass(frozen=True)
+class ContactFrame:
+    """A link that may touch the ground, by a ball or a point."""
+
+    name: str
+    body: str  # name of the body that the link L is welded to
+    origin: Array  # (3,) p_BoLo_B, m
+    rotation: Array  # (3, 3) R_BL
+    center: Array  # (3,) p_BoCo_B of the center of the ball, m
+    radius: float  # radius of the ball, m
+
+    def middle(self, bodies: RobotBodies) -> Array:
+        """Return where the center of the ball is (N, 3), in W, m."""
+        motion = bodies.motion(self.body)
+        return motion.position + motion.rotation @ self.center
+
+    def height(self, bodies: RobotBodies) -> Array:
+        """Return heights (N,) of the lowest point of the ball over the world's origin, m."""
+        return self.middle(bodies) @ upwards(bodies.gravity) - self.radius
+
+
+def contact_jacobians(
+    frames: Sequence[ContactFrame], bodies: RobotBodies, *, soles: bool = False
+) -> Array:
+    """Return Jacobians (N, c, 3, nv), in W, of the lowest points of frames' balls.
+
+    Of soles, which moments act on too, they have the links' turning below, (N, c, 6, nv).
+    """
+    count, axes = len(bodies.q), 6 if soles else 3
+    found = np.zeros((count, len(frames), axes, bodies.tree.num_velocities))
+    for k, frame in enumerate(frames):
+        motion = bodies.motion(frame.body)
+        arm = motion.rotation @ frame.center - frame.radius * upwards(bodies.gravity)
+        own, dofs = (contiguous(motion.angular), contiguous(motion.linear)), np.array(motion.dofs)
+        _put_point_jacobian(own, arm, dofs, found, k)
+    return found
+
+
+@compiled
+def _put_point_jacobian(
+    own: tuple[Array, Array], arm: Array, dofs: NDArray[np.intp], out: Array, k: int
+) -> None:
+    """Write the k-th Jacobian of all, of points that are at (N, 3) from a body's origin, in W.
+
+    Those of the body's turning and of its origin are its `own` (N, 3, nv). Columns of velocities
+    other than `dofs`, which move it, stay.
+    """
+    angular, linear = own
+    for n in range(len(arm)):
+        x, y, z = arm[n, 0], arm[n, 1], arm[n, 2]
+        for i in dofs:
+            wx, wy, wz = angular[n, 0, i], angular[n, 1, i], angular[n, 2, i]
+            out[n, k, 0, i] = linear[n, 0, i] + wy * z - wz * y
+            out[n, k, 1, i] = linear[n, 1, i] + wz * x - wx * z
+            out[n, k, 2, i] = linear[n, 2, i] + wx * y - wy * x
+            if out.shape[2] > 3:
+                out[n, k, 3, i], out[n, k, 4, i], out[n, k, 5, i] = wx, wy, wz
+
+
+def upwards(gravity: Array) -> Array:
+    """Return the unit vector (3,) against gravity, in W."""
+    return -gravity / max(float(np.linalg.norm(gravity)), 1e-12)
+
+
+_BALLS = WeakKeyDictionary[MultibodyPlant, Mapping[str, tuple[Array, float]]]()
+"""Collision spheres of links that were read before."""
+
+
+def contact_frames(model: RobotModel, names: Sequence[str]) -> tuple[ContactFrame, ...]:
+    """Return links by name, with the collision spheres that the model's file gives them."""
+    links = {
+        member.name: (lump.name, member)
+        for lump in lumped_bodies(model.plant)
+        for member in lump.members
+    }
+    if model.plant not in _BALLS:
+        is_file = model.path.is_file()
+        _BALLS[model.plant] = collision_balls(model.path, model.given) if is_file else {}
+    balls, found = _BALLS[model.plant], []
+    for name in names:
+        if name not in links:
+            raise LogError(
+                f"The log has a contact or a force at link {name!r}, which the model lacks.",
+                advice=f"Links are {', '.join(links)}.",
+            )
+        body, link = links[name]
+        center, radius = balls.get(link.scoped_name, (np.zeros(3), 0.0))
+        X_BL = link.X_RB
+        frame = X_BL.translation(), X_BL.rotation().matrix(), X_BL.multiply(center), radius
+        found.append(ContactFrame(name, body, *frame))
+    return tuple(found)
+
+
+def with_ground(log: JointLog, model: RobotModel) -> JointLog:
+    """Return a log with the efforts of measured wrenches, or with the frames that may touch."""
+    heads = dict.fromkeys(name[:-2] for name in log.floating if name[-2] == ".")
+    lost = [each for each in heads if vectors(log.floating, each) is None]
+    if lost := [each for each in lost if not each.endswith("orientation")]:
+        words = f"{', '.join(lost)}: not used, as an axis is missing"
+        log = replace(log, notes=(*log.notes, words))
+    is_whole, loaded = set(model.joints) <= set(log.joints), frames_of(log.floating, FORCE)
+    if loaded and is_whole:
+        return _with_wrenches(log, model, loaded)
+    if set(model.joints) <= {*log.unmeasured, *model.base_joints}:
+        raise LogError(
+            f"Log {log.name!r} has neither efforts of joints nor forces at feet: nothing says how "
+            "heavy the robot is.",
+            advice="Log <joint>.effort …, or <frame>.force.x, .y and .z at each foot.",
+        )
+    return _with_contacts(log, model, frames_of(log.floating, FLAG), is_whole=is_whole)
+
+
+def _bodies(
+    log: JointLog, model: RobotModel, *, most: int = 0
+) -> tuple[NDArray[np.bool_], RobotBodies]:
+    """Return in which rows (N,) all positions are known, at most so many, and the bodies there."""
+    q = log.position[:, [log.joints.index(joint) for joint in model.joints]]
+    known = np.asarray(np.isfinite(q).all(axis=1))
+    if most and (rows := np.flatnonzero(known)).size > most:
+        known = np.isin(np.arange(len(log)), rows[:: len(rows) // most])
+    return known, RobotBodies(model.tree, model.positions(q[known]), model.total_phi)
+
+
+def _low_links(log: JointLog, model: RobotModel, told: Sequence[str]) -> tuple[str, ...]:
+    """Return ends of limbs that come near the ground, other than the frames in the log."""
+    known, bodies = _bodies(log, model, most=_FEW_POSES)
+    if vectors(log.floating, "base.position") is None or not known.any():
+        return ()
+    named = contact_frames(model, told)
+    others = {frame.body for frame in named}
+    frames = [f for f in contact_frames(model, last_links(model)) if f.body not in others]
+    ground = np.percentile(np.min([f.height(bodies) for f in named], axis=0), _LOWEST)
+    return tuple(f.name for f in frames if np.mean(f.height(bodies) < ground + _NEAR) > _OFTEN)
+
+
+# Contacts.
+
+
+def _with_contacts(
+    log: JointLog, model: RobotModel, flagged: Sequence[str], *, is_whole: bool
+) -> JointLog:
+    """Return a log with the frames that may touch the ground, and notes."""
+    low = _low_links(log, model, flagged) if flagged and is_whole else ()
+    names = (*flagged, *low) or last_links(model)
+    frames, logged = contact_frames(model, names), _flags(log, names)
+    flags, doubts = np.zeros_like(logged), list[str]()
+    heights, touching = np.full((2, *flags.shape), np.nan)
+    if is_whole and vectors(log.floating, "base.position") is not None:
+        heights, touching = _touching(log, model, frames, by_efforts=not flagged)
+        flags |= ~(heights >= _NEAR)
+    elif not flagged:
+        flags[:] = True
+    if flagged:
+        count = len(flagged)
+        logged[:, :count], more = _settled(log, flagged, logged[:, :count], touching[:, :count])
+        doubts += [*more, *_check_held(log, logged.astype(float))]
+        if low:
+            doubts.append(
+                f"no contact flags of {', '.join(low)}: they count as touching near the ground"
+            )
+        odd = zip(names, odd_flags(log.time, logged).tolist(), strict=True)
+        if said := [f"{x:.0%} of those of {name}" for name, x in odd if x > _ODD]:
+            doubts.append(
+                f"contact flags are wrong for single samples: {', '.join(said)}; near each of "
+                "them the frame counts as touching"
+            )
+        flags |= widened(log.time, logged)
+    elif np.isfinite(touching).any():
+        found = widened(log.time, np.nan_to_num(touching) > _DOUBT)
+        doubtful = ((found | flags) & ~(touching >= 1.0 - _DOUBT)).any(axis=1).mean()
+        flags |= found
+        whole = np.isfinite(touching).all(axis=1)
+        doubts += _check_held(log, touching[whole])
+        shares = zip(names, (touching > 0.5).mean(axis=0).tolist(), strict=True)
+        told = [f"{name} in {x:.0%}" for name, x in shares if x > _DOUBT]
+        doubts.append(
+            f"contacts by heights, speeds and efforts: {', '.join(told) or 'none'} of the "
+            f"samples; in {doubtful:.0%} of them one is in doubt, and its limb left out"
+        )
+    contacts = ContactFlags(tuple(names), log.time, flags)
+    what = "forces and moments" if on_soles(contacts, frames) else "forces"
+    whence = "from the log" if flagged else "at the ends of the limbs"
+    words = f"unknown {what} at {', '.join(names)} ({whence}) are eliminated"
+    return replace(log, contacts=contacts, notes=(*log.notes, *doubts, words))
+
+
+def _flags(log: JointLog, names: Sequence[str]) -> NDArray[np.bool_]:
+    """Return whether frames touch (N, c) by the log, or may touch as a cell is empty."""
+    none = np.zeros(len(log))
+    columns = [log.floating.get(f"{name}{FLAG}", none) for name in names]
+    for name, values in zip(names, columns, strict=True):
+        if (most := float(np.nanmax(values, initial=0.0))) > 1.0:
+            raise LogError(
+                f"The contact of {name} in log {log.name!r} goes up to {most:.4g}, but it is "
+                "1 while the link touches the ground and 0 in the air.",
+                advice=f"Name per cent '{name}.contact [%]', and forces {name}.force.x to .z.",
+            )
+    return np.asarray(np.nan_to_num(np.stack(columns, -1), nan=1.0) > 0.5)
+
+
+def on_soles(contacts: ContactFlags, frames: Sequence[ContactFrame]) -> bool:
+    """Return whether frames are soles, as robots cannot stand on the points of two feet."""
+    most = int(contacts.flags.sum(axis=1).max(initial=0))
+    return most < _POINTS and not any(frame.radius for frame in frames)
+
+
+def _touching(
+    log: JointLog, model: RobotModel, frames: Sequence[ContactFrame], *, by_efforts: bool
+) -> tuple[Array, Array]:
+    """Return heights of frames over level ground (N, c), m, and how probably they touch it.
+
+    Both are NaN where positions are unknown. What is in doubt counts as touching, which holds for
+    frames in the air as well: limbs without rows are all that it costs.
+    """
+    known, bodies = _bodies(log, model)
+    heights, probability = np.full((2, len(log), len(frames)), np.nan)
+    if not known.any():
+        return heights, probability
+    own = np.stack([frame.height(bodies) for frame in frames], -1)
+    heights[known] = own - np.percentile(own.min(axis=1), _LOWEST)
+    near = np.flatnonzero((heights[known] < HIGHEST).any(axis=0)).tolist()
+    may_be_soles = sum(frames[k].radius == 0.0 for k in near) < _POINTS
+    jacobians = contact_jacobians([frames[k] for k in near], bodies, soles=may_be_soles)
+    signs = signs_of(log, model, jacobians, heights[known][:, near], known, by_efforts=by_efforts)
+    probability[:] = 0.0
+    probability[:, near] = touching_probability(signs)
+    return heights, probability
+
+
+def _settled(
+    log: JointLog, names: Sequence[str], flags: NDArray[np.bool_], touching: Array
+) -> tuple[NDArray[np.bool_], list[str]]:
+    """Return flags (N, c) that are not inverted, and notes; raise for those of other frames.
+
+    Args:
+        touching: (N, c) how probably frames touch by their heights and speeds.
+    """
+    known = np.isfinite(touching).all(axis=1)
+    if not known.any():
+        return flags, []
+    own, seen = flags[known].astype(float), touching[known]
+    alike = (own.T @ seen + (1.0 - own).T @ (1.0 - seen)) / len(own)
+    given, inverted = float(np.trace(alike)), np.diagonal(alike) < 0.5 - _CLEARLY
+    inverted &= np.abs(own.mean(axis=0) - 0.5) < 0.5 - _OFTEN  # of those that change
+    orders = [list(order) for order in _orders(len(names))]
+    sums = [float(alike[range(len(names)), order].sum()) for order in orders]
+    best, count = int(np.argmax(sums)), len(names)
+    mended = float(np.maximum(np.diagonal(alike), 1.0 - np.diagonal(alike)).sum())
+    if max(sums) > max(mended, given + _CLEARLY) and max(sums) > _MOSTLY * count:
+        raise LogError(
+            f"Contact flags in log {log.name!r} are those of feet that rest in {given / count:.0%} "
+            f"of the samples, but in {max(sums) / count:.0%} {_order_words(names, orders[best])}.",
+            advice="Name each column after the link that it is of.",
+        )
+    if not inverted.any() or mended < _MOSTLY * count:
+        return flags, []
+    said = ", ".join(name for name, odd in zip(names, inverted, strict=True) if odd)
+    words = f"contact flags of {said} are inverted, 1 while it moves and 0 while it rests: mended"
+    return flags ^ inverted, [words]
+
+
+def _check_held(log: JointLog, probability: Array) -> tuple[str, ...]:
+    """Return a note if frames (N, c) hardly ever touch; raise if next to nothing ever does."""
+    share = float((1.0 - probability).prod(axis=1).mean())
+    words = f"nothing touches the ground in {share:.0%} of the samples"
+    if share > 1.0 - _NOTHING:
+        raise LogError(f"In log {log.name!r} {words}, but a robot in the air falls.", advice=_HELD)
+    return (words,) if share > _HALF else ()
+
+
+# Measured wrenches.
+
+
+def _with_wrenches(log: JointLog, model: RobotModel, names: Sequence[str]) -> JointLog:
+    """Return a log with Σ Jᵀ w of wrenches at links in its efforts, NaN if unknown, and notes."""
+    known, bodies = _bodies(log, model)
+    frames, is_base = contact_frames(model, names), np.isin(model.joints, model.base_joints)
+    rates = smooth_rates(log, model) or np.zeros((2, len(log), len(model.joints)))
+    v, vd = (each[known] for each in rates)
+    few = np.flatnonzero(np.isfinite(v + vd).all(axis=1))
+    few, count = few[:: max(1, len(few) // _FEW)], len(frames)
+    J = np.zeros((len(few), count, 6, np.count_nonzero(is_base)))
+    wrenches, turns = np.zeros((len(J), count, 2, 3)), np.zeros((len(J), count, 3, 3))
+    efforts = np.zeros((np.count_nonzero(known), len(model.joints)))
+    bare, notes = list[str](), list[str]()  # soles without moments
+    for k, frame in enumerate(frames):
+        force, torque = (vectors(log.floating, f"{frame.name}.{w}") for w in ("force", "torque"))
+        if force is None:
+            raise LogError(
+                f"Log {log.name!r} lacks some of {frame.name}.force.x, .y and .z.",
+                advice="Log all three, in the axes of the link.",
+            )
+        axes = zip("xyz", force.T, strict=True)
+        if flat := [f"{frame.name}.force.{axis}" for axis, x in axes if not x.any()]:
+            notes.append(f"{', '.join(flat)}: zero throughout, as of sensors without that axis")
+        bare += [frame.name] * (torque is None and count < _POINTS and not frame.radius)
+        torque = np.zeros_like(force) if torque is None else torque
+        motion = bodies.motion(frame.body)
+        R_WL = motion.rotation @ frame.rotation
+        wrench = np.stack([force[known], torque[known]], 1)  # (K, 2, 3)
+        own = np.concatenate([motion.jacobian_at(frame.origin), motion.angular], axis=1)
+        efforts += np.einsum("nij,ni->nj", own, (wrench @ np.swapaxes(R_WL, 1, 2)).reshape(-1, 6))
+        J[:, k], wrenches[:, k], turns[:, k] = own[few][:, :, is_base], wrench[few], R_WL[few]
+    if bare:
+        notes.append(f"no moments at {', '.join(bare)}: taken as zero, although soles carry them")
+    needed = model.effort(Motion(bodies.q[few], v[few], vd[few]))[:, is_base]
+    notes += _check_wrenches(log, model, names, (J, wrenches, turns, needed))
+    if low := _low_links(log, model, names):
+        notes.append(f"no forces at {', '.join(low)}, near the ground: what they carry is missing")
+    notes.append(
+        f"wrenches at {', '.join(names)} are included in the efforts of the base and the joints"
+    )
+    ground, whole = np.zeros(log.effort.shape), np.full((len(log), len(model.joints)), np.nan)
+    whole[known] = efforts
+    ground[:, [log.joints.index(joint) for joint in model.joints]] = whole
+    of_base = np.isin(log.joints, model.base_joints)  # where it is all that is measured
+    return replace(
+        log,
+        effort=log.effort + ground,
+        ground=np.where(of_base, 0.0, ground),
+        notes=(*log.notes, *notes),
+    )
+
+
+def _check_wrenches(
+    log: JointLog,
+    model: RobotModel,
+    names: Sequence[str],
+    seen: tuple[Array, Array, Array, Array],
+) -> tuple[str, ...]:
+    """Raise for wrenches that carry the robot if they are read otherwise, but not as they are.
+
+    Forces that carry nothing are refused, too. A note reports those that carry much less or more
+    than the robot.
+
+    Args:
+        seen: Jacobians (S, F, 6, 6) for the base of F links in some samples, their wrenches
+            (S, F, 2, 3), R_WL (S, F, 3, 3), and what moves the base (S, 6).
+    """
+    whole = np.isfinite(seen[1]).all(axis=(1, 2, 3))
+    J, wrenches, turns, needed = (each[whole] for each in seen)
+    size = float(model.total_phi[:, 0].sum() * np.linalg.norm(model.tree.gravity))
+    if not len(J) or not size:
+        return ()
+    arm = np.sqrt(np.square(J[:, :, :3, 3:]).mean())
+    scales = size * np.array([1.0, 1.0, 1.0, arm, arm, arm])
+    starts = np.arange(0, len(J), _TOGETHER)
+
+    def means(efforts: Array) -> Array:
+        sums = np.add.reduceat(efforts, starts, axis=0)
+        return np.asarray(sums / np.diff(np.append(starts, len(J)))[:, None])
+
+    def carried(turns: Array, wrenches: Array, J: Array = J) -> Array:
+        """Return mean efforts (B, 6) of wrenches in axes of W that are turned so."""
+        in_world = np.einsum("sfij,sfaj->sfai", turns, wrenches).reshape(*J.shape[:2], 6)
+        return means(np.einsum("sfij,sfi->sj", J, in_world))
+
+    def off(efforts: Array) -> float:
+        return float(np.median(np.linalg.norm((efforts - means(needed)) / scales, axis=1)))
+
+    count, against = len(names), "as forces of the robot on the ground"
+    of_each = [  # of the wrench in the columns of the first link, at the second one
+        [carried(turns[:, [k]], wrenches[:, [i]], J[:, [k]]) for k in range(count)]
+        for i in range(count)
+    ]
+    orders = {
+        _order_words(names, order): np.sum([of_each[i][k] for i, k in enumerate(order)], axis=0)
+        for order in _orders(count)
+    }
+    in_links, in_world = orders.pop(""), carried(0 * turns + np.eye(3), wrenches)
+    upwards_all = needed[:, :3].mean(axis=0)
+    fitted = _fitted_axes(wrenches[:, :, 0], turns, upwards_all)
+    others = {
+        "in world axes": in_world,
+        f"in link axes {against}": -in_links,
+        f"in world axes {against}": -in_world,
+        **orders,
+        f"if {axes_words(fitted, 'the links')}": carried(turns @ fitted.as_matrix(), wrenches),
+    }
+    own = off(in_links)
+    offs = {words: off(efforts) for words, efforts in others.items()}
+    best = next(words for words in offs if offs[words] <= _ALIKE * min(offs.values()))
+    least = offs[best]
+    wrong = _MISPLACED if best in orders else _UNLIKE
+    if own > wrong and least < min(_FITS, 0.5 * own):
+        raise LogError(
+            f"Forces at the feet in log {log.name!r} are {own:.0%} of the weight off what "
+            f"carries the robot in link axes, and {least:.0%} {best}.",
+            advice="Write forces of the ground on the robot, in the axes of the link after "
+            "which they are named.",
+        )
+    words = f"forces at the feet are {own:.0%} of the weight off what carries the robot"
+    doubts = (words,) if own > _UNLIKE else ()
+    share = float(in_links[:, :3].mean(axis=0) @ upwards_all) / size**2
+    words = f"forces at the feet carry {round(100.0 * share)}% of the weight on average"
+    if abs(share) < _NOTHING:
+        raise LogError(f"In log {log.name!r} {words}, but a robot in the air falls.", advice=_HELD)
+    return (words,) if abs(share - 1.0) > _LESS else doubts
+
+
+def _fitted_axes(forces: Array, turns: Array, weight: Array) -> Rotation:
+    """Return the rotation of all links' axes with which forces (S, F, 3) carry a weight best."""
+    rows = np.einsum("sfij,sfl->sijl", turns, forces).reshape(-1, 9)
+    R = np.linalg.qr(np.column_stack([rows, np.tile(weight, len(forces))]), mode="r")
+
+    def misses(turn: Rotation) -> Array:
+        return np.asarray(R @ np.append(turn.as_matrix(), -1.0))
+
+    right = Rotation.create_group("O")
+    nearest = right[int(np.argmin([np.linalg.norm(misses(way)) for way in right]))]
+    fit = least_squares(lambda x: misses(Rotation.from_rotvec(x) * nearest), np.zeros(3))
+    return Rotation.from_rotvec(fit.x) * nearest
+
+
+def _orders(count: int) -> Iterator[tuple[int, ...]]:
+    """Yield all orders of so many frames; only the own one of many."""
+    yield from permutations(range(count)) if count <= _FEW_FRAMES else [tuple(range(count))]
+
+
+def _order_words(names: Sequence[str], order: Sequence[int]) -> str:
+    """Return of which frames columns would be in another order, in words."""
+    moved = [(names[k], names[at]) for k, at in enumerate(order) if k != at]
+    said = [f"those of {name} are of {other}" for name, other in moved]
+    return f"if {', '.join(said)}" if said else ""
+
+
+def last_links(model: RobotModel) -> tuple[str, ...]:
+    """Return the last links of limbs, where a robot may touch the ground."""
+    plant, lumps = model.plant, lumped_bodies(model.plant)
+    joints = joints_of(plant)
+    inner = {int(joint.parent_body().index()) for joint in joints}
+    moving = {int(j.parent_body().index()) for j in joints if j.num_velocities()}
+    last = [lump for lump in lumps[1:] if not moving & {int(m.index) for m in lump.members}]
+    ends = [member for lump in last for member in lump.members if int(member.index) not in inner]
+    return tuple(member.name for member in ends)
+
+
+def axes_words(turn: Rotation, what: str) -> str:
+    """Return how axes are those of the log turned, in words."""
+    right = Rotation.create_group("O")
+    off = (right.inv() * turn).magnitude()
+    if off.min() < _RIGHT:
+        signs = right[int(off.argmin())].as_matrix().round().astype(int).tolist()
+        named = [f"{'-' * (-1 in row)}{'xyz'[[*map(abs, row)].index(1)]}" for row in signs]
+        return f"x, y, z of {what} are, for example, {', '.join(named)} of the log"
+    angles = ", ".join(f"{x:.0f}°" for x in turn.as_euler("ZYX", degrees=True))
+    return f"axes of {what} are those of the log turned by {angles} (yaw, pitch, roll)"
