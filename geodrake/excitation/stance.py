@@ -254,7 +254,7 @@ class Stance(Short):
             found[0], found[1] = np.fmax(found[0], low), np.fmin(found[1], high)
             random = np.random.default_rng(0)
             q = random.uniform(found[0], found[1], (_RANDOM, len(joints)))
-            G = np.abs(self.coordinates.jacobian(q).max(axis=0))[:, base]
+            G = np.abs(self.coordinates.jacobian(q)).max(axis=0)[:, base]
             with np.errstate(divide="ignore"):
                 for values, limit in zip(found[2:4], sides[2:4], strict=True):
                     values[base] = (limit[:, None] / G).min(axis=0)

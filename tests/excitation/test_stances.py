@@ -480,6 +480,17 @@ def test_legs_with_closed_loops_stand(tmp_path):
     assert np.ptp(places, axis=0).max() < 1e-9 < np.ptp(theta, axis=0).min()
 
 
+def test_motors_keep_their_speed_where_the_base_moves_along_one_axis():
+    stance = standing(*FEET)
+    limits, motors, h = stance.limits(), stance.motor_limits.velocity, 1e-6
+    q = np.random.default_rng(1).uniform(limits.lower, limits.upper, (100, len(limits.joints)))
+    for axis in np.flatnonzero(np.isin(limits.joints, stance.robot.base_joints)).tolist():
+        step = h * np.eye(len(limits.joints))[axis]
+        ahead, behind = (stance.coordinates.joint_positions(q + s * step) for s in (1, -1))
+        speeds = np.abs(ahead - behind) / (2.0 * h) * limits.velocity[axis]
+        assert (speeds / motors).max() < 1.1, limits.joints[axis]
+
+
 def test_legs_that_follow_tables_cannot_stand():
     drive = PositionTable(
         actuator="m", joint="l_leg_kny", actuator_positions=[-9, 0, 9], joint_positions=[-3, 0, 3]
