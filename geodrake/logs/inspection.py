@@ -96,8 +96,7 @@ def inspect_log(
     missing = [joint for joint in joints or () if joint not in (*log.joints, *log.standing)]
     notes += [f"the model's {', '.join(missing)} have no measurements"] if missing else []
     time = columns.sources.get("time")
-    hints = [position_unit_hint(log), effort_sign_hint(log), unused]
-    first = tuple(filter(None, hints))
+    first = tuple(filter(None, (position_unit_hint(log), effort_sign_hint(log), unused)))
     return LogInspection(
         log,
         time.column if time else "",

@@ -30,9 +30,6 @@ class KnownPayload:
             the link's frame, m.
         inertia: Rotational inertia about its centre of mass, in the axes of the link's frame,
             kg·m²; by default that of a point mass.
-
-    Raises:
-        ArgumentError: The mass is not positive, or a value is beyond all reason.
     """
 
     body: str

@@ -94,10 +94,6 @@ class JointLog(Short):
         contacts: Where a free base may be in contact, unless its wrenches were measured.
         motors: Joint -> its motor, whose data sheet says what gains of signals to expect.
         left_out: Joints of the file that are left out, as the model lacks them.
-
-    Raises:
-        ArgumentError: If the shapes do not fit together, or a joint is named twice.
-        LogError: If time runs backwards, repeats or stands still.
     """
 
     name: str

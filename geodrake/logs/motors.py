@@ -69,11 +69,6 @@ def motor_of_robot(name: str) -> Motor | None:
     return next((m for m in motors if any(word in plain for word in m.robots)), None)
 
 
-@cache
-def _motors_of(path: Path) -> Mapping[str, Motor]:
-    return _read(path)
-
-
 def _read(path: Path) -> dict[str, Motor]:
     content = yaml_content(path, "table of motors", ArgumentError, advice=_FORM)
     try:
@@ -89,6 +84,9 @@ def _read(path: Path) -> dict[str, Motor]:
                     advice=_FORM,
                 )
     return {name: msgspec.structs.replace(motor, name=name) for name, motor in read.items()}
+
+
+_motors_of = cache(_read)
 
 
 def _plain(name: str) -> str:

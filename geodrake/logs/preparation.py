@@ -62,10 +62,6 @@ def prepare_logs(
         motion_bandwidth: Bandwidth of the smoothed motion, Hz; by default three times the other. It
             is at most half the sampling rate, and a quarter where the ground pushes.
         how: Where a given bandwidth comes from, for the notes.
-
-    Raises:
-        ArgumentError: If there is no log, joints differ, or the bandwidth does not fit.
-        LogError: If a log is still throughout, or too short for the bandwidth.
     """
     if not logs:
         raise ArgumentError("There are no logs.", advice="Use at least one.")

@@ -107,7 +107,8 @@ def understand(
         return log_of(table, joints, reading, partial=partial)
     except UnicodeDecodeError as error:
         raise LogError(
-            f"Log {str(path)!r} is not UTF-8 text: {error.reason} at byte {error.start}.",
+            f"Log {str(path)!r} is not {error.encoding.upper()} text: {error.reason} at byte "
+            f"{error.start}.",
             advice="Save it as CSV in UTF-8, or as .npz.",
         ) from error
     except (OSError, MemoryError) as error:

@@ -187,16 +187,12 @@ def _of_rows(path: Path, content: Any) -> Any:
 def _under_names(path: Path, names: Sequence[Any], rows: Sequence[Any]) -> list[dict[str, Any]]:
     """Return rows of values as records, by the names of their columns."""
     for k, row in enumerate(rows, 1):
-        if not isinstance(row, list):
+        if not isinstance(row, list) or len(row) != len(names):
+            has = f"is {str(row)[:_SHOWN]!r}, not a list"
+            has = f"has {len(row)} values" if isinstance(row, list) else has
             raise LogError(
-                f"Row {k} of log {str(path)!r} is {str(row)[:_SHOWN]!r}, not a list of values.",
-                advice="Write a list of as many values as there are names of columns.",
-            )
-        if len(row) != len(names):
-            raise LogError(
-                f"Row {k} of log {str(path)!r} has {len(row)} values, but there are {len(names)} "
-                "names of columns.",
-                advice="Is the recording truncated? Remove or repair that row.",
+                f"Row {k} of log {str(path)!r} {has}, but there are {len(names)} names of columns.",
+                advice="Write a list of as many values. Is the recording truncated?",
             )
     called = [".".join(map(str, n)) if isinstance(n, list) else str(n) for n in names]
     return [dict(zip(called, row, strict=True)) for row in rows]

@@ -171,23 +171,21 @@ def candidates(
         others[joint] = (*(m.column for m in efforts[1:]), *(m.column for m in commands))
         if commands and said == "command":
             best.pop((joint, "effort"), None)
-        if not commands or (best.get((joint, "effort")) and not any(map(_is_own, commands))):
+        is_own = any(meaning.style[0] == "own" for meaning in commands)
+        if not commands or (best.get((joint, "effort")) and not is_own):
             continue
         best[joint, "command"] = commands
         kept = [m for m in positions if m not in commands]
         if kept:
             best[joint, "position"] = kept
-    for same in best.values():
-        joint = found[same[0].column] if same else ""
-        same.sort(key=lambda meaning: _preference(meaning, joint, reading.kind_of(joint)))
     best = {key: same for key, same in best.items() if same}
+    for (joint, _), same in best.items():
+        same.sort(key=lambda m: _preference(m, joint, reading.kind_of(joint)))
     limits = dict.fromkeys(("position", "velocity", "acceleration"), MOTOR)
     doubtful = {key for key, (m, *_) in best.items() if m.role >= limits.get(key[1], DESIRED)}
-    few = Counter(q for _, q in doubtful)
-    several = Counter(q for _, q in best)
-    asked = {
-        (j, q) for j, q in doubtful if 2 * few[q] < several[q] and best[j, q][0].number is not None
-    }
+    few, several = (Counter(what for _, what in each) for each in (doubtful, best))
+    numbered = {key for key in doubtful if best[key][0].number is not None}
+    asked = {key for key in numbered if 2 * few[key[1]] < several[key[1]]}
     return {key: same for key, same in best.items() if key not in asked}, others
 
 
@@ -221,10 +219,6 @@ def _other_words(meaning: Meaning, joint: str) -> frozenset[str]:
     return frozenset(words) - plain_words(joint)
 
 
-def _is_own(meaning: Meaning) -> bool:
-    return meaning.style[0] == "own"
-
-
 def _preference(meaning: Meaning, joint: str, said: str | None) -> tuple[bool | int, ...]:
     """Return the sort key of several columns of one quantity of a joint, best first.
 
@@ -233,7 +227,7 @@ def _preference(meaning: Meaning, joint: str, said: str | None) -> tuple[bool | 
     """
     kept = max((_KEPT[word] for word in plain_words(meaning.column) if word in _KEPT), default=0)
     more = len(_other_words(meaning, joint)), len(plain_words(meaning.column))
-    own, rest = not _is_own(meaning), (meaning.role, kept, *more)
+    own, rest = meaning.style[0] != "own", (meaning.role, kept, *more)
     if meaning.log_quantity != "effort":
         return own, *rest
     other = said is not None and said != meaning.quantity
@@ -704,9 +698,8 @@ class Columns:
         if len(silent) == len(moved):
             told = {} if moved or efforts else table.first_words
             words = [f"; {n!r} holds {cell[:_LONGEST_WORD]!r}" for n, cell in told.items()]
-            advice = f"{HEADER_ADVICE} {SIGNAL_ADVICE} {_MAPPING_ADVICE}"
-            if words:
-                advice = _WORDS_ADVICE + advice
+            advice = _WORDS_ADVICE if words else ""
+            advice += f"{HEADER_ADVICE} {SIGNAL_ADVICE} {_MAPPING_ADVICE}"
             if self.reading.mapping is not None:
                 advice = f"Fill in {self.reading.mapping.source}."
             raise LogError(

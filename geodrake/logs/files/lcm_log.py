@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import struct
-from collections.abc import Mapping
 from dataclasses import replace
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
@@ -39,7 +38,7 @@ def read_lcm(path: Path, reading: Reading) -> LogTable:
                 advice="Record it with lcm-logger.",
             )
         with mmap(file.fileno(), 0, access=ACCESS_READ) as log:
-            topics = _topics(log, _types())
+            topics = _topics(log)
     chosen = chosen_topics(path, topics, reading)
     table = topics_table(path, chosen, topics, reading)
     turned = dict.fromkeys(topic.kind for topic in chosen if topic.kind in _NEGATIVE)
@@ -47,15 +46,10 @@ def read_lcm(path: Path, reading: Reading) -> LogTable:
     return replace(table, notes=(*table.notes, *notes))
 
 
-def _types() -> Mapping[bytes, type]:
-    """Return types of messages about joints, by their fingerprints."""
-    drake = importlib.import_module("drake")
-    found = [getattr(drake, name) for name in LCM_TYPES]
-    return {kind._get_packed_fingerprint(): kind for kind in found}
-
-
-def _topics(log: mmap, types: Mapping[bytes, type]) -> list[JointMessages]:
+def _topics(log: mmap) -> list[JointMessages]:
     """Return all channels with the content of their messages; one cut off at the end is left."""
+    kinds = [getattr(importlib.import_module("drake"), name) for name in LCM_TYPES]
+    types = {kind._get_packed_fingerprint(): kind for kind in kinds}
     topics: dict[str, JointMessages] = {}
     at = 0
     while 0 <= at <= len(log) - _EVENT.size:

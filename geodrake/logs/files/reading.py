@@ -115,9 +115,6 @@ class Reading:
         joints: Those of the model; parts of a log without any of them are not used.
         limits: Joint -> its least and its largest position by the model, rad or m.
         of_base: Whether a recording is read for what it has of a free base and its feet.
-
-    Raises:
-        ArgumentError: A rate, gain or deviation is no such number, or a unit or kind is not known.
     """
 
     mapping: ColumnMapping | None = None

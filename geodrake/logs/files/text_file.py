@@ -589,13 +589,7 @@ def read_text(path: Path, reading: Reading) -> LogTable:
     if not encoding:
         return _text_table(path, reading, lambda: open_log(path))
     note = f"text is in {encoding}, judging by its words" if encoding in _CODECS else ""
-    try:
-        text = content.decode(encoding)
-    except UnicodeDecodeError as error:
-        raise LogError(
-            f"Log {str(path)!r} is not {encoding} text: {error.reason} at byte {error.start}.",
-            advice="Save it as UTF-8.",
-        ) from error
+    text = content.decode(encoding, "strict" if encoding.startswith("UTF") else "replace")
     table = _text_table(path, reading, partial(BytesIO, text.encode()))
     return table.noting(note) if note else table
 
@@ -698,10 +692,7 @@ def _lines(block: bytes) -> list[str]:
 
 def _by_arrow(block: bytes, layout: TextLayout, columns: Sequence[int]) -> list[Array] | None:
     """Return columns (K,) of lines with only numbers in these cells, by Arrow; None otherwise."""
-    has_rules = block.startswith(b"---") or b"\n---" in block
-    if layout.grouped or layout.decimal == layout.separator or has_rules:
-        return None
-    if find_spec("pyarrow") is None:
+    if layout.grouped or layout.decimal == layout.separator or find_spec("pyarrow") is None:
         return None
     if not block.isascii():
         block.decode()  # or it is no text in UTF-8
@@ -721,7 +712,7 @@ def _by_arrow(block: bytes, layout: TextLayout, columns: Sequence[int]) -> list[
             arrow.ConvertOptions(
                 include_columns=list(dict.fromkeys(used)),
                 column_types=dict.fromkeys(used, pyarrow.float64()),
-                null_values=sorted(NOTHING),
+                null_values=sorted(NOTHING.difference(_RULES)),  # of rows that are none
                 decimal_point=layout.decimal,
             ),
         )

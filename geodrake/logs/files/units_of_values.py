@@ -110,6 +110,7 @@ def _by_motion(time: Array, data: dict[str, Array], bare: Bare) -> tuple[str, st
 
 def _beyond_limits(position: Array, columns: Columns) -> str:
     """Return why positions (N, n) can only be degrees by the model's limits, or ""."""
+    position = position[:: len(position) // _ROWS + 1]
     peaks = peaks_of(position)
     names = (columns.places[joint, "position"].column for joint in columns.joints)
     may_be_shares = peaks.max() <= _NORMALIZED and any(map(_OF_LEROBOT.search, names))
@@ -147,7 +148,8 @@ def _take_ticks(
             return False
     ticks = data["position"]
     middle, bottom = (unit_of(name, "position") for name in ("ticks@2048", "ticks"))
-    held = {unit: _share_within(columns, ticks, unit) for unit in (middle, bottom)}
+    some = ticks[:: len(ticks) // _ROWS + 1]
+    held = {unit: _share_within(columns, some, unit) for unit in (middle, bottom)}
     unit, other = (bottom, middle) if held[bottom] > _HELD > held[middle] else (middle, bottom)
     zero = "2048, as in drivers" if unit is middle else "0, as the model's limits suggest"
     words = (
@@ -167,7 +169,7 @@ def _share_within(columns: Columns, position: Array, unit: Unit) -> float:
     limits = np.array([columns.reading.limits.get(j, (-np.inf, np.inf)) for j in columns.joints])
     bounded = np.isfinite(limits).all(axis=1)
     low, high = limits[bounded].T
-    q = unit.factor * position[:: len(position) // _ROWS + 1, bounded] + unit.offset
+    q = unit.factor * position[:, bounded] + unit.offset
     within = (low - _MARGIN <= q) & (q <= high + _MARGIN)
     return float(np.mean(within[np.isfinite(q)])) if np.isfinite(q).any() else 1.0
 
