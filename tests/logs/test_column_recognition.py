@@ -30,23 +30,26 @@ def joints_of(names, joints):
 
 NAMES = {
     "position": {"elbow.position": "elbow", "actual_q_0": 0, "q1": 1, "current_position_1": 1,
-        "/joint_states/position[2]": 2, "pos_shoulder": "shoulder", "MeasuredJointPosition_A1": 1},
+        "/joint_states/position[2]": 2, "pos_shoulder": "shoulder", "MeasuredJointPosition_A1": 1,
+        "load_position_3": 3, "关节3实际位置（度）": 3, "Положение 3, град": 3,
+        "hoek 3 [graden]": 3, "Istposition Achse 3 [Grad]": 3, "Soll-Winkel 2 [°]": 2},
     "velocity": {"q_dot_1": 1, "/joint_states/elbow_joint/velocity": "elbow_joint", "qd2": 2,
-        "joint_speeds[1]": 1},
+        "joint_speeds[1]": 1, "Hastighet armbåge (rad/s)": "Hastighet armbåge"},
     "acceleration": {"q2d_3": 3, "qd2[1]": 1},
     "effort": {"target_moment_0": 0, "tau_J[3]": 3, "shoulder_eff": "shoulder", "q1_torque": 1,
         "MeasuredTorque_A1": 1, "field.effort4": 4, "qfrc_actuator[elbow]": "elbow",
-        "elbow_tau_J": "elbow", "/effort_controller/command[2]": 2},
-    "current": {"MACur.A1": 1, "i_3": 3, "i_meas_elbow": "elbow", "cur_elbow": "elbow",
-        "target_current_1": 1, "elbow.current": "elbow"},
-    "voltage": {"actual_joint_voltage_2": 2},
+        "elbow_tau_J": "elbow", "/effort_controller/command[2]": 2,
+        "軸3トルク": 3, "Момент 3 [Нм]": 3, "Par 1 [N·m]": 1, "present_load_3 [%]": 3},
+    "current": {"current3 [Ampere]": 3, "MACur.A1": 1, "i_3": 3, "i_meas_elbow": "elbow",
+        "cur_elbow": "elbow", "target_current_1": 1, "elbow.current": "elbow"},
+    "voltage": {"actual_joint_voltage_2": 2, "U3 [V]": 3},
     "pwm": {"duty_cycle_2": 2, "duty_0": 0, "pwm_0": 0, "present_pwm_4": 4},
     "command": {"action[2]": 2, "/joint_states/elbow/command": "elbow", "elbow.command": "elbow",
         "/arm_controller/command/data[2]": 2, "command_1": 1},
     "temperature": {"joint_temperatures_1": 1, "temp_0": 0, "axis0.Temperature": 0},
     "time": dict.fromkeys(("time", "t", "timestamp", "__time", "%time", "header.stamp.secs",
         "Time (ms)", "time_us", "/joint_states/header/stamp/sec", "arm.time", "TimeMs",
-        "elapsed time [s]", "Temps (s)", "ctrl_timestamp")),
+        "elapsed time [s]", "Temps (s)", "ctrl_timestamp", "Zeit [ms]")),
     "": dict.fromkeys(("O_T_EE[3]", "actual_execution_time", "mode", "robot_status", "", "é",
         "col7", "speed_of_light/", "[]", "///", "q" * 500, "x" * 10_000, "_", "1", "v",
         "current_limit_1", "actual_main_voltage", "present_input_voltage_2", "max_pwm_1",
@@ -55,18 +58,21 @@ NAMES = {
 """Quantity -> names, and joint or number in each; limits and supplies are no signals of joints."""
 UNITS = {
     "deg": (np.pi / 180.0, ("q1[deg]", "q_deg_1", "q1 / deg", "q1 in °", "q1, deg", "[deg] q1",
-        "q1.deg")),
+        "q1.deg", "关节3实际位置（度）", "Положение 3, град", "hoek 3 [graden]",
+        "Istposition Achse 3 [Grad]", "position_3［deg］")),
     "deg/s": (np.pi / 180.0, ("vel_1[deg/s]", "joint1VelDegS", "vel1_dps", "dq1 / deg/s",
-        "dq1 (degrees/second)", "dq1.degs",
-        "J1 Velocity (deg/sec)")),
+        "dq1 (degrees/second)", "dq1.degs", "J1 Velocity (deg/sec)")),
     "rpm": (np.pi / 30.0, ("speed1 (rpm)",)), "rad": (1.0, ("q1 (rads)",)),
     "rad/s": (1.0, ("velocity_1_rad_s", "vel1 (rads)", "vel1 [rads/s]")),
-    "rev/s": (2.0 * np.pi, ("vel_estimate",)), "mrad": (1e-3, ("q/joint2[mrad]",)),
-    "mm": (1e-3, ("pos_1 (mm)",)), "Nm": (1.0, ("tau1 [N·m]",)),
+    "rev/s": (2.0 * np.pi, ("vel_estimate", "vel3_turns_per_s")),
+    "arcmin": (np.pi / 10800.0, ("q3 [arcmin]",)), "cNm": (0.01, ("tau3_cNm",)),
+    "mrad": (1e-3, ("q/joint2[mrad]",)), "mm": (1e-3, ("pos_1 (mm)",)),
+    "Nm": (1.0, ("tau1 [N·m]", "Момент 3 [Нм]", "torque3 (Newton-meters)")),
     "Nmm": (1e-3, ("torque_1_Nmm", "effort/elbow [Nmm]", "tau/J2_Nmm")),
     "kgfcm": (0.0980665, ("torque1 [kgf.cm]",)), "us": (1e-6, ("Time[us]",)),
-    "ns": (1e-9, ("%time",)), "%": (1e-2, ("pwm_2 (%)", "elbow.present_load")),
-    "A": (1.0, ("current1_A",)),
+    "ns": (1e-9, ("%time",)), "%": (1e-2, ("pwm_2 (%)", "elbow.present_load",
+        "torque3 [% rated]")),
+    "A": (1.0, ("current1_A", "current3 [Ampere]")), "V": (1.0, ("U3 [V]",)),
     "mA": (1e-3, ("J3/current_mA", "Current/joint1 [mA]", "voltage_1 [mA]")),  # refused when read
 }  # fmt: skip
 
@@ -95,12 +101,6 @@ def test_units_in_names(unit):
     factor, names = UNITS[unit]
     for found in (meaning_of(name).unit for name in names):
         assert (found.name, found.factor) == (unit, pytest.approx(factor))
-
-
-def test_counts_of_an_encoder_are_a_unit_in_brackets():
-    counts = meaning_of("q_1 [inc]").unit
-    assert counts.name == "counts" and np.isnan(counts.factor)
-    assert meaning_of("q_inc_1").unit is None
 
 
 def test_letters_of_units_are_joints_where_several_columns_or_geodrakes_names_have_them():
@@ -132,13 +132,6 @@ def test_columns_called_as_joints_are_positions_but_those_of_accelerations():
 def test_joints_in_the_models_order(names, joints):
     found, _ = joints_of(names, joints)
     assert tuple(found[name] for name in names) == joints
-
-
-def test_the_order_is_said_to_be_assumed():
-    _, notes = joints_of([f"actual_q_{k}" for k in range(6)], UR)
-    assert "actual_q_0 … actual_q_5" in notes[0]
-    assert "model's order" in notes[0]
-    assert not joints_of([f"q[{k}]" for k in range(7)], PANDA)[1]  # their names have the numbers
 
 
 @pytest.mark.parametrize("first", [0, 1])
@@ -225,53 +218,11 @@ def test_names_that_may_be_of_two_joints_are_of_none():
     assert not set(joints).intersection(found.values())
 
 
-def test_a_unit_in_brackets_says_the_quantity_in_any_language():
-    names = [
-        "Soll-Winkel 2 [°]",
-        "Ist-Winkel 2 [°]",
-        "Hastighet armbåge (rad/s)",
-        "Par 1 [N·m]",
-        "Zeit [ms]",
-    ]
-    told = [meaning_of(name) for name in names]
-    assert [m.quantity for m in told] == ["position", "position", "velocity", "effort", "time"]
-    assert [m.number for m in told[:2]] == [2, 2]
-    assert told[0].role > told[1].role
-    assert (told[2].joint, told[3].number) == ("Hastighet armbåge", 1)
-
-
-@pytest.mark.parametrize(
-    ("name", "quantity", "factor"),
-    [
-        ("关节3实际位置（度）", "position", np.pi / 180),
-        ("軸3トルク", "effort", 1.0),
-        ("Положение 3, град", "position", np.pi / 180),
-        ("Момент 3 [Нм]", "effort", 1.0),
-        ("hoek 3 [graden]", "position", np.pi / 180),
-        ("Istposition Achse 3 [Grad]", "position", np.pi / 180),
-        ("position_3［deg］", "position", np.pi / 180),
-        ("vel3_turns_per_s", "velocity", 2 * np.pi),
-        ("tau3_cNm", "effort", 0.01),
-        ("q3 [arcmin]", "position", np.pi / 10800),
-        ("torque3 (Newton-meters)", "effort", 1.0),
-        ("current3 [Ampere]", "current", 1.0),
-        ("U3 [V]", "voltage", 1.0),
-        ("load_position_3", "position", 1.0),
-        ("present_load_3 [%]", "effort", 0.01),
-        ("torque3 [% rated]", "effort", 0.01),
-    ],
-)
-def test_words_and_units_of_many_languages(name, quantity, factor):
-    found = meaning_of(name)
-    assert (found.column, found.quantity, found.number) == (name, quantity, 3)
-    assert found.factor == pytest.approx(factor)
-
-
 def test_measured_before_desired():
     assert meaning_of("actual_q_0").role == MEASURED
     roles = [meaning_of(n).role for n in ("tau_J[0]", "tau_J_d[0]", "tau_ext_hat_filtered[0]")]
     assert roles == sorted(set(roles))
     asked = ("q_cmd_1", "q_des_1", "target_q_0", "goal_position", "command/positions[2]")
-    for meaning in map(meaning_of, (*asked, "action[0]")):
+    for meaning in map(meaning_of, (*asked, "action[0]", "Soll-Winkel 2 [°]")):
         assert meaning.quantity in ("position", "command") and meaning.is_wanted
     assert not meaning_of("actual_q_0").is_wanted
