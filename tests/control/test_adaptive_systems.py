@@ -190,22 +190,6 @@ def test_parameters_can_be_set_in_a_context():
             system.set_parameters(context, -TRUTH)
 
 
-def test_only_what_is_needed_is_read():
-    """Ports that do not matter to an output need no value, and no loop is closed through them."""
-    system = computed(time_step=0.0)
-
-    def feeds(system, source, sink):
-        i, o = system.GetInputPort(source).get_index(), system.GetOutputPort(sink).get_index()
-        return system.HasDirectFeedthrough(int(i), int(o))
-
-    assert feeds(system, "estimated_state", "actuation")
-    assert not feeds(system, "acceleration", "actuation")
-    assert not feeds(system, "estimated_state", "parameters")
-    assert not feeds(computed(), "estimated_state", "actuation")
-    assert feeds(computed(), "estimated_state", "lyapunov")
-    assert "lyapunov" not in [passive(truth=None).get_output_port(i).get_name() for i in range(2)]
-
-
 @pytest.mark.parametrize(
     ("actuated", "welded", "message"),
     [(["shoulder"], True, "none at elbow"), (["shoulder", "elbow"], False, "WeldFrames")],
@@ -245,19 +229,6 @@ def told(system, state, desired=(0.0,) * 4, acceleration=(0.0,) * 2, context=Non
     context = fixed(system, context, **states, desired_acceleration=acceleration, **measured)
     context.SetDiscreteState(system.EvalUniquePeriodicDiscreteUpdate(context))
     return context
-
-
-@pytest.mark.parametrize("make", [passive, computed])
-def test_the_estimate_nears_the_truth_faster_than_by_tracking_alone(make):
-    fallen = []
-    for prediction in (None, PredictionError(0.5)):
-        _, logs = run(predicting(prediction, make), 1.0)
-        check_estimates(logs)
-        V = logs["lyapunov"].ravel()
-        assert np.diff(V).max() <= 1e-4 * V[0]
-        D = MANIFOLD.divergence(TRUTH, logs["parameters"])
-        fallen.append(D[0] - D[-1])
-    assert fallen[1] > 2.0 * fallen[0] > 0.0
 
 
 def test_an_exact_sensor_of_efforts_says_what_the_controller_knows():
@@ -328,18 +299,6 @@ def test_efforts_that_are_not_measured_move_nothing():
     np.testing.assert_array_equal(both, tracking)
     np.testing.assert_array_equal(alone, WRONG)
     assert np.abs(tracking - WRONG).max() > 1e-6
-
-
-def test_prediction_goes_on_where_efforts_are_at_their_limits():
-    moved = []
-    for prediction in (None, PredictionError(0.5)):
-        system, context = predicting(prediction, safeguards=Safeguards(effort_limits=0.05)), None
-        for k in range(4):
-            state = np.array([0.5, 0.2, 0.3, -0.1]) * (1.0 + 0.01 * k)
-            context = told(system, state, context=context)
-            assert (np.abs(system.GetOutputPort("actuation").Eval(context)) <= 0.05).all()
-        moved.append(np.abs(system.parameters(context) - WRONG).max())
-    assert moved[0] == 0.0 < moved[1]
 
 
 LIMITS = np.array([8.0, 4.0])

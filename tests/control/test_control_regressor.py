@@ -31,7 +31,6 @@ from geodrake.effects import (
     ViscousFriction,
 )
 from geodrake.inertia import inertial_parameters
-from geodrake.logs import Motion
 from geodrake.model import load_description
 from geodrake.robot import KinematicTree, inverse_dynamics_regressor
 
@@ -173,18 +172,6 @@ def all_effects(arm):
 
 def motion_of(arm, seed=0):
     return np.random.default_rng(seed).normal(size=(5, len(arm.joints)))
-
-
-def test_effects_beside_inertia_are_those_of_the_model():
-    model = fitted(ARM, *(e for e in all_effects(ARM) if e.name != "payload"))
-    load = FittedEffect(Payload(ARM.bodies[-1]), 0.1 * inertial_parameters(ARM.plant)[-1])
-    model = replace(model, effects=(*model.effects, load))
-    control = ControlModel.of(model, sign_width=0.3)
-    q, qd, _, a, r = motion_of(ARM)
-    sample = control.at(q, qd, qd, a)
-    motion = Motion(q[None], qd[None], a[None])
-    close(sample.effort(control.prior), model.effort(motion, sign_width=0.3)[0])
-    close(sample.covector(r), sample.regressor.T @ r)
 
 
 def test_effects_see_the_reference_velocity_or_the_measured_one():

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from adaptive_loops import fixed
 from link_chains import LINK, arm
-from own_code import own_effect
 from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.math import RollPitchYaw
 from pydrake.multibody.tree import SpatialInertia, UnitInertia, default_model_instance
@@ -297,17 +296,6 @@ def test_slopes_with_effect_parameters(terms):
     found = ExtractGradient(output(smooth, InitializeAutoDiff(mu).ravel()))
     expected = slopes(lambda x: output(force, x), mu)
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
-
-
-def test_effects_that_are_no_formula_have_derivatives():
-    def columns(self, joint):
-        return [np.array([v if v > 0 else 0.0 for v in joint.v])]
-
-    Branching = own_effect("branching", columns=columns, depends_on=frozenset({"v"}))
-    smooth = EffectForce(arm(), [(Branching("joint1"), [1.0])]).ToAutoDiffXd()
-    context = fixed(smooth, state=InitializeAutoDiff(np.ones(6)).ravel())
-    found = ExtractGradient(smooth.GetOutputPort("generalized_force").Eval(context))
-    np.testing.assert_allclose(found, np.diag([-1.0, 0.0, 0.0], 3)[:3], atol=1e-9)
 
 
 def test_parameters_of_a_context_count():

@@ -238,17 +238,6 @@ def test_a_robot_goes_through_all_formats_and_back(tmp_path):
         np.testing.assert_allclose(model.effort(moved), ours, atol=1e-9)
 
 
-def test_links_that_are_called_like_joints_have_other_names_in_an_sdf(tmp_path):
-    body = (
-        '<body name="{0}" pos=".1 0 .2"><joint name="{0}" axis="0 1 0"/><geom size=".1"/>{1}</body>'
-    )
-    text = f"<mujoco><worldbody>{body.format('a', body.format('b', ''))}</worldbody></mujoco>"
-    (path := tmp_path / "r.xml").write_text(text, encoding="utf-8")
-    moved = motion(model := load_model(path))
-    again = load_model(exported(model, "sdf", tmp_path / "sdf")[0])
-    np.testing.assert_allclose(again.effort(moved), model.effort(moved), atol=1e-12)
-
-
 def test_joints_that_follow_others_follow_them_in_all_formats(tmp_path):
     mimic = '<mimic joint="b" multiplier="-0.5" offset="0.1"/>'
     third = """<link name="three"><inertial><origin xyz="0.1 0 0.2"/><mass value="0.7"/>
@@ -729,18 +718,6 @@ def test_all_effects_at_once(chain, tmp_path):
     assert len(found.lacks) > 15
     assert len(found.proof.differences) == 2
     assert all(difference.is_rounding for difference in found.proof.differences)
-
-
-def test_a_function_in_python_is_the_model(chain, tmp_path):
-    elbow = chain.joints[1]
-    effects = (
-        FittedEffect(ViscousFriction(elbow), np.array([0.7])),
-        FittedEffect(JointSpring(elbow, 3, 0.2), np.array([4.0, 0.1])),
-    )
-    proven = export_to("python", replace(chain, effects=effects), tmp_path / "there")
-    (difference,) = proven.proof.differences
-    assert difference.is_rounding and difference.compared == 1.0
-    assert [path.name for path in (tmp_path / "there").iterdir()] == ["chain_effort.py"]
 
 
 def test_what_mujoco_warns_of_is_no_file(tmp_path, monkeypatch, capfd):

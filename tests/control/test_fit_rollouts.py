@@ -17,9 +17,8 @@ from geodrake.control import fit_rollouts, roll_out
 from geodrake.control.rollout import FittedValue, RolloutFit
 from geodrake.control.rollout.fit_rollouts import better_model, held_out
 from geodrake.control.rollout.linearized_motion import LinearizedMotion
-from geodrake.control.rollout.motion_search import blinds, rollout_values
+from geodrake.control.rollout.motion_search import rollout_values
 from geodrake.control.rollout.passages import Conditions, chosen_passages
-from geodrake.control.rollout.roll_out import Rollout, Window
 from geodrake.control.rollout.simulation import simulations
 from geodrake.effects import CoulombFriction, RotorInertia, ViscousFriction
 from geodrake.errors import ArgumentError, LogError, ModelError
@@ -120,15 +119,6 @@ class TestCommand:
 def test_blocks_and_logs_are_held_out_whole():
     assert held_out(["a"] * 8).tolist() == [False, False, True, True] * 2
     assert held_out(["a", "a", "b", "c", "c"]).tolist() == [False, False, True, False, False]
-
-
-def test_windows_count_alike_in_any_order():
-    """Also those of logs at different rates, which have different numbers of samples."""
-    rng = np.random.default_rng(0)
-    departures = [rng.standard_normal((count, 1)) for count in (400, 25, 100)]
-    slopes = [np.ones((len(each), 1, 1)) for each in departures]
-    scales = {way: blinds(slopes[::way], departures[::way])[0].scale for way in (1, -1)}
-    np.testing.assert_allclose(scales[1], scales[-1])
 
 
 def test_what_is_known_of_other_parameters_stays(pendulum):
@@ -298,13 +288,3 @@ def test_a_joint_that_no_command_moves_is_refused(model, log):
     other = replace(log, **few | {"command": 0.3 * rng.normal(size=(2000, 1))})
     with pytest.raises(LogError, match="command"):
         fit_rollouts(model, [other], commands=True)
-
-
-def test_a_joint_that_rests_has_no_share_of_its_motion():
-    time = np.linspace(0.0, 0.5, 6)
-    measured = np.column_stack([time, np.full(6, 0.2)])
-    window = Window("log", time, measured, 1.1 * measured)
-    rollout = Rollout(("moves", "rests"), (window,), 0.5)
-    moves, rests = rollout.joints
-    assert np.isnan(rests.relative)
-    assert rollout.relative == moves.relative == pytest.approx(0.1)

@@ -355,42 +355,6 @@ def test_filtered_rows_are_the_filtered_efforts(order):
     np.testing.assert_allclose(Y @ TRUTH, expected, atol=2e-5)
 
 
-def test_what_is_missing_is_left_out_of_both_sides():
-    q, v, effort = samples(1500)
-    filtered = FilteredRegressor(CONTROL, SHORT_STEP, 20.0)
-    memory = filtered.start()
-    for i, now in enumerate(zip(q, v, effort, strict=True)):
-        if 300 <= i < 400:
-            memory = filtered.skipped(memory)
-        elif i in (500, 600):
-            broken = [x.copy() for x in now]
-            broken[(i // 100) % 3][0] = np.nan if i == 500 else np.inf
-            memory = filtered.advanced(memory, *broken)
-        else:
-            memory = filtered.advanced(memory, *now)
-        Y, u = filtered.rows(memory)
-        assert np.isfinite(memory).all()
-        np.testing.assert_allclose(Y @ TRUTH, u, atol=5e-5)
-
-
-@pytest.mark.parametrize("held", [True, False])
-def test_intervals_go_on_while_the_state_only_repeats(held):
-    q, v, effort = samples(1500)
-    filtered = FilteredRegressor(CONTROL, SHORT_STEP, held_effort=held)
-    every, slow = filtered.start(), filtered.start()
-    for i in range(len(q)):
-        # An effort that was held since the last instant is, for smooth ones, that of half way.
-        u = 0.5 * (effort[i] + effort[i - 1]) if held and i else effort[i]
-        every = filtered.advanced(every, q[i], v[i], u)
-        seen = i - i % 3
-        slow = filtered.advanced(slow, q[seen], v[seen], u, repeated=seen != i)
-        if i % 3 == 0:
-            Y, known = filtered.rows(slow)
-            np.testing.assert_allclose(Y @ TRUTH, known, atol=5e-3)
-    for one, other in zip(filtered.rows(slow), filtered.rows(every), strict=True):
-        assert np.abs(one - other).max() < 0.02 * np.abs(other).max()
-
-
 # Slabs
 
 
@@ -417,35 +381,6 @@ def test_no_step_leads_away_from_the_truth(seed, rows, relaxation):
 
 def update(tolerance=2e-3, **options):
     return SampleUpdate(MANIFOLD, np.full(2, tolerance), **options)
-
-
-def test_a_sample_is_explained_at_once():
-    """The estimate is in the slabs of a sample after it; a nudge leaves much of its error."""
-    rng, p = np.random.default_rng(0), perturbed(0.3)
-    q, v, a = rng.normal(size=(3, 2))
-    Y = CONTROL.at(q, v, v, a).regressor
-    u, left = Y @ TRUTH, {}
-    for method in ("projection", "nudge"):
-        found = update(method=method).updated(p, Y, u, SHORT_STEP)
-        left[method] = np.abs(Y @ found.point - u).max()
-        assert (found.error <= 1e-8) == (method == "projection")
-        assert MANIFOLD.divergence(TRUTH, found.point) <= MANIFOLD.divergence(TRUTH, p)
-    assert left["projection"] < 2e-3 * (1 + 1e-6)
-    assert left["nudge"] > 0.3 * np.abs(Y @ p - u).max() > 10 * left["projection"]
-
-
-def test_an_earlier_sample_holds_too_if_it_agrees():
-    rng, p = np.random.default_rng(0), perturbed(0.3)
-    (Y, other), made = rng.normal(size=(2, 2, len(p))), update()
-    earlier = other, other @ TRUTH
-    found = made.updated(p, Y, Y @ TRUTH, SHORT_STEP, earlier=earlier)
-    assert found.error <= 1e-8
-    for rows in (Y, other):
-        assert np.abs(rows @ (found.point - TRUTH)).max() < 2e-3 * (1 + 1e-6)
-    # One that contradicts this sample is left out.
-    alone = made.updated(p, Y, Y @ TRUTH, SHORT_STEP).point
-    against = made.updated(p, Y, Y @ TRUTH, SHORT_STEP, earlier=(Y, Y @ TRUTH + 1.0))
-    np.testing.assert_array_equal(against.point, alone)
 
 
 def test_bodies_with_constraints_are_estimated_too():

@@ -81,27 +81,6 @@ def test_the_true_model_stays_with_the_motion(plain):
     assert len(rollout.windows) == 6
 
 
-def test_effects_take_the_departure_away(frictional):
-    log, having_it = frictional
-    before = roll_out(load_model(PENDULUM), [log], most=4)
-    after = roll_out(having_it, [log], most=4)
-    assert after.relative < 0.1 < before.relative
-    assert 10 * after.relative < before.relative
-    departed = {joint.joint for joint in before.joints if joint.relative > 0.3}
-    assert departed == {"shoulder", "elbow"}
-
-
-def test_departures_are_those_of_the_windows(frictional):
-    log, having_it = frictional
-    rollout = roll_out(having_it, [log], most=3, horizon=0.3)
-    departure = np.concatenate([w.departure for w in rollout.windows])
-    expected = np.sqrt(np.mean(departure**2, axis=0))
-    np.testing.assert_allclose([joint.rms for joint in rollout.joints], expected, rtol=1e-12)
-    for window in rollout.windows:
-        np.testing.assert_allclose(window.departure[0], 0.0, atol=1e-12)
-        assert np.ptp(window.time) == pytest.approx(0.3, abs=0.01)
-
-
 def test_command(frictional, tmp_path, monkeypatch):
     log, having_it = frictional
     write_log(log, tmp_path / "log.csv")
@@ -178,17 +157,6 @@ def departure(model, *logs, having=(), most=2):
     fitted = (effects.FittedEffect(effect, np.array(values)) for effect, values in (LOSS, *having))
     robot = dataclasses.replace(model, effects=tuple(fitted))
     return roll_out(robot, logs, most=most, bandwidth=8.0).relative
-
-
-def test_drift_is_that_of_the_logs_time(pendulum):
-    def needed(t, q, v, z):
-        return 0.1 * v + np.exp(-t / 6.0) * (np.tanh(v / 0.02) + 0.6 * v)
-
-    log, sizes = swung("warming", needed), [1.0, 0.6]
-    right = departure(pendulum, log, having=[(effects.FrictionDrift("hinge", 6.0), sizes)])
-    always_cold = departure(pendulum, log, having=[(effects.FrictionDrift("hinge", 1e6), sizes)])
-    assert right < 1e-3
-    assert min(always_cold, departure(pendulum, log)) > 100 * right
 
 
 def test_friction_of_a_hinge_is_that_of_the_temperatures_in_the_log(pendulum):
@@ -430,14 +398,3 @@ def test_steps_move_a_rigid_robot_as_drake_does(arm):
         exact = drake.positions(passage)
         assert np.ptp(exact, axis=0).min() > 0.05
         assert np.abs(steps - exact).max() < 2e-3
-
-
-def test_a_robot_that_flies_apart_has_no_positions(arm, monkeypatch):
-    """From where it is too fast on."""
-    log, model = arm
-    case = open_case(model, [log], candidates=False)
-    whole = Stepping(Conditions(case, True), chosen_passages(case, 0.5, 4))
-    assert np.isfinite(whole.positions()).all()
-    monkeypatch.setattr("geodrake.control.rollout.stepping.FASTEST", 0.5)
-    gone = np.array([np.isnan(positions).all(axis=1) for positions in whole.positions()])
-    assert 0.1 < gone.mean() < 0.9 and (np.diff(gone.astype(int)) >= 0).all()

@@ -140,28 +140,6 @@ class TestFittedModel:
         )
         return replace(model, phi=1.1 * model.phi, effects=fitted)
 
-    def test_it_moves_as_in_a_diagram_of_its_own(self):
-        rng = np.random.default_rng(1)
-        q, v, u = rng.normal(size=(3, 2))
-        accelerations = []
-        for within in (False, True):
-            builder = DiagramBuilder()
-            if within:
-                plant = scene(builder, time_step=0.0)
-                robot = self.model().add_to_scene(builder, RobotInstance(plant, "arm"))
-            else:
-                robot = self.model().add_to_builder(builder)
-            builder.ExportInput(robot.effort, "effort")
-            diagram = builder.Build()
-            root = diagram.CreateDefaultContext()
-            robot.set_inertias(root)
-            robot.set_state(root, q, v)
-            diagram.get_input_port(0).FixValue(root, u)
-            port = robot.plant.get_generalized_acceleration_output_port()
-            found = port.Eval(robot.plant.GetMyContextFromRoot(root))
-            accelerations.append(found[robot.robot.velocities])
-        np.testing.assert_allclose(accelerations[1], accelerations[0], rtol=1e-8)
-
     def test_what_other_models_weld_to_it_stays(self):
         """A crate on its last link, whose mass is not that of the model."""
         plant = plant_of(finalize=False)

@@ -27,10 +27,7 @@ from geodrake.effects.deflection import Deflection, DeflectionEffect
 from geodrake.effects.of_files import SquaredLoadFriction
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.identification.logs.case import open_case
-from geodrake.identification.logs.joint_motions import motions_of
-from geodrake.identification.logs.signal_calibration import signals_as_efforts
 from geodrake.logs import JointLog, Motion
-from geodrake.logs.preparation import prepare_logs
 from geodrake.model import EffortSignal
 from geodrake.model.admissible import check_effect
 from geodrake.model.simulation.effect_force import ForceLaw
@@ -100,22 +97,6 @@ def test_two_masses_swing_at_their_frequency(share):
     omega = np.sqrt(500.0 * (1.0 / MOTOR + 1.0 / M))
     assert abs(fast) == pytest.approx(omega, rel=1e-9)
     assert -fast.real == pytest.approx(share * omega, rel=1e-6, abs=1e-6)
-
-
-def two_waves(t):
-    return 2.0 * np.sin(2.1 * t) + 2.0 * np.sin(5.3 * t + 1.0)
-
-
-def test_rollouts_have_springs(pendulum):
-    """A soft joint follows a log that is not geodrake's far more closely than a stiff one."""
-    log, departed = swung(0, stiffness=120.0, effort=two_waves), []
-    for springs in ([(effects.JointElasticity("hinge"), 1.0 / 120.0)], []):
-        model = having(pendulum, ROTOR, FRICTION, *springs)
-        windows = roll_out(model, [log], most=3, bandwidth=30.0, horizon=0.4).windows
-        departed.append([np.sqrt(np.mean(window.departure**2)) for window in windows])
-    soft, stiff = departed
-    assert max(soft) < 1e-3
-    assert np.mean(stiff) > 7 * np.mean(soft)
 
 
 def test_starts_where_its_load_has_it(pendulum):
@@ -243,14 +224,6 @@ def log():
     assert 0.1 < np.mean(brakes > BOUND) < 0.9  # it brakes at its bound much of the time
     none = np.full((len(time), 1), np.nan)
     return JointLog("gear", ("hinge",), time, q[:, None], none, command=command(time)[:, None])
-
-
-def test_a_joint_alone_moves_as_it_does(model, log):
-    sharp = prepare_logs(signals_as_efforts([log], ["command"]), bandwidth=5.0, motion_bandwidth=20)
-    (motions,) = motions_of(replace(model, effects=()), [log], sharp, [0]).values()
-    servo = [KP, 0.0, DAMPING, DRY, ARMATURE, 0.0, 0.0]
-    assert motions.rms(motions.servo(servo)) > 0.02
-    assert motions.rms(motions.servo([*servo, FACTOR])) < 1e-3
 
 
 def test_steps_and_drake_move_it_as_it_does(model, log):
