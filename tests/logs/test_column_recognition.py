@@ -8,11 +8,9 @@ import pytest
 from geodrake.logs.files.name_rules import (
     MEASURED,
     OTHER,
-    PLAIN,
     as_positions,
     matched,
     meaning_of,
-    meanings_of,
 )
 
 UR = tuple(
@@ -103,14 +101,6 @@ def test_units_in_names(unit):
         assert (found.name, found.factor) == (unit, pytest.approx(factor))
 
 
-def test_letters_of_units_are_joints_where_several_columns_or_geodrakes_names_have_them():
-    found = [m.joint for m in meanings_of(["q_A", "cur_A", "cur_B", "m.position"])]
-    assert found == ["A", "A", "B", "m"]
-    (_, current) = meanings_of(["pos_deg", "cur_A"])
-    assert (current.joint, current.unit.name) == ("", "A")
-    assert meanings_of(["arm.A.torque"], ["A"])[0].joint == "A"
-
-
 def test_columns_called_as_joints_are_positions_but_those_of_accelerations():
     names = ["joint1", "actual_axis_2", "elbow", "a1", "box1"]
     assert [m.column for m in as_positions(names, ["elbow"])] == names[:3]
@@ -141,24 +131,6 @@ def test_fewer_columns_than_joints_only_by_their_numbers(first):
     assert tuple(found[name] for name in names) == PANDA
     found, _ = joints_of([f"q{k + first}" for k in range(5)], UR)
     assert not set(UR).intersection(found.values())
-
-
-def test_some_numbered_columns_are_of_the_joints_that_all_others_have():
-    names = [*(f"actual_q_{k}" for k in range(6)), "actual_current_1", "target_q_4"]
-    found, _ = joints_of(names, UR)
-    assert (found["actual_current_1"], found["target_q_4"]) == (UR[1], UR[4])
-    found, _ = joints_of([*names, "tau_7", "actual_robot_current"], UR)
-    assert not {*UR} & {found["tau_7"], found.get("actual_robot_current")}
-
-
-def test_joints_whose_names_say_something_else():
-    joints = ("base", "wrist_angle", "arm/joint1")
-    names = [f"{q} {joint}" for q in ("actual_position", "qd") for joint in joints]
-    names += [f"{joint.upper()}_tau" for joint in joints]
-    told = meanings_of(names, joints)
-    kinds = [*["position"] * 3, *["velocity"] * 3, *["effort"] * 3]
-    assert [(m.quantity, m.joint) for m in told] == [*zip(kinds, joints * 3, strict=True)]
-    assert all(m.role <= PLAIN for m in told)
 
 
 @pytest.mark.parametrize(
@@ -194,22 +166,6 @@ def test_a_prefix_with_a_number_and_a_joint_that_the_model_lacks():
     names = [f"ur5e_{joint}_pos" for joint in (*UR, "gripper")]
     found, _ = joints_of(names, UR)
     assert [found.get(name) for name in names] == [*UR, "ur5e_gripper"]
-
-
-@pytest.mark.parametrize(
-    ("names", "called"),
-    [
-        ("s0 s1 e0 e1 w0 w1 w2", "s0 s1 e0 e1 w0 w1 w2"),
-        ("j1 j2 j3 j4", "j1 j2 j3 j4"),
-        ("1 2 3", "lift elbow wrist"),
-    ],
-)
-def test_columns_of_one_arm_are_not_those_of_the_other(names, called):
-    joints = tuple(f"left_{name}" for name in called.split())
-    columns = [f"{{}}_{name}_pos" for name in names.split()]
-    for side, own in (("left", joints), ("r", ())):
-        found, _ = joints_of([name.format(side) for name in columns], joints)
-        assert {*found.values()} & {*joints} == {*own}
 
 
 def test_names_that_may_be_of_two_joints_are_of_none():

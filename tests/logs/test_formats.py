@@ -14,10 +14,8 @@ from foreign_logs import (
     FORMATS,
     joint_states,
     lerobot,
-    ros1_store,
     ros2_header,
     ros2_store,
-    write_rosbag1,
     write_rosbag2,
 )
 
@@ -42,32 +40,6 @@ def test_every_format_keeps_every_number(tmp_path, log, write):
     assert read.joints == JOINTS
     for quantity in ("time", "position", "velocity", "effort"):
         assert np.allclose(getattr(read, quantity), getattr(log, quantity), rtol=0, atol=1e-8)
-
-
-def test_topics_and_joints_of_two_arms(tmp_path, log):
-    store = ros2_store()
-    header = ros2_header(store)
-    sides = {"left": log, "right": replace(log, position=2.0 * log.position)}
-    topics = {f"/{side}/joint_states": joint_states(store, x, header) for side, x in sides.items()}
-    path = write_rosbag2(tmp_path / "topics", topics, store)
-    joints = tuple(f"{joint}_{side}" for side in sides for joint in JOINTS)
-    read = read_log(path, joints=joints, reading=Reading(topic=tuple(topics)))
-    both = np.hstack([x.position for x in sides.values()])
-    assert np.allclose(read.position, both, rtol=0, atol=1e-8)
-    together = replace(
-        log,
-        joints=tuple(f"{side}_{joint}" for side in sides for joint in JOINTS),
-        position=both,
-        velocity=np.hstack([log.velocity] * 2),
-        effort=np.hstack([log.effort] * 2),
-    )
-    states = {"/joint_states": joint_states(store, together, header)}
-    path = write_rosbag2(tmp_path / "joints", states, store)
-    with pytest.raises(LogError, match="--topic left"):
-        read_log(path, joints=JOINTS)
-    for side, own in sides.items():
-        read = read_log(path, joints=JOINTS, reading=Reading(topic=side))
-        assert np.allclose(read.position, own.position, rtol=0, atol=1e-8)
 
 
 def test_messages_with_one_for_each_motor(tmp_path, log):
@@ -358,18 +330,6 @@ def test_what_a_controller_asked_for_where_nobody_measures_efforts(tmp_path, log
     assert "their servo commands are used" in " ".join(read.notes)
 
 
-def test_actions_of_a_dataset_stand_for_efforts(tmp_path, log):
-    told = replace(log, command=log.position + 0.01 * log.effort)
-    for version in ("v2.1", "v3.0"):
-        path = lerobot(tmp_path, told, version=version, episodes=1, efforts=False)
-        read = read_log(path, joints=JOINTS)
-        assert np.allclose(read.command, told.command, atol=1e-6)
-        assert np.isnan(read.effort).all()
-    both = read_log(lerobot(tmp_path, told, episodes=2), joints=JOINTS)
-    assert np.allclose(both.command, told.command, atol=1e-6)
-    assert np.allclose(both.effort, told.effort, atol=1e-5)
-
-
 def test_positions_currents_and_commands_in_three_files(tmp_path, log):
     for name, values in (("positions", log.position), ("commands", log.position + 0.1)):
         rows = np.column_stack([log.time, values])
@@ -406,19 +366,6 @@ def states(log, *, stamp=lambda ns: ns, efforts=None):
     measured = measured if efforts is None else replace(measured, effort=efforts)
     told = joint_states(store, measured, lambda ns: header(stamp(ns)), efforts=efforts is not None)
     return list(told)
-
-
-def test_a_gripper_that_the_model_lacks_slows_no_arm(tmp_path, sent):
-    """It has the same topic, and a message of its own for each five of the arm."""
-    gripper = JointLog(
-        "g", ("finger",), sent.time[::5] + 1e-3, *[0.02 + 0.0 * sent.effort[::5, :1]] * 2
-    )
-    each = states(sent, efforts=sent.effort) + states(gripper, efforts=gripper.effort)
-    both = sorted(each, key=lambda message: message[0])
-    bag = write_rosbag2(tmp_path / "bag", {"/joint_states": both}, ros2_store())
-    read = read_log(bag, joints=JOINTS)
-    assert np.allclose(read.effort, sent.effort, atol=1e-9)
-    assert "no such joints: finger.position" in " ".join(read.notes)
 
 
 def test_positions_and_efforts_without_names_are_joined(tmp_path, sent):
@@ -506,18 +453,6 @@ def test_commands_as_trajectories_of_a_point_hold_in_pauses(tmp_path, sent):
     assert np.allclose(read.command, expected, atol=1e-6)
 
 
-def test_efforts_of_a_topic_at_their_own_instants(tmp_path, sent):
-    """Fewer of them, and none for a while."""
-    rows = [k for k in range(0, 300, 2) if not 100 < k < 160]
-    nothing = np.full((len(rows), 2), np.nan)
-    some = JointLog("some", JOINTS, sent.time[rows], nothing, sent.effort[rows])
-    heard = states(some, efforts=some.effort)
-    read = read_log(bag(tmp_path, joint_states=states(sent), joint_efforts=heard), joints=JOINTS)
-    assert np.allclose(read.time, some.time) and np.array_equal(read.effort, some.effort)
-    assert np.allclose(read.position, sent.position[rows])
-    assert "at 100 Hz, the rate of /joint_efforts" in said(read)
-
-
 def test_currents_of_interfaces(tmp_path, sent):
     """DynamicJointState of ros2_control, which has all of it."""
     from rosbags.typesys import get_types_from_msg
@@ -567,15 +502,6 @@ def test_topics_are_named_where_several_fit(tmp_path, sent):
         read_log(path, reading=Reading(topic="/left/commands"))
 
 
-def test_commands_beside_efforts_are_asked_for(tmp_path, sent):
-    measured = states(sent, efforts=sent.effort)
-    path = bag(tmp_path, joint_states=measured, arm__commands=numbers(sent))
-    assert read_log(path).command is None
-    read = read_log(path, reading=Reading(topic=["joint_states", "arm/commands"]))
-    assert np.array_equal(read.effort, sent.effort)
-    assert np.allclose(read.command, sent.command, atol=1e-6)
-
-
 def test_topics_that_do_not_go_together(tmp_path, sent):
     types = ros2_store().types
     hello = [(EPOCH + k, types["std_msgs/msg/String"]("hello")) for k in range(20)]
@@ -594,25 +520,3 @@ def test_topics_that_do_not_go_together(tmp_path, sent):
     ):
         with pytest.raises(LogError, match=words):
             read_log(path, reading=Reading(topic=("joint_states", name)))
-
-
-def test_bags_of_ros_1_too(tmp_path, sent):
-    store, header = ros1_store()
-    measured = replace(sent, velocity=np.zeros(sent.position.shape))
-    topics = {
-        "/joint_states": joint_states(store, measured, header, efforts=False),
-        TOLD: numbers(sent),
-    }
-    read = read_log(write_rosbag1(tmp_path / "log.bag", topics, store), joints=JOINTS)
-    assert np.allclose(read.command, sent.command, atol=1e-6)
-
-
-def test_messages_of_something_else_do_no_harm(tmp_path, sent):
-    """As of a type whose `positions` are words."""
-    from rosbags.typesys import get_types_from_msg
-
-    store, kind = ros2_store(), "plans/msg/Plan"
-    store.register(get_types_from_msg("string[] positions\nfloat64 torque_share\n", kind))
-    plans = [(EPOCH + k, store.types[kind](["home", "away"], 0.5)) for k in range(20)]
-    path = bag(tmp_path, store, joint_states=states(sent), plans=plans, arm__commands=numbers(sent))
-    assert np.allclose(read_log(path, joints=JOINTS).command, sent.command, atol=1e-6)

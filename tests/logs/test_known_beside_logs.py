@@ -9,14 +9,13 @@ import pinocchio as pin
 import pytest
 import servo_logs
 from pinocchio_logs import MODELS, perturbed, random_motion, robot
-from servo_logs import PERIOD, TRUTH, servo_log
+from servo_logs import PERIOD, TRUTH
 from typer.testing import CliRunner
 
 from geodrake import load_model
 from geodrake.cli.app import app
 from geodrake.control import roll_out
 from geodrake.diagnosis import compare
-from geodrake.effects import EffortDelay, FittedEffect
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.servo_motion import PARAMETERS
@@ -101,16 +100,6 @@ class TestLoad:
         log = clean(replace(WEIGHT, body=body))
         assert compare(model_file(), [bare(log)]).errors.nrms > 0.3
         assert compare(model_file(), [log]).errors.nrms < 1e-4
-
-    def test_of_efforts_that_are_late(self):
-        late, log = 0.0137, clean(LIGHT, PENDULUM)
-        effort = [np.interp(log.time - late, log.time, column) for column in log.effort.T]
-        log = replace(log, effort=np.stack(effort, 1))
-        delay = FittedEffect(EffortDelay(late), np.empty(0))
-        model = model_file(PENDULUM)
-        delayed = replace(model, effects=(*model.effects, delay))
-        assert compare(model, [log]).errors.nrms > 0.01
-        assert compare(delayed, [log]).errors.nrms < 1e-3
 
     def test_moves_with_the_robot_in_a_rollout(self):
         log, model = clean(LIGHT, PENDULUM), model_file(PENDULUM)
@@ -276,13 +265,3 @@ def test_a_data_sheet_tells_what_a_log_does_not(pendulum, tmp_path):
     assert "times the published value of mine" in notes[-1]
     found, deviation = armature(with_servo_motions(model, [log])[1])
     assert found == pytest.approx(TRUTH[4], rel=0.3) and deviation < 0.2 * TRUTH[4]
-
-
-def test_a_log_that_tells_overrules_a_wrong_data_sheet(pendulum, tmp_path):
-    motor = mine(tmp_path, stiffness=(120.0, 60.0), armature=(2.0 * TRUTH[4], TRUTH[4]))
-    log = replace(servo_log(), motors={"hinge": motor})
-    model = calibrate_efforts(pendulum, [log])[0]
-    assert model.effort_signals[0].gain == pytest.approx(TRUTH[0], rel=0.02)
-    model, fits = with_servo_motions(model, [log])
-    assert armature(fits)[0] == pytest.approx(TRUTH[4], rel=0.15)
-    assert any(fitted.effect.name == "rotor_inertia" for fitted in model.effects)

@@ -192,23 +192,6 @@ def test_impossible_values_name_joint_row_and_value(quantity):
         without_faults(log)
 
 
-def test_empty_cells_and_infinities_are_no_faults():
-    log = swing()
-    for value in (np.nan, np.inf, -np.inf):
-        odd = changed(log, "position", slice(100, 3000, 7), 0, value)
-        assert without_faults(odd) is odd
-    nothing = replace(log, position=np.full_like(log.position, np.nan))
-    assert without_faults(nothing) is nothing
-
-
-def test_a_uniform_log_is_one_without_faults():
-    spiked = changed(swing(), "position", [1000], 0, 1e6)
-    uniform = make_uniform(spiked)
-    assert sum(map(len, uniform.pieces)) == len(spiked)
-    assert np.nanmax(uniform.log.position) < 2.0
-    assert any("an outlier" in note for note in uniform.notes)
-
-
 def test_logs_that_are_there_twice():
     log, other = swing(), swing(seed=1)
     part = part_of(log, slice(500, 3000), later=7.0)

@@ -34,18 +34,6 @@ def _write(folder, header=HEADER, rows=ROWS, name="log.csv"):
     return path
 
 
-def test_columns_in_any_order_with_spaces_and_strangers(tmp_path):
-    header = "mode, arm.b.effort ,a.effort,time, a.position,arm.b.position , gripper.effort"
-    rows = [f"auto,2,1,{0.1 * k},{k},,7" for k in range(12)]
-    log = read_log(_write(tmp_path, header, rows))
-    assert log.joints == ("a", "arm.b")
-    assert log.velocity is None
-    assert np.array_equal(log.position[:, 0], np.arange(12))
-    assert np.isnan(log.position[:, 1]).all()
-    assert np.array_equal(log.effort[0], [1, 2])
-    assert log.notes == ("columns ignored: mode, gripper.effort",)
-
-
 def test_velocity_of_some_joints_only_is_noted(tmp_path):
     log = read_log(_write(tmp_path, HEADER + ",a.velocity", [row + ",0" for row in ROWS]))
     assert log.velocity is None and "b.velocity" in log.notes[0]

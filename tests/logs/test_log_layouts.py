@@ -47,38 +47,6 @@ def check(log, joints, q, v, tau):
         assert truth is None or np.allclose(found, truth, atol=1e-12)
 
 
-def test_stamps_of_ros_and_arrays_of_joint_states(tmp_path):
-    time, q, v, tau = motion(UR)
-    seconds, rest = np.divmod(np.round(1e9 * time).astype(int), 10**9)
-    names = ["/joint_states/header/stamp/sec", "/joint_states/header/stamp/nanosec"]
-    for block in ("position", "velocity", "effort"):
-        names += [f"/joint_states/{joint}/{block}" for joint in UR[::-1]]
-    flipped = [values[:, ::-1] for values in (q, v, tau)]
-    path = write(tmp_path / "plot.csv", names, [seconds + 1_700_000_000, rest, *flipped])
-    log = read_log(path, joints=UR)
-    check(log, UR, q, v, tau)
-    assert np.allclose(log.time, time, atol=1e-9)  # all digits, though stamps are of today
-    nanoseconds = write(
-        tmp_path / "epoch.csv",
-        ["timestamp", *(n.replace("/", ".") for n in names[2:])],
-        [1.7e18 + 1e9 * time, *flipped],
-    )
-    log = read_log(nanoseconds, joints=UR)
-    assert np.allclose(np.diff(log.time), np.diff(time), atol=1e-6)
-    assert any("since 1970" in note for note in log.notes)
-
-
-def test_joints_have_the_files_names_without_a_model(tmp_path):
-    time, q, _, tau = motion(("a", "b"))
-    names = ["t", "pos_a", "pos_b", "eff_a", "eff_b", "pos_gripper", "mode"]
-    path = write(tmp_path / "log.csv", names, [time, q, tau, time, time])
-    log = read_log(path)
-    check(log, ("a", "b"), q, None, tau)
-    assert "columns ignored: pos_gripper, mode" in log.notes
-    numbered = write(tmp_path / "n.csv", ["t", "q1", "q2", "tau1", "tau2"], [time, q, tau])
-    assert read_log(numbered).joints == ("joint_1", "joint_2")
-
-
 def test_no_header_and_no_time(tmp_path):
     _, q, _, tau = motion(("a",))
     path = tmp_path / "log.csv"
@@ -109,39 +77,6 @@ def test_units_by_option(tmp_path):
         assert any(words in note for note in log.notes)
 
 
-def test_position_and_effort_in_two_files_without_time(tmp_path):
-    _, q, _, tau = motion(("a", "b"))
-    for name, values in (("positions.csv", q), ("efforts.csv", tau)):
-        np.savetxt(tmp_path / name, values, delimiter=",")
-    parts = f"{tmp_path / 'positions.csv'}+{tmp_path / 'efforts.csv'}"
-    log = read_log(parts, joints=("a", "b"), reading=Reading(rate=500.0))
-    check(log, ("a", "b"), q, None, tau)
-    assert np.allclose(log.time, np.arange(ROWS) / 500.0)
-
-
-@pytest.mark.parametrize("kinds", ["csv npz", "parquet npz", "csv parquet"])
-def test_files_of_any_formats_are_joined(tmp_path, kinds):
-    time, q, _, tau = motion(("a", "b"))
-    stamps = np.datetime64("2026-05-01T12:00") + np.round(1e9 * time).astype("timedelta64[ns]")
-    paths = []
-    for kind, stem, values in zip(kinds.split(), ("positions", "efforts"), (q, tau), strict=True):
-        first = 20 * (stem == "efforts")  # which begins later
-        frame = pandas.DataFrame(dict(zip("ab", values.T, strict=True))).assign(time=stamps)[first:]
-        paths.append(tmp_path / f"{stem}.{kind}")
-        {
-            "npz": lambda path, frame=frame: np.savez(path, **frame),
-            "csv": frame.to_csv,
-            "parquet": frame.to_parquet,
-        }[kind](paths[-1])
-    log = read_log("+".join(map(str, paths)), joints=("a", "b"))
-    there = np.isfinite(log.effort).all(axis=1) & np.isfinite(log.position).all(axis=1)
-    assert there.sum() >= len(time) - 20
-    ours = np.searchsorted(time, log.time[there] - 1e-6)
-    found = (log.time[there], log.position[there], log.effort[there])
-    for values, truth in zip(found, (time[ours], q[ours], tau[ours]), strict=True):
-        assert np.allclose(values, truth, atol=1e-6)
-
-
 def test_joined_files_without_a_common_clock(tmp_path):
     time, q, _, tau = motion(("a",))
     first = write(tmp_path / "positions.csv", ["time", "a"], [time, q])
@@ -159,16 +94,6 @@ def test_joined_files_without_a_common_clock(tmp_path):
     np.savez(second, time=1e3 * time, a=tau[:, 0])
     log = read_log(f"{first}+{second}", reading=Reading(units={"time": "ms"}))
     assert np.allclose(log.time, time)
-
-
-def test_joined_files_with_nanoseconds_of_their_own(tmp_path):
-    time, q, _, tau = motion(("a",))
-    names, stamps = ["sec", "nanosec", "a"], [1_777_000_000 + np.floor(time), 1e9 * (time % 1.0)]
-    first = write(tmp_path / "positions.csv", names, [*stamps, q])
-    second = write(tmp_path / "efforts.csv", names, [*stamps, tau])
-    log = read_log(f"{first}+{second}")
-    assert np.allclose(log.time - log.time[0], time - time[0], atol=1e-6)
-    assert np.allclose(log.effort, tau)
 
 
 def test_two_files_that_do_not_fit(tmp_path):
@@ -301,17 +226,6 @@ def test_mappings_that_cannot_be(tmp_path, change, words):
     (tmp_path / "m.yaml").write_text(MAPPING.replace(*change))
     with pytest.raises(LogError, match=words):
         read_mapping(tmp_path / "m.yaml")
-
-
-def test_the_proposal_of_a_failed_reading_reads_the_log(tmp_path):
-    time, q, _, tau = motion(("shoulder", "elbow"))
-    path = write(tmp_path / "log.csv", ["x1", "x2", "x3", "x4", "x5"], [time, q, tau])
-    with pytest.raises(LogError) as caught:
-        read_log(path, joints=("shoulder", "elbow"))
-    (tmp_path / "m.yaml").write_text(caught.value.evidence["proposal"])
-    mapping = read_mapping(tmp_path / "m.yaml")
-    log = read_log(path, joints=("shoulder", "elbow"), reading=Reading(mapping=mapping))
-    check(log, ("shoulder", "elbow"), q, None, tau)
 
 
 DATES = {
@@ -552,14 +466,6 @@ def test_positions_of_two_robots_with_efforts_of_one_are_asked_about(tmp_path):
     check(read_log(path, joints=PANDA, reading=Reading(topic="slave")), PANDA, q, None, tau)
 
 
-def test_names_that_may_be_of_several_joints_are_asked_about(tmp_path):
-    time, q, _, tau = motion(UR)
-    called = ["base", "shoulder", "elbow", "wrist1", "wrist2", "wrist3"]
-    names = ["time", *(f"{n}_pos" for n in called), *(f"{n}_torque" for n in called)]
-    with pytest.raises(LogError, match="has joint 'shoulder', but the model does not"):
-        read_log(write(tmp_path / "log.csv", names, [time, q, tau]), joints=UR, partial=True)
-
-
 def test_one_name_that_fits_by_chance_is_not_the_only_joint(tmp_path):
     time, q, _, tau = motion(IIWA[:4])
     names = ["time", *(f"{what}_{letter}" for what in ("q", "tau") for letter in "ABCD")]
@@ -596,21 +502,6 @@ def test_two_robots_one_after_the_other(tmp_path):
     check(read_log(path, joints=("a",), reading=Reading(topic="1")), ("a",), q, None, tau)
 
 
-def test_recordings_before_robots_are_those_of_one(tmp_path):
-    time, q, _, tau = motion(("a",))
-    half, frames = ROWS // 2, []
-    for trial in ("first", "second"):
-        for robot, scale in (("r1", 1.0), ("r2", 0.5)):
-            rows = slice(0, half) if trial == "first" else slice(half, 2 * half)
-            columns = {"time": time[:half], "q": scale * q[rows, 0], "tau": scale * tau[rows, 0]}
-            frames.append(pandas.DataFrame({"trial": trial, "robot": robot, **columns}))
-    pandas.concat(frames).to_csv(tmp_path / "log.csv", index=False)
-    with pytest.raises(LogError, match="rows of 2 robots, by column 'robot'"):
-        read_log(tmp_path / "log.csv", joints=("a",))
-    log = read_log(tmp_path / "log.csv", joints=("a",), reading=Reading(topic="r2"))
-    np.testing.assert_allclose(log.position, 0.5 * q[: 2 * half])
-
-
 def test_a_list_of_one_number_is_its_item_in_a_mapping(tmp_path):
     time, q, _, tau = motion(("a",))
     rows = zip(time.tolist(), q.tolist(), tau.tolist(), strict=True)
@@ -620,15 +511,6 @@ def test_a_list_of_one_number_is_its_item_in_a_mapping(tmp_path):
     mapping = ColumnMapping({"a": joint}, MappedColumn("t"))
     log = read_log(tmp_path / "log.jsonl", joints=("a",), reading=Reading(mapping=mapping))
     check(log, ("a",), q, None, tau)
-
-
-def test_rows_without_a_robot_are_of_the_only_one(tmp_path):
-    time, q, _, tau = motion(("a",))
-    path = write(tmp_path / "log.csv", ["time", "q", "tau"], [time, q, tau])
-    head, *rows = path.read_text().splitlines()
-    cells = ["robot", *("", "ur5") * (ROWS // 2)]
-    path.write_text("\n".join(f"{a},{b}" for a, b in zip([head, *rows], cells, strict=True)))
-    check(read_log(path, joints=("a",)), ("a",), q, None, tau)
 
 
 @pytest.mark.parametrize("words", [("moving", "idle"), ("2", "5")])

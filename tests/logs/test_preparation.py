@@ -1,7 +1,6 @@
 """Preparation of logs: filters, smooth motion, long logs, and the folds that validation uses."""
 
 import dataclasses
-import re
 import tracemalloc
 from dataclasses import replace
 
@@ -9,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from measurements import DATA
 from pendulum_logs import JOINTS, PENDULUM
 
 from geodrake import load_model
@@ -20,7 +18,7 @@ from geodrake.logs import JointLog, Motion, read_log, smoothing, uniform_log, wr
 from geodrake.logs.filtering import choose_bandwidth, design_filter, differentiate, resample
 from geodrake.logs.folds import validation_blocks
 from geodrake.logs.motion import Trajectory, check_joints
-from geodrake.logs.preparation import motion_bandwidth_of, prepare_logs
+from geodrake.logs.preparation import prepare_logs
 from geodrake.logs.smoothing import Piece, Stretch
 from geodrake.logs.uniform_log import effort_steps, make_uniform
 
@@ -160,18 +158,6 @@ def test_standstills_at_the_ends_go_and_those_inside_stay():
     assert "s of standstill at the end" in trajectory.left_out
 
 
-def test_parts_that_are_left_out_add_up():
-    """A first piece that hardly moves goes as a whole, and not its standstill beside it."""
-    log = _with_standstills(5.0, 3.0, 4.0)
-    kept = (log.time < 7.0) | (log.time > 8.0)
-    names = ("time", "position", "effort")
-    log = replace(log, **{name: getattr(log, name)[kept] for name in names})
-    (trajectory,) = prepare_logs([log], bandwidth=2.0)
-    total, *parts = map(float, re.findall(r"([\d.]+) (?:of [\d.]+ )?s\b", trajectory.left_out))
-    assert "in 1 of 2 pieces" in trajectory.left_out
-    assert sum(parts) == pytest.approx(total, abs=0.05)
-
-
 def test_still_throughout():
     noise = 1e-4 * np.random.default_rng(0).standard_normal((1000, 2))
     log = _make_log(_uniform(10.0), position=noise)
@@ -216,42 +202,6 @@ def test_velocities_that_disagree_are_not_used_and_late_ones_moved(measured, wor
     trajectory = prepare_logs([log], bandwidth=4.0)[0]
     assert max(_error(trajectory.segments[0][:])) < 1e-3
     assert any(words in note for note in trajectory.notes)
-
-
-def test_velocities_are_used_joint_by_joint():
-    """Those of the elbow are wrong; positions of the shoulder are noisier than its velocities."""
-    log, rng = _make_log(_uniform()), np.random.default_rng(0)
-    velocity = RATES * np.cos(RATES * log.time[:, None]) * [1.0, 1.3]
-    position = log.position + [3e-3, 0.0] * rng.normal(size=log.position.shape)
-    log = replace(log, position=position, velocity=velocity)
-    trajectory = prepare_logs([log], bandwidth=8.0)[0]
-    assert trajectory.segments[0].derived.tolist() == [False, True]
-    assert any("velocities of elbow are not used" in note for note in trajectory.notes)
-    segment = trajectory.segments[0][:]
-    truth = RATES * np.cos(RATES * segment.time[:, None])
-    np.testing.assert_allclose(segment.velocity, truth, atol=2e-3)
-    assert trajectory.acceleration_noise[0] < 1e-3
-
-
-def test_a_gait_beside_a_slow_sway_lowers_no_bandwidth():
-    """Accelerations by the impacts of a gait have no valley, so that all seems to be noise."""
-    time, rng = _uniform(40.0, 0.005), np.random.default_rng(0)
-    frequency = np.fft.rfftfreq(len(time), 0.005)
-    slow = (frequency > 0.2) & (frequency < 1.8)
-    sway = np.where(slow, np.maximum(frequency / 0.3, 1.0), 0.0)
-    gait = np.where(frequency >= 1.8, 60.0, 0.0)
-
-    def made(power):
-        """Return positions whose accelerations have a spectrum."""
-        phases = rng.uniform(0.0, 2.0 * np.pi, (len(frequency), 2))
-        size = np.sqrt(power) / np.maximum(frequency, 0.1) ** 2
-        return np.fft.irfft(size[:, None] * np.exp(1j * phases), len(time), axis=0)
-
-    noise = 1e-4 * made(sway).std() * rng.normal(size=(2, len(time), 2))
-    positions = made(sway) + noise[0], 0.5 * made(sway) + made(gait) + noise[1]
-    logs = [make_uniform(replace(_make_log(time), position=each)) for each in positions]
-    alone = [motion_bandwidth_of([log]) for log in logs]
-    assert motion_bandwidth_of(logs) >= min(alone) > 5.0
 
 
 def test_shapes_and_time_are_checked():
@@ -324,32 +274,6 @@ def test_nothing_to_hold_out():
         validation_blocks(_trajectories((15,)))
     with pytest.raises(ArgumentError, match="no trajectories"):
         validation_blocks([])
-
-
-@pytest.mark.measurements("data/ur10e_*.csv", "data/tx40.csv", "data/double_pendulum_c1_*.csv")
-@pytest.mark.parametrize(
-    ("name", "low", "high"),
-    [
-        ("ur10e_free_a", 3.5, 10),
-        ("ur10e_changed", 3.5, 10),
-        ("ur10e_ptp", 3.5, 10),
-        ("tx40", 10, 40),
-        ("double_pendulum_c1_143339", 6, 30),
-    ],
-)
-def test_measured_logs(name, low, high):
-    log = read_log(DATA / f"{name}.csv")
-    trajectory = prepare_logs([log])[0]
-    (stretch,) = trajectory.segments
-    segment = stretch[:]
-    assert low < trajectory.filter.bandwidth < high
-    assert len(validation_blocks([trajectory])) == 8
-    position = np.stack([np.interp(segment.time, log.time, column) for column in log.position.T], 1)
-    assert np.abs(segment.position - position).max() < 0.01 * np.ptp(position, axis=0).max()
-    if log.velocity is not None:
-        assert not any("velocities of" in note for note in trajectory.notes)
-    if name == "tx40":
-        assert 7.4 < segment.time[-1] < 7.9
 
 
 SHORT = np.arange(0.0, 8.0, 0.01)
@@ -584,16 +508,6 @@ def test_trimming_does_not_depend_on_chunks(monkeypatch):
     assert (cut.first, cut.stop) == (whole.first, whole.stop)
     assert cut.first > 0
     assert cut.stop < len(cut.piece)
-
-
-def test_choices_look_at_a_part_of_a_long_log(monkeypatch):
-    log = long_log(9000)
-    monkeypatch.setattr(uniform_log, "_PART", 1_000)
-    monkeypatch.setattr(uniform_log, "_LOOKED_AT", 2_000)
-    parts = list(uniform_log.sample_parts(uniform_log.make_uniform(log).pieces))
-    assert [len(part) for part in parts] == pytest.approx([250] * 8, abs=1)
-    assert parts[0].time[0] == log.time[0]
-    assert parts[-1].time[-1] > 0.85 * log.time[-1]
 
 
 def test_memory_grows_with_the_log_alone(monkeypatch, tmp_path):

@@ -374,30 +374,6 @@ def test_messages_stay_good_where_there_is_neither():
         make_uniform(JointLog("x", JOINTS, TIME, Q, nothing, command=nothing))
 
 
-def test_a_proposed_mapping_has_what_stands_for_efforts():
-    columns = frame(p_J=Q, current_J=S)
-    with pytest.raises(LogError) as caught:
-        log_of_frame(columns, joints=JOINTS)
-    proposal = caught.value.evidence["proposal"]
-    assert "    current: current_0\n" in proposal
-    assert "effort:" not in proposal.split("joints:")[1]
-
-
-def test_a_proposed_mapping_has_joints_of_other_names_in_their_order(tmp_path):
-    names = [f"{joint}_meas_{what}" for what in ("pos", "tau") for joint in ("upper", "lower")]
-    table = np.column_stack([TIME, Q, S, S[:, 0]])
-    header = ",".join(["meas_time", *names, "lower_des_tau_tvlqr"])
-    path = tmp_path / "log.csv"
-    np.savetxt(path, table, delimiter=",", header=header, comments="")
-    with pytest.raises(LogError, match="of which the model has none") as caught:
-        read_log(path, joints=JOINTS)
-    (tmp_path / "mapping.yaml").write_text(caught.value.evidence["proposal"])
-    reading = Reading(mapping=read_mapping(tmp_path / "mapping.yaml"))
-    log = read_log(path, joints=JOINTS, reading=reading)
-    np.testing.assert_array_equal(log.position, Q)
-    np.testing.assert_array_equal(log.effort, S)
-
-
 WHOLE = np.rint(100.0 * S)
 """Numbers of a register, of either sign."""
 
@@ -561,16 +537,6 @@ def test_a_log_keeps_them(tmp_path, suffix):
     assert list(again.to_dataframe())[-1] == "elbow.temperature"
 
 
-def test_one_joint_alone_may_have_one():
-    only = WARMTH.copy()
-    only[:, 0] = np.nan
-    columns = log_with(only).columns()
-    assert "shoulder.temperature" not in columns
-    again = log_of_frame(columns, joints=JOINTS)
-    np.testing.assert_array_equal(again.temperature, only)
-    assert log_of_frame(log_with(None).columns()).temperature is None
-
-
 def frame_with(form, warmth):
     """Columns of another logger, of a form of names."""
     frame = {"time": CLOCK}
@@ -620,26 +586,6 @@ def test_slow_ones_and_time_may_be_named_by_a_mapping_alone(tmp_path, numbered):
     known = log.time <= 19.0
     np.testing.assert_allclose(log.time[known], CLOCK[CLOCK <= 19.0], atol=1e-12)
     np.testing.assert_allclose(log.temperature[known], WARMTH[CLOCK <= 19.0], rtol=1e-12)
-
-
-def test_limits_and_boards_are_no_temperatures_of_joints():
-    columns = log_with(None).columns()
-    columns |= {"temperature_limit_0": WARMTH[:, 0], "temperature_board": WARMTH[:, 1]}
-    log = log_of_frame(columns, joints=JOINTS)
-    assert log.temperature is None
-    assert log.joints == JOINTS
-
-
-def test_courses_are_means_over_seconds():
-    readings = np.round(WARMTH)
-    readings[300:500, 0] = np.nan
-    readings[:, 1] = np.nan
-    courses = Temperatures.of(JOINTS, CLOCK + 100.0, readings)
-    assert list(courses.courses) == ["shoulder"]
-    found = courses.at([2.0, 4.0, 17.3], ["elbow", "shoulder"])
-    assert np.isnan(found[:, 0]).all()
-    np.testing.assert_allclose(found[:, 1], [32.0, 34.0, 47.3], atol=0.1)  # whole degrees, and back
-    assert Temperatures.of(JOINTS, CLOCK, np.full_like(WARMTH, np.nan)) is None
 
 
 @pytest.mark.parametrize("code", [-1.0, 0.0, 127.0, 255.0, 5 * (255 - 32) / 9])

@@ -1,7 +1,6 @@
 """Tables as robots write them: lists and names in cells, a row a joint, JSON, HDF5, clocks."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from zipfile import ZipFile
 
@@ -535,15 +534,6 @@ def csv_of(folder, columns):
     return folder / "log.csv"
 
 
-def mapped(joint, time):
-    """A mapping of columns that are called after joints."""
-    joints = {
-        name: {q: MappedColumn(f"{joint.format(name)}.{q}") for q in ("position", "effort")}
-        for name in JOINTS
-    }
-    return Reading(mapping=ColumnMapping(joints, MappedColumn(time)))
-
-
 @pytest.mark.parametrize("name", SHAPES)
 def test_a_table_of_any_shape_is_the_same_log(tmp_path, name):
     log = read_log(written(tmp_path, name), joints=JOINTS)
@@ -566,16 +556,6 @@ def test_a_last_row_that_is_cut_off_is_left_out(tmp_path):
     log = read_log(tmp_path / "cut.csv")
     assert len(log) == 3 * ROWS
     assert any("are corrupt and skipped:" in note for note in log.notes)
-
-
-@pytest.mark.parametrize("kind", ["csv", "parquet"])
-def test_a_row_a_joint_by_its_number(tmp_path, kind):
-    frame = A_ROW_A_JOINT.assign(motor_id=[11, 12] * ROWS).drop(columns="joint")
-    path = tmp_path / f"numbers.{kind}"
-    getattr(frame, f"to_{kind}")(path, index=False)
-    log = read_log(path)
-    assert log.joints == ("joint_11", "joint_12")
-    np.testing.assert_allclose(log.effort, EFFORT)
 
 
 def message(each, topic=None, joints=None, scale=1.0, since=0.0):
@@ -611,20 +591,6 @@ def test_messages_of_several_topics_and_publishers_in_one_file(tmp_path):
         [x for r, b in zip(LIST_RECORDS, beside, strict=True) for x in (message(r, "/q"), b)]
     )
     np.testing.assert_allclose(log.position, plain.position)
-
-
-def test_messages_with_dates(tmp_path):
-    said = []
-    for each in LIST_RECORDS:
-        told = {key: each[key] for key in ("name", "position", "effort")}
-        when = f"2024-05-01T10:00:{each['time']:09.6f}Z"
-        said += [{"topic": "/q", "time": when, "data": told}]
-        said += [{"topic": "/rosout", "time": when, "data": {"x": 1.0}}]
-    path = tmp_path / "log.jsonl"
-    path.write_text("\n".join(map(json.dumps, said)))
-    log = read_log(path, joints=JOINTS)
-    time = np.array([each["time"] for each in LIST_RECORDS])
-    np.testing.assert_allclose(log.time - log.time[0], time - time[0], atol=2e-6)
 
 
 def test_dates_beside_names_of_joints_are_no_positions(tmp_path):
@@ -666,17 +632,6 @@ def test_words_for_nothing(tmp_path, monkeypatch, many):
 def test_a_log_without_a_model_has_the_joints_that_its_cells_name(tmp_path):
     for name in ("cells.csv", "long.csv", "messages.jsonl"):
         assert set(read_log(written(tmp_path, name)).joints) == set(JOINTS)
-
-
-def test_a_row_a_joint_with_what_was_commanded_and_other_units(tmp_path):
-    frame = A_ROW_A_JOINT.assign(position_commanded=7.0, time=1e3 * A_ROW_A_JOINT["time"])
-    frame["position_deg"] = np.degrees(frame.pop("position"))
-    frame["effort_Nmm"] = 1e3 * frame.pop("effort")
-    reading = Reading(units={"time": "ms"})
-    log = read_log(csv_of(tmp_path, frame), joints=JOINTS, reading=reading)
-    np.testing.assert_allclose(log.time - log.time[0], TIME, atol=1e-9)
-    np.testing.assert_allclose(log.position, POSITION, atol=1e-9)
-    np.testing.assert_allclose(log.effort, EFFORT, atol=1e-9)
 
 
 @pytest.mark.parametrize("first", [0.0, 5.0])  # s at which the second joint begins
@@ -966,30 +921,6 @@ def test_efforts_in_percent_are_no_newton_metres(tmp_path):
     np.testing.assert_allclose(log.effort, 0.1 * EFFORT, atol=1e-12)
 
 
-def test_a_mapping_of_seconds_has_the_nanoseconds_beside_them(tmp_path):
-    columns = {"stamp.sec": 1.7e9, "stamp.nanosec": np.rint(1e9 * TIME)}
-    path = csv_of(tmp_path, columns | {name: PLAIN[name] for name in PLAIN.columns[1:]})
-    for clock in (mapped("{}", "stamp.sec"), in_seconds(mapped("{}", "stamp.sec"))):
-        log = read_log(path, reading=clock)
-        np.testing.assert_allclose(log.time - log.time[0], TIME, atol=1e-6)
-
-
-def in_seconds(reading):
-    clock = replace(reading.mapping.time, unit="s")
-    return replace(reading, mapping=replace(reading.mapping, time=clock))
-
-
-def test_of_a_column_that_two_files_have_that_of_the_first_is_taken(tmp_path):
-    PLAIN.to_csv(tmp_path / "a.csv", index=False)
-    PLAIN.assign(**{"elbow.effort": 0.0}).to_csv(tmp_path / "b.csv", index=False)
-    log = read_log(f"{tmp_path / 'a.csv'}+{tmp_path / 'b.csv'}", joints=JOINTS)
-    np.testing.assert_allclose(log.effort, EFFORT, atol=1e-12)
-    assert any("elbow.effort occur in several parts" in note for note in log.notes)
-    PLAIN[["elbow.effort"]].to_csv(tmp_path / "c.csv", index=False)  # without time
-    log = read_log(f"{tmp_path / 'a.csv'}+{tmp_path / 'c.csv'}", joints=JOINTS)
-    assert any("elbow.effort occur in several parts" in note for note in log.notes)
-
-
 MARKS = {
     "English": (";", "{:,.2f}", ""),
     "English in quotes": (",", '"{:,.2f}"', ""),
@@ -1057,26 +988,6 @@ def test_three_decimals_beside_whole_hundreds_are_no_thousands(tmp_path):
     log = read_log(path, joints=JOINTS)
     np.testing.assert_allclose(log.position, np.deg2rad(position), atol=1e-6)
     assert "thousands" not in " ".join(log.notes)
-
-
-def test_time_of_one_joint_in_french_is_no_temperature(tmp_path):
-    columns = {"temps": TIME, "position": POSITION[:, 0], "couple": EFFORT[:, 0]}
-    log = read_log(csv_of(tmp_path, columns))
-    np.testing.assert_allclose(log.time, TIME)
-    assert log.temperature is None
-    log = read_log(csv_of(tmp_path, {**columns, "temperature": 25.0 + TIME}))
-    np.testing.assert_allclose(log.time, TIME)
-    np.testing.assert_allclose(log.temperature[:, 0], 25.0 + TIME)
-    assert not any("temperature" in note for note in log.notes)
-
-
-@pytest.mark.parametrize("first", ["time", "kind"])
-def test_rows_with_few_cells_at_the_beginning_are_none_with_keys(tmp_path, first):
-    sparse = PLAIN.assign(kind="state")[[first, *PLAIN.columns.drop(first, errors="ignore")]]
-    sparse.loc[:9, ["base.position", "elbow.position", "base.effort"]] = np.nan
-    log = read_log(csv_of(tmp_path, sparse))
-    assert len(log) == ROWS
-    assert np.isnan(log.effort[:10, 0]).all()
 
 
 def test_rows_of_a_joint_in_units_of_which_one_is_not_known(tmp_path):
@@ -1265,8 +1176,3 @@ def test_joints_with_time_of_their_own_are_joined_by_it(tmp_path, kind):
     np.testing.assert_allclose(log.position[known, 0], 3.0 * log.time[known], atol=1e-9)
     np.testing.assert_allclose(log.position[known, 1], 1.0 + log.time[known], atol=1e-9)
     np.testing.assert_allclose(log.effort[known, 1], 2.0 - log.time[known], atol=1e-9)
-
-
-def test_the_first_of_several_temperatures_of_a_motor_is_taken(tmp_path):
-    log = read_log(written(tmp_path, "motors.jsonl"), joints=JOINTS)
-    assert np.all(log.temperature == 30.0)
