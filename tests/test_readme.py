@@ -58,9 +58,8 @@ def test_options_of_files_are_those_of_the_page_of_commands():
     words = COMMANDS.split("All commands take `--json`")[1].split("hides progress")[0]
     saving, none = words.split("`--save` writes")[1].split(";")
     commands = {
-        command.callback.__name__: {p.name for p in get_command(app).commands[name].params}
-        for command in app.registered_commands
-        for name in [command.callback.__name__]
+        name: {p.name for p in command.params}
+        for name, command in get_command(app).commands.items()
     }
     assert {"compare", "excite", "demo"} <= commands.keys()
     assert all(

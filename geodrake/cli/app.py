@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib import import_module
-from importlib.resources import as_file, files
 from typing import Annotated, Any
 
 import typer
@@ -15,11 +13,9 @@ from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
 from geodrake.boundary.escaping import printable
 from geodrake.boundary.version import versions
 from geodrake.cli import options
-from geodrake.cli.options import ALL_OPTIONS, Options, is_advanced, taking
+from geodrake.cli.options import ALL_OPTIONS, is_advanced
 from geodrake.cli.streams import settled_surroundings
 
-DEMO_MODEL, DEMO_LOG = "demo.urdf", "demo.csv"
-DEMO_TIME = "This takes about 15 seconds; a minute the first time, as code is compiled."
 _GARBAGE = 100_000  # allocations between two runs of the garbage collector
 
 
@@ -87,110 +83,26 @@ app = typer.Typer(
     epilog="Start with: geodrake demo. Then: geodrake explain robot.urdf log.csv",
 )
 
-_COMMANDS: dict[str, tuple[Any, ...]] = {
-    "compare": (
-        "explaining.run_compare",
-        Options,
-        "Show the error of a model on logs, by joint, and where it is largest.",
-        "robot.urdf log.csv --report page.html",
-        "robot.yaml log.mcap",
-    ),
-    "diagnose": (
-        "explaining.run_diagnose",
-        Options,
-        "Rank the effects that the model may lack, with the evidence.",
-        "robot.urdf log_1.csv log_2.csv",
-        "robot.yaml new_log.csv --report page.html",
-    ),
-    "add": (
-        "explaining.run_add",
-        options.AddOptions,
-        "Add an effect to the model, refit, and show the errors before and after.",
-        "payload@flange robot.urdf log.csv --save robot.yaml",
-        "viscous_friction robot.urdf log.csv",
-    ),
-    "explain": (
-        "explaining.run_explain",
-        options.ExplainOptions,
-        "Find and add missing effects until only noise is left, or nothing explains the rest.",
-        "robot.urdf log_1.csv log_2.csv --save robot.yaml --report page.html",
-        "robot.yaml log_with_something_new.csv",
-    ),
-    "rollout": (
-        "rollout.run_rollout",
-        options.RolloutOptions,
-        "Simulate the model under logged efforts or commands, and compare its motion.",
-        "robot.yaml log.csv --before robot.urdf",
-        "robot.yaml log.csv --fit --save soft.yaml",
-    ),
-    "play": (
-        "play.run_play",
-        options.PlayOptions,
-        "Replay logs on the robot, coloured by error, as a page, a video or a recording.",
-        "robot.yaml log.csv --out play.html",
-        "robot.yaml log.csv --video play.mp4",
-        "robot.yaml log.csv --to rerun play.rrd",
-    ),
-    "identify": (
-        "identify.run_identify",
-        options.IdentifyOptions,
-        "Fit inertias, regularized towards the model's, and effects that you name.",
-        "robot.urdf log.csv --effects coulomb_friction,viscous_friction",
-        "robot.urdf log.csv --export identified.urdf",
-    ),
-    "excite": (
-        "excite.run_excite",
-        options.ExciteOptions,
-        "Design the most informative motion within the limits of the robot.",
-        "robot.urdf --save motion.csv",
-        "robot.yaml --tell-apart payload,wrong_inertia --save motion.csv",
-        "humanoid.urdf --feet l_foot,r_foot --stand l_knee=0.8,… --save motion.csv",
-    ),
-    "identifiable": (
-        "excite.run_identifiable",
-        options.IdentifiableOptions,
-        "Show which parameters the logs can identify.",
-        "robot.urdf log.csv",
-        "robot.urdf log_1.csv log_2.csv --report page.html",
-    ),
-    "digest": (
-        "logs.run_digest",
-        options.DigestOptions,
-        "Reduce each log to a small file for fleet. Exit code 1 if any log fails.",
-        "robot.urdf monday.csv tuesday.csv --to digests",
-    ),
-    "fleet": (
-        "fleet.run_fleet_command",
-        options.FleetOptions,
-        "Show which robots of a fleet changed, at which joint, by which effect, and since when.",
-        "fleet.yaml --report fleet.html",
-        "fleet.yaml --watch",
-    ),
-    "export": (
-        "export.run_export",
-        options.ExportOptions,
-        "Write the model for a simulator or controller, and verify what was written.",
-        "robot.yaml --to mjcf exported",
-        "robot.yaml --to ros2 src/robot_feedforward",
-    ),
-    "check": (
-        "export.run_check",
-        options.CheckOptions,
-        "Compare the model's dynamics with MultibodyPlant. Exit code 1 if they differ.",
-        "robot.urdf",
-        "scene.xml --robot arm",
-    ),
-    "log": (
-        "logs.run_log",
-        options.LogCommandOptions,
-        "Show how logs are read: joints, columns, units, rates, gaps. Needs no model.",
-        "recording.mcap --model robot.urdf",
-        "wrong.csv --model robot.urdf --write-mapping right.yaml",
-    ),
+_COMMANDS: dict[str, tuple[str, type[Any]]] = {
+    "compare": ("explaining.run_compare", options.CompareOptions),
+    "diagnose": ("explaining.run_diagnose", options.DiagnoseOptions),
+    "add": ("explaining.run_add", options.AddOptions),
+    "explain": ("explaining.run_explain", options.ExplainOptions),
+    "rollout": ("rollout.run_rollout", options.RolloutOptions),
+    "play": ("play.run_play", options.PlayOptions),
+    "identify": ("identify.run_identify", options.IdentifyOptions),
+    "excite": ("excite.run_excite", options.ExciteOptions),
+    "identifiable": ("excite.run_identifiable", options.IdentifiableOptions),
+    "digest": ("logs.run_digest", options.DigestOptions),
+    "fleet": ("fleet.run_fleet_command", options.FleetOptions),
+    "export": ("export.run_export", options.ExportOptions),
+    "check": ("export.run_check", options.CheckOptions),
+    "log": ("logs.run_log", options.LogCommandOptions),
+    "demo": ("explaining.run_demo", options.DemoOptions),
 }
-"""Command -> the function that runs it, its options, its help, and example arguments."""
+"""Command -> the function that runs it, and its options, whose docstrings are its help."""
 
-EXAMPLES = {name: examples for name, (_, _, _, *examples) in _COMMANDS.items()}
+EXAMPLES = {name: options.examples_of(kind) for name, (_, kind) in _COMMANDS.items()}
 
 
 def main() -> None:
@@ -200,39 +112,10 @@ def main() -> None:
         app(prog_name="geodrake")
 
 
-def _added(name: str, place: str, kind: type[Any], help_text: str) -> Callable[..., None]:
-    """Return a command that imports its function when it is called."""
-    module, _, function = place.partition(".")
-
-    def command(given: Any) -> None:
-        getattr(import_module(f"geodrake.cli.{module}"), function)(given)
-
-    command.__name__, command.__doc__ = name, help_text
-    return taking(kind)(command)
-
-
-for _name, (_place, _kind, _help, *_examples) in _COMMANDS.items():
-    _epilog = "\n\n".join(["Examples:", *(f"geodrake {_name} {each}" for each in _examples)])
-    app.command(name=_name, cls=_Command, epilog=_epilog)(_added(_name, _place, _kind, _help))
-
-
-@app.command(cls=_Command)
-@taking(options.DemoOptions)
-def demo(given: options.DemoOptions) -> None:
-    """Run explain on a log that comes with the package."""
-    from geodrake.cli.explaining import run_explain
-
-    folder = files("geodrake") / "demo"
-    with as_file(folder / DEMO_MODEL) as model, as_file(folder / DEMO_LOG) as data:
-        told = Options(
-            model=model,
-            logs=[data],
-            json=given.json,
-            report=given.report,
-            quiet=given.quiet,
-            details=given.details,
-        )
-        run_explain(told, DEMO_TIME)
+for _name, (_place, _kind) in _COMMANDS.items():
+    _lines = [f"geodrake {_name} {each}" for each in EXAMPLES[_name]]
+    _epilog = "\n\n".join(["Examples:", *_lines]) if _lines else None
+    app.command(name=_name, cls=_Command, epilog=_epilog)(options.command_of(_place, _kind))
 
 
 def _print_version(wanted: bool) -> None:

@@ -31,7 +31,6 @@ from geodrake.diagnosis.columns import (
 from geodrake.effects import load_effect_file
 from geodrake.effects.base import Effect
 from geodrake.errors import ArgumentError, GeodrakeError, LogError, OutputError
-from geodrake.identification.logs.model_errors import Comparison
 from geodrake.logs.files import Reading, check_log, file_names, parts_of, read_log
 from geodrake.logs.known_payload import KnownPayload
 from geodrake.logs.motion import JointLog
@@ -61,13 +60,12 @@ PAGE = (".html", ".htm")
 
 @dataclass(frozen=True)
 class Output:
-    """A file that a command writes if an option names it."""
+    """A file that a command writes if the option of this name names it."""
 
-    path: Path | None  # None if not requested, `-` for standard output
     words: str  # description
     suffixes: tuple[str, ...] = PAGE  # allowed endings of its name
-    # Returns the content for a result; None if there is nothing to write.
-    make: Callable[[Any], Content | None] = lambda found: None
+    # Returns the content for a result and a path; None if there is nothing to write.
+    make: Callable[[Any, Path], Content | None] = lambda found, path: None
 
 
 @dataclass(frozen=True)
@@ -143,14 +141,14 @@ def _run(command: Command[R], options: Any) -> R:
         page = replace(page, first=(mistakes, *page.first))
         makers: dict[str, Callable[[Path], Content | None]] = {
             "json": lambda path: numbers,
-            "report": lambda path: _html(page, fitted, view.drawn(result)),
+            "report": lambda path: _html(page, fitted),
             "save": lambda path: saved_text(fitted, path),
             "series": lambda path: series_content(samples(result), path),
         }
         contents, saved = dict[Path, Content](), dict[Path, str]()
-        for option, path in files_of(outputs).items():
+        for option, path in files_of(outputs, options).items():
             own = option in command.outputs
-            content = outputs[option].make(result) if own else makers[option](path)
+            content = outputs[option].make(result, path) if own else makers[option](path)
             if content is not None:
                 contents[path], saved[path] = content, outputs[option].words
         others = command.write(result, contents)
@@ -168,11 +166,11 @@ def _run(command: Command[R], options: Any) -> R:
     return result
 
 
-def _html(page: Page, model: RobotModel, drawn: Mapping[str, Comparison]) -> str:
+def _html(page: Page, model: RobotModel) -> str:
     from geodrake.report.html import render  # as jinja2 and matplotlib take a while
     from geodrake.report.pictures import error_pictures
 
-    return render(replace(page, pictures=error_pictures(model, drawn) if drawn else None))
+    return render(replace(page, pictures=error_pictures(model, page.compared)))
 
 
 def _about(
@@ -182,10 +180,10 @@ def _about(
     save, models = getattr(options, "save", None), _models(options)
     folder = (getattr(options, "report", None) or Path()).resolve().parent
     links = {}
-    for path, words in ((each.path, each.words) for each in command.outputs.values()):
-        if path is not None and path.suffix.lower() in PAGE:
+    for name, path in files_of(command.outputs, options).items():
+        if path.suffix.lower() in PAGE:
             place = Path(os.path.relpath(path.resolve(), folder))
-            links[words.capitalize()] = quote(place.as_posix())
+            links[command.outputs[name].words.capitalize()] = quote(place.as_posix())
     return About(
         models[0].name if models else "",
         tuple(file_names(path) for path in getattr(options, "logs", None) or ()),
@@ -202,54 +200,60 @@ def _models(options: Any) -> list[Path]:
     return [path for path in named if path is not None]
 
 
+def _log_files(options: Any) -> list[Path]:
+    return [part for log in getattr(options, "logs", None) or () for part in parts_of(log)]
+
+
 def inputs_of(options: Any) -> list[Path]:
     """Return the files that a command reads, which it must not overwrite."""
-    logs = [part for log in getattr(options, "logs", None) or () for part in parts_of(log)]
     mapping = getattr(options, "mapping", None)
     return [
         *_models(options),
-        *logs,
+        *_log_files(options),
         *getattr(options, "transmission_files", ()),
         *filter(None, [mapping]),
         *(getattr(options, "effects", None) or ()),
     ]
 
 
-_USUAL = {
-    "save": ("model", (".yaml", ".yml")),
-    "json": ("numbers", (".json",)),
-    "report": ("report", PAGE),
-    "series": ("samples", (".csv", ".parquet")),
+USUAL = {
+    "save": Output("model", (".yaml", ".yml")),
+    "json": Output("numbers", (".json",)),
+    "report": Output("report"),
+    "series": Output("samples", (".csv", ".parquet")),
 }
-"""Option -> description and allowed endings of its file, in most commands."""
-
-
-def usual_outputs(options: Any) -> dict[str, Output]:
-    """Return the outputs that most commands have."""
-    return {name: Output(getattr(options, name, None), *how) for name, how in _USUAL.items()}
+"""Option -> its file, in most commands."""
 
 
 def _checked_outputs(command: Command[R], options: Any) -> dict[str, Output]:
     """Return the outputs, after checking that all can be written."""
-    outputs = {**usual_outputs(options), **command.outputs}
-    if not command.takes_bad_logs:
-        check_logs([part for log in getattr(options, "logs", None) or () for part in parts_of(log)])
-    check_outputs(outputs, [*inputs_of(options), *command.inputs])
-    if (path := outputs["series"].path) is not None:
+    outputs = {**USUAL, **command.outputs}
+    for log in () if command.takes_bad_logs else _log_files(options):
+        check_log(log)
+    check_outputs(outputs, options, command.inputs)
+    if (path := getattr(options, "series", None)) is not None:
         check_series(path)
     return outputs
 
 
-def files_of(outputs: Mapping[str, Output]) -> dict[str, Path]:
+def _path(options: Any, name: str) -> Path | None:
+    """Return the file that an option names, which is the last of its values."""
+    found = getattr(options, name, None)
+    return found[-1] if isinstance(found, tuple) else found
+
+
+def files_of(outputs: Iterable[str], options: Any) -> dict[str, Path]:
     """Return option -> file of the requested outputs."""
-    return {name: one.path for name, one in outputs.items() if one.path not in (None, STDOUT)}
+    paths = {name: _path(options, name) for name in outputs}
+    return {name: path for name, path in paths.items() if path not in (None, STDOUT)}
 
 
-def check_outputs(outputs: Mapping[str, Output], inputs: Iterable[Path]) -> None:
+def check_outputs(outputs: Mapping[str, Output], options: Any, inputs: Iterable[Path]) -> None:
     """Raise if a file cannot be written or would overwrite an input or another output."""
-    taken = {_place(path): "is an input of this command" for path in inputs}
+    read = (*inputs_of(options), *inputs)
+    taken = {_place(path): "is an input of this command" for path in read}
     for name, output in outputs.items():
-        path, suffixes = output.path, output.suffixes
+        path, suffixes, option = _path(options, name), output.suffixes, name.replace("_", "-")
         if path is None or (path == STDOUT and name == "json"):
             continue
         reason, advice = "", "Choose another name."
@@ -257,11 +261,11 @@ def check_outputs(outputs: Mapping[str, Output], inputs: Iterable[Path]) -> None
             reason, advice = "is standard output, which is for --json only", "Name a file."
         elif path.suffix.lower() not in suffixes:
             reason = f"does not end in {' or '.join(suffixes)}"
-            advice = f"Name it {path.stem or name}{suffixes[0]}."
+            advice = f"Name it {path.stem or option}{suffixes[0]}."
         elif _place(path) in taken:
             reason = taken[_place(path)]
         else:
-            taken[_place(path)] = f"is already the target of --{name}"
+            taken[_place(path)] = f"is already the target of --{option}"
             try:
                 check_writable(path)
                 if path.exists() and not os.access(path, os.W_OK):
@@ -271,7 +275,7 @@ def check_outputs(outputs: Mapping[str, Output], inputs: Iterable[Path]) -> None
                 advice = "Choose another place."
         if reason:
             raise OutputError(
-                f"Cannot write --{name} {path}: it {reason}.", advice=advice, path=path
+                f"Cannot write --{option} {path}: it {reason}.", advice=advice, path=path
             )
 
 
@@ -293,7 +297,7 @@ def _read(
     if getattr(options, "model", None) is None:
         return Input(cast("RobotModel", None), (), extra, settings, update)
     model = read_model(options.model, options, update, extra)
-    check_outputs(outputs, [*inputs_of(options), model.path])  # a saved model reads another one
+    check_outputs(outputs, options, [model.path])  # a saved model reads another one
     logs: tuple[JointLog, ...] = ()
     given, asked = getattr(options, "logs", None), getattr(options, "reading", None)
     if command.reads_logs and given:
@@ -364,19 +368,6 @@ def own_effects(paths: Iterable[Path]) -> tuple[type[Effect], ...]:
                 )
             found[effect.name] = effect
     return tuple(found.values())
-
-
-def check_logs(logs: Sequence[Path]) -> None:
-    """Raise if a log is not a file, or is given twice, even through a link."""
-    seen: set[tuple[int, int]] = set()
-    for log in logs:
-        status = check_log(log).stat()
-        if (status.st_dev, status.st_ino) in seen:
-            raise ArgumentError(
-                f"Log {log} is given twice, so it would be validated against itself.",
-                advice="Give each log once.",
-            )
-        seen.add((status.st_dev, status.st_ino))
 
 
 def make_console(*, stderr: bool = False) -> Console:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -87,17 +88,13 @@ def run_excite(options: ExciteOptions) -> None:
         lambda given: _designed(options, given, names, family),
         outputs={
             "save": Output(
-                options.save,
                 "motion",
                 (".csv", ".npz", ".txt", ".yaml", ".yml"),
-                lambda found: trajectory_content(
-                    found.executed,
-                    options.save or "motion.csv",
-                    found.objective.target.model,
-                    rate=options.rate,
+                lambda found, path: trajectory_content(
+                    found.executed, path, found.objective.target.model, rate=options.rate
                 ),
             ),
-            "meshcat": Output(options.meshcat, "replay of the motion", make=_replay),
+            "meshcat": Output("replay of the motion", make=_replay),
         },
     )
     floating = options.floating or options.feet is not None
@@ -285,7 +282,12 @@ def _objective(
         target = stance.target(noise=noise, on_plate=True)
         said = () if options.noise is not None else (_PLATE_WORDS,)
         return Objective(target, criterion, options.normalization), said
-    noise, notes = noise_of(options.noise, model)
+    notes: tuple[str, ...] = ()
+    if options.noise is not None:
+        noise = joint_values(options.noise, motors_of(model), "--noise")
+    else:
+        noise, source = usual_noise(model)
+        notes = (f"noise: {source}",)
     if stance is not None:
         noise = stance.noise(noise)
     if options.tell_apart is not None:
@@ -307,14 +309,6 @@ def _objective(
     if stance is not None:
         target = replace(target, trial=stance.random_motion())
     return Objective(target, criterion, options.normalization), notes
-
-
-def noise_of(text: str | None, model: RobotModel) -> tuple[Array, tuple[str, ...]]:
-    """Return (nv,) noise of the measured efforts, and a note on its source if it was not given."""
-    if text is not None:
-        return joint_values(text, motors_of(model), "--noise"), ()
-    noise, source = usual_noise(model)
-    return noise, (f"noise: {source}",)
 
 
 def _collisions(
@@ -360,7 +354,8 @@ def _collisions(
     return alone.among(obstacles) if obstacles else alone, notes
 
 
-def _replay(result: ExcitationResult) -> str:
+def _replay(result: ExcitationResult, path: Path) -> str:
+    del path
     from geodrake.report.meshcat_scene import replay_page
     from geodrake.report.robot_scene import FRAMES
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from contextlib import suppress
 from functools import partial
-from pathlib import Path
+from importlib.resources import as_file, files
 from typing import TYPE_CHECKING
 
 from geodrake.cli.command import Command, Input, Output, run
-from geodrake.cli.options import AddOptions, ExplainOptions, Options
+from geodrake.cli.options import AddOptions, DemoOptions, ExplainOptions, Options
 from geodrake.cli.progress import step_teller
 from geodrake.diagnosis.add import add, check_places
 from geodrake.diagnosis.diagnose import diagnose
@@ -23,6 +23,9 @@ from geodrake.report.explaining import Explained
 
 if TYPE_CHECKING:
     from geodrake.control.rollout import Rollout
+
+
+_DEMO_TIME = "This takes about 15 seconds; a minute the first time, as code is compiled."
 
 
 def run_compare(options: Options) -> None:
@@ -69,23 +72,29 @@ def run_add(options: AddOptions) -> None:
 
 def run_explain(options: ExplainOptions | Options, promise: str = "") -> None:
     """Explain logs, with formulas for the rest if requested."""
-    target: Path | None = getattr(options, "draft_effect", None)
+    drafts = getattr(options, "draft_effect", None) is not None
     every_step = any((options.details, options.report, options.json))  # which show it
     command = Command(
         "explain",
         "Explaining",
-        partial(_explained, every_step=every_step) if target is None else _drafted,
+        _drafted if drafts else partial(_explained, every_step=every_step),
         outputs={
-            "draft-effect": Output(
-                target,
+            "draft_effect": Output(
                 "drafted effects",
                 (".py",),
-                lambda found: source_of(found.draft) if found.draft.effects else None,
+                lambda found, path: source_of(found.draft) if found.draft.effects else None,
             )
         },
         promise=promise,
     )
     run(command, options)
+
+
+def run_demo(options: DemoOptions) -> None:
+    """Explain the log that comes with the package."""
+    folder = files("geodrake") / "demo"
+    with as_file(folder / "demo.urdf") as model, as_file(folder / "demo.csv") as data:
+        run_explain(Options(model=model, logs=[data], **vars(options)), _DEMO_TIME)
 
 
 def _drafted(given: Input) -> Explained:

@@ -12,10 +12,10 @@ import typer
 from geodrake.boundary.arguments import number
 from geodrake.boundary.version import version
 from geodrake.boundary.whole_files import Content, write_together
-from geodrake.cli.command import STDOUT, Command, Input, check_outputs, run, usual_outputs
-from geodrake.cli.input_options import repairs_in_short
+from geodrake.cli.command import STDOUT, USUAL, Command, Input, check_outputs, run
+from geodrake.cli.input_options import tell_repairs
 from geodrake.cli.options import FleetOptions
-from geodrake.cli.progress import Activity, progress
+from geodrake.cli.progress import progress
 from geodrake.cli.streams import printing, results, warn
 from geodrake.errors import ArgumentError, FleetError
 from geodrake.fleet.fleet_file import Fleet, read_fleet
@@ -30,7 +30,7 @@ from geodrake.report.views import numbers_of, page_of
 
 NEW_FINDING = 3  # exit code of `--once` if there is a new finding
 
-_RESULT = "fleet.json"
+_RESULT, _SOME_FILE = "fleet.json", "a model file"
 _SHORTEST, _LONGEST = 0.1, 1e6  # s between two looks
 
 
@@ -47,13 +47,13 @@ def run_fleet_command(options: FleetOptions) -> None:
                 "--json - and findings would both be written to standard output.",
                 advice="Name a file.",
             )
-        check_outputs(usual_outputs(options), fleet.files)
+        check_outputs(USUAL, options, fleet.files)
         _watch(fleet, work, options)
         return
 
     def looked(given: Input) -> FleetResult:
         result, digests = run_fleet(fleet, work, told=given.progress, said=given.progress.history)
-        _tell_repairs(digests, given.progress)
+        tell_repairs(_SOME_FILE, digests.repairs, given.progress)
         return result
 
     def write(found: FleetResult, contents: Mapping[Path, Content]) -> tuple[Path, ...]:
@@ -62,12 +62,6 @@ def run_fleet_command(options: FleetOptions) -> None:
 
     command = Command("fleet", "Evaluating the fleet", looked, inputs=fleet.files, write=write)
     run(command, options)
-
-
-def _tell_repairs(digests: FleetDigests, told: Activity) -> None:
-    """Report the repairs of the model files."""
-    for repair in repairs_in_short(digests.repairs):
-        told.warning(f"Warning: a model file was repaired. {repair}")
 
 
 def _numbers(result: FleetResult) -> str:
@@ -110,7 +104,7 @@ def _look(
         if result is None:
             return digests, False
         if seen is None:
-            _tell_repairs(digests, update)
+            tell_repairs(_SOME_FILE, digests.repairs, update)
     contents = _own_contents(fleet, result)
     if options.json is not None:
         contents[options.json] = _numbers(result)

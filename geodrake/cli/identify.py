@@ -54,18 +54,12 @@ def run_identify(options: IdentifyOptions) -> None:
         identified,
         outputs={
             "export": Output(
-                options.export,
                 "model file with the identified inertias",
                 (".urdf", ".sdf", ".xml", ".mjcf", ".world"),
-                lambda found: export_model(found.model).content,
+                lambda found, path: export_model(found.model).content,
             ),
-            "ellipsoids": Output(
-                options.ellipsoids,
-                "ellipsoids",
-                (".png", ".pdf", ".svg"),
-                lambda found: _figure(found, options.ellipsoids or Path("a.png")),
-            ),
-            "meshcat": Output(options.meshcat, "page of ellipsoids", make=_page),
+            "ellipsoids": Output("ellipsoids", (".png", ".pdf", ".svg"), _figure),
+            "meshcat": Output("page of ellipsoids", make=_page),
         },
         check=check,
     )
@@ -117,7 +111,8 @@ def _figure(found: ModelIdentification, path: Path) -> bytes:
     return figure_bytes(figure, path.suffix.lower().lstrip("."))
 
 
-def _page(found: ModelIdentification) -> str:
+def _page(found: ModelIdentification, path: Path) -> str:
+    del path
     from geodrake.report.ellipsoids import ellipsoid_page, identification_sets
 
     return ellipsoid_page(found.model.plant, identification_sets(found))

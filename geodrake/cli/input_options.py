@@ -278,21 +278,16 @@ def read_model(
         given=options.given,
         transmission=options.transmission,
     )
-    tell_repairs(model, told)
+    tell_repairs(model.path.name, model.repairs, told)
     return model
 
 
-def tell_repairs(model: RobotModel, told: Activity) -> None:
-    """Report the repairs of a model file."""
-    for repair in repairs_in_short(model.repairs):
-        told.warning(f"Warning: {model.path.name} was repaired. {repair}")
-
-
-def repairs_in_short(repairs: Sequence[str]) -> tuple[str, ...]:
-    """Return the first repairs, and the number of the others."""
+def tell_repairs(file: str, repairs: Sequence[str], told: Activity) -> None:
+    """Report the first repairs of a model file, and the number of the others."""
     more = len(repairs) - _MOST_REPAIRS
     rest = [f"{more} more of its parts were replaced or left out."] if more > 0 else []
-    return (*repairs[:_MOST_REPAIRS], *rest)
+    for repair in (*repairs[:_MOST_REPAIRS], *rest):
+        told.warning(f"Warning: {file} was repaired. {repair}")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from geodrake.cli.command import (
     Command,
@@ -37,20 +38,16 @@ def run_log(options: LogCommandOptions) -> None:
     """Show how logs are read."""
     outputs = {
         "convert": Output(
-            options.convert,
             "log",
             (".csv", ".npz", ".txt"),
-            lambda found: log_content(found.logs[0][1].log, options.convert or "log.csv"),
+            lambda found, path: log_content(found.logs[0][1].log, path),
         ),
-        "figure": Output(options.figure, "preview", (".png",), _preview),
-        "write-mapping": Output(
-            options.write_mapping,
-            "mapping",
-            (".yaml", ".yml"),
-            lambda found: _mapping(found, options),
+        "figure": Output("preview", (".png",), _preview),
+        "write_mapping": Output(
+            "mapping", (".yaml", ".yml"), lambda found, path: _mapping(found, options)
         ),
     }
-    asked = [*files_of(outputs)]
+    asked = [name.replace("_", "-") for name in files_of(outputs, options)]
     if asked and len(options.logs) > 1:
         raise ArgumentError(
             f"--{asked[0]} takes one log; {len(options.logs)} are given.",
@@ -121,7 +118,8 @@ def _mapping(found: InspectedLogs, options: LogCommandOptions) -> str:
     return mapping_text(options.logs[0], log, columns, options.reading.gain_deviations)
 
 
-def _preview(found: InspectedLogs) -> bytes:
+def _preview(found: InspectedLogs, path: Path) -> bytes:
+    del path
     from geodrake.report.figures import chart_figure
     from geodrake.report.style import figure_bytes
 

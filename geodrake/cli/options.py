@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import functools
 import inspect
 import re
 from collections.abc import Callable
 from dataclasses import MISSING, Field, dataclass, fields, replace
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
 from geodrake.cli.input_options import AxisOptions, ModelOptions, ReadingOptions
 from geodrake.cli.streams import guarded
 from geodrake.errors import ArgumentError
-
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,6 +103,26 @@ class Options(ValidationOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
+class CompareOptions(Options):
+    """Show the error of a model on logs, by joint, and where it is largest.
+
+    Examples:
+        robot.urdf log.csv --report page.html
+        robot.yaml log.mcap
+    """
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiagnoseOptions(Options):
+    """Rank the effects that the model may lack, with the evidence.
+
+    Examples:
+        robot.urdf log_1.csv log_2.csv
+        robot.yaml new_log.csv --report page.html
+    """
+
+
+@dataclass(frozen=True, kw_only=True)
 class _Steps(Options):
     """Options of commands that fit effects.
 
@@ -120,11 +137,15 @@ class _Steps(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class ExplainOptions(_Steps):
-    """Options of explain.
+    """Find and add missing effects until only noise is left, or nothing explains the rest.
 
     Attributes:
         draft_effect (FILE.py): Search for a formula of the remaining error, and write it as an
             effect for --effects.
+
+    Examples:
+        robot.urdf log_1.csv log_2.csv --save robot.yaml --report page.html
+        robot.yaml log_with_something_new.csv
     """
 
     draft_effect: Path | None = None
@@ -132,7 +153,7 @@ class ExplainOptions(_Steps):
 
 @dataclass(frozen=True, kw_only=True)
 class RolloutOptions(LogOptions):
-    """Options of rollout.
+    """Simulate the model under logged efforts or commands, and compare its motion.
 
     Attributes:
         before (MODEL): A model to compare with, such as the original file.
@@ -144,6 +165,10 @@ class RolloutOptions(LogOptions):
             Every other block of windows, or every other log, is held out.
         save (FILE.yaml): Save the model that --fit found; the given model if the fit is rejected.
         meshcat (FILE.html): Write a page that replays the measured and the simulated robot.
+
+    Examples:
+        robot.yaml log.csv --before robot.urdf
+        robot.yaml log.csv --fit --save soft.yaml
     """
 
     before: Path | None = None
@@ -158,7 +183,7 @@ class RolloutOptions(LogOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class PlayOptions(LogOptions):
-    """Options of play.
+    """Replay logs on the robot, coloured by error, as a page, a video or a recording.
 
     Attributes:
         before (MODEL): A model to show beside it. By default the file that a saved MODEL is based
@@ -172,6 +197,11 @@ class PlayOptions(LogOptions):
         seconds (SECONDS): Maximum length. Of longer logs, the windows of largest error are played.
         ghost (SECONDS): Show a simulated robot under the measured efforts, reset to the measured
             state at this interval, such as 0.2.
+
+    Examples:
+        robot.yaml log.csv --out play.html
+        robot.yaml log.csv --video play.mp4
+        robot.yaml log.csv --to rerun play.rrd
     """
 
     before: Path | None = None
@@ -186,7 +216,7 @@ class PlayOptions(LogOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class AddOptions(_Steps):
-    """Options of add.
+    """Add an effect to the model, refit, and show the errors before and after.
 
     Attributes:
         effect (EFFECT[@PLACE]): Name of an effect (x lists them), and its joint or body, as in
@@ -194,6 +224,10 @@ class AddOptions(_Steps):
         where (NAME): Joint or body of the effect; twice for a pair of joints. By default all
             joints, or the body or pair of neighbouring joints with the largest improvement.
             Repeatable.
+
+    Examples:
+        payload@flange robot.urdf log.csv --save robot.yaml
+        viscous_friction robot.urdf log.csv
     """
 
     effect: str
@@ -230,7 +264,7 @@ class _NamedEffects:
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifyOptions(_NamedEffects, Options):
-    """Options of identify.
+    """Fit inertias, regularized towards the model's, and effects that you name.
 
     Attributes:
         export (FILE.urdf|.sdf|.xml): Write a copy of the model file with the identified inertias.
@@ -246,6 +280,10 @@ class IdentifyOptions(_NamedEffects, Options):
             the smallest possible, such as 1.01.
         total_mass (KG): Known mass of all moving bodies.
         compare: Compare all regularizers at the same training residual.
+
+    Examples:
+        robot.urdf log.csv --effects coulomb_friction,viscous_friction
+        robot.urdf log.csv --export identified.urdf
     """
 
     regularizer: str = "entropic"
@@ -265,7 +303,7 @@ class IdentifyOptions(_NamedEffects, Options):
 
 @dataclass(frozen=True, kw_only=True)
 class LogCommandOptions(ReadingOptions, ModelOptions, CommonOptions):
-    """Options of log.
+    """Show how logs are read: joints, columns, units, rates, gaps. Needs no model.
 
     Attributes:
         model (MODEL): A model, to match its joints and check the columns.
@@ -274,6 +312,10 @@ class LogCommandOptions(ReadingOptions, ModelOptions, CommonOptions):
         figure (FILE.png): Plot positions and efforts over time.
         write_mapping (FILE.yaml): Write the mapping of the columns, with corrections that a mapping
             can express.
+
+    Examples:
+        recording.mcap --model robot.urdf
+        wrong.csv --model robot.urdf --write-mapping right.yaml
     """
 
     logs: list[Path]
@@ -285,7 +327,7 @@ class LogCommandOptions(ReadingOptions, ModelOptions, CommonOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class DemoOptions(CommonOptions):
-    """Options of demo.
+    """Run explain on a log that comes with the package.
 
     Attributes:
         report (FILE.html): Write the HTML page here.
@@ -297,13 +339,17 @@ class DemoOptions(CommonOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifiableOptions(_NamedEffects, ValidationOptions):
-    """Options of identifiable.
+    """Show which parameters the logs can identify.
 
     Attributes:
         threshold (VARIANCE): Largest relative variance of an identifiable parameter; 0.01 is a
             standard deviation of 10 %.
         noise (NOISE): Standard deviation of the filtered efforts in N·m or N: one number, or
             JOINT=NUMBER,…. By default the held-out error of the refitted model.
+
+    Examples:
+        robot.urdf log.csv
+        robot.urdf log_1.csv log_2.csv --report page.html
     """
 
     threshold: float = 0.01
@@ -312,7 +358,7 @@ class IdentifiableOptions(_NamedEffects, ValidationOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class ExciteOptions(_NamedEffects, ModelOptions, CommonOptions):
-    """Options of excite.
+    """Design the most informative motion within the limits of the robot.
 
     Attributes:
         tell_apart (EFFECT,EFFECT[@PLACE]): Find the motion that best distinguishes two effects,
@@ -362,6 +408,11 @@ class ExciteOptions(_NamedEffects, ModelOptions, CommonOptions):
         seconds (SECONDS): Time limit of the search.
         iterations (N): Maximum iterations of the solver in each stage.
         solver (NAME): snopt or ipopt.
+
+    Examples:
+        robot.urdf --save motion.csv
+        robot.yaml --tell-apart payload,wrong_inertia --save motion.csv
+        humanoid.urdf --feet l_foot,r_foot --stand l_knee=0.8,… --save motion.csv
     """
 
     model: Path
@@ -398,11 +449,15 @@ class ExciteOptions(_NamedEffects, ModelOptions, CommonOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class CheckOptions(ModelOptions, CommonOptions):
-    """Options of check.
+    """Compare the model's dynamics with MultibodyPlant. Exit code 1 if they differ.
 
     Attributes:
         samples (N): Number of random states within the robot's limits.
         seed (N): Seed of the random numbers.
+
+    Examples:
+        robot.urdf
+        scene.xml --robot arm
     """
 
     model: Path
@@ -413,7 +468,7 @@ class CheckOptions(ModelOptions, CommonOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class DigestOptions(ReadingOptions, ModelOptions, CommonOptions):
-    """Options of digest.
+    """Reduce each log to a small file for fleet. Exit code 1 if any log fails.
 
     Attributes:
         to (FOLDER): Folder of digests of robots with this model; created if missing. The first
@@ -423,6 +478,9 @@ class DigestOptions(ReadingOptions, ModelOptions, CommonOptions):
         bandwidth (HZ): Bandwidth of the filter, for a folder without settings. By default that of
             the model's fit, or chosen from the first log.
         blocks (N): Blocks of each log, for a folder without settings; default 4.
+
+    Examples:
+        robot.urdf monday.csv tuesday.csv --to digests
     """
 
     model: Path
@@ -437,7 +495,7 @@ class DigestOptions(ReadingOptions, ModelOptions, CommonOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions(ReadingOptions, ModelOptions, CommonOptions):
-    """Options of export.
+    """Write the model for a simulator or controller, and verify what was written.
 
     Attributes:
         logs (LOG): Logs on whose motion effects that the format lacks are approximated, and the
@@ -450,6 +508,10 @@ class ExportOptions(ReadingOptions, ModelOptions, CommonOptions):
         force: Overwrite existing files.
         bandwidth (HZ): Bandwidth of the filter. By default that of the model's fit to the same
             logs, or chosen from the data.
+
+    Examples:
+        robot.yaml --to mjcf exported
+        robot.yaml --to ros2 src/robot_feedforward
     """
 
     model: Path
@@ -477,7 +539,7 @@ class ExportOptions(ReadingOptions, ModelOptions, CommonOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class FleetOptions(CommonOptions):
-    """Options of fleet.
+    """Show which robots of a fleet changed, at which joint, by which effect, and since when.
 
     Attributes:
         fleet (FLEET.yaml): Robot types and their models, robots and patterns of their logs, and the
@@ -491,6 +553,10 @@ class FleetOptions(CommonOptions):
             output.
         every (SECONDS): Polling interval of --watch.
         once: Process new logs once, as a cron job does; exit code 3 if there is a new finding.
+
+    Examples:
+        fleet.yaml --report fleet.html
+        fleet.yaml --watch
     """
 
     fleet: Path
@@ -503,10 +569,9 @@ class FleetOptions(CommonOptions):
     once: bool = False
 
 
-T = TypeVar("T", bound="DataclassInstance")
-
 ALL_OPTIONS = "geodrake.all_options"  # key of a context's `meta`: show advanced options as well
 _ADVANCED, _HELP_ALL = "Advanced: ", "help_all"
+_HELP_WORDS = "Show all options, advanced ones too, and exit."
 _ARGUMENTS = ("effect", "model", "logs", "folder", "fleet")
 _FIRST = (*_ARGUMENTS, "save", "report", "json")
 _RARE = {"bandwidth", "blocks", "debug", "effort_uncertainty", "known_payload"}
@@ -515,11 +580,15 @@ _RARE |= {"ellipsoids", "scheduler", "workers"}
 _ENTRY = re.compile(r"(?P<name>\w+)(?: \((?P<metavar>[^)]*)\))?: (?P<help>.*)")
 
 
-def taking(options: type[T]) -> Callable[[Callable[[T], None]], Callable[..., None]]:
-    """Turn a function of one options object into a command whose parameters are its fields.
+def command_of(place: str, options: type[Any]) -> Callable[..., None]:
+    """Return a command whose parameters are the fields of a class of options.
 
-    The metavariable and help of an option are read from the class's docstring. Errors of the
-    command become messages and exit codes. Advanced options are shown by --help-all only.
+    Its help, and the metavariable and help of each option, are read from the class's docstring.
+    Errors of the command become messages and exit codes. Advanced options are shown by --help-all
+    only.
+
+    Args:
+        place: Module and name of the function that it runs, which is imported when it is called.
     """
     hints, texts = get_type_hints(options), _documented(options)
     kinds = {field.name: field for field in fields(options)}
@@ -528,20 +597,30 @@ def taking(options: type[T]) -> Callable[[Callable[[T], None]], Callable[..., No
         _parameter(kinds[name], hints[name], *texts.get(name, (None, "", None))) for name in names
     ]
     parameters.append(_help_all())
+    module, _, function = place.partition(".")
 
-    def decorate(run: Callable[[T], None]) -> Callable[..., None]:
-        @functools.wraps(run)
-        def command(**values: Any) -> None:
-            del values[_HELP_ALL]  # which its callback has handled
-            files = values.get("effects") or ()
-            with guarded(debug=values["debug"], effect_files=files):
-                run(options(**values))
+    def command(**values: Any) -> None:
+        del values[_HELP_ALL]  # which its callback has handled
+        files = values.get("effects") or ()
+        with guarded(debug=values["debug"], effect_files=files):
+            getattr(import_module(f"geodrake.cli.{module}"), function)(options(**values))
 
-        command.__annotations__ = {each.name: each.annotation for each in parameters}
-        command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-        return command
+    command.__doc__, *_ = _sections(options)
+    command.__annotations__ = {each.name: each.annotation for each in parameters}
+    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    return command
 
-    return decorate
+
+def examples_of(options: type[Any]) -> list[str]:
+    """Return example arguments of a command."""
+    _, *sections = _sections(options)
+    found = dict(zip(sections[::2], sections[1::2], strict=True)).get("Examples", "")
+    return [line.strip() for line in found.strip().splitlines()]
+
+
+def _sections(options: type[Any]) -> list[str]:
+    """Return the summary of a docstring, then the title and text of each section."""
+    return re.split(r"^(\w[\w ]*):\n", inspect.cleandoc(options.__doc__ or ""), flags=re.M)
 
 
 def is_advanced(parameter: Any) -> bool:
@@ -566,7 +645,7 @@ def _documented(options: type[Any]) -> dict[str, tuple[str | None, str, str | No
     """
     found: dict[str, tuple[str | None, str, str | None]] = {}
     for each in reversed(options.__mro__):
-        _, *sections = re.split(r"^(\w[\w ]*):\n", inspect.cleandoc(each.__doc__ or ""), flags=re.M)
+        _, *sections = _sections(each)
         for title, text in zip(sections[::2], sections[1::2], strict=True):
             for entry in re.split(r"\n(?=    \w)", text):
                 if match := _ENTRY.match(" ".join(entry.split())):
@@ -610,12 +689,7 @@ def _help_all() -> inspect.Parameter:
             typer.echo(ctx.get_help())
             raise typer.Exit
 
-    option = typer.Option(
-        "--help-all",
-        callback=show,
-        is_eager=True,
-        help="Show all options, advanced ones too, and exit.",
-    )
+    option = typer.Option("--help-all", callback=show, is_eager=True, help=_HELP_WORDS)
     return inspect.Parameter(
         _HELP_ALL,
         inspect.Parameter.KEYWORD_ONLY,

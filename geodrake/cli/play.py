@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -38,8 +39,8 @@ def run_play(options: PlayOptions) -> None:
     to, recorded = options.to or (None, None)
     if to is not None and recorded is not None:
         check_viewer(to, recorded)
-    asked = (options.out, options.live, options.video, recorded)
-    out = DEFAULT_OUT if asked == (None,) * 4 else options.out
+    if (options.out, options.live, options.video, recorded) == (None,) * 4:
+        options = replace(options, out=DEFAULT_OUT)
     server = None if options.live is None else page_server(options.live)
 
     title, speed = f"{options.model.name}: play", options.speed
@@ -67,18 +68,16 @@ def run_play(options: PlayOptions) -> None:
         )
 
     outputs = {
-        "out": Output(out, "page that plays the logs", make=page),
+        "out": Output("page that plays the logs", make=lambda found, path: page(found)),
         "video": Output(
-            options.video,
             "video",
             (".mp4", ".gif"),
-            lambda found: video(found, (options.video or Path()).suffix.lower(), speed=speed),
+            lambda found, path: video(found, path.suffix.lower(), speed=speed),
         ),
         "to": Output(
-            recorded,
             "recording",
             (".rrd", ".mcap"),
-            lambda found: recording(to or "", found, title=title),
+            lambda found, path: recording(to or "", found, title=title),
         ),
     }
     command = Command("play", "Comparing", played, outputs=outputs)

@@ -63,7 +63,7 @@ def run_rollout(options: RolloutOptions) -> None:
 
     working, work = ("Fitting", fitted) if options.fit else ("Simulating", simulated)
     words = "replay of measured and simulated motion"
-    outputs = {"meshcat": Output(options.meshcat, words, make=_replay)}
+    outputs = {"meshcat": Output(words, make=_replay)}
     run(Command[Any]("rollout", working, work, outputs=outputs, check=check), options)
 
 
@@ -76,11 +76,12 @@ def other_model(path: Path, given: Input) -> RobotModel:
     other = load_model(
         path, floating=model.floating, extra=given.extra, given=how, transmission=drives
     )
-    tell_repairs(other, given.progress)
+    tell_repairs(other.path.name, other.repairs, given.progress)
     return holding(other, {j: place for j, place in model.held.items() if j in other.joints})
 
 
-def _replay(found: RolloutFit | Simulated) -> str:
+def _replay(found: RolloutFit | Simulated, path: Path) -> str:
+    del path
     from geodrake.report.meshcat_scene import rollout_replay_page
 
     return rollout_replay_page(cast("RobotModel", found.model), found.after, found.before)

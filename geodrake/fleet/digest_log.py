@@ -36,7 +36,7 @@ from geodrake.logs.files import Reading
 from geodrake.logs.folds import validation_blocks
 from geodrake.logs.known_payload import KnownPayload
 from geodrake.logs.log_checks import check_commands, check_saturation
-from geodrake.logs.motion import JointLog, Trajectory
+from geodrake.logs.motion import USUAL_GAIN_DEVIATION, JointLog, Trajectory
 from geodrake.logs.preparation import prepare_logs
 from geodrake.logs.uniform_log import make_uniform
 from geodrake.model.holding import holding
@@ -105,6 +105,8 @@ def said_of_reading(reading: Reading) -> dict[str, Any]:
     said = asdict(reading)
     for name in ("episode", "ignored", "motorless", "limits"):
         said.pop(name)
+    if reading.usual_deviation == USUAL_GAIN_DEVIATION:  # which older folders do not say
+        said.pop("usual_deviation")
     if said["mapping"] is not None:
         said["mapping"].pop("source")
     return said

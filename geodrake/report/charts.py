@@ -6,7 +6,7 @@ import base64
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from math import isfinite, log
+from math import inf, isfinite, log
 from typing import Any
 
 import numpy as np
@@ -250,12 +250,20 @@ NOISE = Stage("sensor noise", "noise", look="thin")
 
 @dataclass(frozen=True)
 class BarRow:
-    """Bars of one name, and marks across them, by what they are of; NaN where not known."""
+    """Bars of one name, and marks across them, by what they are of; NaN where not known.
+
+    Marks without a value are not drawn.
+    """
 
     label: str
     bars: Mapping[Stage, float]
     marks: Mapping[Stage, float]
     note: str = ""  # behind the numbers
+
+    @property
+    def shown_marks(self) -> Mapping[Stage, float]:
+        """Return the marks that have a value."""
+        return {stage: value for stage, value in self.marks.items() if 0.0 < value < inf}
 
     def text(self, value: float) -> str:
         """Return a value in words."""
@@ -275,8 +283,8 @@ class Bars:
     @property
     def legend(self) -> tuple[Stage, ...]:
         """Return the stages of the bars, then those of the marks."""
-        bars, marks = ([s for row in self.rows for s in getattr(row, of)] for of in _PARTS)
-        return tuple(dict.fromkeys((*bars, *marks)))
+        bars = [stage for row in self.rows for stage in row.bars]
+        return tuple(dict.fromkeys((*bars, *(stage for row in self.rows for stage in row.marks))))
 
     @property
     def letters(self) -> int:
@@ -286,7 +294,7 @@ class Bars:
 
     def end(self, value: float) -> float:
         """Return the end of a bar, from 0 to 1; 0 without a value."""
-        values = [x for row in self.rows for of in _PARTS for x in getattr(row, of).values()]
+        values = [x for row in self.rows for x in (*row.bars.values(), *row.shown_marks.values())]
         known = [max(x, _LEAST) for x in values if isfinite(x)] or [1.0]
         if not isfinite(value):
             return 0.0
@@ -294,6 +302,3 @@ class Bars:
             return value / max(known)
         low, high = 0.6 * min(known), 1.01 * max(known)
         return log(max(value, _LEAST) / low) / log(high / low)
-
-
-_PARTS = "bars", "marks"

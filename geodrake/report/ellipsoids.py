@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,10 @@ from matplotlib.patches import Patch
 from mpl_toolkits.mplot3d.art3d import Line3DCollection  # type: ignore[import-untyped]
 from mpl_toolkits.mplot3d.axes3d import Axes3D  # type: ignore[import-untyped]
 from numpy.typing import NDArray
-from pydrake.geometry import Cylinder, Ellipsoid, Meshcat, Rgba, Sphere
+from pydrake import geometry
+from pydrake.geometry import Cylinder, Meshcat, Rgba, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import JointIndex
 from pydrake.systems.framework import (
     BasicVector,
     Context,
@@ -34,9 +35,10 @@ from geodrake.errors import ArgumentError
 from geodrake.identification.models import ModelIdentification
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical
 from geodrake.inertia.bodies import lumped_bodies
-from geodrake.inertia.ellipsoids import equivalent_ellipsoid
+from geodrake.inertia.ellipsoids import Ellipsoid, equivalent_ellipsoid
 from geodrake.report import style
 from geodrake.report.meshcat_scene import LEAST_THICKNESS, calm_meshcat, legend
+from geodrake.robot.joints import joints_of
 
 PRIOR, IDENTIFIED, TRUTH = "#8a94a0", "#1b6ca8", "#3f9c6b"
 BOUNDARY, AT_BOUNDARY = "#c8322b", "at the boundary of physically valid inertias"
@@ -85,51 +87,35 @@ class EllipsoidSet:
         return BOUNDARY if self.at_boundary[body] else self.color
 
 
-@dataclass(frozen=True, eq=False)
-class PlacedEllipsoids:
-    """Ellipsoids in the world, ascending semi-axes no less than `LEAST_THICKNESS`."""
-
-    center: Array  # (nb, 3) centres, m
-    semi_axes: Array  # (nb, 3) semi-axes, m
-    rotation: Array  # (nb, 3, 3) rotations R_WE
-
-    def points(self, around: int = 20) -> Array:
-        """Return (nb, around // 2 + 1, around + 1, 3) points of the surfaces, a net of angles."""
-        polar = np.linspace(0.0, np.pi, around // 2 + 1)[:, None]
-        azimuth = np.linspace(0.0, 2 * np.pi, around + 1)
-        sphere = np.stack(
-            np.broadcast_arrays(
-                np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)
-            ),
-            -1,
-        )
-        local = sphere * self.semi_axes[:, None, None]
-        return np.asarray(
-            self.center[:, None, None] + np.einsum("bij,bklj->bkli", self.rotation, local)
-        )
+def surface(bodies: Ellipsoid, around: int = 20) -> Array:
+    """Return points (nb, around // 2 + 1, around + 1, 3) of the surfaces, a net of angles."""
+    polar = np.linspace(0.0, np.pi, around // 2 + 1)[:, None]
+    azimuth = np.linspace(0.0, 2 * np.pi, around + 1)
+    sides = np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)
+    sphere = np.stack(np.broadcast_arrays(*sides), -1)
+    local = sphere * bodies.semi_axes[:, None, None]
+    return np.asarray(
+        bodies.center[:, None, None] + np.einsum("bij,bklj->bkli", bodies.rotation, local)
+    )
 
 
-def placed(plant: MultibodyPlant, context: Context, phi: Array) -> PlacedEllipsoids:
-    """Return the ellipsoids of physical φ (nb, 10) at the poses of a plant's configuration."""
+def placed(plant: MultibodyPlant, context: Context, phi: Array) -> Ellipsoid:
+    """Return the ellipsoids of physical φ (nb, 10) in the world, in a plant's configuration."""
     bodies = lumped_bodies(plant)
     if len(phi) != len(bodies):
         raise ArgumentError(f"phi has {len(phi)} bodies, but the plant has {len(bodies)}.")
     poses = [plant.EvalBodyPoseInWorld(context, plant.get_body(b.body_index)) for b in bodies]
     R_WB = np.array([pose.rotation().matrix() for pose in poses])
     p_WB = np.array([pose.translation() for pose in poses])
-    own = equivalent_ellipsoid(phi)
-    return PlacedEllipsoids(
-        p_WB + np.einsum("bij,bj->bi", R_WB, own.center),
-        np.maximum(own.semi_axes, LEAST_THICKNESS),
-        R_WB @ own.rotation,
-    )
+    own = equivalent_ellipsoid(phi, least_semi_axis=LEAST_THICKNESS)
+    center = p_WB + np.einsum("bij,bj->bi", R_WB, own.center)
+    return Ellipsoid(center, own.semi_axes, R_WB @ own.rotation)
 
 
 def skeleton(plant: MultibodyPlant, context: Context) -> Array:
     """Return the robot as lines: (k, 2, 3) ends in the world, m, from joint to joint."""
     lines = []
-    for index in plant.GetJointIndices():
-        joint = plant.get_joint(JointIndex(index))
+    for joint in joints_of(plant):
         parent = plant.EvalBodyPoseInWorld(context, joint.parent_body()).translation()
         child = plant.EvalBodyPoseInWorld(context, joint.child_body()).translation()
         middle = joint.frame_on_parent().CalcPoseInWorld(context).translation()
@@ -165,21 +151,16 @@ class SkeletonLines:
 def identification_sets(found: ModelIdentification) -> tuple[EllipsoidSet, ...]:
     """Return prior and identified bodies, and those of the other regularizers in the comparison."""
     others = [other for other in found.alternatives if other.regularizer != found.regularizer]
+    own, bodies = found.model, found.model.bodies
     models = [
-        (f"identified, {found.regularizer}", IDENTIFIED, found.model.phi, found.at_boundary),
-        *(
-            (other.regularizer, OTHERS[k % len(OTHERS)], other.phi, other.at_boundary)
-            for k, other in enumerate(others)
-        ),
+        (f"identified, {found.regularizer}", own.phi, found.at_boundary),
+        *((other.regularizer, other.phi, other.at_boundary) for other in others),
     ]
-    at = {body: k for k, body in enumerate(found.model.bodies)}
-    return (
-        EllipsoidSet.of("prior", found.prior.phi, color=PRIOR),
-        *(
-            EllipsoidSet.of(name, phi, color=color, at_boundary=[at[b] for b in flat if b in at])
-            for name, color, phi, flat in models
-        ),
-    )
+    sets = [EllipsoidSet.of("prior", found.prior.phi, color=PRIOR)]
+    for (name, phi, flat), color in zip(models, cycle((IDENTIFIED, *OTHERS)), strict=False):
+        at = [k for k, body in enumerate(bodies) if body in flat]
+        sets.append(EllipsoidSet.of(name, phi, color=color, at_boundary=at))
+    return tuple(sets)
 
 
 def ellipsoid_page(
@@ -189,7 +170,7 @@ def ellipsoid_page(
     context = plant.CreateDefaultContext() if context is None else context
     lines = skeleton(plant, context)
     ends = lines.reshape(-1, 3)
-    clouds = [placed(plant, context, one.phi).points(8).reshape(-1, 3) for one in sets]
+    clouds = [surface(placed(plant, context, one.phi), 8).reshape(-1, 3) for one in sets]
     # Distance at which the sets do not overlap, m.
     spacing = float(1.1 * np.ptp(np.concatenate([*clouds, ends])[:, 1]) + _LEAST_GAP)
     meshcat = calm_meshcat()
@@ -200,7 +181,7 @@ def ellipsoid_page(
             path = f"ellipsoids/{name}/{path_part(lump.name)}"
             opaque = 0.8 if one.at_boundary[body] else 0.55
             color = Rgba(*to_rgb(one.body_color(body)), opaque)
-            meshcat.SetObject(path, Ellipsoid(*bodies.semi_axes[body]), color)
+            meshcat.SetObject(path, geometry.Ellipsoid(*bodies.semi_axes[body]), color)
             R_WE = RotationMatrix(bodies.rotation[body])
             meshcat.SetTransform(path, RigidTransform(R_WE, bodies.center[body] + shift))
         robot = SkeletonLines(meshcat, f"robot/{name}", len(lines), Rgba(*to_rgb(style.INK)))
@@ -229,7 +210,7 @@ def ellipsoid_figure(
     context = plant.CreateDefaultContext() if context is None else context
     lines = skeleton(plant, context)
     drawn = [placed(plant, context, one.phi) for one in sets]
-    points = np.concatenate([*(e.points(8).reshape(-1, 3) for e in drawn), lines.reshape(-1, 3)])
+    points = np.concatenate([*(surface(e, 8).reshape(-1, 3) for e in drawn), lines.reshape(-1, 3)])
     low, high = points.min(0), points.max(0)
     reach = 1.03 * np.maximum(0.5 * (high - low), 0.15 * (high - low).max())
     columns = min(_MOST_COLUMNS, len(sets))
@@ -261,9 +242,9 @@ def ellipsoid_figure(
     return figure
 
 
-def _draw_panel(ax: Axes3D, one: EllipsoidSet, bodies: PlacedEllipsoids, lines: Array) -> None:
+def _draw_panel(ax: Axes3D, one: EllipsoidSet, bodies: Ellipsoid, lines: Array) -> None:
     """Draw the bodies and the robot in a panel."""
-    for body, points in enumerate(bodies.points()):
+    for body, points in enumerate(surface(bodies)):
         flat = bool(one.at_boundary[body])
         ax.plot_surface(
             *points[::-1].transpose(2, 0, 1),

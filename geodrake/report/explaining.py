@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.metadata
 import math
 import shlex
 from collections.abc import Mapping, Sequence
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from geodrake.boundary.version import version
 from geodrake.diagnosis.ambiguity import distinguishing_commands
 from geodrake.diagnosis.drafting import Correlate, Draft
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
@@ -198,6 +198,7 @@ class _Errors:
             replace(notes_section(notes, of.first), deep=deep),
         )
         shown, first = (*sections, *last), (first_section(of.first),)
+        more.setdefault("compared", {stage.label: found for stage, found in self.models.items()})
         return Page(
             about,
             mark,
@@ -274,7 +275,8 @@ def explanation_page(found: Explanation, about: About) -> Page:
     explanation = found if isinstance(found, Explained) else Explained.of(found)
     units = Units.of(found.model, [*about.units.effects.values()])
     start, end, steps = explanation.start, explanation.end, explanation.steps
-    gone = words.explained_share(start.nrms, end.nrms)
+    gone, draft = words.explained_share(start.nrms, end.nrms), explanation.draft
+    correlates = draft.correlates if draft else explanation.correlates
     signals = explanation.model.effort_signals
     is_second = any(
         is_noticed(step.deviations[place][name], systematic)
@@ -319,10 +321,10 @@ def explanation_page(found: Explanation, about: About) -> Page:
             Section(
                 REST,
                 more="Shares of the remaining error of a joint on held-out data.",
-                items=tuple(map(words.correlate_words, explanation.correlates)),
-                deep=True,
+                items=tuple(map(words.correlate_words, correlates)),
+                deep=draft is None,
             ),
-            *(_draft_sections(explanation.draft, units) if explanation.draft else ()),
+            *([_draft_section(draft, units)] if draft else []),
             _motions_section(explanation.motions, units),
             failing,
             joints,
@@ -342,9 +344,7 @@ def explanation_page(found: Explanation, about: About) -> Page:
         notes=explanation.notes,
         deep=True,
         verdict=explanation.verdict,
-        lead=words.explanation_lead(
-            explanation, advised=not (explanation.draft or explanation.added)
-        ),
+        lead=words.explanation_lead(explanation, advised=not (draft or explanation.added)),
     )
 
 
@@ -394,6 +394,10 @@ def identification_page(found: ModelIdentification, about: About) -> Page:
         removable="of the squared error left",
         notes=found.notes,
         verdict="identified",
+        compared={
+            BEFORE.label: replace(found.comparison, errors=before),
+            _IDENTIFIED.label: found.comparison,
+        },
         lead=(lead, bounded) if found.at_boundary else (lead,),
     )
 
@@ -431,16 +435,15 @@ def _motions_section(motions: Sequence[Rollout] | None, units: Units) -> Section
     )
 
 
-def _draft_sections(draft: Draft, units: Units) -> tuple[Section, ...]:
+def _draft_section(draft: Draft, units: Units) -> Section:
     """Return the formulas that were found, their errors, and effects that they replace."""
-    rest = Section(REST, items=tuple(map(words.correlate_words, draft.correlates)))
     title = "Formulas for the remaining error"
     if not draft.effects:
         said = "No formula removes a significant share of the error; no file was written."
-        return rest, Section(title, items=(said,))
+        return Section(title, items=(said,))
     nrms = f"{number(draft.before.nrms)} -> {number(draft.after.nrms)}"
     needless = [f"{e.name} of {', '.join(e.where)}" for e in draft.needless]
-    return rest, Section(
+    return Section(
         title,
         f"Held-out nrms {nrms}, sensor noise {number(draft.after.floor_nrms)}. A formula that fits "
         "need not be the cause.",
@@ -536,10 +539,6 @@ def notes_section(notes: Sequence[str], first: Sequence[str] = ()) -> Section:
 
 def _footer(comparison: Comparison) -> str:
     """Return the versions of geodrake and of the data."""
-    try:
-        version = importlib.metadata.version("geodrake")
-    except importlib.metadata.PackageNotFoundError:
-        version = "(not installed)"
     digest = hashlib.sha256()
     for series in comparison.series:
         digest.update(f"{series.joint}\n{series.block}\n".encode(errors="surrogateescape"))
@@ -547,8 +546,9 @@ def _footer(comparison: Comparison) -> str:
             digest.update(values.round(9).tobytes())
     samples = sum(len(series.time) for series in comparison.series)
     return (
-        f"Made by geodrake {version}. Data: {samples} prepared samples of effort with fingerprint "
-        f"{digest.hexdigest()[:12]}; the same logs, prepared in the same way, have the same one."
+        f"Made by geodrake {version()}. Data: {samples} prepared samples of effort with "
+        f"fingerprint {digest.hexdigest()[:12]}; the same logs, prepared in the same way, have the "
+        "same one."
     )
 
 
@@ -862,7 +862,6 @@ VIEWS = {
         ],
         samples=comparison_series,
         figure="efforts",
-        drawn=lambda found: {"": found},
     ),
     Diagnosis: View(
         diagnosis_page,
@@ -870,7 +869,6 @@ VIEWS = {
         records=lambda found: list(map(asdict, found.candidates)),
         samples=lambda found: comparison_series(found.comparison),
         figure="candidates",
-        drawn=lambda found: {"": found.comparison},
     ),
     Explanation: View(
         explanation_page,
@@ -879,10 +877,6 @@ VIEWS = {
         records=_step_records,
         samples=lambda found: comparison_series(found.after, found.before),
         figure="efforts",
-        drawn=lambda found: {
-            "as it stands": found.before,
-            **({"now": found.after} if found.steps else {}),
-        },
     ),
     ModelIdentification: View(
         identification_page,
@@ -891,10 +885,6 @@ VIEWS = {
         records=_body_records,
         samples=lambda found: comparison_series(found.comparison),
         figure="efforts",
-        drawn=lambda found: {
-            "as it stands": replace(found.comparison, errors=found.before),
-            "identified": found.comparison,
-        },
     ),
 }
 """How each type of result is shown."""

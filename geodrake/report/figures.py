@@ -170,10 +170,9 @@ def bars_figure(bars: Bars) -> Figure:
                 row.text(value), (end, y), (4, 0), textcoords="offset points", va="center",
                 **style.plain(style.SMALL),
             )  # fmt: skip
-        for stage, value in row.marks.items():
-            if value > 0:
-                color, span = style.COLORS[stage.color], (ends[0] - 0.6, ends[-1] + 0.6)
-                ax.vlines(bars.end(value), *span, color=color, linestyle="--")
+        for stage, value in row.shown_marks.items():
+            color, span = style.COLORS[stage.color], (ends[0] - 0.6, ends[-1] + 0.6)
+            ax.vlines(bars.end(value), *span, color=color, linestyle="--")
         ticks.append(float(np.mean(ends)))
         at = ends[-1] + 1.8
     labels = [style.label(row.label, 62) for row in bars.rows]

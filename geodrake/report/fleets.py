@@ -36,7 +36,7 @@ from geodrake.fleet.type_layout import BODIES, FleetParameter
 from geodrake.inertia import Array
 from geodrake.report.charts import Chart, Panel, Plot, Shade, Stage
 from geodrake.report.explaining import notes_section
-from geodrake.report.json_output import record
+from geodrake.report.json_output import plain_of, record
 from geodrake.report.numbers import chance, number, percent, with_deviation
 from geodrake.report.page import About, Cell, Page, Section, Table, Tile, View, cells
 from geodrake.report.words import effect_label
@@ -380,15 +380,8 @@ def finding_dict(finding: FleetFinding) -> dict[str, Any]:
 
 def finding_line(finding: FleetFinding) -> str:
     """Return a finding as one line of JSON."""
-    said = {"finding": _without_reasons(finding_dict(finding))}
+    said = {"finding": plain_of(finding_dict(finding), "", {})}
     return json_text(json.dumps(said, ensure_ascii=False, allow_nan=False))
-
-
-def _without_reasons(said: dict[str, Any]) -> dict[str, Any]:
-    """Return a finding without the reasons for nulls that need none."""
-    for own in said["parameters"].values():
-        own["share"] = own["share"] if isinstance(own["share"], float) else None
-    return said
 
 
 def _robot(robot: RobotResult) -> dict[str, Any]:
@@ -436,7 +429,7 @@ def parquet_contents(result: FleetResult, folder: Path) -> Mapping[Path, Content
     findings, parameters = list[dict[str, Any]](), list[dict[str, Any]]()
     for robot in result.robots:
         for finding in robot.findings:
-            said = _without_reasons(finding_dict(finding)) | {
+            said = plain_of(finding_dict(finding), "", {}) | {
                 "type": robot.type,
                 "since": round(finding.date),
                 "earliest": round(finding.interval[0]),

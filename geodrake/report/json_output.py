@@ -141,14 +141,19 @@ def to_json(result: Mapping[str, Any]) -> str:
     `/steps/0/deviations/flange/mass`, and the reason in words.
     """
     nulls: dict[str, str] = {}
-    plain = _plain(result, "", nulls)
+    plain = plain_of(result, "", nulls)
     if nulls:
         plain["nulls"] = nulls
     return json_text(json.dumps(plain, indent=2, ensure_ascii=False, allow_nan=False)) + "\n"
 
 
-def _plain(value: Any, place: str, nulls: dict[str, str]) -> Any:
-    """Return the value in dictionaries, lists, strings, Python numbers and None."""
+def plain_of(value: Any, place: str, nulls: dict[str, str]) -> Any:
+    """Return a value in dictionaries, lists, strings, Python numbers and None.
+
+    Args:
+        place: JSON pointer to the value.
+        nulls: Filled with the place of each None, and its reason.
+    """
     if isinstance(value, float) and not math.isfinite(value):
         value = NoNumber("was not determined" if math.isnan(value) else "is infinite")
     elif value is None:
@@ -160,13 +165,13 @@ def _plain(value: Any, place: str, nulls: dict[str, str]) -> Any:
         value = {field.name: getattr(value, field.name) for field in fields(value)}
     if isinstance(value, Mapping):
         return {
-            str(k): _plain(v, f"{place}/{str(k).translate(_TOKENS)}", nulls)
+            str(k): plain_of(v, f"{place}/{str(k).translate(_TOKENS)}", nulls)
             for k, v in value.items()
         }
     if hasattr(value, "tolist"):  # numpy arrays and scalars
-        return _plain(value.tolist(), place, nulls)
+        return plain_of(value.tolist(), place, nulls)
     if isinstance(value, Path):
         return str(value)
     if isinstance(value, Iterable) and not isinstance(value, str):
-        return [_plain(item, f"{place}/{k}", nulls) for k, item in enumerate(value)]
+        return [plain_of(item, f"{place}/{k}", nulls) for k, item in enumerate(value)]
     return value

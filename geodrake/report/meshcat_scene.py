@@ -213,9 +213,8 @@ def draw_effects(
                     place = RigidTransform(X_WB.multiply(effect.point))
                     meshcat.SetTransform(own, place, clock(frame))
         elif is_body(effect) and is_physical(fitted.parameters):
-            solid = equivalent_ellipsoid(fitted.parameters)
-            shape = Ellipsoid(*np.maximum(solid.semi_axes, LEAST_THICKNESS))
-            meshcat.SetObject(own, shape, _rgba(style.AFTER, 0.6))
+            solid = equivalent_ellipsoid(fitted.parameters, least_semi_axis=LEAST_THICKNESS)
+            meshcat.SetObject(own, Ellipsoid(*solid.semi_axes), _rgba(style.AFTER, 0.6))
             meshcat.SetTransform(own, RigidTransform(RotationMatrix(solid.rotation), solid.center))
         else:
             meshcat.SetObject(own, Sphere(0.02 * size), _rgba(style.AFTER, 0.8))

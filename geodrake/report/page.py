@@ -144,7 +144,8 @@ class Page:
         lead: Paragraphs that interpret the answer.
         tiles: Numbers at the top of the page.
         first: What to check before all else: mistakes in columns, and data that are left out.
-        pictures: Pictures of the robot, for HTML pages.
+        compared: Title -> comparison whose errors colour a picture of the robot.
+        pictures: These pictures, for HTML pages.
     """
 
     about: About
@@ -157,6 +158,7 @@ class Page:
     tiles: tuple[Tile, ...] = ()
     footer: str = ""
     first: tuple[Section, ...] = ()
+    compared: Mapping[str, Comparison] = field(default_factory=dict)
     pictures: Pictures | None = None
 
     @property
@@ -189,8 +191,6 @@ class View:
     records: Any = None  # function to rows of numbers, for a DataFrame; None if there are none
     samples: Any = None  # function to the samples by column; None if there are none
     figure: str = ""  # name of the main chart or bars
-    # Title -> comparison whose errors colour the robot on the page.
-    drawn: Callable[[Any], Mapping[str, Comparison]] = lambda found: {}
 
     def numbers(self, found: object) -> dict[str, Any]:
         """Return a result as a dictionary, for JSON."""

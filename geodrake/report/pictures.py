@@ -81,9 +81,9 @@ def error_pictures(model: RobotModel, compared: Mapping[str, Comparison]) -> Pic
 
 
 def _drawn(model: RobotModel, compared: Mapping[str, Comparison]) -> Pictures | None:
-    first = next(iter(compared.values()))
-    some = [series for series in first.series if len(series.time)]
-    if not some:
+    first = next(iter(compared.values()), None)
+    some = [series for series in first.series if len(series.time)] if first else []
+    if first is None or not some:
         return None
     sizes = {joint.joint: max(joint.std, 1e-300) for joint in first.errors.joints}
     worst = max(some, key=lambda s: float(np.abs(s.residual).max()) / sizes[s.joint])

@@ -412,7 +412,8 @@ def playback_page(playback: Playback, about: About) -> Page:
     *others, notes = page.sections
     notes = replace(notes, items=(*playback.left_out, *playback.shapes.notes, *notes.items))
     detailed = (replace(each, detailed=True) for each in others)
-    return replace(page, sections=(Section("Worst moments", lists=lists), *detailed, notes))
+    sections = (Section("Worst moments", lists=lists), *detailed, notes)
+    return replace(page, sections=sections, compared={})
 
 
 def effect_words(fitted: FittedEffect, units: Units) -> str:

@@ -194,11 +194,11 @@ def _write_mcap(foxglove: Any, path: Path, found: Playback, title: str) -> None:
                                 spheres=[kinds.SpherePrimitive(size=size, color=color)],
                             )
                         )
-                known: dict[str, dict[str, float]] = {joint: {} for joint in joints}
-                for name, column in values.items():
-                    for joint, value in zip(joints, column[frame].tolist(), strict=True):
-                        if np.isfinite(value):
-                            known[joint][name] = value
+                now = {name: column[frame].tolist() for name, column in values.items()}
+                known = {
+                    joint: {name: own[j] for name, own in now.items() if np.isfinite(own[j])}
+                    for j, joint in enumerate(joints)
+                }
                 plot.log(known, log_time=instant)
             frames.log(kinds.FrameTransforms(transforms=transforms), log_time=instant)
             marks.log(kinds.SceneUpdate(entities=balls), log_time=instant)

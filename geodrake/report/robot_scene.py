@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +16,7 @@ from geodrake.inertia import Array
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.arrangement import base_joints
-from geodrake.robot.joints import joint_names
+from geodrake.robot.joints import joint_names, joints_of
 from geodrake.robot.shapes import GRAY, LinkShape, RobotShapes, robot_shapes
 
 FRAMES = 30.0  # frames a second of recordings
@@ -124,7 +123,7 @@ def joint_places(model: RobotModel) -> dict[str, JointPlace]:
     """Return the joints of one degree of freedom by name, those that follow others as well."""
     plant, names, found = model.plant, joint_names(model.plant), dict[str, JointPlace]()
     lumps, bases = _lumps(plant), base_joints(plant)
-    for joint in _joints(plant):
+    for joint in joints_of(plant):
         # Of a free base's joints, between which are frames, the root is moved.
         base = next((own for own in bases if joint.index() in [o.index() for o in own]), [joint])
         child = _full(base[-1].child_body())
@@ -174,7 +173,7 @@ def _sticks(plant: MultibodyPlant) -> dict[str, tuple[LinkShape, ...]]:
     size = max(float(np.linalg.norm(np.ptp(np.array(origins), axis=0))), 0.1)
     found: dict[str, list[LinkShape]] = {_full(body): [] for body in _bodies(plant)}
     ends = dict.fromkeys(found, True)
-    for joint in _joints(plant):
+    for joint in joints_of(plant):
         parent, child = joint.parent_body(), joint.child_body()
         if joint.num_velocities():
             X_BJ = joint.frame_on_child().GetFixedPoseInBodyFrame()
@@ -210,10 +209,6 @@ def _stick(p_BE: Array, radius: float) -> list[LinkShape]:
 def _bodies(plant: MultibodyPlant) -> list[RigidBody]:
     """Return the links of a plant, without the world."""
     return [plant.get_body(BodyIndex(k)) for k in range(1, plant.num_bodies())]
-
-
-def _joints(plant: MultibodyPlant) -> Sequence[Joint]:
-    return [plant.get_joint(index) for index in plant.GetJointIndices()]
 
 
 def _lumps(plant: MultibodyPlant) -> list[tuple[str, ...]]:

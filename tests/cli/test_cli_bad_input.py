@@ -203,7 +203,7 @@ BAD = {
         "log.csv robot.urdf": "A model comes before its logs",
         "page.urdf log.csv": "page.urdf",
         "folder.json log.csv": "is a folder",
-        "robot.urdf log.csv ./log.csv": "given twice",
+        "robot.urdf log.csv ./log.csv": "has the same measurements",
         "robot.urdf": "Usage",
     },
 }

@@ -21,6 +21,7 @@ from geodrake.report.ellipsoids import (
     ellipsoid_page,
     placed,
     skeleton,
+    surface,
 )
 from geodrake.report.meshcat_scene import LEAST_THICKNESS
 from geodrake.report.style import figure_bytes
@@ -62,7 +63,7 @@ def test_placed_ellipsoids_weigh_and_turn_like_the_bodies(model, context):
 
 def test_points_are_on_the_surface(model, context):
     bodies = placed(model.plant, context, model.phi)
-    points = bodies.points(12)
+    points = surface(bodies, 12)
     assert points.shape == (len(model.bodies), 7, 13, 3)
     local = np.einsum("bji,bklj->bkli", bodies.rotation, points - bodies.center[:, None, None])
     scaled = np.linalg.norm(local / bodies.semi_axes[:, None, None], axis=-1)
