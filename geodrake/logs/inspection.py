@@ -84,17 +84,19 @@ def inspect_log(
 ) -> LogInspection:
     """Read a log, and inspect it without a model; see `read_log` for arguments."""
     raw, columns = understand(path, joints=joints, partial=partial, reading=reading)
-    notes = []
+    log = raw
     try:
         log = without_faults(raw)
-        unused = _unused(log)
-    except LogError as error:  # of sensors that failed for good: there is still much to show
-        log, notes, unused = raw, [error.problem], f"cannot be used: {error}"
+        silent = np.isnan(log.effort).all(axis=0)  # where commands are in the place of efforts
+        told = replace(log, effort=np.where(silent, 0.0, log.effort)) if silent.any() else log
+        unused = prepare_logs([make_uniform(told, faultless=True)])[0].left_out
+    except LogError as error:  # as of sensors that failed for good: there is still much to show
+        unused = f"cannot be used: {error}"
     steps = np.diff(_known(log.time))
     period = float(np.median(steps))
     gap = steps > longest_step(period)
     missing = [joint for joint in joints or () if joint not in (*log.joints, *log.standing)]
-    notes += [f"the model's {', '.join(missing)} have no measurements"] if missing else []
+    notes = [f"the model's {', '.join(missing)} have no measurements"] if missing else []
     time = columns.sources.get("time")
     first = tuple(filter(None, (position_unit_hint(log), effort_sign_hint(log), unused)))
     return LogInspection(
@@ -109,17 +111,6 @@ def inspect_log(
         time.unit.name if time and time.unit else "",
         first,
     )
-
-
-def _unused(log: JointLog) -> str:
-    """Return what cannot be used of a log without faults, or why none of it can."""
-    told = np.isnan(log.effort).all(axis=0)  # by commands, in the place of efforts
-    log = replace(log, effort=np.where(told, 0.0, log.effort)) if told.any() else log
-    try:
-        (trajectory,) = prepare_logs([make_uniform(log, faultless=True)])
-    except LogError as error:
-        return f"cannot be used: {error}"
-    return trajectory.left_out
 
 
 def mapping_text(

@@ -149,6 +149,18 @@ def _unlisted(fields: Mapping[str, list[Any]]) -> dict[str, Any]:
     return {name: found[0] if len(found) == 1 else found for name, found in each.items()}
 
 
+def read_octave(path: Path, reading: Reading) -> LogTable:
+    """Return the columns of the matrices that Octave's `save` writes as text, by their names."""
+    found = dict[str, Any]()
+    for part in _whole(path, "text").decode().split("# name: ")[1:]:
+        name, *lines = part.splitlines()
+        rows = [line.split() for line in lines if line.strip() and not line.startswith("#")]
+        with suppress(ValueError):  # of texts, and of structs, whose fields have their own names
+            numbers = np.squeeze(np.array(rows, float))
+            found[name.strip()] = numbers if numbers.ndim else float(numbers)
+    return content_table(path, found, reading)
+
+
 def read_rsi(path: Path, reading: Reading) -> LogTable:
     """Return the columns of messages of a KUKA's robot sensor interface (RSI), as XML."""
     with readable(path, "XML of a robot", "Remove a last element that is cut off."):

@@ -18,6 +18,7 @@ from geodrake.logs.files.array_files import (
     read_mat,
     read_npy,
     read_npz,
+    read_octave,
     read_parquet,
     read_rsi,
     read_yaml,
@@ -89,6 +90,7 @@ BEGINNINGS: Mapping[bytes, Reader] = {
     b"---\nheader:": read_yaml,
     b"header {": read_gazebo,
     b"<Rob ": read_rsi,
+    b"# Created by Octave": read_octave,
     b'{"': read_json,
 }
 """Reader of files by their first bytes: lcm-logger's names end in a date."""

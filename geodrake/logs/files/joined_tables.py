@@ -82,8 +82,14 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
         again = [name for name in counts for _ in range(counts[name] - 1)]
         columns = {n: x for table in tables[::-1] for n, x in table.columns.items()}
         columns = {name: columns[name] for name in counts}
-        if len(bare) == len(tables) and reading.rate is None:
-            _check_rows(log, tables, again)
+        clock = likely_clock(tables[0])[0] if len(bare) == len(tables) else None
+        if reading.rate is None and clock is not None and clock.column in again:
+            first, *others = [t.columns[clock.column] for t in tables if clock.column in t.columns]
+            if not all(np.array_equal(first, other) for other in others):
+                raise LogError(
+                    f"In the parts of log {str(log)!r}, {clock.column!r} may be time, and differs.",
+                    advice="If it is time, call it so, such as time_ms, to join them by it.",
+                )
         zeros = {column: zero for table in tables for column, zero in table.origins.items()}
         said = next((table.rate for table in tables if table.rate), None)
         return LogTable(log, columns, units, (*_twice(again), *noted), zeros, rate=said)
@@ -301,19 +307,6 @@ def _begun_together(
         "they are assumed to begin together"
     )
     return time + float(np.nanmin(known) - np.nanmin(time)), words
-
-
-def _check_rows(log: Path, tables: Sequence[LogTable], again: Sequence[str]) -> None:
-    """Raise if a column that may be time, which several parts have, tells that rows do not meet."""
-    clock, _, _ = likely_clock(tables[0])
-    if clock is None or clock.column not in again:
-        return
-    first, *others = [t.columns[clock.column] for t in tables if clock.column in t.columns]
-    if not all(np.array_equal(first, other) for other in others):
-        raise LogError(
-            f"In the parts of log {str(log)!r}, {clock.column!r} may be time, and differs.",
-            advice="If it is time, call it so, such as time_ms, to join them by it.",
-        )
 
 
 def at_instants(instants: Array, time: Array, values: Array, *, holds: bool = False) -> Array:

@@ -179,13 +179,16 @@ def meanings_of(names: Iterable[str], joints: Sequence[str] = ()) -> list[Meanin
     whole = {_split(joint): joint for joint in joints if _has_name(joint)}
     roman = _roman_numbers(names)
     of_model = {number: joint for joint, (_, number) in _roman_numbers(joints).items()}
-    each = (
-        _by_roman(name, *roman[name], of_model)
-        if name in roman
-        else _of_joint(name, whole) or meaning_of(name)
-        for name in names
-    )
-    found = [meaning for meaning in each if meaning is not None]
+    found = list[Meaning]()
+    for name in names:
+        plain, number = roman.get(name, (name, 0))
+        if (told := _of_joint(name, whole) or meaning_of(plain) or meaning_of(name)) is None:
+            continue
+        if number and told.quantity in OF_JOINTS and not told.joint:
+            joint = of_model.get(number, f"joint_{_NUMERALS[number - 1]}")
+            words = words_of(joint) if number in of_model else told.words
+            told = replace(told, joint=joint, words=words)
+        found.append(replace(told, column=name))
     units = _units_of_family(names)
     for k, meaning in enumerate(found):
         if meaning.unit is None and (said := units.get(meaning.quantity)) is not None:
@@ -235,16 +238,6 @@ def _roman_numbers(names: Sequence[str]) -> dict[str, tuple[str, int]]:
         if len(own) > 1 and sorted(own.values()) == [*range(1, 1 + len(own))]
         for name, number in own.items()
     }
-
-
-def _by_roman(name: str, plain: str, number: int, joints: Mapping[int, str]) -> Meaning | None:
-    """Return the meaning of a name with a Roman numeral, by that with an Arabic one."""
-    found = meaning_of(plain)
-    if found is None or found.quantity not in OF_JOINTS or found.joint:
-        return meaning_of(name) if found is None else replace(found, column=name)
-    joint = joints.get(number, f"joint_{_NUMERALS[number - 1]}")
-    words = words_of(joint) if number in joints else found.words
-    return replace(found, column=name, joint=joint, words=words)
 
 
 def _units_of_family(names: Sequence[str]) -> Mapping[str, str]:

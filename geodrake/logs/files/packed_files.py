@@ -44,13 +44,12 @@ def _log_in(archive: ZipFile, called: str) -> str:
     """Return the name of the only log in an archive, leaving out what systems put beside it."""
     names = [PurePosixPath(name) for name in archive.namelist() if not name.endswith("/")]
     seen = [n for n in names if not any(part.startswith((".", "__MACOSX")) for part in n.parts)]
-    logs = [name for name in seen if name.suffix.lower() in (*TEXT, *JSON)]
-    tables = [name for name in logs if name.stem.lower() != "readme"]
-    if len(tables) == 1:
-        return str(tables[0])
-    found = ", ".join(map(str, (tables or seen)[:8])) or "nothing"
+    logs = [n for n in seen if n.suffix.lower() in (*TEXT, *JSON) and n.stem.lower() != "readme"]
+    if len(logs) == 1:
+        return str(logs[0])
+    found = ", ".join(map(str, (logs or seen)[:8])) or "nothing"
     raise LogError(
-        f"Log {called!r} is an archive of {len(tables)} logs of text or JSON; it has {found}.",
+        f"Log {called!r} is an archive of {len(logs)} logs of text or JSON; it has {found}.",
         advice="Unpack it, and give one of its files, or several that belong together as "
         "q.csv+efforts.csv.",
     )
