@@ -29,7 +29,7 @@ from geodrake.fleet import (
     merge,
     read_digest,
 )
-from geodrake.fleet.digest_log import Wanted
+from geodrake.fleet.digest_log import Wanted, said_of_reading
 from geodrake.fleet.hashes import model_hash, text_hash
 from geodrake.fleet.history import RobotHistory, weighted_grams
 from geodrake.fleet.log_places import date_of_log, date_seconds
@@ -597,3 +597,10 @@ def test_effects_of_a_users_own_have_columns(logged, tmp_path):
     with pytest.raises(DigestError, match="wobble, which cannot be constructed"):
         digest_dataset(merged, SMALL)
     assert digest_dataset(merged, SMALL, extra=(Wobble,)).effects
+
+
+def test_settings_say_what_those_of_older_folders_do():
+    """Another word would make every folder one of other options."""
+    names = "mapping columns rate units gains skip_bad_rows topic gain_deviations kinds motors"
+    assert said_of_reading(Reading()).keys() == {*names.split(), "of_base", "joints"}
+    assert said_of_reading(Reading(usual_deviation=0.2))["usual_deviation"] == 0.2
