@@ -300,7 +300,7 @@ def _given(log: JointLog, model: RobotModel) -> tuple[BasePose, str, dict[str, B
     place, force = (vectors(columns, n) for n in ("base.position", "imu.linear_acceleration"))
     gyro = vectors(columns, "imu.angular_velocity")
     spin = gyro if gyro is not None else vectors(columns, "base.angular_velocity")
-    if force is not None:
+    if force is not None and gravity.any():
         _check_felt(force, gravity, log.name)
     known, turns = np.ones(len(log), bool), dict[str, Rotation]()
     if (found := orientation(columns)) is not None:
@@ -437,7 +437,7 @@ def _signs(log: JointLog, model: RobotModel, pose: BasePose) -> Iterator[_Sign]:
     )
     yield _Sign(
         partial(_off_accelerations, gravity=model.tree.gravity),
-        *(_DIFFERS, _DIFFERS, _AGREES),
+        *(_DIFFERS, _DIFFERS, 0.5 * _DIFFERS),
         "the IMU does not feel the accelerations of the position: {:.0%} of what it feels is other",
         "{:.0%}",
         "the IMU is in that body's axes.",

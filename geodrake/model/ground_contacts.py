@@ -45,13 +45,13 @@ _HELD = (
     "If the robot is held or fixed to the world, omit --floating; otherwise log contacts or forces "
     "of everything that touches it."
 )
-_OFTEN = 0.05  # of the samples, in which a foot must be low
 _FEW = 5000  # samples whose forces are compared with the weight
 _FEW_POSES = 200
 _MISPLACED = 0.015  # of the weight, by which forces of other feet may seem to be off
 _TOGETHER = 32  # samples whose mean is looked at, without noise
 _FITS = 0.15  # of the weight, by which forces that are read rightly are off at most
 _ALIKE = 1.5  # times as far off as the best reading is a simpler one
+_ARM = 0.1  # m, by which forces make moments at least
 _FEW_FRAMES = 6  # of which all orders are tried
 _CLEARLY, _MOSTLY = 0.3, 0.8  # of the samples, by which and in which flags agree with feet
 _RIGHT = np.radians(3.0)  # by which a rotation by right angles may be off
@@ -183,13 +183,15 @@ def _bodies(
 def _low_links(log: JointLog, model: RobotModel, told: Sequence[str]) -> tuple[str, ...]:
     """Return ends of limbs that come near the ground, other than the frames in the log."""
     known, bodies = _bodies(log, model, most=_FEW_POSES)
-    if vectors(log.floating, "base.position") is None or not known.any():
+    is_placed = vectors(log.floating, "base.position") is not None and known.any()
+    if not (is_placed and model.tree.gravity.any()):
         return ()
     named = contact_frames(model, told)
     others = {frame.body for frame in named}
     frames = [f for f in contact_frames(model, last_links(model)) if f.body not in others]
     ground = np.percentile(np.min([f.height(bodies) for f in named], axis=0), _LOWEST)
-    return tuple(f.name for f in frames if np.mean(f.height(bodies) < ground + _NEAR) > _OFTEN)
+    lowest = {f.name: np.percentile(f.height(bodies), _LOWEST) - ground for f in frames}
+    return tuple(name for name, height in lowest.items() if abs(height) < _NEAR)
 
 
 # Contacts.
@@ -300,7 +302,8 @@ def _settled(
     own, seen = flags[known].astype(float), touching[known]
     alike = (own.T @ seen + (1.0 - own).T @ (1.0 - seen)) / len(own)
     given, inverted = float(np.trace(alike)), np.diagonal(alike) < 0.5 - _CLEARLY
-    inverted &= np.abs(own.mean(axis=0) - 0.5) < 0.5 - _OFTEN  # of those that change
+    aloft = 1.0 - own  # in which inverted ones rest
+    inverted &= ((aloft * seen).sum(axis=0) > 0.5 * aloft.sum(axis=0)) & own.any(axis=0)
     orders = [list(order) for order in _orders(len(names))]
     sums = [float(alike[range(len(names)), order].sum()) for order in orders]
     best, count = int(np.argmax(sums)), len(names)
@@ -401,7 +404,7 @@ def _check_wrenches(
     size = float(model.total_phi[:, 0].sum() * np.linalg.norm(model.tree.gravity))
     if not len(J) or not size:
         return ()
-    arm = np.sqrt(np.square(J[:, :, :3, 3:]).mean())
+    arm = max(float(np.sqrt(np.square(J[:, :, :3, 3:]).mean())), _ARM)
     scales = size * np.array([1.0, 1.0, 1.0, arm, arm, arm])
     starts = np.arange(0, len(J), _TOGETHER)
 
@@ -440,8 +443,9 @@ def _check_wrenches(
     offs = {words: off(efforts) for words, efforts in others.items()}
     best = next(words for words in offs if offs[words] <= _ALIKE * min(offs.values()))
     least = offs[best]
-    wrong = _MISPLACED if best in orders else _UNLIKE
-    if own > wrong and least < min(_FITS, 0.5 * own):
+    is_fitted, is_moved = best == next(reversed(offs)), best in orders
+    wrong = _UNLIKE if is_fitted else _MISPLACED if is_moved else 0.25 * _UNLIKE
+    if own > wrong and least < min(_FITS, (0.5 if is_moved else 0.3) * own):
         raise LogError(
             f"Forces at the feet in log {log.name!r} are {own:.0%} of the weight off what "
             f"carries the robot in link axes, and {least:.0%} {best}.",

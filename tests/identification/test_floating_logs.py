@@ -81,9 +81,11 @@ class Maker:
         self.imu = self.R.inv().apply(self.place[2] + [0, 0, 9.81])
         self.effort, count = np.zeros((len(self.time), 12)), len(self.time)
         self.forces, self.world_forces = np.zeros((2, count, 4, 3))
+        self.carried = np.zeros((count, 6))  # moment and force about the origin
         motion = np.concatenate([self.place, self.angles, self.joints], axis=2)
         for k in range(count):
             needed = dog.efforts(*motion[:, k])
+            self.carried[k] = dog.wrench()
             J = np.vstack([dog.jacobian(foot)[:3] for foot in FEET])
             w = np.linalg.lstsq(J[:, :6].T, needed[:6], rcond=None)[0]
             self.effort[k] = (needed - J.T @ w)[6:]
@@ -759,6 +761,23 @@ def test_forces_of_other_feet_are_refused(model, maker):
     }
     with pytest.raises(LogError, match="those of fl_foot are of fr_foot, those of fr_foot are of"):
         with_base(replace(log, floating=log.floating | columns), model)
+
+
+def test_thrust_at_the_trunk_of_a_robot_that_flies_is_read(model, maker):
+    """No link of it is near the ground, and the axes of its thrust are told, however upright."""
+    log = maker.log(wrenches=False)
+    bare = {n: x for n, x in log.floating.items() if n.startswith(("base", "imu"))}
+    moment, force = np.split(maker.carried, 2, axis=1)
+    in_world = {"torque": moment - np.cross(maker.place[0], force), "force": force}
+
+    def read(**vectors):
+        own = {f"trunk.{w}.{'xyz'[k]}": x[:, k] for w, x in vectors.items() for k in range(3)}
+        return with_base(replace(log, floating=bare | own), model)
+
+    notes = read(**{w: maker.R.inv().apply(each) for w, each in in_world.items()}).notes
+    assert not any("near the ground" in note or "off what carries" in note for note in notes)
+    with pytest.raises(LogError, match="in world axes"):
+        read(**in_world)
 
 
 def test_readings_that_are_held_or_stuck_are_told(model, maker, planted):

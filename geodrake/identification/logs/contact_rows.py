@@ -134,7 +134,7 @@ def row_scales(model: RobotModel, trajectory: Trajectory) -> Array:
     mass = inertial_parameters(model.plant)[:, 0].sum()
     weight = float(mass * np.linalg.norm(model.tree.gravity))
     for at, joint in enumerate(model.joints):
-        if joint in model.base_joints:
+        if joint in model.base_joints and weight > 0.0:
             slides = joint in model.sliding_joints
             scales[at] = _FORCE * weight * (1.0 if slides else _ARM)
     return scales
