@@ -364,7 +364,7 @@ LAYOUTS = {
     **{f"q is plainer than {other}": (PANDA, {other: "other", "q{k}": "q", "tau_ff_{k}": "other",
         "tau_rnea_{k}": "other", "dynamic_tor[{k}]": "other", "tau_g_{k}": "other",
         "reactionForces_{k}": "other", "tau_fb_{k}": "tau"})
-       for other in ("q{k}_hat", "q_prev_{k}", "q_{k}_predicted", "q_filtered_{k}")},
+       for other in ("th{k}", "q{k}_hat", "q_prev_{k}", "q_{k}_predicted", "q_filtered_{k}")},
     **{f"settings: {kind}": (PANDA, dict(zip(forms.split(), ("8", "0", "q", "tau"), strict=True)))
        for kind, forms in SETTINGS.items()},
     "settings: ODrive": (PANDA, {"axis{k}.current_state": "8", "axis{k}.controller.input_pos": "0",

@@ -140,7 +140,7 @@ Best = dict[tuple[str, str], list[Meaning]]
 
 _MOST_CLOCKS, _EVEN = 50, 0.9  # columns that are looked at, and share of steps that are even
 _CLOCKS = frozenset(("time", "timestamp", "stamp", "ts", "clock", "duration", "uptime", "elapsed"))
-_KEPT = {"m": 1, "motor": 1, "filtered": 1, "filt": 1, "smoothed": 1, "qd": 1, "raw": 2}
+_KEPT = {"m": 1, "motor": 1, "filtered": 1, "filt": 1, "smoothed": 1, "qd": 1, "raw": 2, "th": 2}
 _STEADY = 0.2  # of its mean, by which the voltage of a supply may vary
 
 
