@@ -80,6 +80,7 @@ def _take_angles(
             columns.notes.append(f"{words} (--units {quantity}=UNIT if it is in another)")
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of outliers
 def _by_motion(time: Array, data: dict[str, Array], bare: Bare) -> tuple[str, str, float]:
     """Return units of angles and speeds by their ratio, and this; SI units where it tells none."""
     known = "rad", "rad/s", 1.0
