@@ -4,15 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from adaptive_loops import (
-    MODEL,
-    computed,
-    fixed,
-    motion,
-    natural,
-    passive,
-    pendulum_plant,
-)
+from adaptive_loops import MODEL, computed, fixed, motion, natural, passive, pendulum_plant
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.tree import RevoluteSpring
 from pydrake.systems.framework import DiagramBuilder
@@ -139,6 +131,28 @@ class TestFittedModel:
             FittedEffect(effect, np.array(mu)) for effect, mu in ACTING[:3] + ACTING[5:6]
         )
         return replace(model, phi=1.1 * model.phi, effects=fitted)
+
+    def test_it_moves_as_in_a_diagram_of_its_own(self):
+        rng = np.random.default_rng(1)
+        q, v, u = rng.normal(size=(3, 2))
+        accelerations = []
+        for within in (False, True):
+            builder = DiagramBuilder()
+            if within:
+                plant = scene(builder, time_step=0.0)
+                robot = self.model().add_to_scene(builder, RobotInstance(plant, "arm"))
+            else:
+                robot = self.model().add_to_builder(builder)
+            builder.ExportInput(robot.effort, "effort")
+            diagram = builder.Build()
+            root = diagram.CreateDefaultContext()
+            robot.set_inertias(root)
+            robot.set_state(root, q, v)
+            diagram.get_input_port(0).FixValue(root, u)
+            port = robot.plant.get_generalized_acceleration_output_port()
+            found = port.Eval(robot.plant.GetMyContextFromRoot(root))
+            accelerations.append(found[robot.robot.velocities])
+        np.testing.assert_allclose(accelerations[1], accelerations[0], rtol=1e-8)
 
     def test_what_other_models_weld_to_it_stays(self):
         """A crate on its last link, whose mass is not that of the model."""

@@ -6,7 +6,7 @@ from functools import cache
 import mujoco
 import numpy as np
 import pytest
-from closed_loops import four_bar, four_bar_sdf, gripper, leg
+from closed_loops import four_bar, leg
 
 from geodrake import load_model, save_model
 from geodrake.control import roll_out
@@ -139,19 +139,6 @@ def test_a_log_that_contradicts_the_loop_is_told(tmp_path):
     )
 
 
-def test_the_joint_that_closes_a_loop_may_be_logged(tmp_path):
-    (tmp_path / "robot.sdf").write_text(four_bar_sdf())
-    model = load_model(tmp_path / "robot.sdf")
-    joints = ("crank", "coupler", "rocker")
-    time, places, effort = simulated(four_bar(), seconds=2.0, joints=joints)
-    pin = places[:, 2] - places[:, 0] - places[:, 1]
-    both = np.column_stack([places[:, 0], pin])
-    log = JointLog("log", ("crank", "pin"), time, both, np.column_stack([effort, 0.0 * effort]))
-    assert log_of_model(log, model).joints == ("crank",) and not odd(log, model)
-    (said,) = odd(replace(log, position=both * [1.0, -1.0]), model)
-    assert "pin differs from its position in the closed loop of the joint pin" in said
-
-
 def test_a_log_of_another_joint_of_the_loop_is_refused(tmp_path):
     time, places, effort = simulated(four_bar(), seconds=2.0, joints=("rocker",))
     log = JointLog("log", ("rocker",), time, places, effort[:, None])
@@ -186,15 +173,6 @@ def test_a_log_beyond_the_loop_says_where(tmp_path):
     places = np.outer(np.sin(np.arange(400) / RATE), [2.0, 1.0])
     with pytest.raises(LogError, match=r"closed loop .* does not close at crank = "):
         log_of_model(two_joints(places, np.ones((400, 2))), model)
-
-
-def test_a_gripper_that_no_log_has_is_held(tmp_path):
-    model, time = model_of(tmp_path, gripper()), np.arange(400) / RATE
-    log = JointLog("log", ("arm",), time, np.sin(time)[:, None], np.cos(time)[:, None])
-    held = model_of_logs(model, [log])
-    assert held.joints == ("arm",) and held.held["left"] == 0.0
-    bars = {"left_tip", "left_bar", "right_tip", "right_bar"}
-    assert set(held.held) == {"left", "right", *bars}
 
 
 def test_springs_of_a_leg_are_joints_without_a_motor(tmp_path):

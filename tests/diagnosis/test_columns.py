@@ -27,7 +27,6 @@ from geodrake.diagnosis.columns.design import JointDesign
 from geodrake.diagnosis.columns.evidence import ColumnModel
 from geodrake.diagnosis.columns.gaussian import JointEquations, most_probable
 from geodrake.diagnosis.columns.kinds import words_of
-from geodrake.diagnosis.columns.limits import likely_limits
 from geodrake.diagnosis.columns.samples import column_samples
 from geodrake.effects import FittedEffect, JointElasticity
 from geodrake.errors import ArgumentError
@@ -109,16 +108,6 @@ def test_magnitudes_of_efforts_are_said_to_be_magnitudes(pendulum, right):
     assert (found.kind, found.joints) == ("effort_magnitude", JOINTS)
     assert not found.is_correctable
     assert "never change sign" in str(found)
-
-
-def test_efforts_without_the_motion_in_them_are_no_mistake_of_a_kind(pendulum, right):
-    """A passive joint's sensor noise, and efforts of some other motion."""
-    rng = np.random.default_rng(4)
-    noise = right.effort.copy()
-    noise[:, 1] = 0.02 * rng.normal(size=len(noise))
-    for effort in (noise, right.effort[::-1]):
-        for found in check_columns(pendulum, [replace(right, effort=effort)]):
-            assert found.probability < 0.9
 
 
 def test_dry_friction_alone_is_no_limit_of_a_motor(pendulum, right):
@@ -213,15 +202,6 @@ class TestCorrected:
         "position_sign", ("elbow",), (-1.0,), 50.0, 1.0, (), 1.0, 0.1, "The …", "Correct it."
     )
 
-    def test_commands_go_with_positions(self, right):
-        log = replace(right, command=right.position + 0.1)
-        after = corrected(log, [self.FOUND])
-        np.testing.assert_array_equal(after.command[:, 1], -log.command[:, 1])
-        np.testing.assert_array_equal(after.command[:, 0], log.command[:, 0])
-        np.testing.assert_array_equal(after.velocity[:, 1], -log.velocity[:, 1])
-        np.testing.assert_array_equal(after.effort, log.effort)
-        assert log.position is right.position  # not written to
-
     def test_what_was_taken_out_stays_so(self, right):
         found = replace(self.FOUND, kind="without_gravity", joints=("shoulder", "elbow"), values=())
         assert corrected(right, [found]) is right
@@ -243,15 +223,6 @@ class TestMeasured:
     def test_nothing_is_found_in_right_columns(self, arm):
         model, log = arm
         assert check_columns(model, [log]) == ()
-
-    def test_swapped_efforts_are_not_taken_for_friction(self, arm):
-        model, log = arm
-        order = [0, 2, 1, 3, 4, 5]
-        (found,) = check_columns(model, [replace(log, effort=log.effort[:, order])])
-        assert (found.kind, found.joints) == ("swapped_efforts", model.joints[1:3])
-        assert found.probability > 0.99
-        # Bodies give way to columns that are swapped, so what is compared is less than plain nrms.
-        assert found.error_after**2 < 0.1 * found.error_before**2
 
 
 @pytest.mark.parametrize(("joints", "kinds"), [(4, ["effort_sign"]), (31, [])])
@@ -317,16 +288,6 @@ class TestLimit:
         share, square = limit.beyond(asked, v)
         assert share == np.mean(np.abs(voltage) > most)
         assert square * share == pytest.approx(np.mean((asked - given) ** 2))
-
-    def test_none_is_likely_where_efforts_are_what_is_needed(self):
-        """But one at the top of the efforts, which cuts noise off."""
-        rng, time = np.random.default_rng(1), np.linspace(0.0, 20.0, 2000)
-        needed, v = 2.0 * np.sin(time), np.cos(0.7 * time)
-        right = likely_limits(needed + 0.02 * rng.normal(size=2000), needed, v)
-        assert all(limit.effort > 1.98 for limit in right)
-        given = np.clip(needed, -1.5, 1.5)
-        flat, *_ = likely_limits(needed, given + 0.02 * rng.normal(size=2000), v)
-        assert flat.effort == pytest.approx(1.5, rel=0.02)
 
 
 @pytest.mark.parametrize("mistake", ["limit of a motor", "limit that falls with speed"])
@@ -413,27 +374,6 @@ def test_limits_stand_beside_gains_and_among_none():
     assert gains.tables[0].rows[0][-1].text == "4.00 N"
     assert not limits_section((drive,), units).says_something
     assert not gains_section((motor,), units).says_something
-
-
-@pytest.mark.parametrize("lacks", ["velocity", "half of it", "what is in it", "positions"])
-def test_columns_with_nothing_in_them_cost_no_efforts(lacks):
-    time = np.linspace(0.0, 2.0, 201)
-    position, velocity = np.sin(time)[:, None], np.cos(time)[:, None]
-    empty = np.arange(201)[:, None] % 10 == 5
-    columns = {
-        "velocity": {},
-        "half of it": {"velocity": np.where(time[:, None] < 1.0, velocity, np.nan)},
-        "what is in it": {"velocity": 0.0 * velocity},
-        "positions": {"position": np.where(empty, np.nan, position)},
-    }
-    log = JointLog("log", ("hinge",), time, position, 3.0 * np.ones((201, 1)))
-    log = replace(log, **columns[lacks])
-    given = corrected(log, [found_of("effort_limit", ("hinge",), (2.0, 4.0))]).effort[:, 0]
-    motor = EffortSignal("hinge", "effort", 1.0, limit=2.0, no_load_speed=4.0)
-    assert in_efforts(log, [motor]).effort[:, 0].tolist() == given.tolist()
-    there = ~empty[:, 0] if lacks == "positions" else np.full(201, True)
-    expected = 2.0 - 0.5 * np.cos(time)
-    np.testing.assert_allclose(given[there][1:-1], expected[there][1:-1], atol=1e-4)
 
 
 @pytest.mark.parametrize(

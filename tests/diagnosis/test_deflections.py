@@ -4,7 +4,6 @@ import dataclasses
 from dataclasses import replace
 from functools import cache
 from math import cos, sin
-from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
@@ -20,13 +19,11 @@ from geodrake.diagnosis import add, explain
 from geodrake.effects import (
     Backlash,
     CoulombFriction,
-    EffortScale,
     FittedEffect,
     JointElasticity,
     ViscousFriction,
 )
 from geodrake.effects.motor_and_transmission import link_lag
-from geodrake.identification.logs.log_slices import Layout
 from geodrake.logs import JointLog, Motion
 from geodrake.model import save_model
 
@@ -202,24 +199,6 @@ def test_a_column_follows_no_noise_of_the_motion(has_slopes):
     if not has_slopes:
         known.effort_slopes.acceleration[:, :, 0] = np.nan
     assert np.ptp(backlash.regressor(known)) < 1e-12
-
-
-def test_a_gain_scales_play_that_follows_no_noise():
-    """A joint's gain scales what the model needs, its play included, as columns of a log see it."""
-    time, rng = np.arange(0.0, 4.0, 1e-3), np.random.default_rng(1)
-    still = np.zeros((len(time), 2))
-    noise = np.stack([0.0 * time, rng.normal(size=len(time))], 1)
-    deviation = np.array([0.0, 2.0 * 20.0 * np.sqrt(2.0 * 1e-3)])
-    known = SimpleNamespace(bandwidth=20.0)
-    log = SimpleNamespace(payloads=(), name="a", filter=known, acceleration_noise=deviation)
-    play = FittedEffect(Backlash("elbow", 1e-5), np.ones(1))
-    scale, found = EffortScale("elbow"), []
-    for model in (MODEL, replace(MODEL, effects=(play,))):
-        layout = Layout.of(model, (scale,), np.ones(2), np.zeros(2))
-        (columns,), _ = layout.evaluate(Motion(still, still, noise, time), log, (scale,))
-        found.append(columns[1])
-    assert np.ptp(found[0]) > 0.0
-    assert np.ptp(found[1] - found[0]) < 1e-6
 
 
 @pytest.mark.thorough

@@ -144,16 +144,6 @@ def test_nothing_is_drafted_of_noise_or_of_what_follows_the_clock():
         assert words in first.words and first.share > 0.9
 
 
-def test_words_and_units():
-    term = FormulaTerm((Factor(ELBOW, "sign_v"), Factor(ROLL, "q", "sine")))
-    assert term.words(ELBOW) == "its direction of motion times sine of the position of wrist_roll"
-    assert term.unit == "N·m"
-    assert FormulaTerm((Factor(ELBOW, "v"), Factor(ROLL, "v", "size"))).unit == "N·m/(rad/s·rad/s)"
-    assert FormulaTerm((Factor(ELBOW, "q", "above", 0.25),)).words(ELBOW) == (
-        "its position beyond 0.25 upwards"
-    )
-
-
 def drafted(joints, logs):
     """A draft with a formula for each joint, in all of them."""
     terms = (FormulaTerm(tuple(Factor(j, "q") for j in joints)),)

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-from itertools import product
 
 import numpy as np
 import pinocchio as pin
@@ -16,16 +15,13 @@ from scipy.special import expit
 from geodrake import load_model
 from geodrake.boundary.interrupts import StopSearch
 from geodrake.diagnosis import add, compare, explain
-from geodrake.diagnosis.contact_window import ResidualWindow, WrenchColumns, columns
 from geodrake.diagnosis.search import Search
 from geodrake.effects import Contact, FittedEffect, TemporaryPayload
-from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.robot_motion import log_number
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.bandwidth import prepare_for_model
 from geodrake.identification.logs.case import open_case
 from geodrake.inertia import from_mass_com_inertia
-from geodrake.logs.filtering import design_filter
 from geodrake.logs.folds import assign_folds, validation_blocks
 from geodrake.model import save_model
 from geodrake.model.export import export_model
@@ -78,28 +74,6 @@ class TestColumns:
             expected = np.concatenate([R.T @ at_point.translational(), R.T @ at_point.rotational()])
             np.testing.assert_allclose(columns[i].T @ motion.v[i], expected, atol=1e-12)
 
-    def test_window(self):
-        motion = dataclasses.replace(random_motion(), time=np.linspace(0.0, 9.5, 20))
-        whole = Contact("hand", -9.0, 19.0).regressor(motion)
-        part = Contact("hand", 2.0, 4.25, 0.05).regressor(motion)
-        inside = (motion.time > 2.2) & (motion.time < 4.1)
-        np.testing.assert_allclose(part[inside], whole[inside], atol=1e-3)
-        edge = motion.time == 2.0
-        np.testing.assert_allclose(part[edge], 0.5 * whole[edge], atol=1e-9)
-        outside = (motion.time < 1.8) | (motion.time > 4.4)
-        np.testing.assert_allclose(part[outside], 0.0, atol=1e-3)
-        assert inside.sum() > 3
-
-    def test_of_one_log(self):
-        motion, number = random_motion(), log_number("one")
-        contact = Contact("hand", -1.0, 1.0, log=number)
-        assert not contact.regressor(motion).any()
-        assert not contact.regressor(dataclasses.replace(motion, log=log_number("two"))).any()
-        assert contact.regressor(dataclasses.replace(motion, log=number)).any()
-        assert (
-            not Contact("hand", -1.0, 1.0).regressor(dataclasses.replace(motion, time=None)).any()
-        )
-
 
 def owner(folds):
     """Filtered sample -> number of the fold that it is in."""
@@ -128,25 +102,6 @@ def test_windows_are_dealt_out_to_two_folds():
         within = [sample for sample in before if start <= time[sample] < end]
         assert 0.3 < len(changed) / len(within) < 0.7
         assert all(list(f.blocks) == sorted(f.blocks, key=lambda b: b.start) for f in dealt)
-
-
-def test_columns_of_a_search():
-    """Weighted in time and moved to the point after the filter's sums are prepared, not before."""
-    rng, low_pass = np.random.default_rng(3), design_filter(0.01, 6.0)
-    time = np.arange(0.0, 4.0, 0.01)
-    outputs = time[low_pass.output_indices(len(time))]
-    residual = rng.normal(size=(len(outputs), 6))
-    residual[rng.random(residual.shape) < 0.1] = np.nan
-    bodies = RobotBodies(ARM.tree, np.cumsum(0.02 * rng.normal(size=(len(time), 6)), 0), ARM.phi)
-    size = rng.uniform(0.5, 2.0, 6)
-    window = ResidualWindow(1.5, 2.4, time, bodies, outputs, residual, size, low_pass)
-    for body, turning in product(ARM.bodies, (0, 1)):
-        contact = Contact(body, 1.3, 2.6, 0.03, 0, 0.1, -0.2, 0.3, turning)
-        dofs = list(bodies.motion(body).dofs)
-        expected = columns(window, contact)[:, dofs][np.isfinite(residual[:, dofs])]
-        shape = np.array([contact.start, contact.end, contact.rise, *contact.point])
-        found = WrenchColumns.of(window, contact).columns(shape)
-        np.testing.assert_allclose(found, expected, atol=1e-13 * np.abs(expected).max())
 
 
 def found_in(hidden, seed, **options):

@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import replace
-from importlib.resources import files
 
 import numpy as np
 import pinocchio as pin
@@ -12,17 +11,14 @@ from pinocchio_logs import MODELS, effort_log, robot
 from scipy.integrate import cumulative_trapezoid
 from scipy.special import erf
 
-from geodrake import load_model, save_model
-from geodrake.control import ControlModel
+from geodrake import load_model
 from geodrake.diagnosis import add, check_columns, compare, explain
-from geodrake.diagnosis.moves import neighbours
 from geodrake.diagnosis.refinements import common_delay
-from geodrake.diagnosis.search import Search, searched
-from geodrake.effects import CoulombFriction, FittedEffect
+from geodrake.diagnosis.search import searched
 from geodrake.fleet import digest_logs
 from geodrake.identification.logs.bandwidth import prepare_for_model
 from geodrake.identification.logs.case import open_case
-from geodrake.logs import JointLog, Motion, write_log
+from geodrake.logs import JointLog, write_log
 
 pytest.importorskip("pinocchio")
 
@@ -31,15 +27,6 @@ DRY, WET = np.array([0.3, 0.15]), np.array([0.2, 0.1])
 
 
 MODEL = load_model(PENDULUM)
-
-
-def test_a_log_in_which_joints_turn_one_way_only(tmp_path):
-    demo = files("geodrake") / "demo"
-    lines = (demo / "demo.csv").read_text().splitlines()[:101]  # half a second
-    (tmp_path / "short.csv").write_text("\n".join(lines))
-    found = explain(load_model(demo / "demo.urdf"), [tmp_path / "short.csv"])
-    assert found.verdict == "unexplained"
-    assert found.end.nrms < 0.1 * found.start.nrms
 
 
 def places(explanation):
@@ -102,15 +89,6 @@ def test_friction_of_joints_that_move_in_turn_is_found_and_predicted():
     assert found.end.nrms < 0.03
 
 
-def test_no_fold_has_half_of_what_a_joint_shows():
-    """Joints that move one after the other are in two folds each, of which pieces are swapped."""
-    case = open_case(MODEL, [in_turn()], candidates=False, blocks=4)
-    for data in case.dataset.data:
-        assert data.samples.max() < 0.4 * data.samples.sum()
-    joint, other = (data.samples > 0 for data in case.dataset.data)
-    assert joint.sum() == other.sum() == 4
-
-
 def test_heavy_rotors_behind_noise_of_accelerations_are_found_at_a_lower_bandwidth():
     log = in_turn(noise=(0.003, 3e-5), rotors=np.array([20.0, 5.0]))
     found = explain(MODEL, [log])
@@ -123,22 +101,6 @@ def test_heavy_rotors_behind_noise_of_accelerations_are_found_at_a_lower_bandwid
     }
     (rotors,) = (s.parameters for s in found.steps if s.effect == "rotor_inertia")
     assert rotors["shoulder"]["inertia"] == pytest.approx(20.0, rel=0.02)
-
-
-def test_smooth_efforts_behind_noisy_positions_are_prepared():
-    """Accelerations have noise, efforts have none: of a light robot, and of a heavy one."""
-    time, moved = sines()
-    measured = moved.q + 3e-3 * np.random.default_rng(0).normal(size=moved.q.shape)
-    effort = body_effort(moved.q, moved.v, moved.vd)
-    light, heavy = (
-        prepare_for_model(
-            replace(MODEL, phi=size * MODEL.phi),
-            [JointLog("smooth", JOINTS, time, measured, size * effort)],
-        )
-        for size in (1e-3, 1e3)
-    )
-    assert light[1] == heavy[1]
-    assert light[0][0].filter.bandwidth == heavy[0][0].filter.bandwidth
 
 
 def test_point_masses_are_compared_as_they_are(tmp_path):
@@ -214,20 +176,6 @@ def test_offset_and_symmetric_friction_are_simpler_than_asymmetric_friction():
         "rotor_inertia": {*JOINTS},
         "effort_offset": {"elbow"},
     }
-
-
-def test_a_delay_takes_the_place_of_viscous_friction_at_all_joints():
-    """Friction that makes up for a delay goes when all efforts are late."""
-    log = pendulum_log(3, rate=250.0)
-    seconds = Search(open_case(MODEL, [log], candidates=True)).model.dataset.delays[1, 0]
-    efforts = [np.interp(log.time - seconds, log.time, each) for each in log.effort.T]
-    late = replace(log, effort=np.stack(efforts, 1))
-    log_model = Search(open_case(MODEL, [late], candidates=True)).model
-    wet = [term for term in log_model.terms if term.name == "viscous_friction"]
-    choice = log_model.choice(log_model.bare(np.ones(2)).choice, wet)
-    found = neighbours(log_model, log_model.unbounded(choice, np.ones(2)))
-    delays = [log_model.lateness(choice) for choice in found if not choice.terms]
-    assert any(np.allclose(delay, seconds) for delay in delays)
 
 
 def sampled_late(steps):
@@ -358,57 +306,9 @@ def test_gradual_friction_is_dry_friction_alone_with_a_speed_that_is_told(faded)
     assert sum("dry friction of" in note and "fades below" in note for note in faded.notes) == 2
 
 
-def test_it_holds_on_another_log(faded, tmp_path):
-    other = [rubbing(2, 0.02).log]
-    save_model(faded.model, tmp_path / "faded.yaml")
-    again = compare(load_model(tmp_path / "faded.yaml"), other).errors.nrms
-    jumping = compare(replace(faded.model, fading_speed=None), other).errors.nrms
-    assert again < 0.5 * jumping
-
-
-@pytest.mark.parametrize("seed", [3, 4])
-def test_another_log_needs_nothing_more(faded, seed):
-    found = explain(faded.model, [rubbing(seed, 0.02).log])
-    assert found.steps == ()
-    np.testing.assert_array_equal(found.model.fading_speed, faded.model.fading_speed)
-    assert found.end.nrms < 0.02
-
-
 def test_one_effect_alone_is_not_said_to_fade():
     # What the others are is not known yet: at low speeds the error may be theirs.
     assert add("coulomb_friction", MODEL, [rubbing(1, 0.02).log]).model.fading_speed is None
-
-
-def test_speed_of_a_joint_that_this_log_does_not_show_is_kept():
-    known = replace(MODEL, fading_speed=np.array([0.0, 2e-4]))
-    log = effort_log(
-        "double_pendulum",
-        1,
-        lambda seen: {0: HEIGHT[0] * erf(seen.v[:, 0] / 0.02)},
-        share=0.01,
-        pace=0.1,
-    ).log
-    found = explain(known, [log])
-    assert {step.effect: step.where for step in found.steps} == {"coulomb_friction": ("shoulder",)}
-    assert 0.01 < found.model.fading_speed[0] < 0.025
-    assert found.model.fading_speed[1] == 2e-4
-    assert [note for note in found.notes if "elbow" in note and "fades below" in note] == []
-
-
-def test_controllers_know_it():
-    fitted = replace(
-        MODEL,
-        fading_speed=np.array([0.05, 0.0]),
-        effects=tuple(
-            FittedEffect(CoulombFriction(joint), np.ones(1), np.ones(1)) for joint in MODEL.joints
-        ),
-    )
-    control, still = ControlModel.of(fitted, sign_width=1e-2), np.zeros(2)
-    slow = np.array([0.02, 0.02])
-    regressor = control.at(still, slow, slow, still).regressor
-    motion = Motion(still[None], slow[None], still[None])
-    expected = fitted.effort(motion, sign_width=1e-2)[0]
-    np.testing.assert_allclose(regressor @ control.prior, expected, rtol=1e-9)
 
 
 def test_what_is_more_at_low_speeds_is_stribeck_friction_where_directions_fade_below():

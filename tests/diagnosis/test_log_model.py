@@ -2,14 +2,13 @@
 
 import sys
 from dataclasses import replace
-from itertools import combinations
 from math import comb
 from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from pendulum_logs import JOINTS, body_effort, friction, pendulum_log
+from pendulum_logs import JOINTS, friction, pendulum_log
 from pinocchio_logs import MODELS, effort_log
 from pydrake.solvers import ClarabelSolver, MathematicalProgram
 from scipy.linalg import block_diag, expm
@@ -17,12 +16,10 @@ from scipy.stats import multivariate_normal
 
 from geodrake import load_model
 from geodrake.diagnosis import Beliefs, Diagnosis, explain
-from geodrake.diagnosis.climbing import gain_of
 from geodrake.diagnosis.explain import explained
 from geodrake.diagnosis.final_fit import final_fit
 from geodrake.diagnosis.findings import (
     INERTIA,
-    Unnamed,
     findings_of,
     terms_not_held,
     unknown_probability,
@@ -32,14 +29,9 @@ from geodrake.diagnosis.findings import (
 from geodrake.diagnosis.log_model import Choice, LogModel
 from geodrake.diagnosis.moves import neighbours
 from geodrake.diagnosis.neighbourhood import Neighbourhood
-from geodrake.diagnosis.normal_kernels import (
-    calc_distance,
-    calc_noise_changes,
-    calc_physical_share,
-)
-from geodrake.diagnosis.notes import left_out_notes, unnamed_notes
-from geodrake.diagnosis.posterior import Posterior
-from geodrake.diagnosis.refinements import delays_of, fitted_delays
+from geodrake.diagnosis.normal_kernels import calc_distance, calc_noise_changes, calc_physical_share
+from geodrake.diagnosis.notes import left_out_notes
+from geodrake.diagnosis.refinements import fitted_delays
 from geodrake.diagnosis.search import Search, searched
 from geodrake.diagnosis.terms import odds_against
 from geodrake.effects import (
@@ -57,7 +49,6 @@ from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Jo
 from geodrake.identification.logs.unknowns import pullback_information
 from geodrake.inertia import from_mass_com_inertia
 from geodrake.inertia.parameters import pseudo_inertia_basis
-from geodrake.logs import JointLog
 from geodrake.logs.filtering import design_filter
 from geodrake.report import page_of
 
@@ -243,16 +234,6 @@ def test_bodies_that_cannot_be_are_as_improbable_as_they_are():
     assert costs[1] < 2.0 * np.log(0.01)
 
 
-@pytest.mark.parametrize(("dry", "is_possible"), [(0.4, True), (-0.4, False)])
-def test_what_cannot_be_negative_is_refused_below_zero(dry, is_possible):
-    model = random_problem(dry=dry)[0]
-    (term,) = [term for term in model.terms if term.effect == RUBBING]
-    fit = settled(model)
-    choice = Choice((term,), WIDTH, (0, 0))
-    assert (model.fit(choice, SHARES) is not None) == is_possible
-    assert np.isfinite(Neighbourhood(model, fit).gains([(term,)])).all() == is_possible
-
-
 def test_what_leaves_white_noise_is_a_neighbour_however_few_samples_residuals_count_for():
     model = random_problem(dry=4.0)[0]
     (term,) = [term for term in model.terms if term.effect == RUBBING]
@@ -280,34 +261,6 @@ def test_units_of_efforts_are_none(unit=1e-3):
         assert told(other)[key][0] == pytest.approx(probability, abs=0.01)
         assert told(other)[key][1] == pytest.approx(error, rel=0.01)
     np.testing.assert_allclose(other.model.phi[:, 0], unit * found.model.phi[:, 0], rtol=0.01)
-
-
-def spring(q, v, vd, load):
-    """A weak spring, which a compensator may stand for."""
-    return np.array([0.0, 0.1]) * q
-
-
-def test_probabilities_add_up_and_the_most_probable_is_adopted():
-    log = pendulum_log(3, spring, seconds=12.0)
-    for step in explain(PENDULUM, [log], bandwidth=6.0).steps:
-        total = step.probability + sum(step.probabilities_of_rivals) + step.false_alarm_probability
-        assert total == pytest.approx(1.0, abs=1e-6)
-        assert step.probability >= max((*step.probabilities_of_rivals, 0.0)) - 1e-6
-    found = searched(open_case(PENDULUM, [log], candidates=True, bandwidth=6.0))
-    model, end = found.model, found.fit
-    sets = [tuple(t for t in end.terms if t is not gone) for gone in end.terms]
-    sets += [(*end.terms, term) for term in model.terms if term not in end.terms]
-    width, delay = end.choice.width, end.choice.delay
-    choices = [
-        model.choice(Choice((), width, delay), terms)
-        for terms in sets
-        if model.are_compatible(terms)
-    ]
-    choices += [Choice(end.terms, other, delay) for other in model.widths if other != width]
-    fits = [model.fit(choice, model.shares(end), end.variance) for choice in choices]
-    gains = [gain_of(model, end, fit) for fit in fits if fit is not None]
-    assert len(gains) > 20
-    assert max(gain for gain, _ in filter(None, gains)) < 1e-6
 
 
 # What logs do not resolve, and what they do.
@@ -360,33 +313,6 @@ def test_bodies_are_as_far_from_the_file_as_they_are(distance=0.2):
         end = searched(open_case(PENDULUM, [log], candidates=True))
         found.append(end.model.likely_priors(end.fit)[0])
     assert np.exp(np.mean(np.log(found))) == pytest.approx(distance, rel=0.5)
-
-
-def test_columns_for_the_loads_of_an_explanation_are_made_once():
-    """Two explanations, each likelier with the loads of the other, would take turns otherwise."""
-    log = effort_log("double_pendulum", 1, lighter(0.5, 1), duration=16.0, rate=100.0).log
-    case = open_case(PENDULUM, [replace(log, effort_uncertainty=0.1)], candidates=True)
-    search = Search(case)
-    near, far = (replace(search.fit.choice, width=search.model.widths[k]) for k in (0, -1))
-    made = []
-    for choice in (near, far, near, far):
-        search.fit = search._best([choice], search.fit)
-        search._refined()
-        made.append(search.case.loads)
-    assert made[1] is not None and made[1] is not made[0]
-    assert made[3] is made[2]
-
-
-def test_gains_scale_what_bodies_carry(problem):
-    model, bodies, _, _ = problem
-    loads = PENDULUM.phi * np.array([[1.0], [2.5]])
-    loaded = LogModel(PENDULUM, model.dataset, EFFECTS, BELIEFS, (0, 0), loads=loads)
-    fit = settled(loaded)
-    for j in range(2):
-        (rows,) = model.dataset.data[j].factors
-        columns, _ = loaded.row_columns(fit, j, rows[:, :-1], rows[:, -1:])
-        gain = columns[:, PENDULUM.phi.size + j]
-        np.testing.assert_allclose(gain, bodies[j] @ loads.ravel(), rtol=1e-9, atol=1e-12)
 
 
 def test_a_delay_costs_its_odds_only_where_it_is_one(problem):
@@ -459,25 +385,6 @@ def test_bodies_that_can_exist_are_those_of_positive_eigenvalues():
     assert calc_physical_share(odd, flat) == 0.0
 
 
-@pytest.mark.parametrize("ball", [0.5, 2.0])
-def test_the_mass_of_a_payload_is_chosen_by_bodies_that_stay(ball):
-    """Beside bodies that may be anything, a lighter or heavier one promises as much."""
-    model = random_problem(ball=ball)[0]
-    loads, near = [t for t in model.terms if t.effect == PAYLOAD], model.widths[0]
-    by_score = {model.unbounded(Choice((t,), near, (0, 0)), SHARES).score: t for t in loads}
-    anything = model.unbounded(Choice((), 50.0, (0, 0)), SHARES)
-    found = {each.terms for each in neighbours(model, anything, most=0)}
-    assert [each for each in found if set(each) & set(loads)] == [(by_score[max(by_score)],)]
-
-
-def test_springs_are_not_everywhere(problem):
-    """A gravity compensator at a second joint is as rare as at the first."""
-    first, second = (
-        next(t for t in problem[0].terms if t.effect == effect) for effect in COMPENSATORS
-    )
-    assert odds_against((first, second)) == pytest.approx(2.0 * odds_against((first,)))
-
-
 def test_any_number_of_joints_with_a_kind_is_as_likely_as_another(problem):
     """Of n joints, so that what most have is more likely than not at those that are left.
 
@@ -486,20 +393,6 @@ def test_any_number_of_joints_with_a_kind_is_as_likely_as_another(problem):
     kinds = everywhere(problem[0], 7)
     sets = [comb(7, k) * np.exp(-0.5 * odds_against(kinds[0][:k])) for k in range(1, 8)]
     np.testing.assert_allclose(sets, 1.0 / 7.0)
-
-
-def test_joints_that_have_one_kind_are_likely_to_have_another(problem):
-    """Either all joints are alike to a kind, or it is at some of those of the other kind only."""
-    first, second = everywhere(problem[0], 7)
-    sets = [(k, places) for k in range(1, 4) for places in combinations(range(7), k)]
-    odds = {
-        places: np.exp(-0.5 * (odds_against([*first[:3], *(second[k] for k in places)])))
-        for _, places in sets
-    }
-    beside = np.exp(-0.5 * odds_against(first[:3]))
-    inside = sum(p for places, p in odds.items() if max(places) < 3)
-    assert sum(odds.values()) == pytest.approx(beside * (0.5 + 0.5 * 3.0 / 7.0))
-    assert inside > 0.5 * beside
 
 
 def everywhere(model, n):
@@ -527,31 +420,6 @@ def test_friction_that_differs_by_direction_at_a_joint_is_friction_there():
     assert odds_against([more, *others]) == pytest.approx(odds_against(both) + alone)
 
 
-def test_gains_of_efforts_that_are_wrong_make_no_sample_dependent():
-    """What they leave varies with the motion, and is known to."""
-    log = effort_log("double_pendulum", 2, lambda seen: 0.03 * seen.load, share=0.01).log
-    case = open_case(PENDULUM, [log], candidates=True)
-    model = searched(case).model
-    fit = model.bare(np.ones(2))
-    right = replace(log, effort=log.effort / 1.03)
-    sure = searched(open_case(PENDULUM, [right], candidates=True)).model
-    np.testing.assert_allclose(model.shares(fit), sure.shares(sure.bare(np.ones(2))), rtol=0.1)
-
-
-def test_a_compact_tool_is_not_thought_to_be_a_light_one():
-    """Of the priors of payloads, that which is likeliest to give it has a mass like its own."""
-    model = random_problem()[0]
-    usual, loads = model.dataset.payload, [term for term in model.terms if term.effect == PAYLOAD]
-    mass, square = 0.7 * usual[0], usual[4:7].sum() / usual[0] / 6.0
-    for size in (1.0, 4.0):  # half as wide as most, and as wide
-        tool = from_mass_com_inertia(mass, np.zeros(3), 2.0 * size * mass * square * np.eye(3))
-        likely = max(
-            loads,
-            key=lambda t: t.log_information - (tool - t.mean) @ t.information @ (tool - t.mean),
-        )
-        assert 0.5 < likely.mean[0] / mass < 2.0
-
-
 def test_noise_at_other_instants_is_no_evidence_of_a_delay():
     """Sums of squares fall by what noise says of a delay, not by when it is sampled."""
     rng, low_pass = np.random.default_rng(8), design_filter(0.005, 8.3)
@@ -573,41 +441,6 @@ def test_noise_at_other_instants_is_no_evidence_of_a_delay():
     assert (np.array(left) >= raw).all()
 
 
-def late_search(seed, ticks):
-    """Return a search of a noisy log in which efforts are late by so many times 2 ms."""
-    rng, time = np.random.default_rng(seed), np.arange(0.0, 60.0, 0.002)
-    rates = 2.0 * np.pi * np.array([[0.11, 0.23, 0.41], [0.14, 0.29, 0.37]])
-    angle = rates * time[:, None, None] + rng.uniform(0.0, 2.0 * np.pi, rates.shape)
-    q, v = np.sin(angle).sum(axis=2), (rates * np.cos(angle)).sum(axis=2)
-    vd = -(rates**2 * np.sin(angle)).sum(axis=2)
-    late = np.roll(body_effort(0.5 * q, 0.5 * v, 0.5 * vd), ticks, axis=0)[5::5]
-    effort = late + 0.01 * late.std(axis=0) * rng.normal(size=late.shape)
-    position = 0.5 * q[5::5] + 1e-5 * rng.normal(size=late.shape)
-    log = JointLog("late", JOINTS, time[5::5], position, effort)
-    return Search(open_case(PENDULUM, [log], candidates=True, bandwidth=8.3))
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_noise_that_rates_of_efforts_average_away_is_no_evidence_of_a_delay(seed):
-    """Efforts that are 4 ms late, with delays of 2.5 and 10 ms tried."""
-    search = late_search(seed, ticks=2)
-    model, fit = search.model, search.fit
-    (delay, _), *_ = Neighbourhood(model, fit).delays()
-    moved = model.fit(replace(fit.choice, delay=delay), model.shares(fit), fit.noise)
-    assert delays_of(model, moved)[0] == pytest.approx([0.004] * 2, abs=1e-3)
-
-
-def test_a_small_delay_must_be_more_probable_as_an_exact_one():
-    """Efforts on time: the errors of delays that fits allow make up for one of a millisecond."""
-    search = late_search(0, ticks=0)
-    model, fit, shares = search.model, search.fit, np.ones(2)
-    at = int(np.argmin(np.abs(model.dataset.delays[:, 0] - 1e-3)))
-    none, late = (model.fit(replace(fit.choice, delay=(k, k)), shares, fit.noise) for k in (0, at))
-    assert late.score - none.score > -10.0
-    assert model.lead(late, none, shares) < -100.0
-    assert model.lead(none, late, shares) > 100.0
-
-
 def test_the_less_noise_there_is_the_more_rows_reverse(problem):
     """Dry friction of the size of the efforts, for the share of time, is compared with the noise.
 
@@ -622,45 +455,6 @@ def test_the_less_noise_there_is_the_more_rows_reverse(problem):
         model.dataset = replace(model.dataset, noise_floor=floor)
         assert model.reverses(1, rows).sum() == turns
         assert not model.reverses(0, rows).any()
-
-
-def test_rows_in_which_a_joint_reverses_have_noise_of_their_own():
-    """A drive that notices reversals too early or too late errs there, and nowhere else."""
-    rng, friction_of = np.random.default_rng(3), np.array([3.0, 1.5])
-
-    def hidden(seen):
-        direction = np.sign(seen.v)
-        for j in range(2):
-            for k in np.flatnonzero(np.diff(direction[:, j])):
-                late = int(rng.integers(-1, 2))  # samples
-                direction[k + 1 : k + 1 + late, j] = direction[k, j]
-                direction[k + 1 + late : k + 1, j] = -direction[k, j]
-        return friction_of * direction
-
-    recording = effort_log("double_pendulum", 4, hidden, duration=60.0, rate=50.0, share=0.002)
-    search = Search(open_case(PENDULUM, [recording.log], candidates=True))
-    model, shares = search.model, np.full(2, 0.5)
-    dry = tuple(t for t in model.terms if t.effect in [CoulombFriction(joint) for joint in JOINTS])
-    fit = model.unbounded(model.choice(Choice((), WIDTH, model.on_time), dry), shares)
-    np.testing.assert_allclose(
-        [fit.x[model.spans(fit.terms)[t]][0] for t in dry], friction_of, rtol=0.02
-    )
-    assert model.joint_of.tolist() == [0, 1, 0, 1]
-    for j, data in enumerate(model.dataset.data):
-        rows = [part for fold in data.rows for part in fold]
-        left = np.square(np.concatenate(model._residuals(fit, j)))
-        turns = np.concatenate([model.reverses(j, part) for part in rows])
-        assert model.block_rows[[j, 2 + j]].tolist() == [(~turns).sum(), turns.sum()]
-        own = [left[~turns].mean(), left[turns].mean()]
-        np.testing.assert_allclose(fit.noise[[j, 2 + j]], own, rtol=0.03)  # by which it settles
-        assert own[1] > 5.0 * own[0]
-        weights = shares[j] / fit.noise[[j, 2 + j]]
-        np.testing.assert_allclose(fit.weights[[j, 2 + j]], weights, rtol=0.03)
-    # Rows that are no noisier are as good as all others.
-    model.block_rows[2:] *= 100.0
-    even = model.unbounded(fit.choice, shares)
-    np.testing.assert_allclose(even.noise[2:], even.noise[:2], rtol=1e-12)
-    np.testing.assert_allclose(model.even_hessian(even), even.hessian, rtol=1e-9)
 
 
 PENDULUM_FILE = MODELS / "double_pendulum.urdf"
@@ -793,36 +587,6 @@ def test_a_finding_is_the_more_likely_the_more_it_takes_beside_what_is_left(foun
     errors = [table(rms, 0.01) for rms in (0.3, 0.2, 0.2)]
     noise = replace(whole.fit, noise=np.full(2, 0.01**2))
     assert unknown_probability(replace(whole, fit=noise), finding, errors) == 0.0
-
-
-def heavier(seen, mass=0.3):
-    """Effort of a ball that the last link holds, by Pinocchio."""
-    ball = pin.Inertia(mass, np.array([0.05, 0.02, 0.1]), 1e-3 * mass * np.eye(3))
-    return seen.with_body(seen.model.njoints - 1, lambda own: own + ball)
-
-
-@pytest.fixture(scope="module")
-def loaded():
-    log = effort_log("double_pendulum", 5, heavier, duration=16.0, share=0.01).log
-    return searched(open_case(load_model(PENDULUM_FILE), [log], candidates=True))
-
-
-def with_load(found, *, width, has_load=True):
-    model, was = found.model, found.fit
-    loads = [t for t in model.terms if t.is_whole and t.where == ("lower_link",)]
-    terms = loads[-2:-1] if has_load else []
-    choice = model.choice(was.choice, terms, width=width)
-    return replace(found, fit=model.unbounded(choice, model.shares(was), was.noise))
-
-
-def test_a_payload_that_bodies_may_have_taken_in_is_said(loaded):
-    bodies = with_load(loaded, width=loaded.model.widths[-2], has_load=False)
-    loads = Posterior(bodies.model, bodies.fit).of_loads()
-    assert loads["lower_link"] > 0.5  # a file that is 30 % off is less probable
-    (note,) = (n for n in unnamed_notes(Unnamed((), loads, {})) if n.startswith("lower_link"))
-    assert f"{loads['lower_link']:.0%}" in note
-    having = with_load(loaded, width=loaded.model.widths[0])
-    assert "lower_link" not in Posterior(having.model, having.fit).of_loads()
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,6 @@
 """The loop on measurements of real robots, which are public but do not come with the package."""
 
 import time
-from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -69,16 +68,6 @@ def test_ur10e_has_dry_and_viscous_friction(ur10e_free):
 def test_ur10e_has_no_drag(ur10e_free):
     # The slopes of a drag of nothing, which have no sign, once stood for friction that drove.
     assert "aerodynamic_drag" not in places(ur10e_free[0])
-
-
-def test_ur10e_errors_fall_step_by_step(ur10e_free):
-    found, _ = ur10e_free
-    ends = [found.refitted.nrms, *(step.error_after for step in found.steps)]
-    assert all(after < before for before, after in pairwise(ends))
-    assert [step.error_before for step in found.steps] == pytest.approx(ends[:-1], rel=1e-3)
-    assert found.steps[-1].error_after == pytest.approx(found.end.nrms)
-    for joint in found.end.joints:
-        assert joint.floor < joint.rms < found.start.by_joint()[joint.joint]
 
 
 def test_ur10e_is_quick(ur10e_free):

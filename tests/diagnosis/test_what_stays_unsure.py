@@ -13,7 +13,7 @@ from rich.console import Console
 from scipy.signal import lfilter
 
 from geodrake.cli.excite import rivals_in
-from geodrake.diagnosis import Candidate, Diagnosis, Explanation, Step, add, diagnose, explain
+from geodrake.diagnosis import Candidate, Diagnosis, Explanation, Step, add, explain
 from geodrake.diagnosis.ambiguity import distinguishing_commands
 from geodrake.diagnosis.results import FittedRival
 from geodrake.effects import catalogue
@@ -30,10 +30,6 @@ MODEL = load_model(MODELS / "double_pendulum.urdf")
 
 def spring(seen):
     return {1: 0.2 * seen.q[:, 1]}
-
-
-def dry_friction(seen):
-    return {1: 0.5 * np.sign(seen.v[:, 1])}
 
 
 def slow_log(hidden, share=0.02):
@@ -62,16 +58,6 @@ def test_the_error_of_a_rival_is_that_of_adding_it(case):
     assert sum(probabilities) + step.probability == pytest.approx(
         1.0 - step.false_alarm_probability
     )
-
-
-def test_what_adds_the_same_is_no_rival():
-    """Dry friction alone, as the pair of dry and viscous friction of which one part is none."""
-    log = slow_log(dry_friction)
-    named = [candidate.effect for candidate in diagnose(MODEL, [log]).candidates]
-    assert named[0] == "coulomb_friction"
-    assert "coulomb_friction + viscous_friction" not in named
-    (step,) = explain(MODEL, [log]).steps
-    assert "viscous_friction" not in step.indistinguishable_from
 
 
 COMMAND = "geodrake excite MODEL --tell-apart"
@@ -120,40 +106,10 @@ def test_terminal_report_and_numbers_tell_them(told):
     ]
 
 
-def test_probabilities_are_those_of_all_that_it_may_be(told):
-    """The finding, what stands in its place, and nothing."""
-    (step,) = told.steps
-    step = replace(step, false_alarm_probability=0.1)
-    assert step.probabilities_of_rivals == (pytest.approx(0.5 * step.probability),)
-    assert step.probability + sum(step.probabilities_of_rivals) == pytest.approx(0.9)
-
-
-def test_rivals_are_weighed_beside_what_else_was_found():
-    """What a rival leaves is told as it is beside an effect that was found only later."""
-
-    def hidden(seen):
-        return {0: 2.0 * np.sign(seen.v[:, 0]), 1: 1.5 * seen.q[:, 1]}
-
-    found = explain(MODEL, [slow_log(hidden)])
-    assert len(found.steps) > 1
-    for step in found.steps:
-        assert step.probability > 0.2
-        for rival in step.rivals:
-            assert rival.error_of_choice == pytest.approx(found.end.nrms, rel=0.05)
-
-
 def test_a_fitted_rival_keeps_its_own_place(told):
     rivals = ("effort_offset@shoulder", "joint_spring@shoulder")
     commands = [f"{COMMAND} rotor_inertia@elbow,{rival}" for rival in rivals]
     assert list(distinguishing_commands(told)) == commands
-
-
-def test_a_rival_at_more_joints_is_told_apart_where_the_step_is(told):
-    (step,) = told.steps
-    wider = replace(FITTED, effect="effort_offset", where=("shoulder", "elbow"))
-    step = replace(step, rivals=(wider,), indistinguishable_from=("effort_offset",))
-    commands = distinguishing_commands(replace(told, steps=(step,)))
-    assert list(commands) == [f"{COMMAND} rotor_inertia,effort_offset@elbow"]
 
 
 PENDULUM = MODELS / "double_pendulum.urdf"
@@ -301,14 +257,6 @@ def test_commands_that_can_be_run(best, tied, words):
 def test_what_no_motion_settles_has_no_command(rival):
     best = ("coulomb_friction", ("elbow",), True)
     assert commands(diagnosis(best, (rival, ("elbow",), True))) == []
-
-
-def test_only_ties_count_and_each_once():
-    best = ("viscous_friction", ("elbow",), True)
-    others = [("effort_offset", ("elbow",), tied) for tied in (False, True, True)]
-    assert commands(diagnosis(best, others[0])) == []
-    assert len(commands(diagnosis(best, *others))) == 1
-    assert commands(diagnosis()) == []
 
 
 ARM = load_model(MODELS / "arm6.urdf")

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from measurements import DATA, REFERENCE
 from pinocchio_logs import MODELS, effort_log
 from scipy.integrate import solve_ivp
 from servo_logs import LATE, PENDULUM, TRUTH, command, servo_log
@@ -29,18 +28,12 @@ from geodrake.identification.logs.signal_calibration import (
     gain_words,
     signals_as_efforts,
 )
-from geodrake.logs import JointLog, KnownPayload, Motion, read_log
+from geodrake.logs import JointLog, KnownPayload, Motion
 from geodrake.logs.preparation import prepare_logs
 from geodrake.model import EffortSignal, save_model
 from geodrake.model.carried_payloads import carrying
-from geodrake.model.logged_joints import log_of_model
 from geodrake.model.servos import ServoError, ServoGains
-from geodrake.model.signal_efforts import (
-    error_integral,
-    in_efforts,
-    runs_between_gaps,
-    servo_effort,
-)
+from geodrake.model.signal_efforts import error_integral, in_efforts, servo_effort
 from geodrake.report import Units
 from geodrake.report.explaining import signals_table
 
@@ -220,14 +213,6 @@ def fitted(model, summed):
     return calibrate_efforts(model, [summed])
 
 
-def with_gaps(log, instants, length):
-    """The log without the rows of a time, s, after each instant."""
-    time = log.time - log.time[0]
-    kept = np.all([(time < at) | (time > at + length) for at in instants], axis=0)
-    columns = ("time", "position", "effort", "command")
-    return replace(log, **{name: getattr(log, name)[kept] for name in columns})
-
-
 @pytest.mark.parametrize("integral", [0.0, INTEGRAL])
 def test_a_linear_fit_of_the_motion_is_where_searches_begin(model, log, summed, integral):
     """The gain by inertias says nothing of a servo whose integral holds the joint up."""
@@ -261,18 +246,6 @@ def test_it_finds_the_integral_that_mujoco_has(fitted):
     assert abs(signal.integral - INTEGRAL) < 2.0 * spread
 
 
-def test_a_servo_without_integral_and_limit_gets_none(model):
-    """And bodies that are wrong by a constant effort, which an integral would hide, give none."""
-    motions = alone(model, servo_log(seconds=9.0))
-    fit = fit_servo(motions, EffortSignal("hinge", "command", 50.0, integral=40.0), 5.0)
-    assert fit.parameters[8] == 0.0 and fit.deviations[8] == 0.0
-    assert fit.parameters[0] == pytest.approx(TRUTH[0], rel=0.03)
-    assert fit.limit == np.inf  # which it does not keep
-    rows = [each + 0.3 * np.eye(8)[0] for each in motions.rows]
-    fit = fit_servo(replace(motions, rows=tuple(rows)), EffortSignal("hinge", "command", 50.0))
-    assert fit is None or fit.parameters[8] == 0.0
-
-
 def test_an_integral_has_grown_to_what_a_payload_needs(model):
     """Of a log that says what was carried; errors are those of the equation for its effort."""
     period, kp = 4e-3, 60.0
@@ -290,19 +263,6 @@ def test_an_integral_has_grown_to_what_a_payload_needs(model):
     signal = EffortSignal("hinge", "command", kp, integral=INTEGRAL)
     _, (known,), _ = calibrate_efforts(replace(model, effort_signals=(signal,)), [log])
     np.testing.assert_allclose(known.effort[3:-3, 0], needed[3:-3], atol=0.02)
-
-
-def test_integrals_begin_anew_after_long_gaps(model, summed):
-    """What a joint was behind in a gap of a second is not known, and not made up."""
-    signal = EffortSignal("hinge", "command", TRUTH[0], delay=LATE, integral=INTEGRAL)
-    known = replace(model, effort_signals=(signal,))
-    short = with_gaps(summed, [5.0, 9.0], 1.0)
-    runs = runs_between_gaps(short.time, short.position[:, 0])
-    assert [np.count_nonzero(runs == k) > 500 for k in range(runs[-1] + 1)] == 3 * [True]
-    whole, parts = (calibrate_efforts(known, [each])[1][0] for each in (summed, short))
-    expected = np.interp(short.time, summed.time, whole.effort[:, 0])
-    off = np.sqrt(np.mean((parts.effort[:, 0] - expected) ** 2))
-    assert off < 0.02 * np.std(expected)
 
 
 def test_it_is_saved_shown_and_named_by_exports(fitted, summed, tmp_path):
@@ -456,18 +416,6 @@ def test_slopes_are_finite_differences(limit, own, band, tmp_path):
         assert np.abs(motions.simulated(at) - motions.simulated(plain)).max() > 0.009
         assert (np.median(error, axis=0) < 1e-3 * most).all()
         assert (error.max(0) < 0.05 * most).all()
-
-
-def test_gains_are_those_of_a_servo_at_its_limit(tmp_path):
-    limit = 7.0
-    model = pendulum(tmp_path, limit)
-    known, (log,), _ = calibrate_efforts(model, [servo_log(limit=limit, seconds=10.0)])
-    (signal,) = known.effort_signals
-    assert signal.limit == limit
-    assert signal.gain == pytest.approx(TRUTH[0], rel=0.05)
-    assert signal.integral == 0.0
-    at_limit = np.mean(np.abs(log.effort) >= limit)
-    assert np.abs(log.effort).max() == limit and 0.05 < at_limit < 0.9
 
 
 @pytest.mark.parametrize("feedback", [False, True])
@@ -659,16 +607,6 @@ def test_rows_beyond_the_limit_of_a_motor_are_noted(torques):
     )
     assert note in open_case(able, [torques], candidates=False).notes
     assert calibrate_efforts(able, [given])[2] == []
-
-
-@pytest.mark.measurements("data/ur10e_free_c.csv", "reference/ur10e.urdf")
-def test_ur10e_gains_lie_in_their_intervals():
-    """The model file is 28 % off in what gravity needs, and its gains know that they may be."""
-    model = load_model(REFERENCE / "ur10e.urdf")
-    log = log_of_model(read_log(DATA / "ur10e_free_c.csv"), model)
-    found = calibrated(model, [currents(log, GAINS)], ["current"] * 6)
-    off = np.log([s.gain / gain for s, gain in zip(found, GAINS, strict=True)])
-    assert (np.abs(off) < 2.0 * np.array([s.uncertainty for s in found])).all()
 
 
 def test_slopes_of_geodesic_bodies_are_those_of_differences():

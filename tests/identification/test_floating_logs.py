@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pandas
@@ -16,21 +15,18 @@ from typer.testing import CliRunner
 from geodrake.cli.app import app
 from geodrake.control import roll_out
 from geodrake.diagnosis import compare, explain
-from geodrake.effects import JointElasticity, Role, WrenchOffset
+from geodrake.effects import Role, WrenchOffset
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.errors import LogError
 from geodrake.excitation import log_identifiability
 from geodrake.identification.logs.candidate_effects import candidate_effects
 from geodrake.identification.logs.case import open_case
-from geodrake.identification.logs.contact_rows import contact_rows, rows_without
+from geodrake.identification.logs.contact_rows import rows_without
 from geodrake.identification.logs.noise import known_noise
-from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.logs import JointLog, read_log
-from geodrake.logs.files.messages import BaseMessages, base_sources
+from geodrake.logs.files.messages import base_sources
 from geodrake.logs.floating import ANGLES, ContactFlags
-from geodrake.logs.folds import validation_blocks
 from geodrake.logs.preparation import prepare_logs
-from geodrake.logs.unit_hints import effort_sign_hint
 from geodrake.model import Given, load_description
 from geodrake.model.base_motion import with_base
 from geodrake.model.ground_contacts import contact_frames, contact_jacobians, on_soles
@@ -140,28 +136,6 @@ def test_pose_and_imu_are_the_joints_of_the_base(model, maker):
     assert log.measured == model.base_joints
 
 
-def test_rows_of_a_fitted_model_are_those_of_its_file(model, maker):
-    """They are kept beside columns of other fits, to which they must fit."""
-    (trajectory,) = prepare_logs([log_of_model(maker.log(wrenches=False), model)])
-    heavier, segment = replace(model, phi=1.5 * model.phi), trajectory.segments[0][:50]
-    ours, theirs = (contact_rows(each, trajectory, segment) for each in (model, heavier))
-    assert ours.mixed.keys() == theirs.mixed.keys() and ours.mixed
-    for i, row in ours.mixed.items():
-        np.testing.assert_array_equal(row, theirs.mixed[i])
-
-
-def test_noise_of_the_base_is_that_of_its_imu(model, maker):
-    """Columns have it in them: times the mass, it is a part of the noise floor."""
-    log = log_of_model(maker.log(wrenches=True, noise=1.0), model)
-    trajectory = prepare_logs([log])[0]
-    at = [log.joints.index(joint) for joint in model.base_joints[:3]]
-    expected = 0.02 * trajectory.filter.noise_gain
-    np.testing.assert_allclose(trajectory.acceleration_noise[at], expected, rtol=0.15)
-    floor, _, of_motion = known_noise([trajectory], model)
-    assert (of_motion <= floor).all()
-    np.testing.assert_allclose(of_motion[at], model.phi[:, 0].sum() * expected, rtol=0.2)
-
-
 def _lifted(trajectory, share, steps=1):
     """Return a trajectory whose feet are in the air in the first share of each of its steps."""
     time = trajectory.segments[0][:].time
@@ -178,21 +152,6 @@ def test_noise_of_limbs_is_that_of_the_time_in_the_air(model, maker, steps):
     parts = (_lifted(trajectory, share, steps) for share in (1.0, 0.4))
     whole, part = (known_noise([each], wrong)[0] for each in parts)
     np.testing.assert_allclose(part[-12:], whole[-12:], rtol=0.3)
-
-
-def test_columns_of_limbs_in_the_air_do_not_follow_measured_efforts(model, maker):
-    effect, found = JointElasticity("hl_pitch"), []
-    for size in (0.0, 0.3):
-        log, rng = log_of_model(maker.log(wrenches=True), model), np.random.default_rng(0)
-        log = replace(log, effort=log.effort + size * rng.normal(size=log.effort.shape))
-        trajectory = _lifted(prepare_logs([log], bandwidth=5.0)[0], 1.0)
-        folds = validation_blocks([trajectory])
-        data = reduce_logs(model, [trajectory], folds, effects=[effect])
-        own = data.data[model.joints.index("hl_pitch")]
-        at = own.local(data.effect_columns(effect))[0]
-        found.append(np.concatenate([rows.A[:, at] for fold in own.rows for rows in fold]))
-    assert np.ptp(found[0]) > 1.0
-    np.testing.assert_allclose(found[0], found[1], atol=1e-9)
 
 
 @pytest.mark.parametrize("wrenches", [True, False])
@@ -231,21 +190,6 @@ def test_balls_are_those_of_the_file(tmp_path, name, text, link):
     assert bool(found) == bool(link)
     if link:
         np.testing.assert_allclose(np.hstack(found[link]), np.hstack(BALL))
-
-
-def test_contacts_of_balls_are_below_their_centers(tmp_path):
-    """As a foot rolls, the point that touches moves over it: Pinocchio's Jacobians at it."""
-    path = tmp_path / "dog.urdf"
-    path.write_text(quadruped(ball=0.04), encoding="utf-8")
-    model, dog = load_description(path, floating=True), FreeRobot(path.read_text(), JOINTS)
-    q = np.random.default_rng(4).uniform(-0.7, 0.7, (8, 18))
-    bodies = RobotBodies(model.tree, model.positions(q), model.total_phi)
-    found = contact_jacobians(contact_frames(model, FEET), bodies)
-    for at, J in zip(q, found, strict=True):
-        dog.efforts(at, 0.0 * at, 0.0 * at)
-        for foot, own in zip(FEET, J, strict=True):
-            lowest = dog.pose(foot)[0] @ BALL[0] - [0.0, 0.0, BALL[1]]
-            np.testing.assert_allclose(own, dog.jacobian_at(foot, lowest), atol=1e-12)
 
 
 @pytest.mark.parametrize("unmeasured", [(), ("fl_pitch", "hr_knee")], ids=["all", "some"])
@@ -318,27 +262,6 @@ def test_a_compact_payload_on_a_trunk_keeps_its_mass(model):
     assert step.parameters["trunk"]["mass"] == pytest.approx(0.7, rel=0.01)
 
 
-def test_joints_without_a_motor_are_passive_where_other_efforts_are_measured(tmp_path, maker):
-    motors = "".join(
-        f'<transmission name="of_{joint}"><type>transmission_interface/SimpleTransmission</type>'
-        f'<joint name="{joint}"/>'
-        f'<actuator name="m_{joint}"/></transmission>'
-        for joint in JOINTS[1:]
-    )
-    (tmp_path / "dog.urdf").write_text(quadruped().replace("</robot>", f"{motors}</robot>"))
-    dog = load_description(tmp_path / "dog.urdf", floating=True)
-    log, found = maker.log(wrenches=True), []
-    for end in (f"{JOINTS[0]}.effort", ".effort"):
-        columns = {name: x for name, x in log.columns().items() if not name.endswith(end)}
-        pandas.DataFrame(columns).to_csv(tmp_path / "log.csv", index=False)
-        read = read_log(
-            tmp_path / "log.csv", joints=dog.joints, reading=reading_for(dog), partial=True
-        )
-        read = log_of_model(read, dog)
-        found.append((read.passive, read.unmeasured))
-    assert found == [((JOINTS[0],), ()), ((), JOINTS)]
-
-
 def test_base_rows_alone_tell_a_payload_and_an_offset_of_a_foot_sensor(
     tmp_path, monkeypatch, model, heavy
 ):
@@ -378,16 +301,6 @@ def test_base_rows_alone_tell_a_payload_and_an_offset_of_a_foot_sensor(
         said = CliRunner().invoke(app, ["compare", "quadruped.urdf", log, "--floating"])
         assert words in said.output.replace("\n", " ")
         assert said.exit_code == (2 if bare else 0)
-
-
-def test_signs_are_doubted_by_the_efforts_of_motors_alone(model, maker):
-    log, added = with_base(maker.log(wrenches=True), model), np.zeros((len(maker.time), 18))
-    added[:, 0] = np.abs(10.0 * np.sin(3.0 * maker.time)) - log.effort[:, 0]
-    assert effort_sign_hint(log) is None
-    hint = effort_sign_hint(replace(log, effort=log.effort + added, ground=None))
-    assert hint is not None and "fl_roll" in hint
-    pushed = replace(log, effort=log.effort + added, ground=log.ground + added)
-    assert effort_sign_hint(pushed) is None
 
 
 def test_force_sensors_of_one_body_have_one_offset(model, maker):
@@ -507,34 +420,6 @@ def test_a_topic_that_is_asked_for_leaves_those_of_other_sources():
     rest = ["imu"], ["l_foot/wrench"]
     assert base_sources(kinds, ()) == [["odom", "mocap/pose"], *rest]
     assert base_sources(kinds, ["mocap/pose"]) == [["mocap/pose"], *rest]
-
-
-def test_transforms_of_two_robots_are_two_tables():
-    def transform(child, x, ns):
-        stamp = SimpleNamespace(sec=0, nanosec=ns)
-        turn = SimpleNamespace(w=1.0, x=0.0, y=0.0, z=0.0)
-        moved = SimpleNamespace(translation=SimpleNamespace(x=x, y=0.0, z=0.0), rotation=turn)
-        header = SimpleNamespace(frame_id="world", stamp=stamp)
-        return SimpleNamespace(header=header, child_frame_id=child, transform=moved)
-
-    messages = [
-        (SimpleNamespace(transforms=[transform(f"{n}/base_link", n, k) for n in (1.0, 2.0)]), k)
-        for k in range(1, 4)
-    ]
-
-    def rows_of(messages):
-        rows = BaseMessages("/tf")
-        for message, received in messages:
-            rows.add(message, received)
-        return rows
-
-    tables = rows_of(messages).tables()
-    assert [table.columns["base.position.x"].tolist() for table in tables] == [[1.0] * 3, [2.0] * 3]
-    messages[1][0].transforms[0].header.stamp.nanosec = 0
-    rows = rows_of((message, 5_000 + 1_000 * k) for k, (message, _) in enumerate(messages))
-    assert "some messages of /tf have no stamps" in rows.clock_notes[0]
-    for table in rows.tables():
-        assert np.allclose(table.columns["time"], 1e-9 * np.array([0.0, 1_000.0, 2_000.0]), atol=0)
 
 
 def test_wrong_contact_flags_are_said(model, maker):
@@ -815,16 +700,6 @@ def _posed(maker, rotation, force=None, missing=slice(0, 0)):
     columns = {f"base.orientation.{axis}": quaternion[:, k] for k, axis in enumerate("wxyz")}
     columns |= {f"imu.linear_acceleration.{axis}": force[:, k] for k, axis in enumerate("xyz")}
     return maker.log(wrenches=False, **columns)
-
-
-def test_a_gap_where_yaw_passes_half_a_turn_is_no_whole_turn(model, maker):
-    yaw = np.pi + 0.6 * (maker.time - maker.time.mean())
-    gap = slice(len(yaw) // 2 - 5, len(yaw) // 2 + 5)
-    log = with_base(_posed(maker, Rotation.from_euler("z", yaw[:, None]), missing=gap), model)
-    found = log.position[:, log.joints.index(model.base_joints[3])]
-    known = np.isfinite(found)
-    np.testing.assert_allclose(found[known], yaw[known], atol=1e-9)
-    assert np.count_nonzero(~known) == 10
 
 
 def test_what_says_no_way_up_is_refused(model, maker):

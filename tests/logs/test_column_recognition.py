@@ -5,13 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from geodrake.logs.files.name_rules import (
-    MEASURED,
-    OTHER,
-    as_positions,
-    matched,
-    meaning_of,
-)
+from geodrake.logs.files.name_rules import MEASURED, OTHER, as_positions, matched, meaning_of
 
 UR = tuple(
     f"{name}_joint"

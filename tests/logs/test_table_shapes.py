@@ -531,6 +531,7 @@ SAYING = {
     "RTDE.csv": ("actual_q_0 … actual_q_1 used", "target_q_0", "desired", "model's order"),
     **dict.fromkeys(("AxisPos.csv", "KUKA 0.csv", "brackets_of_units.csv"), ("is in deg",)),
     "twice.csv": ("repeated time stamp",),
+    "no_moteus.csv": ("columns ignored: mode",),
 }
 """What notes say of some."""
 

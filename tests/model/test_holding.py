@@ -8,12 +8,7 @@ import pytest
 from known_robots import assert_close, description
 
 from geodrake import load_model, save_model
-from geodrake.effects import (
-    CoulombFriction,
-    CoupledFriction,
-    FittedEffect,
-    Payload,
-)
+from geodrake.effects import CoulombFriction, CoupledFriction, FittedEffect, Payload
 from geodrake.errors import LogError, ModelError
 from geodrake.inertia import from_mass_com_inertia
 from geodrake.logs import JointLog, Motion

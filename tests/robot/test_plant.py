@@ -12,16 +12,12 @@ from scenes import PENDULUM, plant_of, scene
 from geodrake import load_model
 from geodrake.effects import CoulombFriction, ViscousFriction
 from geodrake.errors import ArgumentError, ModelError
-from geodrake.inertia import (
-    from_mass_com_inertia,
-    inertial_parameters,
-    is_physical,
-)
+from geodrake.inertia import from_mass_com_inertia, inertial_parameters, is_physical
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.model import check_dynamics, save_export
 from geodrake.model.robot_model import from_loaded_plant
 from geodrake.robot import RobotInstance
-from geodrake.robot.plant import joint_names, load_plant
+from geodrake.robot.plant import effort_limits, joint_names, load_plant
 
 GOOD = "ixx='0.1' iyy='0.1' izz='0.1' ixy='0' ixz='0' iyz='0'"
 
@@ -149,6 +145,21 @@ def test_frames_between_joints_of_a_mobile_base_weigh_nothing(load):
     assert [repair.body for repair in load(apart, "m.urdf").repairs] == ["dx", "dy"]
     seen = DUMMIES.replace('"dx"/>', '"dx"><visual/></link>', 1).format(limit=LIMIT, origin="")
     assert [repair.body for repair in load(seen, "m.urdf").repairs] == ["dx"]
+
+
+def test_mjcf(load):
+    loaded = load(MJCF, "m.xml")
+    plant = loaded.plant
+    assert joint_names(plant) == ("h", "s", "s2", "q_wx", "q_wy", "q_wz")
+    for name, friction in {"h": 2.0, "s": 0.5, "s2": 0.0, "q": 0.0}.items():
+        assert stated(loaded, f"m::{name}") == pytest.approx([0.3, 0.2, friction])
+    assert effort_limits(plant)[0] == pytest.approx(100.0)
+    assert any("meshes" in note and "b" in note for note in loaded.changes)
+    # The body without mass gets a thousandth of the robot's; that between two joints has none.
+    assert [repair.body for repair in loaded.repairs] == ["b"]
+    assert inertial_parameters(plant)[:, 0].sum() == pytest.approx(3.0 * 1.001)
+    X_WF = plant.EvalBodyPoseInWorld(plant.CreateDefaultContext(), plant.GetBodyByName("f"))
+    np.testing.assert_allclose(X_WF.translation(), [1, 2, 3])
 
 
 def test_mjcf_floating(load):
