@@ -50,16 +50,14 @@ from geodrake.model.robot_model import RobotModel
 _NORM = 0.02  # by which the length of a quaternion, or of a column of a matrix, may be off one
 _UPRIGHT = np.radians(80.0)  # of pitch, beyond which yaw and roll are nearly one
 _BETTER = 0.7  # times as far off as the most usual reading, another one that names allow is right
-_SWINGING, _ACCELERATES = (
-    0.2,
-    0.05,
-)  # s, in which a base accelerates, and by how much at least, m/s²
+_SWINGING = 0.2  # s, in which a base accelerates
+_ACCELERATES = 0.05  # m/s², by which it does at least
 _TURNING = 0.1  # s, in which a base turns by more than the noise of its orientation
 _FEW_POSES = 200  # pairs of rows
 _MOVES, _LITTLE = 0.002, 0.0005  # m, by which legs move feet between them, and noise may
 _TILTED, _OFF_VERTICAL = 2.0, 28.6  # °, by which the mean specific force may be: doubtful, wrong
 _AGREES, _DIFFERS = 0.1, 0.4  # of squared turns, by which two ways to tell them are off
-_RESTS, _SLIDES = 0.5, 0.7  # of what legs move feet by, which feet on the ground do
+_RESTS, _SLIDES, _GLIDES = 0.42, 0.5, 0.7  # of what legs move feet by, which they do on the ground
 _ADVICE = "Log base.position.x … and base.orientation.w …, or imu.angular_velocity.x … and so on."
 
 
@@ -278,7 +276,7 @@ def _settled(log: JointLog, model: RobotModel) -> tuple[BasePose, list[str]]:
             continue
         words, readings = sign.words.format(given), pose.readings(form)
         off = {name: sign.off(x) for name, x in readings.items()} if given > sign.wrong else {}
-        right = [name for name, value in off.items() if value < sign.right]
+        right = [name for name, x in off.items() if x < min(sign.right, _BETTER * given)]
         best = min(right, key=lambda name: off_in_all(readings[name]), default="")
         if best or (sign.is_certain and off):
             hint = f", but {sign.number.format(off[best])} if {best}" if best else ""
@@ -446,7 +444,7 @@ def _signs(log: JointLog, model: RobotModel, pose: BasePose) -> Iterator[_Sign]:
         place, is_told = "base.position.x … is in m, with z upwards.", feet.are_told
         yield _Sign(
             feet.sliding,
-            *(_SLIDES if is_told else np.inf, _SLIDES, _RESTS),
+            *(_GLIDES if is_told else np.inf, _SLIDES, _RESTS),
             "no foot rests on the ground: the one that moves least still does by {:.2g} times as "
             "much as legs move feet",
             "by {:.2g} times",

@@ -472,48 +472,12 @@ def test_bad_poses_are_refused(model, maker):
     count = len(maker.time)
     with pytest.raises(LogError, match="unit quaternion"):
         with_base(maker.log(wrenches=False, **{"base.orientation.w": np.full(count, 2.0)}), model)
-    turned = Maker()
-    turned.R = Rotation.from_euler("z", 2.0) * turned.R * Rotation.from_euler("x", 0.8)
-    turned.imu = turned.R.inv().apply(turned.place[2] + [0, 0, 9.81])
-    right = np.roll(turned.R.as_quat(), 1, axis=1).T
-    for wrong, words in (
-        (turned.R.as_quat().T, "columns are x, y, z, w"),
-        (right * [[-1], [1], [1], [1]], "rotates the world into the body"),
-    ):
-        names = [f"base.orientation.{axis}" for axis in "wxyz"]
-        with pytest.raises(LogError, match=words):
-            with_base(turned.log(wrenches=False, **dict(zip(names, wrong, strict=True))), model)
-    near = maker.R.as_quat()  # so near to upright that gravity does not tell their order
-    for wrong, words in (
-        (near.T, "are x, y, z, w"),
-        (np.roll(near, 1, axis=1).T * [[-1], [1], [1], [1]], "world into the body"),
-    ):
-        names = [f"base.orientation.{axis}" for axis in "wxyz"]
-        with pytest.raises(LogError, match=f"does not turn as.*({words})"):
-            with_base(maker.log(wrenches=False, **dict(zip(names, wrong, strict=True))), model)
     log = maker.log(wrenches=False)
     bare = {name: x for name, x in log.floating.items() if not name.startswith(("base", "imu"))}
     with pytest.raises(LogError, match="no orientation"):
         with_base(JointLog("log", JOINTS, log.time, log.position, log.effort, floating=bare), model)
     with pytest.raises(LogError, match="link 'tail', which the model lacks"):
         with_base(maker.log(wrenches=False, **{"tail.contact": np.ones(count)}), model)
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda own, R: np.degrees(own), "in degrees per second"),
-        (lambda own, R: R.apply(own), "axes of the world"),
-        (lambda own, R: own[:, [1, 0, 2]] * [1.0, -1.0, 1.0], "are, for example, -y, x, z of"),
-    ],
-)
-def test_angular_velocities_in_other_units_and_axes_are_refused(model, maker, change, words):
-    turned = Maker()
-    turned.R = Rotation.from_euler("z", 2.0) * turned.R
-    spin = change(maker.gyro, turned.R)
-    columns = {f"imu.angular_velocity.{axis}": spin[:, k] for k, axis in enumerate("xyz")}
-    with pytest.raises(LogError, match=f"say: .* if .*{words}"):
-        with_base(turned.log(wrenches=False, **columns), model)
 
 
 def _on_feet(lift: float) -> JointLog:
@@ -549,19 +513,37 @@ PLACE, CONTACTS = [f"base.position.{axis}" for axis in "xyz"], [f"{foot}.contact
 TURN = [f"base.orientation.{axis}" for axis in "wxyz"]
 
 
+def _turn_of(log):
+    return Rotation.from_quat(np.stack([log.floating[n] for n in TURN], 1), scalar_first=True)
+
+
 def _other_pose(log, world, body):
     """Return columns of the pose of a log in axes of the world and the body that are turned."""
-    place = np.stack([log.floating[name] for name in PLACE], 1)
-    turn = Rotation.from_quat(np.stack([log.floating[n] for n in TURN], 1), scalar_first=True)
-    quaternion = (world * turn * body.inv()).as_quat(scalar_first=True)
-    return dict(zip([*PLACE, *TURN], [*world.apply(place).T, *quaternion.T], strict=True))
+    place = world.apply(np.stack([log.floating[name] for name in PLACE], 1))
+    quaternion = (world * _turn_of(log) * body.inv()).as_quat(scalar_first=True)
+    return dict(zip([*PLACE, *TURN], [*place.T, *quaternion.T], strict=True))
 
 
+def _changed(names, change):
+    """Return what changes three columns of a log, by their values and its orientation."""
+
+    def columns(log):
+        values = change(np.stack([log.floating[name] for name in names], 1), _turn_of(log))
+        return dict(zip(names, values.T, strict=True))
+
+    return columns
+
+
+PLACE, CONTACTS = [f"base.position.{axis}" for axis in "xyz"], [f"{foot}.contact" for foot in FEET]
+TURN = [f"base.orientation.{axis}" for axis in "wxyz"]
+SPIN, FELT = (
+    [f"imu.{name}.{axis}" for axis in "xyz"] for name in ("angular_velocity", "linear_acceleration")
+)
 MATRIX = [f"{row}{column}" for row in range(3) for column in range(3)]
-YAWED = Rotation.from_euler("z", 2.0)
+YAWED, TILTED = Rotation.from_euler("z", 2.0), Rotation.from_euler("x", -0.8)
 SAME, UP, OVER = (Rotation.from_euler("x", x, degrees=True) for x in (0.0, 90.0, 180.0))
 MISREAD = {
-    "positions are in mm": lambda log: {name: 1e3 * log.floating[name] for name in PLACE},
+    "positions are in mm": _changed(PLACE, lambda place, R: 1e3 * place),
     "rotates the world into the body": lambda log: {n: -log.floating[n] for n in TURN[1:]},
     "columns are x, y, z, w": lambda log: {
         n: log.floating[m] for n, m in zip(TURN, [*TURN[1:], TURN[0]], strict=True)
@@ -569,20 +551,46 @@ MISREAD = {
     "y is upwards": lambda log: _other_pose(log, UP.inv(), SAME),
     "z is downwards in the world": lambda log: _other_pose(log, OVER, SAME),
     "z is downwards in the world and the body": lambda log: _other_pose(log, OVER, OVER),
+    "in degrees per second": _changed(SPIN, lambda own, R: np.degrees(own)),
+    "velocities are in the axes of the world": _changed(SPIN, lambda own, R: R.apply(own)),
+    "are, for example, -y, x, z of the log": _changed(
+        SPIN, lambda own, R: own[:, [1, 0, 2]] * [1.0, -1.0, 1.0]
+    ),
+    "accelerations are in the axes of the world": _changed(FELT, lambda own, R: R.apply(own)),
 }
+BY_FEET, BY_SPIN = [*MISREAD][:6], [*MISREAD][1:3] + [*MISREAD][6:9]
 
 
-@pytest.mark.parametrize("words", MISREAD)
-@pytest.mark.parametrize("placed", [True, False], ids=["with positions", "without"])
-def test_poses_with_which_feet_leave_the_ground_are_refused(model, planted, words, placed):
-    own = planted.floating | MISREAD[words](planted)
-    lost = (CONTACTS[1], *PLACE[: 0 if placed or "mm" in words else 3])
+@pytest.mark.parametrize(
+    ("by", "words"),
+    [
+        *(("gravity", words) for words in MISREAD if "rotates" in words or "columns" in words),
+        *(("does not turn", words) for words in BY_SPIN),
+        *(("no foot|feet on", words) for words in BY_FEET),
+        *(("no foot|feet on the", words) for words in BY_FEET if "mm" not in words),
+        ("does not feel", [*MISREAD][-1]),
+    ],
+)
+def test_poses_that_are_meant_otherwise_are_refused(model, maker, planted, by, words):
+    """By gravity, the gyroscope, feet at rest, which need no positions, and accelerations."""
+    log = planted if "foot" in by else maker.log(wrenches=False)
+    yawed = YAWED if "axes of the world" in words or "foot" in by else SAME
+    log = replace(log, floating=log.floating | _other_pose(log, yawed, SAME))
+    if by == "gravity":
+        felt = _changed(FELT, lambda own, R: TILTED.apply(own))(log)
+        log = replace(log, floating=log.floating | _other_pose(log, SAME, TILTED) | felt)
+    with_base(log, model)
+    own = log.floating | MISREAD[words](log)
+    lost = PLACE if by.endswith("the") else []
+    own = {name: values for name, values in own.items() if name not in lost}
+    with pytest.raises(LogError, match=rf"({by}).* if .*{words}\."):
+        with_base(replace(log, floating=own), model)
+
+
+def test_feet_without_flags_are_told(model, planted):
     bare = {name: values for name, values in planted.floating.items() if name != CONTACTS[1]}
     read = with_base(replace(planted, floating=bare), model)
     assert any("no contact flags of fr_foot: " in note for note in read.notes)
-    own = {name: values for name, values in own.items() if name not in lost}
-    with pytest.raises(LogError, match=rf"feet|foot.* if .*{words}\."):
-        with_base(replace(planted, floating=own), model)
 
 
 @pytest.mark.parametrize(
@@ -605,7 +613,7 @@ def test_poses_with_which_feet_leave_the_ground_are_refused(model, planted, word
 )
 def test_orientations_in_other_forms_are_read(tmp_path, model, planted, words, form, names, values):
     log = replace(planted, floating=planted.floating | _other_pose(planted, YAWED, SAME))
-    turn = Rotation.from_quat(np.stack([log.floating[n] for n in TURN], 1), scalar_first=True)
+    turn = _turn_of(log)
     columns = {name: x for name, x in log.columns().items() if name not in TURN}
     columns |= {form.format(n): x for n, x in zip(names, values(turn).T, strict=True)}
     pandas.DataFrame(columns).to_csv(tmp_path / "log.csv", index=False)
@@ -680,16 +688,6 @@ def test_readings_that_are_held_or_stuck_are_told(model, maker, planted):
     found = with_base(replace(planted, floating=planted.floating | frozen), model)
     assert any("is stuck" in note for note in found.notes)
     assert np.isnan(found.position[401:500, -6:]).all()
-
-
-def test_accelerations_in_world_axes_are_refused(model, maker):
-    R = Rotation.from_euler("z", 2.0) * maker.R
-    quaternion, force = R.as_quat(scalar_first=True), R.apply(maker.imu)
-    place = Rotation.from_euler("z", 2.0).apply(maker.place[0].copy())
-    columns = dict(zip([*TURN, *PLACE], [*quaternion.T, *place.T], strict=True))
-    columns |= {f"imu.linear_acceleration.{a}": x for a, x in zip("xyz", force.T, strict=True)}
-    with pytest.raises(LogError, match=r"does not feel .* if accelerations are in the axes of"):
-        with_base(maker.log(wrenches=False, **columns), model)
 
 
 def _posed(maker, rotation, force=None, missing=slice(0, 0)):
