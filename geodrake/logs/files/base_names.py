@@ -63,21 +63,12 @@ _VECTOR = re.compile(
     rf"(?P<head>.*?)[./]?(?P<field>{'|'.join(map(re.escape, _FIELDS))})\.(?P<axis>[wxyz])",
     re.IGNORECASE,
 )
-_UNDERSCORED = re.compile(
-    rf"(?P<head>.+?)[._](?P<field>{'|'.join([*_FIELDS, *_SHORT])})[._]?(?P<axis>[wxyz])",
+_SHORTENED = re.compile(
+    rf"(?P<head>.+?)([._](?P<field>{'|'.join([*_FIELDS, *_SHORT])}))?"
+    r"[._\[]*(?P<axis>[wxyz]|\d\d?|roll|pitch|yaw)\]?",
     re.IGNORECASE,
 )
-_NUMBERED = re.compile(
-    rf"(?P<head>.+?)[._](?P<field>{'|'.join({*_FIELDS, *_SHORT} - {'q', 'force', 'torque'})})"
-    r"[._\[]*(?P<axis>\d\d?)\]?",
-    re.IGNORECASE,
-)
-_ANGLE = re.compile(
-    r"(?P<head>.+?)[._](?P<field>(?:orientation|rotation|rot|rpy|euler)[._]?)?"
-    r"(?P<axis>roll|pitch|yaw)",
-    re.IGNORECASE,
-)
-_OTHER_FORMS = _UNDERSCORED, _NUMBERED, _ANGLE  # of names with a word for the base or its IMU
+_UNNUMBERED = "", "q", "force", "torque"  # fields of which numbers are those of joints
 _ANGLES = dict(zip("xyz", ANGLES, strict=True))
 _LINKS = re.compile(r"trunk|torso|pelvis", re.IGNORECASE)  # which may have joints of such names
 _CONTACT = re.compile(r"(?P<frame>.+?)[./](?:in_)?contact(?:_state)?", re.IGNORECASE)
@@ -104,12 +95,15 @@ def _floating_name(column: str) -> str | None:
     plain = re.sub(r"(?<=\w)/(?=\w)", ".", column.strip("/"))
     found, is_of_base = _VECTOR.fullmatch(plain), IS_BASE.search(plain)
     if found is None and (is_of_base or _IMU.search(plain)):
-        found = next(filter(None, (form.fullmatch(plain) for form in _OTHER_FORMS)), None)
-    if found is None or (found["field"] is None and _LINKS.search(plain)):
+        found = _SHORTENED.fullmatch(plain)
+    if found is None:
         return None
     head = re.sub(r"(\.|^)(pose|twist|wrench)$", "", found["head"].strip("."))
-    field, axis = (found["field"] or "rpy").lower().strip("._"), found["axis"].lower()
-    what = _FIELDS[_SHORT.get(field, field)]
+    field, axis = (found["field"] or "").lower(), found["axis"].lower()
+    is_bare = not field and (axis not in ANGLES or _LINKS.search(plain))
+    if is_bare or (axis.isdigit() and field in _UNNUMBERED):
+        return None
+    what = _FIELDS[_SHORT.get(field, field)] if field else "angles"
     if what in ("force", "torque"):
         return f"{head}.{what}.{axis}" if head and axis != "w" else None
     if what == "angular_velocity":
