@@ -19,7 +19,7 @@ from geodrake.diagnosis import Beliefs, Diagnosis, explain
 from geodrake.diagnosis.explain import explained
 from geodrake.diagnosis.final_fit import final_fit
 from geodrake.diagnosis.findings import (
-    INERTIA,
+    Unnamed,
     findings_of,
     terms_not_held,
     unknown_probability,
@@ -30,7 +30,8 @@ from geodrake.diagnosis.log_model import Choice, LogModel
 from geodrake.diagnosis.moves import neighbours
 from geodrake.diagnosis.neighbourhood import Neighbourhood
 from geodrake.diagnosis.normal_kernels import calc_distance, calc_noise_changes, calc_physical_share
-from geodrake.diagnosis.notes import left_out_notes
+from geodrake.diagnosis.notes import left_out_notes, unnamed_notes
+from geodrake.diagnosis.posterior import Posterior
 from geodrake.diagnosis.refinements import fitted_delays
 from geodrake.diagnosis.search import Search, searched
 from geodrake.diagnosis.terms import odds_against
@@ -334,24 +335,6 @@ def test_a_delay_costs_its_odds_only_where_it_is_one(problem):
     assert timed.are_apart((1, 1), (0, 0))
 
 
-def test_a_wrong_body_must_be_physical_with_its_change(problem):
-    """The change may be negative, as of a link that is lighter than the file says.
-
-    A body that cannot exist is as improbable as it is far, in deviations, from one that can.
-    """
-    model, (_, link) = problem[0], PENDULUM.phi
-    term = next(t for t in model.terms if t.effect is None and t.where == PAYLOAD.where)
-    choice = Choice((term,), WIDTH, (0, 0))
-    sure = 1e6 * np.eye(model.first_term + len(link))
-    told = []
-    for share in (0.4, -0.4, -1.4):
-        x = np.concatenate([model.mean[: model.first_term], share * link])
-        told.append(model._physical(choice, x, sure))
-    assert told == pytest.approx([0.0, 0.0, -1e4])  # no less than that
-    few = model._physical(choice, x, 1e2 * np.eye(len(sure)))
-    assert -1e4 < few < -2.0 * np.log(400.0)
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_the_nearest_body_that_can_exist(seed):
     """By a precision; a semidefinite program says the same."""
@@ -483,18 +466,6 @@ def named(findings, name):
     return next(each for each in findings if each.name == name)
 
 
-def test_what_needs_a_finding_goes_with_it(found):
-    """Friction that falls with speed is none without dry friction."""
-    stribeck = StribeckFriction.name
-    whole = with_terms(found, "coulomb_friction", "viscous_friction", stribeck)
-    findings = findings_of(whole)
-    fewer, kept = without_finding(whole, findings, named(findings, "coulomb_friction"))
-    assert [each.name for each in kept] == ["viscous_friction"]
-    assert {term.name for term in fewer.fit.terms} == {"viscous_friction"}
-    fewer, kept = without_finding(whole, findings, named(findings, stribeck))
-    assert {each.name for each in kept} == {"coulomb_friction", "viscous_friction"}
-
-
 def test_what_holds_at_one_joint_alone_stays_there(found):
     """Friction of the shoulder, which it does not have, takes nothing from that of the elbow."""
     model, was = found.model, found.fit
@@ -547,19 +518,6 @@ def test_friction_that_a_model_states_and_the_robot_has_not_is_a_step():
     assert told.end.nrms < 0.1 * told.start.nrms
 
 
-def test_bodies_are_the_finding_where_nothing_else_is_left(found):
-    """They come closer to the logs than those of the file, and that is never silent."""
-    model, was = found.model, found.fit
-    widest = model.choice(was.choice, (), width=model.widths[-1])
-    wide = model.unbounded(widest, model.shares(was), was.variance)
-    whole = replace(with_terms(found, "coulomb_friction"), start=wide)
-    findings = findings_of(whole)
-    fewer, kept = without_finding(whole, findings, named(findings, "coulomb_friction"))
-    assert [each.name for each in kept] == [INERTIA]
-    assert fewer.fit is wide
-    assert without_finding(fewer, kept, kept[0])[1] == []
-
-
 def table(rms, floor):
     return ErrorTable(tuple(JointError(j, rms, 1.0, floor) for j in ("shoulder", "elbow")))
 
@@ -587,6 +545,36 @@ def test_a_finding_is_the_more_likely_the_more_it_takes_beside_what_is_left(foun
     errors = [table(rms, 0.01) for rms in (0.3, 0.2, 0.2)]
     noise = replace(whole.fit, noise=np.full(2, 0.01**2))
     assert unknown_probability(replace(whole, fit=noise), finding, errors) == 0.0
+
+
+def heavier(seen, mass=0.3):
+    """Effort of a ball that the last link holds, by Pinocchio."""
+    ball = pin.Inertia(mass, np.array([0.05, 0.02, 0.1]), 1e-3 * mass * np.eye(3))
+    return seen.with_body(seen.model.njoints - 1, lambda own: own + ball)
+
+
+@pytest.fixture(scope="module")
+def loaded():
+    log = effort_log("double_pendulum", 5, heavier, duration=16.0, share=0.01).log
+    return searched(open_case(load_model(PENDULUM_FILE), [log], candidates=True))
+
+
+def with_load(found, *, width, has_load=True):
+    model, was = found.model, found.fit
+    loads = [t for t in model.terms if t.is_whole and t.where == ("lower_link",)]
+    terms = loads[-2:-1] if has_load else []
+    choice = model.choice(was.choice, terms, width=width)
+    return replace(found, fit=model.unbounded(choice, model.shares(was), was.noise))
+
+
+def test_a_payload_that_bodies_may_have_taken_in_is_said(loaded):
+    bodies = with_load(loaded, width=loaded.model.widths[-2], has_load=False)
+    loads = Posterior(bodies.model, bodies.fit).of_loads()
+    assert loads["lower_link"] > 0.5  # a file that is 30 % off is less probable
+    (note,) = (n for n in unnamed_notes(Unnamed((), loads, {})) if n.startswith("lower_link"))
+    assert f"{loads['lower_link']:.0%}" in note
+    having = with_load(loaded, width=loaded.model.widths[0])
+    assert "lower_link" not in Posterior(having.model, having.fit).of_loads()
 
 
 @pytest.mark.parametrize(
