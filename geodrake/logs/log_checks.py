@@ -19,6 +19,7 @@ _LAG, _FOLLOWS = 0.4, 0.8  # of such a ratio's logarithm, and correlation of wha
 _LATEST = 3  # rows by which a copy may be late
 _WINDOW, _MOVING = 0.05, 0.1  # s, and the share of the largest way in them of a joint that moves
 _FULL, _MOST = 1.0 - 1e-6, 0.9  # of the largest effort, and the share of rows that may be at it
+_EVEN = 0.01  # by which steps between rounded values are off whole multiples of the least
 _STEPS = 50  # of resolution that a largest value has at least, where it is none of rounding
 
 
@@ -108,7 +109,10 @@ def _is_coarse(effort: Array) -> bool:
     levels = np.unique(effort)
     if len(levels) == 2 and levels[0] == -levels[1]:
         return False  # a switch
-    return bool(np.abs(levels).max() < _STEPS * np.diff(levels).min())
+    steps = np.diff(levels)
+    ratios = steps / steps.min()
+    is_rounded = np.all(np.abs(ratios - np.rint(ratios)) < _EVEN)
+    return bool(is_rounded and np.abs(levels).max() < _STEPS * steps.min())
 
 
 _TOGETHER = 8  # rows that follow each other, which two logs do not share by chance
