@@ -62,8 +62,8 @@ def quiet_density(
 ) -> Array:
     """Return (n,) densities of white noise of signals: of the quietest band above a bandwidth.
 
-    They are differenced so often before that what is large and slow in them does not leak into the
-    spectrum; the density is that of the signals.
+    They are differenced first, as often as asked, so that what is large and slow in them does not
+    leak into the spectrum; the density is that of the signals themselves.
     """
     changes = np.diff(np.asarray(signal, float), differences, axis=0)
     length = min(len(changes), max(64, round(8 * rate / bandwidth)))

@@ -27,11 +27,8 @@ from scipy.interpolate import make_interp_spline
 from geodrake.boundary.arguments import Array
 
 AXES, QUATERNION, ANGLES = ("x", "y", "z"), ("w", "x", "y", "z"), ("roll", "pitch", "yaw")
-_LONGER, _MOSTLY, _FEWEST = (
-    2.0,
-    0.8,
-    20,
-)  # of the usual run of equal values, share of runs, and runs
+_LONGER = 2.0  # times the usual run of equal values
+_MOSTLY, _FEWEST = 0.8, 20  # share of runs that are as long, and number of runs
 _STUCK_ROWS, _STUCK_SECONDS, _JUMPS = 20, 0.25, 3.0  # of what is stuck, and times usual changes
 _POSE = "base.position", "base.orientation"
 _BESIDE = 0.02  # s, around a touch or a lift within which a frame may be in contact

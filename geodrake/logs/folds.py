@@ -101,8 +101,9 @@ def share_motion(
     """Return folds of which none has much of a joint's motion, if possible; else these.
 
     Joints may move one after the other, in one log or in one log each. Without a fold that has half
-    of a joint's motion, too little would be left to fit its friction. So many `samples` (n, folds)
-    of motion of each joint are in each fold, at `instants`, s, of each joint, fold and block.
+    of a joint's motion, too little would be left to fit its friction. The `samples` (n, folds) are
+    numbers of samples of motion of each joint in each fold, and `instants` their time stamps, s, of
+    each joint, fold and block.
     """
     if len(folds) < 2:
         return folds
@@ -138,7 +139,7 @@ def assign_folds(
 ) -> tuple[Fold, ...]:
     """Return folds of which windows are cut into pieces, every other one given to another fold.
 
-    This is that of `others`, by number, and by default the one half of all folds on.
+    Which other one it is, `others` says by numbers; by default it is half of all folds further on.
     """
     dealt: dict[int, list[Block]] = defaultdict(list)
     windows = _merged(windows)

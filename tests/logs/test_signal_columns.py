@@ -483,6 +483,7 @@ def test_other_positions_are_no_ticks(tmp_path, positions, units):
 
 
 V = np.array([2.0, 3.0]) * np.cos(TIME[:, None] * np.array([2.0, 3.0]))
+NOISY = V + np.random.default_rng(5).normal(0.0, 1.0, V.shape)
 DEG, RPM = 180.0 / np.pi, 30.0 / np.pi
 UNITS = {
     "far beyond limits": ({"q_J": DEG * Q, "cmd_J": DEG * C}, DEG, None),
@@ -492,6 +493,10 @@ UNITS = {
     "speeds in deg/s": ({"q_J": Q, "v_J": DEG * V}, 1.0, 1.0),
     "speeds in rpm": ({"q_J_rad": Q, "v_J": RPM * V}, 1.0, 1.0),
     "speeds of motors": ({"q_J": Q, "v_J": 100.0 * V}, 1.0, 100.0),
+    "speeds of motors with gears as turns have": ({"q_J": Q, "v_J": 60.0 * V}, 1.0, 60.0),
+    "told speeds of such": ({"q_J": Q, "dq_J_rad_s": 6.3 * V}, 1.0, 6.3),
+    "noisy speeds in rad/s": ({"q_J": DEG * Q, "v_J": NOISY}, DEG, NOISY / V),
+    "noisy speeds in deg/s": ({"q_J": DEG * Q, "v_J": DEG * NOISY}, DEG, NOISY / V),
     "shares of LeRobot": ({"servo_J.pos": DEG * Q}, 1.0, None),
     "motors": ({"motor_q_J": DEG * Q}, 1.0, None),
     "two turns": ({"q_J": 16.0 * Q}, 1.0, None),

@@ -365,7 +365,7 @@ def unit_words(sources: Mapping[str, Meaning], reading: Reading) -> Iterator[str
         if joints:
             yield (
                 f"efforts of {listed(joints)} are {_KIND_WORDS[kind]}: their gains "
-                " are estimated with the model's inertias, unless given by --gain "
+                "are estimated with the model's inertias, unless given by --gain "
                 f"JOINT=VALUE{_CONSTANT if kind == 'current' else ''}"
             )
     commanded = [name.rpartition(".")[0] for name in same["command"]]

@@ -349,22 +349,8 @@ _MOST_NAMES = 8
 _MOST_NAMED = 1000  # columns of a matrix
 _LONGEST_TEXT = 60
 _SAYS_NOTHING = (
-    *(
-        "",
-        "nan",
-        "nat",
-        "none",
-        "null",
-        "na",
-        "n/a",
-        "<na>",
-        "#n/a",
-        "-",
-        "--",
-        "---",
-        "?",
-        "missing",
-    ),
+    *("", "nan", "nat", "none", "null", "na", "n/a", "<na>", "#n/a"),
+    *("-", "--", "---", "?", "missing"),
 )
 NOTHING = frozenset(f(word) for word in _SAYS_NOTHING for f in (str, str.upper, str.title)) | {
     *("NaN", "[]", "()", "NaN (ind)", "nan(ind)", "-nan(ind)", "1.#QNAN", "-1.#IND", "1.#IND"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -27,6 +27,8 @@ Bare = Mapping[str, Mapping[tuple[str, str], Meaning]]
 
 _ANGLES = ("deg", "rev", "rad")
 _SPEEDS = ("rad/s", "deg/s", "rev/s", "rpm")
+_AS_OTHERS = (("rev", "rad/s"), ("rev", "rpm"))  # as m and m/min, or gears of 6.3 and 60
+_BETWEEN = (np.pi / 180.0) ** 0.5  # deg/s and rad/s, in the middle of their ratio
 
 
 def take_units(time: Array, data: dict[str, Array], columns: Columns) -> None:
@@ -61,18 +63,25 @@ def _take_angles(
 ) -> None:
     """Turn angles and their speeds into rad and rad/s, where values are certain of other units.
 
-    The ratio of a velocity to the rate of change of its position tells both units. If it is that of
-    equal ones, or there are no velocities, positions of which most are far beyond the model's
-    limits in rad, and within them in degrees, are in degrees.
+    The ratio of a velocity to the rate of change of its position tells both units, unless the
+    model's limits hold no positions in that of angles. If it is that of equal ones, or tells none,
+    positions of which most are far beyond the limits in rad, and within them in degrees, are in
+    degrees, and velocities in the nearer of rad/s and deg/s.
     """
     places = bare.get("position", {})
     if any(source.role == MOTOR for source in places.values()):
         return
-    angle, speed, ratio = _by_motion(time, data, bare)
+    moves = _moves(time, data)
+    angle, speed, ratio = _by_motion(moves, bare)
     why = f"velocities are {ratio:.4g} times as fast as positions change"
+    if angle != "rad":
+        held = _share_within(columns, _some(data["position"]), unit_of(angle, "position"))
+        angle, speed = (angle, speed) if held > _HELD else ("rad", "rad/s")
     is_told = (angle, speed) != ("rad", "rad/s")
     if places and not is_told and (beyond := _beyond_limits(data["position"], columns)):
-        angle, speed, why = "deg", "deg/s" if bare.get("velocity") else speed, beyond
+        ways = np.array([np.linalg.norm(each, axis=1) for each in moves])  # (n, 2)
+        moved, driven = np.linalg.norm(ways.reshape(-1, 2), axis=0)
+        angle, speed, why = "deg", "deg/s" if driven > _BETWEEN * moved else "rad/s", beyond
     for quantity, unit in {"position": angle, "command": angle, "velocity": speed}.items():
         if UNITS[quantity][unit] != 1.0 and bare.get(quantity):
             _convert(data, columns, bare[quantity], unit_of(unit, quantity))
@@ -81,19 +90,26 @@ def _take_angles(
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of outliers
-def _by_motion(time: Array, data: dict[str, Array], bare: Bare) -> tuple[str, str, float]:
-    """Return units of angles and speeds by their ratio, and this; SI units where it tells none."""
-    known = "rad", "rad/s", 1.0
+def _moves(time: Array, data: dict[str, Array]) -> list[tuple[Array, Array]]:
+    """Return how far each joint moves by its positions, and by its velocities, over windows."""
     if "velocity" not in data or len(time) <= _WINDOW:
-        return known
+        return []
     position, velocity, time = data["position"][:_ROWS], data["velocity"][:_ROWS], time[:_ROWS]
     steps = 0.5 * (velocity[1:] + velocity[:-1]) * np.diff(time)[:, None]
     way = np.cumsum(np.vstack([np.zeros(velocity.shape[1]), np.nan_to_num(steps)]), axis=0)
-    found = list[float]()
+    found = list[tuple[Array, Array]]()
     for q, s in zip(position.T, way.T, strict=True):
         moved, driven = (x[_WINDOW:] - x[:-_WINDOW] for x in (q, s))
         there = np.isfinite(moved) & np.isfinite(driven)
-        moved, driven = moved[there], driven[there]
+        found.append((moved[there], driven[there]))
+    return found
+
+
+@np.errstate(over="ignore", invalid="ignore")  # of outliers
+def _by_motion(moves: Sequence[tuple[Array, Array]], bare: Bare) -> tuple[str, str, float]:
+    """Return units of angles and speeds by their ratio, and this; SI units where it tells none."""
+    known, found = ("rad", "rad/s", 1.0), list[float]()
+    for moved, driven in moves:
         size = np.linalg.norm(moved) * np.linalg.norm(driven)
         if size > 0.0 and moved @ driven > _ALIKE * size:
             found.append(float(driven @ driven / (moved @ driven)))
@@ -104,14 +120,17 @@ def _by_motion(time: Array, data: dict[str, Array], bare: Bare) -> tuple[str, st
     speeds = _SPEEDS if bare.get("velocity") else ("rad/s",)
     for angle, speed in ((a, s) for s in speeds for a in angles):
         expected = UNITS["position"][angle] / UNITS["velocity"][speed]
-        if abs(ratio / expected - 1.0) < _OFF and abs(expected - 1.0) > _OFF:
+        are_bare = len(angles) > 1 and len(speeds) > 1
+        if abs(expected - 1.0) < _OFF or (are_bare and (angle, speed) in _AS_OTHERS):
+            continue
+        if abs(ratio / expected - 1.0) < _OFF:
             return angle, speed, ratio
     return known
 
 
 def _beyond_limits(position: Array, columns: Columns) -> str:
     """Return why positions (N, n) can only be degrees by the model's limits, or ""."""
-    position = position[:: len(position) // _ROWS + 1]
+    position = _some(position)
     peaks = peaks_of(position)
     names = (columns.places[joint, "position"].column for joint in columns.joints)
     may_be_shares = peaks.max() <= _NORMALIZED and any(map(_OF_LEROBOT.search, names))
@@ -149,7 +168,7 @@ def _take_ticks(
             return False
     ticks = data["position"]
     middle, bottom = (unit_of(name, "position") for name in ("ticks@2048", "ticks"))
-    some = ticks[:: len(ticks) // _ROWS + 1]
+    some = _some(ticks)
     held = {unit: _share_within(columns, some, unit) for unit in (middle, bottom)}
     unit, other = (bottom, middle) if held[bottom] > _HELD > held[middle] else (middle, bottom)
     zero = "2048, as in drivers" if unit is middle else "0, as the model's limits suggest"
@@ -173,6 +192,11 @@ def _share_within(columns: Columns, position: Array, unit: Unit) -> float:
     q = unit.factor * position[:, bounded] + unit.offset
     within = (low - _MARGIN <= q) & (q <= high + _MARGIN)
     return float(np.mean(within[np.isfinite(q)])) if np.isfinite(q).any() else 1.0
+
+
+def _some(values: Array) -> Array:
+    """Return rows of (N, n) from all over a log, at most as many as are looked at."""
+    return values[:: len(values) // _ROWS + 1]
 
 
 def are_whole(numbers: Array) -> bool:
