@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from geodrake.effects.body_motion import RobotBodies
@@ -55,6 +56,8 @@ _ACCELERATES = 0.05  # m/s², by which it does at least
 _TURNING = 0.1  # s, in which a base turns by more than the noise of its orientation
 _FEW_POSES = 200  # pairs of rows
 _MOVES, _LITTLE = 0.002, 0.0005  # m, by which legs move feet between them, and noise may
+_PARTS = (2,), (0, 1, 2), (3, 4, 5), range(6)  # yaw, rotation, offset, or all of a mounting
+_MOUNTED = 0.65  # of how far feet slide, what is left where a tracked body is mounted otherwise
 _TILTED, _OFF_VERTICAL = 2.0, 28.6  # °, by which the mean specific force may be: doubtful, wrong
 _AGREES, _DIFFERS = 0.1, 0.4  # of squared turns, by which two ways to tell them are off
 _RESTS, _SLIDES, _GLIDES = 0.42, 0.5, 0.7  # of what legs move feet by, which they do on the ground
@@ -123,7 +126,9 @@ def _motion_of(
     pose: BasePose, log: JointLog, gravity: Array
 ) -> tuple[Array, Array | None, Array | None]:
     """Return positions (N, 6) of the base's joints, and rates and accelerations if measured."""
-    time, known, place = pose.time, pose.known, vectors(log.floating, "base.position")
+    time, known, place = pose.time, pose.known, pose.place
+    if place is None:
+        place = vectors(log.floating, "base.position")
     R, angles = pose.turn.as_matrix(), np.full((len(time), 3), np.nan)
     with catch_warnings(action="ignore"):  # of a base that pitches by a right angle, see below
         angles[known] = np.unwrap(pose.turn[known].as_euler("ZYX"), axis=0)
@@ -284,6 +289,10 @@ def _settled(log: JointLog, model: RobotModel) -> tuple[BasePose, list[str]]:
             raise LogError(f"In log {log.name!r} {words}{hint}.", advice=advice)
         if given > sign.doubt:
             notes.append(words)
+    feet = _Feet.of(log, model, pose)
+    if feet is not None and pose.place is not None and pose.force is None and pose.spin is None:
+        pose, more = feet.without_mounting(pose)
+        notes += more
     if not any(np.isfinite(sign.off(pose)) for sign in signs):
         notes.append(
             "nothing in the log confirms the orientation of the base: no IMU, no twist, and no "
@@ -555,3 +564,42 @@ class _Feet:
         if not self.sliding(pose) < _RESTS:
             return np.nan
         return _angle(self._arms(pose).sum(axis=(0, 1, 2)), -up)
+
+    def without_mounting(self, pose: BasePose) -> tuple[BasePose, list[str]]:
+        """Return the pose of the root where that of something mounted on it was tracked, and notes.
+
+        Feet rest with a rotation and an offset between both.
+        """
+        turns, places = pose.turn.as_matrix()[self.rows], np.asarray(pose.place)[self.rows]
+
+        scale = 2.0 * _LITTLE
+
+        def moved(x: Array) -> Array:
+            arms = self.places @ Rotation.from_rotvec(x[:3]).as_matrix().T + x[3:]
+            before, after = np.einsum("akij,akfj->akfi", turns, arms) + places[:, :, None]
+            return np.asarray(after - before).ravel()
+
+        def cost(x: Array) -> float:
+            return float(np.log1p(np.square(moved(x) / scale)).sum())
+
+        def solved(which: Sequence[int]) -> Array:
+            """Return the best rotation and offset of which only some numbers are not zero."""
+            free = np.eye(6)[list(which)]
+            start = np.zeros(len(free))
+            fit = least_squares(lambda x: moved(x @ free), start, loss="cauchy", f_scale=scale)
+            return np.asarray(fit.x @ free)
+
+        tried = [solved(which) for which in _PARTS]
+        at_first, least = cost(np.zeros(6)), cost(tried[-1])
+        if least >= _MOUNTED * at_first:
+            return pose, []
+        # What is not clearly otherwise stays: a wrong tilt costs more than it mends.
+        x = next(x for x in tried if cost(x) <= least + 0.1 * (at_first - least))
+        turn, offset = Rotation.from_rotvec(x[:3]), x[3:]
+        angles = ", ".join(f"{x:.1f}°" for x in turn.as_euler("ZYX", degrees=True))
+        words = (
+            f"what was tracked is not the root: feet rest if that is turned by {angles} (yaw, "
+            f"pitch, roll) and is at {np.array2string(offset, precision=3)} m in its axes: mended"
+        )
+        place = np.asarray(pose.place) + pose.turn.apply(offset)
+        return replace(pose, turn=pose.turn * turn, place=place), [words]

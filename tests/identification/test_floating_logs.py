@@ -587,6 +587,19 @@ def test_poses_that_are_meant_otherwise_are_refused(model, maker, planted, by, w
         with_base(replace(log, floating=own), model)
 
 
+def test_poses_of_markers_that_are_mounted_otherwise_are_mended(model, planted):
+    """They are turned against the root, and elsewhere on it."""
+    turn = Rotation.from_euler("ZYX", [20.0, -3.0, 4.0], degrees=True)
+    offset = _turn_of(planted).apply([0.1, -0.05, 0.08])
+    columns = _other_pose(planted, SAME, turn)
+    columns |= {name: columns[name] + x for name, x in zip(PLACE, offset.T, strict=True)}
+    found = with_base(replace(planted, floating=planted.floating | columns), model)
+    assert any("what was tracked is not the root" in note for note in found.notes)
+    plain = with_base(planted, model)
+    assert not any("what was tracked" in note for note in plain.notes)
+    np.testing.assert_allclose(found.position, plain.position, atol=2e-3)
+
+
 def test_feet_without_flags_are_told(model, planted):
     bare = {name: values for name, values in planted.floating.items() if name != CONTACTS[1]}
     read = with_base(replace(planted, floating=bare), model)
