@@ -22,6 +22,7 @@ from geodrake.logs.unit_hints import (
 
 ROOT = Path(__file__).parents[2]
 LOGS = (ROOT / "geodrake" / "demo" / "demo.csv", *sorted(DATA.glob("*.csv")))
+SERVOS = sorted((DATA / "so101").glob("*.state_motor.csv"))
 
 
 def swing(*, seconds=20.0, rate=200.0, velocity=True, seed=0):
@@ -43,7 +44,7 @@ def changed(log, quantity, rows, joint, value):
     return replace(log, **{quantity: array})
 
 
-@pytest.mark.parametrize("path", LOGS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", [*LOGS, *SERVOS], ids=lambda path: path.stem)
 def test_nothing_is_wrong_with_real_logs(path):
     log = read_log(path)
     assert without_faults(log) is log

@@ -123,6 +123,9 @@ def test_unreadable_files(tmp_path):
     (tmp_path / "log.csv").write_bytes("time,a.position".encode("utf-16")[:-1])
     with pytest.raises(LogError, match="not UTF-16-LE text: truncated data"):
         read_log(tmp_path / "log.csv")
+    (tmp_path / "log.csv").write_text("time q1 tau1\n\n\n")
+    with pytest.raises(LogError, match="0 rows"):
+        read_log(tmp_path / "log.csv")
     (tmp_path / "log.csv").write_text("joint,effort\na,0.1 rad\na,0.2 rad\n")
     with pytest.raises(LogError):  # of words alone
         read_log(tmp_path / "log.csv")

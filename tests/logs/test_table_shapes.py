@@ -494,6 +494,10 @@ SHAPES = {
     "UTF-16-LE.csv": under("time,q1,q2,tau1,tau2", encoding="utf-16-le"),
     "two_clocks.csv": table(pandas.DataFrame({"t_q_ms": 1e3 * TIME, "q1": POSITION[:, 0],
         "q2": POSITION[:, 1], "t_tau": TIME, "tau1": EFFORT[:, 0], "tau2": EFFORT[:, 1]})),
+    "busy_processor.csv": table(PLAIN[[*PLAIN][:3]].assign(cpu_time=0.3 * TIME).join(
+        PLAIN[[*PLAIN][3:]])),
+    "ticks_between.csv": table(PLAIN[[*PLAIN][:3]].assign(tick=range(ROWS)).join(
+        PLAIN[[*PLAIN][3:]])),
     "pairs_of_values_and_clocks.csv": table(pandas.DataFrame({n: x for q, values in
         (("position", POSITION), ("effort", EFFORT)) for k, joint in enumerate(JOINTS)
         for n, x in ((f"{joint}_{q}", values[:, k]), (f"{joint}_{q}_time", TIME))})),
@@ -1167,6 +1171,17 @@ def test_demonstrations_without_time_need_a_rate(tmp_path):
 def test_a_file_without_episodes_has_none_to_choose(tmp_path):
     with pytest.raises(LogError, match="has no episodes"):
         read_log(written(tmp_path, "object.json"), reading=Reading(episode=0))
+
+
+def test_columns_before_their_clocks_keep_their_order(tmp_path):
+    numbers = np.column_stack([POSITION, TIME, EFFORT, TIME + 0.001])
+    path = tmp_path / "behind.csv"
+    pandas.DataFrame(numbers, columns=["q1", "q2", "t_q", "tau1", "tau2", "t_tau"]).to_csv(
+        path, index=False
+    )
+    log = read_log(path)
+    assert log.joints == ("joint_1", "joint_2")
+    np.testing.assert_allclose(log.position, POSITION)
 
 
 @pytest.mark.parametrize("kind", ["json", "hdf5", "csv"])

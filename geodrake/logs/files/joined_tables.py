@@ -334,7 +334,8 @@ def by_clocks(table: LogTable, reading: Reading) -> LogTable:
     clocks = [name for name in names if tells_clock(name)]
     if reading.mapping is not None or reading.rate is not None or len(clocks) < 2:
         return table
-    names = names if names[0] in clocks else names[::-1]
+    is_before = names[0] in clocks
+    names = names if is_before else names[::-1]
     starts = [names.index(name) for name in clocks]
     bounds = [*sorted(starts), len(names)]
     groups = [names[first:last] for first, last in pairwise(bounds)]
@@ -342,21 +343,38 @@ def by_clocks(table: LogTable, reading: Reading) -> LogTable:
     if bounds[0] > 0 or not all(measured & {*group} for group in groups):
         return table
     read, parts = table.loaded(skip=reading.skip_bad_rows), list[LogTable]()
-    for clock, *group in groups:
+    spans = dict[str, Array]()
+    for clock, *group in groups if is_before else [[g[0], *g[:0:-1]] for g in groups[::-1]]:
         rows = np.isfinite(read.columns[clock])
         if not rows.any() or not (np.diff(read.columns[clock][rows]) > 0.0).all():
             return table
         own = {name: read.columns[name][rows] for name in (clock, *group)}
         unit = find_unit(table.units.get(clock, ""), "time") or without_unit(clock, "time")[1]
+        spans[clock] = (unit.factor if unit else 1.0) * own[clock][[0, -1]]
         units = {**table.units} | ({"t": unit.name} if unit else {})
         origins = {"t": table.origins[clock]} if clock in table.origins else {}
         part = LogTable(Path(clock), own, units, (), origins)
         parts.append(part.renamed({clock: "t"}))
+    if not _are_of_one_time(spans, table):
+        return table
     joined = joined_tables(table.path, parts, reading)
     return joined.noting(f"columns have clocks of their own: {listed(clocks)}", *read.notes)
 
 
+def _are_of_one_time(spans: Mapping[str, Array], table: LogTable) -> bool:
+    """Return whether clocks have one name, or begin and end at about the same time, in s.
+
+    The time that a processor was busy, or counts of rows, are no clocks of the columns behind them.
+    """
+    if len({_AGAIN.sub("", clock) for clock in spans}) == 1:
+        return True
+    ends = np.array([x - x[0] * (clock in table.origins) for clock, x in spans.items()])
+    return bool(np.all(np.ptp(ends, axis=0) <= _APART * np.diff(ends, axis=1).min()))
+
+
 _NAMES = frozenset(["name", "names"])
+_AGAIN = re.compile(r"\.\d+$")  # behind a name that comes again
+_APART = 0.25  # of the shortest, by which the ends of clocks may be apart
 _ITEM = re.compile(r"[^\s,;'\"\[\]()]+")  # of a list of names
 _MOST_CHANGES = 0.05  # of the rows, after which another joint follows in tables of one at a time
 _TOGETHER = 0.9  # of the time and the rows of a joint, that others have which are logged with it

@@ -374,11 +374,13 @@ def _first_cells(layout: TextLayout, lines: Sequence[str]) -> dict[str, str]:
 
 def _units(header: Sequence[str], cells: Sequence[str]) -> dict[str, str]:
     """Return units in a row below the header: as many as names, most of them known."""
+    if len(cells) != len(header):
+        return {}
     cells = [cell.strip(' \t\r\n[]()"') for cell in cells]
     known = {cell for cell in set(cells) if any(find_unit(cell, each) for each in UNITS)}
     key = None if is_number(cells[0]) else cells[0] or None  # such as Unit
     asked = [cell for cell in cells if cell != key or cell in known]
-    if len(cells) != len(header) or 2 * sum(cell in known for cell in asked) <= len(asked):
+    if 2 * sum(cell in known for cell in asked) <= len(asked):
         return {}
     return {n: c for n, c in zip(header, cells, strict=True) if c and (c != key or c in known)}
 
