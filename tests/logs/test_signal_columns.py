@@ -430,9 +430,10 @@ def test_positions_in_ticks_of_servos(tmp_path):
     )
 
 
-def test_counts_of_an_encoder_are_shares_of_a_turn(tmp_path):
+@pytest.mark.parametrize("name", ["Axis0{}.Position [cnt]", "joint{}_count"])
+def test_counts_of_an_encoder_are_shares_of_a_turn(tmp_path, name):
     columns = frame(effort_J=S)
-    columns |= {f"Axis0{k}.Position [cnt]": column for k, column in enumerate(100.0 * TICKS.T)}
+    columns |= {name.format(k): column for k, column in enumerate(100.0 * TICKS.T)}
     path = write(tmp_path / "log.csv", columns)
     with pytest.raises(
         LogError, match=r"in counts of unknown resolution.*--units position=rev/4096"

@@ -494,6 +494,9 @@ SHAPES = {
     "UTF-16-LE.csv": under("time,q1,q2,tau1,tau2", encoding="utf-16-le"),
     "two_clocks.csv": table(pandas.DataFrame({"t_q_ms": 1e3 * TIME, "q1": POSITION[:, 0],
         "q2": POSITION[:, 1], "t_tau": TIME, "tau1": EFFORT[:, 0], "tau2": EFFORT[:, 1]})),
+    "Markdown.txt": text(f"| {' | '.join(PLAIN)} |\n|{'---|' * 5}\n" + "".join(
+        f"| {' | '.join(map(repr, row))} |\n" for row in PLAIN.to_numpy().tolist())),
+    "Spanish_comment.csv": under("# señal\ntime,q1,q2,tau1,tau2", encoding="cp1252"),
     "busy_processor.csv": table(PLAIN[[*PLAIN][:3]].assign(cpu_time=0.3 * TIME).join(
         PLAIN[[*PLAIN][3:]])),
     "ticks_between.csv": table(PLAIN[[*PLAIN][:3]].assign(tick=range(ROWS)).join(
@@ -563,6 +566,7 @@ def test_a_table_of_any_shape_is_the_same_log(tmp_path, name):
     assert name not in CURRENTS or set(log.effort_kinds.values()) == {"current"}
     noted = " ".join(log.notes)
     assert "thousands" not in noted
+    assert ("cp1251" in noted) == (name == "Windows-1251.csv")
     for words in SAYING.get(name, ()):
         assert words in noted
 

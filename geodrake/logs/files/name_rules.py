@@ -484,13 +484,19 @@ def _is_flag(words: Words) -> bool:
     return not _FLAGS.isdisjoint(words[max(told, default=0) :])
 
 
+_COUNTER = re.compile(
+    r"(?i)(step|loop|sample|cycle|row|frame|packet|message|msg|error)[ _]?(count|cnt)$"
+)
+
+
 def _measured_in(name: str) -> Meaning | None:
     """Read a name in any language by the unit behind it, as in `Winkel 1 [°]` or `elbow_deg`.
 
-    Units of time, and of what stands for efforts, count in brackets alone; a `stepCount` counts.
+    Units of time, and of what stands for efforts, count in brackets alone. A `stepCount` is in no
+    unit.
     """
     units = {q: _without_brackets(name, q) for q in ("time", *QUANTITIES, *SIGNAL_KINDS)}
-    counts = name.lower().endswith(("count", "cnt"))
+    counts = _COUNTER.search(name)
     bare = [(quantity, *without_unit(name, quantity)) for quantity in QUANTITIES if not counts]
     bare = [each for each in bare if each[2] is not None and each[2].signal is None]
     for quantity, plain, unit in [*((q, *told) for q, told in units.items()), *bare]:

@@ -142,7 +142,8 @@ class TextLayout:
         names, is_usual = [*self.names], self.decimal == "." and not self.grouped
         for line, cells in rows:
             first = cells[0].lstrip() if cells else "#"
-            is_rule = first.startswith(_RULES) and not any(map(is_number, cells[1:]))
+            told = next(filter(None, map(str.strip, cells)), "")
+            is_rule = told.startswith(_RULES) and not any(map(is_number, cells))
             if first.startswith(_COMMENTS) or is_rule or cells == names:
                 continue
             trailing = len(cells) == len(names) + 1 and not cells[-1].strip()
@@ -599,8 +600,14 @@ def read_text(path: Path, reading: Reading) -> LogTable:
 _CODECS = ("cp1252", "gb18030", "shift_jis", "euc_kr", "big5", "cp1251", "mac_roman")
 """Encodings that are told by words in them."""
 
+
+def _tells(word: str) -> bool:
+    """Return whether a word tells an encoding, as no letter alone does but those of East Asia."""
+    return not word.isascii() and len(word.encode()) > 2  # bytes, of which other letters have two
+
+
 _FOREIGN = re.compile(
-    "|".join(sorted((w for w in re.findall(r"\w+", str(WORDS)) if not w.isascii()), key=len)[::-1])
+    "|".join(sorted((w for w in re.findall(r"\w+", str(WORDS)) if _tells(w)), key=len)[::-1])
 )
 _BEGINNING = 10_000  # bytes, which have the names of columns
 
