@@ -34,7 +34,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import block_diag
 from scipy.optimize import lsq_linear
 
 from geodrake.boundary.arguments import Sizes, instance, instances, one_of, positive, real_array
@@ -54,7 +53,7 @@ from geodrake.excitation.stance import MotorCoordinates, Stance
 from geodrake.excitation.target import SIZE_WORDS, Measurement, Target, make_target, sized_effects
 from geodrake.identification.logs.criteria import SPREAD
 from geodrake.identification.logs.dataset import is_payload
-from geodrake.identification.logs.unknowns import pullback_information
+from geodrake.identification.logs.model_fit import known_information
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
@@ -538,14 +537,12 @@ def _bounds(
 
 def _information(model: RobotModel, common: Sequence[FittedEffect], spread: float) -> Array:
     """Return what is known (b, b) of the inertias and common effects, whatever the others are."""
-    if model.information is None:
-        sizes = [np.diag(1.0 / np.maximum(f.parameters**2, 1e-12)) for f in common]
-        return np.asarray(block_diag(pullback_information(model.with_volume.phi, spread), *sizes))
     wanted = {fitted.effect for fitted in common}
     counts = [model.phi.size, *(len(fitted.effect.parameters) for fitted in model.effects)]
     kept = np.repeat([True, *(fitted.effect in wanted for fitted in model.effects)], counts)
-    known, rest = model.information[np.ix_(kept, kept)], model.information[np.ix_(~kept, ~kept)]
-    cross = model.information[np.ix_(kept, ~kept)]
+    information = known_information(model, spread=spread)
+    known, rest = (information[np.ix_(at, at)] for at in (kept, ~kept))
+    cross = information[np.ix_(kept, ~kept)]
     return np.asarray(known - cross @ np.linalg.pinv(rest, hermitian=True) @ cross.T)
 
 

@@ -26,23 +26,30 @@ from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
 
 
-def model_unknowns(
-    dataset: Dataset, model: RobotModel, *, spread: float = SPREAD, stated: float = 1.0
-) -> Unknowns:
-    """Return all parameters of a model that a fit may change, with their prior.
+def known_information(model: RobotModel, *, spread: float = SPREAD, stated: float = 1.0) -> Array:
+    """Return what is known (n, n) of a model's inertias and effects.
 
     A model that was fitted before is known as well as its information matrix says; of a model
     file, inertias are known to within `spread`, a geometric distance, and parameters of effects to
     within a share `stated` of what it says.
     """
-    p, fitted = model.phi.size, [f for f in model.effects if f.effect.parameters]
-    if model.information is None:
-        sizes = [np.diag(1.0 / np.maximum((stated * f.parameters) ** 2, 1e-12)) for f in fitted]
-        information = block_diag(pullback_information(model.with_volume.phi, spread), *sizes)
-    else:
-        information = model.information
+    if model.information is not None:
+        return model.information
+    sizes = [
+        np.diag(1.0 / np.maximum((stated * fitted.parameters) ** 2, 1e-12))
+        for fitted in model.effects
+        if fitted.effect.parameters
+    ]
+    return np.asarray(block_diag(pullback_information(model.with_volume.phi, spread), *sizes))
+
+
+def model_unknowns(
+    dataset: Dataset, model: RobotModel, *, spread: float = SPREAD, stated: float = 1.0
+) -> Unknowns:
+    """Return all parameters of a model that a fit may change, with their prior."""
+    p, information = model.phi.size, known_information(model, spread=spread, stated=stated)
     unknowns = inertial_unknowns(model.phi, information[:p, :p])
-    for f in fitted:
+    for f in (fitted for fitted in model.effects if fitted.effect.parameters):
         own = np.zeros((len(f.parameters),) * 2)  # of all together below
         unknowns = unknowns.with_effect(
             f.effect, dataset.effect_columns(f.effect), own, f.parameters
