@@ -103,7 +103,7 @@ class LogFacts:
 def said_of_reading(reading: Reading) -> dict[str, Any]:
     """Return how logs are read, as plain data, without what is specific to each log."""
     said = asdict(reading)
-    for name in ("episode", "ignored", "motorless", "limits"):
+    for name in ("episode", "ignored", "motorless", "limits", "sliding"):
         said.pop(name)
     if reading.usual_deviation == USUAL_GAIN_DEVIATION:  # which older folders do not say
         said.pop("usual_deviation")

@@ -56,6 +56,7 @@ def reading_for(model: RobotModel, reading: Reading | None = None) -> Reading:
         motors=motors_of,
         of_base=bool(model.base_joints),
         limits=limits,
+        sliding=frozenset(model.sliding_joints),
     )
 
 

@@ -517,6 +517,10 @@ def test_units_that_nobody_says_are_converted_where_values_are_certain(tmp_path,
     given = next(iter(told.values()))
     np.testing.assert_allclose(log.position, given / angle, atol=1e-12)
     assert ("position is in" in said(log)) == (angle != 1.0)
+    sliding = replace(reading, sliding=frozenset([JOINTS[1]]))
+    log = read_log(path, joints=JOINTS, reading=sliding)
+    np.testing.assert_allclose(log.position[:, 1], given[:, 1])
+    log = read_log(path, joints=JOINTS, reading=reading)
     if speed is not None:
         np.testing.assert_allclose(log.velocity, speed * V, rtol=1e-9, atol=1e-12)
     if log.command is not None:

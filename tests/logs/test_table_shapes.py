@@ -209,14 +209,14 @@ def under(head, *, encoding="utf-8", separator=","):
     return lambda path: path.write_bytes(f"{head}\n{rows}".encode(encoding))
 
 
-def of_octave(variables):
-    """Matrices as Octave's `save` writes them."""
+def of_octave(variables, *others):
+    """Matrices, and others, as Octave's `save` writes them."""
     each = (
         f"# name: {name}\n# type: matrix\n# rows: {len(x)}\n# columns: {x.shape[1]}\n"
         + "\n".join(" " + " ".join(map(repr, row)) for row in x.tolist())
         for name, x in variables.items()
     )
-    return text("\n\n\n".join(["# Created by Octave 8.4.0, Fri May 01 2026", *each]))
+    return text("\n\n\n".join(["# Created by Octave 8.4.0, Fri May 01 2026", *others, *each]))
 
 
 IN_GERMAN = pandas.DataFrame(
@@ -525,6 +525,8 @@ SHAPES = {
     "theta.csv": logger("t", "th{}", "tau{}"),
     "saved_by_Octave.txt": of_octave({"t": TIME[:, None], "q": POSITION, "tau": EFFORT}),
     "of_Octave_at_a_rate.txt": of_octave({"q": POSITION, "Ts": np.array([[0.01]]), "tau": EFFORT}),
+    "a_range_of_Octave.txt": of_octave({"q": POSITION, "tau": EFFORT}, "# name: t\n"
+        f"# type: double_range\n# base, limit, increment\n0 {TIME[-1]} 0.01"),
     "lists.yaml": text(yaml.safe_dump(LIST_RECORDS)),
     "inside.yaml": text(yaml.safe_dump({"samples": LIST_RECORDS})),
     "records.yaml": text(yaml.safe_dump([{"time": float(t), "joints": {n: {"position": p,

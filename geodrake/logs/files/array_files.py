@@ -149,16 +149,30 @@ def _unlisted(fields: Mapping[str, list[Any]]) -> dict[str, Any]:
     return {name: found[0] if len(found) == 1 else found for name, found in each.items()}
 
 
+_MOST_OF_RANGE = 1e8  # numbers, which no log has
+
+
 def read_octave(path: Path, reading: Reading) -> LogTable:
     """Return the columns of the matrices that Octave's `save` writes as text, by their names."""
     found = dict[str, Any]()
     for part in _whole(path, "text").decode().split("# name: ")[1:]:
         name, *lines = part.splitlines()
         rows = [line.split() for line in lines if line.strip() and not line.startswith("#")]
+        rows = [["nan" if cell == "NA" else cell for cell in row] for row in rows]
         with suppress(ValueError):  # of texts, and of structs, whose fields have their own names
             numbers = np.squeeze(np.array(rows, float))
+            if any(line.startswith("# type:") and line.endswith("range") for line in lines):
+                numbers = _of_range(*numbers)
             found[name.strip()] = numbers if numbers.ndim else float(numbers)
     return content_table(path, found, reading)
+
+
+def _of_range(first: float, last: float, step: float) -> Array:
+    """Return the numbers of a range of Octave, such as `0:0.01:10`."""
+    if not 0.0 <= (last - first) * step < step**2 * _MOST_OF_RANGE:
+        raise ValueError
+    numbers = first + step * np.arange(1 + int((last - first) / step * (1.0 + 1e-12)))
+    return np.asarray(numbers, float)
 
 
 def read_rsi(path: Path, reading: Reading) -> LogTable:

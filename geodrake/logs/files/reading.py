@@ -114,6 +114,7 @@ class Reading:
         motors: Joint -> its motor; by the name "", that of all others.
         joints: Those of the model; parts of a log without any of them are not used.
         limits: Joint -> its least and its largest position by the model, rad or m.
+        sliding: Joints whose positions are lengths by the model.
         of_base: Whether a recording is read for what it has of a free base and its feet.
     """
 
@@ -134,6 +135,7 @@ class Reading:
     of_base: bool = False
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     joints: tuple[str, ...] = ()
+    sliding: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         for name in ("columns", "joints"):

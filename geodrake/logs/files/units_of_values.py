@@ -11,6 +11,7 @@ import numpy as np
 from geodrake.boundary.arguments import Array
 from geodrake.logs.files.column_mapping import Columns
 from geodrake.logs.files.name_rules import MOTOR, Meaning
+from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.units import UNITS, Unit, unit_of
 
 TICKS = 4096  # of a turn, of servos with twelve bits
@@ -28,6 +29,7 @@ Bare = Mapping[str, Mapping[tuple[str, str], Meaning]]
 _ANGLES = ("deg", "rev", "rad")
 _SPEEDS = ("rad/s", "deg/s", "rev/s", "rpm")
 _AS_OTHERS = (("rev", "rad/s"), ("rev", "rpm"))  # as m and m/min, or gears of 6.3 and 60
+_LARGE = 0.9  # share of moves that are smaller
 _BETWEEN = (np.pi / 180.0) ** 0.5  # deg/s and rad/s, in the middle of their ratio
 
 
@@ -49,9 +51,9 @@ def _bare(columns: Columns, quantity: str) -> dict[tuple[str, str], Meaning]:
 def _convert(
     data: dict[str, Array], columns: Columns, sources: Mapping[tuple[str, str], Meaning], unit: Unit
 ) -> None:
-    for quantity in {quantity for _, quantity in sources}:
-        data[quantity] *= unit.factor
-        data[quantity] += unit.offset
+    for joint, quantity in sources:
+        at = columns.joints.index(joint)
+        data[quantity][:, at] = unit.factor * data[quantity][:, at] + unit.offset
     columns.places |= {place: replace(source, unit=unit) for place, source in sources.items()}
 
 
@@ -68,25 +70,35 @@ def _take_angles(
     positions of which most are far beyond the limits in rad, and within them in degrees, are in
     degrees, and velocities in the nearer of rad/s and deg/s.
     """
+    turning = [joint for joint in columns.joints if joint not in columns.reading.sliding]
     places = bare.get("position", {})
-    if any(source.role == MOTOR for source in places.values()):
+    if not turning or any(source.role == MOTOR for source in places.values()):
         return
-    moves = _moves(time, data)
+    bare = {q: {p: own[p] for p in own if p[0] in turning} for q, own in bare.items()}
+    data_of = {q: values[:, np.isin(columns.joints, turning)] for q, values in data.items()}
+    moves = _moves(time, data_of)
     angle, speed, ratio = _by_motion(moves, bare)
     why = f"velocities are {ratio:.4g} times as fast as positions change"
     if angle != "rad":
-        held = _share_within(columns, _some(data["position"]), unit_of(angle, "position"))
+        unit = unit_of(angle, "position")
+        held = _share_within(columns.reading, turning, _some(data_of["position"]), unit)
         angle, speed = (angle, speed) if held > _HELD else ("rad", "rad/s")
     is_told = (angle, speed) != ("rad", "rad/s")
-    if places and not is_told and (beyond := _beyond_limits(data["position"], columns)):
-        ways = np.array([np.linalg.norm(each, axis=1) for each in moves])  # (n, 2)
-        moved, driven = np.linalg.norm(ways.reshape(-1, 2), axis=0)
-        angle, speed, why = "deg", "deg/s" if driven > _BETWEEN * moved else "rad/s", beyond
-    for quantity, unit in {"position": angle, "command": angle, "velocity": speed}.items():
-        if UNITS[quantity][unit] != 1.0 and bare.get(quantity):
-            _convert(data, columns, bare[quantity], unit_of(unit, quantity))
-            words = f"{quantity} is in {unit}, as {why}: converted"
+    beyond = "" if is_told else _beyond_limits(data_of["position"], columns, turning)
+    if places and beyond:
+        angle, speed, why = "deg", _nearer_speed(moves), beyond
+    for quantity, name in {"position": angle, "command": angle, "velocity": speed}.items():
+        if UNITS[quantity][name] != 1.0 and bare.get(quantity):
+            _convert(data, columns, bare[quantity], unit_of(name, quantity))
+            words = f"{quantity} is in {name}, as {why}: converted"
             columns.notes.append(f"{words} (--units {quantity}=UNIT if it is in another)")
+
+
+def _nearer_speed(moves: Sequence[tuple[Array, Array]]) -> str:
+    """Return the unit of speeds beside degrees, by large moves but for outliers."""
+    sizes = [[np.quantile(np.abs(x), _LARGE) for x in each] for each in moves if len(each[0])]
+    moved, driven = np.sum(sizes, axis=0) if sizes else (0.0, 0.0)
+    return "deg/s" if driven > _BETWEEN * moved else "rad/s"
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of outliers
@@ -128,20 +140,21 @@ def _by_motion(moves: Sequence[tuple[Array, Array]], bare: Bare) -> tuple[str, s
     return known
 
 
-def _beyond_limits(position: Array, columns: Columns) -> str:
-    """Return why positions (N, n) can only be degrees by the model's limits, or ""."""
+def _beyond_limits(position: Array, columns: Columns, joints: Sequence[str]) -> str:
+    """Return why positions (N, n) of joints can only be degrees by the model's limits, or ""."""
     position = _some(position)
     peaks = peaks_of(position)
-    names = (columns.places[joint, "position"].column for joint in columns.joints)
+    names = (columns.places[joint, "position"].column for joint in joints)
     may_be_shares = peaks.max() <= _NORMALIZED and any(map(_OF_LEROBOT.search, names))
     if may_be_shares or peaks.max() < _FAR or np.mean(peaks > _MOST_FAR) <= 0.5:
         return ""
     inside, outside = (
-        _share_within(columns, position, unit_of(u, "position")) for u in _ANGLES[::2]
+        _share_within(columns.reading, joints, position, unit_of(unit, "position"))
+        for unit in _ANGLES[::2]
     )
     if not inside > _HELD or outside > 0.5:
         return ""
-    joint = columns.joints[int(peaks.argmax())]
+    joint = joints[int(peaks.argmax())]
     return f"{joint} reaches {peaks.max():.4g}, and the model's limits hold no positions in rad"
 
 
@@ -169,7 +182,8 @@ def _take_ticks(
     ticks = data["position"]
     middle, bottom = (unit_of(name, "position") for name in ("ticks@2048", "ticks"))
     some = _some(ticks)
-    held = {unit: _share_within(columns, some, unit) for unit in (middle, bottom)}
+    joints = columns.joints
+    held = {u: _share_within(columns.reading, joints, some, u) for u in (middle, bottom)}
     unit, other = (bottom, middle) if held[bottom] > _HELD > held[middle] else (middle, bottom)
     zero = "2048, as in drivers" if unit is middle else "0, as the model's limits suggest"
     words = (
@@ -184,9 +198,9 @@ def _take_ticks(
     return True
 
 
-def _share_within(columns: Columns, position: Array, unit: Unit) -> float:
-    """Return the share of positions (N, n) in a unit that are within the model's limits."""
-    limits = np.array([columns.reading.limits.get(j, (-np.inf, np.inf)) for j in columns.joints])
+def _share_within(reading: Reading, joints: Sequence[str], position: Array, unit: Unit) -> float:
+    """Return the share of positions (N, n) of joints in a unit that are within their limits."""
+    limits = np.array([reading.limits.get(j, (-np.inf, np.inf)) for j in joints])
     bounded = np.isfinite(limits).all(axis=1)
     low, high = limits[bounded].T
     q = unit.factor * position[:, bounded] + unit.offset
