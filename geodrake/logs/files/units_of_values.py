@@ -75,17 +75,18 @@ def _take_angles(
     if not turning or any(source.role == MOTOR for source in places.values()):
         return
     bare = {q: {p: own[p] for p in own if p[0] in turning} for q, own in bare.items()}
-    data_of = {q: values[:, np.isin(columns.joints, turning)] for q, values in data.items()}
-    moves = _moves(time, data_of)
+    at = np.isin(columns.joints, turning)
+    position, velocity = data["position"][:, at], data.get("velocity")
+    moves = [] if velocity is None else _moves(time, position, velocity[:, at])
     angle, speed, ratio = _by_motion(moves, bare)
     why = f"velocities are {ratio:.4g} times as fast as positions change"
     if angle != "rad":
         unit = unit_of(angle, "position")
-        held = _share_within(columns.reading, turning, _some(data_of["position"]), unit)
+        held = _share_within(columns.reading, turning, _some(position), unit)
         angle, speed = (angle, speed) if held > _HELD else ("rad", "rad/s")
-    is_told = (angle, speed) != ("rad", "rad/s")
-    beyond = "" if is_told else _beyond_limits(data_of["position"], columns, turning)
-    if places and beyond:
+    is_open = bool(places) and (angle, speed) == ("rad", "rad/s")
+    beyond = _beyond_limits(position, columns, turning) if is_open else ""
+    if beyond:
         angle, speed, why = "deg", _nearer_speed(moves), beyond
     for quantity, name in {"position": angle, "command": angle, "velocity": speed}.items():
         if UNITS[quantity][name] != 1.0 and bare.get(quantity):
@@ -102,11 +103,11 @@ def _nearer_speed(moves: Sequence[tuple[Array, Array]]) -> str:
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of outliers
-def _moves(time: Array, data: dict[str, Array]) -> list[tuple[Array, Array]]:
+def _moves(time: Array, position: Array, velocity: Array) -> list[tuple[Array, Array]]:
     """Return how far each joint moves by its positions, and by its velocities, over windows."""
-    if "velocity" not in data or len(time) <= _WINDOW:
+    if len(time) <= _WINDOW:
         return []
-    position, velocity, time = data["position"][:_ROWS], data["velocity"][:_ROWS], time[:_ROWS]
+    position, velocity, time = position[:_ROWS], velocity[:_ROWS], time[:_ROWS]
     steps = 0.5 * (velocity[1:] + velocity[:-1]) * np.diff(time)[:, None]
     way = np.cumsum(np.vstack([np.zeros(velocity.shape[1]), np.nan_to_num(steps)]), axis=0)
     found = list[tuple[Array, Array]]()
