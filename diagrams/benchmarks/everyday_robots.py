@@ -7,13 +7,16 @@ are up to some per cent off, efforts may be late, bodies of the file 15 or 30 % 
 or coloured. Dynamics are Pinocchio's or MuJoCo's. Told is what of it is named, and what else.
 
     python -m diagrams.benchmarks.everyday_robots --draws 45 --json everyday.json
+
+With `--spoiled`, each robot's logs have one to three faults of recording, such as lost rows, held
+or filtered efforts, spikes and few digits.
 """
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -28,6 +31,7 @@ from diagrams.benchmarks.simulated.engines import (
     make_engine,
     robot_file,
 )
+from diagrams.benchmarks.simulated.faults import FAULTS, LATE_BY, spoiled
 from diagrams.benchmarks.simulated.motions import EVERYDAY, FINE, POINTS
 from diagrams.benchmarks.simulated.recording import (
     Recording,
@@ -66,6 +70,7 @@ class Draw:
     number: int
     seed: int
     duration: float | None = None  # s; drawn if None
+    is_spoiled: bool = False  # whether logs have faults
 
 
 @cache
@@ -114,7 +119,17 @@ def make_recording(draw: Draw) -> tuple[Recording, dict[str, Any]]:
     logs, noise = _measured(kinds, motions, efforts, (rate, limits), rng)
     recording = Recording(logs, hidden, {LATE: engine.joints} if late else {}, mass)
     drawn = {"off": off, "rate": rate, "kinds": kinds, "noise": noise, "late": late / FINE}
-    return recording, drawn
+    return (_spoiled(recording, draw, limits, drawn) if draw.is_spoiled else recording), drawn
+
+
+def _spoiled(recording: Recording, draw: Draw, limits: Array, drawn: dict[str, Any]) -> Recording:
+    """Return a recording with faults, which are told by what was drawn."""
+    rng = np.random.default_rng([draw.seed, draw.number, len(FAULTS)])
+    chosen = rng.choice([*FAULTS], int(rng.integers(1, 4)), replace=False)
+    drawn["faults"] = faults = tuple(map(str, chosen))
+    logs = tuple(spoiled(log, faults, limits, rng) for log in recording.logs)
+    late = {LATE: logs[0].joints} if LATE_BY & {*faults} else recording.beside
+    return replace(recording, logs=logs, beside=late)
 
 
 def _sizes(usual: Sizes, rng: Generator) -> dict[str, Array]:
@@ -178,10 +193,12 @@ def main() -> None:
     parser = script_parser(__doc__, draws=True)
     number = {"type": positive_number, "metavar": "N"}
     parser.add_argument("--draws", default=len(ARMS), **number, help="draws, arms in turn")
+    parser.add_argument("--spoiled", action="store_true", help="logs have faults")
     options = parser.parse_args()
-    draws = [Draw(ARMS[k % len(ARMS)], k, options.seed) for k in range(options.draws)]
+    shared = {"seed": options.seed, "is_spoiled": options.spoiled}
+    draws = [Draw(ARMS[k % len(ARMS)], k, **shared) for k in range(options.draws)]
     if options.quick:
-        draws = [Draw("ur5", 1, options.seed, duration=12.0)]
+        draws = [Draw("ur5", 1, duration=12.0, **shared)]
     rows = run_draws(parser, options, score_draw, draws)
     lines = lines_of(rows)
     missed = [_words(row) for row in rows if row["missing"] or row["wrong"]]
@@ -193,6 +210,7 @@ def _words(row: Row) -> str:
     """Return what went wrong with a draw, in a line."""
     what = f"{row['off']:.0%} off, {row['rate']:.0f} Hz, noise {row['noise']:.1%}"
     what += f", {1e3 * row['late']:.0f} ms late, {row['mass']:.2f} kg, {', '.join(row['kinds'])}"
+    what += "".join(f", {fault}" for fault in row.get("faults", ()))
     text = f"{row['robot']} number {row['number']} ({what}) hides {', '.join(row['hidden'])}"
     return judged_words(text, row)
 

@@ -20,6 +20,7 @@ from diagrams.benchmarks.simulated.engines import (
     robot_model,
     robot_names,
 )
+from diagrams.benchmarks.simulated.faults import FAULTS, spoiled
 from diagrams.benchmarks.simulated.motions import FAST
 from diagrams.benchmarks.simulated.truths import OUTSIDE, TRUTHS
 from diagrams.benchmarks.tell_apart import CASES, MOTIONS
@@ -31,7 +32,7 @@ from diagrams.studies.ambidex import arm as robot
 from diagrams.studies.cheetah import leg as cheetah
 from geodrake.diagnosis import diagnose
 from geodrake.excitation import ExcitationTrajectory, FreeSamples
-from geodrake.logs import Motion, read_log, write_log
+from geodrake.logs import JointLog, Motion, read_log, write_log
 from geodrake.robot import base_parameters, base_wrench_regressor, inverse_dynamics, joint_names
 from geodrake.robot.regressor import body_poses
 
@@ -279,3 +280,20 @@ def test_controllers_are_compared(tmp_path):
     found = {(row["controller"], row["noise"] > 0.0, row["law"]) for row in rows}
     assert len(found) == len(rows) == 16
     assert not any(row["lost"] for row in rows if row["law"] != laws.EUCLIDEAN)
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_of_recording_change_a_log_and_keep_its_motion(fault):
+    """A spoiled log has rows in order, and most of them as they were measured."""
+    rng, time = np.random.default_rng(4), np.arange(0.0, 20.0, 0.008)
+    angles = np.sin(time[:, None] * [1.1, 1.7])
+    speeds = np.gradient(angles, time, axis=0) + 1e-3 * rng.normal(size=angles.shape)
+    log = JointLog("log", ("a", "b"), time, angles, 3.0 * angles + speeds, speeds)
+    found = spoiled(log, (fault,), np.array([10.0, 10.0]), np.random.default_rng(5))
+    assert 0.7 * len(time) < len(found.time) <= len(time)
+    rows = np.searchsorted(time, found.time - 0.008)
+    assert np.abs(found.position - log.position[rows]).max() < 0.05
+    assert np.median(np.abs(found.effort - log.effort[rows])) < 0.15
+    same = [np.array_equal(getattr(found, n), getattr(log, n)) for n in ("time", "position")]
+    same += [np.array_equal(getattr(found, n), getattr(log, n)) for n in ("effort", "velocity")]
+    assert not all(same)
