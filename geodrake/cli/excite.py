@@ -329,7 +329,10 @@ def _collisions(
         alone = CollisionWorld(model, clearance=options.clearance)
     except ArgumentError:
         if obstacles:
-            raise
+            raise ArgumentError(
+                f"{model.path.name} has no collision geometry, which --obstacle needs.",
+                advice="Add <collision> elements to its links, or omit --obstacle.",
+            ) from None
         return None, (
             f"WARNING: {model.path.name} has no collision geometry: only joint limits keep the "
             "robot from hitting itself or the ground",
@@ -411,7 +414,11 @@ def feet_in(text: str) -> list[str | Foot]:
             found.append(Foot(link, np.zeros((1, 3))))
         else:
             length, _, width = size.partition("x")
-            sides = (number_in(side, f"--feet {text!r}", _FEET) for side in (length, width))
+            try:
+                sides = float(length), float(width)
+            except ValueError:
+                message = f"{size!r} of --feet {text!r} is no size."
+                raise ArgumentError(message, advice=_FEET) from None
             found.append(Foot.sole(link, *sides))
     return found
 

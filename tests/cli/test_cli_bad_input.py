@@ -44,6 +44,7 @@ BAD = {
         "--kind wrist=current": "--kind names 'wrist'",
         "--kind shoulder=command": "no column of 'shoulder' with kind 'command'",
         "--kind voltage --units effort=mA": "a unit of current",
+        "--motor elbw=sts3215": "--motor names 'elbw', which is not a joint of the log",
         "--passive wrist": "--passive names 'wrist'",
         "--passive shoulder": "Joint 'shoulder' is passive",
         "--passive shoulder --kind shoulder=current": "and --kind that it is",

@@ -109,6 +109,7 @@ def test_collision_geometry_counts(tmp_path):
                                 ("weak", "", 0.1)):  # fmt: skip
         (tmp_path / f"{name}.urdf").write_text(BALLS.format(shape=shape, effort=effort))
     assert "bare.urdf has no collision geometry" in excite("bare.urdf", *FAST)
+    assert "which --obstacle needs" in refused("excite", "bare.urdf", "--obstacle", "floor:-1")
     assert "self-collisions were not checked" in excite("with.urdf", *FAST, "--no-collisions")
     assert "collision" not in excite("with.urdf", *FAST)
     assert "--no-collisions" in refused("excite", "lost.urdf", *FAST)
@@ -283,7 +284,8 @@ class TestFeet:
             (("--floating",), "Name the links that it stands on: --feet LINK,LINK"),
             (("--force-plate",), "Add --feet LINK,LINK"),
             (("--feet", "l_foot="), "LINK=LENGTHxWIDTH"),
-            (("--feet", "l_foot=big"), "'l_foot=big' got 'big', which is not a number"),
+            (("--feet", "l_foot=big"), "'big' of --feet 'l_foot=big' is no size"),
+            (("--feet", "l_foot=0.1"), "'0.1' of --feet 'l_foot=0.1' is no size"),
             (("--feet", "paw"), "The model has no link 'paw' to stand on"),
             (("--feet", "l_foot", "--force-plate", "--effects", "effort_offset"), "force plate"),
             (("--feet", "l_foot", "--friction", 0), "--friction"),

@@ -134,7 +134,9 @@ def test_commands_beside_efforts_only_where_they_are_meant():
     assert np.array_equal(log_of_frame(told, reading=Reading(mapping=mapping)).command, C)
     log = log_of_frame(told, joints=JOINTS, reading=Reading(kinds={"": "command"}))
     assert np.array_equal(log.command, C)
-    assert np.isnan(log.effort).all()
+    assert np.isnan(log.effort).all() and not any("no servo" in note for note in log.notes)
+    log = log_of_frame(frame(q_J=Q, tau_J=S), joints=JOINTS, reading=Reading(kinds={"": "command"}))
+    assert "no servo commands were logged, so --kind command has no effect" in log.notes
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".npz"])

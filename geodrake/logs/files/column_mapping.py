@@ -802,18 +802,21 @@ class Columns:
         return list(dict.fromkeys(joint for joint, other in self.places if other in quantities))
 
     def check_said(self) -> None:
-        """Raise for gains and kinds of joints without such a column."""
+        """Raise for gains, kinds and motors of joints without such a column."""
+        motors = [joint for joint in self.reading.motors if joint]
         said = [(joint, "") for joint in self.reading.gains]
         said += [(joint, kind) for joint, kind in self.reading.kinds.items() if joint]
-        for joint, kind in said:
-            option = {"": "--gain", PASSIVE: "--passive"}.get(kind, "--kind")
+        if self.reading.kinds.get("") == "command" and not self.having("command"):
+            self.notes.append("no servo commands were logged, so --kind command has no effect")
+        for joint, kind in [*((joint, "motor") for joint in motors), *said]:
+            option = {"": "--gain", PASSIVE: "--passive", "motor": "--motor"}.get(kind, "--kind")
             if joint not in self.joints:
                 raise LogError(
                     f"{option} names {joint!r}, which is not a joint of the log.",
                     advice=f"{nearest(joint, self.joints)}Its joints are {listed(self.joints)}.",
                 )
             quantity = "command" if kind == "command" else "effort"
-            if kind == PASSIVE or joint in self.having(quantity):
+            if kind in (PASSIVE, "motor") or joint in self.having(quantity):
                 continue
             raise LogError(
                 f"Log {str(self.path)!r} has no column of {joint!r} with "
