@@ -35,7 +35,7 @@ _JUMP = {"position": (20.0, 20.0), "velocity": (100.0, 1e5), "effort": (100.0, 1
 _BLOCK, _ORDINARY = 50, 0.75  # rows, and the share of such blocks without a larger step
 _FEW = 5  # rows after which a spike is over
 _MOST = 0.99  # of steps, which are ordinary where a joint rests most of the time
-_BRIEF, _HIGH = 2, 15.0  # rows of a brief spike at most, and its least height in ordinary steps
+_BRIEF = 2  # rows of a spike that may be of any rate
 _BACK = 0.15  # of a spike's height by which the reading after it may differ from that before
 _ALONE = 0.05  # of a jump that the steps before and after it have at most
 _TURNS, _WRAP = (2.0 * np.pi, 360.0), 0.05  # one turn, and the share of it that a wrap may be off
@@ -193,11 +193,12 @@ class _Sensor:
     def _spikes(self, jumps: Indices) -> Indices:
         """Return readings between a jump and the way back, and those at an end of the log.
 
-        What is back after one or two readings needs no jump of a size that no robot makes.
+        What is back after one or two readings needs no rate that no robot reaches. Where links with
+        play hit each other, efforts may do so, too, by 60 ordinary steps.
         """
         values, last, steps = self.values, len(self.values) - 1, self._steps
         ordinary = self._ordinary or float(np.quantile(steps, _MOST) if len(steps) else 0.0)
-        high = _HIGH * ordinary if ordinary else np.inf
+        high = _JUMP[self.quantity][0] * ordinary if ordinary else np.inf
         impossible, found, free = set(jumps.tolist()), [np.zeros(0, int)], 0
         for before in np.union1d(jumps, np.flatnonzero(steps > high)).tolist():
             if before < free:

@@ -125,7 +125,7 @@ def test_many_spikes_are_found():
 
 
 @pytest.mark.parametrize(
-    ("quantity", "height"), [("effort", 20.0), ("velocity", -3.0), ("position", 0.4)]
+    ("quantity", "height"), [("effort", 120.0), ("velocity", -6.0), ("position", 0.4)]
 )
 def test_brief_spikes_that_a_robot_could_make_otherwise_are_found(quantity, height):
     log, rows = swing(), [5, 640, 641, 1240, 1242, 3996]
@@ -136,7 +136,7 @@ def test_brief_spikes_that_a_robot_could_make_otherwise_are_found(quantity, heig
 
 def test_efforts_that_stay_high_for_a_moment_are_no_spikes():
     log = swing()
-    pushed = changed(log, "effort", slice(2000, 2003), 1, 20.0)
+    pushed = changed(log, "effort", slice(2000, 2003), 1, 120.0)
     assert without_faults(pushed) is pushed
 
 
