@@ -30,7 +30,6 @@ CLASSES = {effect.__name__ for effect in catalogue()}
 ANY_NAME = re.compile(rf"\b(?:{'|'.join(sorted(NAMES | CLASSES))})\b")
 
 ALLOWED = {
-    "cli/app.py": "examples of help name effects",
     "control/export_proof/formats.py": "viscous_friction is a key of Isaac's actuators",
     "model/file_terms.py": "says what files have of their own of what effects are",
     "robot/files/model_edits.py": "drake:rotor_inertia is a tag of Drake's",
