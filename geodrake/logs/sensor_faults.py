@@ -34,8 +34,9 @@ _JUMP = {"position": (20.0, 20.0), "velocity": (100.0, 1e5), "effort": (100.0, 1
 
 _BLOCK, _ORDINARY = 50, 0.75  # rows, and the share of such blocks without a larger step
 _FEW = 5  # rows after which a spike is over
-_MOST = 0.99  # of steps, which are ordinary where a joint rests most of the time
+_MOST, _ENOUGH = 0.99, 200_000  # share of steps that are ordinary, and how many tell
 _BRIEF = 2  # rows of a spike that may be of any rate
+_APART, _SMALL = 15.0, 4.0  # ordinary steps: spikes are higher where none is between these
 _BACK = 0.15  # of a spike's height by which the reading after it may differ from that before
 _ALONE = 0.05  # of a jump that the steps before and after it have at most
 _TURNS, _WRAP = (2.0 * np.pi, 360.0), 0.05  # one turn, and the share of it that a wrap may be off
@@ -193,14 +194,24 @@ class _Sensor:
     def _spikes(self, jumps: Indices) -> Indices:
         """Return readings between a jump and the way back, and those at an end of the log.
 
-        What is back after one or two readings needs no rate that no robot reaches. Where links with
-        play hit each other, efforts may do so, too, by 60 ordinary steps.
+        What is back after one or two readings needs no rate that no robot reaches, and less height
+        where there is nothing between it and ordinary steps. Where links with play hit each other,
+        efforts do so, too, in all sizes up to 60 ordinary steps.
         """
         values, last, steps = self.values, len(self.values) - 1, self._steps
-        ordinary = self._ordinary or float(np.quantile(steps, _MOST) if len(steps) else 0.0)
-        high = _JUMP[self.quantity][0] * ordinary if ordinary else np.inf
+        some = steps[:: len(steps) // _ENOUGH + 1]  # a joint may rest most of the time
+        ordinary = max(self._ordinary, float(np.quantile(some, _MOST)) if len(some) else 0.0)
+        high, low, least = (
+            ratio * ordinary if ordinary else np.inf
+            for ratio in (_JUMP[self.quantity][0], _APART, _SMALL)
+        )
+        begun = np.flatnonzero(steps > least)
+        begun = begun[begun < last - _BRIEF]
+        ways = np.abs(values[begun[:, None] + np.arange(2, 2 + _BRIEF)] - values[begun, None])
+        begun = begun[ways.min(axis=1) <= _BACK * steps[begun]]
         impossible, found, free = set(jumps.tolist()), [np.zeros(0, int)], 0
-        for before in np.union1d(jumps, np.flatnonzero(steps > high)).tolist():
+        lower, small = list[Indices](), 0
+        for before in np.union1d(jumps, begun).tolist():
             if before < free:
                 continue
             height, jumped = steps[before], before in impossible
@@ -215,8 +226,13 @@ class _Sensor:
                 free = last + 1
             else:
                 continue
-            found.append(np.arange(start, free))
-        return np.concatenate(found)
+            if jumped or height > high:
+                found.append(np.arange(start, free))
+            elif height > low:
+                lower.append(np.arange(start, free))
+            else:
+                small += 1
+        return np.sort(np.concatenate([*found, *(lower if not small else [])]))
 
     def _stays(self, jumps: Indices) -> Iterator[tuple[slice, str]]:
         """Yield readings before jumps that do not return, as many as make a gap there."""

@@ -134,6 +134,23 @@ def test_brief_spikes_that_a_robot_could_make_otherwise_are_found(quantity, heig
     assert np.flatnonzero(np.isnan(getattr(found, quantity)[:, 1])).tolist() == rows
 
 
+def test_lower_spikes_are_found_unless_there_are_small_ones_too():
+    log, rows = swing(), [640, 1240, 2700]
+    efforts = log.effort[:, 1]
+    spiked = changed(log, "effort", rows, 1, efforts[rows] + 25.0)
+    assert np.flatnonzero(np.isnan(without_faults(spiked).effort[:, 1])).tolist() == rows
+    struck = changed(spiked, "effort", [3300], 1, efforts[3300] + 8.0)  # as by links with play
+    assert without_faults(struck) is struck
+
+
+def test_noise_of_a_joint_that_rests_most_of_the_time_is_no_spikes():
+    log, rng = swing(), np.random.default_rng(3)
+    moving = (np.arange(len(log)) // 400 % 5 == 0)[:, None]
+    noise = np.where(moving, 1.0, 1e-3) * rng.normal(size=log.effort.shape)
+    quiet = replace(log, effort=noise, velocity=noise)
+    assert without_faults(quiet) is quiet
+
+
 def test_efforts_that_stay_high_for_a_moment_are_no_spikes():
     log = swing()
     pushed = changed(log, "effort", slice(2000, 2003), 1, 120.0)
