@@ -417,7 +417,7 @@ def feet_in(text: str) -> list[str | Foot]:
             try:
                 sides = float(length), float(width)
             except ValueError:
-                message = f"{size!r} of --feet {text!r} is no size."
+                message = f"{size!r} of --feet {text!r} is not a size."
                 raise ArgumentError(message, advice=_FEET) from None
             found.append(Foot.sole(link, *sides))
     return found

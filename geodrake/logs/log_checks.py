@@ -20,7 +20,7 @@ _LATEST = 3  # rows by which a copy may be late
 _WINDOW, _MOVING = 0.05, 0.1  # s, and the share of the largest way in them of a joint that moves
 _FULL, _MOST = 1.0 - 1e-6, 0.9  # of the largest effort, and the share of rows that may be at it
 _EVEN = 0.01  # by which steps between rounded values are off whole multiples of the least
-_STEPS = 50  # of resolution that a largest value has at least, where it is none of rounding
+_STEPS = 50  # resolutions that a largest value must have, or rounding may explain it
 
 
 def check_commands(log: JointLog) -> None:

@@ -194,23 +194,28 @@ class _Sensor:
     def _spikes(self, jumps: Indices) -> Indices:
         """Return readings between a jump and the way back, and those at an end of the log.
 
-        What is back after one or two readings needs no rate that no robot reaches, and less height
-        where there is nothing between it and ordinary steps. Where links with play hit each other,
-        efforts do so, too, in all sizes up to 60 ordinary steps.
+        Readings that come back after one or two rows need no jump: they are higher than a jump is,
+        or than `_APART` where nothing lies between that and ordinary steps. Efforts of links with
+        play that hit each other come back, too, with all heights up to 60 ordinary steps.
+        """
+        some = self._steps[:: len(self._steps) // _ENOUGH + 1]  # a joint may rest most of the time
+        ordinary = max(self._ordinary, float(np.quantile(some, _MOST)) if len(some) else 0.0)
+        found = [*self._excursions(jumps, ordinary or np.inf)]
+        are_apart = all(height > _APART for _, height in found)
+        least = _APART if are_apart else _JUMP[self.quantity][0]
+        return np.concatenate([np.zeros(0, int), *(rows for rows, high in found if high > least)])
+
+    def _excursions(self, jumps: Indices, ordinary: float) -> Iterator[tuple[Indices, float]]:
+        """Yield rows that leave those before and come back, and their height in ordinary steps.
+
+        The height is infinite after a jump, which comes back later, or begins or ends a log.
         """
         values, last, steps = self.values, len(self.values) - 1, self._steps
-        some = steps[:: len(steps) // _ENOUGH + 1]  # a joint may rest most of the time
-        ordinary = max(self._ordinary, float(np.quantile(some, _MOST)) if len(some) else 0.0)
-        high, low, least = (
-            ratio * ordinary if ordinary else np.inf
-            for ratio in (_JUMP[self.quantity][0], _APART, _SMALL)
-        )
-        begun = np.flatnonzero(steps > least)
+        begun = np.flatnonzero(steps > _SMALL * ordinary)
         begun = begun[begun < last - _BRIEF]
         ways = np.abs(values[begun[:, None] + np.arange(2, 2 + _BRIEF)] - values[begun, None])
         begun = begun[ways.min(axis=1) <= _BACK * steps[begun]]
-        impossible, found, free = set(jumps.tolist()), [np.zeros(0, int)], 0
-        lower, small = list[Indices](), 0
+        impossible, free = set(jumps.tolist()), 0
         for before in np.union1d(jumps, begun).tolist():
             if before < free:
                 continue
@@ -226,13 +231,7 @@ class _Sensor:
                 free = last + 1
             else:
                 continue
-            if jumped or height > high:
-                found.append(np.arange(start, free))
-            elif height > low:
-                lower.append(np.arange(start, free))
-            else:
-                small += 1
-        return np.sort(np.concatenate([*found, *(lower if not small else [])]))
+            yield np.arange(start, free), np.inf if jumped else float(height) / ordinary
 
     def _stays(self, jumps: Indices) -> Iterator[tuple[slice, str]]:
         """Yield readings before jumps that do not return, as many as make a gap there."""

@@ -150,7 +150,7 @@ def _motion_of(
         accelerations = np.hstack([linear, angular])
     if place is None:
         place = np.zeros((len(time), 3))
-        if accelerations is not None:  # whose drift is no matter to the dynamics
+        if accelerations is not None:  # whose drift does not matter for the dynamics
             place = _integral(time, _integral(time, np.nan_to_num(accelerations[:, :3])))
     return np.hstack([place, angles]), velocity, accelerations
 
@@ -413,7 +413,7 @@ class _Sign:
 
 
 def _signs(log: JointLog, model: RobotModel, pose: BasePose) -> Iterator[_Sign]:
-    """Yield what gravity, the gyroscope and feet tell."""
+    """Yield the evidence of gravity, the gyroscope, accelerations and feet."""
     up = upwards(model.tree.gravity)
 
     def off_vertical(pose: BasePose) -> float:

@@ -4,8 +4,8 @@ Wrenches w that were measured at frames are efforts Σ Jᵀ w of the base and of
 measured, the log says which frames may touch the ground and when, and the fit does without their
 forces (`geodrake.identification.logs.contact_rows`).
 
-Forces and flags may be of other frames than their names say, or in other axes, or inverted: the
-weight and where it hangs tell that of forces, feet that rest tell that of flags.
+Forces and flags may belong to other frames than their names say, be in other axes, or be inverted.
+The weight and its centre reveal that for forces, and feet at rest for flags.
 """
 
 from __future__ import annotations

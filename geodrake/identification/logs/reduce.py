@@ -222,7 +222,7 @@ def peak_speeds(trajectories: Sequence[Trajectory]) -> Array:
 
 
 def still_speeds(trajectories: Sequence[Trajectory]) -> Array:
-    """Return (nv,) the speed below which a joint is at rest, or its noise cannot tell.
+    """Return (nv,) speeds below which a joint is at rest, or its velocity is mere noise.
 
     It is zero for joints that never move: what they hold is all that is known of them.
     """

@@ -71,8 +71,8 @@ def read_log(
 
     Args:
         path: A file or folder of any of the `formats`; several files with `+` between them, as in
-            `positions.csv+efforts.csv`, are joined by time. Columns may come in any order; what
-            they are is told by their names, and others are noted. Empty cells become NaN.
+            `positions.csv+efforts.csv`, are joined by time. Columns may come in any order;
+            their names say what they are, and unknown ones are noted. Empty cells become NaN.
         joints: Names of a model's joints, if the log must have the same and in their order.
         partial: Whether it may lack some of these joints, or their efforts alone: joints that stand
             still then are `JointLog.standing`.

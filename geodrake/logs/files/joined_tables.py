@@ -189,8 +189,8 @@ def _slow_parts(
     """Return the tables, slow ones reduced to columns that may be interpolated, and notes.
 
     Slow ones have less than a tenth as many rows a second as others. Temperatures and flags change
-    slowly, and so may the orientation of a base whose IMU is quick. The rest goes, with why, where
-    the log does without, as joints do that are told of less often than others.
+    slowly, and so may the orientation of a base whose IMU is quick. Other slow tables are left
+    out with a note where the log can do without them, such as joints that are logged less often.
     """
     quickest = min(periods)
     parts = [*zip(tables, periods, strict=True)]
@@ -364,7 +364,7 @@ def by_clocks(table: LogTable, reading: Reading) -> LogTable:
 def _are_of_one_time(spans: Mapping[str, Array], table: LogTable) -> bool:
     """Return whether clocks have one name, or begin and end at about the same time, in s.
 
-    The time that a processor was busy, or counts of rows, are no clocks of the columns behind them.
+    Processor times and row counts are not clocks of the columns behind them.
     """
     if len({_AGAIN.sub("", clock) for clock in spans}) == 1:
         return True

@@ -119,8 +119,8 @@ def propose(
 ) -> LogError:
     """Return the error of a failed reading, with a mapping as evidence.
 
-    It is text to edit, filled in as far as columns are understood, which are in `places`, time
-    among them. There is none where the user gave one, and for files with too many columns. Columns
+    The mapping is text to edit, filled in with the columns that are understood: those in `places`,
+    time among them. It is left out if the user gave one, or the file has too many columns. Columns
     of files that are not `headed` by these names are given by their numbers.
     """
     if reading.mapping is not None or len(names) > MOST_COLUMNS:

@@ -598,7 +598,7 @@ def read_text(path: Path, reading: Reading) -> LogTable:
 
 
 _CODECS = ("cp1252", "gb18030", "shift_jis", "euc_kr", "big5", "cp1251", "mac_roman")
-"""Encodings that are told by words in them."""
+"""Encodings that are recognized by words."""
 
 
 def _tells(word: str) -> bool:

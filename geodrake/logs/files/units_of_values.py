@@ -1,4 +1,4 @@
-"""Units of positions and velocities that nobody says, but values tell."""
+"""Units of positions and velocities that are not stated, but follow from the values."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from geodrake.logs.files.units import UNITS, Unit, unit_of
 TICKS = 4096  # of a turn, of servos with twelve bits
 ROUNDING = 1e-3  # by which a whole number is off after a unit's factor
 _HELD, _MARGIN = 0.99, 0.05  # share of positions that limits hold, and rad by which they may pass
-_FIRST = 1000  # rows that mostly tell that numbers are no whole ones
+_FIRST = 1000  # rows, which mostly show that numbers are not integers
 _FAR, _MOST_FAR = 45.0, 10.0  # rad that one joint goes beyond in degrees, and that most do
 _NORMALIZED = 101.0  # of LeRobot's share of a range
 _OF_LEROBOT = re.compile(r"\.pos$|^observation\.state")
@@ -34,7 +34,7 @@ _BETWEEN = (np.pi / 180.0) ** 0.5  # deg/s and rad/s, in the middle of their rat
 
 
 def take_units(time: Array, data: dict[str, Array], columns: Columns) -> None:
-    """Turn positions, velocities and commands (N, n) into SI units, where values tell another."""
+    """Turn positions, velocities and commands (N, n) into SI units where values need it."""
     bare = {quantity: _bare(columns, quantity) for quantity in data}
     if not _take_ticks(data, columns, bare):
         _take_angles(time, data, columns, bare)
@@ -217,7 +217,7 @@ def _some(values: Array) -> Array:
 def are_whole(numbers: Array) -> bool:
     """Return whether numbers are integers, except for rounding, empty cells and infinity."""
     with np.errstate(invalid="ignore"):
-        parts = (numbers[:_FIRST], numbers)  # the first mostly tell
+        parts = (numbers[:_FIRST], numbers)  # the first mostly suffice
         return not any(np.any(np.abs(part - np.rint(part)) > ROUNDING) for part in parts)
 
 
