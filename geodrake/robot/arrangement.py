@@ -38,7 +38,7 @@ from scipy.sparse.csgraph import shortest_path
 from geodrake.errors import ModelError, nearest
 from geodrake.inertia.bodies import BASE_FRAMES, is_base_frame
 from geodrake.robot.joints import Tie, joints_of, scoped
-from geodrake.robot.stated import CLOSING, Closure, CutJoint
+from geodrake.robot.stated import CLOSING, Closure, CutJoint, Gearbox
 
 COORDINATES = ("x", "y", "z", "yaw", "pitch", "roll")
 """Last words of the names of a base's joints, from the world to the root."""
@@ -170,6 +170,42 @@ def _opened(joint: Joint, name: str, actuators: list[JointActuator]) -> Closure:
     one, two = (b.scoped_name().get_full() for b in (joint.parent_body(), joint.child_body()))
     cut = CutJoint(name, scoped(joint), np.array(axis), slides, driven)
     return Closure.by_joint(cut, kind, (one, two), (first, second))
+
+
+def geared(plant: MultibodyPlant, box: Gearbox) -> tuple[str, Tie] | None:
+    """Return the joint that follows another one by a gearbox, and its tie; one with a motor leads.
+
+    None unless one joint each turns its links about the third one, and about the axes of its own.
+    """
+    context, found = plant.CreateDefaultContext(), list[tuple[bool, str, float]]()
+    plant.SetPositions(context, np.zeros(plant.num_positions()))
+    turning = [joint for joint in joints_of(plant) if isinstance(joint, RevoluteJoint)]
+    bodies = [(joint, (joint.parent_body(), joint.child_body())) for joint in turning]
+    ends = [(joint, [body.scoped_name().get_full() for body in pair]) for joint, pair in bodies]
+    by_link = {
+        link: (joint, -1.0 if link == pair[0] else 1.0)
+        for joint, pair in ends
+        for link in box.links
+        if {*pair} == {box.reference, link}
+    }
+    if by_link.keys() != {*box.links}:
+        return None
+    joint, sign = by_link[box.links[1]]
+    outer = joint.child_body() if sign > 0.0 else joint.parent_body()
+    R_WC, actuators = outer.EvalPoseInWorld(context).rotation(), _actuators(plant)
+    for link, axis in zip(box.links, box.axes, strict=True):
+        joint, sign = by_link[link]
+        R_WF = joint.frame_on_parent().CalcRotationMatrixInWorld(context)
+        along = R_WF.multiply(joint.revolute_axis()) @ R_WC.multiply(axis / np.linalg.norm(axis))
+        if not abs(along) > 1.0 - _SAME:
+            return None
+        driven = _is_driven(actuators.get(int(joint.index()), []))
+        found.append((driven, scoped(joint), float(np.sign(along) * sign)))
+    (first_driven, first, one), (second_driven, second, two) = found
+    ratio = -box.ratio * one * two
+    if second_driven and not first_driven:
+        first, second, ratio = second, first, 1.0 / ratio
+    return second, Tie(first, (0.0, ratio))
 
 
 _SLACK = 1e-9  # rad or m, by which a held joint may be beyond its limits

@@ -31,6 +31,7 @@ from geodrake.robot.arrangement import (
     checked_held,
     chosen_robot,
     ends_of,
+    geared,
     open_loops,
     poses_of,
     robots_of,
@@ -219,8 +220,13 @@ def _draft(
         aside = poses_of(draft.plant, others)
         arrangement = replace(arrangement, aside=aside, robot=robot.bodies)
         draft = _build(description, arrangement)
-    joints = _single_joints(draft.plant)
-    followers = resolved(description.terms.followers, [scoped(joint) for joint in joints.values()])
+    joints, terms = _single_joints(draft.plant), description.terms
+    for box in terms.gearboxes:
+        if (found := geared(draft.plant, box)) is None or found[0] in terms.followers:
+            terms.left_out.append(f"{box.name} is ignored.")
+        else:
+            terms.followers[found[0]] = found[1]
+    followers = resolved(terms.followers, [scoped(joint) for joint in joints.values()])
     arrangement = replace(arrangement, followers=followers, joints=tuple(joints))
     stated = dict(description.terms.fixed)
     for own, tie in followers.items():  # which hold what they follow

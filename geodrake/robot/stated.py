@@ -183,6 +183,17 @@ class StatedStrut:
     damping: float  # N·s/m
 
 
+@dataclass(frozen=True)
+class Gearbox:
+    """Two links that turn at a constant ratio about a third one, θ₂ = −ratio θ₁ (SDF)."""
+
+    name: str  # with its place in the file
+    reference: str  # scoped name of the third link
+    links: tuple[str, str]
+    axes: Array  # (2, 3) axes of both angles, in the frame of the second link
+    ratio: float
+
+
 @dataclass(eq=False)
 class FileTerms:
     """Terms of model files other than rigid bodies, by scoped names, SI units.
@@ -224,6 +235,7 @@ class FileTerms:
     acting: set[str] = field(default_factory=set)
     in_medium: list[InMedium] = field(default_factory=list)
     struts: list[StatedStrut] = field(default_factory=list)
+    gearboxes: list[Gearbox] = field(default_factory=list)
     followers: dict[str, Tie] = field(default_factory=dict)
     closures: list[Closure] = field(default_factory=list)
     between: set[str] = field(default_factory=set)

@@ -206,6 +206,18 @@ def test_drake_computes_the_same_from_the_files(kind, to, tmp_path):
     assert "<!-- my arm -->" in path.read_text() or to != kind
 
 
+def test_springs_that_a_urdf_states_for_gazebo_are_those_of_the_model(tmp_path):
+    own = '<gazebo reference="a"><springReference value="1"/><springStiffness>9</springStiffness>'
+    FILES["gazebo"] = "arm.urdf", URDF.replace("</robot>", f"{own}</gazebo></robot>")
+    model = fitted(loaded(tmp_path, "gazebo"), springs=True)
+    effects = [f for f in model.effects if getattr(f.effect, "joint", "") != "b"]
+    model = replace(model, effects=tuple(effects))
+    found = export_to("urdf", model, tmp_path / "out")
+    assert not found.lacks and all(each.is_rounding for each in found.proof.differences)
+    again, moved = load_model(tmp_path / "out" / "arm.urdf"), motion(model)
+    np.testing.assert_allclose(again.effort(moved), model.effort(moved), atol=1e-9)
+
+
 def test_mujoco_computes_the_same_from_the_file(tmp_path):
     for kind in ("mjcf", "radian"):
         (tmp_path / kind).mkdir()

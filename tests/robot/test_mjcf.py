@@ -118,6 +118,15 @@ TAKEN = {
             '<site site="v"/></spatial></tendon>',
         )
     ),
+    "a spring over pulleys": (
+        mjcf(
+            '<site name="w" pos=".1 .2 .9"/>' + tip(geom=GEOM + '<site name="u" pos="0 0 .1"/>'),
+            arm=GEOM + '<site name="v" pos=".3 .2 .1"/>',
+            tail='<tendon><spatial stiffness="40 0" damping="3" springlength=".3"><site site="w"/>'
+            '<site site="v"/><pulley divisor="2"/><site site="w"/><site site="u"/></spatial>'
+            "</tendon>",
+        )
+    ),
     "a medium around ellipsoids of each kind, and a body that counts as a box": (
         mjcf(
             tip(
@@ -412,6 +421,8 @@ def test_angles_of_an_attached_model_are_read_by_its_own_compiler(tmp_path):
     np.testing.assert_array_equal(one.phi, two.phi)
     (said,) = set(one.notes) - set(two.notes)
     assert "with fusestatic, MuJoCo reads angles of attached models" in said
+    text = text.replace("fusestatic", 'angle="radian" fusestatic')
+    assert not load_model(write(tmp_path, text.format("true"), part=part)).notes
 
 
 FOLLOW = '<joint joint1="t" joint2="a" polycoef="0 {} {} 0 0"/>'

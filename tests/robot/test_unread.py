@@ -110,7 +110,7 @@ UNREAD = {
         '<mujoco><option gravity="0 0 -3"/></mujoco>': "=0 0 -3 of <option>",
         '<mujoco><compiler settotalmass="9"/></mujoco>': "mass=9 of <compiler>",
         '<gazebo><plugin name="m" filename="libgazebo_motor_model.so"/></gazebo>': "motor_model.so",
-        '<gazebo><joint name="j" type="gearbox"/></gazebo>': "<joint> j of <gazebo>",
+        '<gazebo><joint name="j" type="gearbox"/></gazebo>': "<joint> j of the type gearbox",
         '<gazebo reference="l1"><inertial><mass>9</mass></inertial></gazebo>': "<inertial> 9",
         '<gazebo reference="a"><axis><damping>2</damping></axis></gazebo>': "<axis> 2",
         '<gazebo reference="l1"><dampingFactor>.1</dampingFactor></gazebo>': "Factor> .1",
@@ -207,6 +207,29 @@ def test_a_part_that_is_not_there_is_left_out_of_the_robot(tmp_path, name, scene
     (said,) = model.notes
     assert name in said and (said in model.left_out) != scenery
     assert bool(model.repairs) != scenery
+
+
+GEARBOX = """<joint name="g" type="gearbox"><parent>l2</parent><child>l3</child>
+<pose>0 0 0 0 0 .4</pose><gearbox_reference_body>l1</gearbox_reference_body>
+<gearbox_ratio>2</gearbox_ratio><axis><xyz>.389418342308651 .921060994002885 0</xyz></axis>
+<axis2><xyz>.389418342308651 .921060994002885 0</xyz></axis2></joint>"""
+
+
+def test_a_gearbox_has_a_joint_follow_another(tmp_path):
+    third = """<link name="l3"/><joint name="c" type="revolute"><parent>l1</parent>
+    <child>l3</child><axis><xyz>0 -1 0</xyz></axis></joint>"""
+    links = INNER.replace("/></joint>", '/><axis xyz="0 1 0"/></joint>')
+    links += links.replace("l2", "l3").replace('"b"', '"c"').replace("0 1 0", "0 -1 0")
+    for text, parts in (
+        (SDF, {"model": third + GEARBOX}),
+        (URDF, {"robot": f"{links}<gazebo>{GEARBOX}</gazebo>"}),
+    ):
+        model = load(tmp_path, text, **parts)
+        assert model.followers == {"r::c": ("r::b", (0.0, 2.0))} and not model.left_out
+        assert check_dynamics(model, samples=3).second.holds
+        askew = {part: stated.replace("-1 0", "-1 .1") for part, stated in parts.items()}
+        (said,) = load(tmp_path, text, **askew).left_out
+        assert "<joint> g of the type gearbox is ignored." in said
 
 
 MIMIC = """<plugin name="m" filename="libroboticsgroup_gazebo_mimic_joint_plugin.so">

@@ -30,7 +30,7 @@ from geodrake.effects import Effect
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.model.dynamics_check import second_opinion
-from geodrake.model.file_terms import Damping, DryFriction, Rotor
+from geodrake.model.file_terms import Damping, DryFriction, Rotor, Spring
 from geodrake.model.robot_model import RobotModel, load_description
 from geodrake.robot.files.description import drake_errors, drake_messages
 from geodrake.robot.files.includes import add_packages, named_packages
@@ -49,7 +49,7 @@ class Engine(abc.ABC):
 
     package: ClassVar[str]  # that it needs
     # Effects that may be in the file, but which the simulator does not act upon.
-    ignores: ClassVar[tuple[type[Effect], ...]] = ()
+    ignores: tuple[type[Effect], ...] = ()
     # Whether joints are those of the plant, among them such as follow others.
     of_plant: ClassVar[bool] = False
     name: str
@@ -90,7 +90,7 @@ class DrakeEngine(Engine):
 
     package = "pydrake"
     of_plant = True
-    ignores: ClassVar[tuple[type[Effect], ...]] = (DryFriction,)
+    ignores: tuple[type[Effect], ...] = (DryFriction,)
 
     def __init__(self, file: Path, model: RobotModel) -> None:
         self.name = f"Drake {version('drake')}"
@@ -107,6 +107,8 @@ class DrakeEngine(Engine):
             self._plant.mutable_gravity_field().set_gravity_vector(gravity)
             self._plant.Finalize()
             self._diagram = builder.Build()
+        if self._plant.num_force_elements() == 1:  # gravity
+            self.ignores = (DryFriction, Spring)  # which a URDF has for Gazebo alone
         said = (message.partition("\n")[0].rpartition("warning: ")[2] for message in messages)
         self.messages = tuple(dict.fromkeys(said))
         plant, names = self._plant, joint_names(self._plant)
@@ -325,7 +327,7 @@ class PinocchioEngine(Engine):
     """A model of Pinocchio: the rigid bodies alone, as `geodrake check` has its opinion on them."""
 
     package = "pinocchio"
-    ignores: ClassVar[tuple[type[Effect], ...]] = (DryFriction, Rotor, Damping)
+    ignores = (DryFriction, Rotor, Damping, Spring)
 
     def __init__(self, file: Path, model: RobotModel) -> None:
         self._again = load_description(file, held=model.held)

@@ -27,6 +27,7 @@ from geodrake.control.export_proof.joints import exported_joints
 from geodrake.control.export_proof.model_text import (
     model_file,
     own_kind,
+    sprung_in_gazebo,
     stands_as_it_is,
     tilt_rotation,
     written_kind,
@@ -197,14 +198,15 @@ def _holding(
     """
 
     def holding(model: RobotModel) -> Holds:
-        springs = written_kind(model, kinds) in _WITH_SPRINGS
+        kind = written_kind(model, kinds)
+        sprung = set(model.joints) if kind in _WITH_SPRINGS else sprung_in_gazebo(model)
         more = beside if beside and able(model) else ()
         if stands_as_it_is(model, kinds[0]):
             return lambda effect: True
 
         def holds(effect: Effect) -> bool:
             if isinstance(effect, Spring):
-                return springs and effect.exponent == 1
+                return effect.joint in sprung and effect.exponent == 1
             return isinstance(effect, (*_JOINT_TERMS, *more))
 
         return holds

@@ -29,8 +29,15 @@ from geodrake.robot.files.checks import words
 from geodrake.robot.files.description import model_text_of
 from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.mjcf_source import unused
-from geodrake.robot.files.model_edits import EditedFile, comment_words, put_inertia, put_numbers
+from geodrake.robot.files.model_edits import (
+    EditedFile,
+    comment_words,
+    gazebo_springs,
+    put_inertia,
+    put_numbers,
+)
 from geodrake.robot.files.xacro_file import read_expanded
+from geodrake.robot.files.xml_text import parse_xml_bytes
 from geodrake.robot.joints import joint_names, scoped
 from geodrake.robot.plant import motor_joints, scoped_joint_names
 
@@ -278,6 +285,15 @@ def written_kind(model: RobotModel, kinds: Sequence[str]) -> str:
 def own_kind(model: RobotModel) -> str:
     """Return the format of the robot's file if it can be edited; nothing for directives."""
     return "" if model.path.suffix.lower() in (".yaml", ".yml") else file_kind(model)
+
+
+def sprung_in_gazebo(model: RobotModel) -> set[str]:
+    """Return the joints whose springs the robot's own URDF states for Gazebo."""
+    if own_kind(model) != "urdf":
+        return set()
+    root = parse_xml_bytes(read_expanded(model.path, model.given), model.path)
+    names = {name: joint.scoped for name, joint in exported_joints(model).items()}
+    return {n for n, own in names.items() if gazebo_springs(root, own.rpartition("::")[2])}
 
 
 def stands_as_it_is(model: RobotModel, kind: str) -> bool:

@@ -168,6 +168,9 @@ class ModelDescription:
         # Beside springs, Drake lets no joint be taken out; it includes nothing of which it warns.
         drop(root, "spring_stiffness", "mimic", *DRAKES_SPRINGS)
         drop_friction(root)
+        for model in root.iter("model"):
+            for joint in model.findall("joint[@type='gearbox']"):
+                model.remove(joint)
         return root
 
 

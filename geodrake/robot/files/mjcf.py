@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import combinations_with_replacement, pairwise
+from itertools import combinations_with_replacement
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
@@ -246,26 +246,44 @@ class MjcfTerms:
 
     def _take_strut(self, at: int, has: dict[str, Array], length: float | None) -> None:
         """Read spring and damper of a tendon over sites whose length changes between only two."""
-        m, mujoco, first = self.m, self.mujoco, int(self.m.tendon_adr[at])
-        wraps = range(first, first + int(m.tendon_num[at]))
-        over_sites = all(int(m.wrap_type[k]) == mujoco.mjtWrap.mjWRAP_SITE for k in wraps)
-        parts = list(pairwise(int(m.wrap_objid[k]) for k in wraps)) if over_sites else []
-        moving = [part for part in parts if len(set(m.body_weldid[m.site_bodyid[[*part]]])) > 1]
+        m, data = self.m, self.mujoco.MjData(self.m)
+        parts = self._parts(at)
+        moving = [part for part in parts if len(set(m.body_weldid[m.site_bodyid[part[0]]])) > 1]
         if not parts or len(moving) > 1 or has["stiffness"][0] < 0.0:
             return
         (stiffness,) = [0.0] if length is None else _pop(has, "stiffness")
         (damping,) = _pop(has, "damping")
         if not moving or not (stiffness or damping):
             return
-        data, rest = mujoco.MjData(m), length or 0.0
-        mujoco.mj_kinematics(m, data)
-        for one, two in (part for part in parts if part not in moving):
-            rest -= float(np.linalg.norm(data.site_xpos[one] - data.site_xpos[two]))
-        ends = [int(m.site_bodyid[site]) for site in moving[0]]
-        first_body, second_body = (self._body(body) if body else WORLD_LINK for body in ends)
-        points = np.array(m.site_pos[moving[0][0]]), np.array(m.site_pos[moving[0][1]])
-        strut = StatedStrut((first_body, second_body), points, stiffness, rest, damping)
+        ((sites, share),) = moving
+        self.mujoco.mj_kinematics(m, data)
+        rest = length or 0.0
+        for (one, two), part_of in (part for part in parts if part not in moving):
+            rest -= part_of * float(np.linalg.norm(data.site_xpos[one] - data.site_xpos[two]))
+        one, two = (int(m.site_bodyid[site]) for site in sites)
+        first, second = (self._body(body) if body else WORLD_LINK for body in (one, two))
+        points = np.array(m.site_pos[sites[0]]), np.array(m.site_pos[sites[1]])
+        stiffness, damping = share**2 * stiffness, share**2 * damping
+        strut = StatedStrut((first, second), points, stiffness, rest / share, damping)
         self.found.struts.append(strut)
+
+    def _parts(self, at: int) -> list[tuple[list[int], float]]:
+        """Return each two sites in a row of a tendon over sites and pulleys, and what they count.
+
+        Nothing of a tendon that touches anything else.
+        """
+        m, kinds, first = self.m, self.mujoco.mjtWrap, int(self.m.tendon_adr[at])
+        found, share, last = list[tuple[list[int], float]](), 1.0, -1
+        for k in range(first, first + int(m.tendon_num[at])):
+            kind, own = int(m.wrap_type[k]), int(m.wrap_objid[k])
+            if kind == kinds.mjWRAP_PULLEY:
+                share, last = 1.0 / float(m.wrap_prm[k]), -1
+                continue
+            if kind != kinds.mjWRAP_SITE:
+                return []
+            found += [([last, own], share)] if last >= 0 else []
+            last = own
+        return found
 
     def _leave_rest(
         self,

@@ -97,9 +97,10 @@ class CompiledMjcf:
         self.models, self.meshes = dict[str, bytes](), dict[str, Path]()
         self.notes, self.left_out, self.lost = list[str](), list[str](), list[str]()
         self.unknown, self.touching, self.wrapped = set[str](), list[str](), set[str]()
+        self._angles = set[tuple[str, str]]()  # how each of the models writes them
         fuses = any(each.get("fusestatic") == "true" for each in root.findall("compiler"))
         self._prepare(root, path, "", (path.resolve(),))
-        if fuses and self.models:
+        if fuses and len(self._angles) > 1:
             self.notes.append(
                 f"{path}: with fusestatic, MuJoCo reads angles of attached models by the compiler "
                 "of the file that attaches them; here they are read by their own."
@@ -142,6 +143,10 @@ class CompiledMjcf:
     def _prepare(self, root: Element, path: Path, prefix: str, chain: tuple[Path, ...]) -> float:
         """Remove elements without effect on dynamics; return the number of bodies."""
         drop(root, *_NO_DYNAMICS)
+        how = {"angle": "degree", "eulerseq": "xyz"}
+        for compiler in root.findall("compiler"):
+            how |= {key: compiler.get(key, how[key]) for key in how}
+        self._angles.add((how["angle"], how["eulerseq"]))
         self._take_plugins(root)
         folders = _take_folders(root)
         tendons = (e for group in root.findall("tendon") for e in group.iter("geom"))

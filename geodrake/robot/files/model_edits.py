@@ -374,6 +374,17 @@ def _put_urdf_numbers(root: Element, joint: Element, change: Change) -> None:
         child_of(joint, "dynamics").attrib.update(given)
     if "armature" in change:
         _put_rotor(root, joint.get("name", ""), change["armature"])
+    for spring in gazebo_springs(root, joint.get("name", "")) if "stiffness" in change else ():
+        for tag, key in (("springStiffness", "stiffness"), ("springReference", "rest")):
+            stated = child_of(spring, tag)
+            stated.attrib.pop("value", None)
+            stated.text = words(change[key])
+
+
+def gazebo_springs(root: Element, joint: str) -> list[Element]:
+    """Return the elements of a URDF that state Gazebo's spring of a joint."""
+    stated = (e for e in root.findall("gazebo") if e.find("springStiffness") is not None)
+    return [each for each in stated if each.get("reference") == joint]
 
 
 def _put_rotor(root: Element, joint: str, armature: float) -> None:

@@ -56,6 +56,7 @@ from geodrake.robot.stated import (
     Closure,
     CutJoint,
     FileTerms,
+    Gearbox,
     Spring,
     StatedLength,
     StatedStrut,
@@ -336,6 +337,24 @@ class ModelText(abc.ABC):
                 raise wrong_at(element, self.path, what)
         self.terms.lengths.append(StatedLength({joint: 1.0}, Spring.linear(*values)))
 
+    def _take_gearbox(self, scope: str, joint: Element) -> None:
+        """Read an SDF joint at which two links turn at a constant ratio about a third one."""
+        name = f"{place_of(joint, self.path)}: <joint> {joint.get('name')} of the type gearbox"
+        tags, ratio = ("gearbox_reference_body", "parent", "child"), number(joint, "gearbox_ratio")
+        reference, *links = (f"{scope}::{joint.findtext(tag, '').strip()}" for tag in tags)
+        pose, turns = joint.find("pose"), [joint.find(f"{tag}/xyz") for tag in ("axis", "axis2")]
+        R = np.eye(3) if pose is None else rotation(sdf_pose(pose)[1])
+        axes = np.array([numbers((t if t is None else t.text) or "0 0 1", 3) for t in turns]) @ R.T
+        frames = [e.get(k, "") for e in joint.iter() for k in ("relative_to", "expressed_in")]
+        frames += [e.text or "" for e in joint.iter("use_parent_model_frame")]
+        known = {each for text in self.every() for each in text.links}
+        whole = np.isfinite(axes).all() and axes.any(axis=1).all() and np.isfinite(ratio) and ratio
+        if whole and known.issuperset([reference, *links]) and all(map(is_off, frames)):
+            box = Gearbox(name, reference, (links[0], links[1]), axes, ratio)
+            self.terms.gearboxes.append(box)
+        else:
+            self.terms.left_out.append(f"{name} is ignored.")
+
     def _take_mimic(self, name: str, scope: str, joint: Element) -> None:
         """Read the leader of a following joint, by its scoped name."""
         for mimic in [e for e in joint.iter() if e.tag in ("mimic", "drake:mimic")]:
@@ -410,13 +429,9 @@ class SdfText(ModelText):
         nowhere = self._take_includes()
         terms.left_out += unread(self.root, SDF_UNREAD, self.path)
         self._take_gravity()
-        for parent, joint in [(e, j) for e in self.root.iter() for j in e.findall("joint")]:
+        for joint in self.root.iter("joint"):
             if joint.get("type") == "revolute2":  # which moves as a universal joint does
                 joint.set("type", "universal")
-            elif joint.get("type") == "gearbox":
-                parent.remove(joint)
-                what = f"{place_of(joint, self.path)}: <joint> {joint.get('name')}"
-                terms.left_out.append(f"{what} of the type gearbox is ignored.")
         models = list(sdf_models(self.root, first=self.scope or ""))
         plugins = {name: model.findall("plugin") for name, model in models}
         for link in self.root.iter("link"):
@@ -429,6 +444,9 @@ class SdfText(ModelText):
             self._links |= {f"{name}::{e.get('name')}": e for e in model.findall("link")}
         for name, model in models:
             self._take_drakes_springs(name, model)
+            for joint in model.findall("joint[@type='gearbox']"):
+                model.remove(joint)
+                self._take_gearbox(name, joint)
         self._drop_loops()
         joints = list(sdf_joints(self.root, first=self.scope or ""))
         names = {stated: name for stated, name, _ in joints}
@@ -626,6 +644,9 @@ class UrdfText(ModelText):
             name, kind = joint.get("name", ""), joint.get("type", "")
             parent, child = (joint.findtext(tag, "").strip() for tag in ("parent", "child"))
             if (kind, parent) == ("fixed", "world") and f"{scope}::{parent}" not in self._links:
+                continue
+            if kind == "gearbox":
+                self._take_gearbox(scope, joint)
                 continue
             stated, axis = joint.find("pose"), joint.find("axis")
             place = (np.zeros(3), np.zeros(3)) if stated is None else sdf_pose(stated)
