@@ -247,7 +247,7 @@ def by_pinocchio(model: Model, text: ModelText, held: Places, units: Units) -> O
     except ModelError:
         raise
     except Exception as error:  # of any kind, by an extension module
-        return f"Pinocchio cannot read the file: {' '.join(str(error).split())[:200]}"
+        return f"Pinocchio cannot read the file: {' '.join(str(error).split())[:200].rstrip('.')}"
     names = ["root_joint" if len(unit) > 1 else unit[-1].name() for unit in units]
     counts = [len(unit) - 1 + unit[-1].num_velocities() for unit in units]
     named = dict(zip(names, counts, strict=True))

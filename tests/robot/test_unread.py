@@ -69,6 +69,13 @@ def test_two_joints_in_one_of_gazebo_are_a_universal_joint(tmp_path):
     np.testing.assert_array_equal(one.effort(motion), other.effort(motion))
 
 
+def test_a_door_of_a_static_model_does_not_move(tmp_path):
+    door = """<model name="house"><static>1</static><link name="wall"/><link name="door"/>
+    <joint name="hinge" type="revolute"><parent>wall</parent><child>door</child>
+    <axis><xyz>0 0 1</xyz></axis></joint></model>"""
+    assert load(tmp_path, SDF, world=door).joints == ("a", "b")
+
+
 def test_gravity_that_is_off(tmp_path):
     off = "<gravity>{}</gravity>"
     model = load(tmp_path, SDF, one=off.format("0"), two=off.format("false"))

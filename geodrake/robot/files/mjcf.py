@@ -195,6 +195,10 @@ class MjcfTerms:
                 damping, friction, armature = (_pop(has, key)[0] for key in _OF_BALLS)
                 own = {"friction": friction, "armature": armature}
                 self._add({joint: 1.0}, damping=_three([damping]), **own)
+                if friction:
+                    name = self._name("JOINT", joint)
+                    what = f"The dry friction of ball joint {name} is that about axes of its parent"
+                    self.found.notes.append(f"{what}, not about its own as in MuJoCo.")
             self._leave_rest("joint", joint, has, where, of_base=count == _FREE)
 
     def _limit(self, joint: int, most: float) -> None:

@@ -429,6 +429,10 @@ class SdfText(ModelText):
         nowhere = self._take_includes()
         terms.left_out += unread(self.root, SDF_UNREAD, self.path)
         self._take_gravity()
+        static = (m for m in self.root.iter("model") if not is_off(m.findtext("static", "")))
+        for joint in (each for model in static for each in model.iter("joint")):
+            joint.set("type", "fixed")
+            drop(joint, "axis", "axis2")
         for joint in self.root.iter("joint"):
             if joint.get("type") == "revolute2":  # which moves as a universal joint does
                 joint.set("type", "universal")
