@@ -2,6 +2,7 @@
 
 from geodrake import effects
 from geodrake.effects.of_files import (
+    BallSpring,
     CarriedWeight,
     EllipsoidDrag,
     JointCoupling,
@@ -39,6 +40,8 @@ EFFECTS = [
     (EllipsoidDrag("wrist", 0.3, 0.2, 0.1, 0.1, 0.0, 0.2, mass_x=0.02, inertia_z=1e-3), [900, 3]),
     (Strut(("column", "wrist"), 0.1, 0.2, 0.3, 0.1, 0.0, 0.2), [30.0, -5.0, 2.0]),
     (Strut(("world", "wrist"), 0.5, 0.2, 1.3, 0.1, 0.0, 0.2), [30.0, -5.0, 2.0]),
+    (BallSpring(("column", "wrist"), 0.5, 0.5, -0.5, 0.5), [3.0]),
+    (BallSpring(("wrist", "world"), 0.8, 0.0, 0.6, 0.0), [3.0]),
     (SquaredLoadFriction("elbow_pitch", 4.0), [0.1]),
     (effects.Payload("flange"), [1.0, 0.1, 0.0, 0.05, 0.05, 0.06, 0.07, 0.0, 0.0, 0.001]),
 ]

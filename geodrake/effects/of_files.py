@@ -399,6 +399,50 @@ class Strut(_Stated, _BodyPair):
         }
 
 
+@dataclass(frozen=True)
+class BallSpring(_Stated, _BodyPair):
+    """Spring of a ball joint, against the rotation of a body in another one, or in the world.
+
+    effort = k (J_ω − J′_ω)ᵀ φ with the vector φ of the rotation from where the spring is at rest.
+    """
+
+    # Real part of the quaternion of the first body in the second at rest; its vector follows.
+    turn_w: float = 1.0
+    turn_x: float = 0.0
+    turn_y: float = 0.0
+    turn_z: float = 0.0
+
+    name = "ball_spring"
+    law = "k (J − J′)ᵀ φ, φ the rotation of a body in another one"
+    complexity = 3
+    shapes = tuple(Shape(f"turn_{axis}") for axis in "wxyz")
+    parameters = (Parameter("stiffness", "N·m/rad", lower=0.0),)
+    signature = "follows the orientation at all joints between two bodies"
+    depends_on = frozenset({"q", "bodies"})
+
+    def rows(self, motion: RobotMotion) -> Rows:
+        """[(J_ω − J′_ω)ᵀ φ] at the joints that move either body."""
+        bodies = motion.body_motions(self.name)
+        (R, J, first), (other_R, other_J, second) = (_turn(bodies, own) for own in self.bodies)
+        rest = rotation(np.array([self.turn_w, self.turn_x, self.turn_y, self.turn_z]))
+        turned = np.moveaxis(other_R @ rest, 1, 2) @ R
+        on, back = [2, 0, 1], [1, 2, 0]
+        axis = 0.5 * (turned[:, on, back] - turned[:, back, on])
+        sine = np.sqrt((axis * axis).sum(-1))
+        angle = np.arctan2(sine, 0.5 * (np.trace(turned, axis1=1, axis2=2) - 1.0))
+        vector = axis * (angle / np.maximum(sine, _LEAST_LENGTH))[:, None]
+        column = np.moveaxis(J - other_J, 1, 2) @ (R @ vector[..., None])
+        return {motion.joints[dof]: column[:, dof] for dof in sorted({*first, *second})}
+
+
+def _turn(bodies: RobotBodies, body: str) -> tuple[Array, Array, tuple[int, ...]]:
+    """Return the rotation (N, 3, 3) of a body, its Jacobian, and its velocities."""
+    if body == _WORLD:
+        return np.eye(3)[None], np.zeros((1, 3, bodies.tree.num_velocities)), ()
+    motion = bodies.motion(body)
+    return motion.rotation, motion.angular, motion.dofs
+
+
 def _point(bodies: RobotBodies, body: str, p_BoP_B: Array) -> tuple[Array, Array, tuple[int, ...]]:
     """Return the position (N, 3) of a point of a body, its Jacobian, and its velocities."""
     if body == _WORLD:

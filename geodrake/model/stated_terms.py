@@ -20,6 +20,7 @@ from geodrake.effects.base import Effect, FittedEffect
 from geodrake.inertia import Array, from_spatial_inertia
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.model.file_terms import (
+    Ball,
     Carried,
     CoupledDry,
     CoupledRotor,
@@ -53,6 +54,7 @@ _WORDS: Mapping[type[Effect], str] = {
     CoupledDry: "dry friction of tendons",
     Carried: "carried weight",
     StrutEffect: "tendon",
+    Ball: "spring of a ball joint",
     Medium: "medium",
     Ellipsoid: "medium of ellipsoids",
 }
@@ -193,6 +195,11 @@ def _add_of_bodies(found: StatedEffects, loaded: LoadedPlant) -> None:
             preload = -strut.stiffness * strut.length
             effect = StrutEffect((one, two), *ends[0], *ends[1])
             found.add(effect, strut.stiffness, preload, strut.damping)
+    for ball in terms.balls:
+        (one, X), (two, Y) = (places.get(link, ("", RigidTransform())) for link in ball.bodies)
+        if one and two and one != two:
+            turn = Y.rotation() @ ball.rest @ X.rotation().inverse()
+            found.add(Ball((one, two), *turn.ToQuaternion().wxyz()), ball.stiffness)
     for each in terms.in_medium:
         body, X = places.get(each.body, still)
         if body != stated.WORLD:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 
 from geodrake.inertia import Array
@@ -184,6 +184,15 @@ class StatedStrut:
 
 
 @dataclass(frozen=True)
+class StatedBall:
+    """A spring of a ball joint."""
+
+    bodies: tuple[str, str]  # scoped names of the body that the joint moves, and of the other one
+    rest: RotationMatrix  # of the first one in the second, where it is at rest
+    stiffness: float  # N·m/rad
+
+
+@dataclass(frozen=True)
 class Gearbox:
     """Two links that turn at a constant ratio about a third one, θ₂ = −ratio θ₁ (SDF)."""
 
@@ -235,6 +244,7 @@ class FileTerms:
     acting: set[str] = field(default_factory=set)
     in_medium: list[InMedium] = field(default_factory=list)
     struts: list[StatedStrut] = field(default_factory=list)
+    balls: list[StatedBall] = field(default_factory=list)
     gearboxes: list[Gearbox] = field(default_factory=list)
     followers: dict[str, Tie] = field(default_factory=dict)
     closures: list[Closure] = field(default_factory=list)

@@ -11,6 +11,7 @@ from pydrake.geometry import Box, Capsule, Mesh
 from geodrake import load_model
 from geodrake.errors import ModelError
 from geodrake.logs.motion import Motion
+from geodrake.model import check_dynamics
 from geodrake.robot.files import mjcf_source
 from geodrake.robot.files.given import Given
 from geodrake.robot.shapes import mjcf_geoms, robot_shapes
@@ -401,6 +402,15 @@ def test_a_weld_of_a_free_base_is_told_where_it_is_free(tmp_path, other):
     assert not load_model(path).left_out
     (said,) = load_model(path, floating=True).left_out
     assert "line 1: <equality>: the constraint <weld> of b and " in said
+
+
+def test_springs_of_ball_joints_are_as_in_mujoco(tmp_path):
+    ball = f'<joint name="{{}}" type="ball" stiffness="{{}}" damping=".4"/>{GEOM}'
+    inner = f'<body euler="5 6 7"><body pos=".1 0 .2" euler="40 -20 70">{ball.format("j", 3)}'
+    inner += f'<body name="u" euler="3 4 5">{GEOM}</body></body></body>'
+    world = f'<body name="a" euler="10 20 30">{ball.format("i", 2)}{inner}</body>'
+    model = load_model(write(tmp_path, HEAD.format(head="", world=world, tail="")))
+    assert not model.left_out and check_dynamics(model, samples=5).second.holds
 
 
 def test_how_long_muscles_are_does_not_matter(tmp_path):

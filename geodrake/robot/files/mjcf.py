@@ -56,6 +56,7 @@ from geodrake.robot.stated import (
     FileTerms,
     InMedium,
     Spring,
+    StatedBall,
     StatedLength,
     StatedStrut,
 )
@@ -199,7 +200,18 @@ class MjcfTerms:
                     name = self._name("JOINT", joint)
                     what = f"The dry friction of ball joint {name} is that about axes of its parent"
                     self.found.notes.append(f"{what}, not about its own as in MuJoCo.")
+                if int(m.body_jntnum[m.jnt_bodyid[joint]]) == 1:
+                    self._take_ball(joint, has)
             self._leave_rest("joint", joint, has, where, of_base=count == _FREE)
+
+    def _take_ball(self, joint: int, has: dict[str, Array]) -> None:
+        """Read the spring of the only joint of a body, a ball."""
+        m, body, at = self.m, int(self.m.jnt_bodyid[joint]), int(self.m.jnt_qposadr[joint])
+        parent, none = int(m.body_parentid[body]), np.zeros(3)
+        (stiffness,) = _pop(has, "stiffness")
+        rest = pose_of(none, m.body_quat[body]) @ pose_of(none, m.qpos_spring[at : at + 4])
+        bodies = self._body(body), self._body(parent) if parent else WORLD_LINK
+        self.found.balls += [StatedBall(bodies, rest.rotation(), stiffness)] if stiffness else []
 
     def _limit(self, joint: int, most: float) -> None:
         name, limits = self._joint(joint), self.found.effort
