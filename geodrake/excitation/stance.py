@@ -144,7 +144,7 @@ class MotorCoordinates(DrivenCoordinates):
         G[:, motors, at] = 1.0
         if len(follow := self.following):
             behind = [self.coordinates.behind[self.motors[k]] for k in follow]
-            every = self.coordinates.every.along(q, v)
+            every = self.coordinates.along_all(q, v)
             for own, found in zip((theta, G, rate), every, strict=True):
                 own[:, follow] = found[:, behind]
         return theta, G, rate

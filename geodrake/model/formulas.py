@@ -297,8 +297,7 @@ def joint_formulas(tree: KinematicTree, q: Formulas) -> Formulas:
             "Source code cannot have a closed loop, or a transmission with varying ratio.",
             advice="Export the formula of the joints, and map it in your own code.",
         )
-    A, b = actuation.linear
-    return q @ A + b
+    return q @ actuation.constant.T + actuation.offset
 
 
 def _rooms(shape: Any, dtype: np.dtype[Any] | None = None) -> Any:

@@ -63,8 +63,7 @@ class OtherProgram:
         rest: Its positions, velocities and accelerations, held joints in their places.
         places: Of each of the joints, where it is in its positions and velocities.
         inverse_dynamics: Makes of its positions, velocities and accelerations efforts.
-        free: Makes of R and p of a free body, and of its velocities ω and v in the world, the
-            positions, T and the bias of accelerations of the program.
+        in_body: Whether velocities of a free body are in its axes, and quaternions x, y, z, w.
     """
 
     by: str
@@ -72,24 +71,29 @@ class OtherProgram:
     rest: tuple[Array, Array, Array]
     places: Sequence[tuple[slice, slice]]
     inverse_dynamics: Callable[[Array, Array, Array], Array]
-    free: Callable[[RotationMatrix, Array, Array], tuple[Array, Array, Array]] | None = None
+    in_body: bool = False
 
     def state(self, q: Array, v: Array, size: int) -> tuple[Array, Array, Array]:
         """Return its positions, T and the bias of its accelerations, of a joint of the plant.
 
         That has 1, 3 or, of a free base, 6 positions and velocities.
         """
-        if len(q) == 6 and self.free is not None:
+        if size == len(q):
+            return q, np.eye(size), np.zeros(size)
+        if len(q) == 6:
             rpy = RollPitchYaw(q[:2:-1])
             spin = np.stack(list(map(rpy.CalcAngularVelocityInParentFromRpyDt, np.eye(3))), 1)
             B, bias = np.zeros((6, 6)), np.zeros(6)
             B[:3, :2:-1], B[3:, :3] = spin, np.eye(3)
             unaccelerated = rpy.CalcRpyDDtFromRpyDtAndAngularAccelInParent(v[:2:-1], np.zeros(3))
             bias[:3] = -spin @ unaccelerated
-            placed, T, rest = self.free(rpy.ToRotationMatrix(), q[:3], B @ v)
-            return placed, T @ B, T @ bias + rest
-        if size == len(q):
-            return q, np.eye(size), np.zeros(size)
+            place, back = rpy.ToQuaternion().wxyz(), rpy.ToRotationMatrix().matrix().T
+            T, rest = np.zeros((6, 6)), np.zeros(6)
+            T[:3, 3:], T[3:, :3] = np.eye(3), back
+            if self.in_body:
+                angular, linear = (back @ each for each in np.split(B @ v, 2))
+                place, T[:3, 3:], rest[:3] = np.roll(place, -1), back, -np.cross(angular, linear)
+            return np.concatenate([q[:3], place]), T @ B, T @ bias + rest
         if len(q) == 3:
             rpy = RollPitchYaw(q)
             turned = rpy.ToQuaternion().wxyz()
@@ -154,11 +158,6 @@ def by_mujoco(theirs: Any, held: Places, units: Units) -> OtherProgram | str:
         start, first = int(theirs.jnt_qposadr[at]), int(theirs.jnt_dofadr[at])
         places.append((slice(start, start + nq), slice(first, first + nv)))
 
-    def free(R: RotationMatrix, p: Array, v: Array) -> tuple[Array, Array, Array]:
-        T = np.zeros((6, 6))
-        T[:3, 3:], T[3:, :3] = np.eye(3), R.matrix().T
-        return np.concatenate([p, R.ToQuaternion().wxyz()]), T, np.zeros(len(v))
-
     def inverse_dynamics(q: Array, v: Array, vd: Array) -> Array:
         data.qpos[:], data.qvel[:], data.qacc[:] = q, v, vd
         with quiet_mujoco():
@@ -167,7 +166,7 @@ def by_mujoco(theirs: Any, held: Places, units: Units) -> OtherProgram | str:
 
     rest = (np.array(data.qpos), *np.zeros((2, theirs.nv)))
     by = f"MuJoCo {mujoco.__version__}"
-    return OtherProgram(by, units, rest, places, inverse_dynamics, free)
+    return OtherProgram(by, units, rest, places, inverse_dynamics)
 
 
 def with_mujoco(
@@ -261,15 +260,6 @@ def by_pinocchio(model: Model, text: ModelText, held: Places, units: Units) -> O
         for name, j in own.items()
     }
     data = theirs.createData()
-
-    def free(R: RotationMatrix, p: Array, v: Array) -> tuple[Array, Array, Array]:
-        T, back = np.zeros((6, 6)), R.matrix().T
-        T[:3, 3:] = T[3:, :3] = back
-        w, x, y, z = R.ToQuaternion().wxyz()
-        linear, angular = back @ v[3:], back @ v[:3]
-        bias = np.concatenate([-np.cross(angular, linear), np.zeros(3)])
-        return np.concatenate([p, [x, y, z, w]]), T, bias
-
     position = pinocchio.neutral(theirs)
     for name, place in held.items():
         joint = own[name]  # one without limits has its cosine and sine
@@ -281,7 +271,7 @@ def by_pinocchio(model: Model, text: ModelText, held: Places, units: Units) -> O
         (position, *np.zeros((2, theirs.nv))),
         [places[name] for name in names],
         lambda q, v, vd: pinocchio.rnea(theirs, data, q, v, vd),
-        free,
+        in_body=True,
     )
 
 

@@ -200,11 +200,9 @@ class RobotCoordinates(DrivenCoordinates):
         return self._along(np.zeros((1, len(self.names))), None)[1][0]
 
     @cached_property
-    def linear(self) -> tuple[Array, Array]:
-        """(nq, nq of the tree) and (nq of the tree,), of positions q A + b where J is constant."""
-        zero = np.zeros(len(self.names))
-        start, *ends = self._along(np.vstack([zero, np.eye(len(zero))]), None)[0]
-        return np.reshape(ends, (len(zero), len(start))) - start, start
+    def offset(self) -> Array:
+        """(nq of the tree,) positions where those of the robot are zero."""
+        return self._along(np.zeros((1, len(self.names))), None)[0][0]
 
     def along(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
         """Return positions (N, nq of the tree) at those of the robot (N, nq), and J, J̇.
@@ -213,8 +211,8 @@ class RobotCoordinates(DrivenCoordinates):
         """
         if self.constant is None:
             return self._along(q, v)
-        (A, b), shape = self.linear, (len(q), *self.constant.shape)
-        return q @ A + b, np.broadcast_to(self.constant, shape), np.broadcast_to(0.0, shape)
+        J, shape = self.constant, (len(q), *self.constant.shape)
+        return q @ J.T + self.offset, np.broadcast_to(J, shape), np.broadcast_to(0.0, shape)
 
     def _along(self, q: Array, v: Array | None) -> tuple[Array, Array, Array]:
         shape = len(q), *self.shape
@@ -244,16 +242,26 @@ class RobotCoordinates(DrivenCoordinates):
         theta, rates, accelerations = (contiguous(x) for x in samples)
         return theta, rates, accelerations, J
 
-    @cached_property
-    def every(self) -> EveryCoordinate:
-        """The map to all joints and actuators, those beyond the tree among them; see `behind`."""
-        return EveryCoordinate(self)
+    def along_all(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
+        """Return what `along` does, and after it that of joints and actuators beyond the tree.
+
+        Those close loops, or are actuators that other loops move; see `behind`.
+        """
+        parts = [self.along(q, v)]
+        for place, loop in self._loops:
+            at, own = list(loop.cut), place.actuators
+            theta, G, rate = loop.of_all(q[:, own], None if v is None else v[:, own])
+            rows = np.zeros((2, len(q), len(at), len(self.names)))
+            rows[0][:, :, own], rows[1][:, :, own] = G[:, at], rate[:, at]
+            parts.append((theta[:, at], *rows))
+        theta, J, rate = (np.concatenate(each, axis=1) for each in zip(*parts, strict=True))
+        return theta, J, rate
 
     def all_samples(self, q: Array, v: Array, vd: Array) -> tuple[Array, Array, Array, Array]:
-        """Return `tree_samples` of `every` joint and actuator."""
+        """Return `tree_samples` of all joints and actuators."""
         if not self._loops:
             return self.tree_samples(q, v, vd)
-        theta, J, rate = self.every.along(q, v)
+        theta, J, rate = self.along_all(q, v)
         return theta, times(J, v), times(J, vd) + times(rate, v), J
 
     @cached_property
@@ -324,7 +332,7 @@ class RobotCoordinates(DrivenCoordinates):
         """Joint of a drive that is no actuator -> where it is in the tree's positions.
 
         Joints that follow others by constant ratios are not among them. Those that close loops, and
-        actuators that follow others, come after them, as `every` has them.
+        actuators that follow others, come after them, as in `along_all`.
         """
         beyond = [loop.joints[k] for _, loop in self._loops for k in loop.cut]
         tree = {
@@ -411,39 +419,6 @@ class RobotCoordinates(DrivenCoordinates):
             block = np.ix_(place.joints, place.actuators)
             moves[block] = True if J is None else J != 0.0
         return moves
-
-
-@dataclass(frozen=True, eq=False)
-class EveryCoordinate(DrivenCoordinates):
-    """The map from a robot's positions to the tree's, and then to those beyond the tree.
-
-    The latter are joints that close loops, and actuators that other loops move.
-    """
-
-    robot: RobotCoordinates
-
-    @property
-    def driven(self) -> Indices:
-        """Velocities of the robot that are those of actuators of drives."""
-        return self.robot.driven
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Numbers of all that it moves, and of the robot's velocities."""
-        own, free = self.robot.shape
-        return own + sum(len(loop.cut) for _, loop in self.robot._loops), free
-
-    def along(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
-        """Return positions (N, ·), J and J̇."""
-        parts = [self.robot.along(q, v)]
-        for place, loop in self.robot._loops:
-            at, own = list(loop.cut), place.actuators
-            theta, G, rate = loop.of_all(q[:, own], None if v is None else v[:, own])
-            rows = np.zeros((2, len(q), len(at), len(self.robot.names)))
-            rows[0][:, :, own], rows[1][:, :, own] = G[:, at], rate[:, at]
-            parts.append((theta[:, at], *rows))
-        theta, J, rate = (np.concatenate(each, axis=1) for each in zip(*parts, strict=True))
-        return theta, J, rate
 
 
 def seated_at(drive: Drive, joints: Sequence[int]) -> list[int]:
