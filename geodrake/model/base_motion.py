@@ -495,17 +495,11 @@ def _angle(first: Array, second: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Feet:
-    """Where links are that may stand on the ground, in pairs of rows that are a short time apart.
+    """Where links are that may stand on the ground, in pairs of rows a short time apart."""
 
-    Attributes:
-        rows: (2, K) numbers of the rows.
-        places: (2, K, F, 3) of the links in the base, m.
-        are_told: Whether the log names the links.
-    """
-
-    rows: NDArray[np.intp]
-    places: Array
-    are_told: bool
+    rows: NDArray[np.intp]  # (2, K) numbers of the rows
+    places: Array  # (2, K, F, 3) of the links in the base, m
+    are_told: bool  # whether the log names the links
 
     @classmethod
     def of(cls, log: JointLog, model: RobotModel, pose: BasePose) -> _Feet | None:

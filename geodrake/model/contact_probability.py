@@ -38,16 +38,13 @@ _STEPS_LAST = 0.3  # s, of a touch or a swing on average
 
 @dataclass(frozen=True, eq=False)
 class FrameSigns:
-    """Signs of contact of c frames at N instants; NaN where unknown.
-
-    Attributes:
-        loads: (N, c) largest component of the force on them that the joints of their limbs tell,
-            over its deviation in the air.
-    """
+    """Signs of contact of c frames at N instants; NaN where unknown."""
 
     time: Array
     heights: Array  # (N, c) over the ground, m
     speeds: Array  # (N, c) of the points that may touch, m/s
+    # (N, c) largest component of the force on them that the joints of their limbs tell, over its
+    # deviation in the air.
     loads: Array
 
 

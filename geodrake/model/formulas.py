@@ -129,14 +129,10 @@ def _simplified(name: str, operands: tuple[Operand, ...]) -> Operand | None:
 
 @dataclass(frozen=True, eq=False)
 class Symbol(NDArrayOperatorsMixin):
-    """A number that is not known yet.
+    """A number that is not known yet."""
 
-    Attributes:
-        operation: NumPy's name of the operation that gives it; "input" for what is given.
-        operands: What that is of, symbols and floats; of an input its name and place.
-    """
-
-    operation: str
+    operation: str  # NumPy's name of the operation that gives it; "input" for what is given
+    # What that is of, symbols and floats; of an input its name and place.
     operands: tuple[Operand, ...]
 
     __hash__, __eq__, __ne__ = object.__hash__, object.__eq__, object.__ne__

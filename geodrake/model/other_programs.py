@@ -56,21 +56,17 @@ Places = Mapping[str, float]
 
 @dataclass(frozen=True, eq=False)
 class OtherProgram:
-    """Another program with the model that it read of a file.
-
-    Attributes:
-        units: The plant's joints that it has.
-        rest: Its positions, velocities and accelerations, held joints in their places.
-        places: Of each of the joints, where it is in its positions and velocities.
-        inverse_dynamics: Makes of its positions, velocities and accelerations efforts.
-        in_body: Whether velocities of a free body are in its axes, and quaternions x, y, z, w.
-    """
+    """Another program with the model that it read of a file."""
 
     by: str
-    units: Units
+    units: Units  # the plant's joints that it has
+    # Its positions, velocities and accelerations, held joints in their places.
     rest: tuple[Array, Array, Array]
+    # Of each of the joints, where it is in its positions and velocities.
     places: Sequence[tuple[slice, slice]]
+    # Makes of its positions, velocities and accelerations efforts.
     inverse_dynamics: Callable[[Array, Array, Array], Array]
+    # Whether velocities of a free body are in its axes, and quaternions x, y, z, w.
     in_body: bool = False
 
     def state(self, q: Array, v: Array, size: int) -> tuple[Array, Array, Array]:

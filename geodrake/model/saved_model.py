@@ -67,13 +67,10 @@ _Dumper.add_representer(
 
 
 class SavedEffect(Schema):
-    """One effect: its name, place, shape and parameters; one of the user's own, its file and class.
-
-    Attributes:
-        file: Path of the Python file that defines it, relative to this one; empty for geodrake's.
-    """
+    """One effect: name, place, shape and parameters; one of the user's own, its file and class."""
 
     name: str = ""
+    # Path of the Python file that defines it, relative to this one; empty for geodrake's.
     file: str = ""
     class_name: str = ""
     where: list[str] = []

@@ -149,11 +149,7 @@ inline std::array<double, kJoints> effort(
 
 @dataclass(frozen=True)
 class Language:
-    """A programming language of formulas, and the parts of a file in it.
-
-    Attributes:
-        own: Operations that are written in a way of their own, as formats of their operands.
-    """
+    """A programming language of formulas, and the parts of a file in it."""
 
     suffix: str
     template: str
@@ -162,6 +158,7 @@ class Language:
     result: str
     string: Callable[[str], str]
     module: str  # what stands before the names of mathematical functions
+    # Operations that are written in a way of their own, as formats of their operands.
     own: Mapping[str, str]
 
     def operation(self, name: str, operands: tuple[str, ...]) -> str:

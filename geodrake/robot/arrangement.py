@@ -216,25 +216,21 @@ _WORLD = 0
 
 @dataclass(frozen=True)
 class Arrangement:
-    """The parts of a model file that move, and independently.
+    """The parts of a model file that move, and independently."""
 
-    Attributes:
-        floating: Whether free roots float instead of being welded to the world.
-        held: Scoped names of joints that are held -> their poses X_FM.
-        places: Scoped names of joints that are held -> where, rad or m.
-        aside: Scoped names of joints of other robots than the one asked for -> their poses X_FM.
-        robot: Indices of that robot's bodies; None for all that there are.
-        followers: Scoped name of a joint -> what it follows.
-        joints: Names, as users know them, of the robot's joints of one degree of freedom, held
-            ones and followers included.
-    """
-
-    floating: bool
+    floating: bool  # whether free roots float instead of being welded to the world
+    # Scoped names of joints that are held -> their poses X_FM.
     held: Mapping[str, RigidTransform] = field(default_factory=dict)
+    # Scoped names of joints that are held -> where, rad or m.
     places: dict[str, float] = field(default_factory=dict)
+    # Scoped names of joints of other robots than the one asked for -> their poses X_FM.
     aside: Mapping[str, RigidTransform] = field(default_factory=dict)
+    # Indices of that robot's bodies; None for all that there are.
     robot: frozenset[int] | None = None
+    # Scoped name of a joint -> what it follows.
     followers: Mapping[str, Tie] = field(default_factory=dict)
+    # Names, as users know them, of the robot's joints of one degree of freedom, held ones and
+    # followers included.
     joints: tuple[str, ...] = ()
 
 

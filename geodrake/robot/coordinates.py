@@ -118,17 +118,15 @@ class RobotCoordinates(DrivenCoordinates):
     """A map from a robot's q, v and v̇ to those of the tree of its plant.
 
     Its joints have as many positions as velocities, so that both are in the same places.
-
-    Attributes:
-        kept: (2, ·) where joints without a drive are in the robot's q and v, and in the tree's.
-        leaders: Velocity of each of the tree's joints that follow others -> that of its leader.
     """
 
     names: tuple[str, ...]  # names of the robot's nv velocities
     places: tuple[Places, ...]
+    # (2, ·) where joints without a drive are in the robot's q and v, and in the tree's.
     kept: Indices
     joints: tuple[str, ...]  # names of the tree's velocities
     single: frozenset[int]  # velocities of the tree's joints of one degree of freedom
+    # Velocity of each of the tree's joints that follow others -> that of its leader.
     leaders: Mapping[int, int]
 
     @classmethod

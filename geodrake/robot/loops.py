@@ -65,39 +65,31 @@ _FARTHEST = 1e6  # m, of a closure from its body
 
 @dataclass(frozen=True)
 class LoopJoints:
-    """Facts about joints in closed loops.
+    """Facts about joints in closed loops."""
 
-    Attributes:
-        followers: Scoped name of a joint -> what it follows.
-        sprung: Names of joints with springs, the stiffest first: where motors do not determine how
-            a loop moves, these are free beside them, as they hardly move.
-        start: Joint -> where it is on the way to the loops' posture, rad or m; otherwise as the
-            plant has it.
-        drives: What moves joints that may be in loops.
-        placed: Actuator of these drives -> where it is then.
-    """
-
+    # Scoped name of a joint -> what it follows.
     followers: Mapping[str, Tie] = field(default_factory=dict)
     driven: Collection[str] = ()
+    # Names of joints with springs, the stiffest first: where motors do not determine how a loop
+    # moves, these are free beside them, as they hardly move.
     sprung: Sequence[str] = ()
     first: Collection[str] = ()  # names of joints that are to be free before all others
+    # Joint -> where it is on the way to the loops' posture, rad or m; otherwise as the plant has
+    # it.
     start: Mapping[str, float] = field(default_factory=dict)
-    drives: Sequence[Drive] = ()
+    drives: Sequence[Drive] = ()  # what moves joints that may be in loops
+    # Actuator of these drives -> where it is then.
     placed: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class Loops:
-    """The closed loops of a robot.
-
-    Attributes:
-        taken: Scoped names of joints that follow others, and are among theirs.
-        held: Joint -> where it is held as loops and other constraints let it not move, rad or m.
-    """
+    """The closed loops of a robot."""
 
     loops: tuple[LoopTransmission, ...] = ()
     left_out: tuple[str, ...] = ()
-    taken: tuple[str, ...] = ()
+    taken: tuple[str, ...] = ()  # scoped names of joints that follow others, and are among theirs
+    # Joint -> where it is held as loops and other constraints let it not move, rad or m.
     held: Mapping[str, float] = field(default_factory=dict)
 
     @property

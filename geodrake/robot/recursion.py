@@ -63,17 +63,13 @@ Motion = tuple[Vector, Vector, Vector, Vector]
 
 @dataclass(frozen=True)
 class Mobilizer:
-    """One joint of the tree and the body B that it moves; P is the body on its inboard side.
-
-    Attributes:
-        dofs: Indices in v of all velocities that move B, the mobilizer's own ones last.
-        p_MoBo_B: (3,) position of Bo from the joint's Mo, m.
-    """
+    """One joint of the tree and the body B that it moves; P is the body on its inboard side."""
 
     parent: int  # index of the inboard mobilizer in the tree, -1 for the world
     body: int  # index of B among the lumped bodies, negative for a massless frame within a joint
     positions: slice  # where the mobilizer's positions are in q
     velocities: slice  # where its velocities are in v
+    # Indices in v of all velocities that move B, the mobilizer's own ones last.
     dofs: tuple[int, ...]
     motion: FrameMotion  # motion of the frame B, displaced to Mo, in P
     p_MoBo_B: Array  # noqa: N815

@@ -72,12 +72,10 @@ class StatedLength:
     """Forces along a length L = Σ cᵢ qᵢ over joints, as of one joint, a fixed tendon or a motor.
 
     effort of joint i = cᵢ (spring(L) + d₁ L̇ + d₂ |L̇| L̇ + d₃ L̇³ + F sgn L̇ + I L̈).
-
-    Attributes:
-        shares: Joint -> cᵢ; of one that moves by several velocities, all of them alike, or
-            `joint[k]` for one of them.
     """
 
+    # Joint -> cᵢ; of one that moves by several velocities, all of them alike, or `joint[k]` for
+    # one of them.
     shares: Mapping[str, float]
     spring: Spring = _NO_SPRING
     damping: tuple[float, float, float] = (0.0, 0.0, 0.0)  # d₁, d₂, d₃
@@ -128,18 +126,15 @@ class CutJoint:
 
 @dataclass(frozen=True)
 class Closure:
-    """Two frames of a robot's bodies that are one, or whose origins are.
-
-    Attributes:
-        radius: Of a ball about the second frame's origin that rolls on the world's x-y plane, m,
-            and where the frames are one at first; 0 where nothing rolls.
-    """
+    """Two frames of a robot's bodies that are one, or whose origins are."""
 
     name: str  # what closes the loop, in words
     bodies: tuple[str, str]  # scoped names of the bodies, or `WORLD`
     poses: tuple[RigidTransform, RigidTransform]  # poses of the frames in them
     turns: bool  # whether the frames turn together; else only the origins are one
     cut: CutJoint | None = None
+    # Of a ball about the second frame's origin that rolls on the world's x-y plane, m, and where
+    # the frames are one at first; 0 where nothing rolls.
     radius: float = 0.0
 
     @classmethod
@@ -157,11 +152,7 @@ class Closure:
 
 @dataclass(frozen=True)
 class InMedium:
-    """A body in a medium, as the box with its inertia, or an ellipsoid.
-
-    Attributes:
-        coefficients: (11,) of an ellipsoid, as `EllipsoidDrag` has them; none of a box.
-    """
+    """A body in a medium, as the box with its inertia, or an ellipsoid."""
 
     body: str  # scoped name of the body
     size: Array  # (3,) edges, or semi-axes, m
@@ -169,6 +160,7 @@ class InMedium:
     density: float  # of the medium, kg/m³
     viscosity: float  # of the medium, Pa·s
     wind: Array  # (3,) its velocity in the world, m/s
+    # (11,) of an ellipsoid, as `EllipsoidDrag` has them; none of a box.
     coefficients: tuple[float, ...] = ()
 
 
@@ -205,49 +197,41 @@ class Gearbox:
 
 @dataclass(eq=False)
 class FileTerms:
-    """Terms of model files other than rigid bodies, by scoped names, SI units.
+    """Terms of model files other than rigid bodies, by scoped names, SI units."""
 
-    Attributes:
-        notes: Sentences on what was taken otherwise than it is stated.
-        left_out: Sentences on what bears on efforts, and is nowhere here.
-        of_bases: Sentences on what bears on efforts of a free base alone, and is nowhere here.
-        lost: Sentences on inertias that nothing tells.
-        gravity: (3,) acceleration of gravity, m/s²; None for Drake's.
-        set_aside: Link -> (10,) inertial parameters in the file, where the plant has others.
-        lengths: What joints, fixed tendons and motors have.
-        start: Joint -> where the file has it by default, rad or m; otherwise at 0.
-        floating: Link -> where a joint of six degrees has it by default.
-        fixed: Joint -> where a constraint holds it, rad or m.
-        effort: Joint -> its largest effort, N or N·m.
-        coupled_inertia: Two joints, or one twice, and what tendons over several joints are there in
-            the mass matrix.
-        carried: Link -> which share of its weight something else carries.
-        acting: Joints whose own motors carry it, so that they bear all of the weight.
-        followers: Joint -> what it follows.
-        between: Bodies between several joints of one, which weigh nothing.
-    """
-
+    # Sentences on what was taken otherwise than it is stated.
     notes: list[str] = field(default_factory=list)
+    # Sentences on what bears on efforts, and is nowhere here.
     left_out: list[str] = field(default_factory=list)
+    # Sentences on what bears on efforts of a free base alone, and is nowhere here.
     of_bases: list[str] = field(default_factory=list)
-    lost: list[str] = field(default_factory=list)
-    gravity: Array | None = None
+    lost: list[str] = field(default_factory=list)  # sentences on inertias that nothing tells
+    gravity: Array | None = None  # (3,) acceleration of gravity, m/s²; None for Drake's
+    # Link -> (10,) inertial parameters in the file, where the plant has others.
     set_aside: dict[str, Array] = field(default_factory=dict)
+    # What joints, fixed tendons and motors have.
     lengths: list[StatedLength] = field(default_factory=list)
+    # Joint -> where the file has it by default, rad or m; otherwise at 0.
     start: dict[str, float] = field(default_factory=dict)
+    # Link -> where a joint of six degrees has it by default.
     floating: dict[str, RigidTransform] = field(default_factory=dict)
+    # Joint -> where a constraint holds it, rad or m.
     fixed: dict[str, float] = field(default_factory=dict)
-    effort: dict[str, float] = field(default_factory=dict)
+    effort: dict[str, float] = field(default_factory=dict)  # joint -> its largest effort, N or N·m
     driven: set[str] = field(default_factory=set)
+    # Two joints, or one twice, and what tendons over several joints are there in the mass matrix.
     coupled_inertia: list[tuple[str, str, float]] = field(default_factory=list)
+    # Link -> which share of its weight something else carries.
     carried: dict[str, float] = field(default_factory=dict)
+    # Joints whose own motors carry it, so that they bear all of the weight.
     acting: set[str] = field(default_factory=set)
     in_medium: list[InMedium] = field(default_factory=list)
     struts: list[StatedStrut] = field(default_factory=list)
     balls: list[StatedBall] = field(default_factory=list)
     gearboxes: list[Gearbox] = field(default_factory=list)
-    followers: dict[str, Tie] = field(default_factory=dict)
+    followers: dict[str, Tie] = field(default_factory=dict)  # joint -> what it follows
     closures: list[Closure] = field(default_factory=list)
+    # Bodies between several joints of one, which weigh nothing.
     between: set[str] = field(default_factory=set)
 
     @classmethod

@@ -93,15 +93,12 @@ class Coupling:
 
 @dataclass(frozen=True, eq=False)
 class SoftJoints:
-    """The m joints of a plant whose links are not where their motors are.
-
-    Attributes:
-        effects: Of each, what gives way, and where its parameters are among those of all effects.
-    """
+    """The m joints of a plant whose links are not where their motors are."""
 
     names: tuple[str, ...]
     velocities: NDArray[np.intp]  # (m,) their velocities
     positions: NDArray[np.intp]  # (m,) their positions
+    # Of each, what gives way, and where its parameters are among those of all effects.
     effects: tuple[tuple[tuple[DeflectionEffect, slice], ...], ...]
     link_inertia: Array  # (m,) 1 / (M⁻¹)_jj in the default posture, kg·m² or kg
     motor_inertia: Array  # (m,) that of the motors, kg·m² or kg

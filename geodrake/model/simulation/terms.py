@@ -182,16 +182,13 @@ Parameters = tuple[Array, Array]
 
 @dataclass(frozen=True, eq=False)
 class PlantState:
-    """State of a plant and of its motors.
-
-    Attributes:
-        lag: (m,) positions of the motors of soft joints less those of their links, rad or m.
-    """
+    """State of a plant and of its motors."""
 
     q: Array  # (nq,) positions of the links
     v: Array  # (nv,) their velocities
     time: float  # time since the log began, s
     hidden: Array  # (h,) hidden states of effects
+    # (m,) positions of the motors of soft joints less those of their links, rad or m.
     lag: Array = field(default_factory=lambda: np.zeros(0))
     speed: Array = field(default_factory=lambda: np.zeros(0))  # (m,) velocities of these motors
 

@@ -65,15 +65,12 @@ _LINE = re.compile(r"\S*?/(\d+)\.\w+:(\d+): ")
 
 @dataclass(frozen=True)
 class ModelDescription:
-    """A model file: one simplified text, or directives that put several together.
-
-    Attributes:
-        texts: The simplified texts; one for each `add_model` of the directives, in their order.
-        directives: The flattened directives, or None for a URDF, SDF or MJCF file.
-    """
+    """A model file: one simplified text, or directives that put several together."""
 
     path: Path
+    # The simplified texts; one for each `add_model` of the directives, in their order.
     texts: tuple[ModelText, ...]
+    # The flattened directives, or None for a URDF, SDF or MJCF file.
     directives: ModelDirectives | None = None
     given: Given = field(default_factory=Given)
 

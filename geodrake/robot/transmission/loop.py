@@ -51,11 +51,7 @@ CLOSURE = np.dtype(
 
 
 class LoopRecords(NamedTuple):
-    """A loop of k joints for compiled code.
-
-    Attributes:
-        units: (k + 1,) how far joints go that move as far as a radian, and the size of the loop, m.
-    """
+    """A loop of k joints for compiled code."""
 
     tree: TreeRecords  # its mobilizers, whose bodies have their numbers
     closures: NDArray[np.void]
@@ -63,6 +59,7 @@ class LoopRecords(NamedTuple):
     free: Indices  # numbers of the n joints that are free
     following: Indices  # numbers of those that follow
     reference: Array  # (k,) the posture of the file
+    # (k + 1,) how far joints go that move as far as a radian, and the size of the loop, m.
     units: Array
 
 

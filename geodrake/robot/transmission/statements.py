@@ -195,14 +195,10 @@ class RollingJoint(Statement):
 
 
 class Followers(Statement):
-    """Joints that follow polynomials of a leader's position, which moves by itself.
+    """Joints that follow polynomials of a leader's position, which moves by itself."""
 
-    Attributes:
-        leader: The joint that leads, whose name the actuator has.
-        joints: Joint that follows -> coefficients of its polynomial, the constant first.
-    """
-
-    leader: str
+    leader: str  # the joint that leads, whose name the actuator has
+    # Joint that follows -> coefficients of its polynomial, the constant first.
     joints: dict[str, list[float]]
 
     def transmission(self) -> Transmission:
@@ -279,9 +275,6 @@ class FourBarLinkage(OneJoint):
 
     Crank and rocker turn about parallel axes on the ground link, and the coupler joins their ends.
     Their angles are counted from the line from the crank's pivot to the rocker's.
-
-    Attributes:
-        crossed: Whether coupler and ground link cross: the other way to put the bars together.
     """
 
     ground: float  # distance of the two pivots, m; only ratios of the four lengths matter
@@ -290,6 +283,7 @@ class FourBarLinkage(OneJoint):
     rocker: float
     crank_angle: float = 0.0  # angle of the crank where q = 0, rad
     rocker_angle: float = 0.0  # angle of the rocker where θ = 0, rad
+    # Whether coupler and ground link cross: the other way to put the bars together.
     crossed: bool = False
 
     def transmission(self) -> Transmission:
