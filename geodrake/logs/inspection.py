@@ -17,6 +17,7 @@ from geodrake.logs.files.column_mapping import Columns
 from geodrake.logs.files.mapping_file import mapping_of, mapping_yaml
 from geodrake.logs.files.reading import MappedColumn
 from geodrake.logs.files.units import unit_of
+from geodrake.logs.log_checks import check_commands
 from geodrake.logs.motion import PASSIVE, JointLog
 from geodrake.logs.preparation import prepare_logs
 from geodrake.logs.sensor_faults import without_faults
@@ -87,6 +88,7 @@ def inspect_log(
     log = raw
     try:
         log = without_faults(raw)
+        check_commands(log)
         silent = np.isnan(log.effort).all(axis=0)  # where commands are in the place of efforts
         told = replace(log, effort=np.where(silent, 0.0, log.effort)) if silent.any() else log
         unused = prepare_logs([make_uniform(told, faultless=True)])[0].left_out

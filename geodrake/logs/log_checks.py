@@ -16,6 +16,7 @@ _STILL = 2e-3  # rad or m, by which a joint may move and still stand
 _SAME = 1e-6  # of what a joint moves, by which a copy of its positions may differ: it is rounded
 _RATIOS = 57.3, 652.0, 11.4  # of rad, degrees and ticks of 4,096 a turn
 _LAG, _FOLLOWS = 0.4, 0.8  # of such a ratio's logarithm, and correlation of what follows
+_UNLIKE, _APART = 0.5, 5.0  # correlation of what does not, and times as far that it moves
 _LATEST = 3  # rows by which a copy may be late
 _WINDOW, _MOVING = 0.05, 0.1  # s, and the share of the largest way in them of a joint that moves
 _FULL, _MOST = 1.0 - 1e-6, 0.9  # of the largest effort, and the share of rows that may be at it
@@ -24,7 +25,8 @@ _STEPS = 50  # resolutions that a largest value must have, or rounding may expla
 
 
 def check_commands(log: JointLog) -> None:
-    """Raise for commands that always equal the joint's position, or are in another unit."""
+    """Raise for commands that always equal positions, are in another unit, or are of others."""
+    unlike, moved = list[str](), 0
     for at, joint in enumerate(log.joints):
         if log.command is None or np.isfinite(log.effort[:, at]).any():
             continue
@@ -32,8 +34,14 @@ def check_commands(log: JointLog) -> None:
         known = np.isfinite(position)
         if not known.any() or position[known].max() - _STILL <= position[known].min():
             continue
-        size = _times(command, position)
-        if any(abs(abs(np.log(size)) - np.log(ratio)) < _LAG for ratio in _RATIOS):
+        alike, size = _alike(command, position)
+        is_unlike = size > 0.0 and (alike < _UNLIKE or not 1.0 / _APART < size < _APART)
+        words = f"{joint} they correlate by {alike:.2f} and vary {size:.3g} times as much"
+        unlike += [words] * is_unlike
+        moved += size > 0.0
+        if alike >= _FOLLOWS and any(
+            abs(abs(np.log(size)) - np.log(ratio)) < _LAG for ratio in _RATIOS
+        ):
             raise LogError(
                 f"Commands of {joint} in log {log.name!r} move as positions, but {size:.3g} times "
                 "as far.",
@@ -48,16 +56,22 @@ def check_commands(log: JointLog) -> None:
                 "that is the command, move the joint faster, in steps or oscillations of "
                 "some hertz, or with a load, so that the servo lags.",
             )
+    if unlike and len(unlike) == moved:
+        raise LogError(
+            f"No joint follows its commands in log {log.name!r}: of {unlike[0]} as positions.",
+            advice="Are they increments, normalized, torques, or of an end effector? Log the "
+            "positions that servos are told, or efforts.",
+        )
 
 
-def _times(command: Array, position: Array) -> float:
-    """Return how many times as far as positions (N,) commands that follow them move; else 1."""
+def _alike(command: Array, position: Array) -> tuple[float, float]:
+    """Return the correlation of commands and positions (N,), and the ratio of their deviations."""
     known = np.isfinite(command) & np.isfinite(position)
     first, second = command[known], position[known]
     sizes = (float(first.std()), float(second.std())) if known.any() else (0.0, 0.0)
-    if not min(sizes) > 0.0 or np.corrcoef(first, second)[0, 1] < _FOLLOWS:
-        return 1.0
-    return sizes[0] / sizes[1]
+    if not min(sizes) > 0.0:
+        return 0.0, 0.0
+    return float(np.corrcoef(first, second)[0, 1]), sizes[0] / sizes[1]
 
 
 def _is_copy(command: Array, position: Array, late: int) -> bool:

@@ -22,7 +22,7 @@ _NEAR_ZERO, _TOUCHES = 0.03, 4  # of the largest effort, and how often one comes
 _LOOKS = 200  # at a position, between which its noise turns it round
 _LEAST_DEGREES = 45.0  # seven turns of a joint in radians
 _MOST_NORMALIZED = 101.0
-_MOST_DEGREES = 3600.0  # ten turns
+_LEAST_MRAD, _MOST_DEGREES = 400.0, 3600.0  # ten turns
 _LEAST_TICKS = 100.0  # no joint goes there in radians
 _FEW = 0.01  # share of samples that may be spikes
 _MARGIN = 0.01  # of a range, by which a joint may pass its stops
@@ -63,8 +63,8 @@ _OF_MOTORS = (
     "turns of motors with a gear of 100, or as gains in a mapping."
 )
 _UNIT_ADVICE = (
-    "Set their unit: --units position=deg, position=mm or, for an encoder with 4096 counts "
-    "a turn of the joint and zero at 2048, position=rev/4096@2048."
+    "Set their unit: --units position=deg, =cdeg, =mrad, =mm or, for an encoder with 4096 counts "
+    "a turn of the joint and zero at 2048, =rev/4096@2048."
 )
 
 
@@ -81,6 +81,7 @@ def position_unit_hint(log: JointLog) -> str | None:
         return f"Positions are neither rad nor degrees: {farthest}. {_UNIT_ADVICE}"
     other = " (or, for LeRobot's −100 to 100 of a joint's range, position=normalized)"
     other = other if peaks.max() <= _MOST_NORMALIZED else ""
+    other = other if peaks[worst] < _LEAST_MRAD else " (or position=mrad)"
     return (
         f"Positions seem to be in degrees: {farthest}. --units position=deg converts them{other}."
     )

@@ -227,7 +227,7 @@ def test_matrices_have_columns_of_the_names_that_are_given(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "words"),
-    [("log.npz.gz", "is compressed"), ("log.xlsx", "sheet of Excel"), ("a.gz", "is")],
+    [("log.mat.gz", "is compressed"), ("log.xlsx", "sheet of Excel"), ("a.gz", "is")],
 )
 def test_what_is_packed_or_no_sheet_is_said(tmp_path, name, words):
     (tmp_path / name).write_bytes(b"PK and no more")

@@ -238,6 +238,11 @@ DATES = {
     "of a file's name": "{:%Y-%m-%d-%H-%M-%S.%f}",
     "month's name": "{:%d-%b-%Y %H:%M:%S.%f}",
     "noon and zone": "{:%m/%d/%Y %I:%M:%S.%f %p}+02:00",
+    "two digits of a year": "{:%d.%m.%y %H:%M:%S.%f}",
+    "month's name first": "{:%b %d, %Y %H:%M:%S.%f}",
+    "of C": "{:%a %b %d %H:%M:%S.%f %Y}",
+    "Chinese": "{:%Y年%m月%d日 %H:%M:%S.%f}",
+    "dashes": "{:%m-%d-%Y %H:%M:%S.%f}",
 }
 
 

@@ -300,6 +300,20 @@ def test_commands_that_say_nothing():
     with pytest.raises(LogError, match=r"shoulder .* always equals"):
         check_commands(log(np.roll(Q, -2, axis=0)))  # what was told is there two rows later
     check_commands(JointLog("x", JOINTS, TIME, Q, S, command=Q))  # efforts are measured
+    for other in (np.diff(C, axis=0, prepend=C[:1]), 20.0 * C):
+        with pytest.raises(LogError, match=r"No joint follows its commands .* increments"):
+            check_commands(log(other))
+
+
+def test_velocities_that_are_none_are_left_out(tmp_path):
+    columns = frame(q_J=Q, v_J=0.0 * Q, effort_J=S)
+    log = read_log(write(tmp_path / "log.csv", columns), joints=JOINTS)
+    assert log.velocity is None
+    assert "velocity is not used, as it does not go with positions" in log.notes
+    columns = frame(q_J=np.rint(2048.0 + 651.9 * Q), v_J=np.rint(41.7 * V), effort_J=S)
+    log = read_log(write(tmp_path / "log.csv", columns), joints=JOINTS)
+    np.testing.assert_allclose(log.velocity, V, atol=0.02)
+    assert "velocity is in 0.229 rpm, as velocities are" in said(log)
 
 
 @pytest.mark.parametrize("unit", ["deg", "ticks"])
@@ -504,6 +518,8 @@ UNITS = {
     "motors": ({"motor_q_J": DEG * Q}, 1.0, None),
     "two turns": ({"q_J": 16.0 * Q}, 1.0, None),
     "thousandths": ({"q_J": 1000.0 * Q}, 1.0, None),
+    "thousandths and rad/s": ({"q_J": 1000.0 * Q, "v_J": V}, 1000.0, 1.0),
+    "hundredths of degrees": ({"q_J": 100.0 * DEG * Q, "v_J": DEG * V}, 100.0 * DEG, 1.0),
     "in rad as asked": ({"q_J": DEG * Q}, 1.0, None),
 }
 """Columns -> how many of their units a rad is, or 1 if that is not certain; and so of speeds."""

@@ -194,6 +194,17 @@ def frame_of_pandas(index):
         "df/axis1": TIME if index else np.arange(ROWS), "df/block0_values": values})  # fmt: skip
 
 
+def records_of_motors(columns, inside=""):
+    """Records of the motors 1 and 2 at each instant, alone or in a list."""
+    rows = [
+        [{"id": k + 1, **{n: float(x[i, k]) for n, x in columns.items()}} for k in (0, 1)]
+        for i in range(ROWS)
+    ]
+    alone = [{"time": t, **each} for t, row in zip(TIME, rows, strict=True) for each in row]
+    lists = [{"time": t, inside: row} for t, row in zip(TIME, rows, strict=True)]
+    return text("\n".join(map(json.dumps, lists if inside else alone)))
+
+
 def zipped(members):
     def write(path):
         with ZipFile(path, "w") as archive:
@@ -520,6 +531,35 @@ SHAPES = {
         **{f"torque{k}_pct": TIME for k in (0, 1)}, **{f"torque{k}_Nm": EFFORT[:, k]
         for k in (0, 1)}})),
     "RAPID.csv": logger("ClkRead", "rax_{}", "MotorTorque_{}"),
+    "jointtarget.csv": text("time;jointtarget;torque\n" + "\n".join(
+        f"{t!r};[[{a!r},{b!r}],[9E+09,9E9]];[{c!r},{d!r}]" for t, a, b, c, d in
+        np.column_stack([TIME, np.rad2deg(POSITION), EFFORT]).tolist())),
+    "rows_of_moteus.jsonl": records_of_motors({"position": POSITION / 2 / np.pi, "torque": EFFORT,
+        **dict.fromkeys(("mode", "fault", "q_current", "d_current"), EFFORT)}),
+    "of_UR_primary.jsonl": records_of_motors({"q_actual": POSITION, "qd_actual": VELOCITY,
+        "V_actual": 48.0 + 0.0 * EFFORT, "torque": EFFORT}, "JointData"),
+    "EGM.jsonl": text("\n".join(json.dumps({"tm": t, "feedBack": {"joints": q}, "planned": {
+        "joints": [2.0, 3.0]}, "torque": tau}) for t, q, tau in
+        zip(*(x.tolist() for x in (TIME, POSITION, EFFORT)), strict=True))),
+    "states.csv": table(pandas.DataFrame(np.column_stack([TIME, POSITION, VELOCITY, EFFORT]),
+        columns=["t", "x1", "x2", "x3", "x4", "u1", "u2"])),
+    "states_in_turn.npz": lambda path: np.savez(path, dt=0.01, us=EFFORT,
+        xs=np.stack([POSITION, VELOCITY], 2).reshape(ROWS, 4)),
+    "LabVIEW_with_commas.lvm": text("LabVIEW Measurement\t\nDecimal_Separator\t,\nX_Columns\tOne\n"
+        "***End_of_Header***\t\n\t\nChannels\t4\t\nSamples" + 4 * "\t60" + "\nX_Dimension"
+        + 4 * "\tTime" + "\nX0" + 4 * "\t0,0" + "\nDelta_X" + 4 * "\t0,01" + "\n"
+        "***End_of_Header***" + 4 * "\t" + "\nX_Value\tq1\tq2\ttau1\ttau2\tComment\n"
+        + PLAIN.to_csv(index=False, header=False, sep="\t", decimal=",")),
+    "dSPACE.mat": lambda path: savemat(path, {"rec": {"X": {"Name": "", "Data": TIME}, "Y":
+        np.array([{"Name": f'"Model Root/{name}"/Out1', "Data": x, "Unit": unit} for name, x, unit
+        in (("q1", POSITION[:, 0], "rad"), ("q2", np.rad2deg(POSITION[:, 1]), "deg"),
+        ("tau1", EFFORT[:, 0], "Nm"), ("tau2", EFFORT[:, 1], "Nm"))], object)}}),
+    "glog.log": text("".join(f"I0501 {t.time().isoformat('microseconds')} 77 arm.cc:88] q1={a!r} "
+        f"q2={b!r} tau1={c!r} tau2={d!r}\n" for t, (a, b, c, d) in
+        zip(MOMENTS, PLAIN.to_numpy()[:, 1:].tolist(), strict=True))),
+    "Mac.csv": lambda path: path.write_text(PLAIN.assign(**{f"{n}.position": np.rad2deg(x) for n, x
+        in zip(JOINTS, POSITION.T, strict=True)}).set_axis(["t", "Winkel 1 [°]", "Winkel 2 [°]",
+        "Kraft 1 (N)", "Kraft 2 (N)"], axis=1).to_csv(index=False), "mac_roman"),
     "ODrive_names.csv": logger("t", "node{}.Pos_Estimate", "node{}.Torque_Estimate", (0, 1),
         0.5 / np.pi),
     "theta.csv": logger("t", "th{}", "tau{}"),
@@ -533,7 +573,8 @@ SHAPES = {
         "effort": e} for n, p, e in each}} for t, each in REVERSED])),
 }  # fmt: skip
 """A file of each shape, and what writes it."""
-MOVING = ("RTDE.csv", "libfranka.csv", "no_moteus.csv", "matrices.npz")
+MOVING = ("RTDE.csv", "libfranka.csv", "no_moteus.csv", "matrices.npz", "of_UR_primary.jsonl",
+    "states.csv", "states_in_turn.npz")  # fmt: skip
 """Those that have velocities."""
 CURRENTS = ("RTDE.csv", "KUKA 1.csv", "ODrive.csv", "Elmo.csv")
 SAYING = {
@@ -842,9 +883,12 @@ def test_many_lines_are_read_by_arrow_as_without_it(tmp_path, monkeypatch, odd):
     ("name", "content", "words"),
     [
         ("a.zip", zipped({"a.csv": "", "b/c.csv": ""}), r"of 2 logs of .* it has a\.csv, b/c\.csv"),
-        ("a.zip", zipped({"a.npz": ""}), r"of 0 logs of text or JSON; it has a\.npz"),
-        ("a.zip", text("PK"), "is not a readable|no format|not end in a format"),
+        ("a.zip", zipped({"a.mat": ""}), r"of 0 logs of text, JSON or NPZ; it has a\.mat"),
+        ("a.zip", text("PK"), "is no complete ZIP archive: .* Copy it again"),
         ("a.tdms", text("TDSm"), "Convert it to CSV"),
+        ("a.log", "(1700000000.25) can0 181#D326113F\n", "a CAN bus.* Decode it with"),
+        ("a.dat", "DIAEXTENDED {@:ENGLISH\n", "the header of a recording of DIAdem"),
+        ("a.h5", in_hdf5({"t": TIME, "q": np.zeros((ROWS, 4, 2)), "tau": EFFORT}), "environments"),
         (
             "a.json",
             text(

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import msgspec
 import numpy as np
 import yaml  # type: ignore[import-untyped]
 from numpy.lib import format as npy
@@ -29,6 +30,7 @@ from geodrake.logs.files.grouped_arrays import (
     describes_columns,
     fields_of,
     is_of_episode,
+    neither,
     records_table,
 )
 from geodrake.logs.files.name_rules import (
@@ -57,6 +59,7 @@ from geodrake.logs.files.topics import messages_table
 _LINES = (".jsonl", ".ndjson")
 _JSON_SHARE = 0.05  # of the memory, for its text: what it becomes takes many times as much
 _SHOWN = 40  # letters of what is cut off
+_BEGINNING, _NO_RECORDS = 1000, re.compile(rb"(\xef\xbb\xbf)?\s*\[\s*[^\s{\]]")
 _JSON_ADVICE = (
     'Write {"time": [...], "joint.position": [...], ...}, or a record of these in each line.'
 )
@@ -65,6 +68,9 @@ _JSON_ADVICE = (
 def read_json(path: Path, reading: Reading) -> LogTable:
     """Return the columns of a JSON file: fields of records by their paths, as in `state.q[0]`."""
     with readable(path, "JSON file", _JSON_ADVICE):
+        with open_log(path) as file:
+            if _NO_RECORDS.match(file.read(_BEGINNING)):
+                raise neither(path, _JSON_ADVICE)
         text = _whole(path, "JSON").decode("utf-8-sig")
         values, rest = _json_values(text)
         if len(values) < 2 and rest:
@@ -79,6 +85,9 @@ def read_json(path: Path, reading: Reading) -> LogTable:
 
 def _json_values(text: str) -> tuple[list[Any], str]:
     """Return the values that follow each other in a text, as in lines, and what is cut off."""
+    if '"0":' not in text:
+        with suppress(msgspec.DecodeError):  # of several values, NaN, or what is wrong
+            return [msgspec.json.decode(text)], ""
     values, at, blank = list[Any](), 0, re.compile(r"\s*")
     decoder = json.JSONDecoder(object_hook=_counted)
     while (at := blank.match(text, at).end()) < len(text):  # type: ignore[union-attr]
@@ -299,7 +308,8 @@ def _of_hdf5(path: Path, reading: Reading, *, matlab: bool = True) -> dict[str, 
         datasets = {n: v for n, v in found.items() if isinstance(v, h5py.Dataset)}
         told += _attributes(file)
         told += [(n, np.ravel(v[()])[0]) for n, v in datasets.items() if v.size == 1]
-        arrays = {n: v for n, v in datasets.items() if v.shape and (matlab or _width(v.shape) <= 2)}
+        arrays = {n: v for n, v in datasets.items() if matlab or _may_be_log(n, v.shape)}
+        arrays = {n: v for n, v in arrays.items() if v.shape}
         mapped = [each.column for _, each in reading.mapping or ()] or [0]
         wanted = arrays
         if len(arrays) > MOST_COLUMNS and all(isinstance(each, str) for each in mapped):
@@ -453,16 +463,16 @@ _NPZ_ADVICE = "Store one 1-D array for each column, all of the same length."
 
 def read_npz(path: Path, reading: Reading) -> LogTable:
     """Return the columns of an NPZ file."""
-    arrays, objects, wide = dict[str, Any](), list[str](), dict[str, str]()
+    arrays, objects = dict[str, Any](), list[str]()
     with (
         readable(path, "NPZ archive", f"Write it with numpy.savez. {_NPZ_ADVICE}"),
-        open_regular(path, "log", LogError) as file,
+        open_log(path) as file,
         zipfile.ZipFile(file) as archive,
     ):
         entries = {e: e.filename.removesuffix(".npy").strip() for e in archive.infolist()}
         check_once(path, [*entries.values()])
         declared = {entry: _declared(archive, entry) for entry in entries}
-        wanted = {e: said for e, said in declared.items() if _width(said[0]) <= 2}
+        wanted = {e: said for e, said in declared.items() if _may_be_log(entries[e], said[0])}
         size = sum(math.prod(shape) for shape, _ in wanted.values())
         check_room(path, size, f"{size} numbers")
         for entry, name in entries.items():
@@ -487,16 +497,15 @@ def read_npz(path: Path, reading: Reading) -> LogTable:
                         raise ValueError(f"array {name!r} is longer than its header says")
                     array = np.squeeze(array) if array.ndim > 2 else array
                     arrays[name] = np.asarray(array, float) if array.dtype.kind in "fiu" else array
-            elif (meaning := meaning_of(name)) is not None and meaning.quantity in OF_JOINTS:
-                wide[name] = f"has the shape {shape} instead of a row for each sample"
     table = numeric_table(path, arrays, rows_of(arrays))
-    silent = {**table.silent, **dict.fromkeys(objects, "holds objects"), **wide}
-    return replace(table, silent=silent)
+    return replace(table, silent={**table.silent, **dict.fromkeys(objects, "holds objects")})
 
 
-def _width(shape: Sequence[int]) -> int:
-    """Return the number of dimensions of an array; beyond two, those of length 1 do not count."""
-    return len(shape) if len(shape) <= 2 else sum(count != 1 for count in shape)
+def _may_be_log(name: str, shape: Sequence[int]) -> bool:
+    """Return whether an array is read: no images, but of joints what is told to have no rows."""
+    meaning = meaning_of(name)
+    width = sum(count != 1 for count in shape) if len(shape) > 2 else len(shape)
+    return width <= 2 or (meaning is not None and meaning.quantity in OF_JOINTS)
 
 
 def _declared(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> tuple[tuple[int, ...], Any]:

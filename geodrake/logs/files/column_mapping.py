@@ -28,6 +28,7 @@ from geodrake.logs.files.name_rules import (
     PLAIN,
     PREVIOUS,
     ROLES,
+    SHORT,
     Meaning,
     as_positions,
     bracketed,
@@ -41,6 +42,7 @@ from geodrake.logs.files.name_rules import (
 )
 from geodrake.logs.files.packed_files import log_name
 from geodrake.logs.files.reading import ColumnMapping, MappedColumn, Reading
+from geodrake.logs.files.state_space import follows, state_columns
 from geodrake.logs.files.table import LogTable, date_words, rate_in
 from geodrake.logs.files.units import UNITS, find_unit, unit_advice, unit_of
 from geodrake.logs.motion import (
@@ -222,12 +224,14 @@ def _other_words(meaning: Meaning, joint: str) -> frozenset[str]:
 def _preference(meaning: Meaning, joint: str, said: str | None) -> tuple[bool | int, ...]:
     """Return the sort key of several columns of one quantity of a joint, best first.
 
-    What was filtered hides its noise, what is raw is often in counts, m may be of the motor, and
-    beside `qdot` `qd` is desired; what else names have more than others is of something else.
+    What was filtered hides its noise, what is raw is often in counts, m may be of the motor, V a
+    voltage, and beside `qdot` `qd` is desired; what else names have more than others is of
+    something else.
     """
     kept = max((_KEPT[word] for word in plain_words(meaning.column) if word in _KEPT), default=0)
     more = len(_other_words(meaning, joint)), len(plain_words(meaning.column))
-    own, rest = meaning.style[0] != "own", (meaning.role, kept, *more)
+    is_short = not SHORT.isdisjoint(meaning.style)
+    own, rest = meaning.style[0] != "own", (meaning.role, is_short, kept, *more)
     if meaning.log_quantity != "effort":
         return own, *rest
     other = said is not None and said != meaning.quantity
@@ -496,6 +500,9 @@ def _by_names(
         bare = as_positions(beside, joints)
         said = [f"position: {_span(bare)} taken, as they are named like joints"] if bare else []
         told += bare
+    states = [*state_columns(table, beside, told, reading)] if joints else []
+    told = [*states, *(m for m in told if m.column not in {each.column for each in states})]
+    said += [f"taken as states and inputs, in the model's order: {_span(states)}"] * bool(states)
     asked = [words for words in map(plain_words, reading.topics) if words]
     told = [m for m in told if any(words <= plain_words(m.column) for words in asked)] or told
     of_joints = _with_targets(table, told)
@@ -571,7 +578,6 @@ def _check_units(table: LogTable, places: Mapping[tuple[str, str], Meaning]) -> 
 
 
 _TARGET = "tq"  # torques, or targets of positions q
-_FOLLOWS = 0.2  # of its deviation, by which a position may be off its target
 
 
 def _with_targets(table: LogTable, meanings: Sequence[Meaning]) -> list[Meaning]:
@@ -583,8 +589,7 @@ def _with_targets(table: LogTable, meanings: Sequence[Meaning]) -> list[Meaning]
     targets = set[str]()
     for meaning in doubted:
         place, target = numbers[places[meaning.words]], numbers[meaning.column]
-        off = np.nanstd(target - place) + abs(np.nanmean(target - place))
-        targets |= {meaning.column} if off < _FOLLOWS * np.nanstd(place) else set()
+        targets |= {meaning.column} if follows(place, target) else set()
     return [
         replace(m, quantity="position", role=DESIRED, style=(_TARGET,), is_wanted=True)
         if m.column in targets
@@ -686,6 +691,12 @@ class Columns:
         if self.origin is not None:
             self.notes.append(f"time is in s since {date_words(self.origin)}")
 
+    def leave_out(self, quantity: str, why: str) -> None:
+        """Leave out the columns of a quantity that joints may lack, and note it."""
+        self.quantities = tuple(each for each in self.quantities if each != quantity)
+        self.places = {place: s for place, s in self.places.items() if place[1] != quantity}
+        self.notes.append(f"{quantity} is not used, as {why}")
+
     def choose(self, table: LogTable, wanted: Sequence[str] | None, *, partial: bool) -> None:
         """Find the joints of the log, and those with positions only."""
         path, moved = table.path, self._of_model(self.having("position"), wanted)
@@ -698,7 +709,8 @@ class Columns:
         if len(silent) == len(moved):
             told = {} if moved or efforts else table.first_words
             words = [f"; {n!r} holds {cell[:_LONGEST_WORD]!r}" for n, cell in told.items()]
-            advice = _WORDS_ADVICE if words else ""
+            words = words or [f"; its columns are {listed(table.names)}"]
+            advice = _WORDS_ADVICE if told else ""
             advice += f"{HEADER_ADVICE} {SIGNAL_ADVICE} {_MAPPING_ADVICE}"
             if self.reading.mapping is not None:
                 advice = f"Fill in {self.reading.mapping.source}."

@@ -36,7 +36,7 @@ from geodrake.logs.files.name_rules import (
     tells_recordings,
     tells_robots,
 )
-from geodrake.logs.files.packed_files import JSON, TEXT, unpacked
+from geodrake.logs.files.packed_files import JSON, PACKABLE, TEXT, unpacked
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.ros_bag import read_bag
 from geodrake.logs.files.table import LogTable
@@ -99,10 +99,10 @@ BEGINNINGS: Mapping[bytes, Reader] = {
 def table_of(path: Path, reading: Reading) -> LogTable:
     """Return the columns of a file of any format, which may be yet to be read."""
     kind = unpacked(path).suffix.lower()
-    if unpacked(path) != path and kind not in (*TEXT, *JSON):
+    if unpacked(path) != path and kind not in PACKABLE:
         raise LogError(
-            f"Log {str(path)!r} is compressed, but its name does not end in a format of text "
-            "or JSON.",
+            f"Log {str(path)!r} is compressed, but its name does not end in a format of "
+            "text, JSON or NPZ.",
             advice=f"Unpack it first, or add the format to its name: log.csv{path.suffix}.",
         )
     if (reader := reader_of(check_log(path))) is None:

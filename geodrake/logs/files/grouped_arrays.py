@@ -40,6 +40,8 @@ _MOST_PARTS = 200  # more records are samples, and no joints
 UNIT_OF = re.compile(r"(?:^|[._/])units?(?:[._/]|$)", re.IGNORECASE)
 """The part of a name by which a text is the unit of an array."""
 
+_VALUES = re.compile(r"\.(data|values?)$", re.IGNORECASE)  # beside a unit
+
 _STEPS_BETWEEN, _BETWEEN = 30.0, 1.0  # steps and s between episodes at least, which are a gap
 _EPISODE = re.compile(
     r"(?:demo|demonstration|episode|ep|traj|trajectory|rollout|trial|run)s?[_ -]?(\d+)", re.I
@@ -67,7 +69,7 @@ def content_table(
     if (grouped := grouped_table(path, content, reading)) is not None:
         return grouped
     if isinstance(content, Mapping):
-        content = _by_names(content)
+        content = _by_names(_with_signals(_inside(content)))
         records = next((x for x in content.values() if are_records(x)), None)
         if records is not None:
             said = {name: x for name, x in fields_of(content) if describes_columns(name, x)}
@@ -75,17 +77,22 @@ def content_table(
     if are_records(content):
         return records_table(path, content)
     if not isinstance(content, Mapping):
-        raise LogError(
-            f"Log {str(path)!r} is neither a JSON object nor a list of records.", advice=advice
-        )
+        raise neither(path, advice)
     arrays = arrays_of(content)
     table = numeric_table(path, arrays, rows_of(arrays))
     # Texts beside the arrays, such as `q_units` or `units.q`.
     told = {UNIT_OF.sub(".", n).strip("."): x for n, x in fields_of(content) if UNIT_OF.search(n)}
-    heads = {name: f".{name.partition('[')[0]}" for name in table.names}
+    heads = {name: f".{_VALUES.sub('', name.partition('[')[0])}" for name in table.names}
     of_what = [(f".{what}", unit) for what, unit in told.items() if isinstance(unit, str)]
     units = {n: u for n, head in heads.items() for what, u in of_what if head.endswith(what)}
     return replace(table, units=units)
+
+
+def neither(path: Path, advice: str) -> LogError:
+    """Return the error for a file of neither arrays by name nor records."""
+    return LogError(
+        f"Log {str(path)!r} is neither a JSON object nor a list of records.", advice=advice
+    )
 
 
 def arrays_of(variables: Mapping[str, Any]) -> dict[str, Any]:
@@ -94,15 +101,20 @@ def arrays_of(variables: Mapping[str, Any]) -> dict[str, Any]:
     A single struct around everything else is omitted. Signals of Simulink, structs of values with a
     label each, are arrays by these.
     """
-    while len(variables) == 1 and isinstance(inner := next(iter(variables.values())), Mapping):
-        variables = inner
-    variables, found = _with_signals(variables), {}
+    variables, found = _with_signals(_inside(variables)), {}
     for name, value in fields_of(variables):
         size = value.size if isinstance(value, np.ndarray) else 2
         size = len(value) if isinstance(value, list) else size
         if isinstance(value, np.ndarray | list | float | int) and size > 1:
             found[name] = np.squeeze(value) if isinstance(value, np.ndarray) else value
     return found
+
+
+def _inside(content: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the content of a struct that is alone, however many are around it."""
+    while len(content) == 1 and isinstance(inner := next(iter(content.values())), Mapping):
+        content = inner
+    return content
 
 
 def are_records(content: Any) -> bool:

@@ -136,11 +136,11 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
 
 def _of_model(tables: Sequence[LogTable], reading: Reading) -> Sequence[LogTable]:
     """Drop tables whose joints are all unknown to the model, such as those of a gripper."""
-    beside = [[n for n in table.columns if floating_meaning(n) is None] for table in tables]
-    told = [
-        [m for m in meanings_of(each, reading.joints) if m.quantity in OF_JOINTS] for each in beside
-    ]
-    joints = [set(matched(each, reading.joints)[0].values()) for each in told]
+    names = dict.fromkeys(n for t in tables for n in t.columns if floating_meaning(n) is None)
+    every = [m for m in meanings_of(names, reading.joints) if m.quantity in OF_JOINTS]
+    joint_of = matched(every, reading.joints)[0]
+    told = [[m for m in every if m.column in table.columns] for table in tables]
+    joints = [{joint_of[m.column] for m in each if m.column in joint_of} for each in told]
     model = {*reading.joints}
     is_own = [not m or not j.isdisjoint(model) for m, j in zip(told, joints, strict=True)]
     if reading.mapping is not None or all(is_own) or model.isdisjoint(set().union(*joints)):
@@ -531,7 +531,8 @@ def _brought_together(
     Its columns are called by the words of the column `naming`, and what their names are to end in.
     """
     parts = []
-    told = {m.column: unit for m in meanings_of(ends) if (unit := _unit_of(table, m))}
+    meanings = [m for m in meanings_of(table.columns) if m.column in ends]
+    told = {m.column: unit for m in meanings if (unit := _unit_of(table, m))}
     for word in dict.fromkeys(words.tolist()):
         kept = {n: x[words == word] for n, x in table.columns.items() if table.is_time(n)}
         kept |= {word + end: table.columns[n][words == word] for n, end in ends.items()}

@@ -54,7 +54,7 @@ ROLES = ("measured", "", "of motors", "desired", "of the row before", "of someth
 MAPPED = ("mapped",)
 """The style of columns that the user named."""
 
-_COMMAND, _SHORT, _FILLERS = map(_words, ("commands", "short", "fillers"))
+_COMMAND, SHORT, _FILLERS = map(_words, ("commands", "short", "fillers"))
 _FLAGS, _COUNTED, _STATES = map(_words, ("flags", "counted", "states"))
 _NO_SIGNAL, _SUPPLY, _NAMING = map(_words, ("no_signal", "supply", "naming"))
 _TIMES, _NANOSECONDS, _SAMPLES = map(_words, ("times", "nanoseconds", "samples"))
@@ -176,12 +176,14 @@ def meanings_of(names: Iterable[str], joints: Sequence[str] = ()) -> list[Meanin
     whatever else words of this say, such as `base` and `wrist_angle`.
     """
     names = list(names)
+    both = {n for n in names if n.replace("q_current", "d_current") in {*names} - {n}}
     whole = {_split(joint): joint for joint in joints if _has_name(joint)}
     roman = _roman_numbers(names)
     of_model = {number: joint for joint, (_, number) in _roman_numbers(joints).items()}
     found = list[Meaning]()
     for name in names:
         plain, number = roman.get(name, (name, 0))
+        plain = plain.replace("q_current", "iq") if name in both else plain
         if (told := _of_joint(name, whole) or meaning_of(plain) or meaning_of(name)) is None:
             continue
         if number and told.quantity in OF_JOINTS and not told.joint:
@@ -362,7 +364,8 @@ def _has_name(text: str) -> bool:
 
 
 def _split(text: str) -> Words:
-    return tuple(int(w) if w.isdecimal() else w.lower() for w in _WORD.findall(text))
+    words = _WORD.findall(text.replace("feedBack", "feedback"))  # as ABB's EGM has it
+    return tuple(int(w) if w.isdecimal() else w.lower() for w in words)
 
 
 def _own(name: str) -> Meaning | None:
@@ -438,14 +441,7 @@ def _joint(column: str) -> Meaning | None:
         return None
     if quantity == "temperature" and _without_brackets(name, "time")[1] is not None:
         return None  # as of "Temps (s)" in French
-    # Signals may be in units of another kind, see `understanding`.
-    for kind in (quantity, "effort") if quantity in SIGNAL_KINDS else (quantity,):
-        parts[-1], unit = without_unit(parts[-1], kind, alone=len(parts) == 1)
-        if unit is None:
-            parts[place], unit = without_unit(parts[place], kind)
-        plain = parts[place]
-        if unit is not None:
-            break
+    unit, plain = _take_unit(parts, place, quantity), parts[place]
     of_vendor = (own for form, own in WORDS["vendors"].items() if re.search(form, column))
     unit = unit or find_unit(next(of_vendor, ""), quantity)
     used = _used(_split(plain))
@@ -459,17 +455,32 @@ def _joint(column: str) -> Meaning | None:
         joint = parts[place]
         numbers = [w for w in _split(joint) if isinstance(w, int)]
     named = _has_name(joint)
-    is_item = is_counted and parts[-1].isdecimal()  # as of run1_q/0
     words = words_of(joint) if named else ()
-    words += tuple(numbers[-1:]) if is_item or not named else ()
-    roles = [ROLE_WORDS[w] for w in _split(name) if isinstance(w, str) and w in ROLE_WORDS]
-    is_other = _FURTHER_SENSOR.search(column) or _is_flag(_split(name))
-    role = OTHER if is_other else max(roles, default=PLAIN)
-    if role == PREVIOUS and quantity not in EFFORT_KINDS:
+    if not named or (is_counted and parts[-1].isdecimal()):  # as of run1_q/0
+        words += tuple(numbers[-1:])
+    named_so = plain_words(_BRACKETS.sub("", name) if has_unit else name)  # min is no unit's
+    roles = [ROLE_WORDS[word] for word in named_so & ROLE_WORDS.keys()]
+    role = max(roles, default=PLAIN)
+    is_late = role == PREVIOUS and quantity not in EFFORT_KINDS
+    if is_late or _FURTHER_SENSOR.search(column) or _is_flag(_split(name)):
         role = OTHER
     group = tuple(word for part in parts[:place] for word in _telling(_split(part)))
     called, style = joint if named else "", (quantity, *sorted(used))
     return Meaning(column, quantity, called, words, role, unit, style, group, DESIRED in roles)
+
+
+def _take_unit(parts: list[str], place: int, quantity: str) -> Unit | None:
+    """Take the unit out of the last part of a name, or of that with the quantity.
+
+    Signals may be in units of another kind, which are efforts'.
+    """
+    for kind in (quantity, "effort") if quantity in SIGNAL_KINDS else (quantity,):
+        parts[-1], unit = without_unit(parts[-1], kind, alone=len(parts) == 1)
+        if unit is None:
+            parts[place], unit = without_unit(parts[place], kind)
+        if unit is not None:
+            return unit
+    return None
 
 
 def _telling_before(parts: Sequence[str], place: int) -> int:
@@ -520,9 +531,9 @@ RULES: tuple[Callable[[str], Meaning | None], ...] = (_time, _joint, _measured_i
 def _quantity(words: Words) -> str | None:
     """Return the quantity that words name."""
     counted = any(isinstance(w, int) or ROLE_WORDS.get(w) == MEASURED for w in words)
-    named = [w for w in words if w in QUANTITY_WORDS and (counted or w not in _SHORT)]
+    named = [w for w in words if w in QUANTITY_WORDS and (counted or w not in SHORT)]
     if len(named) > 1:  # the current position is no motor current, and voltage in V no velocity
-        named = [w for w in named if w not in (*_CURRENT, *_SHORT, _QUALIFIES)] or named
+        named = [w for w in named if w not in (*_CURRENT, *SHORT, _QUALIFIES)] or named
     found = {QUANTITY_WORDS[w] for w in named}  # type: ignore[index]
     quantity = next((each for each in WORDS["quantities"] if each in found), None)
     for word, derived in _DERIVED.items():

@@ -17,6 +17,7 @@ from geodrake.errors import LogError
 
 TEXT = (".csv", ".txt", ".dat", ".tsv", ".log", ".lvm", ".asc", ".prn")
 JSON = (".json", ".jsonl", ".ndjson")
+PACKABLE = (*TEXT, *JSON, ".npz")
 """Suffixes of formats that may be compressed."""
 
 
@@ -44,12 +45,12 @@ def _log_in(archive: ZipFile, called: str) -> str:
     """Return the name of the only log in an archive, leaving out what systems put beside it."""
     names = [PurePosixPath(name) for name in archive.namelist() if not name.endswith("/")]
     seen = [n for n in names if not any(part.startswith((".", "__MACOSX")) for part in n.parts)]
-    logs = [n for n in seen if n.suffix.lower() in (*TEXT, *JSON) and n.stem.lower() != "readme"]
+    logs = [n for n in seen if n.suffix.lower() in PACKABLE and n.stem.lower() != "readme"]
     if len(logs) == 1:
         return str(logs[0])
     found = ", ".join(map(str, (logs or seen)[:8])) or "nothing"
     raise LogError(
-        f"Log {called!r} is an archive of {len(logs)} logs of text or JSON; it has {found}.",
+        f"Log {called!r} is an archive of {len(logs)} logs of text, JSON or NPZ; it has {found}.",
         advice="Unpack it, and give one of its files, or several that belong together as "
         "q.csv+efforts.csv.",
     )
@@ -62,9 +63,14 @@ def unpacked(path: Path) -> Path:
     inner = path.with_suffix("")
     if path.suffix.lower() == ".zip" and path.is_file():
         with open_regular(path, "log", LogError) as file:
-            if is_zipfile(file):
-                name = PurePosixPath(_log_in(ZipFile(file), str(path)))
-                return inner.with_suffix(name.suffix)
+            if not is_zipfile(file):
+                raise LogError(
+                    f"Log {str(path)!r} is no complete ZIP archive: its table of contents, at the "
+                    "end, is missing.",
+                    advice="Was it cut off by a copy or a download? Copy it again.",
+                )
+            name = PurePosixPath(_log_in(ZipFile(file), str(path)))
+            return inner.with_suffix(name.suffix)
     return inner
 
 

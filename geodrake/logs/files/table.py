@@ -60,14 +60,17 @@ def check_room(path: Path, count: int, words: str) -> None:
 
 DATE = re.compile(
     r"""(?: (?P<year>\d{4}) (?P<dash>[-/]?) (?P<month>\d\d) (?P=dash) (?P<day>\d\d) [Tt _-]
-          | (?P<first>\d\d?) (?P<mark>[./]) (?P<second>\d\d?) (?P=mark) (?P<last>\d{4}) [Tt ]
+          | (?P<first>\d\d?) (?P<mark>[./-]) (?P<second>\d\d?) (?P=mark) (?P<last>\d\d(\d\d)?) [Tt ]
           | (?P<on>\d\d?) [ -] (?P<named>[A-Za-z]{3}) [ -] (?P<in>\d{4}) [ ]
           | (?: (?P<days>\d{1,9}) [ ] days? [ ] )? (?= \d\d?:\d\d:\d\d ) )
         (?P<time> \d\d? : \d\d (?: : \d\d )? | (?<=[Tt_-]) \d\d -? \d\d -? \d\d )
-        (?: (?: [.,] | (?<=:\d\d:\d\d) : (?=\d{3}\b) ) (?P<part>\d{1,9}) \d* )?
+        (?: (?: [.,;] | (?<=:\d\d:\d\d) : (?=\d{3}\b) ) (?P<part>\d{1,9}) \d* )?
         (?: \s* (?P<half> [AaPp][Mm] ) \b )?
         (?: \s* (?: [Zz] | UTC | (?P<sign>[+-]) (?P<hours>\d\d) :? (?P<minutes>\d\d)? ) )?""",
     re.VERBOSE,
+)
+_NAMED_FIRST = re.compile(  # May 1, 2026 12:00:00; and Fri May 1 12:00:00 2026
+    r"(?:[A-Za-z]{3,9},? )?([A-Za-z]{3})[a-z]*\.? +(\d\d?),? (?:(\d{4}) (\S.*)|(\S+) (\d{4}))"
 )
 _MONTHS = ["jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec"]
 _LAST_MONTH = _NOON = 12
@@ -81,7 +84,8 @@ def date_of(text: str, *, day_first: bool = False) -> int | None:
     """Return a date with time of day in nanoseconds since 1970; None if the text is not one.
 
     It may be in ISO 8601, with a blank for the T or strokes if need be; or day, month and year with
-    points or the month's name, or month, day and year with strokes, with the day first if so asked.
+    points or the month's name; or month, day and year with strokes or dashes, with the day first if
+    so asked, or with the month's name. Years may have two digits.
     Without a time zone it is in UTC; AM or PM may stand behind it. A time of day alone, days and a
     time, minutes and seconds with decimals, or seconds with their unit, are those since 1970.
     """
@@ -89,14 +93,17 @@ def date_of(text: str, *, day_first: bool = False) -> int | None:
         return int(found[1]) * _SECOND + int((found[2] or "").ljust(9, "0"))
     if (found := _MINUTES.fullmatch(text.strip())) is not None:
         return (60 * int(found[1]) + int(found[2])) * _SECOND + int(found[3].ljust(9, "0"))
-    if (found := DATE.fullmatch(text.strip())) is None:
+    text = re.sub("[年月](?=\\d)", "-", text.strip()).replace("日", "")
+    if not text[:1].isdecimal() and (parts := _NAMED_FIRST.fullmatch(text)):
+        text = f"{parts[2]} {parts[1]} {parts[3] or parts[6]} {parts[4] or parts[5]}"
+    if (found := DATE.fullmatch(text)) is None:
         return None
     date = found.group("year", "month", "day")
     if found["named"]:
         named = found["named"].lower()
         date = found["in"], 1 + _MONTHS.index(named) if named in _MONTHS else 0, found["on"]
     if found["last"]:
-        in_order = found["mark"] == "/" and not day_first
+        in_order = found["mark"] != "." and not day_first
         date = found.group("last", *(("first", "second") if in_order else ("second", "first")))
     hour, minute, second = map(int, [*re.findall(r"\d\d?", found["time"]), 0][:3])
     if found["half"]:
@@ -107,6 +114,7 @@ def date_of(text: str, *, day_first: bool = False) -> int | None:
         since = timedelta(int(found["days"] or 0), second, minutes=minute, hours=hour)
         if date[0]:
             year, month, day = map(int, date)
+            year += 2000 * (len(date[0]) == 2)
             since = datetime(year, month, day, hour, minute, second, tzinfo=UTC) - _EPOCH
     except ValueError:  # the 30th of February
         return None
@@ -121,13 +129,13 @@ def is_date(text: str) -> bool:
 
 
 def order_of_days(texts: Iterable[str]) -> tuple[bool, str]:
-    """Return whether days precede months in dates with slashes, and why.
+    """Return whether days precede months in dates with slashes or dashes, and why.
 
     All dates in some texts together tell it: by a number that is no month, or as they follow each
     other more closely in one of the orders.
     """
     found = [date for text in texts if (date := DATE.fullmatch(text.strip()))]
-    found = [date for date in found if date["mark"] == "/"]
+    found = [date for date in found if date["mark"] in ("/", "-")]
     if not found:
         return False, ""
     days = list(dict.fromkeys(date.group("first", "second", "last") for date in found))
@@ -136,7 +144,7 @@ def order_of_days(texts: Iterable[str]) -> tuple[bool, str]:
         np.ptp(372 * years + 31 * months + days) for months, days in ((one, other), (other, one))
     ]
     no_months = [numbers > _LAST_MONTH for numbers in (one, other)]
-    named = ["/".join(day) for day in days]
+    named = [found[0]["mark"].join(day) for day in days]
     if no_months[0].any() or no_months[1].any():
         day_first = bool(no_months[0].any())
         why = f", by {named[int(no_months[0 if day_first else 1].argmax())]}"
@@ -361,6 +369,7 @@ NOTHING = frozenset(f(word) for word in _SAYS_NOTHING for f in (str, str.upper, 
 LIST = re.compile(r"(?:(?:array|tensor)\()?[\[({]([^\[\](){}]*)[\])}](?:, dtype=[\w.]+)?\)?")
 _BARE = re.compile(r"([^\s;]*\d\.[^\s;]*(?:(?:; ?| )[^\s;]*\d\.[^\s;]*)+)")  # without brackets
 _SCALAR = re.compile(r"np\.\w+\(([^()]*)\)")  # as NumPy writes those in a list
+_NO_AXIS = re.compile(r"9[Ee]\+?0?9")
 _FORTRAN = re.compile(r"(?<=\d)[Dd](?=[+-]\d)")  # in 1.5D+00
 _BETWEEN = re.compile(r"\s*[,;]\s*|\s+")
 _NUMBERS = msgspec.json.Decoder(list[float])
@@ -412,6 +421,11 @@ def _list_in(cell: Any) -> list[float] | None:
             return _NUMBERS.decode(cell)  # as nearly all lists are JSON, which is read at once
         except msgspec.DecodeError:
             cell = _SCALAR.sub(r"\1", cell.strip())
+            if cell.startswith("[["):  # of RAPID, where 9E+09 is an axis that there is not
+                items = (
+                    x for x in re.split(r"[\[\],\s]+", cell) if x and not _NO_AXIS.fullmatch(x)
+                )
+                cell = f"[{','.join(items)}]"
             found = LIST.fullmatch(cell) or _BARE.fullmatch(cell)
             cell = _BETWEEN.split(found[1].strip()) if found else None
     try:
@@ -456,6 +470,8 @@ def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
         found, origin, note = numbers(values)
         if found is not None and found.ndim == 2 and found.shape[0] != rows == found.shape[1]:
             found = found.T
+        if found is not None and found.ndim in (1, 2) and 1 < len(found) == rows - 1:
+            found = np.concatenate([found, np.full_like(found[:1], np.nan)])  # inputs beside states
         if found is None or found.ndim not in (1, 2) or len(found) != rows:
             silent[name] = _what_else(values, rows)
             words |= _texts(name, values, rows)
@@ -529,7 +545,7 @@ def _is_alone(value: Any) -> bool:
 def rows_of(arrays: Mapping[str, Any]) -> int:
     """Return the number of rows of a log of arrays: that of its time, or of most arrays."""
     several = {name: values for name, values in arrays.items() if not _is_alone(values)}
-    timed = {name: values for name, values in several.items() if is_time(name)}
+    timed = {n: x for n, x in several.items() if is_time(n) and max(np.shape(x)) == np.size(x)}
     lengths = [max(getattr(x, "shape", (len(x),))) for x in (timed or several).values()]
     return max(set(lengths), key=lambda length: (lengths.count(length), length), default=0)
 
@@ -538,8 +554,10 @@ def _what_else(values: Any, rows: int) -> str:
     """Return a description of an array without numbers."""
     if np.ndim(values) == 0:
         return f"has only one value, {str(values)[:_LONGEST_TEXT]!r}"
-    if len(values) != rows:
-        return f"has {len(values)} rows, but others have {rows}"
+    if np.ndim(values) > 2 or len(values) != rows:
+        many = f"has {len(values)} rows, but others have {rows}"
+        wide = f"has the shape {np.shape(values)} instead of a row for each sample"
+        return wide if np.ndim(values) > 2 else many
     bad = next(
         (x for x in values if isinstance(x, str) and not is_nothing(x) and number_in(x) is None), ""
     )

@@ -67,7 +67,8 @@ _KEYED = re.compile(  # a name and its number, or a list of numbers
     r"(?<![\w.\])])([A-Za-z_][^:=\s,;]*)\s*[:=]\s*"
     r"(\[[^\]]*\]|\([^)]*\)|[+-]?(?:\.?\d|nan|inf)[^\s,;]*(?:\s+[+-]?\.?\d[^\s,;:=]*(?!\S))*)"
 )
-_STAMP = re.compile(r"(?:\[\w+\] *)?\[ *(\d+\.\d+) *\]")  # of a line, as ROS's console has it
+_STAMP = re.compile(r"\[ *(\d+\.\d+) *\]")  # of a line, as ROS's console has it
+_COLOUR = re.compile(r"\x1b\[[\d;]*m")  # of a terminal
 _MAY_BE_MARKED = defaultdict(
     lambda: re.compile(r"\d[,'’ \u00a0\u202f]\d|,\d|\d\.\d{3}(?!\d)"),
     {",": re.compile('"'), _WHITESPACE: re.compile("[,'’]")},
@@ -198,15 +199,17 @@ def text_layout(path: Path, file: Iterator[str], reading: Reading) -> TextLayout
 
 
 def _keyed(line: str) -> list[tuple[str, str]]:
-    """Return names and cells of a line that has them together, and a time at its beginning."""
-    line = line.lstrip()
-    stamp, date = _STAMP.match(line), DATE.match(line.lstrip(" ["))
-    time = stamp[1] if stamp else date[0].strip() if date else ""
-    found = [("time", time)] if time else []
-    for name, cell in _KEYED.findall(line.partition(time)[2] if time else line):
+    """Return names and cells of a line that has them together, and a time before these."""
+    line = _COLOUR.sub("", line)
+    if (first := _KEYED.search(line)) is None:
+        return []
+    stamps = (_STAMP.search(line), DATE.search(line))
+    stamp = next((each for each in stamps if each and each.start() <= first.start()), None)
+    found = [("time", (stamp[1] if stamp.re is _STAMP else stamp[0]).strip())] if stamp else []
+    for name, cell in _KEYED.findall(line, stamp.end() if stamp else 0):
         is_row = " " in cell and cell[0] not in "[("  # of numbers with blanks between them
         found.append((name, f"[{cell}]" if is_row else cell))
-    return found if len(found) > bool(time) else []
+    return found if len(found) > bool(stamp) else []
 
 
 def _first_line(lines: Sequence[str]) -> tuple[int, str]:
@@ -395,8 +398,9 @@ def _separator(line: str) -> str | None:
     """Return the separator of cells in a line; commas may be decimal ones."""
     counts = {mark: line.count(mark) for mark in (",", ";", "\t", "|")}
     most = max(counts, key=lambda mark: counts[mark])
-    if counts[";"] and _are_numbers([c.replace(",", ".") for c in line.strip().split(";")]):
-        return ";"
+    for mark in ";\t":
+        if counts[mark] and _are_numbers([c.replace(",", ".") for c in line.strip().split(mark)]):
+            return mark
     if counts[most]:
         return most
     return _WHITESPACE if len(line.split()) > 1 else ","
@@ -577,10 +581,25 @@ class TextTable(LogTable):
         return LogTable(self.path, columns, self.units, notes, self.origins, silent, words)
 
 
+_NO_TABLES = {
+    re.compile(rb"\s*\(\d+\.\d+\)\s+\w+\s+[\dA-F]+#|date .*\s+base (hex|dec)"): (
+        "is a trace of a CAN bus, in whose frames numbers are packed",
+        "Decode it with the robot's DBC, as cantools and asammdf do, and save the signals as CSV.",
+    ),
+    re.compile(rb"DIAEXTENDED"): (
+        "is the header of a recording of DIAdem, whose numbers are in another file (.r64)",
+        "Export it as CSV.",
+    ),
+}
+"""Beginnings of texts that are no tables -> what they are, and what to do."""
+
+
 def read_text(path: Path, reading: Reading) -> LogTable:
     """Return the columns of a table of text, which may be packed."""
     with readable(path, f"{path.suffix} file"), open_log(path) as file:
         content = file.read(_HEAD)
+        if told := next((each for form, each in _NO_TABLES.items() if form.match(content)), None):
+            raise LogError(f"Log {str(path)!r} {told[0]}.", advice=told[1])
         if encoding := _encoding(content):
             content += file.read(_LARGEST_OTHER)
             if file.read(1):
@@ -630,8 +649,10 @@ def _encoding(head: bytes) -> str:
         best = max(known, key=lambda each: known[each])
         if known[best] and b"\0" not in head and error.end < len(head):
             return best
-        others = head.translate(None, bytes(range(128)) + "°²³µ·±äöüÄÖÜßéèêàçñ".encode("cp1252"))
-        return "Windows-1252" if not others and b"\0" not in head and error.end < len(head) else ""
+        for codec in ("Windows-1252", "mac_roman") if error.end < len(head) else ():
+            letters = "°²³µ·±äöüÄÖÜßéèêàçñ".encode(codec, "ignore")
+            if b"\0" not in head and not head.translate(None, bytes(range(128)) + letters):
+                return codec
     return ""
 
 
@@ -658,7 +679,8 @@ def read_sheet(path: Path, reading: Reading) -> LogTable:
 def _text_table(path: Path, reading: Reading, opened: Opener) -> LogTable:
     texts = (StringIO(block.decode("utf-8-sig"), newline="") for _, block in _blocks(path, opened))
     layout = text_layout(path, chain.from_iterable(texts), reading)
-    strokes = [name for name, cell in layout.first.items() if "/" in cell and is_date(cell)]
+    dates_in = {name: DATE.fullmatch(cell.strip()) for name, cell in layout.first.items()}
+    strokes = [name for name, date in dates_in.items() if date and date["mark"] in ("/", "-")]
     orders = dict[str, tuple[bool, str]]()
     with suppress(csv.Error):  # which is told when the cells are read
         dates = TextTable(path, layout, opened).texts(strokes)

@@ -12,7 +12,7 @@ from geodrake.boundary.arguments import Array
 from geodrake.logs.files.column_mapping import Columns
 from geodrake.logs.files.name_rules import MOTOR, Meaning
 from geodrake.logs.files.reading import Reading
-from geodrake.logs.files.units import UNITS, Unit, unit_of
+from geodrake.logs.files.units import Unit, unit_of
 
 TICKS = 4096  # of a turn, of servos with twelve bits
 ROUNDING = 1e-3  # by which a whole number is off after a unit's factor
@@ -23,11 +23,14 @@ _NORMALIZED = 101.0  # of LeRobot's share of a range
 _OF_LEROBOT = re.compile(r"\.pos$|^observation\.state")
 _ROWS, _WINDOW = 50_000, 25  # rows that tell a ratio, and over which way and speed are compared
 _OFF, _ALIKE = 0.02, 0.99  # by which a ratio may be off, and correlation of what moves together
+_UNLIKE, _MOVES = 0.5, 0.1  # correlation of other signals; way of joints, of the longest of one
+_JUMP = 0.5  # of its range, which an angle that wraps moves between two rows
 Bare = Mapping[str, Mapping[tuple[str, str], Meaning]]
 """Quantity -> its columns, where nobody says their unit."""
 
-_ANGLES = ("deg", "rev", "rad")
+_ANGLES = ("deg", "rev", "mrad", "cdeg", "rad")
 _SPEEDS = ("rad/s", "deg/s", "rev/s", "rpm")
+_OF_SERVOS = (*_SPEEDS, "ticks/s", "0.229 rpm", "0.111 rpm")  # beside ticks, as of Dynamixel
 _AS_OTHERS = (("rev", "rad/s"), ("rev", "rpm"))  # as m and m/min, or gears of 6.3 and 60
 _LARGE = 0.9  # share of moves that are smaller
 _BETWEEN = (np.pi / 180.0) ** 0.5  # deg/s and rad/s, in the middle of their ratio
@@ -36,8 +39,10 @@ _BETWEEN = (np.pi / 180.0) ** 0.5  # deg/s and rad/s, in the middle of their rat
 def take_units(time: Array, data: dict[str, Array], columns: Columns) -> None:
     """Turn positions, velocities and commands (N, n) into SI units where values need it."""
     bare = {quantity: _bare(columns, quantity) for quantity in data}
-    if not _take_ticks(data, columns, bare):
-        _take_angles(time, data, columns, bare)
+    if _take_ticks(data, columns, bare):
+        _take_angles(time, data, columns, {**bare, "position": {}, "command": {}}, _OF_SERVOS)
+    else:
+        _take_angles(time, data, columns, bare, _SPEEDS)
 
 
 def _bare(columns: Columns, quantity: str) -> dict[tuple[str, str], Meaning]:
@@ -62,13 +67,15 @@ def _take_angles(
     data: dict[str, Array],
     columns: Columns,
     bare: Bare,
+    speeds: Sequence[str],
 ) -> None:
     """Turn angles and their speeds into rad and rad/s, where values are certain of other units.
 
     The ratio of a velocity to the rate of change of its position tells both units, unless the
     model's limits hold no positions in that of angles. If it is that of equal ones, or tells none,
     positions of which most are far beyond the limits in rad, and within them in degrees, are in
-    degrees, and velocities in the nearer of rad/s and deg/s.
+    degrees, and velocities in the nearer of rad/s and deg/s. Velocities that do not go with
+    positions are left out.
     """
     turning = [joint for joint in columns.joints if joint not in columns.reading.sliding]
     places = bare.get("position", {})
@@ -78,7 +85,8 @@ def _take_angles(
     at = np.isin(columns.joints, turning)
     position, velocity = data["position"][:, at], data.get("velocity")
     moves = [] if velocity is None else _moves(time, position, velocity[:, at])
-    angle, speed, ratio = _by_motion(moves, bare)
+    angles = _ANGLES if places else ("rad",)
+    angle, speed, ratio = _by_motion(moves, angles, speeds if bare.get("velocity") else ("rad/s",))
     why = f"velocities are {ratio:.4g} times as fast as positions change"
     if angle != "rad":
         unit = unit_of(angle, "position")
@@ -88,9 +96,13 @@ def _take_angles(
     beyond = _beyond_limits(position, columns, turning) if is_open else ""
     if beyond:
         angle, speed, why = "deg", _nearer_speed(moves), beyond
+    elif bare.get("velocity") and not ratio:
+        data.pop("velocity")
+        columns.leave_out("velocity", "it does not go with positions")
     for quantity, name in {"position": angle, "command": angle, "velocity": speed}.items():
-        if UNITS[quantity][name] != 1.0 and bare.get(quantity):
-            _convert(data, columns, bare[quantity], unit_of(name, quantity))
+        unit = unit_of(name, quantity)
+        if unit.factor != 1.0 and bare.get(quantity):
+            _convert(data, columns, bare[quantity], unit)
             words = f"{quantity} is in {name}, as {why}: converted"
             columns.notes.append(f"{words} (--units {quantity}=UNIT if it is in another)")
 
@@ -113,26 +125,36 @@ def _moves(time: Array, position: Array, velocity: Array) -> list[tuple[Array, A
     found = list[tuple[Array, Array]]()
     for q, s in zip(position.T, way.T, strict=True):
         moved, driven = (x[_WINDOW:] - x[:-_WINDOW] for x in (q, s))
-        there = np.isfinite(moved) & np.isfinite(driven)
+        jumps = np.abs(np.diff(q, prepend=q[0])) > _JUMP * (np.nanmax(q) - np.nanmin(q))
+        count = np.cumsum(jumps)
+        there = np.isfinite(moved) & np.isfinite(driven) & (count[_WINDOW:] == count[:-_WINDOW])
         found.append((moved[there], driven[there]))
     return found
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of outliers
-def _by_motion(moves: Sequence[tuple[Array, Array]], bare: Bare) -> tuple[str, str, float]:
-    """Return units of angles and speeds by their ratio, and this; SI units where it tells none."""
-    known, found = ("rad", "rad/s", 1.0), list[float]()
+def _by_motion(
+    moves: Sequence[tuple[Array, Array]], angles: Sequence[str], speeds: Sequence[str]
+) -> tuple[str, str, float]:
+    """Return units of angles and speeds by their ratio, and this; SI units where it tells none.
+
+    The ratio is zero if velocities do not go with positions.
+    """
+    known, found, alike = ("rad", "rad/s", 1.0), list[float](), list[float]()
+    most = max((np.linalg.norm(moved) for moved, _ in moves), default=0.0)
     for moved, driven in moves:
         size = np.linalg.norm(moved) * np.linalg.norm(driven)
         if size > 0.0 and moved @ driven > _ALIKE * size:
             found.append(float(driven @ driven / (moved @ driven)))
+        if np.linalg.norm(moved) > _MOVES * most:
+            alike.append(float(abs(moved @ driven) / max(size, np.finfo(float).tiny)))
+    if alike and max(alike) < _UNLIKE:
+        return "rad", "rad/s", 0.0
     ratio = float(np.median(found)) if found else 1.0
     if not found or np.ptp(found) > 2.0 * _OFF * ratio:
         return known
-    angles = _ANGLES if bare.get("position") else ("rad",)
-    speeds = _SPEEDS if bare.get("velocity") else ("rad/s",)
     for angle, speed in ((a, s) for s in speeds for a in angles):
-        expected = UNITS["position"][angle] / UNITS["velocity"][speed]
+        expected = unit_of(angle, "position").factor / unit_of(speed, "velocity").factor
         are_bare = len(angles) > 1 and len(speeds) > 1
         if abs(expected - 1.0) < _OFF or (are_bare and (angle, speed) in _AS_OTHERS):
             continue
@@ -151,7 +173,7 @@ def _beyond_limits(position: Array, columns: Columns, joints: Sequence[str]) -> 
         return ""
     inside, outside = (
         _share_within(columns.reading, joints, position, unit_of(unit, "position"))
-        for unit in _ANGLES[::2]
+        for unit in ("deg", "rad")
     )
     if not inside > _HELD or outside > 0.5:
         return ""
