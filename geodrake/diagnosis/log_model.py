@@ -225,6 +225,7 @@ class LogModel:
             block[n : n + 2, :n] = block[:n, n : n + 2].T
             block[n : n + 2, n : n + 2] = mixed.T @ block[:n, n : n + 2]
         self.felt_by = {term: self._felt_by(term, places[:, at]) for term, at in self.at.items()}
+        self._groups = self._groups_of(places)
         self.places, self._inertias = places[self.joint_of], self._inertias[self.joint_of]
         self._ends = np.array([len(joint.columns) for joint in data.data])
         late = self._ends[self.joint_of, None] + np.arange(len(data.delays))
@@ -250,6 +251,19 @@ class LogModel:
         felt = np.flatnonzero((places >= 0).any(axis=1))
         alone = len(felt) == 1 and term.effect is not None and not term.is_body
         return int(felt[0]) if alone else -1
+
+    def _groups_of(self, places: Indices) -> Indices:
+        """Return of each column (n,) the joint that alone feels it, −1 of the model's and others.
+
+        What joints of a free base feel alone has products with all bodies, and counts as shared.
+        """
+        felt = places >= 0
+        alone = np.where(felt.sum(axis=0) == 1, felt.argmax(axis=0), -1)
+        alone[: len(self.unknowns.columns)] = -1
+        for term, at in self.at.items():
+            alone[at] = self.felt_by[term]
+        base = [self.model.joints.index(joint) for joint in self.model.base_joints]
+        return np.where(np.isin(alone, base), -1, alone)
 
     def _places(self, columns: Indices, rates: Array) -> Indices:
         """Return where all columns (n,) stand in those of each joint (nv, n), −1 where nowhere.
@@ -532,7 +546,7 @@ class LogModel:
         elif len(noise) != len(joint_of):  # that of another model
             noise = noise[: len(shares)][joint_of]
         of_noise, of_prior = (samples, self.block_rows, self.floor[joint_of]), (prior, prior @ mean)
-        of_joints = inertias, joint_of
+        of_joints = inertias, joint_of, self._groups[columns]
         try:
             x, noise, found = calc_most_probable(blocks, of_prior, of_noise, of_joints, noise)
         except np.linalg.LinAlgError as error:
@@ -546,7 +560,7 @@ class LogModel:
             - float(way @ prior @ way)
             - determinant
             + logarithm
-            + self._physical(choice, x, factor)
+            + self._physical(choice, x, factor, of_joints[-1])
             - self.odds_against(choice)
         )
         return Fit(choice, columns, x, noise, weights, hessian, score)
@@ -585,25 +599,26 @@ class LogModel:
         choice = self.choice(fit.choice, self.alike(fit.terms))
         return self.unbounded(choice, np.full(len(self.rows), _USUAL_SHARE), fit.noise)
 
-    def _physical(self, choice: Choice, x: Array, factor: Array) -> float:
+    def _physical(self, choice: Choice, x: Array, factor: Array, groups: Indices) -> float:
         """Return twice the logarithm of the probability that what terms do to bodies is physical.
 
         Payloads that the model lacks must be, and bodies that are wrong as they are then. The
-        Hessian is L Lᵀ with the `factor` L (n, n).
+        Hessian is L Lᵀ with the `factor` L (n, n), parameters of `groups` (n,) first.
         """
-        total = 0.0
+        total, alone = 0.0, np.append(groups >= 0, False)
+        place = np.arange(len(alone)) + alone[::-1].cumsum()[::-1]  # of shared ones in the factor
         for term, at in self.spans(choice.terms).items():
             if not (term.is_whole or term.effect is None):
                 continue
             # Columns of L⁻¹ are zero above the diagonal, so that the last ones cost little.
-            columns, first, mean = np.eye(len(x) - at.start, at.stop - at.start), at.start, x[at]
-            usual = term.mean
+            own, first, mean, usual = at, place[at.start], x[at], term.mean
             if term.effect is None:
                 body = PARAMETERS_PER_BODY * self.dataset.bodies.index(term.where[0])
                 own = slice(body, body + PARAMETERS_PER_BODY)
-                columns, first, mean = np.zeros((len(x), PARAMETERS_PER_BODY)), 0, mean + x[own]
-                columns[at] = columns[own] = np.eye(PARAMETERS_PER_BODY)
-                usual = self.mean[own]
+                first, mean, usual = place[body], mean + x[own], self.mean[own]
+            columns = np.zeros((len(x) - first, len(mean)))
+            for part in (at, own):
+                columns[place[part] - first] = np.eye(len(mean))
             root, _ = dtrtrs(factor[first:, first:], columns, lower=1)
             scale = np.sqrt(np.square(root).sum(axis=0))
             correlations = (root / scale).T @ (root / scale) + 1e-9 * np.eye(len(scale))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -58,10 +59,10 @@ def neighbours(
     for move in best[: most // 2]:
         changed = set(move.choice.terms) ^ set(fit.terms)
         if any(term.joint is None for term in changed):  # it may spare bodies their way
-            found += other_widths(model, move.choice)
+            found += finder.other_widths(move)
     found += other_widths(model, fit.choice)
-    for choice in finder.sparing():
-        found += [choice, *other_widths(model, choice)]
+    for move in finder.sparing():
+        found += [move.choice, *finder.other_widths(move)]
     for choice in finder.unspared():
         found += [each for each in other_widths(model, choice) if each.width > fit.choice.width]
     was, base = fit.choice, finder.base
@@ -333,7 +334,27 @@ class _Finder:
                 if len(at) == len(joints) and self.model.are_compatible(terms):
                     yield self._move(terms, dropped.loss + sum(gain for gain, _ in at.values()))
 
-    def sparing(self) -> Iterator[Choice]:
+    def other_widths(self, move: Move) -> list[Choice]:
+        """Return where a move leads with other widths of the bodies, as far as they promise enough.
+
+        Where a term comes, wider bodies add no more than they do without it: it makes up for what
+        they would.
+        """
+        choices, was = other_widths(self.model, move.choice), self.fit.choice.width
+        if not set(self.fit.terms) <= set(move.choice.terms):
+            return choices
+        return [c for c in choices if c.width < was or move.gain + self._widening[c.width] > _HOPE]
+
+    @cached_property
+    def _widening(self) -> dict[float, float]:
+        """What each width adds to the score of the fit."""
+        model, fit = self.model, self.fit
+        shares = (fit.weights * fit.noise)[: len(model.rows)]
+        tried = [replace(fit.choice, width=width) for width in model.widths]
+        score = model.unbounded(fit.choice, shares, fit.noise).score
+        return {t.width: model.unbounded(t, shares, fit.noise).score - score for t in tried}
+
+    def sparing(self) -> Iterator[Move]:
         """Add a payload, or another effect of the whole robot, which may let bodies stay put.
 
         With bodies as free as they are it may promise nothing, and much with bodies that stay: by
@@ -355,7 +376,7 @@ class _Finder:
                 best = int(np.argmax(gains))
                 move = self._move((*present, *possible[best]), float(gains[best]))
                 if move.gain > _HOPE:  # with wider bodies it promises even less
-                    yield move.choice
+                    yield move
 
     def unspared(self) -> Iterator[Choice]:
         """Drop a payload, or another effect of the whole robot, which bodies may take in."""

@@ -12,13 +12,13 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.blas import dsyrk
-from scipy.linalg.lapack import dtrtrs
+from scipy.linalg.lapack import dpotri, dtrtrs
 
 from geodrake.diagnosis.log_model import Delay, Fit, LogModel
 from geodrake.diagnosis.normal_kernels import (
-    add_normal,
+    Beside,
     calc_gains,
+    calc_products,
     calc_squares,
     packed_of,
 )
@@ -48,7 +48,8 @@ class Dropped:
     @cached_property
     def rows(self) -> Array:
         """(i, D) rows of the dropped parameters in H⁻¹AᵀA, of distinct columns."""
-        return np.asarray(self.around.inverse[self.at] @ self.around.beside[0])
+        around = self.around
+        return around.turned[self.at - around.first_term]
 
 
 class Neighbourhood:
@@ -56,24 +57,44 @@ class Neighbourhood:
 
     def __init__(self, model: LogModel, fit: Fit) -> None:
         self._model, self.fit = model, fit
-        self.inverse = np.linalg.inv(fit.hessian)
+        # The transpose is in Fortran's order, of which the upper triangle is written.
+        factor, self._scale = scaled_cholesky(fit.hessian, ridge=0.0)
+        self._root, self.first_term = factor.T, model.first_term
+        upper, _ = dpotri(self._root, lower=0)
+        upper = np.triu(upper) + np.triu(upper, 1).T
+        self.inverse = upper * self._scale * self._scale[:, None]
         self._most_taken = np.minimum(1.0 - model.floor / fit.variance, _MOST_TAKEN)
         spans = model.spans(fit.terms).items()
         self._at = {term: np.arange(span.start, span.stop) for term, span in spans}
 
     @cached_property
-    def beside(self) -> tuple[Array, Array, Array]:
-        """All that may come: products (n, D) with the fit, Schur complement (D, D), pull (P,)."""
+    def _cross(self) -> Array:
+        """(n, D) products of the fit's columns with all distinct ones."""
         model, fit = self._model, self.fit
-        packed, moments, _ = model.normal(model.distinct, fit.choice.delay)
-        gram, right = np.zeros((len(model.distinct),) * 2), fit.weights @ moments
-        add_normal(packed, fit.weights, gram)
-        cross = gram[model.same_as[fit.columns]]
-        factor, scale = scaled_cholesky(fit.hessian, ridge=0.0)
-        root, _ = dtrtrs(factor.T, scale[:, None] * cross, lower=0, trans=1)
-        # Of the transpose, which is in Fortran's order, the lower triangle is written.
-        schur = dsyrk(-1.0, root, 1.0, gram.T, trans=1, lower=1, overwrite_c=1).T
-        return cross, schur, (right - fit.x @ cross)[model.same_as] + model.pull
+        places = model.places.take(fit.columns, axis=1), self._places
+        found: Array = calc_products(model.grams, fit.weights, places)
+        return found
+
+    @cached_property
+    def _places(self) -> Indices:
+        return np.asarray(self._model.places.take(self._model.distinct, axis=1))
+
+    @cached_property
+    def turned(self) -> Array:
+        """(·, D) rows of all terms of the fit in H⁻¹AᵀA, of distinct columns."""
+        return np.asarray(self.inverse[self.first_term :] @ self._cross)
+
+    @cached_property
+    def beside(self) -> tuple[Beside, Array]:
+        """The Schur complement of all that may come, and its pull (P,)."""
+        model, fit = self._model, self.fit
+        moments, _ = model.moments(model.distinct, fit.choice.delay)
+        scaled = self._scale[:, None] * self._cross
+        rows, _ = dtrtrs(self._root, scaled, lower=0, trans=1)
+        normal = model.grams, fit.weights, self._places
+        known = np.full((len(model.distinct),) * 2, np.nan)
+        right = fit.weights @ moments - fit.x @ self._cross
+        return (known, normal, rows.T), right[model.same_as] + model.pull
 
     def delays(self) -> list[tuple[Delay, float]]:
         """Return other delays of all joints, and of each joint alone, with their gains.
@@ -198,15 +219,15 @@ class Neighbourhood:
         own = [[model.at[term] for term in package] for package in packages]
         columns = np.concatenate([at for each in own for at in each])
         counts = [sum(map(len, each)) for each in own]
-        cross, schur, pull = self.beside
-        gone = (cross[:0], np.zeros((0, 0)), np.zeros(0))
+        beside, pull = self.beside
+        gone = (np.zeros((0, len(model.distinct))), np.zeros((0, 0)), np.zeros(0))
         if dropped is not None:
             gone = (dropped.rows, dropped.inverse, dropped.x)
         found: tuple[Array, Array] = calc_gains(
-            (schur, pull, model.prior_scores),
+            beside,
+            (pull, model.prior_scores),
             (model.owner, model.positive),
-            (model.same_as, model.information),
-            gone,
+            ((model.same_as, model.information), gone),
             (columns, np.cumsum([0, *counts])),
         )
         return found

@@ -122,17 +122,18 @@ def calc_most_probable(
     blocks: Normal,
     prior: tuple[Array, Array],  # information (n, n), and its product with the mean (n,)
     noise: tuple[Array, Array, Array],  # (J,) independent samples, rows, least variance
-    # (J, n) as `Dataset.passive_shares`; (J,) a block that has no more noise, or the block itself
-    joints: tuple[Array, Indices],
+    # (J, n) as `Dataset.passive_shares`; (J,) a block that has no more noise, or the block itself;
+    # (n,) groups as of `calc_solution`
+    joints: tuple[Array, Indices, Indices],
     variance: Array,  # (J,) to begin with
 ) -> tuple[Array, Array, tuple[Array, Array, Array, Array, float]]:
     """Return the parameters (n,) and variances (J,), and what they follow from.
 
     That are weights (J,), the inertias of joints without motors (J,), the normal matrix (n, n) with
-    the prior, its Cholesky factor, and the logarithm of its determinant.
+    the prior, its Cholesky factor, shared parameters last, and the logarithm of its determinant.
     """
-    (information, pull), (samples, rows, floor), (inertias, quieter) = prior, noise, joints
-    packed, moments, _ = blocks
+    (information, pull), (samples, rows, floor) = prior, noise
+    (inertias, quieter, groups), (packed, moments, _) = joints, blocks
     n, count = len(pull), len(rows)
     weights, inertia, passive = np.empty(count), np.ones(count), np.zeros(count, np.bool_)
     for j in range(count):
@@ -147,7 +148,7 @@ def calc_most_probable(
             for i in range(n):
                 right[i] += weights[j] * moments[j, i]
         add_normal(packed, weights, gram)
-        x, logarithm, factor = calc_solution(gram, right, RIDGE)
+        x, logarithm, factor = calc_solution(gram, right, RIDGE, groups)
         squares, before, settled = calc_squares(blocks, x), variance, True
         variance = squares / rows
         for j in range(count):
@@ -204,14 +205,46 @@ def _has_nothing(x: Array, owner: Indices, positive: NDArray[np.bool_]) -> bool:
 
 
 @compiled
+def calc_products(grams: Array, weights: Array, places: tuple[Indices, Indices]) -> Array:
+    """Return the weighted products (n, m) of columns at places (J, n) with others at (J, m)."""
+    ones, others = places
+    products = np.zeros((ones.shape[1], others.shape[1]))
+    for j in range(len(grams)):
+        felt = np.flatnonzero(others[j] >= 0)
+        local = others[j][felt]
+        for a in np.flatnonzero(ones[j] >= 0):
+            row, total = grams[j, ones[j, a]], products[a]
+            for k in range(len(felt)):
+                total[felt[k]] += weights[j] * row[local[k]]
+    return products
+
+
+Beside = tuple[Array, tuple[Array, Array, Indices], Array]
+"""Schur complement (D, D) of distinct columns beside a fit, NaN where nobody asked for it yet; the
+normal matrices, weights (J,) and places (J, D) that it is of; and rows (D, n) whose products are
+what the fit takes away."""
+
+
+@inlined
+def _schur_complement(beside: Beside, a: int, b: int) -> float:
+    known, (grams, weights, places), rows = beside
+    if np.isnan(known[a, b]):
+        total = 0.0
+        for j in range(len(weights)):
+            if places[j, a] >= 0 and places[j, b] >= 0:
+                total += weights[j] * grams[j, places[j, a], places[j, b]]
+        known[a, b] = known[b, a] = total - rows[a] @ rows[b]
+    return known[a, b]
+
+
+@compiled
 def calc_gains(
-    # (D, D) Schur complement of distinct columns, of which the upper triangle is read, the pull
-    # (P,) of all, and prior scores (P,)
-    around: tuple[Array, Array, Array],
+    beside: Beside,
+    around: tuple[Array, Array],  # the pull (P,) of all columns, and prior scores (P,)
     owners: tuple[Indices, NDArray[np.bool_]],  # (P,) term of each column; what must be positive
-    # (P,) which distinct column each is; (P, w) its information, from its term's first column on
-    priors: tuple[Indices, Array],
-    dropped: tuple[Array, Array, Array],  # (i, D) rows, (i, i) inverse, (i,) values; i may be 0
+    # (P,) which distinct column each is; (P, w) its information, from its term's first column on;
+    # (i, D) rows of what is dropped, (i, i) inverse, (i,) values; i may be 0
+    priors: tuple[tuple[Indices, Array], tuple[Array, Array, Array]],
     packages: tuple[Indices, Indices],  # columns of all packages, and where those of each end
 ) -> tuple[Array, Array]:
     """Return what each package of columns adds to the score of a fit, without prior odds.
@@ -219,8 +252,9 @@ def calc_gains(
     It is −∞ where a term has nothing left that is positive as it must be. Returned with it is by
     how much weighted squared errors fall.
     """
-    (schur, pull, scores), (owner, positive), (rows, inverse, values) = around, owners, dropped
-    (columns, ends), gone, (same_as, information) = packages, len(values), priors
+    (pull, scores), (owner, positive), (columns, ends) = around, owners, packages
+    (same_as, information), (rows, inverse, values) = priors
+    gone = len(values)
     turned, shift = inverse @ rows, inverse @ values
     gains, squares = np.full(len(ends) - 1, -np.inf), np.zeros(len(ends) - 1)
     for p in range(len(gains)):
@@ -234,7 +268,7 @@ def calc_gains(
             for i in range(gone):
                 x[a] += rows[i, same[a]] * shift[i]
             for b in range(a + 1):
-                gram[a, b] = schur[min(same[a], same[b]), max(same[a], same[b])]
+                gram[a, b] = _schur_complement(beside, same[a], same[b])
                 if b >= first:
                     gram[a, b] += information[at[a], b - first]
                 for i in range(gone):

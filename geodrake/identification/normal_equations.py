@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrs
 
-from geodrake.compiling import compiled
+from geodrake.compiling import compiled, inlined
 from geodrake.errors import IdentificationError
 from geodrake.inertia import Array
+
+Indices = NDArray[np.intp]
 
 RIDGE = 1e-9
 """What is added to the diagonal of normal matrices that are scaled to have ones there. It keeps
@@ -44,18 +47,29 @@ def scaled_cholesky(matrices: Array, ridge: float = RIDGE) -> tuple[Array, Array
 
 
 @compiled
-def calc_solution(A: Array, b: Array, ridge: float) -> tuple[Array, float, Array]:
-    """Return the solution (n,) of A x = b, scaled and ridged as above, log |A|, and L, A = L Lᵀ."""
-    n = len(b)
-    scale, x, scaled = np.empty(n), np.empty(n), np.empty((n, n))
+def calc_solution(A: Array, b: Array, ridge: float, groups: Indices) -> tuple[Array, float, Array]:
+    """Return the solution (n,) of A x = b, scaled and ridged as above, log |A|, and a factor.
+
+    Unknowns of different `groups` (n,) have no products with each other, which saves most of the
+    work. Those of group −1 have some with all. The factor L of A = L Lᵀ has them last, and those of
+    each group together.
+    """
+    n, first = len(b), int(np.sum(groups >= 0))
+    order = np.argsort(np.where(groups < 0, n, groups), kind="mergesort")
+    scale, x, factor = np.empty(n), np.empty(n), np.empty((n, n))
     for i in range(n):
-        scale[i] = A[i, i] ** -0.5
-    for i in range(n):
-        x[i] = scale[i] * b[i]
-        for k in range(n):
-            scaled[i, k] = A[i, k] * scale[i] * scale[k]
-        scaled[i, i] += ridge
-    factor, logarithm = np.ascontiguousarray(np.linalg.cholesky(scaled)), 0.0
+        scale[i] = A[order[i], order[i]] ** -0.5
+        x[i] = scale[i] * b[order[i]]
+        row = A[order[i]]
+        for k in range(i):
+            factor[i, k] = row[order[k]] * scale[i] * scale[k]
+        factor[i, i] = 1.0 + ridge
+    low, logarithm = 0, 0.0
+    while low < first:
+        high = low + int(np.sum(groups == groups[order[low]]))
+        _eliminate(factor, low, high, first)
+        low = high
+    factor[first:, first:] = np.linalg.cholesky(factor[first:, first:].copy())
     for i in range(n):
         x[i] = (x[i] - factor[i, :i] @ x[:i]) / factor[i, i]
         logarithm += 2.0 * np.log(factor[i, i] / scale[i])
@@ -65,7 +79,31 @@ def calc_solution(A: Array, b: Array, ridge: float) -> tuple[Array, float, Array
             x[k] -= factor[i, k] * x[i]
         for k in range(i + 1):
             factor[i, k] /= scale[i]
-    return scale * x, logarithm, factor
+    found = np.empty(n)
+    found[order] = scale * x
+    return found, logarithm, factor
+
+
+@inlined
+def _eliminate(factor: Array, low: int, high: int, first: int) -> None:
+    """Factor columns from `low` to `high` in place, and take them out of those from `first` on."""
+    felt, count = np.empty(len(factor) - first, np.intp), 0
+    for i in range(first, len(factor)):
+        for k in range(low, high):
+            if factor[i, k] != 0.0:
+                felt[count] = i
+                count += 1
+                break
+    root = np.linalg.cholesky(factor[low:high, low:high].copy())
+    factor[low:high, low:high] = root
+    if count:
+        felt = felt[:count]
+        rows = np.linalg.solve(root, np.ascontiguousarray(factor[felt, low:high].T))
+        squares = rows.T @ rows
+        for i in range(count):
+            factor[felt[i], low:high] = rows[:, i]
+            for k in range(i + 1):
+                factor[felt[i], felt[k]] -= squares[i, k]
 
 
 def solved(factor: Array, right: Array) -> Array:

@@ -91,7 +91,8 @@ def most_probable(
     except np.linalg.LinAlgError as error:
         raise not_held() from error
     far, zero = x - mean, np.zeros_like(x)
-    prior_known, known = (calc_solution(A, zero, _RIDGE)[1] for A in (bounds[0], H))
+    shared = np.full(len(x), -1)
+    prior_known, known = (calc_solution(A, zero, _RIDGE, shared)[1] for A in (bounds[0], H))
     score = prior_known - known - far @ information @ far
     return JointFit(x, mse, float(score))
 
@@ -211,7 +212,7 @@ def calc_bounded(
                     right[row] -= A[i, k] * x[k]
             for column in range(size):
                 inner[row, column] = A[i, free[column]]
-        found, settled = calc_solution(inner, right, _RIDGE)[0], True
+        found, settled = calc_solution(inner, right, _RIDGE, np.full(size, -1))[0], True
         for row in range(size):
             i = free[row]
             x[i] = min(max(found[row], lower[i]), upper[i])
