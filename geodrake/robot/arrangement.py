@@ -173,39 +173,38 @@ def _opened(joint: Joint, name: str, actuators: list[JointActuator]) -> Closure:
 
 
 def geared(plant: MultibodyPlant, box: Gearbox) -> tuple[str, Tie] | None:
-    """Return the joint that follows another one by a gearbox, and its tie; one with a motor leads.
+    """Return the joint that follows another one by a gearbox, and its tie; the slower one leads.
 
     None unless one joint each turns its links about the third one, and about the axes of its own.
     """
-    context, found = plant.CreateDefaultContext(), list[tuple[bool, str, float]]()
+    context, names, signs = plant.CreateDefaultContext(), list[str](), list[float]()
     plant.SetPositions(context, np.zeros(plant.num_positions()))
-    turning = [joint for joint in joints_of(plant) if isinstance(joint, RevoluteJoint)]
-    bodies = [(joint, (joint.parent_body(), joint.child_body())) for joint in turning]
-    ends = [(joint, [body.scoped_name().get_full() for body in pair]) for joint, pair in bodies]
-    by_link = {
-        link: (joint, -1.0 if link == pair[0] else 1.0)
-        for joint, pair in ends
-        for link in box.links
-        if {*pair} == {box.reference, link}
-    }
-    if by_link.keys() != {*box.links}:
-        return None
-    joint, sign = by_link[box.links[1]]
-    outer = joint.child_body() if sign > 0.0 else joint.parent_body()
-    R_WC, actuators = outer.EvalPoseInWorld(context).rotation(), _actuators(plant)
-    for link, axis in zip(box.links, box.axes, strict=True):
-        joint, sign = by_link[link]
+    by_ends = dict[frozenset[str], tuple[RevoluteJoint, str]]()
+    for joint in joints_of(plant):
+        bodies = joint.parent_body(), joint.child_body()
+        ends = [body.scoped_name().get_full() for body in bodies]
+        if isinstance(joint, RevoluteJoint):
+            by_ends[frozenset(ends)] = joint, ends[1]
+    for link, (frame, axis) in zip(box.links, box.axes, strict=True):
+        scope, _, own = frame.rpartition("::")
+        where, found = (
+            plant.GetModelInstanceByName(scope),
+            by_ends.get(frozenset((box.reference, link))),
+        )
+        if found is None or not plant.HasFrameNamed(own, where):
+            return None
+        joint, outer = found
         R_WF = joint.frame_on_parent().CalcRotationMatrixInWorld(context)
-        along = R_WF.multiply(joint.revolute_axis()) @ R_WC.multiply(axis / np.linalg.norm(axis))
+        R_WA = plant.GetFrameByName(own, where).CalcRotationMatrixInWorld(context)
+        along = R_WF.multiply(joint.revolute_axis()) @ R_WA.multiply(axis / np.linalg.norm(axis))
         if not abs(along) > 1.0 - _SAME:
             return None
-        driven = _is_driven(actuators.get(int(joint.index()), []))
-        found.append((driven, scoped(joint), float(np.sign(along) * sign)))
-    (first_driven, first, one), (second_driven, second, two) = found
-    ratio = -box.ratio * one * two
-    if second_driven and not first_driven:
-        first, second, ratio = second, first, 1.0 / ratio
-    return second, Tie(first, (0.0, ratio))
+        names.append(scoped(joint))
+        signs.append(float(np.sign(along)) * (1.0 if outer == link else -1.0))
+    ratio = -box.ratio * signs[0] * signs[1]
+    if abs(ratio) < 1.0:
+        return names[0], Tie(names[1], (0.0, 1.0 / ratio))
+    return names[1], Tie(names[0], (0.0, ratio))
 
 
 _SLACK = 1e-9  # rad or m, by which a held joint may be beyond its limits

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
+from scipy.optimize import least_squares
 
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import Array
@@ -53,7 +54,10 @@ from geodrake.robot.transmission.loop import (
 )
 from geodrake.robot.transmission.statements import Drive
 
-_FREE = 1e-5  # share of the largest column, at which one counts as no combination of others
+# Shares of the largest column, up to which one counts as a combination of others: the first as axes
+# of a flat linkage are parallel but for rounded numbers, the second where a posture is nearly
+# singular.
+_FREE = 1e-3, 1e-5
 _WELL = 0.1, 0.01, 0.0  # shares of itself that others leave of a column, in the order of trials
 _IDLE = 1e-9  # share of the largest column, of a joint that a loop does not see
 _CLOSED, _NEARLY = 1e-9, 1e-3  # shares of the size by which a loop misses, the latter by rounding
@@ -149,10 +153,18 @@ class _LoopFinder:
         self.plant, self.names, self.path, self.how = plant, joint_names(plant), path, how
         self.tree = KinematicTree.from_plant(plant)
         self.at = {scoped(joint): int(joint.velocity_start()) for joint in single_joints(plant)}
-        q = plant.GetPositions(plant.CreateDefaultContext())
         lower, upper = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
+        stated = plant.GetPositions(plant.CreateDefaultContext())
+        q = np.clip(stated, lower, upper)
+        for name, tie in how.followers.items():
+            own, leader = self.at[name], self.at[tie.leader]
+            if q[own] != stated[own]:
+                q[leader] = tie.leader_at(float(q[own]))
+            else:
+                q[own] = tie.at(float(q[leader]))
         self.place = {at: how.start.get(self.names[at], float(q[at])) for at in self.at.values()}
         self.limits = {at: (float(lower[at]), float(upper[at])) for at in self.place}
+        self.beyond = {at for at in self.place if not lower[at] <= stated[at] <= upper[at]}
         # Scoped name of a body -> its mobilizer, -1 for what stands still, and its pose there.
         moving = {
             self.tree.bodies[m.body]: k for k, m in enumerate(self.tree.mobilizers) if m.body >= 0
@@ -238,8 +250,16 @@ class _LoopFinder:
         sprung = [n for n in self.how.sprung if driven and n in leading]
         order = [[at[n] for n in rank] for rank in (first, driven, sprung, leading)]
         order.append(list(range(len(joints))))
-        own = f"{self.path}: the closed loop of {name}"
-        x, gap = _closed(shape, x, _following(miss(shape, x)[1], order))
+        own, start, count = f"{self.path}: the closed loop of {name}", x, len(velocities)
+        free_ends = [(-np.inf, np.inf)] * (len(joints) - count)
+        limits = np.array([*(self.limits[v] for v in velocities), *free_ends]).T
+        if self.beyond.intersection(velocities) and not self.how.start:
+            start = _closed_within(shape, x, limits)
+        for least in _FREE:
+            x, gap = _closed(shape, start, _following(miss(shape, start)[1], order, least))
+            free, following = _free_and_following(shape, x, order, least)
+            if free and gap <= _NEARLY:
+                break
         if not gap <= _NEARLY:
             where = ", ".join(f"{n} = {at:.4g}" for n, at in zip(joints, x, strict=True))
             or_turned = f" or {gap:.3g} rad" if any(x.closure.turns for x in links) else ""
@@ -248,16 +268,13 @@ class _LoopFinder:
                 f"{gap * shape.units[-1]:.3g} m{or_turned}, and smallest at {where}.",
                 advice="Correct where its bodies are joined, or the joint positions.",
             )
-        free, following = _free_and_following(shape, x, order)
         if free is None:
             raise ModelError(
                 f"{own} is singular at {', '.join(joints)} as in the file, so its motion is "
                 "undetermined.",
                 advice="Use another posture in the file.",
             )
-        count = len(velocities)
         shown = [k for k in range(count) if k in free or k in following]
-        limits = [self.limits[v] for v in velocities] + [(-np.inf, np.inf)] * (len(joints) - count)
         return LoopTransmission(
             name,
             joints,
@@ -265,7 +282,7 @@ class _LoopFinder:
             np.array(shown, np.int64),
             tuple(k for k in at.values() if k >= count),
             made.slides,
-            np.array(limits).T,
+            limits,
             driven,
             float(gap * shape.units[-1] * (gap > _CLOSED)),
         )
@@ -303,6 +320,7 @@ class _LoopFinder:
             leader, polynomial = self.how.followers[tied]
             row[velocities.index(self.at[leader]), : len(polynomial)] = polynomial
             row[velocities.index(self.at[tied]), 1] -= 1.0
+        couplings /= np.abs(couplings[:, :, 1:2]).max(axis=1, keepdims=True)
         tree, none = records_of(mobilizers, np.zeros(3)), np.zeros(0, np.int64)
         x = np.array([*(self.place[v] for v in velocities), *np.zeros(count - len(velocities))])
         units = np.array([*(size if slide else 1.0 for slide in slides), size])
@@ -367,14 +385,25 @@ def _closed(shape: LoopRecords, x: Array, following: Sequence[int]) -> tuple[Arr
     return x, float(np.abs(miss(shape, x)[0]).max(initial=0.0))
 
 
+def _closed_within(shape: LoopRecords, x: Array, limits: Array) -> Array:
+    """Return a posture (k,) near another within limits (2, k) in which a loop nearly closes."""
+    found = least_squares(
+        lambda y: miss(shape, y)[0],
+        np.clip(x, *limits),
+        lambda y: miss(shape, y)[1] / shape.units[:-1],
+        bounds=(limits[0] - _CLOSED, limits[1] + _CLOSED),
+    )
+    return np.asarray(found.x)
+
+
 def _free_and_following(
-    shape: LoopRecords, x: Array, order: Sequence[Sequence[int]]
+    shape: LoopRecords, x: Array, order: Sequence[Sequence[int]], least: float
 ) -> tuple[list[int] | None, list[int]]:
     """Return independent and following joints at a posture (k,); None if singular.
 
     Joints that the loop does not see, as a rod that turns about itself, are neither.
     """
-    following = _following(miss(shape, x)[1], order)
+    following = _following(miss(shape, x)[1], order, least)
     others = [k for k in range(len(x)) if k not in following]
     free, nearby = set[int](), _chosen(shape, others, following, x)
     units = shape.units[others]
@@ -384,18 +413,18 @@ def _free_and_following(
         theta, _, (reached,) = solved(nearby, q[None])
         J = miss(shape, theta[0])[1]
         free |= {k for k in others if np.abs(J[:, k]).max() > _IDLE * np.abs(J).max()}
-        if reached < 1.0 or len(_following(J, order)) != len(following):
+        if reached < 1.0 or len(_following(J, order, least)) != len(following):
             return None, following
     return sorted(free), following
 
 
-def _following(J: Array, order: Sequence[Sequence[int]]) -> list[int]:
+def _following(J: Array, order: Sequence[Sequence[int]], least: float) -> list[int]:
     """Return joints whose columns of J (m, k) are a basis of them all.
 
     Those of the last ranks follow if they can, in a rank the last ones that others leave most of.
     """
     sizes, found, basis = np.linalg.norm(J, axis=0), list[int](), np.zeros((len(J), 0))
-    least, before = _FREE * float(sizes.max(initial=0.0)), set[int]()
+    least, before = least * float(sizes.max(initial=0.0)), set[int]()
     ranks = list[list[int]]()
     for rank in order:
         ranks.insert(0, [at for at in rank if at not in before])

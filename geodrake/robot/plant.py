@@ -226,6 +226,7 @@ def _draft(
             terms.left_out.append(f"{box.name} is ignored.")
         else:
             terms.followers[found[0]] = found[1]
+            terms.driven.add(found[1].leader)
     followers = resolved(terms.followers, [scoped(joint) for joint in joints.values()])
     arrangement = replace(arrangement, followers=followers, joints=tuple(joints))
     stated = dict(description.terms.fixed)

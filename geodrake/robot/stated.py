@@ -191,7 +191,7 @@ class Gearbox:
     name: str  # with its place in the file
     reference: str  # scoped name of the third link
     links: tuple[str, str]
-    axes: Array  # (2, 3) axes of both angles, in the frame of the second link
+    axes: tuple[tuple[str, Array], tuple[str, Array]]  # scoped name of a frame, and (3,) in it
     ratio: float
 
 

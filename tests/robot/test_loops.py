@@ -505,3 +505,38 @@ def test_what_the_file_states_of_the_joint_that_closes_a_loop_counts(tmp_path):
     tail = f"<tendon>{tendon}</tendon>"
     model = assert_twins(tmp_path, four_bar_sdf(("revolute", terms)), tail)
     assert {f.effect.place for f in model.effects} == {"coupler", "rocker", "pin"}
+
+
+LINKAGE = """<sdf version="1.6"><model name="r"><link name="base"/>
+<joint name="w" type="fixed"><parent>world</parent><child>base</child></joint>{parts}
+<joint name="end" type="ball"><parent>rod</parent><child>rocker</child>
+<pose>0 0 .2 0 0 0</pose></joint>
+<joint name="gear" type="gearbox"><parent>motor</parent><child>rocker</child>
+<gearbox_reference_body>base</gearbox_reference_body><gearbox_ratio>.05</gearbox_ratio>{axes}
+</joint></model></sdf>"""
+
+
+def test_a_geared_linkage_that_is_stretched_at_zero_is_put_within_its_limits(tmp_path):
+    """As the feet of a known biped are drawn: all pivots in one line, beyond their limits."""
+    turn = "<xyz>0 1 0</xyz><use_parent_model_frame>1</use_parent_model_frame>"
+    parts = ""
+    for name, parent, place, limits in (
+        ("crank", "base", "0 0 0 0 .00001 0", "<lower>.5</lower><upper>2</upper>"),
+        ("rod", "crank", "0 0 .2 0 0 0", ""),
+        ("rocker", "base", "0 0 .3 0 0 0", "<lower>.5</lower><upper>2</upper>"),
+        ("motor", "base", "0 .1 .3 .4 .3 .2", ""),
+    ):
+        parts += f"""<link name="{name}"><pose>{place}</pose><inertial><mass>1</mass></inertial>
+        </link><joint name="{name}_turns" type="revolute"><parent>{parent}</parent>
+        <child>{name}</child><axis>{turn}<limit>{limits}</limit></axis></joint>"""
+    axes = f"<axis>{turn}</axis><axis2>{turn}</axis2>"
+    path = tmp_path / "r.sdf"
+    path.write_text(LINKAGE.format(parts=parts, axes=axes), encoding="utf-8")
+    model = load_model(path)
+    assert model.joints == ("rocker_turns",) and not model.left_out
+    q = np.linspace(0.6, 1.9, 5)[:, None]
+    places = model.plant_positions(q)
+    names = joint_names(model.plant)
+    crank, motor = (places[:, names.index(f"{name}_turns")] for name in ("crank", "motor"))
+    assert (crank > 0.5).all() and (crank < 2.1).all()
+    np.testing.assert_allclose(motor, -20.0 * q[:, 0])

@@ -337,20 +337,27 @@ class ModelText(abc.ABC):
                 raise wrong_at(element, self.path, what)
         self.terms.lengths.append(StatedLength({joint: 1.0}, Spring.linear(*values)))
 
-    def _take_gearbox(self, scope: str, joint: Element) -> None:
+    def _take_gearbox(self, scope: str, joint: Element, model_frame: str = "__model__") -> None:
         """Read an SDF joint at which two links turn at a constant ratio about a third one."""
         name = f"{place_of(joint, self.path)}: <joint> {joint.get('name')} of the type gearbox"
         tags, ratio = ("gearbox_reference_body", "parent", "child"), number(joint, "gearbox_ratio")
-        reference, *links = (f"{scope}::{joint.findtext(tag, '').strip()}" for tag in tags)
-        pose, turns = joint.find("pose"), [joint.find(f"{tag}/xyz") for tag in ("axis", "axis2")]
-        R = np.eye(3) if pose is None else rotation(sdf_pose(pose)[1])
-        axes = np.array([numbers((t if t is None else t.text) or "0 0 1", 3) for t in turns]) @ R.T
-        frames = [e.get(k, "") for e in joint.iter() for k in ("relative_to", "expressed_in")]
-        frames += [e.text or "" for e in joint.iter("use_parent_model_frame")]
+        ends = [joint.findtext(tag, "").strip() for tag in tags]
+        reference, *links = (f"{scope}::{end}" for end in ends)
+        pose, axes = joint.find("pose"), list[tuple[str, Array]]()
+        for tag in ("axis", "axis2"):
+            axis, frame, turn = joint.find(f"{tag}/xyz"), ends[-1], np.eye(3)
+            if axis is not None and axis.get("expressed_in"):
+                frame = axis.get("expressed_in", "")
+            elif not is_off(joint.findtext(f"{tag}/use_parent_model_frame", "")):
+                frame = model_frame
+            elif pose is not None:
+                frame, turn = pose.get("relative_to") or frame, rotation(sdf_pose(pose)[1])
+            xyz = numbers((axis is not None and axis.text) or "0 0 1", 3)
+            axes.append((f"{scope}::{frame}", turn @ xyz))
         known = {each for text in self.every() for each in text.links}
-        whole = np.isfinite(axes).all() and axes.any(axis=1).all() and np.isfinite(ratio) and ratio
-        if whole and known.issuperset([reference, *links]) and all(map(is_off, frames)):
-            box = Gearbox(name, reference, (links[0], links[1]), axes, ratio)
+        whole = all(np.isfinite(axis).all() and axis.any() for _, axis in axes)
+        if whole and np.isfinite(ratio) and ratio and known.issuperset([reference, *links]):
+            box = Gearbox(name, reference, (links[0], links[1]), (axes[0], axes[1]), ratio)
             self.terms.gearboxes.append(box)
         else:
             self.terms.left_out.append(f"{name} is ignored.")
@@ -650,7 +657,8 @@ class UrdfText(ModelText):
             if (kind, parent) == ("fixed", "world") and f"{scope}::{parent}" not in self._links:
                 continue
             if kind == "gearbox":
-                self._take_gearbox(scope, joint)
+                first = self._chain(parent)[:1]
+                self._take_gearbox(scope, joint, _end(first[0], "parent") if first else parent)
                 continue
             stated, axis = joint.find("pose"), joint.find("axis")
             place = (np.zeros(3), np.zeros(3)) if stated is None else sdf_pose(stated)
