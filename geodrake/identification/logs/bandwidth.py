@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import ArgumentError, LogError
-from geodrake.identification.logs.contact_rows import contact_rows
+from geodrake.identification.logs.contact_rows import MixedRows, contact_rows
 from geodrake.identification.logs.noise import (
-    acceleration_power,
+    acceleration_powers,
     density_of_rows,
     effort_residual,
     is_silent,
@@ -21,7 +21,7 @@ from geodrake.identification.logs.noise import (
 from geodrake.logs.filtering import HIGHEST_BANDWIDTH, spectral_density
 from geodrake.logs.motion import JointLog, Motion, Trajectory
 from geodrake.logs.preparation import prepare_logs
-from geodrake.logs.smoothing import Stretch
+from geodrake.logs.smoothing import Segment, Stretch
 from geodrake.logs.uniform_log import UniformLog, make_uniform
 from geodrake.model.carried_payloads import carrying
 from geodrake.model.robot_model import RobotModel
@@ -62,24 +62,24 @@ def prepare_for_model(
     sentence on what was changed and why, if anything was.
     """
     uniform = [log if isinstance(log, UniformLog) else make_uniform(log) for log in logs]
-    prepared, why = prepare_logs(uniform), list[str]()
-    if coherent := _with_coherent_motion(model, uniform, prepared):
+    prepared, why, known = prepare_logs(uniform), list[str](), Known(model)
+    if coherent := _with_coherent_motion(known, uniform, prepared):
         prepared, words = coherent
         why.append(words)
-    if quiet := _with_less_noise(model, uniform, prepared, is_coherent=coherent is not None):
+    if quiet := _with_less_noise(known, uniform, prepared, is_coherent=coherent is not None):
         prepared, words = quiet
         why.append(words)
-    if not why and (longer := _with_more_samples(model, uniform, prepared)):
+    if not why and (longer := _with_more_samples(known, uniform, prepared)):
         prepared, words = longer
         why.append(words)
     return prepared, "; ".join(why) or None
 
 
 def _with_coherent_motion(
-    model: RobotModel, uniform: Sequence[UniformLog], trajectories: Prepared
+    known: Known, uniform: Sequence[UniformLog], trajectories: Prepared
 ) -> Change | None:
     """Lower the bandwidth to where the motion does not match the measured efforts."""
-    coherent = coherent_bandwidth(model, trajectories)
+    coherent = coherent_bandwidth(known, trajectories)
     if coherent is None:
         return None
     chosen = _lowest(trajectories)
@@ -101,7 +101,7 @@ def _lowest(trajectories: Prepared) -> float:
 
 
 def _with_less_noise(
-    model: RobotModel,
+    known: Known,
     uniform: Sequence[UniformLog],
     trajectories: Prepared,
     *,
@@ -112,7 +112,7 @@ def _with_less_noise(
     After a cut to motion that matches the efforts (`is_coherent`), errors of the model are larger
     than noise, which matters only where it makes inertias too small.
     """
-    found, best = trajectories, (noise := _acceleration_noise(model, trajectories))
+    found, best = trajectories, (noise := _acceleration_noise(known, trajectories))
     lower = chosen = _lowest(trajectories)
     if is_coherent and not noise.is_biasing:
         return None
@@ -123,7 +123,7 @@ def _with_less_noise(
             tried = prepare_logs(uniform, bandwidth=lower, how="chosen from the data")
         except (ArgumentError, LogError):  # a log would be too short
             break
-        noise = _acceleration_noise(model, tried)
+        noise = _acceleration_noise(known, tried)
         if noise.is_better_than(best):
             found, best, vain = tried, noise, 0
         else:
@@ -138,7 +138,7 @@ def _with_less_noise(
 
 
 def _with_more_samples(
-    model: RobotModel, uniform: Sequence[UniformLog], trajectories: Prepared
+    known: Known, uniform: Sequence[UniformLog], trajectories: Prepared
 ) -> Change | None:
     """Raise the bandwidth of short logs, as far as noise costs little."""
     chosen = _lowest(trajectories)
@@ -147,7 +147,7 @@ def _with_more_samples(
         return None
     highest = HIGHEST_BANDWIDTH / max(t.filter.period for t in trajectories)
     sharp = prepare_logs(uniform, bandwidth=chosen, motion_bandwidth=highest)
-    frequency, ratio = effort_ratio(model, sharp)
+    frequency, ratio = effort_ratio(known, sharp)
     noisy = frequency[(frequency > chosen) & (ratio > 1.0)]
     limit = min([highest, *noisy[:1].tolist()])
     raised, lowest = min(chosen * _ENOUGH / outputs, limit), _STEP * chosen
@@ -156,7 +156,7 @@ def _with_more_samples(
     apart = 1 + int(np.log(raised / lowest) / np.log(_STEP))
     for higher in np.geomspace(raised, lowest, min(apart, _TRIES)).tolist():
         longer = prepare_logs(uniform, bandwidth=higher, how="chosen from the data")
-        if _acceleration_noise(model, longer).is_small:
+        if _acceleration_noise(known, longer).is_small:
             words = f"from {chosen:.3g} to {higher:.3g} Hz, as the log is short"
             return longer, f"bandwidth raised {words}"
     return None
@@ -223,28 +223,51 @@ class _AccelerationNoise:
         return float(np.exp(np.log(ratios[which]).mean())) if which.any() else 1.0
 
 
-def _acceleration_noise(
-    model: RobotModel, trajectories: Sequence[Trajectory]
-) -> _AccelerationNoise:
+class Known:
+    """What of logs hardly depends on the bandwidth: it is that of the first one, for all others."""
+
+    def __init__(self, model: RobotModel) -> None:
+        self.model = model
+        self._looked = dict[int, list[tuple[Array, MixedRows | None, Array]]]()
+
+    def of(
+        self, number: int, trajectory: Trajectory, segment: Segment
+    ) -> tuple[MixedRows | None, Array]:
+        """Return contact rows of a segment of a log, and its `acceleration_powers`."""
+        looked = self._looked.setdefault(number, [])
+        for time, rows, powers in looked:
+            first = int(np.searchsorted(time, segment.time[0]))
+            same = slice(first, first + len(segment))
+            if np.array_equal(time[same], segment.time):
+                return None if rows is None else rows[same], powers
+        robot = carrying(self.model, trajectory.payloads)
+        rows = contact_rows(robot, trajectory, segment)
+        powers = acceleration_powers(segment, robot, trajectory, 0.0, rows)
+        looked.append((segment.time, rows, powers))
+        return rows, powers
+
+
+def _acceleration_noise(known: Known, trajectories: Sequence[Trajectory]) -> _AccelerationNoise:
     """Return what noise of accelerations does at the least, as inertias carry it into efforts.
 
     The model's inertia may lack rotors: roughly, each joint has what a fit of its residuals with
     friction and a spring finds. Joints at rest do not count.
     """
-    columns, residuals, segments = list[Array](), list[Array](), list[Array]()
+    model, columns, residuals = known.model, list[Array](), list[Array]()
+    segments = list[Array]()
     noise, carried, shaking, samples = list[Array](), list[Array](), list[Array](), list[int]()
     size, own_rows = np.zeros(len(model.joints)), True
-    for trajectory in trajectories:
+    for number, trajectory in enumerate(trajectories):
         robot, low_pass = carrying(model, trajectory.payloads), trajectory.filter
         for segment in trajectory.segments:
             start, rate = segment[: looked_at(segment)], 1.0 / segment.period
-            rows = contact_rows(robot, trajectory, start)
+            rows, powers = known.of(number, trajectory, start)
             own_rows &= rows is None
             density = density_of_rows(start, rows, rate, low_pass.bandwidth)
             start = replace(start, effort=without_contacts(rows, start.effort))
             power = density * low_pass.noise_gain**2 * rate / 2.0
             noise.append(np.where(is_silent(density, start), 0.0, power))
-            carried.append(acceleration_power(start, robot, trajectory, 0.0, rows))
+            carried.append(np.square(trajectory.acceleration_noise) @ powers)
             shaking.append(trajectory.acceleration_noise)
             samples.append(len(start))
             size = np.maximum(size, start.acceleration.std(axis=0))  # a joint may rest in some
@@ -262,9 +285,9 @@ def _acceleration_noise(
         scale = np.maximum(np.abs(A[:, j]).max(axis=0), _TINY)
         rotors[j] = max(np.linalg.lstsq(A[:, j] / scale, b[:, j])[0][0] / scale[0], 0.0)
     power = np.array(carried) + np.square(rotors * np.array(shaking))
-    known = np.array(noise) > 0.0
-    weights = np.array(samples)[:, None] * known
-    losses = np.log1p(np.divide(power, noise, out=np.zeros_like(power), where=known))
+    is_noisy = np.array(noise) > 0.0
+    weights = np.array(samples)[:, None] * is_noisy
+    losses = np.log1p(np.divide(power, noise, out=np.zeros_like(power), where=is_noisy))
     loss = np.exp((weights * losses).sum(axis=0) / np.maximum(weights.sum(axis=0), 1))
     counts = np.where(moves, np.sum(speed > _STILL * peak, axis=0), 0)
     visible = np.square(np.max(segments, axis=0)) - np.square(deviation)
@@ -272,14 +295,14 @@ def _acceleration_noise(
     return _AccelerationNoise(loss, deviation, size, motion, counts)
 
 
-def coherent_bandwidth(model: RobotModel, trajectories: Sequence[Trajectory]) -> float | None:
+def coherent_bandwidth(known: Known, trajectories: Sequence[Trajectory]) -> float | None:
     """Return the frequency above which the motion and the measured efforts disagree, Hz.
 
     From there on the effort that the model needs, a rough one, has more than 25 times the measured
     power, the geometric mean over joints. None if it has not up to the bandwidth, or has from the
     lowest frequency on, as where efforts are in other units.
     """
-    frequency, ratio = effort_ratio(model, trajectories)
+    frequency, ratio = effort_ratio(known, trajectories)
     inside = frequency <= min(each.filter.bandwidth for each in trajectories)
     frequency, ratio = frequency[inside], ratio[inside]
     worst = int(np.argmax(ratio))
@@ -289,14 +312,15 @@ def coherent_bandwidth(model: RobotModel, trajectories: Sequence[Trajectory]) ->
     return float(frequency[together[-1] + 1]) if len(together) else None
 
 
-def effort_ratio(model: RobotModel, trajectories: Sequence[Trajectory]) -> tuple[Array, Array]:
+def effort_ratio(known: Known, trajectories: Sequence[Trajectory]) -> tuple[Array, Array]:
     """Return the power of the effort that the model needs over that of the measured effort.
 
     Those are frequencies (K,) in Hz, without 0, and ratios (K,), the geometric mean over joints
     that have a motor, and over a free base where the ground's forces are measured or taken out.
     """
+    model = known.model
     robots = {t.payloads: carrying(model, t.payloads) for t in trajectories}
-    held = [(t, segment) for t in trajectories for segment in t.segments]
+    held = [(k, segment) for k, t in enumerate(trajectories) for segment in t.segments]
     segments = [segment for _, segment in held]
     window = min(
         0.5 * min(looked_at(segment) * segment.period for segment in segments),
@@ -305,11 +329,12 @@ def effort_ratio(model: RobotModel, trajectories: Sequence[Trajectory]) -> tuple
     fastest = 0.5 / max(segment.period for segment in segments)
     frequency = np.arange(1.0 / window, fastest, 1.0 / window)
     needed = measured = np.zeros((len(frequency), len(model.joints)))
-    for trajectory, segment in held:
+    for number, segment in held:
+        trajectory = trajectories[number]
         robot = robots[trajectory.payloads]
         start = segment[: looked_at(segment)]
         motion = Motion(model.positions(start.position), start.velocity, start.acceleration)
-        rows = contact_rows(robot, trajectory, start)
+        rows, _ = known.of(number, trajectory, start)
         effort = without_contacts(rows, robot.effort(motion))
         needed = needed + _density(effort, segment, window, frequency)
         measured = measured + _density(

@@ -72,7 +72,8 @@ def known_noise(
                 residual = effort_residual(start, robot, sign_width, trajectory, rows)
                 density = np.minimum(density, quiet_density(residual, rate, bandwidth))
                 mean, quietest = passband_density(residual, rate, bandwidth)
-                carried = acceleration_power(start, robot, trajectory, sign_width, rows)
+                shaken = acceleration_powers(start, robot, trajectory, sign_width, rows)
+                carried = np.square(trajectory.acceleration_noise) @ shaken
                 below = quietest * width if fitted else carried
                 whole = np.where(is_silent(density, start), below, density * width + carried)
                 claimed += len(segment) * whole
@@ -128,24 +129,27 @@ def without_contacts(rows: MixedRows | None, efforts: Array) -> Array:
     return efforts if rows is None else rows.efforts(efforts)
 
 
-def acceleration_power(
+def acceleration_powers(
     segment: Segment,
     model: RobotModel,
     trajectory: Trajectory,
     sign_width: ArrayLike,
     rows: MixedRows | None,
 ) -> Array:
-    """Return (n,) mean square of a segment's predicted efforts due to acceleration noise."""
+    """Return (nv, nv) mean squares of predicted efforts due to noise of each acceleration.
+
+    They are over the square of that noise.
+    """
     some = slice(None, None, max(1, len(segment) // _POSES))
     motion, rows = motion_of(segment[some], model, trajectory), None if rows is None else rows[some]
-    power, needed = np.zeros(len(trajectory.joints)), model.effort(motion, sign_width=sign_width)
-    for j, deviation in enumerate(trajectory.acceleration_noise):
+    needed, found = model.effort(motion, sign_width=sign_width), list[Array]()
+    noise = np.asarray(trajectory.acceleration_noise)
+    for j, deviation in enumerate(np.where(noise > 0.0, noise, 1.0)):
         faster = motion.vd.copy()
         faster[:, j] += deviation
         more = model.effort(replace(motion, vd=faster), sign_width=sign_width) - needed
-        more = without_contacts(rows, more)
-        power += np.square(more).mean(0)
-    return power
+        found.append(np.square(without_contacts(rows, more) / deviation).mean(0))
+    return np.array(found)
 
 
 def motion_of(segment: Segment, model: RobotModel, trajectory: Trajectory) -> Motion:
