@@ -221,11 +221,7 @@ class BasePose:
         return (turn[:-lag].inv() * turn[lag:]).as_rotvec(), sums[lag:] - sums[:-lag]
 
     def readings(self, form: str) -> dict[str, BasePose]:
-        """Return the same as columns may be meant otherwise, by words for it.
-
-        Args:
-            form: Name of the columns that have the orientation.
-        """
+        """Return other ways to read the columns, by words for each, given a form of orientation."""
         found = dict[str, BasePose]()
         if form == "w, x, y, z":
             swapped = Rotation.from_quat(self.turn.as_quat()[:, [3, 0, 1, 2]])

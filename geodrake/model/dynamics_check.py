@@ -42,14 +42,10 @@ States = tuple[Array, Array, Array]
 
 
 def second_opinion(model: RobotModel, states: States) -> tuple[str, Array, Array] | str:
-    """Return the comparison with MuJoCo or Pinocchio on the model's file, or why there is none.
+    """Return a program that reads the file, efforts (N, nv) by it and by geodrake, or why none.
 
-    Args:
-        states: (N, nq), (N, nv), (N, nv) positions, velocities and accelerations of the model.
-
-    Returns:
-        The program, efforts (N, nv) by it, and by geodrake, of what it takes: all of the file for
-        MuJoCo, but dry friction; the bodies alone for Pinocchio.
+    They are of what it takes: of all of the file but dry friction for MuJoCo, of the bodies alone
+    for Pinocchio.
     """
     if model.given.robot is not None:
         return "one of several robots was chosen, and only Drake reads part of a file"

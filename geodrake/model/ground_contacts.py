@@ -293,8 +293,7 @@ def _settled(
 ) -> tuple[NDArray[np.bool_], list[str]]:
     """Return flags (N, c) that are not inverted, and notes; raise for those of other frames.
 
-    Args:
-        touching: (N, c) how probably frames touch by their heights and speeds.
+    `touching` (N, c) are probabilities of contact by heights and speeds.
     """
     known = np.isfinite(touching).all(axis=1)
     if not known.any():

@@ -171,9 +171,6 @@ def with_mujoco(
     """Return MuJoCo's name, its efforts (N, nv) with a compiled model, and those of a model.
 
     Dry friction takes no part. If MuJoCo is of no use, that is why.
-
-    Args:
-        states: Positions, velocities and accelerations (N, ·) of the model.
     """
     found = by_mujoco(theirs, held, joint_units(model.plant))
     if isinstance(found, str):

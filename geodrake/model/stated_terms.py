@@ -62,12 +62,7 @@ _WORDS: Mapping[type[Effect], str] = {
 
 
 class StatedEffects:
-    """Effects that a file states at coordinates, or joints, and at bodies.
-
-    Attributes:
-        left_out: Sentences on what no effect is.
-        notes: Sentences on what the effects are of.
-    """
+    """Effects that a file states at coordinates, or joints, and at bodies; with notes."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self.left_out, self.notes = list[str](), list[str]()

@@ -284,9 +284,7 @@ def checked_held(
 ) -> dict[str, float]:
     """Return scoped names of joints that are to be held, and of those that follow them -> where.
 
-    Args:
-        joints: Joints of one degree of freedom by their names, as users know them.
-        held: Such a name -> where it is held, rad or m.
+    `joints`, of one degree of freedom, and `held`, rad or m, are by names as users know them.
     """
     names = {scoped(joint): name for name, joint in joints.items()}
     ties = {names[own]: tie for own, tie in followers.items()}

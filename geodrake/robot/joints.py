@@ -71,12 +71,7 @@ class FrameMotion:
     offset: Array = field(default_factory=lambda: np.zeros(3))  # (3,) position of Mo at q = 0, m
 
     def between(self, X_PF: RigidTransform, R_MB: Array) -> FrameMotion:
-        """Return the same motion, of a frame turned by R_MB, seen from P.
-
-        Args:
-            X_PF: Pose in P of the frame F that the motion is seen from.
-            R_MB: (3, 3) rotation of the frame B, which moves with M, in M.
-        """
+        """Return the motion seen from P, of a frame B fixed to M and turned by R_MB (3, 3)."""
         R_PF = X_PF.rotation().matrix()
         return FrameMotion(
             features=self.features,
@@ -91,11 +86,8 @@ class FrameMotion:
 def joint_motions(joint: Joint, sign: float) -> list[FrameMotion]:
     """Return one motion for most joints, two for a universal one; sign -1 swaps the frames F and M.
 
-    Only the joints about or along one axis can be swapped (Drake refuses the others), and for
-    them a swap is a change of the axis' sign.
-
-    Args:
-        sign: 1, or −1 where frame M is on the inboard side.
+    That is where frame M is on the inboard side. Only the joints about or along one axis can be
+    swapped (Drake refuses the others), and for them a swap is a change of the axis' sign.
     """
     match joint:
         case RevoluteJoint():
@@ -236,9 +228,7 @@ class Tie(NamedTuple):
 def resolved(stated: Mapping[str, Tie], joints: Collection[str]) -> dict[str, Tie]:
     """Return what joints follow, as independent leaders, without those that cannot follow.
 
-    Args:
-        stated: Scoped name of a joint -> what it follows.
-        joints: Scoped names of the joints that there are, of one degree of freedom.
+    Names are scoped; `joints` are those of one degree of freedom.
     """
     known = {
         own: tie

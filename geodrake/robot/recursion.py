@@ -289,9 +289,7 @@ def put_block(motion: Motion, s: Vector, t: Vector, out: Array, place: Any) -> N
 def calc_regressor(tree: TreeRecords, samples: Samples, which: tuple[int, int], out: Array) -> None:
     """Write the regressor into zeros (N, rows, 10 nb); for one body into (N, rows, 10).
 
-    Args:
-        which: First velocity that has a row; and the body, of a tree that may be its branch, −1 for
-            all.
+    `which` is the first velocity with a row, and the body; −1 for all.
     """
     (mobilizers, dofs), (first, only) = tree, which
     motions, features = np.empty(len(mobilizers), MOTION), np.empty(9)

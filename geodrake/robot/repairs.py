@@ -62,9 +62,7 @@ def repair_inertias(
     """Put usable inertias into a description, of which a plant was made without those set aside.
 
     Return the repairs, notes on welded links that were left out, and whether the text changed.
-
-    Args:
-        keep_thin: Whether bodies without volume, such as point masses, stay as they are.
+    Bodies without volume, such as point masses, stay as they are if `keep_thin`.
     """
     lumps, links = lumped_bodies(plant), stated_inertias(description, plant)
     stated = [_stated_parameters(links, body) for body in lumps]
@@ -145,11 +143,7 @@ def nearest_physical(phi: Array, *, points: Array, spare_mass: float) -> Array:
     """Return the smallest body (10,) that keeps mass and centre of mass of impossible φ (10,).
 
     The central second moments are raised to m ℓ² where they are less; a body without a mass
-    becomes a small ball amid its joints.
-
-    Args:
-        points: (k, 3) positions of the body's joints in its frame, m.
-        spare_mass: Mass that a body without one gets, kg.
+    becomes a small ball of a spare mass, kg, amid its joints at points (k, 3), m.
     """
     mass, com = phi[0], points.mean(0)
     second_moment = np.zeros((3, 3))

@@ -175,11 +175,8 @@ class RobotInDiagram:
     def set_state(self, root: Context, q: ArrayLike, v: ArrayLike | None = None) -> None:
         """Set the initial state of the robot, as measured, in the whole diagram's Context.
 
+        Positions (nq,) are in Drake's order, of the robot alone; it rests without velocities (nv,).
         Links of soft joints are where a steady load has them.
-
-        Args:
-            q: (nq,) positions in Drake's order, of the robot alone.
-            v: (nv,) velocities; None for rest.
         """
         plant, driving, nv = self.plant, self.driving, len(self.joints)
         nq = plant.num_positions() if driving is None else driving.sizes[0]

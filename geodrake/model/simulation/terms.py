@@ -51,14 +51,7 @@ class PlantMotion:
         log: int = 0,
         temperatures: Temperatures | None = None,
     ) -> None:
-        """Read a plant.
-
-        Args:
-            sign_width: Speed below which dry friction fades, rad/s or m/s; one or (nv,), of a robot
-                in a plant (n,).
-            log: Number of the log that is simulated, as in `RobotMotion`.
-            temperatures: Those of the joints in the time of that log, if any are known.
-        """
+        """Read a plant; see `EffectForce`. The log's number is that of `RobotMotion`."""
         robot = plant if isinstance(plant, RobotInstance) else RobotInstance(plant)
         self.robot, self.plant, self._log = robot, (plant := robot.plant), log
         self.phi, self.temperatures = inertial_parameters(plant), temperatures
@@ -265,11 +258,7 @@ _RETURN = 50.0  # rate at which joints come back to where their actuators have t
 
 
 class DrivenPlant(PlantMotion):
-    """A plant that moves with a model of other coordinates.
-
-    Attributes:
-        model: The model, whose q, v, efforts and effects are meant.
-    """
+    """A plant that moves with a model of other coordinates, whose q, v and efforts are meant."""
 
     driven = True
 

@@ -117,12 +117,9 @@ class ModelDescription:
         simplified: bool = True,
         prepare: Callable[[Element, Where], None] = lambda root, where: None,
     ) -> None:
-        """Add the models to a plant.
+        """Add the models to a plant, simplified as their texts are, or as in their files.
 
-        Args:
-            simplified: Whether as their texts are, or else as in their files; then what Drake
-                raises is left to the caller.
-            prepare: Changes URDFs and SDFs that are not simplified, such that Drake reads them.
+        Then URDFs and SDFs are first prepared, and what Drake raises is left to the caller.
         """
         parser, places = Parser(plant), list[list[str]]()
         if not simplified:

@@ -69,14 +69,10 @@ _MJCF_FILES = ("file", "fileright", "fileleft", "fileup", "filedown", "fileback"
 
 
 class EditedFile:
-    """A URDF, SDF or MJCF with changed elements and otherwise unchanged text.
-
-    Attributes:
-        path: The file, for messages and for the name of a model that has none.
-    """
+    """A URDF, SDF or MJCF with changed elements and otherwise unchanged text."""
 
     def __init__(self, data: bytes, path: Path) -> None:
-        """Parse the text of a file."""
+        """Parse the text of a file, whose path names it in messages, and a model without a name."""
         self._data, self.path, self.root = data, path, parse_xml_bytes(data, path)
         if self.root.tag not in _FORMATS:
             raise ModelError(

@@ -173,10 +173,8 @@ def _own_xacro() -> Iterator[Any]:
 class _Limited(ast.NodeTransformer):
     """Evaluates expressions with limited run time and memory.
 
-    Those of files that nobody trusts must not ask for names of what Python is made of.
-
-    Attributes:
-        functions: Names -> what does as Python does, as long as that is not too large.
+    Those of files that nobody trusts must not ask for names of what Python is made of. `functions`
+    do as Python does, as long as that is not too large.
     """
 
     def __init__(self, path: Path, trusted: bool) -> None:

@@ -84,10 +84,9 @@ def no_loop(x: Array, slides: Sequence[bool], size: float) -> LoopRecords:
 
 
 def put_together(one: LoopRecords, other: LoopRecords, rows: Array) -> LoopRecords:
-    """Return two loops as one, with the coordinates of both, without a choice of free joints.
+    """Return two loops as one, with the coordinates of both and more couplings (·, k, ·) of these.
 
-    Args:
-        rows: (·, k, ·) further couplings, of coordinates of both.
+    It has no choice of free joints.
     """
     (mine, inner), (theirs, outer) = one.tree, other.tree
     bodies, count = len(mine), len(one.reference)
