@@ -206,16 +206,38 @@ def test_drake_computes_the_same_from_the_files(kind, to, tmp_path):
     assert "<!-- my arm -->" in path.read_text() or to != kind
 
 
-def test_springs_that_a_urdf_states_for_gazebo_are_those_of_the_model(tmp_path):
-    own = '<gazebo reference="a"><springReference value="1"/><springStiffness>9</springStiffness>'
-    FILES["gazebo"] = "arm.urdf", URDF.replace("</robot>", f"{own}</gazebo></robot>")
-    model = fitted(loaded(tmp_path, "gazebo"), springs=True)
+def drakes_spring(text):
+    """A spring of Drake's at joint a, as URDF or SDF writes it."""
+    stated = {"joint": ("name", "a"), "nominal_angle": ("value", "1"), "stiffness": ("value", "9")}
+    inside = "".join(text.format(f"drake:revolute_spring_{k}", *x) for k, x in stated.items())
+    return f"<drake:revolute_spring>{inside}</drake:revolute_spring>"
+
+
+GAZEBO = """<gazebo reference="a"><springReference value="1"/><springStiffness>9</springStiffness>
+</gazebo>"""
+OF_DRAKE = drakes_spring('<{0} {1}="{2}"/>')
+
+
+@pytest.mark.parametrize(
+    ("kind", "springs"),
+    [
+        ("urdf", GAZEBO),
+        ("urdf", OF_DRAKE),
+        ("urdf", GAZEBO + OF_DRAKE),
+        ("sdf", drakes_spring("<{0}>{2}</{0}>")),
+    ],
+)
+def test_springs_of_extensions_are_those_of_the_model(tmp_path, kind, springs):
+    name, text = FILES[kind]
+    end = "</robot>" if kind == "urdf" else "</model>"
+    FILES["sprung"] = name, text.replace(end, springs + end)
+    model = fitted(loaded(tmp_path, "sprung"), springs=True)
     effects = [f for f in model.effects if getattr(f.effect, "joint", "") != "b"]
     model = replace(model, effects=tuple(effects))
-    found = export_to("urdf", model, tmp_path / "out")
-    assert not found.lacks and all(each.is_rounding for each in found.proof.differences)
-    again, moved = load_model(tmp_path / "out" / "arm.urdf"), motion(model)
-    np.testing.assert_allclose(again.effort(moved), model.effort(moved), atol=1e-9)
+    path, lost, _ = exported(model, kind, tmp_path / "out")
+    assert lost == ()
+    moved = motion(model)
+    np.testing.assert_allclose(load_model(path).effort(moved), model.effort(moved), atol=1e-9)
 
 
 def test_mujoco_computes_the_same_from_the_file(tmp_path):

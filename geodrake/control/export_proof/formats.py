@@ -27,7 +27,7 @@ from geodrake.control.export_proof.joints import exported_joints
 from geodrake.control.export_proof.model_text import (
     model_file,
     own_kind,
-    sprung_in_gazebo,
+    sprung_in_file,
     stands_as_it_is,
     tilt_rotation,
     written_kind,
@@ -199,7 +199,7 @@ def _holding(
 
     def holding(model: RobotModel) -> Holds:
         kind = written_kind(model, kinds)
-        sprung = set(model.joints) if kind in _WITH_SPRINGS else sprung_in_gazebo(model)
+        sprung = set(model.joints) if kind in _WITH_SPRINGS else sprung_in_file(model)
         more = beside if beside and able(model) else ()
         if stands_as_it_is(model, kinds[0]):
             return lambda effect: True

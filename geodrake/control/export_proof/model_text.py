@@ -32,9 +32,9 @@ from geodrake.robot.files.mjcf_source import unused
 from geodrake.robot.files.model_edits import (
     EditedFile,
     comment_words,
-    gazebo_springs,
     put_inertia,
     put_numbers,
+    stated_springs,
 )
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
@@ -287,13 +287,13 @@ def own_kind(model: RobotModel) -> str:
     return "" if model.path.suffix.lower() in (".yaml", ".yml") else file_kind(model)
 
 
-def sprung_in_gazebo(model: RobotModel) -> set[str]:
-    """Return the joints whose springs the robot's own URDF states for Gazebo."""
+def sprung_in_file(model: RobotModel) -> set[str]:
+    """Return the joints whose springs the robot's own URDF states for Gazebo or Drake."""
     if own_kind(model) != "urdf":
         return set()
     root = parse_xml_bytes(read_expanded(model.path, model.given), model.path)
     names = {name: joint.scoped for name, joint in exported_joints(model).items()}
-    return {n for n, own in names.items() if gazebo_springs(root, own.rpartition("::")[2])}
+    return {n for n, own in names.items() if stated_springs(root, own.rpartition("::")[2])}
 
 
 def stands_as_it_is(model: RobotModel, kind: str) -> bool:

@@ -39,8 +39,8 @@ from geodrake.robot.files.checks import drop
 from geodrake.robot.files.given import Given
 from geodrake.robot.files.includes import Includes, add_packages, named_packages
 from geodrake.robot.files.mjcf import MjcfText
+from geodrake.robot.files.model_edits import DRAKES_SPRINGS
 from geodrake.robot.files.texts import (
-    DRAKES_SPRINGS,
     ModelText,
     SdfText,
     UrdfText,

@@ -68,6 +68,14 @@ _MJCF_ASSETS = {"mesh": "meshdir", "hfield": "meshdir", "skin": "meshdir", "text
 _MJCF_FILES = ("file", "fileright", "fileleft", "fileup", "filedown", "fileback")
 
 
+DRAKES_SPRINGS: Mapping[str, str | None] = {
+    "drake:revolute_spring": "nominal_angle",
+    "drake:prismatic_spring": "nominal_position",
+    "drake:linear_spring_damper": None,
+}
+"""Tag of a spring -> where that of a joint is at rest; None for one between two points."""
+
+
 class EditedFile:
     """A URDF, SDF or MJCF with changed elements and otherwise unchanged text."""
 
@@ -370,17 +378,42 @@ def _put_urdf_numbers(root: Element, joint: Element, change: Change) -> None:
         child_of(joint, "dynamics").attrib.update(given)
     if "armature" in change:
         _put_rotor(root, joint.get("name", ""), change["armature"])
-    for spring in gazebo_springs(root, joint.get("name", "")) if "stiffness" in change else ():
-        for tag, key in (("springStiffness", "stiffness"), ("springReference", "rest")):
-            stated = child_of(spring, tag)
+    if "stiffness" in change:
+        _put_springs(root, joint.get("name", ""), change["stiffness"], change.get("rest", 0.0))
+
+
+def _put_springs(root: Element, joint: str, stiffness: float, rest: float) -> None:
+    """Write a joint's spring where Gazebo or Drake states one, and 0 where others are."""
+    for spring, keys in stated_springs(root, joint):
+        for key, value in zip(keys, (stiffness, rest), strict=True):
+            stated = child_of(spring, key)
+            as_text = root.tag == "sdf" or spring.tag == "gazebo"
             stated.attrib.pop("value", None)
-            stated.text = words(change[key])
+            stated.text = words(value) if as_text else None
+            if not as_text:
+                stated.set("value", words(value))
+        stiffness = 0.0
 
 
-def gazebo_springs(root: Element, joint: str) -> list[Element]:
-    """Return the elements of a URDF that state Gazebo's spring of a joint."""
-    stated = (e for e in root.findall("gazebo") if e.find("springStiffness") is not None)
-    return [each for each in stated if each.get("reference") == joint]
+def stated_springs(root: Element, joint: str) -> list[tuple[Element, tuple[str, str]]]:
+    """Return springs that Gazebo or Drake states at a joint, with tags of stiffness and rest."""
+    found = list[tuple[Element, tuple[str, str]]]()
+    for each in root.iter():
+        keys, name = ("springStiffness", "springReference"), each.get("reference")
+        if rest := DRAKES_SPRINGS.get(each.tag):
+            keys, name = (f"{each.tag}_stiffness", f"{each.tag}_{rest}"), of_drake(each, "joint")
+        elif each.tag != "gazebo" or each.find(keys[0]) is None:
+            continue
+        if name == joint:
+            found.append((each, keys))
+    return found
+
+
+def of_drake(element: Element, key: str) -> str:
+    """Return what an element of Drake's own says in its child of a key."""
+    found = element.find(f"{element.tag}_{key}")
+    words = () if found is None else (found.get("name"), found.get("value"), found.text)
+    return next((word.strip() for word in words if word and word.strip()), "")
 
 
 def _put_rotor(root: Element, joint: str, armature: float) -> None:
@@ -420,6 +453,8 @@ def _put_sdf_numbers(root: Element, joint: Element, change: Change) -> None:
     axis = joint.find("axis")
     if axis is None:
         raise ModelError(f"{joint.get('name')} has no <axis> to write to.")
+    if "stiffness" in change:
+        _put_springs(root, joint.get("name", ""), 0.0, 0.0)
     for name, tag in _SDF_TAGS.items():
         if name in change:
             child_of(child_of(axis, "dynamics"), tag).text = words(change[name])

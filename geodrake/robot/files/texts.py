@@ -42,7 +42,9 @@ from geodrake.robot.files.checks import (
 )
 from geodrake.robot.files.includes import PACKAGE_ADVICE, Includes
 from geodrake.robot.files.model_edits import (
+    DRAKES_SPRINGS,
     merges,
+    of_drake,
     put_inertia,
     sdf_joints,
     sdf_models,
@@ -149,13 +151,6 @@ def _of(element: Element, tags: Collection[str], path: Path) -> Iterator[str]:
 _TRUE = ("true", "1")
 _BALL = "drake:ball_constraint"
 _JOINTS = ("joint", "drake:joint")
-DRAKES_SPRINGS: Mapping[str, str | None] = {
-    "drake:revolute_spring": "nominal_angle",
-    "drake:prismatic_spring": "nominal_position",
-    "drake:linear_spring_damper": None,
-}
-"""Tag of a spring -> where that of a joint is at rest; None for one between two points."""
-
 _LOOPS = ("linear_bushing_rpy", "distance_constraint", "weld_constraint")
 
 
@@ -264,10 +259,10 @@ class ModelText(abc.ABC):
         """Take Drake's constraints of points that are one, which close loops, out of a model."""
         for ball in model.findall(_BALL):
             model.remove(ball)
-            first, second = (_of_drake(ball, key) for key in ("body_A", "body_B"))
+            first, second = (of_drake(ball, key) for key in ("body_A", "body_B"))
             if not first or not second:
                 raise wrong_at(ball, self.path, f"<{_BALL}> does not name its two bodies.")
-            places = (numbers(_of_drake(ball, key), 3) for key in ("p_AP", "p_BQ"))
+            places = (numbers(of_drake(ball, key), 3) for key in ("p_AP", "p_BQ"))
             at, other = map(RigidTransform, places)
             bodies = f"{scope}::{first}", f"{scope}::{second}"
             name = f"<{_BALL}> of {first} and {second}"
@@ -281,13 +276,13 @@ class ModelText(abc.ABC):
             model.remove(spring)
 
             def value(key: str, count: int = 1, spring: Element = spring) -> Array:
-                found = numbers(_of_drake(spring, key) or "none", count)
+                found = numbers(of_drake(spring, key) or "none", count)
                 if not np.isfinite(found).all():
                     raise wrong_at(spring, self.path, f"<{spring.tag}> has no numbers as {key}.")
                 return found
 
             if (rest := DRAKES_SPRINGS[spring.tag]) is None:
-                ends = [_of_drake(spring, key) for key in ("body_A", "body_B")]
+                ends = [of_drake(spring, key) for key in ("body_A", "body_B")]
                 links = [f"{scope}::{end}" for end in ends]
                 if not {*links} <= known or links[0] == links[1]:
                     what = f"<{spring.tag}> does not name two links, but {' and '.join(ends)}."
@@ -298,7 +293,7 @@ class ModelText(abc.ABC):
                 pair = links[0], links[1]
                 self.terms.struts.append(StatedStrut(pair, points, stiffness, length, damping))
                 continue
-            name = _of_drake(spring, "joint")
+            name = of_drake(spring, "joint")
             if joints.get(name) not in CUT:
                 what = f"<{spring.tag}> names {name!r}, which is no joint that it can be at."
                 raise wrong_at(spring, self.path, what)
@@ -411,13 +406,6 @@ def drop_friction(root: Element) -> None:
     """Remove dry friction from a URDF, of which Drake warns, so that it includes no such file."""
     for dynamics in root.iter("dynamics"):
         dynamics.attrib.pop("friction", None)
-
-
-def _of_drake(element: Element, key: str) -> str:
-    """Return what an element of Drake's own says in its child of a key."""
-    found = element.find(f"{element.tag}_{key}")
-    words = () if found is None else (found.get("name"), found.get("value"), found.text)
-    return next((word.strip() for word in words if word and word.strip()), "")
 
 
 _SPRING = ("spring_stiffness", "spring_reference")
