@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from geodrake.diagnosis.log_model import Fit, LogModel
 from geodrake.diagnosis.moves import neighbours
+from geodrake.effects.base import Effect
 
 Array = NDArray[np.float64]
 
@@ -18,6 +19,7 @@ _OPTIMISTIC = 0.3
 """On the way up, residuals are worth at least this share of their rows: what is missing still
 makes them look as if they were worth less."""
 _COUNTED = 20  # most promising neighbours, fitted with the present weights of the residuals
+_ANY = 10_000  # more neighbours than there are
 _JUDGED = 5
 """So many of the most promising neighbours have their residuals counted anew."""
 
@@ -54,6 +56,17 @@ def climb(
         if pause is not None and pause(fit):
             break
     return fit
+
+
+def may_come(model: LogModel, fit: Fit, effects: Collection[Effect]) -> bool:
+    """Return whether one of some effects is in a more probable neighbour of an explanation."""
+    shares = model.shares(fit)
+    fit = _refitted(model, fit, shares)
+    near = neighbours(model, fit, most=_ANY)
+    choices = [each for each in near if any(term.effect in effects for term in each.terms)]
+    tried = model.ranked(choices[:_COUNTED], shares, fit.noise)[:_JUDGED]
+    gains = (gain_of(model, fit, each) for each in tried)
+    return any(found is not None and found[0] > 0.0 for found in gains)
 
 
 def settled(model: LogModel, fit: Fit) -> Fit:

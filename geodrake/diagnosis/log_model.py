@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise, product
 from typing import Any
 
@@ -297,14 +298,15 @@ class LogModel:
             kept = sum(len(each.b) for each in rows)
             if name not in self._unsure or data.is_mixed or kept != joint.samples.sum():
                 continue  # of long logs some rows are kept
-            own = np.concatenate([self.reverses(j, each) for each in rows])
-            if not own.any() or np.mean(~own) < _FEWEST_OTHERS:
+            turns = self._turns[j]
+            count = int(sum(map(np.sum, turns)))
+            if not count or kept - count < _FEWEST_OTHERS * kept:
                 continue
-            A, b = (np.concatenate([getattr(each, f) for each in rows])[own] for f in "Ab")
-            both = np.hstack([A, b])
+            pairs = zip(rows, turns, strict=True)
+            both = np.concatenate([np.hstack([each.A[own], each.b[own]]) for each, own in pairs])
             gram = both.T @ both
-            blocks[j] = j, kept - int(own.sum()), blocks[j][2] - gram
-            blocks.append((j, int(own.sum()), gram))
+            blocks[j] = j, kept - count, blocks[j][2] - gram
+            blocks.append((j, count, gram))
         return blocks
 
     def _unsure_column(self, effect: UnresolvedReversal) -> int:
@@ -325,10 +327,16 @@ class LogModel:
         share = np.clip(noise / most, *_REVERSING) if 0.0 < noise < most else _REVERSING[1]
         return np.asarray(np.abs(rows.A[:, at]) > share)  # filters ring: it may be negative
 
-    def row_weights(self, fit: Fit, joint: int, rows: JointRows) -> Array:
-        """Return (K,) weights of a fit's squared residuals in rows of a joint."""
+    @cached_property
+    def _turns(self) -> list[list[NDArray[np.bool_]]]:
+        """Of each joint and stretch of its rows, in which of them it reverses."""
+        joints = enumerate(self.dataset.data)
+        return [[self.reverses(j, rows) for rows in _rows(own)] for j, own in joints]
+
+    def row_weights(self, fit: Fit, joint: int) -> list[Array]:
+        """Return weights (K_i,) of a fit's squared residuals in each stretch of a joint's rows."""
         turning = fit.weights[self._reversing.get(joint, joint)]
-        return np.where(self.reverses(joint, rows), turning, fit.weights[joint])
+        return [np.where(turns, turning, fit.weights[joint]) for turns in self._turns[joint]]
 
     def even_hessian(self, fit: Fit) -> Array:
         """Return the Hessian (n, n) of a fit if its joints were no noisier where they reverse."""
@@ -657,10 +665,9 @@ class LogModel:
         key = fit.choice.key
         if key not in self._shares:
             data, blocks = self.dataset, list[list[Array]]()
-            for j, joint in enumerate(data.data):
-                left = zip(_rows(joint), self._residuals(fit, j), strict=True)
-                one = fit.weights[j]
-                blocks.append([np.sqrt(self.row_weights(fit, j, r) / one) * x for r, x in left])
+            for j in range(len(data.data)):
+                both = zip(self.row_weights(fit, j), self._residuals(fit, j), strict=True)
+                blocks.append([np.sqrt(w / fit.weights[j]) * left for w, left in both])
             found = effective_of_rows(blocks, self.rows)
             worth = np.minimum(found, self.beliefs.discrepancy)
             # All but the noise of efforts varies with the motion, however often that repeats: so
@@ -688,7 +695,7 @@ class LogModel:
                 continue
             time, efforts = (np.concatenate([getattr(r, f) for r in rows]) for f in ("time", "b"))
             predicted = efforts[:, own] - np.concatenate(left)
-            turns = np.concatenate([self.reverses(j, each) for each in rows])
+            turns = np.concatenate(self._turns[j])
             counted = turns == (block >= len(self.rows)) if j in self._reversing else turns | True
             signals = time, predicted, contiguous(efforts), counted
             change = calc_noise_changes(signals, own, late - late[own])
@@ -702,8 +709,10 @@ class LogModel:
         x, mixed = np.zeros(len(self.grams[joint])), self._mixed[joint]
         np.add.at(x, self.places[joint][fit.columns], fit.x)
         own, ends = x[: len(mixed)] + mixed @ x[len(mixed) : len(mixed) + 2], len(data.columns)
+        used = np.flatnonzero(own[:ends])  # few of all columns
         return [
-            rows.b[:, delay] - rows.A @ own[:ends] - rows.b @ own[ends:] for rows in _rows(data)
+            rows.b[:, delay] - own[used] @ rows.A.T[used] - rows.b @ own[ends:]
+            for rows in _rows(data)
         ]
 
     def usual_gains(self, fit: Fit) -> dict[str, tuple[float, float]]:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from geodrake.boundary.interrupts import StopSearch
 from geodrake.diagnosis.beliefs import Beliefs
-from geodrake.diagnosis.climbing import climb, gain_of, settled
+from geodrake.diagnosis.climbing import climb, gain_of, may_come, settled
 from geodrake.diagnosis.contact_window import PIECES
 from geodrake.diagnosis.episodes import find_episodes
 from geodrake.diagnosis.handling import instants, is_short
@@ -105,7 +105,7 @@ class Search:
         self._loaded = dict[tuple[Named, float], Array]()
         self._told: FoundStep | None = None
         self.model = self._made()
-        self.fit = self._start()
+        self.fit = self._common = self._start()
 
     def found(self) -> Found:
         """Search to the end."""
@@ -320,6 +320,7 @@ class Search:
         most easily where joints move little or one after the other. No single step leads back.
         """
         self._climb(hopeful=True, common=True)
+        self._common = self.fit
         self._climb(hopeful=True)
         self._climb(hopeful=False)
 
@@ -424,6 +425,34 @@ class Search:
         self._grid = (*self._grid, *more)
         self._anew()
 
+    def _has_more(self) -> bool:
+        """Climb with what the residual suggests; return whether that makes anything more probable.
+
+        Else nothing is changed. What was found may have followed an episode, so that it is found
+        anew with it.
+        """
+        before = self.case, self.model, self.fit, [*self._effects], self._grid
+        more = self._suggested()
+        if not more:
+            return False
+        self._offer(more)
+        was, delays = self.fit, self._delays_of_fit()
+        episodes = [effect for effect in more if effect.role is Role.EPISODE]
+        common = self.model.refitted(self._common)
+        if not may_come(self.model, was, more) and not may_come(self.model, common, episodes):
+            self.case, self.model, self.fit, self._effects, self._grid = before
+            return False
+        if not episodes:
+            self._climb(hopeful=True)
+            self._climb(hopeful=False)
+            return True
+        self.fit = self._start()
+        try:
+            self._climb_by_common_first()
+        finally:  # a stop keeps the best explanation so far
+            self._keep_more_probable(was, delays)
+        return True
+
     def _goes_on(self) -> bool:
         """Make exact what was found, or find more to try; whether there is anything to search."""
         if self._refined() or self._fades() or self._simplified():
@@ -431,19 +460,7 @@ class Search:
             return True
         if self._named not in self._looked:  # the last digits of a contact differ each time
             self._looked.add(self._named)
-            more = self._suggested()
-            if more:
-                self._offer(more)
-                was, delays = self.fit, self._delays_of_fit()
-                if any(effect.role is Role.EPISODE for effect in more):
-                    self.fit = self._start()  # what was found may have followed the contact
-                    try:
-                        self._climb_by_common_first()
-                    finally:  # a stop keeps the best explanation so far
-                        self._keep_more_probable(was, delays)
-                else:
-                    self._climb(hopeful=True)
-                    self._climb(hopeful=False)
+            if self._has_more():
                 return True
         before = self.fit.choice.key
         if not self._doubted:

@@ -179,6 +179,27 @@ class TestDiagnosis:
         assert len(climbed) == 2 and found.is_interrupted
         assert "viscous_friction" in {step.effect for step in found.steps}
 
+    @pytest.mark.parametrize(("is_pushed", "climbs"), [(True, 2), (False, 1)])
+    def test_only_contacts_that_explain_something_are_searched_with(
+        self, is_pushed, climbs, monkeypatch
+    ):
+        window, climbed = (5.0, 6.0), []
+        push = pushed(2, POINT, np.array([2.0, 0.0, 0.0]) * is_pushed, window)
+        made = effort_log("double_pendulum", 4, lambda seen: push(seen) + 2.0 * seen.v)
+        contact = Contact(LINK, *window, 0.015, log_number(made.log.name), *POINT)
+        climb = Search._climb_by_common_first
+
+        def counted(search):
+            climbed.append(search)
+            climb(search)
+
+        monkeypatch.setattr(Search, "_climb_by_common_first", counted)
+        monkeypatch.setattr("geodrake.diagnosis.search.find_episodes", lambda *_: (contact,))
+        found = explain(PENDULUM, [made.log])
+        effects = {step.effect for step in found.steps}
+        assert effects == ({"viscous_friction", "contact"} if is_pushed else {"viscous_friction"})
+        assert len(climbed) == climbs
+
 
 pytest.importorskip("pinocchio")
 

@@ -311,7 +311,7 @@ def _gains(found: Found, joint: str, words: Sequence[FormulaTerm]) -> Array:
     known, effort = model.row_columns(fit, j, A, b)
     at = next(e for e in joint_residuals(case, model.hypothesis(fit)) if e.joint == joint)
     left, covariance = effort - known @ fit.x, np.linalg.inv(fit.hessian)
-    weights = np.concatenate([model.row_weights(fit, j, each) for each in rows])
+    weights = np.concatenate(model.row_weights(fit, j))
     motion, gains = full_motion(case), list[Array]()
     seen = [_seen(case, *each) for each in motion]
     for few in np.array_split(np.arange(len(words)), -(-len(words) // _AT_ONCE)):
