@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from geodrake.compiling import compiled, contiguous
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.episode import PointEpisode
 from geodrake.identification.logs.evidence import effective_samples
@@ -57,17 +57,13 @@ def columns(window: ResidualWindow, contact: PointEpisode) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class WrenchColumns:
-    """Columns of a body's contact at the d joints that move it, for a search over contacts.
+    """Columns of a body's contact at the d joints that move it, for a search over contacts."""
 
-    Columns are linear in the weights in time and in the point, so that these come last.
-    """
-
-    # (K, T, 15 d) what a constant wrench takes, over `size`, at the T instants that the filter sees
-    # for each output: forces at Bo, their arms along x, y and z, and moments, along the axes of the
-    # body where the contact turns with it.
-    near: Array
+    # (N, 5, 3 d) what a constant wrench takes, over `size`: forces at Bo, their arms along x, y and
+    # z, and moments, along the axes of the body where the contact turns with it.
+    parts: Array
     time: Array  # (N,) instants at the full rate
-    filter: ZeroPhaseFilter  # the log's filter, whose kernel has T weights
+    filter: ZeroPhaseFilter  # the log's filter
     rows: NDArray[np.bool_]  # (K, d) which residuals are known
 
     @classmethod
@@ -82,11 +78,9 @@ class WrenchColumns:
         parts = np.concatenate([linear[:, None], arms, angular[:, None]], 1)
         if contact.turning:
             parts = parts @ motion.rotation[:, None]
-        values = (parts / window.size[dofs, None]).reshape(len(parts), -1)
-        width, step = len(low_pass.kernel), low_pass.decimation
-        near = sliding_window_view(values, width, axis=0)[::step].swapaxes(1, 2)
+        values = contiguous((parts / window.size[dofs, None]).reshape(len(parts), 5, -1))
         rows = np.isfinite(window.residual[:, dofs])
-        return cls(near, window.time, low_pass, rows)
+        return cls(values, window.time, low_pass, rows)
 
     def columns(self, shape: Array) -> Array:
         """Return the known rows of `columns` at the joints that move the body.
@@ -94,14 +88,43 @@ class WrenchColumns:
         Args:
             shape: (6,) start, end and rise, s, and the point, m.
         """
-        edges = ((self.time - edge) / shape[2] for edge in shape[:2])
-        after, before = map(np.tanh, edges)
-        kernel, step = self.filter.kernel, self.filter.decimation
-        weights = sliding_window_view(0.5 * (after - before), len(kernel))[::step] * kernel
-        count, joints = self.rows.shape
-        parts = (weights[:, None] @ self.near).reshape(count, 5, joints, 3)
-        force = parts[:, 0] + np.tensordot(shape[3:], parts[:, 1:4], (0, 1))
-        return np.concatenate([force, parts[:, 4]], -1)[self.rows]
+        after, before = (np.tanh((self.time - edge) / shape[2]) for edge in shape[:2])
+        low_pass, found = self.filter, np.zeros((*self.rows.shape, 6))
+        weights = 0.5 * (after - before)
+        filters = contiguous(low_pass.kernel), low_pass.decimation
+        add_wrench_columns(self.parts, weights, filters, contiguous(shape[3:]), found)
+        return found[self.rows]
+
+
+@compiled
+def add_wrench_columns(
+    parts: Array, weights: Array, filters: tuple[Array, int], point: Array, out: Array
+) -> None:
+    """Add the filtered columns (K, d, 6) of a force and a moment at a point (3,), m.
+
+    Args:
+        parts: (N, 5, 3 d) as those of `WrenchColumns`.
+        weights: (N,) how much of the wrench is there.
+        filters: (T,) weights of the filter, and its decimation.
+    """
+    kernel, step = filters
+    sums = np.empty_like(parts[0])
+    for k in range(len(out)):
+        sums[:] = 0.0
+        for t in range(len(kernel)):
+            weight = weights[k * step + t] * kernel[t]
+            if weight != 0.0:
+                part = parts[k * step + t]
+                for a in range(len(sums)):
+                    for i in range(sums.shape[1]):
+                        sums[a, i] += weight * part[a, i]
+        for j in range(out.shape[1]):
+            for i in range(3):
+                force = sums[0, 3 * j + i]
+                for axis in range(3):
+                    force += point[axis] * sums[1 + axis, 3 * j + i]
+                out[k, j, i] += force
+                out[k, j, 3 + i] += sums[4, 3 * j + i]
 
 
 def refined(window: ResidualWindow, contact: PointEpisode, *, tries: int = ENOUGH) -> PointEpisode:

@@ -46,8 +46,20 @@ class Piece:
         return int((self.time[-1] - self.time[0]) / self.period + 1e-3) + 1
 
     def __getitem__(self, samples: slice) -> Piece:
-        """Return some of its samples, resampled."""
+        """Return some of its samples, resampled; those of a short log once and for all."""
         start, stop, _ = samples.indices(len(self))
+        if len(self) <= _KEPT:
+            return self._whole.rows(slice(start, stop))
+        return self._resampled(start, stop)
+
+    @cached_property
+    def _whole(self) -> Piece:
+        whole = self._resampled(0, len(self))
+        for signal in (whole.time, *whole.signals.values()):
+            signal.setflags(write=False)  # whoever looks gets a view
+        return whole
+
+    def _resampled(self, start: int, stop: int) -> Piece:
         grid = self.time[0] + self.period * np.arange(start, stop)
         grid = np.minimum(grid, self.time[-1])
         before, after = np.searchsorted(self.time, grid[[0, -1]]) if len(grid) else (0, 0)
