@@ -26,7 +26,7 @@ from geodrake.fleet.log_places import date_seconds
 from geodrake.logs.files import file_names, log_content
 from geodrake.logs.inspection import inspect_log, mapping_text
 from geodrake.logs.motion import JointLog
-from geodrake.logs.unit_hints import check_ticks, position_limit_hint, position_unit_hint
+from geodrake.logs.units_of_values import check_ticks, position_limit_hint, position_unit_hint
 from geodrake.model.logged_joints import log_of_model, model_of_logs, reading_for
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.exports import InspectedLogs, log_chart

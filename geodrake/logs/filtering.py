@@ -99,10 +99,7 @@ def passband_density(signal: ArrayLike, rate: float, bandwidth: float) -> tuple[
 
 
 def steepest_fall(signal: ArrayLike, rate: float, bandwidth: float) -> Array:
-    """Return (n,) frequencies at which spectra fall most, as at the end of a filter, Hz.
-
-    The signals end at about the bandwidth.
-    """
+    """Return (n,) frequencies, Hz, at which spectra fall most, as at the end of a filter."""
     signal = np.asarray(signal, float)
     length = min(len(signal), max(64, round(32 * rate / bandwidth)))
     frequency, density = spectral_density(signal, rate, length, window=SHARP)
@@ -295,11 +292,10 @@ def resample(time: Array, signals: Array, instants: Array, *, sharp: bool = Fals
 def choose_bandwidth(pieces: Sequence[tuple[Array, float]]) -> float:
     """Return the bandwidth that contains the motion and little of the position's noise.
 
-    The spectrum of the acceleration falls where the motion ends and rises again, as f⁴, where
-    the position's noise is differentiated twice; the bandwidth is where it is lowest between
-    4 and 10 times the frequency that holds 99.9 % of the velocity's power, and at most a quarter
-    of the sampling rate. Joints count alike: the spectra are multiplied.
-    Pieces are positions (N, n) of moving joints, and their sampling period, s.
+    The spectrum of the acceleration falls where the motion ends and rises again, as f⁴, with the
+    noise of positions. The bandwidth is where it is lowest between 4 and 10 times the frequency
+    that holds 99.9 % of the velocity's power, and at most a quarter of the rate. Joints count
+    alike. Pieces are positions (N, n) of moving joints, and their sampling period, s.
     """
     pieces = [(position, period) for position, period in pieces if len(position) >= LEAST_SPECTRUM]
     if not pieces:
@@ -329,8 +325,8 @@ def choose_bandwidth(pieces: Sequence[tuple[Array, float]]) -> float:
 def _end_of_motion(power: Array, frequency: Array) -> int:
     """Return where a spectrum (m,) of accelerations is lowest between the motion and the noise.
 
-    The noise of positions is white at most. Where they have more power farther on, or where much
-    less is a good part of the motion still, as that of a gait beside a slow sway, that is no noise.
+    The noise of positions is white at most: what has more power farther on, or much less that is a
+    good part of the motion still, as a gait beside a slow sway, is none.
     """
     position, velocity = power / frequency**4, power / frequency**2
     peak = int(np.argmax(velocity))

@@ -63,7 +63,7 @@ def without_held(
     found, slow, notes = dict(columns), dict[str, tuple[int, NDArray[np.bool_]]](), list[str]()
     for head in dict.fromkeys(n.rpartition(".")[0] for n in columns if not n.endswith(FLAG)):
         names = [name for name in columns if name.rpartition(".")[0] == head]
-        values = _unwound(np.stack([columns[name] for name in names], -1), names)
+        values = unwound(np.stack([columns[name] for name in names], -1), names)
         changes = np.linalg.norm(np.diff(values, axis=0), axis=1)
         starts = np.flatnonzero(np.append(True, changes != 0.0))
         lengths = np.diff(np.append(starts, len(values)))
@@ -102,7 +102,7 @@ def _stuck(time: Array, starts: NDArray[np.intp], changes: Array) -> NDArray[np.
     return np.asarray(is_long & (after > _JUMPS * usual))
 
 
-def _unwound(values: Array, names: Sequence[str]) -> Array:
+def unwound(values: Array, names: Sequence[str]) -> Array:
     """Return values (N, k) without jumps by a turn of angles, and of signs of quaternions."""
     if names[0].endswith(ANGLES):
         return np.unwrap(values, axis=0, period=2.0 * np.pi if np.ptp(values) < 7.0 else 360.0)

@@ -1,8 +1,7 @@
 """Validation folds: complete trajectories, or long time blocks with gaps between them.
 
 Residuals of real robots are correlated over many samples, so that folds of single samples call
-nearly every smooth regressor real. Folds here are long stretches of time. Their gaps take at most a
-twentieth of the data, so that the outermost samples of neighbouring folds may share filter windows.
+nearly every smooth regressor real. Folds here are long stretches of time.
 """
 
 from __future__ import annotations
@@ -57,9 +56,8 @@ def validation_blocks(
     """Split trajectories into folds that share no filtered sample and are apart in time.
 
     Four trajectories or more are one fold each, or two if one alone has a known payload or has
-    none; fewer are cut into blocks of equal length, about eight in all, or as many `blocks` each as
-    have ten filtered samples. Samples in the gaps between blocks belong to no fold: these are as
-    long as the filter's window and half a second, and at most 5 % of a block.
+    none; fewer are cut into blocks of equal length, about eight in all, or as many `blocks` each.
+    Gaps between blocks are as long as the filter's window and half a second, and at most 5 %.
     """
     if not trajectories:
         raise ArgumentError("There are no trajectories to split into folds.")
@@ -100,10 +98,9 @@ def share_motion(
 ) -> tuple[Fold, ...]:
     """Return folds of which none has much of a joint's motion, if possible; else these.
 
-    Joints may move one after the other, in one log or in one log each. Without a fold that has half
-    of a joint's motion, too little would be left to fit its friction. The `samples` (n, folds) are
-    numbers of samples of motion of each joint in each fold, and `instants` their time stamps, s, of
-    each joint, fold and block.
+    Joints may move one after the other, in one log or in one log each: without the fold that has
+    most of its motion, little is left to fit a joint's friction. The `samples` (n, folds) count
+    motion of each joint in each fold; `instants` are their stamps, s, by joint, fold and block.
     """
     if len(folds) < 2:
         return folds

@@ -14,8 +14,7 @@ from geodrake.boundary.arguments import Array
 from geodrake.errors import GeodrakeError, LogError
 from geodrake.logs.files import Reading, read_log, understand
 from geodrake.logs.files.column_mapping import Columns
-from geodrake.logs.files.mapping_file import mapping_of, mapping_yaml
-from geodrake.logs.files.reading import MappedColumn
+from geodrake.logs.files.reading import MappedColumn, mapping_of, mapping_yaml
 from geodrake.logs.files.units import unit_of
 from geodrake.logs.log_checks import check_commands
 from geodrake.logs.motion import PASSIVE, JointLog
@@ -23,7 +22,7 @@ from geodrake.logs.preparation import prepare_logs
 from geodrake.logs.sensor_faults import without_faults
 from geodrake.logs.time_stamps import longest_step
 from geodrake.logs.uniform_log import make_uniform
-from geodrake.logs.unit_hints import effort_sign_hint, position_unit_hint
+from geodrake.logs.units_of_values import effort_sign_hint, position_unit_hint
 
 _WINDOW, _STILL = 0.25, 2e-3  # s, and rad or m by which a joint at rest may move in them
 _SHORTEST_REST = 0.5  # s

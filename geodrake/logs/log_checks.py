@@ -136,8 +136,7 @@ _MOST_SHARED = 0.5  # of such rows of a log, that another may have
 def check_repeated(logs: Sequence[JointLog]) -> None:
     """Raise if two logs have the same measurements.
 
-    Positions and efforts are compared number by number, where a joint moves in each of some rows;
-    names, formats and time stamps do not matter.
+    Positions and efforts of rows in which a joint moves count, and neither names nor time stamps.
     """
     digests = [_digests(log) for log in logs]
     for pair in combinations(range(len(logs)), 2):

@@ -180,8 +180,7 @@ class JointLog(Short):
     def columns(self) -> dict[str, Array]:
         """Return the measurements, (N,) each, by their names in log files.
 
-        Efforts of joints that have commands in their place, or that nobody measured, are left out,
-        as are commands and temperatures where there are none.
+        Efforts, commands and temperatures of joints that have none are left out.
         """
         columns = {"time": self.time}
         for quantity in QUANTITIES:

@@ -25,7 +25,7 @@ from geodrake.logs.motion import JointLog, Trajectory
 from geodrake.logs.smoothing import Segment, Stretch, smooth_pieces
 from geodrake.logs.temperatures import Temperatures
 from geodrake.logs.uniform_log import UniformLog, make_uniform, naming_log, sample_parts
-from geodrake.logs.unit_hints import position_unit_hint
+from geodrake.logs.units_of_values import position_unit_hint
 
 LEAST_OUTPUTS = 10  # filtered samples that a log must give to be of use
 _STILL_SPEED, _SPEED_NOISE = 0.01, 4.0  # of the peak speed, and deviations of the speed's noise
@@ -86,8 +86,7 @@ def prepare_logs(
 def motion_bandwidth_of(uniform: Sequence[UniformLog], *, time_scale: float = 1.0) -> float:
     """Return the bandwidth of the motion in logs, Hz; their time may be on another scale.
 
-    It is not clearly lower than that of each log alone: where one is slow and another quick, the
-    spectrum of both may seem to end between them.
+    It is not clearly lower than that of each log alone, as the spectrum of a slow and a quick one.
     """
     moving = np.any([each.moving for each in uniform], axis=0)
     parts = [
@@ -265,8 +264,7 @@ def _acceleration_noise(
 ) -> Array:
     """Return (n,) deviation of the accelerations' noise, for white noise of the positions.
 
-    It is that of velocities where these are measured and not `derived` (n,), and that of
-    accelerations themselves where these are measured.
+    It is that of velocities that are measured and not `derived` (n,), or of accelerations.
     """
     parts = list(sample_parts(uniform.pieces))
     rate, power, weight = 1.0 / uniform.period, np.zeros(len(uniform.log.joints)), 0
@@ -295,9 +293,8 @@ def _of_use(
 ) -> tuple[tuple[Stretch, ...], tuple[float, float]]:
     """Return stretches that are of use, and seconds of standstill that go at both ends of these.
 
-    Near a piece's end, smoothing leans on reflected data, which is right only for a joint at rest:
-    those samples go. Of a standstill at an end of the log only what the filter needs to reach the
-    first moving sample stays.
+    Samples near a piece's end go, where smoothing leans on reflected data, unless joints rest. Of a
+    standstill at an end of the log only what the filter needs stays.
     """
     low_pass, smoother = filters
     peak = np.max([stretch.peak_speed for stretch in whole], axis=0)

@@ -30,9 +30,8 @@ def readings(column: Array) -> Array:
 def logged_ranges(positions: Sequence[Array]) -> tuple[Array, Array, Array]:
     """Return the range of positions of joints over all logs, and that caused by noise.
 
-    Positions (N, n) of each log are in rad or m; velocities are left aside, as their noise is no
-    motion. Returned are the (n,) least and largest position, NaN of a joint that was not measured,
-    and the (n,) width of a joint's range at rest that noise and steps of the encoder make.
+    Positions (N, n) of each log are in rad or m. Returned are the (n,) least and largest, NaN of a
+    joint that was not measured, and the (n,) width that noise and steps of encoders have at rest.
     """
     joints = positions[0].shape[1]
     low, high, wide = np.full(joints, np.nan), np.full(joints, np.nan), np.zeros(joints)

@@ -25,7 +25,7 @@ from geodrake.errors import LogError
 from geodrake.logs.motion import JointLog
 from geodrake.logs.resting import LARGEST, travels
 from geodrake.logs.time_stamps import longest_step
-from geodrake.logs.unit_hints import check_ticks
+from geodrake.logs.units_of_values import check_ticks
 
 Indices = NDArray[np.intp]
 
@@ -51,9 +51,9 @@ _MOST_FROZEN = 0.5  # of a log, above which the rest says nothing of the robot
 def without_faults(log: JointLog) -> JointLog:
     """Return a log without its sensor faults, with notes; itself if it has none.
 
-    Positions that wrap at a full turn are unwrapped. Readings that jump by orders of magnitude and
-    come back within a few rows become NaN, and so do positions and efforts that stay exactly the
-    same while the joint moves, and the last position before a jump that stays.
+    Positions that wrap at a full turn are unwrapped. Readings that jump far and come back within a
+    few rows become NaN, as do positions and efforts that are stuck while the joint moves, and the
+    last position before a jump that stays.
     """
     check_ticks(log)
     steps = np.diff(log.time[np.isfinite(log.time)])
@@ -194,9 +194,8 @@ class _Sensor:
     def _spikes(self, jumps: Indices) -> Indices:
         """Return readings between a jump and the way back, and those at an end of the log.
 
-        Readings that come back after one or two rows need no jump: they are higher than a jump is,
-        or than `_APART` where nothing lies between that and ordinary steps. Efforts of links with
-        play that hit each other come back, too, with all heights up to 60 ordinary steps.
+        Readings that come back after one or two rows are higher than a jump, or than `_APART` where
+        nothing lies between, as efforts of links with play have all heights.
         """
         some = self._steps[:: len(self._steps) // _ENOUGH + 1]  # a joint may rest most of the time
         ordinary = max(self._ordinary, float(np.quantile(some, _MOST)) if len(some) else 0.0)
@@ -280,11 +279,7 @@ class _Sensor:
 
     @cached_property
     def _rests(self) -> bool:
-        """Whether positions are constant, and velocities small compared with others.
-
-        A joint that is held has noise for its velocity, of any colour, and a few steps of its
-        encoder for its position.
-        """
+        """Whether positions are constant, and velocities small compared with those of others."""
         if np.ptp(self.values) > _HELD_RANGE or self.log.velocity is None:
             return False
         squares = np.square(np.clip(self.log.velocity, -LARGEST, LARGEST))

@@ -86,9 +86,8 @@ class Piece:
 class Segment:
     """Samples of a log without gaps, at uniform instants.
 
-    Positions, velocities and accelerations (N, n) are smooth and belong together. Efforts are
-    resampled but not filtered: they and the regressors pass the same filter later. All is in SI
-    units, and `ground` is the part of the efforts that is of measured wrenches.
+    Positions, velocities and accelerations (N, n) are smooth. Efforts are resampled but not
+    filtered, as regressors are later; `ground` is the part of them that is of measured wrenches.
     """
 
     time: Array
@@ -172,10 +171,7 @@ class Stretch:
             yield first, self[first : first + CHUNK]
 
     def _near(self, start: int, stop: int) -> tuple[Piece, slice, Array, Array]:
-        """Return samples with those around them, where they are there, and all of these smoothed.
-
-        Positions and velocities (N, n).
-        """
+        """Return samples with those around them, and positions and velocities (N, n) of all."""
         margin = self.smoother.halfwidth + 2 * SPLINE_REACH  # velocities, then accelerations
         low, high = max(0, start - margin), min(len(self.piece), stop + margin)
         near, inner = self.piece[low:high], slice(start - low, stop - low)

@@ -27,8 +27,7 @@ class Temperatures:
     def of(cls, joints: Sequence[str], time: Array, readings: Array | None) -> Temperatures | None:
         """Return the courses of measured temperatures, averaged second by second.
 
-        Readings (N, n), °C, of −1, 0, 127 and 255 °C and of 255 °F far from all others of their
-        joint, or without any, are those of a sensor that fails: they are left out.
+        Readings (N, n), °C, of sensors that fail are left out, such as 0 far from all others.
         """
         if readings is None:
             return None

@@ -158,8 +158,7 @@ def going_on(time: Array, *, of_day: bool = False) -> tuple[Array, tuple[str, ..
 def order_of_time(time: Array, position: Array) -> NDArray[np.intp] | None:
     """Return the order of rows by time if many are out of order; None otherwise.
 
-    Positions must be smooth in that order, and not as they are, unless all rows are in the reverse
-    one: those of two recordings are not, nor those of rows whose time is damaged.
+    Positions must be smooth in that order, and not as they are, unless all rows are reversed.
     """
     rows = np.flatnonzero(np.isfinite(time))
     backwards = np.count_nonzero(np.diff(time[rows]) < 0.0)

@@ -16,7 +16,7 @@ from geodrake.logs.motion import JointLog
 from geodrake.logs.sensor_faults import without_faults
 from geodrake.logs.smoothing import Piece
 from geodrake.logs.time_stamps import longest_step
-from geodrake.logs.unit_hints import row_order_hint
+from geodrake.logs.units_of_values import row_order_hint
 
 _STEP_ROWS = 20_000  # of a log that are looked at
 _FEWEST, _MOST = 3, 500  # steps between the least and the greatest value
@@ -27,11 +27,7 @@ _LEAST_SHARE = 0.25  # of the noise's power that steps make
 
 
 def step_notes(log: JointLog) -> Iterator[str]:
-    """Yield notes on efforts whose quantization is a good part of their noise.
-
-    A step s makes a noise of deviation s/√12. Numbers that are printed with few digits come in
-    steps, too; where their noise is much larger nothing is said.
-    """
+    """Yield notes on efforts whose quantization, s/√12 for steps s, is much of their noise."""
     steps = dict(zip(log.joints, effort_steps(log).tolist(), strict=True))
     coarse = {joint: step for joint, step in steps.items() if step > 0.0}
     each = (f"{joint} {s:.3g} (noise {s / np.sqrt(12.0):.2g})" for joint, s in coarse.items())
@@ -98,8 +94,7 @@ class UniformLog:
     def time_scale(self) -> float:
         """Factor of time that matches positions to measured velocities.
 
-        It is NaN if there are none, if those of most joints do not agree on it, or if no log of a
-        robot would have such a period.
+        It is NaN without these, if most joints do not agree on it, or if its period is impossible.
         """
         both = [
             (np.diff(part.position, axis=0) / self.period, part.velocity[1:] + part.velocity[:-1])

@@ -56,8 +56,7 @@ CHECKED = {
         "open",
         "open_memmap",
     },
-    "logs/files/lerobot_dataset.py": {"read_table"},
-    "logs/files/ros_bag.py": {"Reader"},
+    "logs/files/message_logs.py": {"Reader"},
     "robot/files/description.py": {"AddModels", "ProcessModelDirectives"},
     # Files of text.
     "robot/shapes.py": {"MemoryFile"},

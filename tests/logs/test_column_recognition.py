@@ -110,6 +110,10 @@ def test_columns_called_as_joints_are_positions_but_those_of_accelerations():
         ([f"axisQMsr_LBR_iiwa_7_R800_1[{k}]" for k in range(7)], IIWA),
         ([f"AIPos.A{k}" for k in range(1, 8)], IIWA),
         (["position"], ("axis",)),
+        (
+            [f"pos_{axis}" for axis in "SLURBT"],
+            tuple(f"joint_{k}_{a}" for k, a in enumerate("slurbt")),
+        ),
         (["wrist_1_pos", "wrist_2_pos"], ("left_wrist_1", "left_wrist_2")),
     ],
 )

@@ -13,7 +13,7 @@ from geodrake.logs.log_checks import check_repeated
 from geodrake.logs.resting import logged_ranges, resting
 from geodrake.logs.sensor_faults import LARGEST, without_faults
 from geodrake.logs.uniform_log import make_uniform
-from geodrake.logs.unit_hints import (
+from geodrake.logs.units_of_values import (
     effort_sign_hint,
     effort_unit_hint,
     position_limit_hint,

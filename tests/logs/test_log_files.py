@@ -21,7 +21,7 @@ from geodrake.errors import LogError, OutputError
 from geodrake.logs import JointLog, Reading, log_of_frame, read_log, write_log
 from geodrake.logs.files.table import check_room
 from geodrake.logs.inspection import inspect_log
-from geodrake.logs.unit_hints import effort_unit_hint
+from geodrake.logs.units_of_values import effort_unit_hint
 from geodrake.model import load_model, model_of_logs
 
 HEADER = "time,a.position,b.position,a.effort,b.effort"
@@ -145,7 +145,7 @@ def test_bad_arrays(tmp_path):
     with pytest.raises(LogError, match=r"'a.effort'.* has 'x', which is neither"):
         read_log(path)
     np.savez(path, **good, extra=np.eye(3))
-    assert read_log(path).notes == ("columns with fewer values than rows: extra",)
+    assert read_log(path).notes == ("'extra' is not used: it has 3 rows, but others have 12",)
 
 
 def test_failed_write_leaves_nothing(tmp_path):

@@ -35,7 +35,7 @@ from geodrake.logs.motion import GROUND, PASSIVE, UNMEASURED, JointLog, Trajecto
 from geodrake.logs.preparation import motion_bandwidth_of, prepare_logs
 from geodrake.logs.smoothing import Segment
 from geodrake.logs.uniform_log import make_uniform
-from geodrake.logs.unit_hints import (
+from geodrake.logs.units_of_values import (
     effort_sign_hint,
     effort_unit_hint,
     position_limit_hint,

@@ -31,7 +31,7 @@ from geodrake.logs.folds import validation_blocks
 from geodrake.logs.log_checks import check_saturation
 from geodrake.logs.motion import PASSIVE, SIGNAL_KINDS, JointLog, Motion, Trajectory
 from geodrake.logs.preparation import prepare_logs
-from geodrake.logs.unit_hints import effort_sign_hint, position_unit_hint
+from geodrake.logs.units_of_values import effort_sign_hint, position_unit_hint
 from geodrake.model.carried_payloads import carried_phi, carrying
 from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal, signal_of
 from geodrake.model.file_terms import Damping, DryFriction, LoadFriction, Offset, Rotor

@@ -39,9 +39,8 @@ from geodrake.logs.files.formats import (
 )
 from geodrake.logs.files.grouped_arrays import regrouped
 from geodrake.logs.files.joined_tables import RARE
-from geodrake.logs.files.mapping_file import read_mapping
 from geodrake.logs.files.name_rules import is_time, meanings_of
-from geodrake.logs.files.reading import Reading
+from geodrake.logs.files.reading import Reading, read_mapping
 from geodrake.logs.files.recording import recorded
 from geodrake.logs.files.table import LogTable, numeric_table, readable
 from geodrake.logs.motion import JointLog
@@ -121,10 +120,7 @@ def understand(
 def log_of(
     table: LogTable, joints: Sequence[str] | None, reading: Reading, *, partial: bool = False
 ) -> tuple[JointLog, Columns]:
-    """Return the log in a table, and the meaning of its columns; see `read_log`.
-
-    Columns of efforts that say nothing of them are not used, if others may stand for them.
-    """
+    """Return the log in a table, and the meaning of its columns; see `read_log`."""
     table, given = regrouped(table, reading), reading
     _check_silent(table, reading, joints)
     while True:
@@ -232,8 +228,7 @@ _ROWS = 50_000  # that are written at once
 def write_log(log: JointLog, path: str | Path) -> None:
     """Write a log so that `read_log` returns the same numbers.
 
-    The file appears whole or not at all. Its suffix says what it has: `.npz` arrays, `.csv` and
-    `.txt` text.
+    The file appears whole or not at all: arrays in `.npz`, text in `.csv` and `.txt`.
     """
     path = file_path(path)
     write_whole(path, log_content(log, path))

@@ -1,4 +1,4 @@
-"""Logs in files of arrays: JSON, MATLAB's, HDF5, Parquet, Feather, NPY and NPZ."""
+"""Logs in files of arrays: JSON, MATLAB's, HDF5, Parquet, LeRobot's, Feather, NPY and NPZ."""
 
 from __future__ import annotations
 
@@ -20,7 +20,12 @@ from numpy.lib import format as npy
 from scipy.io import loadmat
 
 from geodrake.boundary.arguments import Array
-from geodrake.boundary.input_files import open_regular, regular_file
+from geodrake.boundary.input_files import (
+    open_regular,
+    read_regular,
+    regular_file,
+    regular_files,
+)
 from geodrake.boundary.memory import machine_memory
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
@@ -35,12 +40,13 @@ from geodrake.logs.files.grouped_arrays import (
 )
 from geodrake.logs.files.name_rules import (
     OF_JOINTS,
+    PREVIOUS,
     is_time,
     meaning_of,
     names_joints,
     numbers_joints,
-    tells_recordings,
-    tells_robots,
+    quantity_of,
+    tells,
 )
 from geodrake.logs.files.packed_files import open_log, unpacked
 from geodrake.logs.files.reading import Reading
@@ -344,10 +350,7 @@ def _put(variables: dict[str, Any], name: str, value: Any) -> None:
 
 
 def _array(dataset: Any, *, matlab: bool) -> Any:
-    """Return the numbers of a dataset, columns first if MATLAB wrote it; None for its texts.
-
-    Records become a table of their fields.
-    """
+    """Return the numbers of a dataset, columns first if MATLAB wrote it; None for its texts."""
     if dataset.attrs.get("MATLAB_class", b"double") in (b"char", b"cell"):
         return None
     if names := dataset.dtype.names:
@@ -374,7 +377,7 @@ def read_parquet(path: Path, reading: Reading) -> LogTable:
         check_room(path, rows * width, f"{rows} rows of {width} columns")
         names = file.schema_arrow.names
         is_plain = all(_PLAIN.fullmatch(str(field.type)) for field in file.schema_arrow)
-        told = [n for n in names if numbers_joints(n) or tells_robots(n) or tells_recordings(n)]
+        told = [n for n in names if numbers_joints(n) or tells(n, "robots", "recordings")]
         if is_plain and not told:
             check_once(path, names)
             return LogTable(path, ParquetColumns(path, file, names))
@@ -430,6 +433,65 @@ def arrow_numbers(column: Any) -> Any:
         return column.to_numpy()
     flat = values.flatten().to_numpy(zero_copy_only=False)
     return np.asarray(flat).reshape(len(values), -1)
+
+
+INFO = "meta/info.json"
+"""Files that identify a folder as a dataset."""
+
+_LARGEST_INFO = 100_000_000  # bytes
+_ACTION = "action"  # what a policy or a person told the joints
+
+
+def read_lerobot(path: Path, reading: Reading) -> LogTable:
+    """Return the columns of a LeRobot dataset; see `read_bag` for arguments."""
+    parquet = optional_package("pyarrow.parquet", "logs", "LeRobot datasets", LogError)
+    with readable(path, "LeRobot dataset"):
+        text = read_regular(path / INFO, "description", LogError, largest=_LARGEST_INFO)
+        features = json.loads(text)["features"]
+        meaning = dict(_meaning(features))
+        wanted = ["timestamp", "episode_index", *dict.fromkeys(f for f, _ in meaning)]
+        episode = reading.episode
+        only = None if episode is None else [("episode_index", "==", episode)]
+        files = [*map(str, regular_files(path.glob("data/**/*.parquet"), "log", LogError))]
+        found = parquet.read_table(files, columns=wanted, filters=only)
+        columns = {**arrow_table(path, found).columns}
+    if not len(found):
+        of, advice = ("", "") if only is None else (f" of episode {episode}", "Count them from 0.")
+        raise LogError(f"LeRobot dataset {str(path)!r} has no samples{of}.", advice=advice)
+    named = {name: columns[column] for (_, column), name in meaning.items() if column in columns}
+    told = {"time": columns["timestamp"], "episode_index": columns["episode_index"]}
+    return LogTable(path, told | named)
+
+
+def _meaning(features: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str], str]]:
+    """Yield feature and column -> `<joint>.<quantity>`, for observations of joints and actions."""
+    for feature, description in features.items():
+        told, is_action = meaning_of(f"{feature}[0]"), feature == _ACTION
+        is_read = is_action or feature.startswith("observation")
+        if not is_read or told is None or told.role >= PREVIOUS:
+            continue
+        (size,) = description["shape"]
+        names = _names(description.get("names"), size) or [""] * size
+        for k, name in enumerate(names):
+            joint, _, word = name.rpartition(".")
+            own = quantity_of(word) if joint else None
+            if is_action and own not in (None, "position"):
+                continue  # no position that a servo goes to
+            joint = joint if own else name
+            quantity = "command" if is_action else own or told.quantity
+            column = feature if size == 1 else f"{feature}[{k}]"
+            yield (feature, column), f"{joint}.{quantity}" if joint else f"{quantity}[{k}]"
+
+
+def _names(names: Any, size: int) -> list[str] | None:
+    """Return the names of a feature's numbers, however nested; None if there are none."""
+    if isinstance(names, Mapping):
+        names = [name for each in names.values() if isinstance(each, list) for name in each]
+    if isinstance(names, list) and len(names) == 1 and isinstance(names[0], list):
+        names = names[0]
+    if isinstance(names, list) and len(names) == size:
+        return [str(name) for name in names]
+    return None
 
 
 def read_npy(path: Path, reading: Reading) -> LogTable:

@@ -1,8 +1,7 @@
 """Names and units of columns of a floating base, its IMU and its contacts.
 
-They are geodrake's own (`geodrake.logs.floating`), ROS's of the fields of Odometry, PoseStamped,
-Imu and WrenchStamped, and such as `base_quat_w`, `base_pos_0`, `base_roll_deg`, `base_R_00`,
-`imu_gyro_x [deg/s]` or `FL_foot.force.z_kgf`.
+They are geodrake's own (`geodrake.logs.floating`), those of ROS's messages, and such as
+`base_quat_w`, `base_roll_deg`, `base_R_00`, `imu_gyro_x [deg/s]` or `FL_foot.force.z_kgf`.
 """
 
 from __future__ import annotations
@@ -11,43 +10,11 @@ import re
 from collections.abc import Iterable
 from functools import lru_cache
 
-from geodrake.logs.files.name_rules import Meaning, without_unit
+from geodrake.logs.files.name_rules import Meaning, by_word, without_unit
+from geodrake.logs.files.units import WORDS
 from geodrake.logs.floating import ANGLES, AXES, FLAG
 
-_FIELDS = {
-    "position": "base.position",
-    "orientation": "base.orientation",
-    "translation": "base.position",
-    "rotation": "base.orientation",
-    "linear_velocity": "base.linear_velocity",
-    "twist.linear": "base.linear_velocity",
-    "twist.angular": "base.angular_velocity",
-    "angular_velocity": "angular_velocity",
-    "linear_acceleration": "imu.linear_acceleration",
-    "force": "force",
-    "torque": "torque",
-    "moment": "torque",
-    "rpy": "angles",
-    "euler": "angles",
-}
-_SHORT = {
-    "pos": "position",
-    "quaternion": "orientation",
-    "quat": "orientation",
-    "rot": "orientation",
-    "rotation_matrix": "orientation",
-    "rotmat": "orientation",
-    "r": "orientation",
-    "q": "orientation",
-    "lin_vel": "linear_velocity",
-    "ang_vel": "angular_velocity",
-    "gyroscope": "angular_velocity",
-    "gyro": "angular_velocity",
-    "acceleration": "linear_acceleration",
-    "accelerometer": "linear_acceleration",
-    "accel": "linear_acceleration",
-    "acc": "linear_acceleration",
-}
+_FIELDS, _SHORT = (by_word(WORDS[kind]) for kind in ("base_fields", "short_base_fields"))
 _QUANTITIES = {  # of units, by what a column has
     "position": "position",
     "orientation": "position",

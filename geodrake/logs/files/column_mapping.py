@@ -14,13 +14,11 @@ import numpy as np
 from geodrake.boundary.arguments import Array
 from geodrake.errors import ArgumentError, LogError, nearest
 from geodrake.logs.files.base_names import floating_meaning, numbered_axes
-from geodrake.logs.files.mapping_file import propose
 from geodrake.logs.files.name_rules import (
     DESIRED,
     MAPPED,
     MOTOR,
     NUMBERED,
-    OF_JOINTS,
     ONLY,
     OTHER,
     PAIRS,
@@ -34,6 +32,7 @@ from geodrake.logs.files.name_rules import (
     bracketed,
     is_gripper,
     is_unknown_word,
+    joint_columns,
     matched,
     meaning_of,
     meanings_of,
@@ -41,7 +40,7 @@ from geodrake.logs.files.name_rules import (
     words_of,
 )
 from geodrake.logs.files.packed_files import log_name
-from geodrake.logs.files.reading import ColumnMapping, MappedColumn, Reading
+from geodrake.logs.files.reading import ColumnMapping, MappedColumn, Reading, propose
 from geodrake.logs.files.state_space import follows, state_columns
 from geodrake.logs.files.table import LogTable, date_words, rate_in
 from geodrake.logs.files.units import UNITS, find_unit, unit_advice, unit_of
@@ -149,13 +148,11 @@ _STEADY = 0.2  # of its mean, by which the voltage of a supply may vary
 def candidates(
     meanings: Sequence[Meaning], found: Mapping[str, str], reading: Reading
 ) -> tuple[Best, dict[str, tuple[str, ...]]]:
-    """Return the candidate columns for each quantity of each joint, best first.
+    """Return candidate columns by (joint, quantity), best first, and other efforts by joint.
 
     A joint with efforts of any kind has no command, unless one is called as geodrake itself does.
     Numbered columns of what joints should do, or of motors, do not complete what was measured at
     other joints.
-    Returned are the columns by (joint, quantity), and further ones by joint that could stand for
-    efforts.
     """
     best: Best = defaultdict(list)
     for meaning in _of_these_joints(meanings, found, reading.joints):
@@ -224,9 +221,8 @@ def _other_words(meaning: Meaning, joint: str) -> frozenset[str]:
 def _preference(meaning: Meaning, joint: str, said: str | None) -> tuple[bool | int, ...]:
     """Return the sort key of several columns of one quantity of a joint, best first.
 
-    What was filtered hides its noise, what is raw is often in counts, m may be of the motor, V a
-    voltage, and beside `qdot` `qd` is desired; what else names have more than others is of
-    something else.
+    What is raw is often in counts, m may be of the motor, V a voltage, and beside `qdot` `qd` is
+    desired; what else names have more than others is of something else.
     """
     kept = max((_KEPT[word] for word in plain_words(meaning.column) if word in _KEPT), default=0)
     more = len(_other_words(meaning, joint)), len(plain_words(meaning.column))
@@ -242,10 +238,7 @@ def _preference(meaning: Meaning, joint: str, said: str | None) -> tuple[bool | 
 def settled(
     path: Path, meaning: Meaning, joint: str, reading: Reading, units: Mapping[str, str]
 ) -> Meaning:
-    """Return the meaning of a joint's column with its unit and the kind of efforts.
-
-    Units are those that the user says, that the name says, or that the file states.
-    """
+    """Return the meaning of a joint's column with its unit and the kind of efforts."""
     quantity, told = meaning.quantity, {} if meaning.style == MAPPED else reading.units
     stated = "" if meaning.style == MAPPED else units.get(meaning.column, "")
     column = f"Column {meaning.column!r} of log {str(path)!r}"
@@ -305,8 +298,7 @@ def settled(
 def without_use(log: JointLog, columns: Columns) -> frozenset[str]:
     """Return columns of efforts without information, where others may replace them.
 
-    They are empty, they are the voltage of a supply, which hardly changes, or those of all joints
-    stay the same, as flags do.
+    They are empty, the voltage of a supply, which hardly changes, or all the same, as flags.
     """
     chosen = {
         columns.sources[name].column: (log.effort[:, at], columns.kinds.get(joint))
@@ -449,8 +441,8 @@ def columns_of(
 def likely_clock(table: LogTable) -> tuple[Meaning | None, str, bool]:
     """Return the column that may be time by its values or its name, in words, and if it must be.
 
-    It is if it increases evenly and its name says so, if it increases and its name is a unit of
-    time shorter than a second, or if it is the first, even and not of whole steps.
+    It must if it increases evenly and is called so, increases and is called as a unit such as ms,
+    or is the first, even and not of whole steps.
     """
     told = {name: meaning_of(name) for name in table.names[:_MOST_CLOCKS]}
     bare = {n for n, m in told.items() if m and m.is_bare and m.quantity == "temperature"}
@@ -495,7 +487,7 @@ def _by_names(
     """Return the meaning of columns by their names; a `clock` is left out."""
     path, units = table.path, table.units
     beside = [name for name in table.names if name != clock and floating_meaning(name) is None]
-    told, said = [m for m in meanings_of(beside, joints or ()) if m.quantity in OF_JOINTS], []
+    told, said = joint_columns(beside, joints or ()), []
     if joints and not any(m.quantity == "position" and m.role < OTHER for m in told):
         bare = as_positions(beside, joints)
         said = [f"position: {_span(bare)} taken, as they are named like joints"] if bare else []
@@ -555,10 +547,7 @@ def _check_one_robot(path: Path, best: Best) -> None:
 
 
 def _check_units(table: LogTable, places: Mapping[tuple[str, str], Meaning]) -> None:
-    """Raise for columns whose unit is not known, in a table that has units of others.
-
-    Units stand in a row of their own, or in brackets behind names, the same for several joints.
-    """
+    """Raise for columns of several joints whose unit is unknown, where a table has known ones."""
     stated = {n: unit for n in table.names if (unit := bracketed(n))} | {**table.units}
     known = {unit for unit in {*stated.values()} if any(find_unit(unit, each) for each in UNITS)}
     odd = {n for n, unit in stated.items() if known and (unit in known or is_unknown_word(unit))}
@@ -670,8 +659,7 @@ class Columns:
     def date(self, table: LogTable) -> None:
         """Find since when time is.
 
-        Time is left out where a rate says it. Commands are in the unit of their joint's position
-        if nobody says theirs.
+        Time is left out where a rate says it. Commands without a unit have that of positions.
         """
         if self.rate is not None:
             self.places.pop(("", "time"), None)

@@ -11,10 +11,12 @@ from geodrake.boundary.arguments import typed
 from geodrake.boundary.input_files import open_regular, regular_file
 from geodrake.errors import LogError
 from geodrake.logs.files.array_files import (
+    INFO,
     read_feather,
     read_gazebo,
     read_hdf5,
     read_json,
+    read_lerobot,
     read_mat,
     read_npy,
     read_npz,
@@ -25,38 +27,26 @@ from geodrake.logs.files.array_files import (
 )
 from geodrake.logs.files.grouped_arrays import regrouped
 from geodrake.logs.files.joined_tables import joined_tables
-from geodrake.logs.files.lcm_log import MAGIC, read_lcm
-from geodrake.logs.files.lerobot_dataset import INFO, read_lerobot
+from geodrake.logs.files.message_logs import MAGIC, read_bag, read_lcm
 from geodrake.logs.files.name_rules import (
-    OF_JOINTS,
     PAIRS,
+    by_word,
+    joint_columns,
     meanings_of,
     plain_words,
     quantity_of,
-    tells_recordings,
-    tells_robots,
+    tells,
 )
 from geodrake.logs.files.packed_files import JSON, PACKABLE, TEXT, unpacked
 from geodrake.logs.files.reading import Reading
-from geodrake.logs.files.ros_bag import read_bag
 from geodrake.logs.files.table import LogTable
 from geodrake.logs.files.text_file import read_sheet, read_text
+from geodrake.logs.files.units import WORDS
 
 Reader = Callable[[Path, Reading], LogTable]
 
 _SHEETS, _YAML = (".xlsx", ".xlsm"), (".yaml", ".yml")
-_OTHERS = {
-    **dict.fromkeys((".tar", ".7z", ".rar", ".tgz"), "Unpack it first."),
-    **dict.fromkeys(
-        (".tdms", ".mf4", ".mdf", ".blf", ".ulg"),
-        "Convert it to CSV, as npTDMS, asammdf, cantools or ulog2csv do.",
-    ),
-    **dict.fromkeys(
-        (".pkl", ".pickle", ".pt", ".joblib"),
-        "It may run any program when it is read: save its arrays with numpy.savez, or a data frame "
-        "with to_parquet.",
-    ),
-}
+_OTHERS = by_word(WORDS["unread"])
 _MODELS = (".urdf", ".sdf", ".xml", ".mjcf", ".xacro", *_YAML)
 
 _READERS: Mapping[Reader, Sequence[str]] = {
@@ -116,18 +106,17 @@ def table_of(path: Path, reading: Reading) -> LogTable:
     table = reader(path, reading)
     if kind not in (*TEXT, *_SHEETS, ".npy", ".npz"):
         return table
-    words = frozenset().union(*map(plain_words, table.names))  # of which one may tell a robot
-    topics = ", ".join(t for t in reading.topics if not plain_words(t) & words)
     names = [*table.names, *table.words]
-    topics = topics if kind not in _SHEETS and not any(map(tells_robots, names)) else ""
-    episode = None if any(map(tells_recordings, names)) else reading.episode
-    said = {"topic": topics or None, "episode": episode}
-    notes = [
-        f"{path.name} has no {name}s, so {value!r} has no meaning"
-        for name, value in said.items()
-        if value is not None
-    ]
-    return table.noting(*notes)
+    words = frozenset().union(*map(plain_words, table.names))  # of which one may tell a robot
+    asked = [topic for topic in reading.topics if not plain_words(topic) & words]
+    is_told = kind in _SHEETS or any(tells(name, "robots") for name in names)
+    said = {"topic": "" if is_told else ", ".join(asked)}
+    if reading.episode is not None and not any(tells(name, "recordings") for name in names):
+        said["episode"] = str(reading.episode)
+    lacks = (
+        f"{path.name} has no {name}s, so {x!r} has no meaning" for name, x in said.items() if x
+    )
+    return table.noting(*lacks)
 
 
 def reader_of(path: Path) -> Reader | None:
@@ -180,8 +169,7 @@ def file_names(path: Path) -> str:
 def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
     """Return the columns of several files, at the time stamps of the one with the fewest a second.
 
-    The name of a file may say the quantity of its columns, as that of `efforts.csv` does; the arm,
-    as `left.csv` does; or the joint, where columns of several name none.
+    A file's name may say the quantity, as `efforts.csv`, the arm, as `left.csv`, or the joint.
     """
     named = [replace(_named_table(path, reading), path=Path(path.name)) for path in paths]
     arms = {frozenset(PAIRS & plain_words(unpacked(path).stem)) for path in paths}
@@ -205,7 +193,7 @@ def _named_table(path: Path, reading: Reading) -> LogTable:
     quantity = quantity_of(stem) or ("command" if _TOLD.search(stem.lower()) else None)
     if quantity is None or any(m.quantity == quantity for m in meanings):
         return table
-    if quantity == "command" and any(m.quantity in OF_JOINTS for m in meanings):
+    if quantity == "command" and joint_columns(table.columns):
         told = (m.column for m in meanings if m.quantity == "position")
         own = {column: column.removesuffix(".position") for column in told}
         return table.renamed(

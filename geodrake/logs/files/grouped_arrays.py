@@ -16,12 +16,11 @@ from geodrake.errors import LogError
 from geodrake.logs.files.column_mapping import listed
 from geodrake.logs.files.joined_tables import by_clocks, joined_tables, reshaped
 from geodrake.logs.files.name_rules import (
-    OF_JOINTS,
     is_time,
+    joint_columns,
     meanings_of,
     names_joints,
-    tells_recordings,
-    tells_robots,
+    tells,
 )
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import (
@@ -98,8 +97,7 @@ def neither(path: Path, advice: str) -> LogError:
 def arrays_of(variables: Mapping[str, Any]) -> dict[str, Any]:
     """Return arrays, lists and scalars by path, without arrays of one number.
 
-    A single struct around everything else is omitted. Signals of Simulink, structs of values with a
-    label each, are arrays by these.
+    A single struct around everything else is omitted, and Simulink's signals have their labels.
     """
     variables, found = _with_signals(_inside(variables)), {}
     for name, value in fields_of(variables):
@@ -136,10 +134,7 @@ def _by_names(content: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _with_signals(variables: Mapping[str, Any], called: str = "signal{}") -> Mapping[str, Any]:
-    """Return variables with those of Simulink, by their labels or what signals without are called.
-
-    Signals are structs of values, with a label each.
-    """
+    """Return variables with Simulink's structs of values, by their labels or else as `called`."""
     signals = [*np.atleast_1d(variables.get("signals", []))]
     if not all(isinstance(each, Mapping) and "values" in each for each in signals):
         return variables
@@ -192,8 +187,8 @@ def grouped_table(path: Path, content: Any, reading: Reading) -> LogTable | None
     parts = list[tuple[tuple[str, ...], Any]]()
     for name, part in _parts_in(content):
         fields = part if isinstance(part, Mapping) else part[0]
-        told = meanings_of(".".join((*name, field)) for field in fields)
-        parts += [(name, part)] * any(m.quantity in OF_JOINTS for m in told)
+        if joint_columns(".".join((*name, field)) for field in fields):
+            parts.append((name, part))
     if len(parts) < 2:
         return None
     is_told = len({name[-1:] for name, _ in parts}) == len(parts)
@@ -275,15 +270,15 @@ ALL_ROBOTS = "all"
 def regrouped(table: LogTable, reading: Reading) -> LogTable:
     """Return a table of one robot, recordings one after the other, with a column for each joint."""
     names = (*table.columns, *table.words)
-    robots = [n for n in names if tells_robots(n)]  # first, as joining recordings drops words
-    for name in (*robots, *(n for n in names if tells_recordings(n) and n not in robots)):
+    robots = [n for n in names if tells(n, "robots")]  # first, as joining recordings drops words
+    for name in (*robots, *(n for n in names if tells(n, "recordings") and n not in robots)):
         if name in table.words:
             cells = np.array([*map(str, table.words[name])], object)
         elif name in table.columns:
             cells = np.array([f"{x:g}" for x in table.columns[name]], object)
         else:  # dropped when recordings were joined
             continue
-        of_one = _of_one_robot if tells_robots(name) else _of_recordings
+        of_one = _of_one_robot if tells(name, "robots") else _of_recordings
         table = of_one(table, name, cells, reading)
     return reshaped(by_clocks(table, reading), reading)
 

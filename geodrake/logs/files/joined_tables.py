@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
+from collections import ChainMap, Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -23,18 +23,18 @@ from geodrake.logs.files.column_mapping import (
     with_own_parts,
 )
 from geodrake.logs.files.name_rules import (
-    OF_JOINTS,
     PART,
     PLAIN,
     Meaning,
+    joint_columns,
     matched,
     meaning_of,
     meanings_of,
     names_joints,
-    names_signals,
     number_of,
     numbers_joints,
     plain_words,
+    tells,
     tells_clock,
     without_unit,
     words_of,
@@ -58,41 +58,15 @@ _ALIKE = 0.9  # of the longest period, from which on parts are as slow, and the 
 
 
 def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> LogTable:
-    """Join several tables at the time stamps of the first of those with the lowest rate.
-
-    Of tables with far fewer than others only what changes slowly is used; see `_slow_parts`.
-    """
+    """Join several tables at the time stamps of the first of those with the lowest rate."""
     tables = _of_model(tables, reading)
     order = _order(tables, reading)
     if reading.mapping is not None:
         reading = replace(reading, mapping=reading.mapping.named(order))
-    units = {column: unit for table in tables for column, unit in table.units.items()}
-    noted = tuple(note for table in tables for note in table.notes)
     stamps = [_time(table, reading) for table in tables]
     bare = [str(t.path) for t, (time, _) in zip(tables, stamps, strict=True) if time is None]
     if len(bare) >= len(tables) - 1:
-        lengths = sorted({len(table) for table in tables})
-        if len(lengths) > 1:
-            raise LogError(
-                f"The parts of log {str(log)!r} have no time, and different numbers of rows: "
-                f"{', '.join(map(str, lengths))}.",
-                advice="Log the time in every part.",
-            )
-        counts = Counter(name for table in tables for name in table.columns)
-        again = [name for name in counts for _ in range(counts[name] - 1)]
-        columns = {n: x for table in tables[::-1] for n, x in table.columns.items()}
-        columns = {name: columns[name] for name in counts}
-        clock = likely_clock(tables[0])[0] if len(bare) == len(tables) else None
-        if reading.rate is None and clock is not None and clock.column in again:
-            first, *others = [t.columns[clock.column] for t in tables if clock.column in t.columns]
-            if not all(np.array_equal(first, other) for other in others):
-                raise LogError(
-                    f"In the parts of log {str(log)!r}, {clock.column!r} may be time, and differs.",
-                    advice="If it is time, call it so, such as time_ms, to join them by it.",
-                )
-        zeros = {column: zero for table in tables for column, zero in table.origins.items()}
-        said = next((table.rate for table in tables if table.rate), None)
-        return LogTable(log, columns, units, (*_twice(again), *noted), zeros, rate=said)
+        return _of_same_rows(log, tables, reading, are_all_bare=len(bare) == len(tables))
     if bare:
         raise LogError(
             f"Parts of log {str(log)!r} have no time: {', '.join(bare)}.",
@@ -104,11 +78,14 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
     clock_notes = (*dict.fromkeys(note for _, said in stamps for note in said), *clock_notes)
     steps = [np.diff(time[np.isfinite(time)]) for time in known]
     periods = [float(np.median(step)) if len(step) else np.inf for step in steps]
-    if still := [str(t.path) for t, p in zip(tables, periods, strict=True) if not p > 0.0]:
-        raise LogError(
-            f"In parts of log {str(log)!r}, time stands still in most rows: {', '.join(still)}.",
-            advice="Write their time with more digits.",
-        )
+    for table, period, step in zip(tables, periods, steps, strict=True):
+        if (step < 0.0).any() or not period > 0.0:
+            what = "stands still in most rows" if (step >= 0.0).all() else "runs backwards"
+            raise LogError(
+                f"In a part of log {str(log)!r}, {table.path}, time {what}.",
+                advice="Write it with more digits, sort rows by it, or cut them where a clock was "
+                "set back.",
+            )
     quick = [period for period in periods if period <= _MIXED * min(periods)]
     base = next(k for k, p in enumerate(periods) if p in quick and p >= _ALIKE * max(quick))
     tables, slow_notes, rare = _slow_parts(log, tables, periods, reading)
@@ -128,16 +105,48 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
                 columns[column] = at_instants(known[base], time, values, holds=holds)
     rate = 1.0 / periods[base]
     note = f"joined by time at {rate:.4g} Hz, the rate of {tables[base].path}"
+    noted = (note for table in tables for note in table.notes)
     notes = (note, *_twice(again), *slow_notes, *clock_notes, *noted)
+    units = {column: unit for table in tables for column, unit in table.units.items()}
     silent = {column: why for table in tables for column, why in table.silent.items()}
     zeros = {order[0]: origin}
     return LogTable(log, columns, units, notes, zeros, {**silent, **rare}, order=order)
 
 
+def _of_same_rows(
+    log: Path, tables: Sequence[LogTable], reading: Reading, *, are_all_bare: bool
+) -> LogTable:
+    """Return the columns of tables of which one at most has time."""
+    lengths = sorted({len(table) for table in tables})
+    if len(lengths) > 1:
+        raise LogError(
+            f"The parts of log {str(log)!r} have no time, and different numbers of rows: "
+            f"{', '.join(map(str, lengths))}.",
+            advice="Log the time in every part.",
+        )
+    counts = Counter(name for table in tables for name in table.columns)
+    again = [name for name in counts for _ in range(counts[name] - 1)]
+    clock = likely_clock(tables[0])[0] if are_all_bare and reading.rate is None else None
+    if clock is not None and clock.column in again:
+        first, *others = [t.columns[clock.column] for t in tables if clock.column in t.columns]
+        if not all(np.array_equal(first, other) for other in others):
+            raise LogError(
+                f"In the parts of log {str(log)!r}, {clock.column!r} may be time, and differs.",
+                advice="If it is time, call it so, such as time_ms, to join them by it.",
+            )
+    every = ChainMap(*(dict(table.columns) for table in tables))
+    notes = (note for table in tables for note in table.notes)
+    units = {column: unit for table in tables for column, unit in table.units.items()}
+    zeros = {column: zero for table in tables for column, zero in table.origins.items()}
+    said = next((table.rate for table in tables if table.rate), None)
+    columns = {name: every[name] for name in counts}
+    return LogTable(log, columns, units, (*_twice(again), *notes), zeros, rate=said)
+
+
 def _of_model(tables: Sequence[LogTable], reading: Reading) -> Sequence[LogTable]:
     """Drop tables whose joints are all unknown to the model, such as those of a gripper."""
     names = dict.fromkeys(n for t in tables for n in t.columns if floating_meaning(n) is None)
-    every = [m for m in meanings_of(names, reading.joints) if m.quantity in OF_JOINTS]
+    every = joint_columns(names, reading.joints)
     joint_of = matched(every, reading.joints)[0]
     told = [[m for m in every if m.column in table.columns] for table in tables]
     joints = [{joint_of[m.column] for m in each if m.column in joint_of} for each in told]
@@ -188,9 +197,9 @@ def _slow_parts(
 ) -> tuple[list[LogTable], list[str], dict[str, str]]:
     """Return the tables, slow ones reduced to columns that may be interpolated, and notes.
 
-    Slow ones have less than a tenth as many rows a second as others. Temperatures and flags change
-    slowly, and so may the orientation of a base whose IMU is quick. Other slow tables are left
-    out with a note where the log can do without them, such as joints that are logged less often.
+    Slow ones have less than a tenth as many rows a second as others. Temperatures, flags and the
+    orientation of a base with an IMU change slowly. Other slow tables are left out with a note
+    where the log can do without them.
     """
     quickest = min(periods)
     parts = [*zip(tables, periods, strict=True)]
@@ -287,10 +296,7 @@ def _one_clock(
 def _begun_together(
     log: Path, part: tuple[str, Array], base: tuple[str, Array]
 ) -> tuple[Array, str]:
-    """Return time of a part without dates on the clock of one with them, and a note.
-
-    Parts that are equally long, to two rows, begin together.
-    """
+    """Return time of a part on the clock of one with dates that is as long, and a note."""
     (name, time), (other, known) = part, base
     spans = [float(np.nanmax(t) - np.nanmin(t)) for t in (time, known)]
     period = max(float(np.nanmedian(np.diff(t))) if len(t) > 1 else 0.0 for t in (time, known))
@@ -339,7 +345,7 @@ def by_clocks(table: LogTable, reading: Reading) -> LogTable:
     starts = [names.index(name) for name in clocks]
     bounds = [*sorted(starts), len(names)]
     groups = [names[first:last] for first, last in pairwise(bounds)]
-    measured = {m.column for m in meanings_of(names) if m.quantity in OF_JOINTS} - {*clocks}
+    measured = {m.column for m in joint_columns(names)} - {*clocks}
     if bounds[0] > 0 or not all(measured & {*group} for group in groups):
         return table
     read, parts = table.loaded(skip=reading.skip_bad_rows), list[LogTable]()
@@ -407,12 +413,11 @@ def _spread_values(
     table: LogTable, words: Mapping[str, Texts], reading: Reading
 ) -> LogTable | None:
     """Return a table with a column for each signal, of one with a row for each of their values."""
-    signals = sorted(filter(names_signals, words), key=lambda n: len({*words[n]}) < 2)
+    signals = sorted((n for n in words if tells(n, "signals")), key=lambda n: len({*words[n]}) < 2)
     signal = next(iter(signals), None)
     value = [n for n in table.columns if meaning_of(n) is None and "value" in plain_words(n)]
     has_time = any(map(table.is_time, table.columns))
-    has_joints = any(m.quantity in OF_JOINTS for m in meanings_of(table.columns))
-    if signal is None or not value or not has_time or has_joints:
+    if signal is None or not value or not has_time or joint_columns(table.columns):
         return None
     of_joints = next((w for n, w in words.items() if n != signal and names_joints(n)), None)
     names = words[signal] if of_joints is None else of_joints + "." + words[signal]
@@ -446,7 +451,7 @@ def _named(table: LogTable, naming: Mapping[str, Texts]) -> LogTable:
     """Return the table with the columns of joints renamed by the names in each row."""
     in_lists = all(name.endswith("]") for name in naming)
     columns = [name for name in table.columns if name not in table.origins]  # no dates
-    measured = [m for m in meanings_of(columns) if m.quantity in OF_JOINTS]
+    measured = joint_columns(columns)
     measured = [m for m in measured if m.role <= PLAIN]
     if in_lists:  # whose items are in columns of lists, too, or in numbered ones, from 0 on
         measured = [m for m in measured if m.column.endswith("]")] or [
@@ -477,9 +482,8 @@ def _named(table: LogTable, naming: Mapping[str, Texts]) -> LogTable:
 def _named_by(name: str, naming: Mapping[str, Texts]) -> Callable[[Meaning], bool]:
     """Return a test of whether a column belongs to the joint that a column of names gives.
 
-    It does if it stands beside that column, as `joints[2].angle` beside `joints[2].name`, or if it
-    has the same number at its end. If groups name their joints differently, it must also be in the
-    same group.
+    It does if it stands beside that column, as `joints[2].angle` beside `joints[2].name`, or ends
+    with the same number, in the same group if groups name their joints differently.
     """
     head, number = _head(name), number_of(name)
     if number is None:
@@ -512,7 +516,7 @@ def _unit_of(table: LogTable, meaning: Meaning) -> str | None:
 
 def _pivoted(table: LogTable, naming: str, words: Texts, reading: Reading) -> LogTable:
     """Return a table of a row for each joint and time as one of a row a sample."""
-    told = [m for m in meanings_of(table.columns) if m.quantity in OF_JOINTS]
+    told = joint_columns(table.columns)
     own = _likeliest({m.column: m for m in told if not m.words}, lambda m: m.quantity)
     of_others = any(m.words and m.quantity == "position" for m in told)
     if not own or of_others or len({*words}) == len(words):
@@ -526,10 +530,7 @@ def _pivoted(table: LogTable, naming: str, words: Texts, reading: Reading) -> Lo
 def _brought_together(
     table: LogTable, naming: str, words: Texts, ends: Mapping[str, str], reading: Reading
 ) -> LogTable:
-    """Return a table of a row for each word and instant as one of a row an instant.
-
-    Its columns are called by the words of the column `naming`, and what their names are to end in.
-    """
+    """Return a table of a row for each word and instant as one of a row an instant."""
     parts = []
     meanings = [m for m in meanings_of(table.columns) if m.column in ends]
     told = {m.column: unit for m in meanings if (unit := _unit_of(table, m))}

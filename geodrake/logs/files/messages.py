@@ -21,6 +21,8 @@ from geodrake.logs.files.base_names import IS_BASE, floating_meaning
 from geodrake.logs.files.grouped_arrays import fields_of
 from geodrake.logs.files.name_rules import MEASURED, OTHER, PLAIN, PREVIOUS, Meaning, meaning_of
 from geodrake.logs.files.table import LogTable
+from geodrake.logs.files.units import WORDS
+from geodrake.logs.floating import unwound
 from geodrake.logs.motion import EFFORT_KINDS, QUANTITIES
 
 Stamps = NDArray[np.int64]
@@ -70,10 +72,7 @@ Key = tuple[Owners, tuple[str, ...]]
 
 @dataclass
 class Messages:
-    """Numbers of messages of one topic, in groups of those with the same columns.
-
-    They grow; no message is kept.
-    """
+    """Numbers of messages of one topic, in groups of those with the same columns."""
 
     topic: str
     kind: str = ""  # the type of its messages
@@ -319,8 +318,7 @@ _LEAVES = (str, int, float, np.ndarray)
 def _plain(message: Any) -> Any:
     """Return a message, and those in it, as mappings of their fields other than headers.
 
-    Of a list of messages, one for each joint or motor, what each has by the name of a field. A
-    message of names and values has these as fields.
+    A list of messages, one for each motor, has lists by field; one of names and values has these.
     """
     if isinstance(message, _LEAVES):
         return message
@@ -395,14 +393,7 @@ def _places(paths: tuple[str, ...]) -> dict[str, list[str]]:
     return {q: [path for _, path in sorted(own, key=itemgetter(0))] for q, own in ranked.items()}
 
 
-_POSES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped")
-_SOURCES = (
-    ("nav_msgs/msg/Odometry", *_POSES, "tf2_msgs/msg/TFMessage"),
-    ("sensor_msgs/msg/Imu",),
-    ("geometry_msgs/msg/WrenchStamped",),
-)
-"""Types of messages about the pose of a base, its IMU and its feet, the best first."""
-
+_SOURCES = [kinds.split() for kinds in WORDS["base_messages"]]
 _WORLDS = ("world", "map", "odom")
 
 
@@ -415,7 +406,7 @@ def base_sources(kinds: Mapping[str, str], named: Sequence[str]) -> list[list[st
     for source in _SOURCES:
         able = [name for name, kind in kinds.items() if kind in source]
         moving = [name for name in able if not name.endswith("tf_static")]
-        of_base = [n for n in moving if kinds[n] not in _POSES or IS_BASE.search(n)]
+        of_base = [n for n in moving if "/Pose" not in kinds[n] or IS_BASE.search(n)]
         able = [name for name in able if name in named] or of_base
         able.sort(key=lambda n: (source.index(kinds[n]), IS_BASE.search(n) is None))
         found += [able] if source != _SOURCES[-1] else [[name] for name in able]
@@ -439,11 +430,9 @@ class BaseMessages(Messages):
         found = self.tables_of(self.groups, shared=False)
         for table in found:
             turned = [n for n in table.columns if n.startswith("base.orientation")]
-            if turned:  # its negative is the same orientation: the nearer one is taken
-                q = np.stack([table.columns[name] for name in turned])
-                back = np.sum(q[:, 1:] * q[:, :-1], axis=0) < 0.0
-                q[:, 1:] *= np.where(np.cumsum(back) % 2, -1.0, 1.0)
-                table.columns |= dict(zip(turned, q, strict=True))  # type: ignore[operator]
+            if turned:
+                q = unwound(np.stack([table.columns[name] for name in turned], -1), turned)
+                table.columns |= dict(zip(turned, q.T, strict=True))  # type: ignore[operator]
         return [replace(table, path=Path(self.topic)) for table in found]
 
 

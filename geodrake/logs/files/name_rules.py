@@ -1,8 +1,7 @@
 """Rules for names of columns: quantity, joint, unit, and whether it was measured.
 
-Loggers name columns as they like: `actual_q_0`, `tau_J[0]`, `AxisPos1`, `vel_shoulder`,
-`/joint_states/elbow/effort`. The names are made of few words, though, which are listed here.
-`RULES` are asked one after the other.
+Loggers name columns as they like: `actual_q_0`, `tau_J[0]`, `/joint_states/elbow/effort`. `RULES`
+for such names are asked one after the other, and know the words in `words.yaml`.
 
 Joints of a model are matched by their names, by names that end alike, and by numbers.
 """
@@ -32,12 +31,12 @@ def _words(kind: str) -> frozenset[str]:
     return frozenset(WORDS[kind].split())
 
 
-def _by_word(said: Mapping[str, str]) -> dict[str, str]:
+def by_word(said: Mapping[str, str]) -> dict[str, str]:
     """Return the meaning of each word in lists of words."""
     return {word: what for what, words in said.items() for word in words.split()}
 
 
-QUANTITY_WORDS: Mapping[str, str] = _by_word(WORDS["quantities"])
+QUANTITY_WORDS: Mapping[str, str] = by_word(WORDS["quantities"])
 """Words that name a quantity."""
 
 _QUALIFIES = "load"  # a position or a velocity, as well as it is a torque
@@ -46,7 +45,7 @@ _CURRENT = WORDS["quantities"]["current"].split()
 MEASURED, PLAIN, MOTOR, DESIRED, PREVIOUS, OTHER = range(6)
 ROLE_WORDS: Mapping[str, int] = {
     word: ("measured", "", "motor", "desired", "previous", "other").index(role)
-    for word, role in _by_word(WORDS["roles"]).items()
+    for word, role in by_word(WORDS["roles"]).items()
 }
 """Words that show whether a column was measured at the joint, by preference."""
 
@@ -58,42 +57,25 @@ _COMMAND, SHORT, _FILLERS = map(_words, ("commands", "short", "fillers"))
 _FLAGS, _COUNTED, _STATES = map(_words, ("flags", "counted", "states"))
 _NO_SIGNAL, _SUPPLY, _NAMING = map(_words, ("no_signal", "supply", "naming"))
 _TIMES, _NANOSECONDS, _SAMPLES = map(_words, ("times", "nanoseconds", "samples"))
-_ROBOTS, _RECORDINGS, _COUNTING = map(_words, ("robots", "recordings", "counting"))
+_COUNTING = _words("counting")
 PAIRS = _words("pairs")
 """Words that tell two robots apart."""
 
-_SIGNALS, _GRIPPERS, _FINGERS = map(_words, ("signals", "grippers", "fingers"))
-_SIDES = _by_word(WORDS["sides"])
+_GRIPPERS, _FINGERS = map(_words, ("grippers", "fingers"))
+_SIDES = by_word(WORDS["sides"])
 _TIME_OF_DAY = _TIMES - {"date"}
 _BESIDE_TIME = _TIMES | _NANOSECONDS | _words("beside_time")
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[^\W\d_A-Z]+|[A-Z]+|\d+")
-_SECOND = re.compile(r"(?<![A-Za-z])(?:q2d|d2q|qd2(?=[\s_.(\[]+\d))(?![a-z])")  # qd2 is joint 2's
-_TYPED = re.compile(r"(?<![A-Za-z])(?:f|lr|r|n)(?=(?:Act|Set|Actual|Target)[A-Z])")  # in a PLC
-_MEANT = {  # by MuJoCo, of motors at joints and of others; and by ODrive, what is asked for
-    "qfrc_actuator": "qfrc",
-    "qfrc_applied": "qfrc_external",
-    "qfrc_smooth": "qfrc_external",
-    "controller.input_": "controller.desired_",
-    "current_state": "",
-    "Model Root/": "",  # of dSPACE
-}
 _INCREMENTAL = ("inc", "cnt", "qc")  # a kind of encoder, where they stand in no brackets
-_OBSERVED = ("observation.state", "observation.position")  # of LeRobot
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
-_OBJECT = re.compile(  # of CiA 402's that are measured or asked for, behind what it is
-    r"[\s_(\[]+(?:0x)?60(?:6[2-4BC]|7[1479A]|F[4F])[)\]]?(?=$|\s*[\[(])", re.IGNORECASE
-)
-_TORQUE_J = re.compile(r"(?<![A-Za-z])tau_J(?![A-Za-z0-9])")  # of Franka, where J is no joint
-_AXIS = re.compile(r"(?i)(?<![a-z])axis(?=_(?:act|soll|ist|set|cmd)(?![a-z]))")  # of KUKA
+_REWRITTEN = [(re.compile(form), meant) for form, meant in WORDS["rewritten"].items()]
 _GROUP = re.compile(r"(?<=.)[/.](?![^(\[]*[)\]])")  # behind a name that stands in no brackets
 _BRACKETS = re.compile(r"\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]\s*$")
 _FRONT = re.compile(r"[\[(]([^\])]+)[\])]\s*(.+)")
 _APART = re.compile(r"\s+(?:/|in|-(?=\s+\S\S))\s+|,\s*")  # `pos - A` may be of joint A
-_INDEX = re.compile(r"\[(\d+)\]")
-_FIRST_SENSOR = re.compile(r"(?<=\][./]temperature)\[0\]$")  # of several in the same motor
 _FURTHER_SENSOR = re.compile(r"\][./]temperature\[[1-9]\d*\]$")
 _FORMS = str.maketrans(  # of brackets, and of symbols of quantities and their derivatives
-    dict(zip("（）［］【】｛｝", "()[][]{}", strict=True))
+    dict(zip("（）［］【】｛｝₀₁₂₃₄₅₆₇₈₉", "()[][]{}0123456789", strict=True))
     | {"θ": "theta", "φ": "angle", "ω": "omega", "τ": "tau", "\u0307": "_dot", "\u0308": "_ddot"}
 )
 _UNSPACED = re.compile(  # words between which no blanks are written
@@ -209,6 +191,11 @@ def meanings_of(names: Iterable[str], joints: Sequence[str] = ()) -> list[Meanin
     return found
 
 
+def joint_columns(names: Iterable[str], joints: Sequence[str] = ()) -> list[Meaning]:
+    """Return the meanings of columns that have a quantity of a joint."""
+    return [m for m in meanings_of(names, joints) if m.quantity in OF_JOINTS]
+
+
 def as_positions(names: Iterable[str], joints: Sequence[str]) -> list[Meaning]:
     """Return the columns that are called only as joints of a model, or as `joint` and number."""
     called = {words_of(joint): joint for joint in joints if _has_name(joint)}
@@ -302,24 +289,14 @@ def names_joints(column: str) -> bool:
     return bool(_NAMING.intersection(words)) and "frame" not in words
 
 
-def names_signals(column: str) -> bool:
-    """Return whether a column of words, by its name, has the signal of each row."""
+@lru_cache(maxsize=10_000)
+def tells(column: str, *kinds: str) -> bool:
+    """Return whether a column says of which of some robots, recordings or signals each row is."""
     words = _split(column)
-    return bool(words) and _SIGNALS.issuperset(words)
-
-
-def tells_robots(column: str) -> bool:
-    """Return whether a column, by its name, says of which robot each row is."""
-    return _is_of(_split(column), _ROBOTS)
-
-
-def tells_recordings(column: str) -> bool:
-    """Return whether a column, by its name, says of which recording each row is."""
-    return _is_of(_split(column), _RECORDINGS)
-
-
-def _is_of(words: Words, kind: frozenset[str]) -> bool:
-    return any(word in kind for word in words) and (kind | _COUNTING).issuperset(words)
+    return any(
+        not own.isdisjoint(words) and (own | _COUNTING).issuperset(words)
+        for own in map(_words, kinds)
+    )
 
 
 def numbers_joints(column: str) -> bool:
@@ -416,11 +393,9 @@ def _time(name: str) -> Meaning | None:
 
 def _joint(column: str) -> Meaning | None:
     """Parse a name of a joint's quantity, with words in any order."""
-    name = _TYPED.sub("", _SECOND.sub("qdd", _OBJECT.sub("", column)))
-    name = _FIRST_SENSOR.sub("", _AXIS.sub("position", name))
-    name = _TORQUE_J.sub("tau", _INDEX.sub(r"_\1", name).replace(*_OBSERVED))
-    for other, meant in _MEANT.items():
-        name = name.replace(other, meant)
+    name = column
+    for form, meant in _REWRITTEN:
+        name = form.sub(meant, name)
     brackets = _BRACKETS.search(name)
     cut = brackets.start() if brackets else len(name)
     parts = [part for part in name[:cut].split("/") if part] or [name]
@@ -470,10 +445,7 @@ def _joint(column: str) -> Meaning | None:
 
 
 def _take_unit(parts: list[str], place: int, quantity: str) -> Unit | None:
-    """Take the unit out of the last part of a name, or of that with the quantity.
-
-    Signals may be in units of another kind, which are efforts'.
-    """
+    """Take the unit out of the last part of a name, or of that with the quantity."""
     for kind in (quantity, "effort") if quantity in SIGNAL_KINDS else (quantity,):
         parts[-1], unit = without_unit(parts[-1], kind, alone=len(parts) == 1)
         if unit is None:
@@ -503,8 +475,7 @@ _COUNTER = re.compile(
 def _measured_in(name: str) -> Meaning | None:
     """Read a name in any language by the unit behind it, as in `Winkel 1 [°]` or `elbow_deg`.
 
-    Units of time, and of what stands for efforts, count in brackets alone. A `stepCount` is in no
-    unit.
+    Units of time, and of what stands for efforts, count in brackets alone.
     """
     units = {q: _without_brackets(name, q) for q in ("time", *QUANTITIES, *SIGNAL_KINDS)}
     counts = _COUNTER.search(name)
@@ -671,8 +642,8 @@ def _parts_of_robot(
 ) -> Iterator[tuple[Sequence[Meaning], Sequence[str]]]:
     """Yield columns that are named alike, those of each arm apart, and the joints they may be of.
 
-    Joints of the model are of the part of the robot with whose own words they are called. Where
-    none is, parts of which only numbers are told may be robots alike.
+    Joints of the model are of the part with whose words they are called. Where none is, parts of
+    which only numbers are told may be robots alike.
     """
     parts: dict[Part, list[Meaning]] = defaultdict(list)
     common = set.intersection(*({*m.group, *m.words} for m in style))
@@ -713,8 +684,8 @@ def _parts_of_robot(
 def _with_side_first(names: Sequence[Words]) -> list[Words]:
     """Return words of names; where they tell both sides of a robot, first the side by one word."""
     sides = [tuple(_SIDES[w] for w in map(str, words) if w in _SIDES) for words in names]
-    if len(set[str]().union(*sides)) < 2:
-        return [*names]
+    if len(set[str]().union(*sides)) < 2 or 2 * sum(map(bool, sides)) < len(names):
+        return [*names]  # as of axes S, L, U, R, B and T
     rest = [tuple(word for word in words if str(word) not in _SIDES) for words in names]
     return [side + words for side, words in zip(sides, rest, strict=True)]
 

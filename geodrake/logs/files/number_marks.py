@@ -28,10 +28,9 @@ GROUPS, MAYBE, DECIMAL = range(3)
 def number_marks(path: Path, rows: Sequence[Sequence[str]]) -> tuple[str, dict[int, str], str]:
     """Return the mark of decimals, of columns by their place that between thousands, and a note.
 
-    In a column it is of thousands where every cell that has it may be so written and one cannot be
-    otherwise: it has it twice, or decimals behind it; or where those without it end below a
-    thousand and go beyond a hundred, and those with it begin below ten thousand. Columns that do
-    not say it go by others.
+    In a column it is of thousands where every cell that has it may be so written, and one has it
+    twice or with decimals behind it, or numbers without it end below a thousand where those with it
+    begin. Columns that do not say it go by others.
     """
     told = [*_marks_of(rows)]
     sure = {kind: {mark for _, mark, own, _ in told if own == kind} for kind in range(3)}

@@ -14,9 +14,9 @@ from geodrake.logs.files.column_mapping import Columns, in_seconds, read_column,
 from geodrake.logs.files.joined_tables import at_instants
 from geodrake.logs.files.packed_files import log_name
 from geodrake.logs.files.table import TornRows
-from geodrake.logs.files.units_of_values import ROUNDING, are_whole, take_units
 from geodrake.logs.motion import PASSIVE, JointLog
 from geodrake.logs.time_stamps import evened, going_on, order_of_time, repeats
+from geodrake.logs.units_of_values import ROUNDING, are_whole, take_units
 
 LEAST_ROWS = 10
 _DAY = 86_400_000_000_000  # ns
@@ -32,8 +32,7 @@ _LEAST = 3  # rows with either sign
 def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> JointLog:
     """Return the log from a file's numbers, with units inferred from them.
 
-    Every number is held once, but for those of a quantity: ten million rows of seven joints fill
-    more than a gigabyte. Numbers (N,) of the file's columns are taken out of the mapping.
+    Numbers (N,) of the file's columns are taken out of the mapping, so that each is held once.
     """
     rows = len(next(iter(numbers.values())))
     if rows < LEAST_ROWS:
@@ -142,8 +141,7 @@ def _leave_out_nines(columns: Columns, numbers: dict[str, Array]) -> Iterator[st
 def _take_signs(columns: Columns, numbers: dict[str, Array]) -> Iterator[str]:
     """Give numbers of registers that were read without their sign that sign; yield notes.
 
-    Columns of one quantity are of registers of one kind: that of a joint that always pushes one way
-    is known by those of others.
+    A joint that always pushes one way has registers of the kind of other joints.
     """
     for quantity in {what: None for _, what in columns.places}:
         own = [source.column for (_, what), source in columns.places.items() if what == quantity]

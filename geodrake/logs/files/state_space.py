@@ -26,21 +26,21 @@ def state_columns(
 ) -> Iterator[Meaning]:
     """Yield columns of states and inputs with their joints, in the order of the model.
 
-    States of twice as many numbers as joints are positions, and velocities that go as these change,
-    behind all positions or each behind its own. Inputs are efforts of joints with motors, or the
-    targets that all positions follow, unless they are velocities. `told` are columns that name
-    their joints.
+    States of twice as many numbers as joints are positions, and velocities that go as these change.
+    Inputs are efforts of joints with motors, or targets that all positions follow, but no
+    velocities. `told` are columns that name their joints.
     """
     joints, sliding = reading.joints, [j for j in reading.joints if j in reading.sliding]
     known = {m.log_quantity.replace("command", "effort") for m in told if m.role < OTHER}
+    moved = [m for m in told if m.quantity == "position" and m.role < OTHER]
     letters = {re.sub("[^a-z]", "", name.lower()): name for name in names}
     turning = [joint for joint in joints if joint not in sliding]
     found = list[Meaning]()
-    if len(sliding) == len(turning) == 1:
+    if len(sliding) == len(turning) == 1 and all(m.is_bare for m in moved):
         for own, words in ((sliding, _OF_SLIDING), (turning, _OF_TURNING)):
             told_by = {what: letters[word] for word, what in words.items() if word in letters}
             found += [_meaning(name, what, own[0]) for what, name in told_by.items()]
-    elif "position" not in known:
+    elif not moved:
         found = [*_of_states(table, names, joints)]
     yield from found
     driven = [j for j in joints if j not in reading.motorless and reading.kinds.get(j) != PASSIVE]
@@ -49,9 +49,8 @@ def state_columns(
     places = [m.column for m in (*told, *found) if m.quantity == "position" and m.role < DESIRED]
     values = table.read([*inputs, *places], skip=True)[0] if inputs else {}
     are_rates = all(any(_goes_with(values[q], values[u]) for q in places) for u in inputs)
-    both = zip(places, inputs, strict=True) if len(places) == len(inputs) else ()
-    told_so = [follows(values[place], values[u]) for place, u in both]
-    quantity = "command" if told_so and all(told_so) else "effort"
+    followed = [follows(values[q], values[u]) for q, u in zip(places, inputs, strict=False)]
+    quantity = "command" if len(places) == len(inputs) and all(followed) else "effort"
     if len(inputs) == len(driven) and not are_rates:
         for name, joint in zip(inputs, driven, strict=True):
             yield _meaning(name, quantity, joint, DESIRED)

@@ -83,11 +83,9 @@ _SECOND, _DAY = 1_000_000_000, 86_400  # ns, s
 def date_of(text: str, *, day_first: bool = False) -> int | None:
     """Return a date with time of day in nanoseconds since 1970; None if the text is not one.
 
-    It may be in ISO 8601, with a blank for the T or strokes if need be; or day, month and year with
-    points or the month's name; or month, day and year with strokes or dashes, with the day first if
-    so asked, or with the month's name. Years may have two digits.
-    Without a time zone it is in UTC; AM or PM may stand behind it. A time of day alone, days and a
-    time, minutes and seconds with decimals, or seconds with their unit, are those since 1970.
+    It may be in ISO 8601 or the like; or day, month and year with points or the month's name; or
+    month, day and year with strokes or dashes, with the day first if so asked. Without a time zone
+    it is in UTC. A time of day alone, days and a time, or seconds with their unit are since 1970.
     """
     if (found := _SECONDS.fullmatch(text.strip())) is not None:
         return int(found[1]) * _SECOND + int((found[2] or "").ljust(9, "0"))
@@ -356,14 +354,8 @@ _ONE_SECOND = np.timedelta64(1, "s")
 _MOST_NAMES = 8
 _MOST_NAMED = 1000  # columns of a matrix
 _LONGEST_TEXT = 60
-_SAYS_NOTHING = (
-    *("", "nan", "nat", "none", "null", "na", "n/a", "<na>", "#n/a"),
-    *("-", "--", "---", "?", "missing"),
-)
-NOTHING = frozenset(f(word) for word in _SAYS_NOTHING for f in (str, str.upper, str.title)) | {
-    *("NaN", "[]", "()", "NaN (ind)", "nan(ind)", "-nan(ind)", "1.#QNAN", "-1.#IND", "1.#IND"),
-    *("1.#INF", "-1.#INF", "#NUM!", "#DIV/0!", "#VALUE!", "#REF!", r"\N"),
-}
+_SAYS_NOTHING, *_ALSO = WORDS["nothing"]
+NOTHING = frozenset(f(w) for w in _SAYS_NOTHING for f in (str, str.upper, str.title)).union(*_ALSO)
 """Cells that mean a missing value."""
 
 LIST = re.compile(r"(?:(?:array|tensor)\()?[\[({]([^\[\](){}]*)[\])}](?:, dtype=[\w.]+)?\)?")
@@ -482,12 +474,7 @@ def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
             origins[name] = origin
         notes |= {note: None} if note else {}
     lacking = [n for n in silent if n not in words and not _is_alone(arrays[n])]
-    if fewer := [n for n in lacking if len(arrays[n]) != rows]:
-        more = " …" if len(fewer) > _MOST_NAMES else ""
-        named = ", ".join(fewer[:_MOST_NAMES])
-        notes[f"columns with fewer values than rows: {named}{more}"] = None
-    others = [f"{n!r} is not used: it {silent[n]}" for n in lacking if n not in fewer]
-    said = (*notes, *others[:_MOST_NAMES])
+    said = (*notes, *(f"{n!r} is not used: it {silent[n]}" for n in lacking[:_MOST_NAMES]))
     told = next(((rate, name) for name, rate in rates.items()), None)
     return LogTable(path, columns, {}, said, origins, silent, words, rate=told)
 

@@ -30,11 +30,9 @@ from geodrake.logs.files.name_rules import (
     is_time,
     meaning_of,
     names_joints,
-    names_signals,
     numbers_joints,
     quantity_of,
-    tells_recordings,
-    tells_robots,
+    tells,
 )
 from geodrake.logs.files.number_marks import ADVICE as MARKS_ADVICE
 from geodrake.logs.files.number_marks import may_be_grouped, number_marks, plain
@@ -581,25 +579,13 @@ class TextTable(LogTable):
         return LogTable(self.path, columns, self.units, notes, self.origins, silent, words)
 
 
-_NO_TABLES = {
-    re.compile(rb"\s*\(\d+\.\d+\)\s+\w+\s+[\dA-F]+#|date .*\s+base (hex|dec)"): (
-        "is a trace of a CAN bus, in whose frames numbers are packed",
-        "Decode it with the robot's DBC, as cantools and asammdf do, and save the signals as CSV.",
-    ),
-    re.compile(rb"DIAEXTENDED"): (
-        "is the header of a recording of DIAdem, whose numbers are in another file (.r64)",
-        "Export it as CSV.",
-    ),
-}
-"""Beginnings of texts that are no tables -> what they are, and what to do."""
-
-
 def read_text(path: Path, reading: Reading) -> LogTable:
     """Return the columns of a table of text, which may be packed."""
     with readable(path, f"{path.suffix} file"), open_log(path) as file:
         content = file.read(_HEAD)
-        if told := next((each for form, each in _NO_TABLES.items() if form.match(content)), None):
-            raise LogError(f"Log {str(path)!r} {told[0]}.", advice=told[1])
+        for form, (what, advice) in WORDS["no_tables"].items():
+            if re.match(form.encode(), content):
+                raise LogError(f"Log {str(path)!r} {what}.", advice=advice)
         if encoding := _encoding(content):
             content += file.read(_LARGEST_OTHER)
             if file.read(1):
@@ -690,8 +676,9 @@ def _text_table(path: Path, reading: Reading, opened: Opener) -> LogTable:
     table = TextTable(path, layout, opened).noting(*notes)
     names_rows = any(map(names_joints, layout.words)) or any(map(numbers_joints, layout.names))
     names_rows |= any(layout.first[name].lstrip().startswith(("[", "(")) for name in layout.words)
-    is_long = any(map(names_signals, layout.words)) or (names_rows and reading.mapping is None)
-    is_long |= any(tells_robots(name) or tells_recordings(name) for name in layout.names)
+    is_long = names_rows and reading.mapping is None
+    is_long |= any(tells(name, "signals") for name in layout.words)
+    is_long |= any(tells(name, "robots", "recordings") for name in layout.names)
     return table.loaded(skip=reading.skip_bad_rows) if is_long else table
 
 
