@@ -502,6 +502,7 @@ class LogModel:
             free[below] = False
             if any(not free[at].any() for at, _ in bounded):
                 return None  # nothing of a term would be left
+            noise = found.noise
             # Some parameters of a term stay at zero: as if it were without them.
             logarithm += float(np.log1p(_PINNED / prior[below, below]).sum())
             prior[below, below] += _PINNED

@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 _MOST = 60
 _FAR = 25.0
 """Neighbours whose scores are lower by more are not tried with other widths of the bodies."""
+_HOPELESS = 60.0
+"""Nor is a width, where it and the change lower the score of the explanation by more together."""
 _LEAST = 0.01
 """Rivals are told from this probability on."""
 
@@ -61,8 +63,15 @@ class Posterior:
             fits.update({key: each for key, each in found.items() if each is not None})
 
         add(neighbours(model, fit, most=_MOST))
-        likely = [each.choice for each in fits.values() if each.score > own.score - _FAR]
-        add(other for choice in likely for other in other_widths(model, choice))
+        likely = [each for each in fits.values() if each.score > own.score - _FAR]
+        alone = {w: fits.get((*own.choice.key[:1], w, *own.choice.key[2:])) for w in model.widths}
+        apart = {w: own.score - each.score for w, each in alone.items() if each is not None}
+        add(
+            other
+            for each in likely
+            for other in other_widths(model, each.choice)
+            if each.score - apart.get(other.width, 0.0) > own.score - _HOPELESS
+        )
         self._model, self._fit, self._fits = model, fit, [*fits.values()]
         scores = np.array([model.lead(each, own, shares) for each in self._fits])
         weights = np.exp(0.5 * (scores - scores.max())) * self._shares_of_shapes(scores)

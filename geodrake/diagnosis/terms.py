@@ -160,14 +160,16 @@ def terms_of(
         key = type(effect), effect.where
         smallest[key] = min(_first_shape(effect), smallest.get(key, np.inf))
     load = dataset.payload * np.array([1.0, *(_REACH for _ in range(3)), *(_REACH**2,) * 6])
-    sides = _square_reaches(model)
+    sides, loads = _square_reaches(model), dict[tuple[float, bool], list[tuple[Array, Array]]]()
     priced = list[tuple[Effect, list[tuple[Array, Array]], Price]]()
     for effect in effects:
         everywhere, is_own = places[type(effect)], effect in own
         if is_body(effect):
             side = sides.get(effect.where[0], 0.0)
             last = effect.where[0] in model.load_bodies
-            priors = _load_priors(load, side, beliefs, is_own=is_own)
+            if (side, is_own) not in loads:
+                loads[side, is_own] = _load_priors(load, side, beliefs, is_own=is_own)
+            priors = loads[side, is_own]
             if not (last or is_own):
                 priors = [priors[max(len(priors) + _USUAL, 0)]]
             tips = sum(where[0] in model.load_bodies for where in everywhere)
@@ -356,13 +358,16 @@ class Compatibility:
                 says[key] |= bit
             if term.is_body:
                 bodies[term.where] |= bit
-        episodes = [term for term in terms if isinstance(term.effect, Episode)]
+        episodes = {term for term in terms if isinstance(term.effect, Episode)}
         self._against, self._needs = dict[Term, int](), dict[Term, Ways]()
         for term in terms:
             against = at[term.key] | containing[term.key]
             against |= reduce(or_, (at[key] for key in term.contains), 0)
             against |= bodies[term.where] if term.is_body else 0
-            against |= reduce(or_, (self._bit[o] for o in episodes if _is_alike(term, o)), 0)
+            alike = (
+                [self._bit[o] for o in episodes if _is_alike(term, o)] if term in episodes else []
+            )
+            against |= reduce(or_, alike, 0)
             self._against[term] = -1 if term.key in known and not term.is_own else against
             if term.needs:
                 self._needs[term] = [[says[key] for key in way - known] for way in term.needs]

@@ -77,8 +77,9 @@ def calc_solution(A: Array, b: Array, ridge: float, groups: Indices) -> tuple[Ar
         x[i] /= factor[i, i]
         for k in range(i):
             x[k] -= factor[i, k] * x[i]
+        back = 1.0 / scale[i]
         for k in range(i + 1):
-            factor[i, k] /= scale[i]
+            factor[i, k] *= back
     found = np.empty(n)
     found[order] = scale * x
     return found, logarithm, factor

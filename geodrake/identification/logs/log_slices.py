@@ -111,6 +111,9 @@ INERTIA = "inertia"
 _OWN = -1  # where rows that are velocities' own stand among those of contacts
 _FELT = 0.02  # share of a row's noise from which the friction of a joint at rest matters to it
 
+_OTHERS = frozenset({"load", "bodies"})
+"""Signals that are not of the motion alone."""
+
 MOSTLY_STILL = 0.3
 """A joint's sample is left out if it is at rest in more than this share of the filter's window.
 
@@ -202,12 +205,22 @@ class Layout:
             return 0.0
         return np.asarray(blocks[effect][joint] @ effect.in_bodies)
 
-    def origin_of(self, part: Part) -> Hashable:
-        """Return the dependencies of a part's columns other than the motion."""
-        if not isinstance(part, Effect):
-            return self.tree.gravity.tobytes()
-        of_motion = declares_signals(type(part)) and not part.depends_on & {"load", "bodies"}
-        return self.sign_width.tobytes() if of_motion else self._origin
+    def blocks_in_bodies(self, blocks: Sequence[Blocks]) -> dict[Effect, Blocks]:
+        """Return what `in_bodies` needs of the columns of all parts."""
+        effect = self._felt[1]
+        return {} if effect is None else {effect: blocks[self.parts.index(effect)]}
+
+    @cached_property
+    def origins(self) -> list[tuple[Part, Hashable]]:
+        """Each part with the dependencies of its columns other than the motion."""
+        widths, found = self.sign_width.tobytes(), list[tuple[Part, Hashable]]()
+        for part in self.parts:
+            if isinstance(part, Effect):
+                of_motion = declares_signals(type(part)) and not part.depends_on & _OTHERS
+                found.append((part, widths if of_motion else self._origin))
+            else:
+                found.append((part, self.tree.gravity.tobytes()))
+        return found
 
     @cached_property
     def _origin(self) -> Hashable:
@@ -280,11 +293,15 @@ class LogSlice:
         """Return filtered rows of every joint; `shared` is used and filled."""
         motion, columns = self._motion_rows(shared), self._columns(shared)
         efforts, carried = self._efforts(shared), self._carried(columns, shared)
+        of_joints = [list[Array]() for _ in self.layout.columns]
+        for blocks in columns:
+            for j, block in blocks.items():
+                of_joints[j].append(block)
         return [
             JointRows(
                 motion[-1][at],
                 motion[j][at, :3],
-                _stacked(blocks[j] for blocks in columns if j in blocks),
+                _stacked(of_joints[j]),
                 efforts[at, j] - carried[j][:, None],
                 at,
                 carried[j],
@@ -379,11 +396,10 @@ class LogSlice:
         """
         layout = self.layout
         phi = carried_phi(layout.model, self.trajectory.payloads).ravel()
-        found = dict(zip(layout.parts, blocks, strict=True))
-        effects = {part: own for part, own in found.items() if isinstance(part, Effect)}
+        inertial, others = blocks[layout.parts.index(INERTIA)], layout.blocks_in_bodies(blocks)
         bodies = [
-            found[INERTIA][j] @ phi[columns[columns < phi.size]] - layout.in_bodies(j, effects)
-            for j, columns in enumerate(layout.columns)
+            inertial[j] @ phi[own] - layout.in_bodies(j, others)
+            for j, own in enumerate(layout.bodies)
         ]
         if (ground := self._here.ground) is None:
             return bodies
@@ -393,10 +409,11 @@ class LogSlice:
     def _columns(self, shared: RowCache) -> list[Blocks]:
         """Return filtered columns of all parts of the layout."""
         layout, gravity = self.layout, self.layout.tree.gravity.tobytes()
-        keys = {part: (part, self.place, layout.origin_of(part)) for part in layout.parts}
-        found = {part: shared.get(key) for part, key in keys.items()}
-        missing = [part for part, blocks in found.items() if blocks is None]
-        if missing:
+        keys = [(part, self.place, origin) for part, origin in layout.origins]
+        found = [shared.get(key) for key in keys]
+        places = [k for k, blocks in enumerate(found) if blocks is None]
+        if places:
+            missing = [layout.parts[k] for k in places]
             gains = gains_of(layout.model)
             key = ("load", self.place, layout.model.total_phi.tobytes(), gains.tobytes(), gravity)
             known = shared.get(key)
@@ -406,10 +423,10 @@ class LogSlice:
                 load = self._load(motion, rows)
             new, load = layout.evaluate(motion, self.trajectory, missing, load)
             shared.keep(key, {0: load}, signals=True)
-            for part, blocks in zip(missing, self._filtered(missing, new, shared), strict=True):
-                found[part] = blocks
-                shared.keep(keys[part], blocks)
-        return [blocks for blocks in found.values() if blocks is not None]
+            for k, blocks in zip(places, self._filtered(missing, new, shared), strict=True):
+                found[k] = blocks
+                shared.keep(keys[k], blocks)
+        return [blocks for blocks in found if blocks is not None]
 
     def _load(self, motion: Motion, rows: MixedRows | None) -> Array:
         """Return loads (N, nv) of joints without ground forces, which no model predicts.
