@@ -204,11 +204,9 @@ def _frame_arrays(frame: Any, called: str) -> dict[str, Any]:
     """Return columns by their names from any container; a lazy polars frame is collected."""
     if hasattr(frame, "collect_schema") and hasattr(frame, "collect"):
         frame = frame.collect()
-    if isinstance(frame, np.ndarray) and frame.dtype.names is not None:
-        return {name: frame[name] for name in frame.dtype.names}
-    names = frame if isinstance(frame, Mapping) else getattr(frame, "column_names", None)
-    if names is None:
-        names = getattr(frame, "columns", None)
+    kinds = (frame, "column_names"), (frame, "columns"), (getattr(frame, "dtype", None), "names")
+    told = (x for each, name in kinds if (x := getattr(each, name, None)) is not None)
+    names: Any = frame if isinstance(frame, Mapping) else next(told, None)
     if names is None or isinstance(frame, str):
         raise ArgumentError(
             f"A frame must have named columns; got {type(frame).__name__}.",

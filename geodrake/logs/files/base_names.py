@@ -7,7 +7,7 @@ They are geodrake's own (`geodrake.logs.floating`), those of ROS's messages, and
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 
 from geodrake.logs.files.name_rules import Meaning, by_word, without_unit
@@ -15,15 +15,7 @@ from geodrake.logs.files.units import WORDS
 from geodrake.logs.floating import ANGLES, AXES, FLAG
 
 _FIELDS, _SHORT = (by_word(WORDS[kind]) for kind in ("base_fields", "short_base_fields"))
-_QUANTITIES = {  # of units, by what a column has
-    "position": "position",
-    "orientation": "position",
-    "velocity": "velocity",
-    "acceleration": "acceleration",
-    "force": "effort",
-    "torque": "effort",
-    FLAG[1:]: "pwm",
-}
+_QUANTITIES: Mapping[str, str] = WORDS["base_units"]
 IS_BASE = re.compile(r"odom|base|pose|mocap|floating|root|trunk|torso|pelvis", re.IGNORECASE)
 _IMU = re.compile(r"imu", re.IGNORECASE)
 _VECTOR = re.compile(

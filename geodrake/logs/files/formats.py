@@ -110,13 +110,12 @@ def table_of(path: Path, reading: Reading) -> LogTable:
     words = frozenset().union(*map(plain_words, table.names))  # of which one may tell a robot
     asked = [topic for topic in reading.topics if not plain_words(topic) & words]
     is_told = kind in _SHEETS or any(tells(name, "robots") for name in names)
-    said = {"topic": "" if is_told else ", ".join(asked)}
+    lacks = list[tuple[str, object]]()
+    if asked and not is_told:
+        lacks.append(("topic", ", ".join(asked)))
     if reading.episode is not None and not any(tells(name, "recordings") for name in names):
-        said["episode"] = str(reading.episode)
-    lacks = (
-        f"{path.name} has no {name}s, so {x!r} has no meaning" for name, x in said.items() if x
-    )
-    return table.noting(*lacks)
+        lacks.append(("episode", reading.episode))
+    return table.noting(*(f"{path.name} has no {n}s, so {x!r} has no meaning" for n, x in lacks))
 
 
 def reader_of(path: Path) -> Reader | None:

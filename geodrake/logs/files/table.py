@@ -91,7 +91,9 @@ def date_of(text: str, *, day_first: bool = False) -> int | None:
         return int(found[1]) * _SECOND + int((found[2] or "").ljust(9, "0"))
     if (found := _MINUTES.fullmatch(text.strip())) is not None:
         return (60 * int(found[1]) + int(found[2])) * _SECOND + int(found[3].ljust(9, "0"))
-    text = re.sub("[年月](?=\\d)", "-", text.strip()).replace("日", "")
+    text = text.strip()
+    if "年" in text:
+        text = re.sub("[年月]", "-", text).replace("日", "")
     if not text[:1].isdecimal() and (parts := _NAMED_FIRST.fullmatch(text)):
         text = f"{parts[2]} {parts[1]} {parts[3] or parts[6]} {parts[4] or parts[5]}"
     if (found := DATE.fullmatch(text)) is None:

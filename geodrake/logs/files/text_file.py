@@ -76,12 +76,7 @@ _MAY_BE_MARKED = defaultdict(
 _UNIT_BEHIND = re.compile(r"\s+(?=[\[(][^\d\W][^\])]*[\])])")  # blanks before `[rad]`
 _NUMBER_OF = re.compile(r"[+-]?[\d.,]+\s*([^\W\d]\S*|°\S*|%)")  # a unit
 _MEASURED = re.compile(r"[+-]?\d+[.,]\d+([eE][+-]?\d+)?")
-_HEADS = (
-    ("header.stamp.sec", "header.stamp.nanosec", "header.frame_id"),
-    ("%time", "header.seq", "header.stamp", "header.frame_id"),
-)
-"""Text before the names of joints, in ROS 2 and in ROS 1."""
-
+_HEADS = [head.split() for head in WORDS["heads"]]
 _SEVERAL = re.compile(r"(.*?[^\W\d])[\[({](\d+)[\])}](\s*[\[(][^\d\W].*)?")  # q[6] [rad]
 _SPAN = re.compile(r"(.*?)(\d+)(?:-|–|:|\.{2,3}|…|\s+to\s+)(?:\1)?(\d+)(.*)")  # q1-q6, q_0..5
 _EXCEL = re.compile(r'"?sep=(.)"?')  # the first line of what is to be opened by it
