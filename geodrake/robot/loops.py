@@ -54,16 +54,15 @@ from geodrake.robot.transmission.loop import (
 )
 from geodrake.robot.transmission.statements import Drive
 
-# Shares of the largest column, up to which one counts as a combination of others: the first as axes
-# of a flat linkage are parallel but for rounded numbers, the second where a posture is nearly
-# singular.
-_FREE = 1e-3, 1e-5
+# Shares of the largest column, up to which one counts as a combination of others, and how far a
+# posture is left to see whether it is singular, rad or shares of the size: first for axes that are
+# parallel but for rounded numbers, then for postures that are nearly singular.
+_FREE = (1e-3, 0.1), (1e-5, 0.02)
 _WELL = 0.1, 0.01, 0.0  # shares of itself that others leave of a column, in the order of trials
 _IDLE = 1e-9  # share of the largest column, of a joint that a loop does not see
 _CLOSED, _NEARLY = 1e-9, 1e-3  # shares of the size by which a loop misses, the latter by rounding
 _STILL = 1e-14  # rad or shares, by which the last iteration moves
 _MOST_ITERATIONS, _LONGEST = 100, 0.3  # on the way to the posture of the file; rad or shares
-_NUDGE = 0.02  # rad or shares of the size, by which a posture is left to see whether it is singular
 _FARTHEST = 1e6  # m, of a closure from its body
 
 
@@ -255,9 +254,9 @@ class _LoopFinder:
         limits = np.array([*(self.limits[v] for v in velocities), *free_ends]).T
         if self.beyond.intersection(velocities) and not self.how.start:
             start = _closed_within(shape, x, limits)
-        for least in _FREE:
+        for least, nudge in _FREE:
             x, gap = _closed(shape, start, _following(miss(shape, start)[1], order, least))
-            free, following = _free_and_following(shape, x, order, least)
+            free, following = _free_and_following(shape, x, order, (least, nudge))
             if free and gap <= _NEARLY:
                 break
         if not gap <= _NEARLY:
@@ -273,6 +272,15 @@ class _LoopFinder:
                 f"{own} is singular at {', '.join(joints)} as in the file, so its motion is "
                 "undetermined.",
                 advice="Use another posture in the file.",
+            )
+        outside = (x < limits[0] - _NEARLY) | (x > limits[1] + _NEARLY)
+        if not free and outside.any():
+            at_limit = int(np.argmax(outside))
+            low, high = limits[:, at_limit]
+            raise ModelError(
+                f"{own} cannot move, with {joints[at_limit]} at {x[at_limit]:.4g} outside of its "
+                f"limits {low:g} … {high:g}.",
+                advice="Correct the axes, which may not be parallel, or where bodies are joined.",
             )
         shown = [k for k in range(count) if k in free or k in following]
         return LoopTransmission(
@@ -397,19 +405,21 @@ def _closed_within(shape: LoopRecords, x: Array, limits: Array) -> Array:
 
 
 def _free_and_following(
-    shape: LoopRecords, x: Array, order: Sequence[Sequence[int]], least: float
+    shape: LoopRecords, x: Array, order: Sequence[Sequence[int]], tried: tuple[float, float]
 ) -> tuple[list[int] | None, list[int]]:
     """Return independent and following joints at a posture (k,); None if singular.
 
     Joints that the loop does not see, as a rod that turns about itself, are neither.
     """
-    following = _following(miss(shape, x)[1], order, least)
+    (least, nudge), J = tried, miss(shape, x)[1]
+    following = _following(J, order, least)
     others = [k for k in range(len(x)) if k not in following]
     free, nearby = set[int](), _chosen(shape, others, following, x)
     units = shape.units[others]
     moved = np.abs(solved(nearby, x[others][None])[1][0] @ units / shape.units[:-1])
+    moved *= J[: len(J) - len(shape.couplings)].any(axis=0)  # gears may turn as far as they like
     for sign in (0.0, 1.0, -1.0):  # whether it is the same there
-        q = x[others] + sign * _NUDGE * units / max(1.0, moved.max(initial=0.0))
+        q = x[others] + sign * nudge * units / max(1.0, moved.max(initial=0.0))
         theta, _, (reached,) = solved(nearby, q[None])
         J = miss(shape, theta[0])[1]
         free |= {k for k in others if np.abs(J[:, k]).max() > _IDLE * np.abs(J).max()}

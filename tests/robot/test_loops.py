@@ -540,3 +540,7 @@ def test_a_geared_linkage_that_is_stretched_at_zero_is_put_within_its_limits(tmp
     crank, motor = (places[:, names.index(f"{name}_turns")] for name in ("crank", "motor"))
     assert (crank > 0.5).all() and (crank < 2.1).all()
     np.testing.assert_allclose(motor, -20.0 * q[:, 0])
+    stretched = re.sub("<limit>.*?</limit>", "", LINKAGE.format(parts=parts, axes=axes))
+    path.write_text(stretched, encoding="utf-8")
+    with pytest.raises(ModelError, match="is singular at crank_turns, rod_turns"):
+        load_model(path)
