@@ -85,18 +85,26 @@ def _is_copy(command: Array, position: Array, late: int) -> bool:
     return bool(np.abs(command - position).max() <= max(np.ptp(_SAME * position), digits))
 
 
-def check_saturation(log: JointLog) -> None:
-    """Raise for efforts that are at their largest value most of the time."""
+def check_saturation(log: JointLog, measured: JointLog | None = None) -> None:
+    """Raise for efforts that are at their largest value most of the time.
+
+    Where efforts are those of servos, by their commands, the log is told apart from what was
+    `measured`, which has none there.
+    """
     for at, joint in enumerate(log.joints):
         if log.effort_kinds.get(joint, "effort") not in ("effort", "current"):
             continue  # voltages may be switched
         effort = log.effort[_moving(log, at), at]
         effort = effort[np.isfinite(effort)]
-        if not len(effort) or effort.max() == effort.min():
+        largest = float(np.abs(effort).max(initial=0.0))
+        is_servo = measured is not None and not np.isfinite(measured.effort[:, at]).any()
+        is_constant = not len(effort) or effort.max() == effort.min()
+        if is_constant and not (is_servo and largest > 0.0):
             continue
-        largest = float(np.abs(effort).max())
         share = float(np.mean(np.abs(effort) >= _FULL * largest))
-        if share > _MOST and not _is_coarse(effort):
+        if share > _MOST and (is_constant or not _is_coarse(effort)):
+            if is_servo:
+                raise _saturated_servo(log, at, largest, share)
             raise LogError(
                 f"The {log.effort_kinds.get(joint, 'effort')} of {joint} in log {log.name!r} "
                 f"is saturated: it is at its largest value, {largest:.4g}, in "
@@ -104,6 +112,20 @@ def check_saturation(log: JointLog) -> None:
                 advice="Move with less acceleration or load to stay within the drive's limit, "
                 "or raise the limit.",
             )
+
+
+def _saturated_servo(log: JointLog, at: int, largest: float, share: float) -> LogError:
+    """Return the error that a servo is at its limit in a share of the rows in which it moves."""
+    joint, command = log.joints[at], log.command
+    stays = command is not None and not np.nanmax(command[:, at]) > np.nanmin(command[:, at])
+    why = "its command never changes" if stays else "its command is far from its position"
+    return LogError(
+        f"The servo of {joint} in log {log.name!r} is saturated: {why}, and its effort is at the "
+        f"limit, {largest:.4g}, in {100 * share:.0f} % of the rows in which the joint moves.",
+        advice=f"Does that servo follow another command? If it is off, use --passive {joint}."
+        if stays
+        else "Check the command's unit and zero, or move with less acceleration or load.",
+    )
 
 
 def _moving(log: JointLog, at: int) -> NDArray[np.bool_]:

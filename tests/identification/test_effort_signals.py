@@ -455,8 +455,14 @@ def test_a_joint_that_stands_exactly_still_has_no_servo():
 
 
 def test_a_servo_that_is_always_at_its_limit_is_refused(tmp_path):
-    with pytest.raises(LogError, match="is saturated"):
-        open_case(pendulum(tmp_path, 2.0), [servo_log(limit=2.0, seconds=6.0)], candidates=False)
+    asked, model = servo_log(limit=2.0, seconds=6.0), pendulum(tmp_path, 2.0)
+    saturated = "servo of hinge in log 'servo' is saturated: its command "
+    with pytest.raises(LogError, match=f"{saturated}is far from its position, "):
+        open_case(model, [asked], candidates=False)
+    known = replace(model, effort_signals=(EffortSignal("hinge", "command", 50.0, limit=2.0),))
+    held = replace(asked, command=np.full_like(asked.command, 9.0))
+    with pytest.raises(LogError, match=f"{saturated}never changes, .*If it is off, use --passive"):
+        open_case(known, [held], candidates=False)
 
 
 def test_an_integral_in_a_log_is_held_as_that_of_position_servo():

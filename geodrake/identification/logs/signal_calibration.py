@@ -147,7 +147,7 @@ def _known_efforts(model: RobotModel, log: JointLog) -> JointLog:
     signals = model.effort_signals
     summed = any(each.integral and kind_of(log, each.joint) == COMMAND for each in signals)
     known = in_efforts(log, signals, _needed(model, log) if summed else None)
-    check_saturation(known)
+    check_saturation(known, log)
     return known
 
 
