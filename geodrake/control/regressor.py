@@ -89,7 +89,7 @@ class ControlModel:
         turning = tuple(effect for effect in effects if effect.role is not Role.BODY)
         trial = _trial(model, sign_width)
         columns = EffectColumns(joints, effects, trial)
-        columns.rows(trial(*np.zeros((3, 1, len(joints)))))  # do they fit the robot?
+        columns.fit_rows(trial(*np.zeros((3, 1, len(joints)))))  # do they fit the robot?
         values = [model.phi.ravel(), *(fitted.parameters for fitted in model.effects)]
         return cls(
             tree=model.tree,

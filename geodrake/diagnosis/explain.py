@@ -12,6 +12,7 @@ from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.final_fit import final_fit
 from geodrake.diagnosis.findings import (
     Finding,
+    at_found_gains,
     holds,
     largest_residual,
     named,
@@ -32,7 +33,7 @@ from geodrake.effects import Effect
 from geodrake.identification.logs.case import Case, error_table, open_case
 from geodrake.identification.logs.compare import comparison
 from geodrake.identification.logs.hypothesis import Hypothesis
-from geodrake.identification.logs.model_fit import ModelFit
+from geodrake.identification.logs.model_fit import ModelFit, settled
 from geodrake.identification.models.identify import changed_bodies
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
@@ -129,13 +130,14 @@ def explained(
     if changed:
         said += [*changed_notes(case.model, steps), *notes_of(found, case, fit, bodies)]
     said += left_out_notes(findings, steps)
+    gained = at_found_gains(found) if steps else None
     explanation = Explanation(
-        verdict_of(after.errors, bool(steps), left=largest_residual(found)),
+        verdict_of(gained or after.errors, bool(steps), left=largest_residual(found)),
         steps,
         before.errors,
         error_table(case.dataset, start.held_out),
         after.errors,
-        fit.model if changed else model,
+        settled(fit.model) if changed else model,
         before,
         after,
         tuple(dict.fromkeys(said)),
@@ -143,6 +145,7 @@ def explained(
         dict(zip(case.dataset.joints, fit.of_motion.tolist(), strict=True)),
         found.is_stopped,
         fit.result.certificate if changed else None,
+        gained,
     )
     return Investigation(explanation, after_case, found)
 

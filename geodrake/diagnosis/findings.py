@@ -401,11 +401,21 @@ def largest_residual(found: Found) -> float:
     return float(np.max(left / np.where(noise > 0.0, noise, 1e-300)))
 
 
+def at_found_gains(found: Found) -> ErrorTable | None:
+    """Return held-out errors with the gains of efforts that the logs show; None if they show none.
+
+    Gains are not the model's: an error by them is no missing effect.
+    """
+    model, fit = found.model, found.fit
+    shown = model.usual_gains(fit) if fit.terms else {}
+    return error_table(model.dataset, model.held_out(fit)) if shown else None
+
+
 def verdict_of(errors: ErrorTable, found: bool, *, left: float = np.inf) -> Verdict:
     """Return the verdict on an end result.
 
     `left` is the largest ratio of a joint's residual to its noise, in a fit that allows for
-    reversals that the logs do not resolve, as those are no missing effect.
+    reversals that the logs do not resolve and for gains, as those are no missing effect.
     """
     near = errors.shows_noise and errors.nrms <= _MOST_OF_REVERSALS * errors.floor_nrms
     if not (errors.is_noise or (near and left <= JOINT_NOISE_MARGIN)):

@@ -9,7 +9,7 @@ columns, filtered as the efforts are, add most.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, product
@@ -41,6 +41,7 @@ _INSTANTS = 48  # of the grid between which windows are tried
 _FEWEST = 20  # rows of a joint, with fewer of which nothing is tried
 _LEAST = 0.03  # share of a log's rows before and after an instant
 _MOST = 3  # windows of a log and body that are tried
+_QUIETER = 0.25  # share of a joint's squared error that sensors make, below which it is much
 _RISE = 0.02  # s, at first
 _SHARPEST, _SLOWEST = 2e-3, 1.0  # s
 _STEP, _STEP_OF_RISE = 0.02, 0.7  # first: s of an instant, logarithm of the rise
@@ -52,31 +53,41 @@ _MOVED = 5e-4  # s, below which an instant stays
 def handled(case: Case, model: LogModel, fit: Fit) -> list[Episode]:
     """Return bodies that carry a payload during part of a log.
 
-    Friction and offsets may be beside the explanation so far.
+    Friction and offsets may be beside the explanation so far. Where that leaves much more than the
+    noise of sensors at a joint, the joint counts for little; so what is found if only that noise
+    were left is tried, too.
     """
     kinds = [kind for kind in case.effect_classes if kind.proposer is Proposer.HANDLING]
-    found = list[Episode]()
     if not kinds:
-        return found
-    around = _Around.of(case, model, _beside(model, fit), without=None)
-    for log, trajectory in enumerate(case.trajectories):
-        number = log_number(trajectory.name)
-        for body in case.model.load_bodies:
-            sums = _Sums.of(around, log, body)
-            for window in sums.best_windows() if sums is not None else ():
-                for kind in kinds:
-                    make: Callable[..., Any] = kind
-                    start, end = window
-                    held = make(body, start=start, end=end, rise=_RISE, log=number)
-                    found.append(_timed(around, held))
+        return []
+    beside = _beside(model, fit)
+    fits, quiet = [(beside, _MOST)], model.quieted(beside)
+    if np.any(quiet.noise < _QUIETER * beside.noise):
+        fits.append((quiet, 1))
     tried = [term.effect for term in model.terms if isinstance(term.effect, Episode)]
     known = [term.effect for term in fit.terms if isinstance(term.effect, Episode)]
-    return [
-        each
-        for each in found
-        if not any(_is_alike(each, other) for other in tried)
-        and not any(_shares_an_edge(each, other) for other in known)
-    ]
+    found = list[Episode]()
+    for one, most in fits:
+        around = _Around.of(case, model, one, without=None)
+        for held in _held(around, kinds, most):
+            if any(_is_alike(held, other) for other in (*tried, *found)):
+                continue
+            if not any(_shares_an_edge(held, other) for other in known):
+                found.append(held)
+    return found
+
+
+def _held(around: _Around, kinds: Sequence[type[Effect]], most: int) -> Iterator[Episode]:
+    """Yield bodies that carry a payload, in at most so many windows of each log."""
+    for log, trajectory in enumerate(around.case.trajectories):
+        number = log_number(trajectory.name)
+        for body in around.case.model.load_bodies:
+            sums = _Sums.of(around, log, body)
+            for start, end in sums.best_windows()[:most] if sums is not None else ():
+                for kind in kinds:
+                    make: Callable[..., Any] = kind
+                    held = make(body, start=start, end=end, rise=_RISE, log=number)
+                    yield _timed(around, held)
 
 
 def instants(case: Case, model: LogModel, fit: Fit) -> dict[Effect, Effect]:

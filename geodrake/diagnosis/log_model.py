@@ -345,6 +345,19 @@ class LogModel:
         add_normal(packed, fit.weights[self.joint_of] - fit.weights, hessian)
         return hessian
 
+    def quieted(self, fit: Fit) -> Fit:
+        """Return an explanation fitted as if only the noise of sensors were left at each joint."""
+        known = np.maximum(np.square(self.dataset.noise_floor), self.floor)[self.joint_of]
+        noise = np.minimum(fit.noise, known)
+        weights, (prior, _) = fit.weights * fit.noise / noise, self.prior(fit.choice)
+        packed, moments, _ = self.normal(fit.columns, fit.choice.delay)
+        hessian = prior.copy()
+        add_normal(packed, weights, hessian)
+        factor, scale = scaled_cholesky(hessian, RIDGE)
+        right = prior @ self.mean[fit.columns] + weights @ moments
+        x = scale * solved(factor, scale * right)
+        return replace(fit, x=x, noise=noise, weights=weights, hessian=hessian)
+
     def of_joints(self, values: Array) -> Array:
         """Return sums (nv,) over the blocks of each joint of values (B,)."""
         return np.bincount(self.joint_of, values, len(self.rows)).astype(float)

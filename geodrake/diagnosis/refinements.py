@@ -16,7 +16,6 @@ from geodrake.diagnosis.log_model import Choice, Fit, LogModel
 from geodrake.diagnosis.terms import Term, is_expandable
 from geodrake.effects import FittedEffect
 from geodrake.effects.base import Effect
-from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.sensors import effort_delays
 from geodrake.identification.logs.case import Case, reduced
 from geodrake.identification.logs.dataset import Dataset
@@ -193,8 +192,7 @@ def expansions(case: Case, model: LogModel, fit: Fit) -> dict[Effect, Effect]:
     slopes = {t.effect: t for t in fit.terms if t.effect is not None and is_expandable(t.effect)}
     if not slopes:
         return {}
-    tree = case.model.tree
-    bodies = RobotBodies(tree, np.zeros((0, tree.num_positions)), case.model.total_phi)
+    bodies = case.model.bodies_at_rest
     moved = {e: e.expanded_about(model.parameters(fit, t), bodies) for e, t in slopes.items()}
     return {effect: other for effect, other in moved.items() if other != effect}
 

@@ -153,8 +153,8 @@ class Explanation(Shown):
     """Effects added to a model until only noise is left, or nothing explains the rest.
 
     Attributes:
-        verdict: "adequate" or "explained" if only noise is left, "unexplained" if more is, and
-            "undecided" if the noise is not known, or hides everything.
+        verdict: "adequate" or "explained" if only noise is left, and errors of gains of efforts;
+            "unexplained" if more is, and "undecided" if noise is not known, or hides everything.
         steps: The effects added, in order.
         start: Errors of the model as it stands.
         refitted: Held-out errors with the parameters refitted within their prior, before any step.
@@ -170,6 +170,8 @@ class Explanation(Shown):
         is_interrupted: Whether the search was stopped before its end.
         certificate: Certificate of the final fit by its MathematicalProgram; None if the model is
             unchanged.
+        at_found_gains: What `end` is if gains of efforts are what the logs show, within their
+            uncertainty; None where they show none that matters, or there is no step.
     """
 
     verdict: Verdict
@@ -185,3 +187,9 @@ class Explanation(Shown):
     of_motion: Mapping[str, float] = field(default_factory=dict)
     is_interrupted: bool = False
     certificate: Certificate | None = None
+    at_found_gains: ErrorTable | None = None
+
+    @property
+    def at_found_gains_nrms(self) -> float | None:
+        """The nrms of `at_found_gains`."""
+        return None if self.at_found_gains is None else self.at_found_gains.nrms

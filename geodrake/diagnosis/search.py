@@ -32,6 +32,7 @@ from geodrake.diagnosis.refinements import (
 )
 from geodrake.diagnosis.search_progress import FoundStep, Progress, progress_of
 from geodrake.diagnosis.terms import Term
+from geodrake.diagnosis.turned_base import turned_bases
 from geodrake.diagnosis.unknown_efforts import is_resolved, reversals, unknown_functions
 from geodrake.effects import Effect
 from geodrake.effects.base import FittedEffect
@@ -111,6 +112,7 @@ class Search:
         """Search to the end."""
         search, is_stopped = self, False
         try:
+            self._turn()
             more = proposed(self.case, self.model, self.fit)
             if more:  # before anything else makes up for them
                 self._offer(more)
@@ -129,6 +131,18 @@ class Search:
             if search._progress is not None and search._told is not None:
                 search._progress(replace(search._told, is_last=True))
         return Found(search.case, search.model, search.fit, search._start(), is_stopped)
+
+    def _turn(self) -> None:
+        """Begin with a base that is mounted otherwise, if that explains most errors."""
+        turned = turned_bases(self.case, self._effects)
+        if not turned:
+            return
+        self._effects = [turned.get(effect, effect) for effect in self._effects]
+        self._anew(turned)
+        terms = [term for term in self.model.terms if term.effect in turned.values()]
+        widths = [w for w in self.model.widths if w <= self.model.wrong_beyond]
+        choices = [self.model.choice(self.fit.choice, (t,), width=w) for t in terms for w in widths]
+        self.fit = self._best(choices, self.fit)
 
     def _copied(self) -> Search:
         """Return a search that goes on from here by itself."""

@@ -162,6 +162,13 @@ class Effect(CheckedFields, abc.ABC):
             joint is columns @ parameters. Effects *add* to the effort needed.
         """
 
+    def fit_rows(self, motion: RobotMotion) -> Rows:
+        """Return the columns of fits: changes of the effort with the parameters.
+
+        They are `rows`, but for effects that are not linear and have `in_bodies`.
+        """
+        return rows_of(self, motion)
+
     def formula_rows(self, motion: RobotMotion) -> Rows:
         """`rows` with NumPy functions only, for recording (`geodrake.model.source`).
 
@@ -259,6 +266,11 @@ class Effect(CheckedFields, abc.ABC):
         """
         del parameters, bodies
         return self
+
+    def settled(self, parameters: Array, bodies: RobotBodies) -> tuple[Effect, Array]:
+        """Return the effect, and parameters (k,), whose `rows` do what a fit by `fit_rows` says."""
+        del bodies
+        return self, parameters
 
     def gravity_of_bodies(self, gravity: Array) -> Array | None:
         """Gravity for columns of bodies with the effect; None for the model's.

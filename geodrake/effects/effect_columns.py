@@ -67,10 +67,10 @@ class EffectColumns:
         """The signals that any of the columns depends on."""
         return frozenset().union(*self._signals)
 
-    def rows(self, motion: RobotMotion) -> list[dict[int, Array]]:
-        """Return each effect's columns (N, ·) along a motion of N samples, by velocity acted at."""
+    def fit_rows(self, motion: RobotMotion) -> list[dict[int, Array]]:
+        """Return each effect's columns (N, ·) of fits along N samples, by velocity acted at."""
         return [
-            {self._indices[joint]: columns for joint, columns in rows_of(effect, motion).items()}
+            {self._indices[joint]: columns for joint, columns in effect.fit_rows(motion).items()}
             for effect in self.effects
         ]
 

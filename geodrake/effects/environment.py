@@ -6,11 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from geodrake.compiling import compiled
 from geodrake.effects.base import (
     Array,
     BodyEffect,
+    Effect,
     Parameter,
     RobotEffect,
     RobotMotion,
@@ -23,6 +25,7 @@ from geodrake.robot.kinematics import actuator_rows
 from geodrake.robot.vectors import add, cross, dot, put_row, row, scale, subtract
 
 _LEAST_CHANGE = 1e-4  # of the weight
+_FAR = 2.0  # rad
 
 
 @dataclass(frozen=True)
@@ -35,7 +38,9 @@ class GravityTilt(RobotEffect):
         R(θ)ᵀ g − g = sin|θ|/|θ| g × θ + (1 − cos|θ|)/|θ|² (θ θᵀg − g θᵀθ)
 
     linear in θ with `about` in the place of one θ of each product: exact where θ is `about`. About
-    zero it is wrong by |θ|²/2 of the weight. The bodies are those of the model; fits see others
+    zero it is wrong by |θ|²/2 of the weight. Upside down, gravity hardly changes with θ in one
+    direction. So in fits about turns of more than 2 rad, a change of θ is a turn δ of the base as
+    it stands then, R = R(δ) R(about). The bodies are those of the model; fits see others
     under the gravity of `about`: moments that a level base hides show only there. Gravity is taken
     to be along z, about which a turn changes nothing.
 
@@ -65,12 +70,46 @@ class GravityTilt(RobotEffect):
 
     def expanded_about(self, parameters: Array, bodies: RobotBodies) -> GravityTilt:
         """Return the tilt with columns exact at its parameters; itself if they already are."""
-        del bodies
+        if self._is_far:
+            turned, turn = self._turned(parameters, bodies.gravity), parameters - self.in_bodies
+            return turned if np.linalg.norm(turn) >= _LEAST_CHANGE else self
         step = np.linalg.norm(parameters - self._about[:2])
         if step * max(np.linalg.norm(parameters), step) < _LEAST_CHANGE:
             return self
         about_x, about_y = parameters.tolist()
         return replace(self, about_x=about_x, about_y=about_y)
+
+    def _turned(self, parameters: Array, gravity: Array) -> GravityTilt:
+        """Return the tilt after a further turn."""
+        turn = np.append(parameters - self.in_bodies, 0.0)
+        felt = self._rotation.T @ Rotation.from_rotvec(turn).as_matrix().T @ gravity
+        axis, along = np.cross(felt, gravity), float(felt @ gravity)
+        sine = float(np.linalg.norm(axis))
+        direction = self._about / np.linalg.norm(self._about) if sine == 0.0 else axis / sine
+        about_x, about_y, _ = (np.arctan2(sine, along) * direction).tolist()
+        return replace(self, about_x=about_x, about_y=about_y)
+
+    def fit_rows(self, motion: RobotMotion) -> Rows:
+        """Return `rows`, and far from level those of further turns."""
+        if not self._is_far:
+            return self.rows(motion)
+        gravity = motion.body_motions(self.name).gravity
+        return self._rows(motion, self._rotation.T @ np.cross(gravity, np.eye(3)[:2]).T)
+
+    def settled(self, parameters: Array, bodies: RobotBodies) -> tuple[Effect, Array]:
+        """Return the tilt and its angles; far from level, those after the further turn."""
+        if not self._is_far:
+            return self, parameters
+        turned = self._turned(parameters, bodies.gravity)
+        return turned, turned.in_bodies
+
+    @property
+    def _is_far(self) -> bool:
+        return bool(np.linalg.norm(self._about) > _FAR)
+
+    @property
+    def _rotation(self) -> Array:
+        return np.asarray(Rotation.from_rotvec(self._about).as_matrix())
 
     def gravity_of_bodies(self, gravity: Array) -> Array | None:
         """Return the gravity turned by the angles at which the columns are exact."""
@@ -88,8 +127,11 @@ class GravityTilt(RobotEffect):
 
     def rows(self, motion: RobotMotion) -> Rows:
         """Return the efforts of the change of gravity with each angle, at every joint."""
-        bodies = motion.body_motions(self.name)
-        columns = bodies.gravity_efforts(self._change(bodies.gravity))
+        return self._rows(motion, self._change(motion.body_motions(self.name).gravity))
+
+    def _rows(self, motion: RobotMotion, change: Array) -> Rows:
+        """Return the efforts of changes of gravity (3, 2), m/s²."""
+        columns = motion.body_motions(self.name).gravity_efforts(change)
         return {joint: columns[:, i] for i, joint in enumerate(motion.joints)}
 
     def formula_rows(self, motion: RobotMotion) -> Rows:

@@ -262,6 +262,11 @@ class RobotModel(Short):
         bases = base_joints(self.plant)
         return tuple(joint.name() for joints in bases for joint in joints)
 
+    @property
+    def bodies_at_rest(self) -> RobotBodies:
+        """The bodies with what they hold, in no configuration."""
+        return RobotBodies(self.tree, np.zeros((0, self.tree.num_positions)), self.total_phi)
+
     def motion(
         self, motion: Motion, *, sign_width: ArrayLike = 0.0, load: Array | None = None
     ) -> RobotMotion:

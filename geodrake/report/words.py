@@ -272,10 +272,24 @@ def explanation_lead(explanation: Explanation, *, advised: bool) -> tuple[str, .
     if explanation.is_interrupted:
         first += " The search was interrupted: more may be missing."
     if explanation.verdict != "unexplained":
-        return first, f"{capitalized(noise_alone(end))}."
+        return first, f"{capitalized(_harmless(explanation))}."
     advice = "--draft-effect my_effect.py searches for a formula of the remaining error."
     rest = " ".join((*_left(end), *_of_motion(explanation)))
     return (first, rest, advice) if advised else (first, rest)
+
+
+def _harmless(explanation: Explanation) -> str:
+    """Return what the remaining error is, where no effect is missing."""
+    end, gained = explanation.end, explanation.at_found_gains
+    if end.is_noise or explanation.verdict == "undecided":
+        return noise_alone(end)
+    left = f"the remaining error, nrms {number(end.nrms)}, is that of"
+    noise = f"sensor noise is {number(end.floor_nrms)}"
+    if gained is not None and gained.is_noise:
+        shown = f"with those that the logs show it is {number(gained.nrms)}"
+        return f"{left} gains of efforts: {shown}; {noise}"
+    also = "" if gained is None else ", and of gains of efforts"
+    return f"{left} reversals, where the logs do not show the direction of motion{also}; {noise}"
 
 
 def _nrms_change(before: float, after: float) -> str:

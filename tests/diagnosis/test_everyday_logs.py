@@ -19,6 +19,7 @@ from geodrake.fleet import digest_logs
 from geodrake.identification.logs.bandwidth import prepare_for_model
 from geodrake.identification.logs.case import open_case
 from geodrake.logs import JointLog, write_log
+from geodrake.report import page_of
 
 pytest.importorskip("pinocchio")
 
@@ -87,6 +88,49 @@ def test_friction_of_joints_that_move_in_turn_is_found_and_predicted():
     found = explain(MODEL, [in_turn()], blocks=2)
     assert places(found) == {"coulomb_friction": {*JOINTS}, "viscous_friction": {*JOINTS}}
     assert found.end.nrms < 0.03
+
+
+def test_a_payload_that_is_picked_up_while_one_joint_moves_is_found():
+    """It leaves an error at that joint, which counts for little until it is explained."""
+    rng, time, start = np.random.default_rng(3), np.arange(0.0, 20.0, 0.01), 15.0
+    arm, holding = robot("arm6"), robot("arm6")
+    holding.inertias[-1] += pin.Inertia(0.8, np.array([0.02, 0.01, 0.06]), 1e-3 * np.eye(3))
+    each, q = 20.0 / arm.nv, np.zeros((len(time), arm.nv))
+    for joint in range(arm.nv):
+        since = np.clip(time - joint * each, 0.0, each)
+        q[:, joint] = 0.5 * np.sin(2.0 * since) * np.sin(np.pi * since / each) ** 2
+    v = np.gradient(q, time, axis=0)
+    rows = zip(time, q, v, np.gradient(v, time, axis=0), strict=True)
+    robots = ((holding if t >= start else arm, row) for t, *row in rows)
+    effort = np.array([pin.rnea(each, each.createData(), *row) for each, row in robots])
+    effort += 0.3 * np.tanh(v / 0.005) + 0.2 * v
+    effort += 0.01 * effort.std(0) * rng.normal(size=q.shape)
+    measured = q + 1e-5 * rng.normal(size=q.shape)
+    log = JointLog("picked up", tuple(arm.names)[1:], time, measured, effort)
+    found = explain(load_model(MODELS / "arm6.urdf"), [log])
+    joints = {*log.joints}
+    assert places(found) == {
+        "temporary_payload": {"flange"},
+        "coulomb_friction": joints,
+        "viscous_friction": joints,
+    }
+    (held,) = (s.parameters for s in found.steps if s.effect == "temporary_payload")
+    ((_, values),) = held.items()
+    assert values["start"] == pytest.approx(start, abs=0.05)
+    # Joints that move then show its moment, and hardly its mass.
+    assert values["mass"] * values["com_z"] == pytest.approx(0.8 * 0.06, rel=0.05)
+
+
+def test_gains_of_efforts_are_no_missing_effect():
+    time, moved = sines(40.0)
+    rng, gains = np.random.default_rng(7), np.array([1.03, 0.98])
+    effort = body_effort(moved.q, moved.v, moved.vd) + DRY * np.tanh(moved.v / 0.01)
+    effort = gains * effort + 0.01 * rng.normal(size=effort.shape)
+    found = explain(MODEL, [JointLog("gains", JOINTS, time, moved.q, effort)])
+    assert places(found) == {"coulomb_friction": {*JOINTS}}
+    assert found.verdict == "explained" and not found.end.is_noise
+    assert found.at_found_gains.is_noise
+    assert "is that of gains of efforts" in page_of(found).sentence
 
 
 def test_heavy_rotors_behind_noise_of_accelerations_are_found_at_a_lower_bandwidth():

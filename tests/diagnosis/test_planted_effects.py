@@ -218,6 +218,12 @@ ROWS = {
     "a slope, which shows moments of the first body": Planted(
         ARM, leaning(0.03, -0.05), "gravity_tilt tilt_x=0.03 tilt_y=-0.05", {"off": 0.2}
     ),
+    "a ceiling, where gravity hardly changes with small turns": Planted(
+        ARM,
+        lambda seen: leaning(3.0, 0.0)(seen) + 0.4 * seen.v,
+        f"gravity_tilt tilt_x=3, {WET}@{ALL} viscous=0.4",
+        SHORT,
+    ),
     "drag": Planted(
         PENDULUM,
         dragged(2, (0.0, 0.0, -0.3), 3.0),

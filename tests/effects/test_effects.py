@@ -246,6 +246,25 @@ class TestBodies:
         np.testing.assert_allclose(found, held, atol=1e-9 + level * 100.0 * angle**2)
         assert effect.expanded_about(angles, self.motion.bodies) is effect
 
+    @pytest.mark.parametrize("about", [(np.pi, 0.0), (-1.7, 2.5), (2.0, 0.4)])
+    def test_far_from_level_columns_of_fits_are_slopes_of_further_turns(self, about):
+        bodies, step = self.motion.bodies, 1e-5
+        effect = effects.GravityTilt(*about)
+        assert effect.expanded_about(np.array(about), bodies) is effect
+        for k, turn in enumerate(step * np.eye(2)):
+            moved, angles = effect.settled(np.array(about) + turn, bodies)
+            assert moved == effects.GravityTilt(*angles)
+            further = RotationMatrix(AngleAxis(step, np.eye(3)[k]))
+            axis = np.array([*about, 0.0]) / np.hypot(*about)
+            turned = RotationMatrix(AngleAxis(np.hypot(*about), axis))
+            held = self.held_by_tilted_base(further @ turned)
+            np.testing.assert_allclose(moved.effort(self.motion, angles), held, atol=1e-9)
+            slope = (held - self.held_by_tilted_base(turned)) / step
+            columns = np.stack(
+                [effect.fit_rows(self.motion)[joint][:, k] for joint in self.motion.joints], 1
+            )
+            np.testing.assert_allclose(columns, slope, atol=1e-3)
+
     @staticmethod
     def drag_at(point, q, v):
         """Effort of drag 1 N·s²/m² at a point of the hand (3,), and that point's velocity."""

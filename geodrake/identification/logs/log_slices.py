@@ -159,7 +159,7 @@ class Layout:
         columns = [[np.flatnonzero(inertial[j])] for j in range(len(model.joints))]
         own = tuple(effect for effect in effects if not is_payload(effect))
         probe = model.motion(_probe(model, 1), sign_width=1.0)
-        rows = EffectColumns(model.joints, own).rows(probe)
+        rows = EffectColumns(model.joints, own).fit_rows(probe)
         for effect, blocks in zip(own, rows, strict=True):
             indices = starts[effect] + np.arange(len(effect.parameters))
             felt = blocks if coupling is None else np.flatnonzero(coupling[:, [*blocks]].any(1))
@@ -258,7 +258,7 @@ class Layout:
         )
         seen = robot.with_effort(of_log)  # gains scale contacts of this log, and play
         effects = tuple(part for part in parts if isinstance(part, Effect))
-        found = dict(zip(effects, EffectColumns(robot.joints, effects).rows(seen), strict=True))
+        found = dict(zip(effects, EffectColumns(robot.joints, effects).fit_rows(seen), strict=True))
         return [inertial if isinstance(part, str) else found[part] for part in parts], seen.load
 
     def _inertial_at(self, motion: Motion, phi: Array) -> tuple[dict[int, Array], Array]:

@@ -121,6 +121,15 @@ def model_with(
     )
 
 
+def settled(model: RobotModel) -> RobotModel:
+    """Return a fitted model whose effects do what the fit's columns say (`Effect.fit_rows`)."""
+    bodies = model.bodies_at_rest
+    effects = [
+        FittedEffect(*f.effect.settled(f.parameters, bodies), f.deviations) for f in model.effects
+    ]
+    return replace(model, effects=tuple(effects))
+
+
 def _gain_shifts(
     dataset: Dataset, unknowns: Unknowns, weights: Array, fit: FitResult, *, known: bool
 ) -> Array:
