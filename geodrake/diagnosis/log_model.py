@@ -256,13 +256,14 @@ class LogModel:
     def _groups_of(self, places: Indices) -> Indices:
         """Return of each column (n,) the joint that alone feels it, −1 of the model's and others.
 
-        What joints of a free base feel alone has products with all bodies, and counts as shared.
+        What joints of a free base feel alone has products with all bodies, and counts as shared, as
+        do payloads.
         """
         felt = places >= 0
         alone = np.where(felt.sum(axis=0) == 1, felt.argmax(axis=0), -1)
         alone[: len(self.unknowns.columns)] = -1
         for term, at in self.at.items():
-            alone[at] = self.felt_by[term]
+            alone[at] = -1 if term.is_whole else self.felt_by[term]
         base = [self.model.joints.index(joint) for joint in self.model.base_joints]
         return np.where(np.isin(alone, base), -1, alone)
 
