@@ -26,6 +26,7 @@ _FAR, _MOST_FAR = 45.0, 10.0  # rad that one joint goes beyond in degrees, and t
 _NORMALIZED = 101.0  # of LeRobot's share of a range
 _OF_LEROBOT = re.compile(r"\.pos$|^observation\.state")
 _ROWS, _WINDOW = 50_000, 25  # rows that tell a ratio, and over which way and speed are compared
+_SHORTER = 12  # rows over which they are, if a motion repeats after those
 _OFF, _ALIKE = 0.02, 0.99  # by which a ratio may be off, and correlation of what moves together
 _UNLIKE, _MOVES = 0.5, 0.1  # correlation of other signals; way of joints, of the longest of one
 _JUMP = 0.5  # of its range, which an angle that wraps moves between two rows
@@ -33,6 +34,7 @@ Bare = Mapping[str, Mapping[tuple[str, str], Meaning]]
 """Quantity -> its columns, where nobody says their unit."""
 
 _ANGLES = ("deg", "rev", "mrad", "cdeg", "rad")
+_SMALL = ("mrad", "cdeg")  # in which any motion is far in numbers
 _SPEEDS = ("rad/s", "deg/s", "rev/s", "rpm")
 _OF_SERVOS = (*_SPEEDS, "ticks/s", "0.229 rpm", "0.111 rpm")  # beside ticks, as of Dynamixel
 _AS_OTHERS = (("rev", "rad/s"), ("rev", "rpm"))  # as m and m/min, or gears of 6.3 and 60
@@ -76,9 +78,9 @@ def _take_angles(
     """Turn angles and their speeds into rad and rad/s, where values are certain of other units.
 
     The ratio of velocities to changes of positions tells both units, if the model's limits hold
-    positions in that of angles. Otherwise positions of which most are far beyond the limits in rad,
-    and within them in degrees, are in degrees. Velocities that do not go with positions are left
-    out.
+    positions in that of angles. Small units need large numbers, too, as changes from row to row
+    have such a ratio. Otherwise positions of which most are far beyond the limits in rad, and
+    within them in degrees, are in degrees. Velocities that do not go with positions are left out.
     """
     turning = [joint for joint in columns.joints if joint not in columns.reading.sliding]
     places = bare.get("position", {})
@@ -89,12 +91,17 @@ def _take_angles(
     position, velocity = data["position"][:, at], data.get("velocity")
     moves = [] if velocity is None else _moves(time, position, velocity[:, at])
     angles = _ANGLES if places else ("rad",)
-    angle, speed, ratio = _by_motion(moves, angles, speeds if bare.get("velocity") else ("rad/s",))
+    speeds = speeds if bare.get("velocity") else ("rad/s",)
+    angle, speed, ratio = _by_motion(moves, angles, speeds)
+    if velocity is not None and not ratio:
+        moves = _moves(time, position, velocity[:, at], _SHORTER)
+        angle, speed, ratio = _by_motion(moves, angles, speeds)
     why = f"velocities are {ratio:.4g} times as fast as positions change"
     if angle != "rad":
         unit = unit_of(angle, "position")
         held = _share_within(columns.reading, turning, _some(position), unit)
-        angle, speed = (angle, speed) if held > _HELD else ("rad", "rad/s")
+        is_far = angle not in _SMALL or peaks_of(position).max() > _MOST_FAR
+        angle, speed = (angle, speed) if held > _HELD and is_far else ("rad", "rad/s")
     is_open = bool(places) and (angle, speed) == ("rad", "rad/s")
     beyond = _beyond_limits(position, columns, turning) if is_open else ""
     if beyond:
@@ -118,19 +125,21 @@ def _nearer_speed(moves: Sequence[tuple[Array, Array]]) -> str:
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of outliers
-def _moves(time: Array, position: Array, velocity: Array) -> list[tuple[Array, Array]]:
-    """Return how far each joint moves by its positions, and by its velocities, over windows."""
-    if len(time) <= _WINDOW:
+def _moves(
+    time: Array, position: Array, velocity: Array, rows: int = _WINDOW
+) -> list[tuple[Array, Array]]:
+    """Return how far each joint moves by its positions, and by its velocities, over some rows."""
+    if len(time) <= rows:
         return []
     position, velocity, time = position[:_ROWS], velocity[:_ROWS], time[:_ROWS]
     steps = 0.5 * (velocity[1:] + velocity[:-1]) * np.diff(time)[:, None]
     way = np.cumsum(np.vstack([np.zeros(velocity.shape[1]), np.nan_to_num(steps)]), axis=0)
     found = list[tuple[Array, Array]]()
     for q, s in zip(position.T, way.T, strict=True):
-        moved, driven = (x[_WINDOW:] - x[:-_WINDOW] for x in (q, s))
+        moved, driven = (x[rows:] - x[:-rows] for x in (q, s))
         jumps = np.abs(np.diff(q, prepend=q[0])) > _JUMP * (np.fmax.reduce(q) - np.fmin.reduce(q))
         count = np.cumsum(jumps)
-        there = np.isfinite(moved) & np.isfinite(driven) & (count[_WINDOW:] == count[:-_WINDOW])
+        there = np.isfinite(moved) & np.isfinite(driven) & (count[rows:] == count[:-rows])
         found.append((moved[there], driven[there]))
     return found
 

@@ -310,6 +310,10 @@ def test_velocities_that_are_none_are_left_out(tmp_path):
     log = read_log(write(tmp_path / "log.csv", columns), joints=JOINTS)
     assert log.velocity is None
     assert "velocity is not used, as it does not go with positions" in log.notes
+    noise = np.random.default_rng(5).normal(0.0, 1e-3, Q.shape)
+    angle = 8.0 * np.pi * TIME[:, None] + [0.0, 1.0]  # a turn in 25 rows
+    columns = frame(q_J=np.sin(angle) + noise, v_J=8.0 * np.pi * np.cos(angle), effort_J=S)
+    assert read_log(write(tmp_path / "log.csv", columns), joints=JOINTS).velocity is not None
     columns = frame(q_J=np.rint(2048.0 + 651.9 * Q), v_J=np.rint(41.7 * V), effort_J=S)
     log = read_log(write(tmp_path / "log.csv", columns), joints=JOINTS)
     np.testing.assert_allclose(log.velocity, V, atol=0.02)
@@ -520,6 +524,8 @@ UNITS = {
     "thousandths": ({"q_J": 1000.0 * Q}, 1.0, None),
     "thousandths and rad/s": ({"q_J": 1000.0 * Q, "v_J": V}, 1000.0, 1.0),
     "hundredths of degrees": ({"q_J": 100.0 * DEG * Q, "v_J": DEG * V}, 100.0 * DEG, 1.0),
+    "changes from row to row": ({"q_J": Q, "v_J": 1e-3 * V}, 1.0, 1e-3),
+    "changes in a clock ten times as slow": ({"q_J": Q, "v_J": 1e-2 * V}, 1.0, 1e-2),
     "in rad as asked": ({"q_J": DEG * Q}, 1.0, None),
 }
 """Columns -> how many of their units a rad is, or 1 if that is not certain; and so of speeds."""
