@@ -221,13 +221,15 @@ def _draft(
         arrangement = replace(arrangement, aside=aside, robot=robot.bodies)
         draft = _build(description, arrangement)
     joints, terms = _single_joints(draft.plant), description.terms
+    names = [scoped(joint) for joint in joints.values()]
     for box in terms.gearboxes:
-        if (found := geared(draft.plant, box)) is None or found[0] in terms.followers:
+        own, tie = geared(draft.plant, box) or ("", Tie("", ()))
+        if own in terms.followers or own not in resolved({**terms.followers, own: tie}, names):
             terms.left_out.append(f"{box.name} is ignored.")
         else:
-            terms.followers[found[0]] = found[1]
-            terms.driven.add(found[1].leader)
-    followers = resolved(terms.followers, [scoped(joint) for joint in joints.values()])
+            terms.followers[own] = tie
+            terms.driven.add(tie.leader)
+    followers = resolved(terms.followers, names)
     arrangement = replace(arrangement, followers=followers, joints=tuple(joints))
     stated = dict(description.terms.fixed)
     for own, tie in followers.items():  # which hold what they follow
@@ -349,11 +351,12 @@ def _build(
         check_poses(plant, description.path)
     if plant.num_velocities() == 0:
         links = plant.num_bodies() - 1
-        raise ModelError(
-            f"No joint of {description.path} moves: "
-            + (f"its {links} links are welded to the world." if links else "it has no links."),
-            advice="Give a model with moving joints, or load it as a floating base.",
-        )
+        why = f"its {links} links are welded to the world" if links else "it has no links"
+        advice = "Give a model with moving joints, or load it as a floating base."
+        if terms.static:
+            why += f", as <static> of {', '.join(sorted(terms.static))} says"
+            advice = "Remove <static>, or give a model with moving joints."
+        raise ModelError(f"No joint of {description.path} moves: {why}.", advice=advice)
     return BuiltPlant(plant, lengths, tuple(notes), opened)
 
 

@@ -233,6 +233,7 @@ class FileTerms:
     closures: list[Closure] = field(default_factory=list)
     # Bodies between several joints of one, which weigh nothing.
     between: set[str] = field(default_factory=set)
+    static: set[str] = field(default_factory=set)  # models of SDF whose joints do not move
 
     @classmethod
     def joined(cls, parts: Sequence[FileTerms]) -> FileTerms:

@@ -74,6 +74,8 @@ def test_a_door_of_a_static_model_does_not_move(tmp_path):
     <joint name="hinge" type="revolute"><parent>wall</parent><child>door</child>
     <axis><xyz>0 0 1</xyz></axis></joint></model>"""
     assert load(tmp_path, SDF, world=door).joints == ("a", "b")
+    with pytest.raises(ModelError, match=r"as <static> of r says\. Remove <static>"):
+        load(tmp_path, SDF, model="<static>1</static>")
 
 
 def test_gravity_that_is_off(tmp_path):
@@ -235,8 +237,10 @@ def test_a_gearbox_has_a_joint_follow_another(tmp_path):
         assert model.followers == {"r::c": ("r::b", (0.0, 2.0))} and not model.left_out
         assert check_dynamics(model, samples=3).second.holds
         askew = {part: stated.replace("-1 0", "-1 .1") for part, stated in parts.items()}
-        (said,) = load(tmp_path, text, **askew).left_out
-        assert "<joint> g of the type gearbox is ignored." in said
+        alone = {part: stated.replace("nt>l2", "nt>l3") for part, stated in parts.items()}
+        for wrong in (askew, alone):
+            (said,) = load(tmp_path, text, **wrong).left_out
+            assert "<joint> g of the type gearbox is ignored." in said
 
 
 MIMIC = """<plugin name="m" filename="libroboticsgroup_gazebo_mimic_joint_plugin.so">

@@ -424,10 +424,7 @@ class SdfText(ModelText):
         nowhere = self._take_includes()
         terms.left_out += unread(self.root, SDF_UNREAD, self.path)
         self._take_gravity()
-        static = (m for m in self.root.iter("model") if not is_off(m.findtext("static", "")))
-        for joint in (each for model in static for each in model.iter("joint")):
-            joint.set("type", "fixed")
-            drop(joint, "axis", "axis2")
+        self._fix_static()
         for joint in self.root.iter("joint"):
             if joint.get("type") == "revolute2":  # which moves as a universal joint does
                 joint.set("type", "universal")
@@ -502,6 +499,14 @@ class SdfText(ModelText):
                 drop(change, "collision")
                 self.terms.left_out += unread(change, _CHANGED, self.path)
         return [*includes.missing, *includes.absent]
+
+    def _fix_static(self) -> None:
+        """Fix the joints of static models."""
+        for model in self.root.iter("model"):
+            for joint in () if is_off(model.findtext("static", "")) else model.iter("joint"):
+                joint.set("type", "fixed")
+                drop(joint, "axis", "axis2")
+                self.terms.static.add(model.get("name", ""))
 
     def _take_gravity(self) -> None:
         places = ("world/physics/gravity", "world/gravity")  # that of older versions first
