@@ -54,22 +54,22 @@ def handled(case: Case, model: LogModel, fit: Fit) -> list[Episode]:
     """Return bodies that carry a payload during part of a log.
 
     Friction and offsets may be beside the explanation so far. Where that leaves much more than the
-    noise of sensors at a joint, the joint counts for little; so what is found if only that noise
-    were left is tried, too.
+    noise of sensors at a joint, the joint counts for little; so what is picked up or put down if
+    only that noise were left is tried, too. Between two instants, such weights would let a payload
+    imitate anything.
     """
     kinds = [kind for kind in case.effect_classes if kind.proposer is Proposer.HANDLING]
     if not kinds:
         return []
     beside = _beside(model, fit)
-    fits, quiet = [(beside, _MOST)], model.quieted(beside)
-    if np.any(quiet.noise < _QUIETER * beside.noise):
-        fits.append((quiet, 1))
+    quiet = model.quieted(beside)
+    fits = [beside, quiet] if np.any(quiet.noise < _QUIETER * beside.noise) else [beside]
     tried = [term.effect for term in model.terms if isinstance(term.effect, Episode)]
     known = [term.effect for term in fit.terms if isinstance(term.effect, Episode)]
     found = list[Episode]()
-    for one, most in fits:
+    for one in fits:
         around = _Around.of(case, model, one, without=None)
-        for held in _held(around, kinds, most):
+        for held in _held(around, kinds, once=one is quiet):
             if any(_is_alike(held, other) for other in (*tried, *found)):
                 continue
             if not any(_shares_an_edge(held, other) for other in known):
@@ -77,13 +77,16 @@ def handled(case: Case, model: LogModel, fit: Fit) -> list[Episode]:
     return found
 
 
-def _held(around: _Around, kinds: Sequence[type[Effect]], most: int) -> Iterator[Episode]:
-    """Yield bodies that carry a payload, in at most so many windows of each log."""
+def _held(around: _Around, kinds: Sequence[type[Effect]], *, once: bool) -> Iterator[Episode]:
+    """Yield bodies that carry a payload in windows of each log; if `once`, of one edge at most."""
     for log, trajectory in enumerate(around.case.trajectories):
         number = log_number(trajectory.name)
         for body in around.case.model.load_bodies:
             sums = _Sums.of(around, log, body)
-            for start, end in sums.best_windows()[:most] if sums is not None else ():
+            windows = sums.best_windows() if sums is not None else []
+            if once:
+                windows = [each for each in windows if None in each][:1]
+            for start, end in windows:
                 for kind in kinds:
                     make: Callable[..., Any] = kind
                     held = make(body, start=start, end=end, rise=_RISE, log=number)
