@@ -29,6 +29,7 @@ from geodrake.diagnosis.search import Found, searched
 from geodrake.diagnosis.search_progress import Progress
 from geodrake.diagnosis.steps import steps_of, vanished
 from geodrake.diagnosis.terms import Term
+from geodrake.diagnosis.turned_base import moved_base_notes
 from geodrake.effects import Effect
 from geodrake.identification.logs.case import Case, error_table, open_case
 from geodrake.identification.logs.compare import comparison
@@ -127,6 +128,7 @@ def explained(
     after = comparison(after_case, fit.unknowns, fit.held_out) if changed else before
     bodies = changed_bodies(model, fit) if changed else ()
     said = [*([_STOPPED] if found.is_stopped else []), *case.notes, *notes]
+    said += moved_base_notes(case)
     if changed:
         said += [*changed_notes(case.model, steps), *notes_of(found, case, fit, bodies)]
     said += left_out_notes(findings, steps)

@@ -134,15 +134,20 @@ class Search:
 
     def _turn(self) -> None:
         """Begin with a base that is mounted otherwise, if that explains most errors."""
-        turned = turned_bases(self.case, self._effects)
+        turned = self._with_turned_bases()
         if not turned:
             return
-        self._effects = [turned.get(effect, effect) for effect in self._effects]
-        self._anew(turned)
-        terms = [term for term in self.model.terms if term.effect in turned.values()]
+        self._anew()
+        terms = [term for term in self.model.terms if term.effect in turned]
         widths = [w for w in self.model.widths if w <= self.model.wrong_beyond]
         choices = [self.model.choice(self.fit.choice, (t,), width=w) for t in terms for w in widths]
         self.fit = self._best(choices, self.fit)
+
+    def _with_turned_bases(self) -> set[Effect]:
+        """Try effects that turn gravity far turned, if that explains most errors; return them."""
+        turned = turned_bases(self.case, self._effects)
+        self._effects = [turned.get(effect, effect) for effect in self._effects]
+        return {*turned.values()}
 
     def _copied(self) -> Search:
         """Return a search that goes on from here by itself."""
@@ -209,6 +214,7 @@ class Search:
                 )
         own, tried = effects_of(self.case.model), (*self._effects, *further)
         self._effects = [e for e in tried if isinstance(e, kind) or e in own]
+        self._with_turned_bases()
         self._grid = tuple(self._effects)
         self._anew()
         self.fit = self._with_best(kind, places)

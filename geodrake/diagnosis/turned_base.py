@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 from geodrake.effects.base import Effect
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.identification.logs.case import Case
+from geodrake.identification.logs.model_fit import effects_of
 from geodrake.identification.logs.noise import motion_of
 from geodrake.identification.logs.reduce import sign_widths
 
@@ -18,6 +19,7 @@ Array = NDArray[np.float64]
 
 _POSES = 400  # of each log at which gravity is looked at
 _LEAST = 0.5  # rad; turns of less are found from the slope about the model's gravity
+_LEAST_MOVED = 2.0  # degrees, of which a note is worth while
 _OTHER_SIZE = 0.3  # by which gravity may seem larger or smaller, as bodies and gains are off
 _SHARE = 0.5  # of the squared errors that friction and rotors leave
 _START = 2.0  # rad, about each axis in turn, from where a turn is looked for
@@ -28,23 +30,58 @@ def turned_bases(case: Case, effects: Iterable[Effect]) -> dict[Effect, Effect]:
     """Return those effects that turn gravity, far turned if that explains most errors.
 
     Efforts are linear in gravity, but not in large angles: upside down, a small turn to either side
-    changes nothing.
+    changes nothing. A model that is turned already keeps its effect, which is fitted along.
     """
     turning = [effect for effect in effects if _turns(effect)]
-    if not turning or not _is_fixed(case):
+    if not turning or any(map(_turns, effects_of(case.model))):
         return {}
-    change, removed = _change_of_gravity(case)
-    gravity = case.model.tree.gravity
-    felt, size = gravity + change, float(np.linalg.norm(gravity))
-    if removed < _SHARE or abs(np.linalg.norm(felt) / size - 1.0) > _OTHER_SIZE:
-        return {}
-    if _angle(felt, gravity) < _LEAST:
+    felt = _felt(case)
+    if felt is None or _angle(felt, case.model.tree.gravity) < _LEAST:
         return {}
     return {effect: _turned(effect, felt, case.model.bodies_at_rest) for effect in turning}
 
 
+def moved_base_notes(case: Case) -> list[str]:
+    """Return a note on a model with an effect that turns gravity, if the base stands otherwise.
+
+    Its angles are known from other logs, and do not follow.
+    """
+    turning = [f for f in case.model.effects if _turns(f.effect)]
+    if len(turning) != 1 or (felt := _felt(case)) is None:
+        return []
+    (own,) = turning
+    angle = np.degrees(_angle(felt, _gravity(case)))
+    if angle < _LEAST_MOVED:
+        return []
+    return [
+        f"these logs show gravity {angle:.0f}° from where the model's {own.effect.name} has it: "
+        "if the base was moved, explain them with the model without that effect"
+    ]
+
+
 def _turns(effect: Effect) -> bool:
     return type(effect).gravity_of_bodies is not Effect.gravity_of_bodies
+
+
+def _gravity(case: Case) -> Array:
+    """Return the gravity of a model with its effects (3,), m/s²."""
+    gravity, bodies = case.model.tree.gravity, case.model.bodies_at_rest
+    for fitted in case.model.effects:
+        if _turns(fitted.effect):
+            effect = fitted.effect.expanded_about(fitted.parameters, bodies)
+            turned = effect.gravity_of_bodies(gravity)
+            return gravity if turned is None else turned
+    return gravity
+
+
+def _felt(case: Case) -> Array | None:
+    """Return gravity (3,), m/s², as another one would explain most errors; None if none would."""
+    if not _is_fixed(case):
+        return None
+    change, removed = _change_of_gravity(case)
+    felt, size = _gravity(case) + change, float(np.linalg.norm(case.model.tree.gravity))
+    other_size = abs(np.linalg.norm(felt) / size - 1.0) > _OTHER_SIZE
+    return None if removed < _SHARE or other_size else felt
 
 
 def _is_fixed(case: Case) -> bool:

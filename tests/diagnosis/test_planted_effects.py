@@ -24,9 +24,10 @@ from pinocchio_logs import MODELS, effort_log
 from geodrake import load_model, save_model
 from geodrake.control.export_proof.held import held_by
 from geodrake.diagnosis import add, diagnose, explain
-from geodrake.effects import JointEffect, Parameter, Proposer
+from geodrake.effects import FittedEffect, GravityTilt, JointEffect, Parameter, Proposer
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.bandwidth import prepare_for_model
+from geodrake.identification.models.identify import identify_model
 from geodrake.logs import Motion
 from geodrake.logs.motion import USUAL_GAIN_DEVIATION
 from geodrake.model.export import reasons
@@ -354,6 +355,46 @@ def test_what_was_found_is_saved_and_another_log_needs_nothing_more(tmp_path):
     assert [f.effect for f in again.effects] == [f.effect for f in model.effects]
     other = recorded(dataclasses.replace(ROWS[name], log={"off": 0.2, "share": 0.031}))
     assert explain(again, [other.log]).steps == ()
+
+
+def mounted(turn, seed, name=ARM, **options):
+    """A log of a robot whose base is turned about y."""
+    hidden = leaning(0.0, turn)
+    return effort_log(name, seed, hidden, **{"duration": 8.0, "share": 0.01, **options}).log
+
+
+def with_tilt(name, turn):
+    tilt = FittedEffect(GravityTilt(0.0, turn), np.array([0.0, turn]))
+    return dataclasses.replace(model_file(name), effects=(tilt,))
+
+
+def test_a_base_on_a_ceiling_is_added():
+    found = add("gravity_tilt", model_file(ARM), [mounted(3.0, 1)])
+    (step,) = found.steps
+    assert step.parameters["base"]["tilt_y"] == pytest.approx(3.0, abs=0.01)
+    assert found.end.nrms < 0.05 * found.start.nrms
+
+
+@pytest.mark.parametrize(("known", "turn"), [(0.0, 3.0), (3.0, 0.0)])
+def test_a_base_that_was_moved_is_told(known, turn):
+    """The model knows from other logs how it stood."""
+    model = with_tilt(PENDULUM, known)
+    (said,) = (n for n in explain(model, [mounted(turn, 1, PENDULUM)]).notes if "gravity" in n)
+    assert "gravity 172° from where the model's gravity_tilt has it" in said
+    assert not any("gravity" in n for n in explain(model, [mounted(known, 1, PENDULUM)]).notes)
+
+
+def test_a_far_turned_base_is_identified_as_its_efforts_say():
+    """Near the ceiling, small turns about the other axis are large changes of the angles."""
+    log = effort_log(ARM, 1, leaning(0.02, 3.0), duration=8.0, share=0.01).log
+    found = identify_model(with_tilt(ARM, 3.0), [log])
+    slow = Motion(log.position[::20], log.velocity[::20], np.zeros_like(log.position[::20]))
+    robot = pin.buildModelFromUrdf(str(MODELS / f"{ARM}.urdf"))
+    robot.gravity.linear = pin.rpy.rpyToMatrix(0.02, 3.0, 0.0).T @ np.array([0.0, 0.0, -9.81])
+    data = robot.createData()
+    rows = zip(slow.q, slow.v, slow.vd, strict=True)
+    wanted = np.array([pin.rnea(robot, data, *row) for row in rows])
+    np.testing.assert_allclose(found.model.effort(slow), wanted, atol=0.02 * wanted.std())
 
 
 def test_the_centre_of_pressure_is_told():

@@ -19,7 +19,7 @@ from geodrake.identification.logs.compare import comparison
 from geodrake.identification.logs.criteria import SPREAD
 from geodrake.identification.logs.hypothesis import first_hypothesis, reweight
 from geodrake.identification.logs.log_fits import LogFits, Weighing, log_unknowns, weigh
-from geodrake.identification.logs.model_fit import ModelFit, as_it_stands, model_with
+from geodrake.identification.logs.model_fit import ModelFit, as_it_stands, model_with, settled
 from geodrake.identification.models.results import (
     Alternative,
     BodyChange,
@@ -157,14 +157,14 @@ def identify_model(
         model, prior = holding(model, held), case.model
     prior = replace(prior, motorless=case.model.motorless)
     unknowns = log_unknowns(case.dataset, prior)
-    settled = reweight(first_hypothesis(case.dataset, unknowns), iterations=_MOST_ITERATIONS)
+    weighed = reweight(first_hypothesis(case.dataset, unknowns), iterations=_MOST_ITERATIONS)
     fits = LogFits(
         case.dataset,
         unknowns,
-        settled.weights,
+        weighed.weights,
         settings.total_mass,
-        near=settled.held_out.x.mean(0),
-        power=settled.power,
+        near=weighed.held_out.x.mean(0),
+        power=weighed.power,
     )
     gamma, sweep = settings.gamma, tuple[Weighing, ...]()
     if settings.residual_ratio is None and gamma is None:
@@ -184,7 +184,7 @@ def identify_model(
         alternatives, unsolved = _compared(fits, result, folds)
     held_out = fits.held_out(folds)
     delays = [known for known in prior.effects if known.effect.role is Role.DELAY]
-    fitted = model_with(prior, unknowns, result, noise=held_out.rms, delays=delays)
+    fitted = settled(model_with(prior, unknowns, result, noise=held_out.rms, delays=delays))
     seen = tuple(dict.fromkeys((*prior.fitted_to, *case.fingerprints)))
     fitted = replace(fitted, fitted_to=seen, bandwidths=case.bandwidths)
     bodies = body_changes(_block_names(fits), fits.prior, result.phi, result)
