@@ -614,6 +614,17 @@ def test_a_table_of_any_shape_is_the_same_log(tmp_path, name):
         assert words in noted
 
 
+@pytest.mark.parametrize("names", ["x1 x2 x3 x4 u", "x theta x_dot theta_dot u"])
+def test_states_of_a_cart_with_a_pole_are_of_its_joints(tmp_path, names):
+    values = np.column_stack([POSITION, VELOCITY, EFFORT[:, 0]]).T
+    path = csv_of(tmp_path, {"t": TIME, **dict(zip(names.split(), values, strict=True))})
+    reading = Reading(sliding=frozenset(["base"]), motorless=frozenset(["elbow"]))
+    log = read_log(path, joints=JOINTS, reading=reading)
+    np.testing.assert_allclose(log.position, POSITION, atol=1e-12)
+    np.testing.assert_allclose(log.velocity, VELOCITY, atol=1e-12)
+    np.testing.assert_allclose(log.effort[:, 0], EFFORT[:, 0], atol=1e-12)
+
+
 def test_a_last_row_that_is_cut_off_is_left_out(tmp_path):
     frame = pandas.concat([PLAIN] * 3).assign(time=0.01 * np.arange(3 * ROWS))
     (tmp_path / "cut.csv").write_text(frame.to_csv(index=False) + "end of log\n")

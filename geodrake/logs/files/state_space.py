@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -33,14 +34,16 @@ def state_columns(
     joints, sliding = reading.joints, [j for j in reading.joints if j in reading.sliding]
     known = {m.log_quantity.replace("command", "effort") for m in told if m.role < OTHER}
     moved = [m for m in told if m.quantity == "position" and m.role < OTHER]
-    letters = {re.sub("[^a-z]", "", name.lower()): name for name in names}
+    words = [re.sub("[^a-z]", "", name.lower()) for name in names]
+    count = Counter(words)  # x1 to x4 are no x
+    letters = {word: name for word, name in zip(words, names, strict=True) if count[word] == 1}
     turning = [joint for joint in joints if joint not in sliding]
     found = list[Meaning]()
     if len(sliding) == len(turning) == 1 and all(m.is_bare for m in moved):
-        for own, words in ((sliding, _OF_SLIDING), (turning, _OF_TURNING)):
-            told_by = {what: letters[word] for word, what in words.items() if word in letters}
+        for own, called in ((sliding, _OF_SLIDING), (turning, _OF_TURNING)):
+            told_by = {what: letters[word] for word, what in called.items() if word in letters}
             found += [_meaning(name, what, own[0]) for what, name in told_by.items()]
-    elif not moved:
+    if not found and not moved:
         found = [*_of_states(table, names, joints)]
     yield from found
     driven = [j for j in joints if j not in reading.motorless and reading.kinds.get(j) != PASSIVE]
