@@ -26,11 +26,12 @@ from geodrake.diagnosis.results import FittedRival, Step
 from geodrake.diagnosis.search import Found
 from geodrake.diagnosis.terms import Term
 from geodrake.effects import FittedEffect, Role
+from geodrake.effects.body_motion import RobotBodies
 from geodrake.identification.logs.case import Case, error_table, series
 from geodrake.identification.logs.evidence import fold_agreement
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.identification.logs.model_errors import ErrorTable
-from geodrake.identification.logs.model_fit import ModelFit, settled
+from geodrake.identification.logs.model_fit import ModelFit, settled, settled_effect
 from geodrake.model.effort_signal import signal_of
 from geodrake.model.robot_model import RobotModel
 
@@ -129,7 +130,7 @@ def _values(found: Found, finding: Finding, fit: ModelFit) -> tuple[Values, Valu
         return values, {place: {"delay": float(spread[j])} for place, j in at.items()}
     values, deviations = Values(), Values()
     for fitted in _fitted_of(finding, fit):
-        own, unsure = _reported(fitted)
+        own, unsure = _reported(fitted, fit.model.bodies_at_rest)
         values.setdefault(fitted.effect.place, {}).update(own)
         deviations.setdefault(fitted.effect.place, {}).update(unsure)
     return values, deviations
@@ -150,7 +151,7 @@ def _systematic(found: Found, finding: Finding, fit: ModelFit) -> Values:
             if signal is not None and effect.name in signal.effect_deviations:
                 shifts.append(np.array([[signal.effect_deviations[effect.name]]]))
         if any(each.any() for each in shifts):
-            own = _deviations_by(fitted, np.concatenate(shifts))
+            own = _deviations_by(fitted, np.concatenate(shifts), fit.model.bodies_at_rest)
             values.setdefault(effect.place, {}).update(own)
     return values
 
@@ -176,14 +177,17 @@ def _fitted_of(finding: Finding, fit: ModelFit) -> list[FittedEffect]:
     return [fitted for fitted in fit.model.effects if fitted.effect in finding.effects]
 
 
-def _reported(fitted: FittedEffect) -> tuple[dict[str, float], dict[str, float]]:
+def _reported(
+    fitted: FittedEffect, bodies: RobotBodies
+) -> tuple[dict[str, float], dict[str, float]]:
     """Return values and standard deviations of what an effect reports, by name, SI units."""
+    fitted = settled_effect(fitted, bodies)
     unknown = np.full(len(fitted.parameters), np.nan)
     deviations = unknown if fitted.deviations is None else fitted.deviations
     return fitted.effect.reported(fitted.parameters, deviations)
 
 
-def _deviations_by(fitted: FittedEffect, shifts: Array) -> dict[str, float]:
+def _deviations_by(fitted: FittedEffect, shifts: Array, bodies: RobotBodies) -> dict[str, float]:
     """Return standard deviations of what an effect reports that do not come from noise.
 
     To first order, as the shifts are; shapes and what else has no deviation are left out.
@@ -191,10 +195,10 @@ def _deviations_by(fitted: FittedEffect, shifts: Array) -> dict[str, float]:
     `shifts` (s, k) are what its parameters change by with each of s independent causes, such as the
     gain of a joint's efforts that is off by one standard deviation.
     """
-    values, deviations = _reported(fitted)
+    values, deviations = _reported(fitted, bodies)
     squares = {name: 0.0 for name in values if name in deviations}
     for shift in _SMALL * shifts:
-        moved, _ = _reported(replace(fitted, parameters=fitted.parameters + shift))
+        moved, _ = _reported(replace(fitted, parameters=fitted.parameters + shift), bodies)
         for name in squares:
             squares[name] += ((moved[name] - values[name]) / _SMALL) ** 2
     return {name: float(np.sqrt(square)) for name, square in squares.items()}

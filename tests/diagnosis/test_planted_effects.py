@@ -372,6 +372,11 @@ def test_a_base_on_a_ceiling_is_added():
     found = add("gravity_tilt", model_file(ARM), [mounted(3.0, 1)])
     (step,) = found.steps
     assert step.parameters["base"]["tilt_y"] == pytest.approx(3.0, abs=0.01)
+    (tilt,) = found.model.effects
+    assert [*step.parameters["base"].values()] == pytest.approx(tilt.parameters.tolist())
+    # What does not lie along the turn counts for more near the ceiling, by about 1.5 / (π − 3).
+    unsure = step.deviations["base"]
+    assert unsure["tilt_x"] > 5.0 * unsure["tilt_y"]
     assert found.end.nrms < 0.05 * found.start.nrms
 
 

@@ -10,6 +10,7 @@ from scipy.linalg import block_diag
 
 from geodrake.effects import FittedEffect, Role
 from geodrake.effects.base import Effect
+from geodrake.effects.body_motion import RobotBodies
 from geodrake.identification.conic_fit import certified, solve_with_fallback
 from geodrake.identification.fit import FitResult
 from geodrake.identification.logs.criteria import SPREAD, WORTH
@@ -24,6 +25,8 @@ from geodrake.identification.logs.unknowns import (
 from geodrake.identification.normal_equations import scaled_cholesky, solved
 from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
+
+_STEP = 1e-6  # of a parameter, with which what it does is differentiated
 
 
 def known_information(model: RobotModel, *, spread: float = SPREAD, stated: float = 1.0) -> Array:
@@ -124,10 +127,18 @@ def model_with(
 def settled(model: RobotModel) -> RobotModel:
     """Return a fitted model whose effects do what the fit's columns say (`Effect.fit_rows`)."""
     bodies = model.bodies_at_rest
-    effects = [
-        FittedEffect(*f.effect.settled(f.parameters, bodies), f.deviations) for f in model.effects
-    ]
-    return replace(model, effects=tuple(effects))
+    return replace(model, effects=tuple(settled_effect(f, bodies) for f in model.effects))
+
+
+def settled_effect(fitted: FittedEffect, bodies: RobotBodies) -> FittedEffect:
+    """Return an effect that does what the fit's columns say, with its deviations to first order."""
+    x, unsure = fitted.parameters, fitted.deviations
+    effect, found = fitted.effect.settled(x, bodies)
+    if effect is fitted.effect or unsure is None or not np.isfinite(unsure).all():
+        return FittedEffect(effect, found, unsure)
+    moved = [fitted.effect.settled(x + step, bodies)[1] for step in _STEP * np.eye(len(x))]
+    slopes = (np.array(moved) - found) / _STEP
+    return FittedEffect(effect, found, np.linalg.norm(slopes * unsure[:, None], axis=0))
 
 
 def _gain_shifts(
