@@ -14,6 +14,7 @@ from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.model_fit import effects_of
 from geodrake.identification.logs.noise import motion_of
 from geodrake.identification.logs.reduce import sign_widths
+from geodrake.model.carried_payloads import carrying
 
 Array = NDArray[np.float64]
 
@@ -114,9 +115,10 @@ def _change_of_gravity(case: Case) -> tuple[Array, float]:
     The second result is the share of their squares that it explains, of what is left by friction,
     a rotor and an offset of each joint.
     """
-    robot, parts = case.load_model, list[tuple[Array, Array]]()
-    widths = sign_widths(robot, case.trajectories)
+    parts = list[tuple[Array, Array]]()
+    widths = sign_widths(case.load_model, case.trajectories)
     for log in case.trajectories:
+        robot = carrying(case.load_model, log.payloads)
         step = max(1, sum(map(len, log.segments)) // _POSES)
         for segment in log.segments:
             some = segment[::step]

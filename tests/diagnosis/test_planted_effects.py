@@ -24,11 +24,14 @@ from pinocchio_logs import MODELS, effort_log
 from geodrake import load_model, save_model
 from geodrake.control.export_proof.held import held_by
 from geodrake.diagnosis import add, diagnose, explain
+from geodrake.diagnosis.turned_base import turned_bases
 from geodrake.effects import FittedEffect, GravityTilt, JointEffect, Parameter, Proposer
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.bandwidth import prepare_for_model
+from geodrake.identification.logs.case import open_case
 from geodrake.identification.models.identify import identify_model
 from geodrake.logs import Motion
+from geodrake.logs.known_payload import KnownPayload
 from geodrake.logs.motion import USUAL_GAIN_DEVIATION
 from geodrake.model.export import reasons
 from geodrake.model.file_terms import Damping
@@ -378,6 +381,21 @@ def test_a_base_on_a_ceiling_is_added():
     unsure = step.deviations["base"]
     assert unsure["tilt_x"] > 5.0 * unsure["tilt_y"]
     assert found.end.nrms < 0.05 * found.start.nrms
+
+
+def test_known_payloads_are_no_other_gravity():
+    def held(seen):
+        model = pin.Model(seen.model)
+        model.inertias[2] += pin.Inertia(6.0, np.array([0.0, 0.0, -0.3]), np.zeros((3, 3)))
+        model.gravity.linear = 9.81 * np.array([np.sin(2.5), 0.0, -np.cos(2.5)])
+        return seen.more(model) + 0.4 * seen.v
+
+    log = effort_log(PENDULUM, 4, held, duration=8.0, rate=100.0, share=0.01).log
+    payload = KnownPayload("lower_link", 6.0, (0.0, 0.0, -0.3))
+    log = dataclasses.replace(log, payloads=(payload,))
+    case = open_case(model_file(PENDULUM), [log], candidates=True)
+    (tilt,) = turned_bases(case, case.dataset.effects).values()
+    np.testing.assert_allclose(tilt.in_bodies, (0.0, 2.5), atol=0.02)
 
 
 @pytest.mark.parametrize(("known", "turn"), [(0.0, 3.0), (3.0, 0.0)])
