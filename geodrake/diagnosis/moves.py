@@ -347,7 +347,7 @@ class _Finder:
 
     @cached_property
     def _widening(self) -> dict[float, float]:
-        """What each width adds to the score of the fit."""
+        """Gain in the score of the fit by each width of the bodies."""
         model, fit = self.model, self.fit
         shares = (fit.weights * fit.noise)[: len(model.rows)]
         tried = [replace(fit.choice, width=width) for width in model.widths]

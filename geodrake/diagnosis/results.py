@@ -170,8 +170,8 @@ class Explanation(Shown):
         is_interrupted: Whether the search was stopped before its end.
         certificate: Certificate of the final fit by its MathematicalProgram; None if the model is
             unchanged.
-        at_found_gains: What `end` is if gains of efforts are what the logs show, within their
-            uncertainty; None where they show none that matters, or there is no step.
+        at_found_gains: Errors as in `end`, but with the gains of efforts that the logs show, within
+            their uncertainty; None where they show none that matters, or there is no step.
     """
 
     verdict: Verdict

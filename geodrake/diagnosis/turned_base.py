@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 _POSES = 400  # of each log at which gravity is looked at
 _LEAST = 0.5  # rad; turns of less are found from the slope about the model's gravity
-_LEAST_MOVED = 2.0  # degrees, of which a note is worth while
+_LEAST_MOVED = 4.0  # degrees; gains that are off by 20 % look like half of it
 _OTHER_SIZE = 0.3  # by which gravity may seem larger or smaller, as bodies and gains are off
 _SHARE = 0.5  # of the squared errors that friction and rotors leave
 _START = 2.0  # rad, about each axis in turn, from where a turn is looked for

@@ -224,7 +224,7 @@ class _AccelerationNoise:
 
 
 class Known:
-    """What of logs hardly depends on the bandwidth: it is that of the first one, for all others."""
+    """Parts of logs that hardly depend on the bandwidth: those of the first serve all others."""
 
     def __init__(self, model: RobotModel) -> None:
         self.model = model
