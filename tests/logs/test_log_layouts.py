@@ -109,6 +109,16 @@ def test_two_files_that_do_not_fit(tmp_path):
         write(path, ["time", "a"], table)
         with pytest.raises(LogError, match=words):
             read_log(f"{first}+{path}")
+    order = [*range(20), 21, 20, *range(22, len(time))]
+    write(path, ["time", "a"], [time[order], tau[order]])
+    for files in (f"{first}+{path}", f"{path}+{first}"):
+        with pytest.raises(LogError, match=r"efforts.csv, time runs backwards"):
+            read_log(files)
+        log = read_log(files, reading=Reading(skip_bad_rows=True))
+        assert "rows of efforts.csv skipped, as their time is back: 1" in log.notes
+        np.testing.assert_allclose(
+            log.effort[:, 0], np.interp(log.time, time, tau[:, 0]), atol=0.02
+        )
     write(path, ["a"], [tau[:50]])
     with pytest.raises(LogError, match="no time, and different numbers of rows: 50, 200"):
         read_log(f"{first}+{path}")

@@ -54,6 +54,7 @@ RARE = "is too slow"
 
 _MIXED = 10.0  # times by which the rates of parts may differ
 _TURNED, _FEWEST_TURNS = 0.02, 10  # rad, by which an interpolated orientation may be off, and rows
+_FEW_BACK = 0.01  # of rows, which may be skipped as their time is back
 _ALIKE = 0.9  # of the longest period, from which on parts are as slow, and the first is taken
 
 
@@ -76,6 +77,9 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
         log, tables, [np.asarray(t) for t, _ in stamps], reading
     )
     clock_notes = (*dict.fromkeys(note for _, said in stamps for note in said), *clock_notes)
+    if reading.skip_bad_rows:
+        known, skipped = _forwards(tables, known)
+        clock_notes += skipped
     steps = [np.diff(time[np.isfinite(time)]) for time in known]
     periods = [float(np.median(step)) if len(step) else np.inf for step in steps]
     for table, period, step in zip(tables, periods, steps, strict=True):
@@ -95,14 +99,15 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
             f"The parts of log {str(log)!r} do not overlap in time: {', '.join(spans)}.",
             advice="Use one clock for both.",
         )
-    columns, again = {order[0]: known[base]}, list[str]()
+    instants = known[base][np.isfinite(known[base])] if reading.skip_bad_rows else known[base]
+    columns, again = {order[0]: instants}, list[str]()
     for table, time in zip(tables, known, strict=True):
         for column, values in table.columns.items():
             if column in columns:
                 again += [column] * (column != order[0])
             elif not _is_time(table, column, reading):
                 holds = _what(column, reading)[1] in ("command", FLAG)
-                columns[column] = at_instants(known[base], time, values, holds=holds)
+                columns[column] = at_instants(instants, time, values, holds=holds)
     rate = 1.0 / periods[base]
     note = f"joined by time at {rate:.4g} Hz, the rate of {tables[base].path}"
     noted = (note for table in tables for note in table.notes)
@@ -111,6 +116,21 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
     silent = {column: why for table in tables for column, why in table.silent.items()}
     zeros = {order[0]: origin}
     return LogTable(log, columns, units, notes, zeros, {**silent, **rare}, order=order)
+
+
+def _forwards(
+    tables: Sequence[LogTable], times: Sequence[Array]
+) -> tuple[list[Array], tuple[str, ...]]:
+    """Return times (N,) of tables without those of few rows in which it is back, and notes."""
+    found, notes = list[Array](), list[str]()
+    for table, time in zip(tables, times, strict=True):
+        back = time < np.fmax.accumulate(time)
+        back &= np.mean(back) <= _FEW_BACK
+        found.append(np.where(back, np.nan, time))
+        if back.any():
+            count = np.count_nonzero(back)
+            notes.append(f"rows of {table.path} skipped, as their time is back: {count}")
+    return found, tuple(notes)
 
 
 def _of_same_rows(
