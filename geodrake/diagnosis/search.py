@@ -446,10 +446,10 @@ class Search:
         self._anew()
 
     def _has_more(self) -> bool:
-        """Climb with what the residual suggests; return whether that makes anything more probable.
+        """Climb with what the residual suggests; return whether there is anything to climb with.
 
-        Else nothing is changed. What was found may have followed an episode, so that it is found
-        anew with it.
+        What was found may have followed an episode, so that it is found anew with it. Episodes
+        alone change nothing unless they make something more probable.
         """
         before = self.case, self.model, self.fit, [*self._effects], self._grid
         more = self._suggested()
@@ -459,7 +459,8 @@ class Search:
         was, delays = self.fit, self._delays_of_fit()
         episodes = [effect for effect in more if effect.role is Role.EPISODE]
         common = self.model.refitted(self._common)
-        if not may_come(self.model, was, more) and not may_come(self.model, common, episodes):
+        helps = may_come(self.model, was, more) or may_come(self.model, common, episodes)
+        if not helps and len(episodes) == len(more):
             self.case, self.model, self.fit, self._effects, self._grid = before
             return False
         if not episodes:
