@@ -402,9 +402,9 @@ def test_known_payloads_are_no_other_gravity():
 def test_a_base_that_was_moved_is_told(known, turn):
     """The model knows from other logs how it stood."""
     model = with_tilt(PENDULUM, known)
-    (said,) = (n for n in explain(model, [mounted(turn, 1, PENDULUM)]).notes if "gravity" in n)
-    assert "gravity 172° from where the model's gravity_tilt has it" in said
-    assert not any("gravity" in n for n in explain(model, [mounted(known, 1, PENDULUM)]).notes)
+    moved, same = (explain(model, [mounted(each, 1, PENDULUM)]).notes for each in (turn, known))
+    assert any("gravity 172° from where the model's gravity_tilt has it" in note for note in moved)
+    assert not any("from where the model's gravity_tilt" in note for note in same)
 
 
 def test_a_far_turned_base_is_identified_as_its_efforts_say():
