@@ -34,7 +34,7 @@ from geodrake.effects import Effect
 from geodrake.identification.logs.case import Case, error_table, open_case
 from geodrake.identification.logs.compare import comparison
 from geodrake.identification.logs.hypothesis import Hypothesis
-from geodrake.identification.logs.model_fit import ModelFit, settled
+from geodrake.identification.logs.model_fit import ModelFit, with_settled_effects
 from geodrake.identification.models.identify import changed_bodies
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
@@ -139,7 +139,7 @@ def explained(
         before.errors,
         error_table(case.dataset, start.held_out),
         after.errors,
-        settled(fit.model) if changed else model,
+        with_settled_effects(fit.model) if changed else model,
         before,
         after,
         tuple(dict.fromkeys(said)),

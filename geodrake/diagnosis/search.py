@@ -144,7 +144,7 @@ class Search:
         self.fit = self._best(choices, self.fit)
 
     def _with_turned_bases(self) -> set[Effect]:
-        """Try effects that turn gravity far turned, if that explains most errors; return them."""
+        """Try far turns of gravity if they explain most errors; return the turned effects."""
         turned = turned_bases(self.case, self._effects)
         self._effects = [turned.get(effect, effect) for effect in self._effects]
         return {*turned.values()}

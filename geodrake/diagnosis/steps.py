@@ -31,7 +31,7 @@ from geodrake.identification.logs.case import Case, error_table, series
 from geodrake.identification.logs.evidence import fold_agreement
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.identification.logs.model_errors import ErrorTable
-from geodrake.identification.logs.model_fit import ModelFit, settled, settled_effect
+from geodrake.identification.logs.model_fit import ModelFit, settled_effect, with_settled_effects
 from geodrake.model.effort_signal import signal_of
 from geodrake.model.robot_model import RobotModel
 
@@ -111,7 +111,7 @@ def _rivals(certainty: Certainty, finding: Finding, found: Found) -> tuple[Fitte
 def _model(case: Case, after: Hypothesis, fit: ModelFit) -> RobotModel:
     """Return the model after a step, efforts as late as they are in the end."""
     late = tuple(each for each in fit.model.effects if each.effect.role is Role.DELAY)
-    model = settled(searched_model(case.model, after))
+    model = with_settled_effects(searched_model(case.model, after))
     return replace(model, effects=(*model.effects, *late))
 
 

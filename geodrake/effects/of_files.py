@@ -421,7 +421,7 @@ class BallSpring(_Stated, _BodyPair):
     depends_on = frozenset({"q", "bodies"})
 
     def rows(self, motion: RobotMotion) -> Rows:
-        """[(J_ω − J′_ω)ᵀ φ] at the joints that move either body."""
+        """Return the column [(J_ω − J′_ω)ᵀ φ] at the joints that move either body."""
         bodies = motion.body_motions(self.name)
         (R, J, first), (other_R, other_J, second) = (_turn(bodies, own) for own in self.bodies)
         rest = rotation(np.array([self.turn_w, self.turn_x, self.turn_y, self.turn_z]))

@@ -124,7 +124,7 @@ def model_with(
     )
 
 
-def settled(model: RobotModel) -> RobotModel:
+def with_settled_effects(model: RobotModel) -> RobotModel:
     """Return a fitted model whose effects do what the fit's columns say (`Effect.fit_rows`)."""
     bodies = model.bodies_at_rest
     return replace(model, effects=tuple(settled_effect(f, bodies) for f in model.effects))

@@ -19,7 +19,12 @@ from geodrake.identification.logs.compare import comparison
 from geodrake.identification.logs.criteria import SPREAD
 from geodrake.identification.logs.hypothesis import first_hypothesis, reweight
 from geodrake.identification.logs.log_fits import LogFits, Weighing, log_unknowns, weigh
-from geodrake.identification.logs.model_fit import ModelFit, as_it_stands, model_with, settled
+from geodrake.identification.logs.model_fit import (
+    ModelFit,
+    as_it_stands,
+    model_with,
+    with_settled_effects,
+)
 from geodrake.identification.models.results import (
     Alternative,
     BodyChange,
@@ -184,7 +189,8 @@ def identify_model(
         alternatives, unsolved = _compared(fits, result, folds)
     held_out = fits.held_out(folds)
     delays = [known for known in prior.effects if known.effect.role is Role.DELAY]
-    fitted = settled(model_with(prior, unknowns, result, noise=held_out.rms, delays=delays))
+    fitted = model_with(prior, unknowns, result, noise=held_out.rms, delays=delays)
+    fitted = with_settled_effects(fitted)
     seen = tuple(dict.fromkeys((*prior.fitted_to, *case.fingerprints)))
     fitted = replace(fitted, fitted_to=seen, bandwidths=case.bandwidths)
     bodies = body_changes(_block_names(fits), fits.prior, result.phi, result)
