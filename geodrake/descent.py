@@ -1,4 +1,4 @@
-"""What searches by Newton's steps share: how long a step is, and where rounding ends them."""
+"""Step lengths of Newton's method, and the rounding that ends it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 PRECISION = 1e-13
-"""What values of the size one are known to after a decomposition and a few hundred sums."""
+"""Precision of values of size one after a decomposition and a few hundred sums."""
 
 _SUFFICIENT = 1e-4  # least share of the decrease that the slope promises
 _SHRINKS = 0.25  # share of its promise that a step leaves to the next one, at most

@@ -17,7 +17,7 @@ from rich.console import Console
 
 from geodrake.boundary.version import version
 from geodrake.boundary.whole_files import Content, check_writable, write_together
-from geodrake.cli.input_options import AxisOptions, proposing, read_model, written_axis
+from geodrake.cli.input_options import AxisOptions, listed, proposing, read_model, written_axis
 from geodrake.cli.options import Options
 from geodrake.cli.progress import Activity, progress
 from geodrake.cli.streams import INTERRUPTED, print_whole, printing, results
@@ -212,7 +212,7 @@ def inputs_of(options: Any) -> list[Path]:
         *_log_files(options),
         *getattr(options, "transmission_files", ()),
         *filter(None, [mapping]),
-        *(getattr(options, "effects", None) or ()),
+        *listed(getattr(options, "effects", None)),
     ]
 
 
@@ -291,7 +291,7 @@ def _read(
     command: Command[R], options: Any, outputs: Mapping[str, Output], update: Activity
 ) -> Input:
     """Return the inputs of a command."""
-    extra = own_effects(getattr(options, "effects", None) or ())
+    extra = own_effects(listed(getattr(options, "effects", None)))
     command.check_effects(extra)
     settings = getattr(options, "settings", {})
     if getattr(options, "model", None) is None:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import number, one_of, positive
 from geodrake.cli.command import Command, Input, Output, run
-from geodrake.cli.identify import named_effects, split_effects
-from geodrake.cli.input_options import number_in, pairs
+from geodrake.cli.identify import named_effects
+from geodrake.cli.input_options import number_in, pairs, split_effects
 from geodrake.cli.options import ExciteOptions, IdentifiableOptions
 from geodrake.cli.progress import STOPPING
 from geodrake.errors import ArgumentError, ModelError, nearest
@@ -60,6 +60,7 @@ _RANGES = {
     "samples": (1, 10_000),
     "clearance": (0.0, 100.0),
     "friction": (1e-3, 100.0),
+    "frequency": (1e-6, np.inf),
     "seed": (0, 2**32 - 1),
 }
 """Option -> its smallest and largest value."""
@@ -79,9 +80,9 @@ _EXAMPLE = "Write 0.5, velocity=1.5, velocity=50% or JOINT.position=-1:0.5."
 
 def run_excite(options: ExciteOptions) -> None:
     """Design a motion."""
-    family = family_of(options)
     files, names = split_effects(options.effects)
     _check(options, names)
+    family = family_of(options)
     command = Command(
         "excite",
         "Designing",

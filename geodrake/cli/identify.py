@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from geodrake.cli.command import Command, Input, Output, run
+from geodrake.cli.input_options import split_effects
 from geodrake.cli.options import IdentifyOptions
 from geodrake.diagnosis.add import check_places
 from geodrake.effects import Effect, effect_class, make_effect
@@ -64,13 +65,6 @@ def run_identify(options: IdentifyOptions) -> None:
         check=check,
     )
     run(command, replace(options, effects=files))
-
-
-def split_effects(given: Sequence[Path] | None) -> tuple[list[Path], list[str]]:
-    """Return the files and the names among the values of --effects."""
-    files = [path for path in given or () if path.suffix == ".py"]
-    names = [path for path in given or () if path.suffix != ".py"]
-    return files, [name for path in names for name in str(path).split(",") if name]
 
 
 def named_effects(

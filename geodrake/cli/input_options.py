@@ -6,7 +6,7 @@ Readers are imported when a command runs, so that help is quick.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -182,6 +182,40 @@ def number_in(text: str, option: str, advice: str) -> float:
         raise ArgumentError(message, advice=advice) from None
 
 
+_CALLED = {"modes": "harmonics", "most": "windows", "residual_ratio": "residual_bound"}
+"""Argument of the library -> the option that it comes from, where that has another name."""
+
+
+@contextmanager
+def naming_options(options: Collection[str]) -> Iterator[None]:
+    """Have errors about an argument of the library name the option that it comes from."""
+    try:
+        yield
+    except ArgumentError as error:
+        name = str(error.evidence.get("name", ""))
+        option = _CALLED.get(name, name)
+        if option not in options or not error.problem.startswith(f"{name} "):
+            raise
+        problem = f"--{option.replace('_', '-')}{error.problem.removeprefix(name)}"
+        raise ArgumentError(problem, advice=error.advice, **error.evidence) from error
+
+
+def listed(given: Sequence[Path] | None) -> list[Path]:
+    """Return the parts, between commas, of an option's values; names of files may have commas."""
+    found = []
+    for value in given or ():
+        parts = [value] if value.is_file() else map(str.strip, str(value).split(","))
+        found += [Path(part) for part in parts if part]
+    return found
+
+
+def split_effects(given: Sequence[Path] | None) -> tuple[list[Path], list[str]]:
+    """Return the files and the names among the values of --effects."""
+    parts = listed(given)
+    names = [str(part) for part in parts if part.suffix != ".py"]
+    return [part for part in parts if part.suffix == ".py"], names
+
+
 @contextmanager
 def proposing(logs: Sequence[Path]) -> Iterator[None]:
     """Write a draft mapping for a log whose columns are unknown, and add its path to the error.
@@ -255,9 +289,14 @@ class ModelOptions:
     @property
     def held(self) -> dict[str, float]:
         """Joint -> position at which it is fixed, rad or m."""
+        from geodrake.boundary.arguments import number
+
         said = pairs("--lock", self.lock or (), "finger=0.04, in rad or m")
         advice = "Write --lock JOINT=VALUE, in rad or m, such as --lock finger=0.04."
-        return {j: number_in(value, f"--lock of {j!r}", advice) for j, value in said.items()}
+        return {
+            joint: number(number_in(value, option := f"--lock of {joint!r}", advice), option)
+            for joint, value in said.items()
+        }
 
 
 def read_model(

@@ -12,7 +12,13 @@ from typing import Annotated, Any, get_type_hints
 
 import typer
 
-from geodrake.cli.input_options import AxisOptions, ModelOptions, ReadingOptions
+from geodrake.cli.input_options import (
+    AxisOptions,
+    ModelOptions,
+    ReadingOptions,
+    naming_options,
+    split_effects,
+)
 from geodrake.cli.streams import guarded
 from geodrake.errors import ArgumentError
 
@@ -601,8 +607,8 @@ def command_of(place: str, options: type[Any]) -> Callable[..., None]:
 
     def command(**values: Any) -> None:
         del values[_HELP_ALL]  # which its callback has handled
-        files = values.get("effects") or ()
-        with guarded(debug=values["debug"], effect_files=files):
+        files, _ = split_effects(values.get("effects"))
+        with guarded(debug=values["debug"], effect_files=files), naming_options(kinds):
             getattr(import_module(f"geodrake.cli.{module}"), function)(options(**values))
 
     command.__doc__, *_ = _sections(options)

@@ -30,7 +30,7 @@ from geodrake.robot.robot_instance import RobotInstance, RobotPorts
 
 @dataclass(frozen=True, eq=False)
 class AdaptiveLoop:
-    """What `add_adaptive_loop` added, by name.
+    """Systems that `add_adaptive_loop` added, by name.
 
     Attributes:
         robot: The robot in its plant; None if the loop was given the ports of a robot elsewhere.

@@ -33,7 +33,7 @@ from geodrake.robot.recursion import TreeRecords, calc_regressor
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ControlModel:
-    """What is constant about a robot, for the regressor of every sample.
+    """Constants of a robot, for the regressor of every sample.
 
     Parameters are one vector p = [φ, μ]: φ of the nb bodies, ten each, and μ of the effects.
 

@@ -217,7 +217,7 @@ def _cut(b: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """What the wrench of every other piece of a window predicts of the rest."""
+    """Prediction of the other pieces of a window by the wrench of every second one."""
 
     before: Array  # (nv,) mean squared residual of each joint, 0 where it is not known
     after: Array  # (nv,) what is left of it

@@ -35,7 +35,7 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """What one step adds: effects of one name, a delay, or bodies that are wrong."""
+    """Addition of one step: effects of one name, a delay, or bodies that are wrong."""
 
     name: str
     terms: tuple[Term, ...]  # its terms; none for a delay, and for bodies that all move a little

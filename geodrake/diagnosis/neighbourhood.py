@@ -1,4 +1,4 @@
-"""What a fit changes to where terms come and go, at its noise.
+"""Changes of a fit where terms come and go, at its noise.
 
 Terms that come, go or take the place of others are small Schur complements of the normal matrices
 of all columns, and all of them are tried at once.
@@ -35,7 +35,7 @@ _TINY = np.finfo(float).tiny
 
 @dataclass(frozen=True, eq=False)
 class Dropped:
-    """What leaving terms out of a fit changes, at its noise."""
+    """Changes of a fit that terms are left out of, at its noise."""
 
     around: Neighbourhood
     loss: float  # what is lost of the score, prior odds left aside

@@ -47,7 +47,7 @@ from geodrake.logs.folds import assign_folds
 Array = NDArray[np.float64]
 Places = tuple[tuple[str, ...], ...]
 Named = frozenset[object]
-"""What tells an explanation in any columns: terms are made anew with these."""
+"""Names that identify an explanation in any columns: terms are made anew with these."""
 
 _MOST_ROUNDS = 12
 _MOST_VISITS = 3  # of an explanation that is made exact

@@ -269,7 +269,7 @@ def _slabs(effect: Effect, sizes: Array, beliefs: Beliefs) -> list[Array]:
 
 
 _IN_MANY = Proposer.WAVES, Proposer.HANDLING
-"""What proposes effects of one of many orders or instants."""
+"""Proposers of effects of one of many orders or instants."""
 _ODD_SHAPE = 4.0
 """Price of an exponent that is no multiple of one half, as those of laws are."""
 

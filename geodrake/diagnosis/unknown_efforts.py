@@ -45,7 +45,7 @@ _SLIP = 0.02  # of a joint's peak speed, below which surfaces may give way befor
 
 @dataclass(frozen=True)
 class UnresolvedReversal(JointEffect):
-    """What dry friction does at speeds at which a log hardly tells the direction of motion.
+    """Dry friction at speeds at which a log hardly tells the direction of motion.
 
     effort = h₀ (sgn v − d) + h₁ (tanh(2v/w) − d) + Σ_k e_k e^{−|v|/s_k} d
              + Σ_k j_k (v/√(v² + s_k²) − d) + Σ_k m_k (1 − |tanh(v/s_k)|), with d = tanh(v/w):

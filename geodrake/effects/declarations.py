@@ -21,7 +21,7 @@ _LINEAR = (("kg·m²", "kg"), ("N·m", "N"), ("rad", "m"))
 
 
 class Role(Enum):
-    """What an effect does to the efforts that a model needs.
+    """Ways in which an effect changes the efforts that a model needs.
 
     An effect of another role than FORCE derives from the one of the catalogue that has it: from
     `EffortScale`, `EffortDelay`, `Payload` or `WrongInertia`, or from the bases `DeflectionEffect`

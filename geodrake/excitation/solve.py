@@ -54,7 +54,7 @@ class Budget:
 
     @property
     def left(self) -> float:
-        """What is left of it, s; negative once it is up."""
+        """Time that is left, s; negative once it is up."""
         return self.end - time.monotonic()
 
     def part(self, share: float) -> Budget:

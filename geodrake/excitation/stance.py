@@ -59,7 +59,7 @@ _BATCH = 2000  # samples whose regressors are in memory
 
 @dataclass(frozen=True, eq=False)
 class Foot(Short):
-    """What of a robot stands on the ground: a sole, a ball that rolls, or a point.
+    """A part of a robot that stands on the ground: a sole, a ball that rolls, or a point.
 
     Attributes:
         frame: Name of a link, or of another frame of the model file.

@@ -1,4 +1,4 @@
-"""What a motion is to identify: which parameters, measured by what, with which noise."""
+"""Targets of a motion: the parameters to identify, how they are measured, and the noise."""
 
 from __future__ import annotations
 
@@ -170,7 +170,7 @@ class Target(Short):
 
     @cached_property
     def labels(self) -> tuple[str, ...]:
-        """What the base parameters are, in words."""
+        """Descriptions of the base parameters."""
         carriers = tuple(f"payload of {fitted.effect.where[0]}" for fitted in self.payloads)
         names = [
             f"{parameter.name} of {fitted.effect.name} of {'/'.join(fitted.effect.where)}"

@@ -34,7 +34,7 @@ from geodrake.logs.known_payload import KnownPayload
 
 @dataclass(frozen=True, eq=False)
 class DigestedLog(Short):
-    """What a digest keeps of a log besides its normal matrices."""
+    """Facts that a digest keeps of a log besides its normal matrices."""
 
     name: str
     content: str  # SHA-256 of the bytes of its file

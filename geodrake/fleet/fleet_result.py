@@ -165,7 +165,7 @@ _NEAR = 2.0 * DAY  # by which the interval of a finding may move with further lo
 
 @dataclass(frozen=True)
 class ReportedFinding:
-    """What an earlier report contained about a finding."""
+    """A finding as an earlier report contained it."""
 
     robot: str
     effect: str

@@ -13,7 +13,7 @@ from geodrake.inertia import Array
 Indices = NDArray[np.intp]
 
 RIDGE = 1e-9
-"""What is added to the diagonal of normal matrices that are scaled to have ones there. It keeps
+"""Addition to the diagonal of normal matrices that are scaled to have ones there. It keeps
 columns that say the same (a friction and its asymmetric form) from making them singular."""
 
 

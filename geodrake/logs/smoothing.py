@@ -72,7 +72,7 @@ class Piece:
 
     @property
     def signals(self) -> dict[str, Array]:
-        """What it has besides time, by name."""
+        """Its signals besides time, by name."""
         names = ("position", "velocity", "acceleration", "effort", "ground")
         return {name: signal for name in names if (signal := getattr(self, name)) is not None}
 

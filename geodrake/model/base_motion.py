@@ -396,7 +396,7 @@ def _integrated(log: JointLog, gyro: Array, force: Array, gravity: Array) -> Rot
 
 @dataclass(frozen=True)
 class _Sign:
-    """What tells how far off a reading is; NaN if it cannot."""
+    """How far off a reading of the base is, NaN if unknown, and from where on it is doubted."""
 
     off: Callable[[BasePose], float]
     doubt: float  # from which on a reading is said to be off

@@ -20,7 +20,7 @@ EFFORT = "effort"
 """Kind of a joint with commanded efforts, which its motor gives within a limit."""
 
 SERVO = "servo"
-"""What a `COMMAND` goes through, among the names of effects."""
+"""Name, among those of effects, of the servo that follows a `COMMAND`."""
 
 KINDS = (EFFORT, *SIGNAL_KINDS, COMMAND)
 

@@ -24,10 +24,10 @@ from pydrake.math import RollPitchYaw, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Joint, MultibodyForces
 
+from geodrake.effects.file_terms import CoupledDry, DryFriction
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
-from geodrake.model.file_terms import CoupledDry, DryFriction
 from geodrake.model.simulation.terms import Model
 from geodrake.robot.arrangement import base_joints, moving_joints
 from geodrake.robot.coordinates import RobotCoordinates

@@ -26,7 +26,7 @@ def command_delays(model: RobotModel) -> Array:
 
 
 class ServoError(NamedTuple):
-    """What servos act upon, all (..., n)."""
+    """Differences that servos act upon, all (..., n)."""
 
     position: Array  # commanded less measured position, rad or m
     velocity: Array  # the known share of the commanded velocity less the measured one

@@ -17,9 +17,7 @@ import numpy as np
 from pydrake.math import RigidTransform
 
 from geodrake.effects.base import Effect, FittedEffect
-from geodrake.inertia import Array, from_spatial_inertia
-from geodrake.inertia.bodies import lumped_bodies
-from geodrake.model.file_terms import (
+from geodrake.effects.file_terms import (
     Ball,
     Carried,
     CoupledDry,
@@ -35,6 +33,8 @@ from geodrake.model.file_terms import (
     Spring,
     StrutEffect,
 )
+from geodrake.inertia import Array, from_spatial_inertia
+from geodrake.inertia.bodies import lumped_bodies
 from geodrake.robot import stated
 from geodrake.robot.coordinates import RobotCoordinates
 from geodrake.robot.joints import Following, joint_names

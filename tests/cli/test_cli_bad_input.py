@@ -64,7 +64,7 @@ BAD = {
         "--xacro-arg a:=1": "is not a xacro file",
         "--lock finger=0": "no joint 'finger'",
         "--lock left=1": "'left' cannot be fixed at 1: its limits are 0 … 0.04",
-        "--lock left=nan": "finite",
+        "--lock left=nan": "--lock of 'left' must be a finite number",
         "--lock right=0": "'right' cannot be fixed, as it follows 'left'",
         "--lock lef=1": "Did you mean left",
         "--lock left": "--lock got 'left'",
@@ -144,7 +144,7 @@ BAD = {
         "--stand 99": "robot's stand is outside the limits: joint 'shoulder'",
         "--start 99": "start is outside the limits: joint 'shoulder'",
         "--duration -1": "duration must be",
-        "--harmonics 0": "modes must be",
+        "--harmonics 0": "--harmonics must be an integer",
         "--seeds 0": "--seeds must be a finite number from 1 to 1000; it is 0",
         "--samples 0": "--samples must be a finite number from 1",
         "--clearance -1": "--clearance must be a finite number from 0 to 100; it is -1",
@@ -265,6 +265,8 @@ def test_effects_of_files_that_fail(folder):
     given = ("explain", "pendulum.urdf", "log.csv", "--effects")
     assert "ZeroDivisionError" in refused(*given, "zero.py")
     assert "Two --effects files define" in refused(*given, "own.py", "--effects", "twin.py")
+    assert "Two --effects files define" in refused(*given, "own.py,twin.py")
+    assert "no effect 'none'" in refused("identify", *given[1:], "own.py, none,coulomb_friction")
     said = refused("add", "odd_friction", *given[1:], "own.py")
     assert "line 14 of" in said and "KeyError" in said
 

@@ -26,6 +26,7 @@ from geodrake.control.export_proof.held import held_by
 from geodrake.diagnosis import add, diagnose, explain
 from geodrake.diagnosis.turned_base import turned_bases
 from geodrake.effects import FittedEffect, GravityTilt, JointEffect, Parameter, Proposer
+from geodrake.effects.file_terms import Damping
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.bandwidth import prepare_for_model
 from geodrake.identification.logs.case import open_case
@@ -34,7 +35,6 @@ from geodrake.logs import Motion
 from geodrake.logs.known_payload import KnownPayload
 from geodrake.logs.motion import USUAL_GAIN_DEVIATION
 from geodrake.model.export import reasons
-from geodrake.model.file_terms import Damping
 
 MARGIN = 1.15
 """Largest held-out error, as a multiple of the error that the noise alone makes."""

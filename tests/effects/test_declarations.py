@@ -31,13 +31,12 @@ ANY_NAME = re.compile(rf"\b(?:{'|'.join(sorted(NAMES | CLASSES))})\b")
 
 ALLOWED = {
     "control/export_proof/formats.py": "viscous_friction is a key of Isaac's actuators",
-    "model/file_terms.py": "says what files have of their own of what effects are",
     "robot/files/model_edits.py": "drake:rotor_inertia is a tag of Drake's",
     "robot/files/checks.py": "drake:rotor_inertia is a tag of Drake's",
     "robot/files/mjcf_source.py": "contact is a tag of MuJoCo's",
     "robot/files/texts.py": "contact is a tag of PyBullet's",
 }
-"""Files where the name of an effect is a word of somebody else's; one of them translates all."""
+"""Files where the name of an effect is a word of somebody else's."""
 
 
 def docstrings(tree):

@@ -32,7 +32,7 @@ _ROUNDING = 1e-13  # of a limit, relative to its terms
 
 
 class _OuterLaw(UpdateLaw):
-    """What a law takes from `law` inside of it: all but its rate and its step."""
+    """A law around another one, `law`, from which it takes all but its rate and its step."""
 
     law: UpdateLaw
 

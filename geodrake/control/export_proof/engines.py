@@ -27,10 +27,10 @@ from geodrake.boundary.input_files import read_regular
 from geodrake.control.export_proof.joints import ExportedJoint, exported_joints
 from geodrake.control.export_proof.reference import Drives
 from geodrake.effects import Effect
+from geodrake.effects.file_terms import Damping, DryFriction, Rotor, Spring
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.model.dynamics_check import second_opinion
-from geodrake.model.file_terms import Damping, DryFriction, Rotor, Spring
 from geodrake.model.robot_model import RobotModel, load_description
 from geodrake.robot.files.description import drake_errors, drake_messages
 from geodrake.robot.files.includes import add_packages, named_packages

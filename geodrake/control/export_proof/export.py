@@ -30,13 +30,13 @@ from geodrake.control.export_proof.reference import (
 )
 from geodrake.control.rollout import case_rollout
 from geodrake.control.rollout.passages import told_joints
+from geodrake.effects.file_terms import DryFriction
 from geodrake.errors import LogError, ModelError, OutputError
 from geodrake.identification.logs.case import Case, open_case, reopen
 from geodrake.identification.logs.compare import comparison
 from geodrake.inertia import Array
 from geodrake.logs.motion import JointLog, Motion
 from geodrake.model.export import reasons
-from geodrake.model.file_terms import DryFriction
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.servos import servos_of
 
@@ -339,7 +339,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Proof:
-    """What simulators make of an export."""
+    """Results of simulators that load an export."""
 
     differences: tuple[Difference, ...]
     # Names of effects of the file upon which the first simulator does not act.

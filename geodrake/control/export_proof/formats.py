@@ -33,9 +33,7 @@ from geodrake.control.export_proof.model_text import (
     written_kind,
 )
 from geodrake.effects import Effect
-from geodrake.errors import ArgumentError, ModelError, nearest
-from geodrake.model.export import repair_comments
-from geodrake.model.file_terms import (
+from geodrake.effects.file_terms import (
     Damping,
     Delay,
     DryFriction,
@@ -44,6 +42,8 @@ from geodrake.model.file_terms import (
     StaticFriction,
     Tilt,
 )
+from geodrake.errors import ArgumentError, ModelError, nearest
+from geodrake.model.export import repair_comments
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.source import effort_source, is_written
 

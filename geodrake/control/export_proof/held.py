@@ -1,4 +1,4 @@
-"""What a model file can hold of a model: the rest is fitted into that, or left out and named."""
+"""Parts of a model that a file can hold; the rest is fitted into them, or left out and named."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from geodrake.effects import Effect, FittedEffect, RobotMotion, Role
+from geodrake.effects.file_terms import Damping, DryFriction, Offset, Rotor, Spring, Tilt
 from geodrake.logs.motion import Motion
-from geodrake.model.file_terms import Damping, DryFriction, Offset, Rotor, Spring, Tilt
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]

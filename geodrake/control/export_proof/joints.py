@@ -1,4 +1,4 @@
-"""What files for simulators say of joints: friction, rotors, springs, limits, servos and delays."""
+"""Joints in files for simulators: friction, rotors, springs, limits, servos and delays."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from geodrake.effects import Effect
-from geodrake.model.file_terms import Damping, DryFriction, Rotor, Spring
+from geodrake.effects.file_terms import Damping, DryFriction, Rotor, Spring
 from geodrake.model.robot_model import RobotModel, from_loaded_plant
 from geodrake.model.servos import servos_of
 from geodrake.robot.files.checks import words
@@ -52,7 +52,7 @@ class ExportedJoint:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """What files say of it, by the names of `EditedFile.set_joint_numbers`."""
+        """Its numbers in files, by the names of `EditedFile.set_joint_numbers`."""
         return {name: getattr(self, name) for name in _NUMBERS}
 
     @property

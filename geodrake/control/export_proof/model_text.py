@@ -18,11 +18,11 @@ from geodrake.control.export_proof.joints import (
     changed_numbers,
     exported_joints,
 )
+from geodrake.effects.file_terms import Tilt
 from geodrake.errors import ModelError
 from geodrake.inertia import Array, change_frame
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.model.export import export_bodies, file_kind, repair_comments
-from geodrake.model.file_terms import Tilt
 from geodrake.model.robot_model import RobotModel, is_of_file
 from geodrake.robot.arrangement import moving_joints
 from geodrake.robot.files.checks import words

@@ -1,4 +1,4 @@
-"""What simulators of exports are compared with: the model itself, its actuators, and motion.
+"""References for simulators of exports: the model itself, its actuators, and motion.
 
 Motion is that of logs, or random within limits.
 """
@@ -13,9 +13,9 @@ import numpy as np
 from geodrake.control.export_proof.joints import exported_joints
 from geodrake.control.rollout.passages import Passage
 from geodrake.effects import Effect
+from geodrake.effects.file_terms import DryFriction
 from geodrake.inertia import Array
 from geodrake.logs.motion import Motion, Trajectory
-from geodrake.model.file_terms import DryFriction
 from geodrake.model.robot_model import RobotModel
 
 STEP = 1e-3

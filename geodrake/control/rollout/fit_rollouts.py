@@ -71,7 +71,7 @@ class FittedValue(Short):
 
 @dataclass(frozen=True, eq=False)
 class RolloutFit(Shown):
-    """What a model's soft joints, their play, servos and motors are by its simulated motion.
+    """A model's soft joints, play, servos and motors, fitted to its simulated motion.
 
     `before` and `after` say what they are under: logged efforts, or logged commands.
     """
@@ -103,7 +103,7 @@ class RolloutFit(Shown):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was done to the logs, noticed about the model, and assumed in the simulation.
+        """Notes on the logs, on the model, and on assumptions of the simulation.
 
         Servos of joints that were not fitted are taken for what they were found to be.
         """

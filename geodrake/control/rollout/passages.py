@@ -1,4 +1,4 @@
-"""What is simulated: passages of logs in which the robot moves, and what acts on it in them."""
+"""Passages of logs in which the robot moves, which are simulated, and what acts on it in them."""
 
 from __future__ import annotations
 
@@ -304,7 +304,7 @@ def told_joints(model: RobotModel, log: JointLog) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """What rollouts of a case are made under."""
+    """Conditions of the rollouts of a case."""
 
     case: Case
     commands: bool  # whether servos close the loop

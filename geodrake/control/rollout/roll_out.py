@@ -110,7 +110,7 @@ class Rollout(Shown):
 
     @property
     def under(self) -> str:
-        """What the model was simulated under."""
+        """Inputs of the simulation: "efforts" or "commands"."""
         return "commands" if self.commands else "efforts"
 
     @property

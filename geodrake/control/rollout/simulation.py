@@ -102,12 +102,12 @@ class Simulation:
 
     @property
     def law(self) -> ForceLaw:
-        """What effects need, and what holds motors and links together."""
+        """Forces of effects, and those that hold motors and links together."""
         return self._force.law
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was assumed."""
+        """Assumptions of the simulation."""
         return self._force.notes
 
     def positions(self, passage: Passage) -> Array:

@@ -46,7 +46,7 @@ _QUIETLY = np.errstate(all="ignore")  # what is not finite is looked for and rep
 
 
 class ControlResult(NamedTuple):
-    """What a controller makes of one sample."""
+    """Output of a controller at one sample."""
 
     effort: Array  # (nv,) effort to be applied
     sample: ControlSample  # the robot as the effort has it

@@ -47,7 +47,7 @@ _ESTIMATE, _MEMORY, _SEEN, _RESIDUAL, _ERROR, _COUNT = range(6)  # discrete stat
 
 
 class _Compiled(NamedTuple):
-    """What `calc_estimated` is told."""
+    """Arguments of `calc_estimated`."""
 
     robot: Plain
     watch: Watch

@@ -1,4 +1,4 @@
-"""What a model leaves unexplained, while the robot moves."""
+"""Efforts that a model leaves unexplained, while the robot moves."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ from geodrake.model.simulation.scalar_system import differenced
 
 
 class _Usual(NamedTuple):
-    """What is constant about the usual steps of a plain robot."""
+    """Constants of the usual steps of a plain robot."""
 
     robot: Plain
     watch: Watch
@@ -167,7 +167,7 @@ class PassivityBasedAdaptiveController(AdaptiveController):
 
     @cached_property
     def _usual(self) -> _Usual | None:
-        """What `calc_usual_step` is told; None where it will not do."""
+        """Arguments of `calc_usual_step`; None where it does not apply."""
         robot, law = getattr(self.control, "plain", None), self.law
         steps = None if law is None else law.compiled
         if robot is None or steps is None or self._prediction is not None or self._dead_zone.any():

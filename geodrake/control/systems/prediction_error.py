@@ -21,7 +21,7 @@ _ROUNDING = 1e-9  # of the diagonal of a matrix, above what rounding makes of it
 
 @dataclass(frozen=True, eq=False)
 class PredictionError(Short):
-    """What an adaptive controller adds to its tracking error: composite adaptation.
+    """Composite adaptation: a prediction error that is added to the tracking error.
 
     With filtered rows Y_f p = u_f, which need no acceleration, the law moves the estimate by
 

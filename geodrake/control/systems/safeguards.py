@@ -1,4 +1,4 @@
-"""What an online system asks of its arguments, what it believes, and what it does if it cannot."""
+"""Safeguards of online systems: checks of arguments and samples, and what follows a bad one."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class Safeguards(Short):
 
 
 class Seen(NamedTuple):
-    """What a controller goes by at one sample, always finite."""
+    """Signals that a controller uses at one sample, always finite."""
 
     q: Array  # (n,) positions
     qd: Array  # (n,) velocities

@@ -17,7 +17,7 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class Assignment:
-    """What the columns of n joints are, in place of what their names say.
+    """Meaning of the columns of n joints, in place of their names.
 
     Joint j is at scale_j q + zero_j of the position in column `position`_j. Velocities belong to
     their positions, and are `rate` times these columns. Its efforts are gain_j times those in

@@ -28,7 +28,7 @@ UNKNOWN = len(UnknownFunction.parameters)
 
 @dataclass(frozen=True, eq=False)
 class JointDesign:
-    """What K samples say of one joint.
+    """Columns and efforts of K samples of one joint.
 
     Columns are those of bodies and effects, the slopes with a tilt (2) and with all zeros (n), the
     efforts of known payloads, all n columns of efforts, and those of an unknown function if asked.

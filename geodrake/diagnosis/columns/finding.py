@@ -1,4 +1,4 @@
-"""What is found of a log's columns, and in words: what is wrong, and what corrects it."""
+"""Mistakes found in a log's columns: what is wrong, and what corrects it, in words."""
 
 from __future__ import annotations
 

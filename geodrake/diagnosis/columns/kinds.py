@@ -106,7 +106,7 @@ _BY_UNITS = {
     "position_unit": "position=deg,velocity=deg/s",
     "position_alone_unit": "position=deg",
 }
-"""What `--units` is told of all joints, where their numbers are too large."""
+"""Values of `--units` for all joints, where their numbers are too large."""
 
 
 def words_of(

@@ -1,4 +1,4 @@
-"""What an error owes to the log or its clock: offsets, slow drift, swings that follow no joint."""
+"""Errors of the log or its clock: offsets, slow drift, swings that follow no joint."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ FUNCTIONS: Mapping[str, _Function] = {
         1,
     ),
 }
-"""What may be done to a signal; all vanish or turn smoothly where the motion does."""
+"""Operations on a signal; all vanish or turn smoothly where the motion does."""
 
 _SIGNALS: Mapping[str, tuple[str, str]] = {
     "q": ("position", "rad"),

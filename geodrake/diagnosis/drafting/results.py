@@ -1,4 +1,4 @@
-"""What a search for formulas gives: plain frozen dataclasses."""
+"""Results of a search for formulas, as frozen dataclasses."""
 
 from __future__ import annotations
 

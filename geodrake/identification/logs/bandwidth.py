@@ -164,7 +164,7 @@ def _with_more_samples(
 
 @dataclass(frozen=True)
 class _AccelerationNoise:
-    """What noise of accelerations, as efforts are filtered, does to residuals and to columns."""
+    """Noise of accelerations, filtered as efforts are, in residuals and in columns."""
 
     loss: Array  # (nv,) power of noise, with that of accelerations, over that of efforts alone
     deviation: Array  # (nv,) of the noise, rad/s² or m/s²

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from geodrake.effects import FittedEffect, Role, catalogue
 from geodrake.effects.base import JointEffect, Parameter, RobotEffect
 from geodrake.effects.declarations import when_sliding
+from geodrake.effects.file_terms import Damping, DryFriction, LoadFriction, Offset, Rotor
 from geodrake.effects.robot_motion import RobotMotion, log_number
 from geodrake.errors import LogError
 from geodrake.identification.logs.effort_gains import (
@@ -34,7 +35,6 @@ from geodrake.logs.preparation import prepare_logs
 from geodrake.logs.units_of_values import effort_sign_hint, position_unit_hint
 from geodrake.model.carried_payloads import carried_phi, carrying
 from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal, signal_of
-from geodrake.model.file_terms import Damping, DryFriction, LoadFriction, Offset, Rotor
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.servos import servos_of
 from geodrake.model.signal_efforts import in_efforts, kind_of

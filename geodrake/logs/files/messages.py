@@ -67,7 +67,7 @@ Said = tuple[Owners, Mapping[str, Any], Any]
 """Joints or a frame, their numbers by quantity, and the part of the message with its stamp."""
 
 Key = tuple[Owners, tuple[str, ...]]
-"""What messages of a group have in common: joints or a frame, and quantities."""
+"""Joints or frame, and quantities, that messages of a group have in common."""
 
 
 @dataclass

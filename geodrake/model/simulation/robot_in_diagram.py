@@ -23,9 +23,9 @@ from pydrake.systems.primitives import MatrixGain, PassThrough
 
 from geodrake.boundary.arguments import positive, real_array
 from geodrake.effects import Effect, FittedEffect, Role
+from geodrake.effects.file_terms import Polynomial
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
-from geodrake.model.file_terms import Polynomial
 from geodrake.model.simulation.effect_force import EffectForce
 from geodrake.model.simulation.scalar_system import differenced
 from geodrake.model.simulation.terms import DrivenPlant, Model

@@ -81,7 +81,7 @@ class ModelDescription:
 
     @cached_property
     def terms(self) -> FileTerms:
-        """What the texts do not have of their files; no gravity if no link has."""
+        """Terms of the files that their texts lack; without gravity if no link has it."""
         terms = FileTerms.joined([text.terms for text in self.every])
         heavy, carried = {n for text in self.every for n in text.heavy}, terms.carried
         if heavy and heavy <= carried.keys() and {*carried.values()} == {1.0} and not terms.acting:
