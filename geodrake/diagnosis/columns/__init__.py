@@ -1,4 +1,4 @@
-"""Detection of mistakes in a log's columns, before anything is missing in a model."""
+"""Detection of mistakes in the columns of logs, before any model effect is considered."""
 
 from geodrake.diagnosis.columns.check import MOST_JOINTS, check_columns
 from geodrake.diagnosis.columns.corrections import corrected, with_motor_limits

@@ -1,4 +1,4 @@
-"""`check_columns`: what columns are, if not what their names say, likeliest mistakes first."""
+"""Detection of mistakes in log columns (`check_columns`)."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from geodrake.model.robot_model import RobotModel
 Array = NDArray[np.float64]
 
 MOST_JOINTS = 30
-"""With more, weighing all that may be wrong takes minutes: nothing is checked."""
+"""With more joints, comparing all possible mistakes takes minutes: nothing is checked."""
 
-_LEAST_EFFORT = 1e-12  # N·m or N, by which efforts that were measured change
-_WORTH_NAMING = 0.05  # probability of a rival
+_LEAST_EFFORT = 1e-12  # N·m or N, smallest standard deviation of measured efforts
+_LEAST_RIVAL = 0.05  # probability of a rival to be reported
 
 
 def check_columns(
@@ -38,42 +38,42 @@ def check_columns(
 
     Each mistake is an alternative assignment of columns to joints. One Gaussian evidence compares
     them, with bodies near the model's and free friction, offsets and rotors. Rivals are a payload,
-    a tilted base, and efforts with an unknown component; `Beliefs` has the prior odds.
+    a tilted base, and efforts with an unknown component; `Beliefs` contains the prior odds.
 
     Args:
-        model: The model as it stands.
+        model: The model.
         logs: Logs or their files, all recorded alike.
         bandwidth: Bandwidth of the filter, Hz; by default chosen from the motion.
-        blocks: Blocks into which every log is cut, within which residuals are correlated.
+        blocks: Number of blocks into which every log is split; residuals correlate within a block.
 
     Returns:
-        What is wrong, in the order in which to correct it; nothing if the columns are right, if
-        the logs do not tell, if an effort never changes, which fits refuse, or if there are more
-        than 30 joints, as weighing all that may be wrong with them takes minutes.
+        Mistakes, in the order in which to correct them. Empty if the columns are right, if the
+        logs do not tell, if an effort never changes (fits refuse that), or if there are more than
+        30 joints (the comparison would take minutes).
 
     Raises:
         LogError: A log cannot be used.
-        ArgumentError: There is no log, or a setting is no usable number.
+        ArgumentError: There is no log, or a setting is invalid.
     """
     prepared = prepared_as_measured(model, logs, bandwidth=bandwidth, blocks=blocks)
     if len(model.joints) > MOST_JOINTS:
         return ()
     samples = column_samples(model.with_volume, *prepared)
     if not (samples.effort.std(axis=0) > _LEAST_EFFORT).all():
-        return ()  # which whoever fits them says
+        return ()  # the fit reports it
     gaussian = ColumnModel(samples, Beliefs())
-    found = ColumnSearch(gaussian).found()
-    return tuple(_finding(gaussian, step) for step in found if step.best.mistake.kind)
+    steps = ColumnSearch(gaussian).steps()
+    return tuple(_finding(gaussian, step) for step in steps if step.best.mistake.kind)
 
 
 def _finding(gaussian: ColumnModel, found: MistakeFound) -> ColumnFinding:
     model, best, before = gaussian.samples.model, found.best, found.before
-    kind, joints, values = _told(model, before, best)
+    kind, joints, values = _correction(model, before, best)
     words, advice = words_of(kind, joints, values, all_joints=not best.mistake.joints)
     rivals = [
         (_rival_words(model, before, rival), chance)
         for rival, chance in found.rivals
-        if chance >= _WORTH_NAMING
+        if chance >= _LEAST_RIVAL
     ]
     return ColumnFinding(
         kind,
@@ -92,7 +92,7 @@ def _finding(gaussian: ColumnModel, found: MistakeFound) -> ColumnFinding:
 def _rival_words(model: RobotModel, before: ColumnFit, rival: Judged) -> str:
     mistake, after = rival.mistake, rival.fit.assignment
     if mistake.kind:
-        return words_of(*_told(model, before, rival), all_joints=not mistake.joints)[0]
+        return words_of(*_correction(model, before, rival), all_joints=not mistake.joints)[0]
     if mistake.joints:
         every = len(mistake.joints) == len(model.joints) > 1
         where = "all joints" if every else model.joints[mistake.joints[0]]
@@ -103,21 +103,21 @@ def _rival_words(model: RobotModel, before: ColumnFit, rival: Judged) -> str:
     return "a tilted base" if tilted else "a payload that the model lacks"
 
 
-def _told(
+def _correction(
     model: RobotModel, before: ColumnFit, judged: Judged
 ) -> tuple[str, tuple[str, ...], tuple[float, ...]]:
-    """Return the kind of a mistake, its joints, and what corrects it at each of them."""
-    mistake, was, is_now = judged.mistake, before.assignment, judged.fit.assignment
-    at = list(mistake.joints or range(len(model.joints)))
+    """Return the kind of a mistake, its joints, and the value that corrects it at each."""
+    mistake, previous, current = judged.mistake, before.assignment, judged.fit.assignment
+    joints = list(mistake.joints or range(len(model.joints)))
     values = tuple[float, ...]()
-    if mistake.kind == "effort_limit" and (limit := is_now.limit_of(at[0])) is not None:
+    if mistake.kind == "effort_limit" and (limit := current.limit_of(joints[0])) is not None:
         falls = np.isfinite(limit.no_load_speed)
         values = (limit.effort, limit.no_load_speed) if falls else (limit.effort,)
     elif mistake.kind == "time":
-        values = (is_now.time / was.time,)
+        values = (current.time / previous.time,)
     elif mistake.kind == "position_zero":
-        values = tuple((is_now.zero - was.zero)[at].tolist())
+        values = tuple((current.zero - previous.zero)[joints].tolist())
     elif len(KINDS[mistake.kind].changes) <= 2 and not mistake.kind.startswith("swapped"):
         for name in KINDS[mistake.kind].changes[:1]:
-            values = tuple((getattr(is_now, name) / getattr(was, name))[at].tolist())
-    return mistake.kind, tuple(model.joints[j] for j in at), values
+            values = tuple((getattr(current, name) / getattr(previous, name))[joints].tolist())
+    return mistake.kind, tuple(model.joints[j] for j in joints), values

@@ -1,4 +1,4 @@
-"""Logs with the mistakes in their columns corrected."""
+"""Correction of mistakes in the columns of logs."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ Array = NDArray[np.float64]
 
 
 def corrected(log: JointLog, findings: Sequence[ColumnFinding]) -> JointLog:
-    """Return a log whose columns are corrected, one finding after the other.
+    """Return a log with its columns corrected by each finding in turn.
 
     Terms that were subtracted from efforts cannot be restored. Motor limits apply to efforts only;
     currents, voltages and commands are unchanged.
 
     Raises:
-        ArgumentError: A finding is of a joint that the log does not have.
+        ArgumentError: A finding is about a joint that the log does not have.
     """
     instance(log, "log", JointLog)
     for finding in instances(findings, "findings", ColumnFinding):
@@ -44,77 +44,77 @@ def corrected(log: JointLog, findings: Sequence[ColumnFinding]) -> JointLog:
 
 
 def _corrected(log: JointLog, finding: ColumnFinding) -> JointLog:
-    at = [log.joints.index(joint) for joint in finding.joints]
+    columns = [log.joints.index(joint) for joint in finding.joints]
     if finding.kind == "time":
         return replace(log, time=log.time * finding.values[0])
     if finding.kind == "effort_limit":
-        (j,), effort = at, log.effort.copy()
+        (j,), effort = columns, log.effort.copy()
         if _has(log, log.joints[j], EFFORT):
             effort[:, j] = limited_effort(log, j, MotorLimit(*finding.values), effort[:, j])
         return replace(log, effort=effort)
     changed: dict[str, Any] = {}
     for name in KINDS[finding.kind].columns:
         if getattr(log, name) is not None:
-            changed[name] = own = getattr(log, name).copy()
+            changed[name] = values = getattr(log, name).copy()
             if finding.kind.startswith("swapped"):
-                own[:, at] = own[:, at[::-1]]
+                values[:, columns] = values[:, columns[::-1]]
             elif finding.kind == "position_zero":
-                own[:, at] += np.asarray(finding.values)
+                values[:, columns] += np.asarray(finding.values)
             else:
-                own[:, at] *= np.asarray(finding.values)
+                values[:, columns] *= np.asarray(finding.values)
     return replace(log, **changed) if changed else log
 
 
 def corrected_columns(
     columns: Sequence[UnderstoodColumn], findings: Sequence[ColumnFinding]
 ) -> tuple[UnderstoodColumn, ...]:
-    """Return what columns of a log are, with what was found corrected that a mapping can say.
+    """Return the meanings of a log's columns after the corrections that a mapping can express.
 
-    Zeros, limits of motors, time and what was taken out of efforts are no part of it.
+    A mapping cannot express zeros, motor limits, time factors or subtracted terms.
     """
-    found = {(each.joint, each.quantity): each for each in columns}
+    entries = {(column.joint, column.quantity): column for column in columns}
     for finding in findings:
-        kinds = KINDS[finding.kind].columns if finding.kind != "position_zero" else ()
-        for quantity in kinds:
-            own = EFFORT_KINDS if quantity == "effort" else (quantity,)
-            at = [k for j in finding.joints for q in own if (k := (j, q)) in found]
-            before = [found[key] for key in at]
+        quantities = KINDS[finding.kind].columns if finding.kind != "position_zero" else ()
+        for quantity in quantities:
+            logged = EFFORT_KINDS if quantity == "effort" else (quantity,)
+            keys = [k for j in finding.joints for q in logged if (k := (j, q)) in entries]
+            previous = [entries[key] for key in keys]
             if finding.kind.startswith("swapped"):
-                pairs = zip(at, before, reversed(before), strict=True)
-                found |= {key: replace(b, joint=a.joint) for key, a, b in pairs}
+                pairs = zip(keys, previous, reversed(previous), strict=True)
+                entries |= {key: replace(b, joint=a.joint) for key, a, b in pairs}
                 continue
             factors = dict(zip(finding.joints, finding.values, strict=True))
-            each = zip(at, before, strict=True)
-            found |= {k: replace(b, factor=b.factor * factors[b.joint]) for k, b in each}
-    return tuple(found.values())
+            scaled = zip(keys, previous, strict=True)
+            entries |= {k: replace(b, factor=b.factor * factors[b.joint]) for k, b in scaled}
+    return tuple(entries.values())
 
 
 def with_motor_limits(
     model: RobotModel, logs: Sequence[JointLog], findings: Sequence[ColumnFinding]
 ) -> RobotModel:
-    """Return the model with the motor limits that were found, for these and other logs.
+    """Return the model with the motor limits that were found.
 
-    Limits are left out of motors whose logs have something else than what the model knows of them,
-    such as currents of unknown gains, and of servos, which have their own.
+    A motor keeps its model entry if it is a servo, which has its own limits, or if its logs contain
+    another kind of signal than the model states, such as currents of unknown gains.
 
     Raises:
-        ArgumentError: A finding is of a joint that the model does not have.
+        ArgumentError: A finding is about a joint that the model does not have.
     """
     known = {signal.joint: signal for signal in instance(model, "model", RobotModel).effort_signals}
     logs = instances(logs, "logs", JointLog)
-    found = dict[str, MotorLimit]()
+    limits = dict[str, MotorLimit]()
     for finding in instances(findings, "findings", ColumnFinding):
         if finding.kind == "effort_limit":
-            found[finding.joints[0]] = MotorLimit(*finding.values)
-        elif KINDS[finding.kind].changes == ("gain",):  # all that the limit was found by
+            limits[finding.joints[0]] = MotorLimit(*finding.values)
+        elif KINDS[finding.kind].changes == ("gain",):  # the limit was found with the previous gain
             for joint, factor in zip(finding.joints, finding.values, strict=True):
-                if joint in found:
-                    found[joint] = found[joint].times(abs(factor))
+                if joint in limits:
+                    limits[joint] = limits[joint].times(abs(factor))
         elif finding.kind in ("swapped_efforts", "swapped_joints"):
             first, second = finding.joints
             other = {first: second, second: first}
-            found = {other.get(joint, joint): limit for joint, limit in found.items()}
-    for joint, limit in found.items():
+            limits = {other.get(joint, joint): limit for joint, limit in limits.items()}
+    for joint, limit in limits.items():
         if joint not in model.joints:
             raise ArgumentError(
                 f"The model has no joint {joint!r}, whose motor has a limit.",
@@ -126,6 +126,6 @@ def with_motor_limits(
     return replace(model, effort_signals=tuple(known.values()))
 
 
-def _has(log: JointLog, joint: str, kind: str) -> bool:
-    """Return whether a log has efforts of a joint, or what stands for them, of a kind."""
-    return joint in log.joints and kind_of(log, joint) == kind
+def _has(log: JointLog, joint: str, signal_kind: str) -> bool:
+    """Return whether a log has efforts of a joint, or a signal in their place, of a kind."""
+    return joint in log.joints and kind_of(log, joint) == signal_kind

@@ -1,4 +1,4 @@
-"""The linear model of one joint's efforts, as normal matrices of its columns."""
+"""Linear model of one joint's efforts, as the normal matrix of its columns."""
 
 from __future__ import annotations
 
@@ -23,47 +23,46 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 UNKNOWN = len(UnknownFunction.parameters)
-"""Columns of an unknown function of a joint's motion."""
+"""Number of columns of an unknown function of a joint's motion."""
 
 
 @dataclass(frozen=True, eq=False)
 class JointDesign:
-    """Columns and efforts of K samples of one joint.
+    """Columns of one joint's linear model over K samples.
 
-    Columns are those of bodies and effects, the slopes with a tilt (2) and with all zeros (n), the
-    efforts of known payloads, all n columns of efforts, and those of an unknown function if asked.
+    X contains the columns of bodies and effects, the slopes by a tilt (2) and by all zeros (n), the
+    known payload efforts (1), all effort columns (n), and optionally an unknown function.
     """
 
-    columns: Indices  # (m,) bodies and effects that matter
+    columns: Indices  # (m,) bodies and effects that affect the joint
     rows: Indices  # (K,) samples
     joints: int
-    X: Array  # (K, m + 2 + n + 1 + n), or as many as UNKNOWN more
+    X: Array  # (K, m + 2 + n + 1 + n), plus UNKNOWN columns of an unknown function
     gram: Array  # normal matrix of X
-    # Share of the samples in which more effort was asked for than the motor gives, and the mean
-    # square of what was too much.
+    # Share of samples whose commanded effort exceeds the motor limit, and the mean square excess.
     beyond: tuple[float, float] = (0.0, 1.0)
 
     @cached_property
     def peaks(self) -> Array:
-        """(m,) largest sizes of the columns of bodies and effects."""
+        """(m,) largest magnitudes of the columns of bodies and effects."""
         return np.asarray(np.abs(self.X[:, : len(self.columns)]).max(axis=0))
 
     @property
     def linear(self) -> int:
-        """Return how many columns come before those of efforts."""
+        """Return the number of columns of bodies, effects, tilt and zeros."""
         return len(self.columns) + 2 + self.joints
 
     @property
     def unknown(self) -> Indices:
-        """Return where the columns of the unknown function stand in X."""
+        """Return the indices in X of the columns of the unknown function."""
         return self.effort(self.joints) + np.arange(UNKNOWN)
 
     def effort(self, source: int) -> int:
-        """Return where a column of efforts stands in X; before the first one are payloads."""
+        """Return the index in X of an effort column; the known payloads are at `effort(-1)`."""
         return self.linear + 1 + source
 
     def read_as(self, samples: ColumnSamples, assignment: Assignment, joint: int) -> JointDesign:
-        """Return the design with the joint's efforts signed, or kept to what its motor gives."""
+        """Return the design with an assignment's signs and motor limit applied to the efforts."""
         source, limit = int(assignment.effort[joint]), assignment.limit_of(joint)
         signs, beyond = assignment.signs.get(source), self.beyond
         if signs is None and limit is None:
@@ -73,8 +72,8 @@ class JointDesign:
             effort = effort * signs[self.rows]
         if limit is not None:
             gain, velocity = assignment.gain[joint], samples.motion(assignment, self.rows)[1]
-            asked, velocity = gain * effort, velocity[:, joint]
-            effort, beyond = limit.given(asked, velocity) / gain, limit.beyond(asked, velocity)
+            command, velocity = gain * effort, velocity[:, joint]
+            effort, beyond = limit.given(command, velocity) / gain, limit.beyond(command, velocity)
         X, gram, column = self.X.copy(), self.gram.copy(), self.effort(source)
         X[:, column] = effort
         gram[column] = gram[:, column] = X.T @ effort
@@ -84,40 +83,40 @@ class JointDesign:
 class MotionDesigns:
     """Designs of all joints for one motion, each with any column of efforts.
 
-    Data are the samples of a column of efforts in which the joint that it is named after moves,
-    whatever else it is taken for: what is judged by other samples cannot be compared.
+    The samples depend on the effort column only: those in which the joint that it is named after
+    moves one way. Scores of different assignments are comparable only on the same samples.
     """
 
     def __init__(self, samples: ColumnSamples, layout: Layout, assignment: Assignment) -> None:
         self._samples, self._layout, self._assignment = samples, layout, assignment
-        self._all = _joint_columns(samples, layout, assignment)
-        self._made = dict[tuple[int, int, bool], JointDesign]()
-        self.nbytes = sum(part.nbytes for own in self._all for part in own)
+        self._parts = _joint_columns(samples, layout, assignment)
+        self._designs = dict[tuple[int, int, bool], JointDesign]()
+        self.nbytes = sum(part.nbytes for parts in self._parts for part in parts)
 
     def __call__(self, joint: int, source: int, *, unknown: bool) -> JointDesign:
-        """Return the design of a joint with the samples of a column of efforts.
+        """Return the design of a joint with the samples of an effort column.
 
-        It may have an unknown function of the joint's motion.
+        `unknown` adds the columns of an unknown function of the joint's motion.
         """
         key, samples = (joint, source, unknown), self._samples
-        if key not in self._made:
+        if key not in self._designs:
             rows, columns = np.flatnonzero(samples.used[:, source]), self._layout.columns[joint]
-            parts = [*self._all[joint], samples.effort]
+            parts = [*self._parts[joint], samples.effort]
             if unknown:
                 q, v, _ = samples.motion(self._assignment)
                 width = _sign_width(self._layout, self._assignment)[joint]
-                own = _unknown_function(
+                function = _unknown_function(
                     samples.model.joints[joint], q[:, joint], v[:, joint], width
                 )
-                parts.append(own)
+                parts.append(function)
             X = np.concatenate([part[rows] for part in parts], axis=1)
             self.nbytes += X.nbytes
-            self._made[key] = JointDesign(columns, rows, len(self._all), X, X.T @ X)
-        return self._made[key]
+            self._designs[key] = JointDesign(columns, rows, len(self._parts), X, X.T @ X)
+        return self._designs[key]
 
 
 def _sign_width(layout: Layout, assignment: Assignment) -> Array:
-    """Return speeds (n,) below which a motion has no direction."""
+    """Return the speeds (n,) below which the direction of motion is unknown."""
     scale = np.abs(assignment.scale) / assignment.time
     return np.asarray(layout.sign_width[assignment.position] * scale)
 
@@ -125,49 +124,50 @@ def _sign_width(layout: Layout, assignment: Assignment) -> Array:
 def _joint_columns(
     samples: ColumnSamples, layout: Layout, assignment: Assignment
 ) -> list[list[Array]]:
-    """Return the columns of all joints for one motion, in all samples and in parts."""
+    """Return the columns of all joints for one motion at all samples, as a list of parts."""
     model, (q, v, vd) = layout.model, samples.motion(assignment)
-    at, down = model.positions(q), np.array(assignment.gravity or model.tree.gravity)
-    tree = replace(model.tree, gravity=down)
+    at, gravity = model.positions(q), np.array(assignment.gravity or model.tree.gravity)
+    tree = replace(model.tree, gravity=gravity)
     width = _sign_width(layout, assignment)
-    columns, held = _columns(samples, replace(layout, sign_width=width), (at, v, vd))
-    if assignment.gravity is not None:  # weight beside that which the model's bodies have
-        still, more = np.zeros_like(v), replace(model.tree, gravity=down - model.tree.gravity)
-        weight = inverse_dynamics_regressor(more, at, still, still)
-        for j, seen in enumerate(layout.columns):
-            columns[j][0] = columns[j][0] + weight[:, j, seen[seen < model.phi.size]]
-    tilts = RobotBodies(tree, at, model.total_phi).gravity_efforts(np.cross(down, np.eye(3)[:2]).T)
+    columns, loads = _columns(samples, replace(layout, sign_width=width), (at, v, vd))
+    if assignment.gravity is not None:  # weight by the difference of gravity
+        zero, added = np.zeros_like(v), replace(model.tree, gravity=gravity - model.tree.gravity)
+        weight = inverse_dynamics_regressor(added, at, zero, zero)
+        for j, indices in enumerate(layout.columns):
+            columns[j][0] = columns[j][0] + weight[:, j, indices[indices < model.phi.size]]
+    axes = np.cross(gravity, np.eye(3)[:2]).T
+    tilts = RobotBodies(tree, at, model.total_phi).gravity_efforts(axes)
     slopes = effort_slopes(tree, at, v, vd, model.total_phi, only_position=True)
-    turned = np.nan_to_num(slopes.position)
+    zeros = np.nan_to_num(slopes.position)
     return [
-        [*columns[j], tilts[:, j], turned[:, j], held[:, j, None]] for j in range(len(model.joints))
+        [*columns[j], tilts[:, j], zeros[:, j], loads[:, j, None]] for j in range(len(model.joints))
     ]
 
 
 def _columns(
     samples: ColumnSamples, layout: Layout, motion: tuple[Array, Array, Array]
 ) -> tuple[list[list[Array]], Array]:
-    """Per joint (N, ·) columns of bodies and effects, and (N, n) efforts of known payloads."""
+    """Return per joint (N, ·) columns of bodies and effects, and (N, n) known payload efforts."""
     model, columns = layout.model, list[list[list[Array]]]()
-    phi, held = model.total_phi.ravel(), np.empty_like(motion[1])
+    phi, loads = model.total_phi.ravel(), np.empty_like(motion[1])
     trajectories, logs = samples.trajectories, samples.log
     timed = any(isinstance(effect, Episode) for effect in layout.effects)
     if len({t.payloads for t in trajectories}) == 1 and not timed:
         trajectories, logs = trajectories[:1], np.zeros_like(logs)  # all logs are alike
     for k, trajectory in enumerate(trajectories):
-        here = logs == k
-        q, v, vd = (own[here] for own in motion)
-        seen = Motion(q, v, vd, np.zeros(len(q)))
-        found, held[here] = layout.evaluate(seen, trajectory, layout.parts)
-        effects = {e: f for e, f in zip(layout.parts, found, strict=True) if isinstance(e, Effect)}
-        for j, own in enumerate(layout.columns):
-            in_bodies = layout.in_bodies(j, effects)
-            held[here, j] -= found[0][j] @ phi[own[own < len(phi)]] + in_bodies
-        columns.append([[p[j] for p in found if j in p] for j in range(held.shape[1])])
+        rows = logs == k
+        q, v, vd = (values[rows] for values in motion)
+        motions = Motion(q, v, vd, np.zeros(len(q)))
+        parts, loads[rows] = layout.evaluate(motions, trajectory, layout.parts)
+        effects = {e: f for e, f in zip(layout.parts, parts, strict=True) if isinstance(e, Effect)}
+        for j, indices in enumerate(layout.columns):
+            known = layout.in_bodies(j, effects)
+            loads[rows, j] -= parts[0][j] @ phi[indices[indices < len(phi)]] + known
+        columns.append([[p[j] for p in parts if j in p] for j in range(loads.shape[1])])
     if len(columns) == 1:
-        return columns[0], held
+        return columns[0], loads
     joints = zip(*columns, strict=True)
-    return [[np.concatenate(part) for part in zip(*own, strict=True)] for own in joints], held
+    return [[np.concatenate(part) for part in zip(*logs, strict=True)] for logs in joints], loads
 
 
 def _unknown_function(joint: str, q: Array, v: Array, width: float) -> Array:
@@ -175,5 +175,5 @@ def _unknown_function(joint: str, q: Array, v: Array, width: float) -> Array:
     reach, speed = 0.5 * float(np.ptp(q)), float(np.abs(v).max())
     middle = 0.5 * float(q.max() + q.min())
     function = UnknownFunction(joint, middle, max(reach, 1e-300), max(speed, 1e-300))
-    sign, none = np.tanh(v / max(width, 1e-300)), np.zeros_like(v)
-    return np.stack(function.columns(JointMotion(q, v, none, none, sign)), -1)
+    sign, zero = np.tanh(v / max(width, 1e-300)), np.zeros_like(v)
+    return np.stack(function.columns(JointMotion(q, v, zero, zero, sign)), -1)

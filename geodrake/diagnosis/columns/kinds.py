@@ -1,4 +1,4 @@
-"""Kinds of mistakes in columns: what each changes, which factors are usual, and its words."""
+"""Kinds of mistakes in columns: their changes, usual factors and words."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from statistics import median
 
 DEGREE = math.pi / 180.0
-THOUSAND = (1e-3, 1e3)  # N·mm beside N·m, and the other way round; milliseconds
+THOUSAND = (1e-3, 1e3)  # N·mm in place of N·m, or the reverse; milliseconds
 TIMES = (*THOUSAND, 60.0, 1.0 / 60.0, 0.1, 10.0, 0.5, 2.0)
 
 _MOTION = ("position", "velocity", "acceleration", "command")
 _ALL = (*_MOTION, "effort", "temperature")
 _POSITIONS, _EFFORTS = ("position", "scale", "zero", "rate"), ("effort", "gain")
-_UNSURE = 5.0  # factor by which what a model lacks may change a gain
-_GEARED = 5.0  # all gains beyond it are those of gears and of motor constants
+_UNSURE = 5.0  # factor by which effects that the model lacks may change a gain
+_GEARED = 5.0  # larger gains of all joints are gear ratios or motor constants
 _BY_MAPPING = "`geodrake log --write-mapping FILE.yaml` writes a mapping that corrects it"
 _BY_SWAP = f"{_BY_MAPPING}; or rename the columns."
 _BY_MODEL = "Log the efforts before that, or use a model without it."
@@ -23,13 +23,13 @@ _BY_MODEL = "Log the efforts before that, or use a model without it."
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of mistake."""
+    """Kind of mistake."""
 
-    words: str  # what is wrong, as a clause that begins with a small letter
-    advice: str  # what corrects it, in a sentence
-    changes: tuple[str, ...] = ()  # fields of an `Assignment` that a factor or a swap changes
-    columns: tuple[str, ...] = ()  # of a log that it is corrected in, each with the same change
-    factors: tuple[float, ...] = ()  # those that are tried
+    words: str  # the mistake, as a clause that begins with a small letter
+    advice: str  # the correction, as a sentence
+    changes: tuple[str, ...] = ()  # fields of `Assignment` that a factor or swap changes
+    columns: tuple[str, ...] = ()  # columns of a log to correct, all by the same change
+    factors: tuple[float, ...] = ()  # candidates
 
 
 def _gain(words: str, factors: tuple[float, ...] = ()) -> Kind:
@@ -99,52 +99,52 @@ KINDS: Mapping[str, Kind] = {
         "the rotors' inertia has been subtracted from the efforts", _BY_MODEL
     ),
 }
-"""By name, as of `ColumnFinding.kind`."""
+"""`ColumnFinding.kind` -> its description."""
 
 _BY_UNITS = {
     "effort_unit": "effort=Nmm",
     "position_unit": "position=deg,velocity=deg/s",
     "position_alone_unit": "position=deg",
 }
-"""Values of `--units` for all joints, where their numbers are too large."""
+"""Values of `--units` where the numbers of all joints are too large."""
 
 
 def words_of(
     kind: str, joints: Sequence[str], values: Sequence[float], *, all_joints: bool
 ) -> tuple[str, str]:
-    """Return what is wrong, beginning with a small letter, and what corrects it.
+    """Return the mistake, beginning with a small letter, and the advice.
 
-    `values` correct it at the joints, and `all_joints` is whether it is in the columns of all.
+    `values` are the corrections at `joints`; `all_joints` states that the columns of all are wrong.
     """
     value = values[0] if values else 1.0
     small, sign = abs(value) < 1.0, kind.endswith("_sign")
     side = ": motor torques, or currents" if min(map(abs, values), default=0.0) > _GEARED else ""
-    falls = f" at rest, and 0 at a speed of {values[1]:.3g}" if len(values) > 1 else ""
-    said = {
+    no_load = f" at rest, and 0 at a speed of {values[1]:.3g}" if len(values) > 1 else ""
+    fields = {
         "where": "all joints" if all_joints else " and ".join(joints),
         "value": value,
         "inverse": 1.0 / value if value else math.inf,
         "number": f"one factor, {value:.3g}" if all_joints else f"{value:.3g}",
-        "numbers": ", ".join(f"{each:.3g}" for each in values) + side,
+        "numbers": ", ".join(f"{gain:.3g}" for gain in values) + side,
         "gains": " ".join(f"--gain {j}={v:.4g}" for j, v in zip(joints, values, strict=False)),
         "effort": "N·mm or mN" if small else "kN·m or kN",
         "angle": "degrees" if small else "radians instead of degrees",
         "entry": "gain: -1" if sign else f"unit: {'deg' if small else 'rad'}",
-        "limit": f"{value:.4g}{falls}",
+        "limit": f"{value:.4g}{no_load}",
         "turn": _angle(value),
         "off": _angle(-value),
     }
-    advice = KINDS[kind].advice.format(**said)
+    advice = KINDS[kind].advice.format(**fields)
     if all_joints and small and kind in _BY_UNITS:
         advice = f"Use --units {_BY_UNITS[kind]}."
     elif all_joints and kind in ("effort_gain", "effort_gains") and _is_thousandth(values):
-        otherwise = advice[:1].lower() + advice[1:]
-        advice = f"If they are in N·mm, use --units effort=Nmm. Otherwise {otherwise}"
-    return KINDS[kind].words.format(**said), advice
+        by_gains = advice[:1].lower() + advice[1:]
+        advice = f"If they are in N·mm, use --units effort=Nmm. Otherwise {by_gains}"
+    return KINDS[kind].words.format(**fields), advice
 
 
 def _is_thousandth(values: Sequence[float]) -> bool:
-    """Return whether gains are near 1/1000, as far as a model without payload or friction tells."""
+    """Return whether gains are about 1/1000, as far as an incomplete model tells."""
     typical = median(map(abs, values))
     return THOUSAND[0] / _UNSURE < typical < THOUSAND[0] * _UNSURE
 

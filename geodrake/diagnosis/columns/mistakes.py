@@ -1,4 +1,4 @@
-"""Mistakes that may be in columns: what corrects each of them, and how rare it is."""
+"""Candidate mistakes in columns, with their corrections and prior odds."""
 
 from __future__ import annotations
 
@@ -12,68 +12,67 @@ from numpy.typing import NDArray
 from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.columns.assignment import Assignment
 from geodrake.diagnosis.columns.evidence import ColumnFit, ColumnModel
-from geodrake.diagnosis.columns.first_look import FirstLook
 from geodrake.diagnosis.columns.kinds import KINDS, TIMES
 from geodrake.diagnosis.columns.limits import likely_limits, nearest_limit
+from geodrake.diagnosis.columns.quick_scores import QuickScores
 
 Array = NDArray[np.float64]
 Joints = tuple[int, ...]
 
 SIZES = 300.0
-"""Number of sizes of a factor that data tell apart."""
+"""Effective number of values of a factor."""
 
 LIMITS = 30.0
-"""The same of a motor's limit, which is near the largest effort, and of its speed without load."""
+"""Effective number of values of a motor limit and of its no-load speed."""
 
 DIGITS = 4
-"""Of scores that differ by more than rounding."""
+"""Decimal digits to which scores are compared."""
 
-_TURNS = 12  # zeros that are tried at a joint, evenly over a turn
-_TURNS_ROUND = 0.1  # of its samples, in which a joint needs efforts of the rarer sign
-_KNOWN = 0.5  # deviation of the logarithm of a gain that something is known of
-_LEAST_FACTOR = 1e-100  # of measured velocities: less is none, of which there is no reciprocal
-_LEAST_PRODUCT = 1e-9  # correlation of efforts with what is needed that says something of a gain
-_MOST_SUSPECTS = 20  # joints, those that err most, of which motions and pairs are looked at
-_WRONG = 3  # such steps of rarity is a model file whose bodies are all wrong away
-_CLOSE = 1e-3  # rad or share: a step that ends it
-_OTHER = 1.1  # factor by which times, or velocities, are to differ for a hypothesis of its own
+_TURNS = 12  # candidate zeros of a joint, evenly over a turn
+_RARER_SIGN = 0.1  # least share of samples in which a joint needs efforts of the rarer sign
+_KNOWN = 0.5  # largest deviation of the logarithm of a known gain
+_LEAST_FACTOR = 1e-100  # of measured velocities; smaller ones have no reciprocal
+_LEAST_CORRELATION = 1e-9  # of logged and predicted efforts, to determine a gain
+_MOST_SUSPECTS = 20  # joints with the largest errors, for candidates of motions and pairs
+_WRONG = 3  # complexity of a model file whose bodies are all wrong
+_CLOSE = 1e-3  # rad or logarithm of a gain: largest step at convergence
+_OTHER = 1.1  # least factor by which a time, velocity or gain must differ
 
 
 @dataclass(frozen=True, eq=False)
 class Mistake:
-    """A mistake, or what looks like one, and the assignment without it."""
+    """A mistake, or another explanation of its symptoms, with the corrected assignment."""
 
-    kind: str  # one of `KINDS`; empty for what is no mistake in columns
-    joints: Joints  # whose columns it is in; none for all
-    assignment: Assignment  # of the columns that corrects it
-    free: tuple[int, ...] = ()  # parameters of errors that are to be found large
-    moved: Array = field(default_factory=lambda: np.zeros(0))  # (p,) by which it has moved these
-    sizes: float = 1.0  # how many values other numbers may have that are found in the data
+    kind: str  # one of `KINDS`; empty if the columns are right
+    joints: Joints  # joints with wrong columns; empty for all
+    assignment: Assignment  # the corrected assignment
+    free: tuple[int, ...] = ()  # indices of error parameters with a wide prior
+    moved: Array = field(default_factory=lambda: np.zeros(0))  # (p,) their change so far
+    sizes: float = 1.0  # effective number of values of its other numbers
 
     @property
     def place(self) -> tuple[object, ...]:
-        """Return what two hypotheses have in common that differ by their sizes alone."""
-        own = self.assignment
+        """Return a key of everything but the sizes of a mistake."""
+        a = self.assignment
         if self.kind:
             return self.kind, self.joints
-        return own.carrying, own.is_far, own.gravity is not None, own.unknown, own.apart
+        return a.payload_bodies, a.is_far, a.gravity is not None, a.unknown, a.detached
 
     @property
-    def is_seen(self) -> bool:
-        """Return whether a first look at errors with the model's bodies tells its worth."""
+    def has_quick_score(self) -> bool:
+        """Return whether `QuickScores` can judge it."""
         if self.kind == "position_zero":
             return bool(self.moved.any())
-        return self.kind == "effort_sign" or self.kind.startswith(_SEEN)
+        return self.kind == "effort_sign" or self.kind.startswith(_QUICKLY_SCORED)
 
-    def nearer(self, model: ColumnModel, fit: ColumnFit, share: float) -> Mistake | None:
-        """Return the mistake of the sizes that a fit asks for; None if it has no sizes to find.
+    def improved(self, model: ColumnModel, fit: ColumnFit, share: float) -> Mistake | None:
+        """Return the mistake with better sizes by a fit; None if it has none, or has converged.
 
-        Errors are moved by a share of Newton's step, signs and limits are those by which efforts
-        are nearest to what the fit needs.
+        Errors move by a share of the Newton step; signs and limits follow the predicted efforts.
         """
         start = self.assignment
         if self.free:
-            step = share * model.way(fit, self.free)
+            step = share * model.newton_step(fit, self.free)
             if np.abs(step).max() < _CLOSE:
                 return None
             moved = self.moved + step if len(self.moved) else step
@@ -91,41 +90,39 @@ class Mistake:
         (j,), limit = self.joints, start.limit_of(self.joints[0])
         if limit is None:
             return None
-        asked, velocity = _asked(model, start, j)
-        return replace(
-            self, assignment=start.limited(j, nearest_limit([limit], asked, needed[j], velocity)[0])
-        )
+        commanded, velocity = _logged(model, start, j)
+        limit, _ = nearest_limit([limit], commanded, needed[j], velocity)
+        return replace(self, assignment=start.limited(j, limit))
 
 
-_SEEN = ("effort_unit", "swapped", "position", "velocity", "time")
+_QUICKLY_SCORED = ("effort_unit", "swapped", "position", "velocity", "time")
 
 
 class Mistakes:
-    """Everything that may be wrong beside what a fit corrects already."""
+    """Generator of all candidate mistakes beside those that a fit corrects."""
 
     def __init__(
-        self, model: ColumnModel, base: ColumnFit, look: FirstLook, zeros: Mapping[Joints, Array]
+        self, model: ColumnModel, base: ColumnFit, quick: QuickScores, zeros: Mapping[Joints, Array]
     ) -> None:
-        """Take a fit, and by joint the steps (p,) to zeros that were the best beside another."""
-        self._model, self._base, self._look, self._near = model, base, look, zeros
+        """Store the fit, and joints -> steps (p,) to the best zeros found so far."""
+        self._model, self._base, self._quick, self._best_zeros = model, base, quick, zeros
         self._start, self._robot = base.assignment, model.samples.model
         self._n = len(self._start.gain)
-        # A gain that nobody knows cannot be wrong, nor one that these logs say.
+        # An unknown gain cannot be wrong, nor one that was fitted to these logs.
         known = (model.samples.gain_deviations < _KNOWN) & ~model.samples.fitted
         self._measured = tuple(np.flatnonzero(known[self._start.effort]).tolist())
         errors = (base.mse / np.maximum(model.noise, 1e-300) ** 2)[self._start.effort]
         self._suspects = tuple(np.sort(np.argsort(-errors)[:_MOST_SUSPECTS]).tolist())
 
     def priced(self, *, others: bool = False) -> dict[Mistake, float]:
-        """Return all of them, or those of no column, with −2 log prior odds.
+        """Return all candidates, or only those with right columns, with −2 log prior odds.
 
-        All kinds are equally likely, and so are the places of each. A payload or a slope is as
-        likely as not; unknown efforts have odds of their own.
+        All kinds are equally likely, and so are the places of each. The odds of a payload or a
+        tilted base are even; those of unknown efforts are in `Beliefs`.
         """
-        own = self._factors, self._magnitudes, self._gains, self._parts, self._limits
-        every = (*own, self._swaps, self._zeros, self._velocities, self._others)
-        used = (self._others,) if others else every
-        mistakes = [mistake for each in used for mistake in each()]
+        every = self._factors, self._magnitudes, self._gains, self._subtractions, self._limits
+        kinds = (*every, self._swaps, self._zeros, self._velocities, self._others)
+        mistakes = [m for kind in ((self._others,) if others else kinds) for m in kind()]
         places, beliefs = dict[str, set[Joints]](), self._model.beliefs
         for mistake in mistakes:
             places.setdefault(mistake.kind, set()).add(mistake.joints)
@@ -136,130 +133,130 @@ class Mistakes:
         start, robot, rate = self._start, self._robot, self._model.samples.rate
         turning = tuple(j for j in range(self._n) if robot.joints[j] not in robot.sliding_joints)
         for name, kind in KINDS.items():
-            able = self._measured if "gain" in kind.changes else self._suspects
-            every = tuple(range(self._n)) if len(self._measured) == self._n else ()
+            joints = self._measured if "gain" in kind.changes else self._suspects
+            common = tuple(range(self._n)) if len(self._measured) == self._n else ()
             if name.startswith("position"):
-                able = tuple(j for j in able if name.endswith("sign") or j in turning)
-                every = turning
+                joints = tuple(j for j in joints if name.endswith("sign") or j in turning)
+                common = turning
             if "alone" in name and rate is None:
                 continue
             for factor in kind.factors:
-                for j in able:
+                for j in joints:
                     yield Mistake(name, (j,), start.times(kind.changes, (j,), factor))
-                if len(every) > 1 and not name.endswith("sign"):
-                    at = every if len(every) < self._n else ()
-                    yield Mistake(name, at, start.times(kind.changes, every, factor))
+                if len(common) > 1 and not name.endswith("sign"):
+                    place = common if len(common) < self._n else ()
+                    yield Mistake(name, place, start.times(kind.changes, common, factor))
 
     def _swaps(self) -> Iterator[Mistake]:
-        """Yield pairs of joints swapped; efforts of commands belong to their positions."""
+        """Yield swapped pairs of joints; efforts fitted from commands belong to their positions."""
         fitted = self._model.samples.fitted[self._start.effort]
-        apart = [j for j in self._suspects if not fitted[j]]
+        separate = [j for j in self._suspects if not fitted[j]]
         for name in ("swapped_efforts", "swapped_joints", "swapped_positions"):
-            joints = self._suspects if name == "swapped_joints" else apart
+            joints = self._suspects if name == "swapped_joints" else separate
             for i, j in combinations(joints, 2):
                 yield Mistake(name, (i, j), self._start.swapped(KINDS[name].changes, i, j))
 
     def _magnitudes(self) -> Iterator[Mistake]:
-        """Yield efforts without their signs: none changes it, and some joint needs both."""
+        """Yield efforts without signs: none changes sign, and some joint needs both."""
         start, keeps = self._start, self._model.samples.keeps_sign
         needed, sources = self._model.needed_by_model(start), start.effort.tolist()
         joints = tuple(j for j, c in enumerate(sources) if keeps[c] and c not in start.signs)
         negative = np.mean(needed < 0.0, axis=0)
-        if any(_TURNS_ROUND <= negative[j] <= 1.0 - _TURNS_ROUND for j in joints):
+        if any(_RARER_SIGN <= negative[j] <= 1.0 - _RARER_SIGN for j in joints):
             signs = {sources[j]: np.where(needed[:, j] < 0.0, -1.0, 1.0) for j in joints}
             signed = replace(start, signs={**start.signs, **signs})
             yield Mistake("effort_magnitude", joints, signed)
 
     def _gains(self) -> Iterator[Mistake]:
-        """Yield gains of one joint, of each, or one of all, from those by the model's bodies."""
-        start, at = self._start, self._model.gains
-        needed, product, power = self._look.moments(start)
+        """Yield gains of one joint, of each, or one for all, estimated by the model's bodies."""
+        start, indices = self._start, self._model.gains
+        needed, product, power = self._quick.moments(start)
         share = np.abs(product) / np.sqrt(np.maximum(needed * power, 1e-300))
-        # Of two directions of a regression, the one with which noise of the effort does not count.
-        told = share > _LEAST_PRODUCT
-        gains = np.where(told, needed / np.where(told, product, 1.0), 1.0)
+        # Regress logged on predicted efforts: noise of the former does not bias the gain.
+        is_known = share > _LEAST_CORRELATION
+        gains = np.where(is_known, needed / np.where(is_known, product, 1.0), 1.0)
         for j in self._measured:
-            free = (int(at[j]),)
+            free = (int(indices[j]),)
             yield Mistake("effort_gain", (j,), start, free)
             if _is_other(gains[j]):
-                own = start.times(("gain",), (j,), gains[j])
+                scaled = start.times(("gain",), (j,), gains[j])
                 sizes = SIZES if gains[j] < 0.0 else 1.0
                 moved = self._moved(free, -np.log(abs(gains[j])))
-                yield Mistake("effort_gain", (j,), own, free, moved, sizes)
+                yield Mistake("effort_gain", (j,), scaled, free, moved, sizes)
         if len(self._measured) == self._n > 1:
             positive, weight = gains > 0.0, share**2 * power
             common = 1.0
             if weight[positive].sum() > 0.0:
                 mean = np.average(np.log(gains[positive]), weights=weight[positive])
                 common = float(np.exp(mean))
-            each = np.where(positive, gains, common)
-            own, ends = replace(start, gain=start.gain * each), tuple(at.tolist())
-            moved, rarer = self._moved(ends, -np.log(each)), self._model.beliefs.rarer
-            yield Mistake("effort_gains", (), own, ends, moved, rarer ** (self._n - 1))
-            own = replace(start, gain=start.gain * common)
-            yield Mistake("effort_gain", (), own, sizes=SIZES)
+            factors = np.where(positive, gains, common)
+            scaled, ends = replace(start, gain=start.gain * factors), tuple(indices.tolist())
+            moved, rarer = self._moved(ends, -np.log(factors)), self._model.beliefs.rarer
+            yield Mistake("effort_gains", (), scaled, ends, moved, rarer ** (self._n - 1))
+            scaled = replace(start, gain=start.gain * common)
+            yield Mistake("effort_gain", (), scaled, sizes=SIZES)
 
-    def _moved(self, at: Sequence[int], by: Array | float) -> Array:
-        found = np.zeros(len(self._model.mean))
-        found[list(at)] = by
-        return found
+    def _moved(self, indices: Sequence[int], step: Array | float) -> Array:
+        moved = np.zeros(len(self._model.mean))
+        moved[list(indices)] = step
+        return moved
 
-    def _parts(self) -> Iterator[Mistake]:
-        """Yield parts of the efforts that drives take out of what they report."""
+    def _subtractions(self) -> Iterator[Mistake]:
+        """Yield terms that drives subtract from the efforts that they report."""
         start = self._start
         if not start.is_weightless:
             yield Mistake("without_gravity", (), replace(start, gravity=(0.0, 0.0, 0.0)))
         stated = [f.effect.taken_out_as for f in self._robot.effects if np.any(f.parameters)]
-        for name in sorted({*stated} - start.without):
+        for name in sorted({*stated} - start.subtracted):
             kind = f"without_{name.replace(' ', '_')}"
             if kind in KINDS:
-                yield Mistake(kind, (), replace(start, without=start.without | {name}))
+                yield Mistake(kind, (), replace(start, subtracted=start.subtracted | {name}))
 
     def _limits(self) -> Iterator[Mistake]:
-        """Yield efforts that were asked for of motors that cannot give them."""
+        """Yield commanded efforts of motors that cannot deliver them."""
         start, needed = self._start, self._model.needed(self._base)
         for j in self._measured:
-            if start.limit_of(j) is None and j not in start.apart:
-                asked, velocity = _asked(self._model, start, j)
-                for limit in likely_limits(asked, needed[j], velocity):
+            if start.limit_of(j) is None and j not in start.detached:
+                commanded, velocity = _logged(self._model, start, j)
+                for limit in likely_limits(commanded, needed[j], velocity):
                     sizes = LIMITS ** (1 + int(np.isfinite(limit.no_load_speed)))
                     yield Mistake("effort_limit", (j,), start.limited(j, limit), sizes=sizes)
 
     def _zeros(self) -> Iterator[Mistake]:
-        """Yield other zeros: near ones, and those over a turn that look better than either side."""
+        """Yield zeros close to the present ones, and peaks of the quick score over a turn."""
         for j in self._suspects:
             free = (int(self._model.zeros[j]),)
-            known = self._near.get((j,), np.zeros(0))
-            start = self._model.moved(self._start, known) if len(known) else self._start
-            near = Mistake("position_zero", (j,), start, free, known)
-            yield near
-            if len(known) or self._robot.joints[j] in self._robot.sliding_joints:
+            step = self._best_zeros.get((j,), np.zeros(0))
+            start = self._model.moved(self._start, step) if len(step) else self._start
+            candidate = Mistake("position_zero", (j,), start, free, step)
+            yield candidate
+            if len(step) or self._robot.joints[j] in self._robot.sliding_joints:
                 continue
-            ring = [near]
+            ring = [candidate]
             for k in range(1, _TURNS):
-                by = self._moved(free, float(np.angle(np.exp(2j * np.pi * k / _TURNS))))
-                own = self._model.moved(self._start, by)
-                ring.append(Mistake("position_zero", (j,), own, free, by))
-            looks = np.round([self._look.score(each.assignment) for each in ring], DIGITS)
-            peaks = (looks >= np.roll(looks, 1)) & (looks >= np.roll(looks, -1))
+                turn = self._moved(free, float(np.angle(np.exp(2j * np.pi * k / _TURNS))))
+                turned = self._model.moved(self._start, turn)
+                ring.append(Mistake("position_zero", (j,), turned, free, turn))
+            scores = np.round([self._quick.score(zero.assignment) for zero in ring], DIGITS)
+            peaks = (scores >= np.roll(scores, 1)) & (scores >= np.roll(scores, -1))
             yield from (ring[k] for k in np.flatnonzero(peaks) if k)
 
     def _velocities(self) -> Iterator[Mistake]:
-        """Yield factors of measured velocities, and of the time."""
+        """Yield factors of measured velocities and of time."""
         start, factors = self._start, self._velocity_factors()
-        told = np.flatnonzero(np.isfinite(factors))
-        common = float(np.median(factors[told])) if len(told) else 1.0
-        places = [((j,), factors[j]) for j in told.tolist()]
-        for joints, factor in [*places, *([((), common)] if len(told) > 1 else [])]:
+        moving = np.flatnonzero(np.isfinite(factors))
+        common = float(np.median(factors[moving])) if len(moving) else 1.0
+        places = [((j,), factors[j]) for j in moving.tolist()]
+        for joints, factor in [*places, *([((), common)] if len(moving) > 1 else [])]:
             if _is_other(factor):
-                own = start.times(("rate",), joints, 1.0 / factor)
-                yield Mistake("velocity_factor", joints, own, sizes=SIZES)
+                scaled = start.times(("rate",), joints, 1.0 / factor)
+                yield Mistake("velocity_factor", joints, scaled, sizes=SIZES)
         measured = (1.0 / common,) if common > 0.0 and _is_other(common) else ()
         for factor in (*measured, *TIMES):
             yield Mistake("time", (), replace(start, time=start.time * factor), sizes=SIZES)
 
     def _velocity_factors(self) -> Array:
-        """Return (n,) ratios of measured velocities to derived ones; NaN where nothing moves."""
+        """Return (n,) ratios of measured velocities to derivatives; NaN for joints at rest."""
         samples, start = self._model.samples, self._start
         if samples.rate is None:
             return np.full(self._n, np.nan)
@@ -270,29 +267,29 @@ class Mistakes:
         return np.where(moving & (np.abs(slope) > _LEAST_FACTOR), slope, np.nan)
 
     def _others(self) -> Iterator[Mistake]:
-        """Yield what is no mistake in columns but looks like one.
+        """Yield explanations with right columns.
 
-        A payload that the model lacks, bodies far from the model's, a base on a slope, something
-        unknown at a joint beside the bodies, or in their place.
+        These are a payload, bodies far from the model's, a tilted base, and an unknown effort at a
+        joint, in addition to that of the bodies or in place of it.
         """
-        start, every = self._start, tuple(range(self._n))
+        start, joints = self._start, tuple(range(self._n))
         for body in self._robot.load_bodies:
-            held = start.carrying | {self._robot.bodies.index(body)}
-            if held != start.carrying:
-                yield Mistake("", (), replace(start, carrying=held))
+            bodies = start.payload_bodies | {self._robot.bodies.index(body)}
+            if bodies != start.payload_bodies:
+                yield Mistake("", (), replace(start, payload_bodies=bodies))
         if not start.is_far:
             rarer = self._model.beliefs.rarer**_WRONG
             yield Mistake("", (), replace(start, is_far=True), sizes=rarer)
         if start.gravity is None:
             down = tuple(self._robot.tree.gravity.tolist())
             yield Mistake("", (), replace(start, gravity=down), tuple(self._model.tilt.tolist()))
-        for j in every:
+        for j in joints:
             if j not in start.unknown:
                 yield Mistake("", (j,), replace(start, unknown=start.unknown | {j}))
-            if j not in start.apart:
-                yield Mistake("", (j,), replace(start, apart=start.apart | {j}))
-        if len(start.apart) < self._n:
-            yield Mistake("", every, replace(start, apart=frozenset(every)))
+            if j not in start.detached:
+                yield Mistake("", (j,), replace(start, detached=start.detached | {j}))
+        if len(start.detached) < self._n:
+            yield Mistake("", joints, replace(start, detached=frozenset(joints)))
 
 
 def _price(mistake: Mistake, places: dict[str, set[Joints]], beliefs: Beliefs) -> float:
@@ -305,8 +302,8 @@ def _price(mistake: Mistake, places: dict[str, set[Joints]], beliefs: Beliefs) -
     return float(2.0 * (np.log(mistake.sizes) - np.log(odds)))
 
 
-def _asked(model: ColumnModel, assignment: Assignment, joint: int) -> tuple[Array, Array]:
-    """Return the efforts (K,) of the log at a joint, and velocities (K,)."""
+def _logged(model: ColumnModel, assignment: Assignment, joint: int) -> tuple[Array, Array]:
+    """Return the logged efforts (K,) of a joint, and its velocities (K,)."""
     rows, source = model.designs(assignment)[joint].rows, int(assignment.effort[joint])
     effort = model.samples.effort[rows, source]
     if source in assignment.signs:

@@ -1,9 +1,9 @@
-"""Formulas for the unexplained error: a sparse search, and generated effect classes.
+"""Search for formulas of the unexplained error, written as effect classes.
 
-`draft_effects` explains as `geodrake.diagnosis.explain` does, and then searches sums of products of
-simple functions of positions, velocities, accelerations and loads for what takes the rest away.
-`source_of` writes what it found as effect classes of the user's own. `rest_correlates` says only
-what the rest varies with, in a fraction of the time.
+`draft_effects` explains the logs, then searches for sums of products of simple functions of
+positions, velocities, accelerations and loads that explain the remaining error. `source_of` writes
+the result as effect classes. `rest_correlates` only reports what the error varies with, which is
+much faster.
 """
 
 from geodrake.diagnosis.drafting.draft import draft_effects, rest_correlates

@@ -1,4 +1,4 @@
-"""Errors of the log or its clock: offsets, slow drift, swings that follow no joint."""
+"""Residuals that depend on the log or its clock: offsets, drift and oscillations."""
 
 from __future__ import annotations
 
@@ -11,17 +11,16 @@ from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.hypothesis import Hypothesis, residual_blocks
 
 _LEAST_SHARE = 0.25
-"""The clock is reported if it explains at least this share of the squared error."""
+"""Share of the squared error that the clock must explain to be reported."""
 
-_FINER = 8  # steps of the spectrum in one that the log resolves
+_OVERSAMPLING = 8  # of the spectrum
 
 
 def clock_correlates(case: Case, hypothesis: Hypothesis, joint: str) -> list[Correlate]:
-    """Return what a joint's held-out error owes to the clock of its log, or to which log it is.
+    """Return how a joint's held-out error correlates with time, or with the choice of log.
 
-    These are slow drift and the strongest oscillation, where notable; several logs have no clock in
-    common, but each may have a mean of its own. Amplitudes are fitted to all folds but one, and
-    judged on that one.
+    A single log is tested for slow drift and for its strongest oscillation; several logs are tested
+    for different means. Amplitudes are cross-validated.
     """
     dataset = hypothesis.dataset
     j = dataset.joints.index(joint)
@@ -38,39 +37,39 @@ def clock_correlates(case: Case, hypothesis: Hypothesis, joint: str) -> list[Cor
     fold, log = (np.concatenate([np.full(len(p[2]), p[k]) for p in parts]) for k in (0, 1))
     if len(dataset.logs) > 1:
         means = (log[:, None] == np.arange(len(dataset.logs))).astype(float)
-        apart = _share(means, residual, fold)
-        found = [Correlate(joint, "the log: its mean differs between logs", apart)]
+        share = _share(means, residual, fold)
+        correlates = [Correlate(joint, "the log: its mean differs between logs", share)]
     else:
-        late = (time - time.min()) / max(float(np.ptp(time)), 1e-9)
-        drift = _share(np.stack([np.ones_like(late), late, late**2], -1), residual, fold)
+        elapsed = (time - time.min()) / max(float(np.ptp(time)), 1e-9)
+        drift = _share(np.stack([np.ones_like(elapsed), elapsed, elapsed**2], -1), residual, fold)
         frequency = _strongest(time, residual)
         angle = 2.0 * np.pi * frequency * time
         swing = _share(np.stack([np.cos(angle), np.sin(angle)], -1), residual, fold)
-        found = [
+        correlates = [
             Correlate(joint, "time: a slow drift", drift),
             Correlate(joint, f"time: an oscillation at {frequency:.3g} Hz", swing),
         ]
-    return [correlate for correlate in found if correlate.share > _LEAST_SHARE]
+    return [correlate for correlate in correlates if correlate.share > _LEAST_SHARE]
 
 
 def _strongest(time: Array, residual: Array) -> float:
-    """Frequency of the largest line in the spectrum, Hz, three periods in the log at least."""
+    """Return the frequency of the largest spectral line, Hz, of at least three periods."""
     step = float(np.median(np.diff(np.sort(time))))
-    place = np.round((time - time.min()) / step).astype(int)
-    grid = np.zeros(int(place.max()) + 1)
-    grid[place] = residual  # gaps between blocks stay zero
-    padded = next_fast_len(_FINER * len(grid))
+    index = np.round((time - time.min()) / step).astype(int)
+    grid = np.zeros(int(index.max()) + 1)
+    grid[index] = residual  # gaps between blocks stay zero
+    padded = next_fast_len(_OVERSAMPLING * len(grid))
     spectrum = np.abs(np.fft.rfft(grid, padded))
     spectrum[: round(3 * padded / len(grid))] = 0.0
     return float(np.argmax(spectrum) / (padded * step))
 
 
 def _share(columns: Array, residual: Array, fold: Array) -> float:
-    """Return the share of the squared residual columns (N, k) take away from folds left out."""
+    """Return the share of the squared residual that columns (N, k) remove from held-out folds."""
     count = int(fold.max()) + 1
     gram = np.array([columns[fold == f].T @ columns[fold == f] for f in range(count)])
     rhs = np.array([columns[fold == f].T @ residual[fold == f] for f in range(count)])
     ridge = 1e-9 * np.trace(gram.sum(0)) * np.eye(columns.shape[1])
     amplitudes = np.linalg.solve(gram.sum(0) - gram + ridge, (rhs.sum(0) - rhs)[..., None])[..., 0]
-    left = residual - np.einsum("nk,nk->n", columns, amplitudes[fold])
-    return float(1.0 - left @ left / max(residual @ residual, 1e-300))
+    remainder = residual - np.einsum("nk,nk->n", columns, amplitudes[fold])
+    return float(1.0 - remainder @ remainder / max(residual @ residual, 1e-300))

@@ -17,12 +17,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class _Function:
-    """A function of one signal x and perhaps a constant c."""
+    """Function of one signal x and optionally a constant c."""
 
-    evaluate: Callable[[Array, float], Array]  # its values, from x (N,) and c
-    code: str  # the same in Python, with {x} and {c}
+    evaluate: Callable[[Array, float], Array]  # values of x (N,) and c
+    code: str  # in Python, with {x} and {c}
     words: str
-    power: int  # power of the signal's unit that it has
+    power: int  # of the signal's unit
 
 
 FUNCTIONS: Mapping[str, _Function] = {
@@ -53,7 +53,7 @@ FUNCTIONS: Mapping[str, _Function] = {
         1,
     ),
 }
-"""Operations on a signal; all vanish or turn smoothly where the motion does."""
+"""Functions of a signal, by name."""
 
 _SIGNALS: Mapping[str, tuple[str, str]] = {
     "q": ("position", "rad"),
@@ -62,34 +62,34 @@ _SIGNALS: Mapping[str, tuple[str, str]] = {
     "load": ("load", "N·m"),
     "sign_v": ("direction of motion", ""),
 }
-"""Fields of `JointMotion`: what they are called, and their unit at a revolute joint."""
+"""Fields of `JointMotion`: their words, and their unit at a revolute joint."""
 
 
 @dataclass(frozen=True)
 class Factor:
-    """A function of one signal of one joint."""
+    """Function of one signal of one joint."""
 
     joint: str
     signal: str
     function: str = "value"
-    constant: float = 0.0  # what the function turns at; used by "above" and "below" alone
+    constant: float = 0.0  # breakpoint of "above" and "below"
 
     @property
     def turns(self) -> bool:
-        """Return whether there is a constant at which it turns."""
+        """Return whether it has a breakpoint."""
         return self.function in ("above", "below")
 
     def values(self, motion: JointMotion) -> Array:
-        """Return (N,) values over the motion of its joint."""
+        """Return the (N,) values over its joint's motion."""
         return FUNCTIONS[self.function].evaluate(getattr(motion, self.signal), self.constant)
 
     def code(self, variable: str) -> str:
-        """Return the values in Python, where `variable` is the `JointMotion`."""
+        """Return Python code of the values, where `variable` is the `JointMotion`."""
         x = f"{variable}.{self.signal}"
         return FUNCTIONS[self.function].code.format(x=x, c=f"{self.constant:.6g}")
 
     def words(self, own: str) -> str:
-        """Return it in words, seen from the joint `own`."""
+        """Return a description, as seen from the joint `own`."""
         signal = _SIGNALS[self.signal][0]
         whose = f"its {signal}" if self.joint == own else f"the {signal} of {self.joint}"
         words = FUNCTIONS[self.function].words.format(x="\0", c=f"{self.constant:.3g}")
@@ -97,7 +97,7 @@ class Factor:
 
     @property
     def unit(self) -> str:
-        """Return the unit, such as "rad" or "(rad)²"; empty for a number."""
+        """Return the unit, such as "rad" or "(rad)²"; empty for a dimensionless factor."""
         unit, power = _SIGNALS[self.signal][1], FUNCTIONS[self.function].power
         if not unit or power == 0:
             return ""
@@ -106,12 +106,12 @@ class Factor:
 
 @dataclass(frozen=True)
 class FormulaTerm:
-    """A product of factors."""
+    """Product of factors."""
 
     factors: tuple[Factor, ...]  # one or two; none for a constant
 
     def values(self, motions: Callable[[str], JointMotion], samples: int) -> Array:
-        """Return (N,) values."""
+        """Return the (N,) values."""
         product = np.ones(samples)
         for factor in self.factors:
             product = product * factor.values(motions(factor.joint))
@@ -119,51 +119,49 @@ class FormulaTerm:
 
     @property
     def signals(self) -> frozenset[tuple[str, str]]:
-        """Joints and signals that it is a function of."""
+        """Return the joints and signals that it depends on."""
         return frozenset((factor.joint, factor.signal) for factor in self.factors)
 
     @property
     def complexity(self) -> int:
-        """How much there is to it: factors, functions that are not the signal itself, constants."""
+        """Return the number of factors, nontrivial functions and constants."""
         return sum(1 + (f.function != "value") + f.turns for f in self.factors)
 
     @property
     def unit(self) -> str:
-        """Return the unit of a coefficient that makes an effort of it."""
+        """Return the unit of the coefficient that turns it into an effort."""
         units = [factor.unit for factor in self.factors if factor.unit]
         if not units:
             return "N·m"
-        below = "·".join(units)
-        return (
-            f"N·m/({below})" if len(units) > 1 or "/" in below or "·" in below else f"N·m/{below}"
-        )
+        per = "·".join(units)
+        return f"N·m/({per})" if len(units) > 1 or "/" in per or "·" in per else f"N·m/{per}"
 
     def words(self, own: str) -> str:
-        """Return it in words, seen from the joint `own`."""
+        """Return a description, as seen from the joint `own`."""
         return " times ".join(f.words(own) for f in self.factors) or "a constant"
 
-    def turned(self, place: int, constant: float) -> FormulaTerm:
-        """Return the term with another constant in one of its factors."""
+    def turned(self, index: int, constant: float) -> FormulaTerm:
+        """Return the term with another breakpoint in one of its factors."""
         factors = list(self.factors)
-        factors[place] = replace(factors[place], constant=constant)
+        factors[index] = replace(factors[index], constant=constant)
         return FormulaTerm(tuple(factors))
 
     @property
     def kind(self) -> FormulaTerm:
-        """Return the term with all constants forgotten."""
+        """Return the term with all constants set to zero."""
         return FormulaTerm(tuple(replace(factor, constant=0.0) for factor in self.factors))
 
     @property
     def turning(self) -> tuple[int, ...]:
-        """Places of the factors that turn at a constant."""
+        """Return the indices of the factors with a breakpoint."""
         return tuple(k for k, factor in enumerate(self.factors) if factor.turns)
 
 
 @dataclass(frozen=True)
 class Formula(Effect):
-    """Effort at a joint as a sum of terms, each with a coefficient of its own.
+    """Effort at a joint as a sum of terms with coefficients.
 
-    A search has one effect for each term; a draft is written out as a class of its own.
+    The search uses one effect for each term; a draft combines them in one class.
     """
 
     joint: str
@@ -172,7 +170,7 @@ class Formula(Effect):
 
     @cached_property
     def name(self) -> str:  # type: ignore[override]
-        """Its words, constants forgotten: a formula has no term twice but for constants."""
+        """Return its words without constants, which distinguish the terms of a formula."""
         return " + ".join(term.kind.words(self.joint) for term in self.terms)
 
     @property
@@ -182,30 +180,30 @@ class Formula(Effect):
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
-        """Names and units of the coefficients."""
+        """Return the names and units of the coefficients."""
         return tuple(Parameter(f"c{k + 1}", term.unit) for k, term in enumerate(self.terms))
 
     @cached_property
     def complexity(self) -> int:  # type: ignore[override]
-        """Sum over the terms, one each for its coefficient."""
+        """Return the sum over all terms and their coefficients."""
         return sum(1 + term.complexity for term in self.terms)
 
     @property
     def free_shapes(self) -> int:
-        """Constants that the data choose."""
+        """Return the number of breakpoints chosen by the data."""
         return sum(len(term.turning) for term in self.terms)
 
     def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
-        """Return columns at the joint."""
+        """Return the columns at the joint."""
         motions = {name: motion.joint(name) for name in self.joints}
         values = [term.values(motions.__getitem__, len(motion.v)) for term in self.terms]
         return {self.joint: np.stack(values, -1)}
 
     def words(self) -> str:
-        """Return it in words: "its direction of motion times the position of wrist"."""
+        """Return a description such as "its direction of motion times the position of wrist"."""
         return " + ".join(term.words(self.joint) for term in self.terms)
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Joints whose motion it is a function of."""
+        """Return the joints whose motion it depends on."""
         return tuple(dict.fromkeys(f.joint for term in self.terms for f in term.factors))

@@ -1,4 +1,4 @@
-"""Results of a search for formulas, as frozen dataclasses."""
+"""Results of the search for formulas."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class DraftedEffect(Short):
-    """A formula for what is missing at a joint."""
+    """Formula for the missing effort at a joint."""
 
     formula: Formula
     coefficients: Array  # (k,) fitted coefficients, in the units of `formula.parameters`
@@ -27,24 +27,24 @@ class DraftedEffect(Short):
     rms_before: float  # held-out RMS of the joint without it, N·m or N
     rms_after: float  # held-out RMS of the joint with it, N·m or N
     floor: float  # RMS of the joint's sensor noise, N·m or N
-    # How probable it is that there is no formula, if it is this one or none.
+    # Probability that no formula is needed, if the alternative is this one.
     false_alarm_probability: float
-    # Formulas of no more terms, in words, from which the logs cannot distinguish it.
+    # Formulas of at most as many terms, in words, that the logs cannot distinguish from it.
     rivals: tuple[str, ...]
     time: Array  # (K,) instants of filtered samples, s, block after block
-    residual: Array  # (K,) effort that everything else leaves there, N·m or N
-    effort: Array  # (K,) effort of the formula there, N·m or N
+    residual: Array  # (K,) held-out residual without the formula, N·m or N
+    effort: Array  # (K,) effort of the formula, N·m or N
 
 
 @dataclass(frozen=True, eq=False)
 class Draft(Short):
-    """Formulas for the error that a model leaves.
+    """Formulas for the remaining error of a model.
 
     Attributes:
-        effects: One for each joint where a formula convinces, in the order found.
-        correlates: What the error left varies with, joint by joint, most first.
-        needless: Effects that the explanation had, and that the formulas make needless.
-        before: Held-out errors without the formulas, everything that may move refitted.
+        effects: One for each joint with a convincing formula, in the order found.
+        correlates: Signals with which the remaining error varies, by joint, strongest first.
+        needless: Effects of the explanation that the formulas make unnecessary.
+        before: Held-out errors without the formulas, all parameters refitted.
     """
 
     effects: tuple[DraftedEffect, ...]

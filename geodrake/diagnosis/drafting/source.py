@@ -1,4 +1,4 @@
-"""A draft as a Python file: effect classes of the user's own."""
+"""Export of a draft as a Python file of effect classes."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ import numpy as np
 from geodrake.effects import Effect, Parameter, RobotMotion
 '''
 
-_WIDTH = 92  # of lines in docstrings, four less than there is room for
-_TAKEN = ("np", "motion", "self", "cls", "columns")  # names that the code has
+_WIDTH = 92  # of docstring lines
+_TAKEN = ("np", "motion", "self", "cls", "columns")  # names used in the template
 _CLASS = '''
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class {title}(Effect):
 
 @typed
 def source_of(draft: Draft) -> str:
-    """Return drafted effects as a Python file that `geodrake.effects.load_effect_file` reads."""
+    """Return drafted effects as a Python file for `geodrake.effects.load_effect_file`."""
     joints, names = ", ".join(draft.names), draft.names
     titles = identifiers(names.values(), style=_title)
     head = _HEAD.format(
@@ -77,7 +77,7 @@ def source_of(draft: Draft) -> str:
 
 
 def _title(name: str) -> str:
-    """Name of the class of an effect: "ElbowJointDraft"."""
+    """Return the class name of an effect, such as "ElbowJointDraft"."""
     return "".join(part.capitalize() for part in name.split("_"))
 
 
@@ -123,5 +123,5 @@ def _codes(formula: Formula, variables: dict[str, str]) -> list[str]:
 
 
 def _bracketed(code: str) -> str:
-    """Return a factor that may stand in a product."""
+    """Return the code of a factor, in brackets if a product needs them."""
     return f"({code})" if " * np" in code else code

@@ -1,4 +1,4 @@
-"""The terms that a search for a formula may use."""
+"""Terms that a formula may contain."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _FEW = (
 _FEW_OWN = (("sign_v", "value"), ("v", "value"), ("q", "sine"), ("q", "cosine"), ("load", "value"))
 _MIXED = ("q", "v")
 TURNS = (0.2, 0.35, 0.5, 0.65, 0.8)
-"""Functions that turn are first tried at these shares of the range of a position."""
+"""Initial constants of piecewise functions, as shares of the range of a position."""
 
 
 def vocabulary(
@@ -44,21 +44,21 @@ def vocabulary(
     """Return the terms for the effort of a joint: functions of one signal, and products of two.
 
     Args:
-        reach: Joint -> least and greatest position in the logs, rad or m. Without it, only the
-            commonest of all terms: enough to see what an error varies with, and quickly so.
+        reach: Joint -> least and greatest position in the logs, rad or m. Without it, only the most
+            common terms are returned: enough to see quickly what an error varies with.
 
     Returns:
-        Terms, a constant first; none twice.
+        Distinct terms, a constant first.
     """
-    every, firsts = (_ANY, _OWN) if reach else (_FEW, _FEW_OWN)
-    own = [Factor(joint, signal, function) for signal, function in firsts]
-    factors = [Factor(name, signal, function) for name in joints for signal, function in every]
-    for low, high, name in ((*ends, name) for name, ends in (reach or {}).items()):
+    signals, own_signals = (_ANY, _OWN) if reach else (_FEW, _FEW_OWN)
+    own_factors = [Factor(joint, signal, function) for signal, function in own_signals]
+    factors = [Factor(name, signal, function) for name in joints for signal, function in signals]
+    for least, greatest, name in ((*ends, name) for name, ends in (reach or {}).items()):
         for share in TURNS:
-            constant = float(low + share * (high - low))
+            constant = float(least + share * (greatest - least))
             factors += [Factor(name, "q", side, constant) for side in ("above", "below")]
-    terms = [FormulaTerm(()), *(FormulaTerm((factor,)) for factor in (*own, *factors))]
-    terms += [FormulaTerm((a, b)) for a in own for b in factors if a != b]
+    terms = [FormulaTerm(()), *(FormulaTerm((factor,)) for factor in (*own_factors, *factors))]
+    terms += [FormulaTerm((a, b)) for a in own_factors for b in factors if a != b]
     plain = [Factor(name, signal) for name in joints for signal in _MIXED if reach]
     terms += [FormulaTerm(pair) for pair in combinations(plain, 2)]
     return list({frozenset(term.factors): term for term in reversed(terms)}.values())[::-1]
