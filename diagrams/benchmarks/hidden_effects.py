@@ -5,8 +5,8 @@ effect of its catalogue, two, none, or one that it has no name for. Robots, moti
 from point to point), noise (0.5, 1, 2 % of effort), bodies (those of the model file, or 20 % off
 in the geometric metric) and sizes (3 to 25 % of effort) are drawn at random. geodrake gets the log
 and the model file. Further studies: `--coverage N` of the intervals of found parameters under
-coloured noise, `--disturbed N` of the same beside outside effects, `--kinds N` of kinds that are
-hard, `--smallest N` of the smallest effect that is found, by bisection.
+coloured noise, `--disturbed N` of the same beside outside effects, `--smallest N` of the smallest
+effect that is found, by bisection.
 
     python -m diagrams.benchmarks.hidden_effects --json hidden_effects.json
 """
@@ -45,7 +45,7 @@ from geodrake.model import RobotModel
 from geodrake.report.words import correlate_words
 
 ONE, TWO, NONE, UNKNOWN = "one", "two", "none", "outside"
-COVERAGE, SMALLEST, TIMING, KIND = "coverage", "smallest", "timing", "kind"
+COVERAGE, SMALLEST = "coverage", "smallest"
 WHITE = "white"
 EXACT, OFF = "exact", "off"
 NOISES = (0.005, 0.01, 0.02)
@@ -147,15 +147,9 @@ def all_draws(
 
 _SURE = {"motion": motions.FAST, "prior": EXACT}
 STUDIES: Mapping[str, tuple[str, Sequence[str], Mapping[str, object]]] = {
-    "kinds": (KIND, tuple(truths.HARD), {}),
     "coverage": (COVERAGE, COVERED, {**_SURE, "colour": truths.COLOURED, "shares": (0.1,)}),
     "disturbed": (COVERAGE, COVERED, {**_SURE, "shares": (0.1, 0.05)}),
     "smallest": (SMALLEST, tuple(truths.TRUTHS), {**_SURE, "noise": 0.01, "shares": ()}),
-    "timing": (
-        TIMING,
-        ("coulomb_friction", "payload"),
-        {"robot": "arm6", "motion": motions.FAST, "duration": 50.0, "rate": 200.0},
-    ),
 }
 """Further studies: the case, its effects, and what is not left to chance.
 
@@ -170,13 +164,12 @@ def study_draws(
     case, names, sure = STUDIES[study]
     found = []
     for at, name in enumerate(effects or names):
-        given = truths.HARD[name][1] if case == KIND else {}
         for k in range(draws):
             hidden = (name,)
             if study == "disturbed":
                 beside = np.random.default_rng([seed, 3, at, k]).choice(tuple(truths.OUTSIDE))
                 hidden = (name, str(beside))
-            found.append(draw(case, hidden, k, seed, **{**sure, **given, **fixed}))
+            found.append(draw(case, hidden, k, seed, **{**sure, **fixed}))
     return found
 
 
@@ -542,9 +535,6 @@ def bars(rows: Sequence[Row]) -> list[Line]:
         share("slow motion: truth in the set", _get(exactly_slow, "in_set"), 0.95),
         share("… with inertia 20 % off, too", _get(slow_and_off, "in_set")),
         median("seconds for one log of 24 s, median", usual, 10.0),
-        median(
-            "seconds for 6 joints, 10,000 samples", [r["seconds"] for r in _of(rows, TIMING)], 10.0
-        ),
     ]
 
 
@@ -556,19 +546,6 @@ def coverage_lines(rows: Sequence[Row]) -> list[Line]:
         inside = [abs(z) <= 1.96 for z in off]
         lines.append(share(f"coverage of 95 % intervals, {beside}", inside, 0.9, highest=0.98))
     return lines
-
-
-def kind_lines(rows: Sequence[Row]) -> list[Line]:
-    """Return how often each of the hard kinds is among what a log may hide, and at its place."""
-    hard = _of(rows, KIND)
-    return [
-        share(
-            f"{name}: in the set, placed",
-            [r["in_set"] and r["placed"] is not False for r in hard if r["hidden"] == [name]],
-            0.9,
-        )
-        for name in truths.HARD
-    ]
 
 
 def smallest_lines(rows: Sequence[Row]) -> list[dict[str, Any]]:
@@ -604,7 +581,6 @@ QUICK_EFFECTS = ("coulomb_friction", "effort_offset", "payload")
 QUICK_OUTSIDE = ("oscillation in time",)
 
 FURTHER = {
-    "kinds": "logs a hard kind and seed",
     "coverage": "logs an effect and seed under coloured noise",
     "disturbed": "the same beside an effect of no catalogue",
     "smallest": "logs an effect and seed",
@@ -624,7 +600,6 @@ def wanted_draws(logs: Mapping[str, Any], seeds: Iterable[int]) -> list[Draw]:
         for seed in seeds
         for each in (
             *all_draws(logs["draws"], seed),
-            *study_draws("timing", min(logs["draws"], 1), seed),
             *(each for name in FURTHER for each in study_draws(name, logs[name], seed)),
         )
     ]
@@ -653,7 +628,7 @@ def main() -> None:
     seeds = range(options.seed, options.seed + options.seeds)
     wanted = quick_draws(options.seed) if options.quick else wanted_draws(vars(options), seeds)
     rows = run_draws(parser, options, run_draw, wanted)
-    lines = [*bars(rows), *kind_lines(rows), *coverage_lines(rows)]
+    lines = [*bars(rows), *coverage_lines(rows)]
     smallest = smallest_lines([row for row in rows if row["case"] == SMALLEST])
     show_lines("Hidden effects", lines)
     if smallest:
