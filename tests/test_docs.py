@@ -119,7 +119,7 @@ def test_names_to_look_up_are_those_that_packages_export():
 def test_every_effect_has_its_picture():
     page = text_of(ROOT / "docs" / "effects.md")
     for effect in catalogue():
-        assert f"## `{effect.name}`" in page
+        assert f"### `{effect.name}`" in page
         assert f"figures/effects/{effect.name}.png" in page
 
 

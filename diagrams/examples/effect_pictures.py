@@ -1,9 +1,7 @@
-"""What each effect looks like in the effort that a model without it leaves, and a page of them.
+"""Draw the residual that each effect leaves, and write the page `docs/effects.md`.
 
-The arm of the demo moves for twenty seconds; each effect has a usual size at one of its joints. Its
-effort is shown over time, over the speed and over the position of that joint: one of the three
-mostly tells it from the others. The page `docs/effects.md` is made of these pictures and of what
-the effects say of themselves.
+The demo's arm moves for twenty seconds, and each effect has a usual size at one of its joints. The
+pictures show its effort over time, over the speed and over the position of that joint.
 
     python -m diagrams.examples.effect_pictures --figures docs/figures/effects \
         --page docs/effects.md
@@ -37,17 +35,25 @@ SHOULDER, ELBOW, ROLL, PITCH = "shoulder_pitch", "elbow_pitch", "wrist_roll", "w
 PUSH = (10.0, 0.0, -25.0, 0.0, 0.0, 0.0)  # N, N·m
 INTRODUCTION = """# Effects
 
-This page shows each effect of the catalogue: the effort that it needs, and the residual that a
-model without it leaves. An arm moves for 20 s; the pictures show the residual of one joint over
-time, over the joint's speed and over its position. Mostly the one that shows a curve, not a cloud,
-tells the effect.
+Look up the effort that each effect of the catalogue needs, and how to recognize it in a residual.
+To add one to a model:
 
-Made by `python -m diagrams.examples.effect_pictures --figures docs/figures/effects --page
-docs/effects.md`. An effect of your own takes ten lines:
-see [how to write one](how_to.md#write-an-effect-of-your-own).
+```
+geodrake add coulomb_friction@elbow robot.urdf log.csv
+```
+
+You can also [write an effect of your own](how_to.md#write-an-effect-of-your-own). Model files may
+have [further effects](models.md#mjcf).
 
 | effect | needed effort | place |
 |---|---|---|
+"""
+PICTURES = """
+## Residuals
+
+An arm moves for 20 s, and its model lacks one effect. The pictures show the residual of one joint
+over time, over the joint's speed and over its position. The panel that shows a curve instead of a
+cloud usually identifies the effect.
 """
 
 
@@ -159,12 +165,11 @@ def draw(residual: Array, motion: RobotMotion, joint: str, path: Path) -> None:
 def page(drawn: dict[type[Effect], Path], folder: Path) -> str:
     """Return the page of all effects, pictures named relative to a folder."""
     rows = [(f"`{name}`", law.replace("|", "\\|"), place) for name, law, place in table_rows()]
-    parts = [INTRODUCTION + "".join(f"| {' | '.join(row)} |\n" for row in rows)]
+    table = "".join(f"| {' | '.join(row)} |\n" for row in rows)
+    parts = [INTRODUCTION + table + PICTURES]
     for effect, path in drawn.items():
         parameters = ", ".join(f"{p.name} ({p.unit})" for p in effect.parameters)
-        lines = [f"## `{effect.name}`", f"Needed effort: {effect.law}."]
-        if effect.signature:
-            lines.append(f"In a residual: {effect.signature}.")
+        lines = [f"### `{effect.name}`", f"In a residual: {effect.signature}."]
         if parameters:
             lines.append(f"Parameters: {parameters}.")
         picture = Path(os.path.relpath(path, folder)).as_posix()
