@@ -10,7 +10,7 @@ from geodrake.diagnosis.refinements import delays_of, fitted_delays
 from geodrake.diagnosis.rest import share_of_motion
 from geodrake.diagnosis.search import Found
 from geodrake.effects import FittedEffect, Role
-from geodrake.identification.logs.case import Case, reopen
+from geodrake.identification.logs.case import Case, reduce_fitted
 from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.hypothesis import CrossValidation, Hypothesis
 from geodrake.identification.logs.model_fit import ModelFit, fit_model, model_unknowns
@@ -35,7 +35,7 @@ def final_fit(case: Case, found: Found) -> tuple[Case, ModelFit]:
         model = _with_gains_of_loads(model)
     more = _with_companions(known, found.case.dataset).effects[len(known.effects) :]
     beside = [FittedEffect(effect, np.zeros(1)) for effect in more]
-    reopened = reopen(found.case, replace(model, effects=(*model.effects, *beside, *lags)))
+    reopened = reduce_fitted(found.case, replace(model, effects=(*model.effects, *beside, *lags)))
     dataset = reopened.dataset
     unknowns = _with_companions(known.on(dataset), dataset)
     if case.model.information is None:  # what no log shows to be another may be off all the same

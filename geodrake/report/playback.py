@@ -239,7 +239,7 @@ def play_back(
         own, of_motion = case.trajectories[0].bandwidths
         other = open_case(
             before,
-            case.asked.logs,
+            case.options.logs,
             candidates=False,
             extra=extra,
             bandwidth=own,

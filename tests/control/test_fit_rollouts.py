@@ -33,7 +33,7 @@ from geodrake.report.views import numbers_of
 def departures(case, *, horizon=0.4, most=2, commands=False):
     """In the diagram and near the motion, window by window, and whether servos have no more."""
     passages = chosen_passages(case, horizon, most)
-    made = simulations(Conditions(case, commands), passages)(case.asked.logs[0].name)
+    made = simulations(Conditions(case, commands), passages)(case.options.logs[0].name)
     for passage in passages:
         found, _ = LinearizedMotion.of(made, passage).departure(made.robot)
         exact = made.positions(passage) - passage.segment.position

@@ -27,7 +27,7 @@ from geodrake.effects import (
 from geodrake.errors import LogError
 from geodrake.identification.logs import reduce
 from geodrake.identification.logs.bandwidth import (
-    Known,
+    ContactRowCache,
     coherent_bandwidth,
     prepare_for_model,
 )
@@ -259,11 +259,11 @@ def shaken(amplitude, *, at=18.0, seconds=60.0):
 
 def test_vibration_that_efforts_do_not_know_lowers_the_bandwidth():
     trajectories = prepare_logs([shaken(5e-3)], bandwidth=30.0)
-    limit = coherent_bandwidth(Known(MODEL), trajectories)
+    limit = coherent_bandwidth(ContactRowCache(MODEL), trajectories)
     assert 1.0 < limit < 18.0
     (prepared,), words = prepare_for_model(MODEL, [shaken(5e-3)])
     assert prepared.filter.bandwidth < 18.0
-    assert coherent_bandwidth(Known(MODEL), [prepared]) is None
+    assert coherent_bandwidth(ContactRowCache(MODEL), [prepared]) is None
     assert words is None or "bandwidth" in words
 
 

@@ -32,7 +32,7 @@ from geodrake.control.rollout import case_rollout
 from geodrake.control.rollout.passages import told_joints
 from geodrake.effects.file_terms import DryFriction
 from geodrake.errors import LogError, ModelError, OutputError
-from geodrake.identification.logs.case import Case, open_case, reopen
+from geodrake.identification.logs.case import Case, open_case, reduce_fitted
 from geodrake.identification.logs.compare import comparison
 from geodrake.inertia import Array
 from geodrake.logs.motion import JointLog, Motion
@@ -239,7 +239,7 @@ def check_format(model: RobotModel, form: ExportFormat) -> None:
 
 
 def _nrms(case: Case, model: RobotModel) -> float:
-    return comparison(reopen(case, model)).errors.nrms
+    return comparison(reduce_fitted(case, model)).errors.nrms
 
 
 def _costs(case: Case, held: RobotModel, ignored: Sequence[str]) -> Costs:
@@ -295,7 +295,7 @@ def _integral_cost(case: Case | None, joints: Sequence[str]) -> str:
         return ""
     model = case.model
     at = [model.joints.index(joint) for joint in joints]
-    if not any(told_joints(model, log)[at].any() for log in case.asked.logs):
+    if not any(told_joints(model, log)[at].any() for log in case.options.logs):
         return ""
     signals = tuple(replace(signal, integral=0.0) for signal in model.effort_signals)
     try:

@@ -196,7 +196,7 @@ def fit_rollouts(
         return replace(fit, model=case.model)
     if soft:
         return fit
-    found, fits = with_servo_motions(case.model, case.asked.logs)
+    found, fits = with_servo_motions(case.model, case.options.logs)
     return replace(fit, model=found, values=_servo_values(case.model, fits))
 
 
@@ -298,7 +298,7 @@ def _chance(search: MotionSearch, x: Array, after: Sequence[Array]) -> float:
 
 def _servos(case: Case, before: Rollout, tested: Mask) -> Found:
     """Fit servos and what resists them to what is not tested, joint by joint."""
-    better, fits = with_servo_motions(case.model, _seen(case.asked.logs, before, tested))
+    better, fits = with_servo_motions(case.model, _seen(case.options.logs, before, tested))
     if not fits:
         raise LogError(
             "No joint moves in the simulation under its commands as it was measured.",

@@ -312,7 +312,7 @@ class Conditions:
     @cached_property
     def robots(self) -> dict[str, LoggedRobot]:
         """The robot of each log, by its name."""
-        logs = {log.name: log for log in self.case.asked.logs}
+        logs = {log.name: log for log in self.case.options.logs}
         return {
             each.name: LoggedRobot(
                 carrying(self.case.model, each.payloads),

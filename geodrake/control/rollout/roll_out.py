@@ -193,7 +193,7 @@ def commanded_motions(
     if not any(servos_of(instance(after, "after", RobotModel))):
         return None
     case = open_case(after, logs, candidates=False)
-    if not any(told_joints(case.model, log).any() for log in case.asked.logs):
+    if not any(told_joints(case.model, log).any() for log in case.options.logs):
         return None
     same = (
         replace(each, effort_signals=after.effort_signals, bandwidths=after.bandwidths)
@@ -219,7 +219,7 @@ def case_rollout(
         within: Logs, and first and last instants of theirs, s, outside of which nothing is
             simulated.
     """
-    model, logs = case.model, case.asked.logs
+    model, logs = case.model, case.options.logs
     if commands and not any(told_joints(model, log).any() for log in logs):
         raise LogError(
             "No log has commands of a servo that the model knows.",
@@ -258,7 +258,7 @@ def _alike(case: Case, log: str) -> str:
 def _unheard(case: Case) -> list[str]:
     """Return a note on delays of efforts that servos make themselves."""
     model = case.model
-    told = np.any([told_joints(model, log) for log in case.asked.logs], axis=0)
+    told = np.any([told_joints(model, log) for log in case.options.logs], axis=0)
     late = [model.joints[j] for j in np.flatnonzero(model.delays * told)]
     if not late:
         return []

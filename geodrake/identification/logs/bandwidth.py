@@ -1,4 +1,4 @@
-"""The bandwidth of motion and efforts: as much of the motion as the noise allows."""
+"""Choose the bandwidth of motion and efforts: as high as noise allows."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from geodrake.identification.logs.noise import (
     density_of_rows,
     effort_residual,
     is_silent,
-    looked_at,
+    sampled,
     without_contacts,
 )
 from geodrake.logs.filtering import HIGHEST_BANDWIDTH, spectral_density
@@ -29,62 +29,61 @@ from geodrake.model.robot_model import RobotModel
 Array = NDArray[np.float64]
 Prepared = tuple[Trajectory, ...]
 Change = tuple[Prepared, str]
-"""Logs prepared anew, and a sentence on what was changed and why."""
+"""Logs with another bandwidth, and a sentence on the change and its reason."""
 
-_EXCESS = 25.0  # times the other's power: five times the amplitude is a clear difference
-_FEWEST = 60  # filtered samples that a lower bandwidth leaves at least, as far as there are so many
-_FEWEST_MOVING = 30  # of a joint that moves, where the bandwidth is lowered for noise
-_ENOUGH = 400  # filtered samples of each joint, which make folds of some fifty
-_MOST_NOISE = 2.0  # power of noise, with that of accelerations, over that of efforts alone
-_TOO_NOISY = 3.0  # the same, above which a bandwidth is lowered
-_MOST_BIAS = 0.002  # share of an inertia lost to noise in its column; a rotor alone loses more
-_STILL = 0.01  # of the peak speed
-_IN_MOTION = 4.0  # deviations of its noise that the peak speed of a joint in motion has at least
-_MOST_SHAKING = 0.1  # over the deviation of the acceleration itself
-_STEP, _TRIES = 1.2, 4  # factor between bandwidths that are tried, and so many higher ones
-_LOWER = 1.44  # the same of lower ones
-_MOST_VAIN = 2  # so many are tried without gain: noise is not known to the last per cent
+_EXCESS = 25.0  # power ratio of a clear mismatch, five times the amplitude
+_FEWEST = 60  # least number of filtered samples after lowering the bandwidth
+_FEWEST_MOVING = 30  # the same in motion, if it is lowered due to noise
+_ENOUGH = 400  # filtered samples of each joint, enough for folds of about fifty
+_MOST_NOISE = 2.0  # acceptable noise power, relative to that of efforts alone
+_TOO_NOISY = 3.0  # the same, above which the bandwidth is lowered
+_MOST_BIAS = 0.002  # acceptable relative bias of an inertia due to noise in its column
+_STILL = 0.01  # speed of a joint at rest, relative to the peak speed
+_IN_MOTION = 4.0  # least peak speed of a moving joint, in standard deviations of its noise
+_MOST_SHAKING = 0.1  # acceptable noise of an acceleration, relative to its standard deviation
+_STEP, _TRIES = 1.2, 4  # factor between candidates, and number of higher ones
+_LOWER = 1.44  # factor between lower candidates
+_MOST_VAIN = 2  # candidates without gain before the search stops
 _TINY = np.finfo(float).tiny
-_LARGEST_RATIO = 700.0  # logarithm of a ratio that is a number still
+_LARGEST_RATIO = 700.0  # largest logarithm of a finite ratio
 
 
 def prepare_for_model(
     model: RobotModel, logs: Sequence[JointLog | UniformLog]
 ) -> tuple[Prepared, str | None]:
-    """Prepare logs at a bandwidth that suits motion and efforts alike.
+    """Prepare logs at a bandwidth that suits motion and efforts; explain a change in a sentence.
 
-    The motion alone suggests a bandwidth (`prepare_logs`). It is lowered to where the motion asks
-    for efforts that were not measured: vibration, play and elasticity behind the motor move the
-    joint without the motor's effort. It is lowered further while noise of accelerations, which
-    inertias carry into efforts, costs much or makes inertias too small, and enough samples stay.
-    If it is not lowered, it is raised where the log is short, as far as that noise costs little.
-    A rough model will do; logs have their joints in its order. With the prepared logs comes a
-    sentence on what was changed and why, if anything was.
+    `prepare_logs` chooses a bandwidth from the motion alone. It is lowered to exclude motion that
+    does not match the measured efforts: vibration, backlash and elasticity behind the motor move
+    the joint without the motor's effort. It is lowered further while noise of accelerations, which
+    inertias turn into efforts, is costly or biases inertias, and enough samples remain. Otherwise,
+    for short logs, it is raised as far as that noise costs little. A rough model suffices; logs
+    have their joints in its order.
     """
     uniform = [log if isinstance(log, UniformLog) else make_uniform(log) for log in logs]
-    prepared, why, known = prepare_logs(uniform), list[str](), Known(model)
-    if coherent := _with_coherent_motion(known, uniform, prepared):
-        prepared, words = coherent
-        why.append(words)
-    if quiet := _with_less_noise(known, uniform, prepared, is_coherent=coherent is not None):
-        prepared, words = quiet
-        why.append(words)
-    if not why and (longer := _with_more_samples(known, uniform, prepared)):
-        prepared, words = longer
-        why.append(words)
-    return prepared, "; ".join(why) or None
+    prepared, reasons, cache = prepare_logs(uniform), list[str](), ContactRowCache(model)
+    if coherent := _with_coherent_motion(cache, uniform, prepared):
+        prepared, reason = coherent
+        reasons.append(reason)
+    if quiet := _with_less_noise(cache, uniform, prepared, is_coherent=coherent is not None):
+        prepared, reason = quiet
+        reasons.append(reason)
+    if not reasons and (longer := _with_more_samples(cache, uniform, prepared)):
+        prepared, reason = longer
+        reasons.append(reason)
+    return prepared, "; ".join(reasons) or None
 
 
 def _with_coherent_motion(
-    known: Known, uniform: Sequence[UniformLog], trajectories: Prepared
+    cache: ContactRowCache, uniform: Sequence[UniformLog], trajectories: Prepared
 ) -> Change | None:
-    """Lower the bandwidth to where the motion does not match the measured efforts."""
-    coherent = coherent_bandwidth(known, trajectories)
+    """Lower the bandwidth to where the motion matches the measured efforts."""
+    coherent = coherent_bandwidth(cache, trajectories)
     if coherent is None:
         return None
     chosen = _lowest(trajectories)
     outputs = sum(sum(trajectory.output_counts) for trajectory in trajectories)
-    coherent = max(coherent, chosen * min(1.0, _FEWEST / max(outputs, 1)))  # enough to hold out
+    coherent = max(coherent, chosen * min(1.0, _FEWEST / max(outputs, 1)))
     if coherent >= chosen:
         return None
     lowered = prepare_logs(
@@ -101,44 +100,44 @@ def _lowest(trajectories: Prepared) -> float:
 
 
 def _with_less_noise(
-    known: Known,
+    cache: ContactRowCache,
     uniform: Sequence[UniformLog],
     trajectories: Prepared,
     *,
     is_coherent: bool,
 ) -> Change | None:
-    """Lower the bandwidth until noise of accelerations costs little, to where inertias are known.
+    """Lower the bandwidth until noise of accelerations costs little.
 
-    After a cut to motion that matches the efforts (`is_coherent`), errors of the model are larger
-    than noise, which matters only where it makes inertias too small.
+    If it was lowered to coherent motion already (`is_coherent`), errors of the model exceed noise,
+    which then matters only if it biases inertias.
     """
-    found, best = trajectories, (noise := _acceleration_noise(known, trajectories))
+    best, best_noise = trajectories, (noise := _acceleration_noise(cache, trajectories))
     lower = chosen = _lowest(trajectories)
     if is_coherent and not noise.is_biasing:
         return None
-    vain = 0  # tries since the best one
+    vain = 0  # candidates since the best one
     while noise.is_costly and noise.fewest > _LOWER * _FEWEST_MOVING and vain < _MOST_VAIN:
         lower /= _LOWER
         try:
-            tried = prepare_logs(uniform, bandwidth=lower, how="chosen from the data")
+            candidate = prepare_logs(uniform, bandwidth=lower, how="chosen from the data")
         except (ArgumentError, LogError):  # a log would be too short
             break
-        noise = _acceleration_noise(known, tried)
-        if noise.is_better_than(best):
-            found, best, vain = tried, noise, 0
+        noise = _acceleration_noise(cache, candidate)
+        if noise.is_better_than(best_noise):
+            best, best_noise, vain = candidate, noise, 0
         else:
             vain += 1
-    suits = _lowest(found)
-    if suits == chosen:
+    lowered = _lowest(best)
+    if lowered == chosen:
         return None
-    return found, (
-        f"bandwidth lowered from {chosen:.3g} to {suits:.3g} Hz, as noise of accelerations makes "
+    return best, (
+        f"bandwidth lowered from {chosen:.3g} to {lowered:.3g} Hz, as noise of accelerations makes "
         "up most of the noise in efforts"
     )
 
 
 def _with_more_samples(
-    known: Known, uniform: Sequence[UniformLog], trajectories: Prepared
+    cache: ContactRowCache, uniform: Sequence[UniformLog], trajectories: Prepared
 ) -> Change | None:
     """Raise the bandwidth of short logs, as far as noise costs little."""
     chosen = _lowest(trajectories)
@@ -147,60 +146,60 @@ def _with_more_samples(
         return None
     highest = HIGHEST_BANDWIDTH / max(t.filter.period for t in trajectories)
     sharp = prepare_logs(uniform, bandwidth=chosen, motion_bandwidth=highest)
-    frequency, ratio = effort_ratio(known, sharp)
+    frequency, ratio = effort_ratio(cache, sharp)
     noisy = frequency[(frequency > chosen) & (ratio > 1.0)]
     limit = min([highest, *noisy[:1].tolist()])
     raised, lowest = min(chosen * _ENOUGH / outputs, limit), _STEP * chosen
     if raised < lowest:
         return None
-    apart = 1 + int(np.log(raised / lowest) / np.log(_STEP))
-    for higher in np.geomspace(raised, lowest, min(apart, _TRIES)).tolist():
+    count = 1 + int(np.log(raised / lowest) / np.log(_STEP))
+    for higher in np.geomspace(raised, lowest, min(count, _TRIES)).tolist():
         longer = prepare_logs(uniform, bandwidth=higher, how="chosen from the data")
-        if _acceleration_noise(known, longer).is_small:
-            words = f"from {chosen:.3g} to {higher:.3g} Hz, as the log is short"
-            return longer, f"bandwidth raised {words}"
+        if _acceleration_noise(cache, longer).is_small:
+            change = f"from {chosen:.3g} to {higher:.3g} Hz, as the log is short"
+            return longer, f"bandwidth raised {change}"
     return None
 
 
 @dataclass(frozen=True)
 class _AccelerationNoise:
-    """Noise of accelerations, filtered as efforts are, in residuals and in columns."""
+    """Effect of filtered acceleration noise on residuals and columns."""
 
-    loss: Array  # (nv,) power of noise, with that of accelerations, over that of efforts alone
-    deviation: Array  # (nv,) of the noise, rad/s² or m/s²
-    size: Array  # (nv,) the same of accelerations themselves, before they are filtered
-    motion: Array  # (nv,) of filtered accelerations without their noise; 0 of a joint at rest
-    samples: NDArray[np.intp]  # (nv,) filtered samples in motion; 0 of a joint at rest
+    loss: Array  # (nv,) noise power relative to that of efforts alone
+    deviation: Array  # (nv,) standard deviation of the noise, rad/s² or m/s²
+    size: Array  # (nv,) standard deviation of the unfiltered accelerations, rad/s² or m/s²
+    motion: Array  # (nv,) of the filtered accelerations without noise; 0 for a joint at rest
+    samples: NDArray[np.intp]  # (nv,) filtered samples in motion; 0 for a joint at rest
 
     @property
     def whole(self) -> float:
-        """The loss of all joints in motion, the geometric mean."""
+        """Geometric mean of the loss over moving joints."""
         return self._mean(self.loss, self.samples > 0)
 
     @property
     def is_small(self) -> bool:
-        """Whether residuals are not much larger, and inertias not much too small, due to it."""
+        """Whether the noise neither dominates residuals nor biases inertias."""
         return self.whole <= _MOST_NOISE and bool(
             np.all(self.deviation <= _MOST_SHAKING * self.size)
         )
 
     @property
     def is_costly(self) -> bool:
-        """Whether it makes residuals much larger, or inertias too small."""
+        """Whether the noise dominates residuals, or biases inertias."""
         return self.whole > _TOO_NOISY or self.is_biasing
 
     @property
     def is_biasing(self) -> bool:
-        """Whether an inertia is clearly too small due to noise in its column."""
+        """Whether the bias of an inertia due to noise in its column is significant."""
         return bool(np.any((self._shares > _MOST_BIAS) & (self._biases > 1.0)))
 
     @property
     def fewest(self) -> int:
-        """Filtered samples of a joint in motion, the least of all joints."""
+        """Smallest number of filtered samples of a moving joint."""
         return int(min(self.samples[self.samples > 0], default=0))
 
     def is_better_than(self, other: _AccelerationNoise) -> bool:
-        """Return whether inertias are known at least as well with this filter, on average."""
+        """Return whether this filter determines inertias at least as well, on average."""
         moves = (self.motion > 0.0) & (other.motion > 0.0)
         ratio = np.divide(self.motion, other.motion, out=np.ones(len(moves)), where=moves)
         mine, others = (each.loss * (1.0 + each._biases) for each in (self, other))
@@ -208,34 +207,34 @@ class _AccelerationNoise:
 
     @property
     def _shares(self) -> Array:
-        """(nv,) share of each joint's inertia that is lost to noise in its column."""
+        """(nv,) relative bias of each joint's inertia due to noise in its column."""
         noise = np.square(self.deviation)
         return np.asarray(noise / np.maximum(noise + np.square(self.motion), _TINY))
 
     @property
     def _biases(self) -> Array:
-        """(nv,) squared loss of each inertia, over its variance by noise of efforts alone."""
+        """(nv,) squared bias of each inertia, relative to its variance by effort noise alone."""
         return np.asarray(self.samples * self._shares * (self.loss - 1.0))
 
     @staticmethod
     def _mean(ratios: Array, which: NDArray[np.bool_]) -> float:
-        """Return the geometric mean of some joints' ratios; 1 if there is none."""
+        """Return the geometric mean of the selected ratios, 1 without any."""
         return float(np.exp(np.log(ratios[which]).mean())) if which.any() else 1.0
 
 
-class Known:
-    """Parts of logs that hardly depend on the bandwidth: those of the first serve all others."""
+class ContactRowCache:
+    """Cache of contact rows and acceleration powers, which hardly depend on the bandwidth."""
 
     def __init__(self, model: RobotModel) -> None:
         self.model = model
-        self._looked = dict[int, list[tuple[Array, MixedRows | None, Array]]]()
+        self._entries = dict[int, list[tuple[Array, MixedRows | None, Array]]]()
 
     def of(
         self, number: int, trajectory: Trajectory, segment: Segment
     ) -> tuple[MixedRows | None, Array]:
         """Return contact rows of a segment of a log, and its `acceleration_powers`."""
-        looked = self._looked.setdefault(number, [])
-        for time, rows, powers in looked:
+        entries = self._entries.setdefault(number, [])
+        for time, rows, powers in entries:
             first = int(np.searchsorted(time, segment.time[0]))
             same = slice(first, first + len(segment))
             if np.array_equal(time[same], segment.time):
@@ -243,25 +242,27 @@ class Known:
         robot = carrying(self.model, trajectory.payloads)
         rows = contact_rows(robot, trajectory, segment)
         powers = acceleration_powers(segment, robot, trajectory, 0.0, rows)
-        looked.append((segment.time, rows, powers))
+        entries.append((segment.time, rows, powers))
         return rows, powers
 
 
-def _acceleration_noise(known: Known, trajectories: Sequence[Trajectory]) -> _AccelerationNoise:
-    """Return what noise of accelerations does at the least, as inertias carry it into efforts.
+def _acceleration_noise(
+    cache: ContactRowCache, trajectories: Sequence[Trajectory]
+) -> _AccelerationNoise:
+    """Return the effect of acceleration noise, which inertias turn into effort noise.
 
-    The model's inertia may lack rotors: roughly, each joint has what a fit of its residuals with
-    friction and a spring finds. Joints at rest do not count.
+    The model may lack rotors, so their inertias are estimated from each joint's residual, with
+    friction and a spring. Joints at rest do not count.
     """
-    model, columns, residuals = known.model, list[Array](), list[Array]()
-    segments = list[Array]()
+    model, columns, residuals = cache.model, list[Array](), list[Array]()
+    spreads = list[Array]()
     noise, carried, shaking, samples = list[Array](), list[Array](), list[Array](), list[int]()
     size, own_rows = np.zeros(len(model.joints)), True
     for number, trajectory in enumerate(trajectories):
         robot, low_pass = carrying(model, trajectory.payloads), trajectory.filter
         for segment in trajectory.segments:
-            start, rate = segment[: looked_at(segment)], 1.0 / segment.period
-            rows, powers = known.of(number, trajectory, start)
+            start, rate = segment[: sampled(segment)], 1.0 / segment.period
+            rows, powers = cache.of(number, trajectory, start)
             own_rows &= rows is None
             density = density_of_rows(start, rows, rate, low_pass.bandwidth)
             start = replace(start, effort=without_contacts(rows, start.effort))
@@ -272,10 +273,10 @@ def _acceleration_noise(known: Known, trajectories: Sequence[Trajectory]) -> _Ac
             samples.append(len(start))
             size = np.maximum(size, start.acceleration.std(axis=0))  # a joint may rest in some
             v = start.velocity
-            own = [start.acceleration, v, np.sign(v), start.position, np.ones_like(v)]
-            columns.append(low_pass.apply(np.stack(own, 2)))
+            signals = [start.acceleration, v, np.sign(v), start.position, np.ones_like(v)]
+            columns.append(low_pass.apply(np.stack(signals, 2)))
             residuals.append(low_pass.apply(effort_residual(start, robot, 0.0, trajectory, rows)))
-            segments.append(columns[-1][:, :, 0].std(axis=0))
+            spreads.append(columns[-1][:, :, 0].std(axis=0))
     A, b = np.concatenate(columns), np.concatenate(residuals)
     speed, peak = np.abs(A[:, :, 1]), np.abs(A[:, :, 1]).max(axis=0)
     moves = peak > _IN_MOTION * np.max([t.speed_noise for t in trajectories], axis=0)
@@ -290,68 +291,69 @@ def _acceleration_noise(known: Known, trajectories: Sequence[Trajectory]) -> _Ac
     losses = np.log1p(np.divide(power, noise, out=np.zeros_like(power), where=is_noisy))
     loss = np.exp((weights * losses).sum(axis=0) / np.maximum(weights.sum(axis=0), 1))
     counts = np.where(moves, np.sum(speed > _STILL * peak, axis=0), 0)
-    visible = np.square(np.max(segments, axis=0)) - np.square(deviation)
+    visible = np.square(np.max(spreads, axis=0)) - np.square(deviation)
     motion = np.where(moves, np.sqrt(np.maximum(visible, 0.0)), 0.0)
     return _AccelerationNoise(loss, deviation, size, motion, counts)
 
 
-def coherent_bandwidth(known: Known, trajectories: Sequence[Trajectory]) -> float | None:
+def coherent_bandwidth(cache: ContactRowCache, trajectories: Sequence[Trajectory]) -> float | None:
     """Return the frequency above which the motion and the measured efforts disagree, Hz.
 
-    From there on the effort that the model needs, a rough one, has more than 25 times the measured
-    power, the geometric mean over joints. None if it has not up to the bandwidth, or has from the
-    lowest frequency on, as where efforts are in other units.
+    Above it the model's effort has more than 25 times the measured power, as geometric mean over
+    joints. Return None if they agree up to the bandwidth, or nowhere, as with other units.
     """
-    frequency, ratio = effort_ratio(known, trajectories)
+    frequency, ratio = effort_ratio(cache, trajectories)
     inside = frequency <= min(each.filter.bandwidth for each in trajectories)
     frequency, ratio = frequency[inside], ratio[inside]
     worst = int(np.argmax(ratio))
     if ratio[worst] <= _EXCESS:
         return None
-    together = np.flatnonzero(ratio[:worst] <= _EXCESS)
-    return float(frequency[together[-1] + 1]) if len(together) else None
+    coherent = np.flatnonzero(ratio[:worst] <= _EXCESS)
+    return float(frequency[coherent[-1] + 1]) if len(coherent) else None
 
 
-def effort_ratio(known: Known, trajectories: Sequence[Trajectory]) -> tuple[Array, Array]:
-    """Return the power of the effort that the model needs over that of the measured effort.
+def effort_ratio(cache: ContactRowCache, trajectories: Sequence[Trajectory]) -> tuple[Array, Array]:
+    """Return frequencies (K,) > 0, Hz, and the power ratio (K,) of model and measured efforts.
 
-    Those are frequencies (K,) in Hz, without 0, and ratios (K,), the geometric mean over joints
-    that have a motor, and over a free base where the ground's forces are measured or taken out.
+    It is the geometric mean over joints with motors, and over a free base if ground forces are
+    measured or eliminated.
     """
-    model = known.model
+    model = cache.model
     robots = {t.payloads: carrying(model, t.payloads) for t in trajectories}
-    held = [(k, segment) for k, t in enumerate(trajectories) for segment in t.segments]
-    segments = [segment for _, segment in held]
+    numbered = [(k, segment) for k, t in enumerate(trajectories) for segment in t.segments]
+    segments = [segment for _, segment in numbered]
     window = min(
-        0.5 * min(looked_at(segment) * segment.period for segment in segments),
+        0.5 * min(sampled(segment) * segment.period for segment in segments),
         100.0 / trajectories[0].filter.bandwidth,
     )
     fastest = 0.5 / max(segment.period for segment in segments)
     frequency = np.arange(1.0 / window, fastest, 1.0 / window)
-    needed = measured = np.zeros((len(frequency), len(model.joints)))
-    for number, segment in held:
+    model_power = measured_power = np.zeros((len(frequency), len(model.joints)))
+    for number, segment in numbered:
         trajectory = trajectories[number]
         robot = robots[trajectory.payloads]
-        start = segment[: looked_at(segment)]
+        start = segment[: sampled(segment)]
         motion = Motion(model.positions(start.position), start.velocity, start.acceleration)
-        rows, _ = known.of(number, trajectory, start)
+        rows, _ = cache.of(number, trajectory, start)
         effort = without_contacts(rows, robot.effort(motion))
-        needed = needed + _density(effort, segment, window, frequency)
-        measured = measured + _density(
+        model_power = model_power + _density(effort, segment, window, frequency)
+        measured_power = measured_power + _density(
             without_contacts(rows, start.effort), segment, window, frequency
         )
-    idle = [joint for t in trajectories for joint in t.passive]
+    passive = [joint for t in trajectories for joint in t.passive]
     grounded = all(trajectory.is_grounded for trajectory in trajectories)
-    driven = ~np.isin(model.joints, [*idle, *(() if grounded else model.base_joints)])
-    if (measured[:, driven] > 0.0).any():  # limbs that stand throughout have no rows
-        driven &= (measured > 0.0).any(axis=0)
-    ratio = np.mean((np.log(needed + _TINY) - np.log(measured + _TINY))[:, driven], axis=1)
+    driven = ~np.isin(model.joints, [*passive, *(() if grounded else model.base_joints)])
+    if (measured_power[:, driven] > 0.0).any():  # limbs that stand throughout have no rows
+        driven &= (measured_power > 0.0).any(axis=0)
+    ratio = np.mean(
+        (np.log(model_power + _TINY) - np.log(measured_power + _TINY))[:, driven], axis=1
+    )
     return frequency, np.exp(np.minimum(ratio, _LARGEST_RATIO))
 
 
 def _density(effort: Array, segment: Stretch, window: float, frequency: Array) -> Array:
-    """Return (K, n) spectral density times samples, on a grid that logs of all rates share."""
+    """Return the spectral density times samples (K, n), interpolated to common frequencies."""
     rate = 1.0 / segment.period
-    own, density = spectral_density(effort, rate, round(window * rate))
-    columns = [np.interp(frequency, own, column) for column in density.T]
+    grid, density = spectral_density(effort, rate, round(window * rate))
+    columns = [np.interp(frequency, grid, column) for column in density.T]
     return len(segment) * np.stack(columns, 1)

@@ -1,4 +1,4 @@
-"""The effects that a diagnosis tries: every effect at every place where it can be."""
+"""Candidate effects of a diagnosis: every effect at every place where it can occur."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from geodrake.model.robot_model import RobotModel
 Array = NDArray[np.float64]
 
 LONGEST_DELAY = 0.05
-"""Delays between motion and effort are tried up to this one, s."""
+"""Longest candidate delay between motion and effort, s."""
 
 _FROM_RESIDUAL = (Proposer.WAVES, Proposer.EPISODE, Proposer.HANDLING)
-_LEAST_WARMING = 2.0  # °C; readings come in whole degrees, and friction changes by some % in one
-_ALIKE = 1e-9  # of the cosine between speeds of joints that move alike
+_LEAST_WARMING = 2.0  # °C; sensors resolve 1 °C, in which friction changes by a few per cent
+_ALIKE = 1e-9  # largest 1 − |cos| between the speeds of joints that move alike
 
 
 def candidate_effects(
@@ -38,25 +38,24 @@ def candidate_effects(
     *,
     speeds: Array | None = None,
 ) -> tuple[Effect, ...]:
-    """Return all instances of the catalogue's effects, and of a user's own, that a robot can have.
+    """Return all instances of effects, of the catalogue and the user, that a robot can have.
 
-    Effects whose shape is found in a residual are not among them (see `proposals`), nor those of
-    pairs of joints that do not follow each other (see `coupled`), nor what two joints share that
-    never move at once, unless the speeds are those of other logs, nor those that only inertias
-    known from other logs identify. Where known payloads or the ground do, these take their place
-    (see `joints_with_known_gain`). Joints that bear forces of the ground do not give way: what
-    these forces then do is in no column. Shape grids scale with temperatures of the prepared logs,
-    and with peak speeds (nv,), rad/s or m/s, by default those of the logs.
+    Excluded are effects whose shape comes from a residual (see `proposals`), those of pairs of
+    joints that do not follow each other (see `coupled`), shared actuators of joints that never move
+    together in these logs, and effects that need inertias known from other logs, unless known
+    payloads or the ground provide them (see `joints_with_known_gain`). Joints that bear ground
+    forces get no elasticity, as no column has the deflection by these forces. Shape grids scale
+    with the logs' temperatures and with peak `speeds` (nv,), rad/s or m/s, by default the logs'.
     """
     peaks = peak_speeds(trajectories) if speeds is None else speeds
     single = [joint for joint in model.joints if joint in model.single_joints]
     unmeasured = {joint for trajectory in trajectories for joint in trajectory.unmeasured}
-    unseen = unmeasured.union(model.base_joints)  # where nobody measures what motors do
+    unseen = unmeasured.union(model.base_joints)
     single = [joint for joint in single if joint not in unseen]
     grounded = [frame for t in trajectories for frame in t.ground_frames]
-    told = joints_with_known_gain(model, [t.payloads for t in trajectories], grounded)
+    calibrated = joints_with_known_gain(model, [t.payloads for t in trajectories], grounded)
     standing = joints_on_ground(model, grounded)
-    known = [joint for joint in single if joint in told]
+    known = [joint for joint in single if joint in calibrated]
     speed = dict(zip(model.joints, peaks.tolist(), strict=True))
     temperatures = mean_temperatures(trajectories)
     found: list[Effect] = []
@@ -68,12 +67,12 @@ def candidate_effects(
     spans = np.max([np.ptp(segment.position, axis=0) for segment in segments], axis=0)
     reach = dict(zip(model.joints, spans.tolist(), strict=True))
     followers = [p for p in model.joint_pairs if not {*p}.intersection(unseen)]
-    at_once = moving_together(trajectories) if speeds is None else np.ones((len(peaks),) * 2)
-    together = [p for p in followers if at_once[*map(model.joints.index, p)]]
+    overlap = moving_together(trajectories) if speeds is None else np.ones((len(peaks),) * 2)
+    together = [p for p in followers if overlap[*map(model.joints.index, p)]]
     duration = max(float(t.segments[-1][-1:].time[0] - t.began) for t in trajectories)
     passive = {joint for trajectory in trajectories for joint in trajectory.passive}
     frames = dict.fromkeys(frame for t in trajectories for frame in t.force_sensors)
-    # Of several on one body the first: their offsets add up.
+    # One sensor per body, the first: their offsets add up.
     sensors = {f.body: f.origin.tolist() for f in reversed(contact_frames(model, [*frames]))}
 
     def has_none(effect: type[Effect], joint: str) -> bool:
@@ -115,41 +114,42 @@ def _effects_behind(model: RobotModel, segments: Sequence[Segment]) -> Iterator[
 
 
 def _acts_behind(effect: type[Effect]) -> bool:
-    """Return whether an effect is one of joints that no motor drives: friction, or a spring."""
-    own = issubclass(effect, JointEffect) and effect.rows is JointEffect.rows
-    own = own and effect.role is Role.FORCE and not (effect.turning_only or effect.of_motor)
-    return own and of_geodrake(effect) and effect.depends_on in ({"q"}, {"v"})
+    """Return whether an effect is friction or a spring, which joints without motors have too."""
+    passive = issubclass(effect, JointEffect) and effect.rows is JointEffect.rows
+    passive = passive and effect.role is Role.FORCE
+    passive = passive and not (effect.turning_only or effect.of_motor)
+    return passive and of_geodrake(effect) and effect.depends_on in ({"q"}, {"v"})
 
 
 def _speeds_behind(model: RobotModel, segments: Sequence[Segment]) -> dict[str, float]:
-    """Return the largest speeds, rad/s or m/s, of joints that follow by a ratio that changes.
+    """Return the peak speeds, rad/s or m/s, of joints that follow with a varying ratio.
 
-    Of joints that move alike, only the first is listed.
+    Of joints that move alike, only the first is included.
     """
-    actuation, found = model.coordinates, dict[str, float]()
-    if actuation.constant is not None or not segments:
-        return found
-    known, rates = list[Array](), list[Array]()
+    coordinates, peaks = model.coordinates, dict[str, float]()
+    if coordinates.constant is not None or not segments:
+        return peaks
+    driven, rates = list[Array](), list[Array]()
     for segment in segments:
         q, v = model.positions(segment.position), segment.velocity
-        known.append(v)
-        rates.append(actuation.all_samples(q, v, np.zeros_like(v))[1])
-    others = [v / max(float(np.linalg.norm(v)), 1e-300) for v in np.concatenate(known).T]
-    for joint, at in actuation.behind.items():
-        v = np.concatenate(rates)[:, at]
-        own = v / max(float(np.linalg.norm(v)), 1e-300)
-        if own.any() and not any(abs(own @ other) > 1.0 - _ALIKE for other in others):
-            found[joint] = float(np.abs(v).max())
-            others.append(own)
-    return found
+        driven.append(v)
+        rates.append(coordinates.all_samples(q, v, np.zeros_like(v))[1])
+    others = [v / max(float(np.linalg.norm(v)), 1e-300) for v in np.concatenate(driven).T]
+    for joint, index in coordinates.behind.items():
+        v = np.concatenate(rates)[:, index]
+        unit = v / max(float(np.linalg.norm(v)), 1e-300)
+        if unit.any() and not any(abs(unit @ other) > 1.0 - _ALIKE for other in others):
+            peaks[joint] = float(np.abs(v).max())
+            others.append(unit)
+    return peaks
 
 
 def _at_joint(
     effect: type[Effect], joint: str, speed: float, temperature: float | None
 ) -> Sequence[Effect]:
-    """Return instances of an effect to try at a joint of a peak speed, rad/s or m/s.
+    """Return candidate instances of an effect at a joint with a peak speed, rad/s or m/s.
 
-    Its mean `temperature`, °C, is None where it does not change or nobody knows it.
+    The mean `temperature`, °C, is None if it is constant or unknown.
     """
     if "temperature" not in effect.depends_on:
         return candidates_of(effect, joint, speed)
@@ -159,23 +159,23 @@ def _at_joint(
 
 
 def mean_temperatures(trajectories: Sequence[Trajectory]) -> dict[str, float]:
-    """Joint -> mean temperature in the logs, °C, if it changes enough."""
+    """Return the mean temperature, °C, of each joint whose temperature changes enough."""
     courses = [t.temperatures.courses for t in trajectories if t.temperatures is not None]
-    found = {}
+    means = {}
     for joint in trajectories[0].joints:
         values = [course[joint][1] for course in courses if joint in course]
-        if values and np.ptp(together := np.concatenate(values)) >= _LEAST_WARMING:
-            found[joint] = float(together.mean())
-    return found
+        if values and np.ptp(temperature := np.concatenate(values)) >= _LEAST_WARMING:
+            means[joint] = float(temperature.mean())
+    return means
 
 
-_SHORT = 0.25, 0.1  # shares of a step: robots with heavy rotors show shorter delays
+_SHORT = 0.25, 0.1  # fractions of a step: robots with heavy rotors reveal shorter delays
 
 
 def candidate_delays(low_pass: ZeroPhaseFilter) -> tuple[float, ...]:
-    """Return delays to try, s: 0, multiples of a step the data can resolve, and a part of it.
+    """Return candidate delays, s: 0, multiples of the step that the data resolve, and fractions.
 
-    The step depends on the time between samples and the bandwidth of efforts and regressors.
+    The step depends on the sampling period and the bandwidth of efforts and regressors.
     """
     period, bandwidth = low_pass.period, low_pass.bandwidth
     step = max(period, LONGEST_DELAY / 10, min(0.02 / bandwidth, LONGEST_DELAY / 2))

@@ -1,4 +1,4 @@
-"""A case: a model and the logs it is compared with, prepared and reduced."""
+"""Prepare and reduce the logs that a model is compared with."""
 
 from __future__ import annotations
 
@@ -51,56 +51,53 @@ Array = NDArray[np.float64]
 Logs = Sequence[JointLog | str | Path]
 T = TypeVar("T")
 
-_OTHER_SCALE = 0.1  # of a logarithm: time that is so far from what velocities say is another
-_LEAST_EFFORT = 1e-12  # N·m or N, by which a measured effort changes
+_OTHER_SCALE = 0.1  # |log| of a time scale from which on time stamps are suspect
+_LEAST_EFFORT = 1e-12  # least variation of a measured effort, N·m or N
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class CaseOptions:
     """Options with which a case was prepared."""
 
-    logs: tuple[JointLog, ...]  # the logs, joints in the model's order
-    extra: tuple[type[Effect], ...]  # effect classes of the user's own
-    # Bandwidth that it was to have, Hz; None if it was chosen from the data.
-    bandwidth: float | None
-    blocks: int | None  # blocks asked for
+    logs: tuple[JointLog, ...]  # with joints in the model's order
+    extra: tuple[type[Effect], ...]  # the user's effect classes
+    bandwidth: float | None  # Hz; None if chosen from the data
+    blocks: int | None
 
 
 @dataclass(frozen=True, eq=False)
 class Case(Short):
-    """A model and its logs."""
+    """A model and its prepared and reduced logs."""
 
     model: RobotModel
     trajectories: tuple[Trajectory, ...]
     folds: tuple[Fold, ...]
     dataset: Dataset  # the reduced logs, with columns for the model's effects and the candidates
     fingerprints: tuple[str, ...]
-    notes: tuple[str, ...]  # what was done to the logs and noticed about the model
-    first: tuple[str, ...]  # of these, what is to be known first: doubts, and what is not used
-    asked: Asked  # what it was opened with
-    # The segments of all logs in memory, with the index of their log, once somebody looked.
+    notes: tuple[str, ...]  # on the preparation of the logs, and on the model
+    first: tuple[str, ...]  # the most important of these: doubts and unused data
+    options: CaseOptions
+    # The segments of all logs in memory, with the index of their log; filled on demand.
     segments: list[tuple[int, Segment]] = field(default_factory=list, repr=False)
-    # What reductions of the logs share.
-    shared: RowCache = field(default_factory=RowCache, repr=False)
-    # (nb, 10) inertial parameters that efforts of bodies are computed with, which columns of
-    # effects may depend on; the model's if None.
+    shared: RowCache = field(default_factory=RowCache, repr=False)  # cache of reductions
+    # (nb, 10) inertial parameters for the loads in columns of effects; the model's if None.
     loads: Array | None = None
 
     @property
     def bandwidths(self) -> dict[str, tuple[float, float]]:
-        """Fingerprint -> bandwidths, Hz: of the logs of the model's fits, and of these logs."""
-        own = dict.fromkeys(self.fingerprints, self.trajectories[0].bandwidths)
-        return {**self.model.bandwidths, **own}
+        """Bandwidths, Hz, of the logs of the model's fits and of these logs, by fingerprint."""
+        of_logs = dict.fromkeys(self.fingerprints, self.trajectories[0].bandwidths)
+        return {**self.model.bandwidths, **of_logs}
 
     @property
     def load_model(self) -> RobotModel:
-        """Return the model that gives the load of every joint."""
+        """The model for the load of every joint."""
         return self.model if self.loads is None else replace(self.model, phi=self.loads)
 
     @property
     def effect_classes(self) -> tuple[type[Effect], ...]:
-        """All effects that a diagnosis looks for: the catalogue's, and the user's own."""
-        return (*catalogue(), *self.asked.extra)
+        """All effects that a diagnosis considers: the catalogue's and the user's."""
+        return (*catalogue(), *self.options.extra)
 
 
 def open_case(
@@ -114,44 +111,45 @@ def open_case(
     motion_bandwidth: float | None = None,
     hold_resting: bool = False,
 ) -> Case:
-    """Prepare and reduce logs for a model, with columns for `candidates` if wanted.
+    """Prepare and reduce logs for a model, optionally with columns of `candidates`.
 
-    The `bandwidth` of the filter, Hz, is by default that at which the model was fitted to these
-    logs, or chosen from the data. Every log is cut into `blocks` for validation; by default there
-    are whole logs if there are four or more, and about eight blocks otherwise. Joints that hardly
-    move in any log may be held (`hold_resting`).
+    The `bandwidth` of the filter, Hz, is by default that of the model's fit to the same logs, or
+    chosen from the data. Every log is cut into `blocks` for validation; by default folds are whole
+    logs if there are at least four, or about eight blocks in total. With `hold_resting`, joints
+    that hardly move in any log are held.
 
     Raises:
-        ArgumentError: A log has a known payload of a body that does not exist, there is no log, one
-            is there twice, or a setting is no usable number.
+        ArgumentError: There is no log, a log is given twice, the body of a known payload does not
+            exist, or an option is invalid.
         LogError: A log cannot be used.
     """
-    asked = checked_logs(model, logs, extra, bandwidth, blocks)
-    model = model.with_volume if candidates else model  # as fits need it
-    matched = _matched(model, asked)
+    logs = checked_logs(model, logs, extra, bandwidth, blocks)
+    model = model.with_volume if candidates else model  # required by fits
+    matched = _matched(model, logs)
     if hold_resting and (held := holding_resting(model, matched)) is not model:
         model, matched = held, [log_of_model(log, held) for log in matched]
-    # Of what was measured: what a servo gives depends on the model, which a fit changes.
+    # Fingerprints of raw signals, as efforts of servos depend on the model.
     measured = {log.name: log.fingerprint for log in matched}
     model, matched, gain_notes = calibrate_efforts(model, matched)
     _check_efforts(matched)
-    idle = tuple(j for j in matched[0].passive if j not in model.motorless) if matched else ()
-    model = replace(model, motorless=(*model.motorless, *idle)) if idle else model
+    passive = tuple(j for j in matched[0].passive if j not in model.motorless) if matched else ()
+    model = replace(model, motorless=(*model.motorless, *passive)) if passive else model
 
-    def known_as(log: JointLog) -> tuple[str, str]:
-        return measured[log.name], log.fingerprint  # the latter by models saved before
+    def fingerprints_of(log: JointLog) -> tuple[str, str]:
+        return measured[log.name], log.fingerprint  # older models have the latter
 
     def prepare(logs: Sequence[JointLog]) -> tuple[tuple[Trajectory, ...], list[str], list[str]]:
         uniform = [make_uniform(log) for log in logs]
         hints = [hint for each in uniform for hint in _hints(each.log, model)]
-        seen = ([x for key in known_as(log) if (x := model.bandwidths.get(key))] for log in logs)
-        known = {own[0] if own else None for own in seen}
+        bandwidths = model.bandwidths
+        found = ([b for key in fingerprints_of(log) if (b := bandwidths.get(key))] for log in logs)
+        fitted_at = {known[0] if known else None for known in found}
         with _naming_units(hints):
             if bandwidth is not None:
-                sharp = motion_bandwidth
-                prepared = prepare_logs(uniform, bandwidth=bandwidth, motion_bandwidth=sharp)
+                motion = motion_bandwidth
+                prepared = prepare_logs(uniform, bandwidth=bandwidth, motion_bandwidth=motion)
                 return prepared, hints, []
-            if len(known) == 1 and (fit := known.pop()) is not None:
+            if len(fitted_at) == 1 and (fit := fitted_at.pop()) is not None:
                 how = "of the model's fit"
                 prepared = prepare_logs(uniform, bandwidth=fit[0], motion_bandwidth=fit[1], how=how)
                 return prepared, hints, []
@@ -160,7 +158,7 @@ def open_case(
 
     (trajectories, hints, changed), matched, unused = _with_usable(matched, prepare)
     changed += payload_notes(model, matched)
-    trained = [log for log in matched if not set(model.fitted_to).isdisjoint(known_as(log))]
+    trained = [log for log in matched if not set(model.fitted_to).isdisjoint(fingerprints_of(log))]
     fitted = len(trained) == len(matched)
     with _naming_units(hints):
         folds = validation_blocks(trajectories, blocks=blocks)
@@ -170,7 +168,8 @@ def open_case(
         effects += candidate_effects(model, trajectories, extra)
         delays = candidate_delays(trajectories[0].filter)
     room = MIXED_ROOM if any(t.has_unknown_forces for t in trajectories) else ROOM
-    shared = RowCache(room) if candidates else RowCache(room, signals=0)  # few follow
+    # Without candidates, few columns are added later.
+    shared = RowCache(room) if candidates else RowCache(room, signals=0)
     reduce = partial(
         reduce_logs,
         model,
@@ -192,10 +191,17 @@ def open_case(
         "fit counts it twice"
         for log in trained
     ]
-    fingerprints, said = tuple(measured[log.name] for log in matched), tuple(dict.fromkeys(notes))
-    opened = Asked(tuple(matched), tuple(extra), bandwidth, blocks)
-    found = model, trajectories, folds, dataset, fingerprints, said, first, opened
-    return Case(*found, shared=shared)
+    return Case(
+        model,
+        trajectories,
+        folds,
+        dataset,
+        tuple(measured[log.name] for log in matched),
+        tuple(dict.fromkeys(notes)),
+        first,
+        CaseOptions(tuple(matched), tuple(extra), bandwidth, blocks),
+        shared=shared,
+    )
 
 
 def _reduced_evenly(
@@ -203,7 +209,7 @@ def _reduced_evenly(
     trajectories: Sequence[Trajectory],
     reduce: Callable[[tuple[Fold, ...]], Dataset],
 ) -> tuple[tuple[Fold, ...], Dataset]:
-    """Return folds of which none has most of a joint's motion, and the logs reduced in them."""
+    """Return folds of which none has most of a joint's motion, and the reduced logs."""
     dataset = reduce(folds)
     samples = np.array([data.samples for data in dataset.data])
     times = [[[rows.time for rows in blocks] for blocks in data.rows] for data in dataset.data]
@@ -218,15 +224,15 @@ def checked_logs(
     bandwidth: float | None,
     blocks: int | None,
 ) -> tuple[JointLog | str | Path, ...]:
-    """Return the logs, or their files, if all that a caller passed can be understood at all."""
+    """Return the logs or their files, after checking the types of all arguments."""
     instance(model, "model", RobotModel)
     instances(extra, "extra", type)
     if bandwidth is not None:
         real_array(bandwidth, "bandwidth", (), finite=False)
     if blocks is not None:
         integer(blocks, "blocks")
-    each = (logs,) if isinstance(logs, JointLog | str | Path) else logs
-    return instances(each, "logs", (JointLog, str, Path))
+    many = (logs,) if isinstance(logs, JointLog | str | Path) else logs
+    return instances(many, "logs", (JointLog, str, Path))
 
 
 def prepared_as_measured(
@@ -236,10 +242,10 @@ def prepared_as_measured(
     bandwidth: float | None = None,
     blocks: int | None = None,
 ) -> tuple[tuple[Trajectory, ...], tuple[Fold, ...], frozenset[str]]:
-    """Return prepared logs and their folds, independent of the model's effort signals.
+    """Return prepared logs, their folds, and joints with commands of gains fitted to these logs.
 
-    The `bandwidth` of the filter, Hz, is by default chosen from the motion. Joints whose efforts
-    are those of commands, by gains that were fitted to these logs, come last.
+    The model's effort signals have no influence. The `bandwidth` of the filter, Hz, is by default
+    chosen from the motion.
     """
     logs = checked_logs(model, logs, (), bandwidth, blocks)
     measured = _matched(model, logs)
@@ -251,8 +257,8 @@ def prepared_as_measured(
         uniform = [make_uniform(log) for log in logs]
         if bandwidth is not None:
             return prepare_logs(uniform, bandwidth=bandwidth)
-        # Spectra are of so many seconds: of time that may be wrong, those that velocities say.
-        scale = float(np.median([each.time_scale for each in uniform]))
+        # The bandwidth depends on time stamps, which may be wrong; velocities tell their scale.
+        scale = float(np.median([log.time_scale for log in uniform]))
         is_wrong = abs(np.log(scale)) > _OTHER_SCALE
         chosen = motion_bandwidth_of(uniform, time_scale=scale if is_wrong else 1.0)
         return prepare_logs(uniform, bandwidth=chosen, how="chosen from the data")
@@ -264,7 +270,7 @@ def prepared_as_measured(
 def _with_usable(
     logs: Sequence[JointLog], prepare: Callable[[Sequence[JointLog]], T]
 ) -> tuple[T, list[JointLog], list[str]]:
-    """Prepare logs without unusable ones: result, remaining logs, and notes."""
+    """Prepare logs without unusable ones; return the result, the used logs, and notes."""
     used, notes = list(logs), list[str]()
     while True:
         try:
@@ -278,8 +284,8 @@ def _with_usable(
             notes.append(f"{name} is not used: {error.problem}")
 
 
-def reopen(case: Case, model: RobotModel) -> Case:
-    """Return the case with a model fitted to it, with columns for its effects only."""
+def reduce_fitted(case: Case, model: RobotModel) -> Case:
+    """Return the case with a model fitted to it, with columns of its effects only."""
     dataset = reduce_logs(
         model,
         case.trajectories,
@@ -298,13 +304,13 @@ def reduced(
     delays: Sequence[ArrayLike] | None = None,
     noise_of: RobotModel | None = None,
 ) -> Dataset:
-    """Return the logs of a case with columns for other effects.
+    """Return the logs of a case, reduced with columns of other effects.
 
-    Delays to try on top of the model's, s, of all joints or (nv,) of each, are by default those of
-    the case. The noise is that of the case, or what it is with another model.
+    Candidate `delays` beyond the model's, s, for all joints or (nv,) for each, are by default those
+    of the case. The noise is that of the case, or with the model `noise_of`.
     """
-    known = case.dataset
-    noise = known.noise_floor, known.noise_known, known.motion_noise
+    dataset = case.dataset
+    noise = dataset.noise_floor, dataset.noise_known, dataset.motion_noise
     if noise_of is not None:
         widths = sign_widths(noise_of, case.trajectories)
         noise = known_noise(case.trajectories, noise_of, sign_width=widths)
@@ -313,7 +319,7 @@ def reduced(
         case.trajectories,
         case.folds,
         effects=effects,
-        delays=[*case.dataset.delays] if delays is None else delays,
+        delays=[*dataset.delays] if delays is None else delays,
         noise=noise,
         shared=case.shared,
     )
@@ -330,15 +336,14 @@ def error_table(dataset: Dataset, held_out: HeldOut) -> ErrorTable:
 def series(
     dataset: Dataset, unknowns: Unknowns, held_out: HeldOut, *, delay: Delay = 0
 ) -> tuple[Series, ...]:
-    """Return measured and predicted efforts of every joint and block, the prediction held out."""
-    found = []
-    lates = dataset.delay_of_each(delay)
-    for joint, data, late in zip(dataset.joints, dataset.data, lates, strict=True):
+    """Return measured and held-out predicted efforts of every joint and block."""
+    blocks_of_joints, delays = list[Series](), dataset.delay_of_each(delay)
+    for joint, data, delay_index in zip(dataset.joints, dataset.data, delays, strict=True):
         local = data.local(unknowns.columns)
         used = local >= 0
         for fold, blocks in enumerate(data.rows):
             x = held_out.x[fold][used]
-            found += [
+            blocks_of_joints += [
                 Series(
                     joint,
                     dataset.folds[fold],
@@ -346,16 +351,16 @@ def series(
                     rows.motion[:, 0],
                     rows.motion[:, 1],
                     rows.motion[:, 2],
-                    rows.b[:, late] + rows.carried,
+                    rows.b[:, delay_index] + rows.carried,
                     rows.A[:, local[used]] @ x + rows.carried,
                 )
                 for rows in blocks
             ]
-    return tuple(found)
+    return tuple(blocks_of_joints)
 
 
 def _matched(model: RobotModel, logs: Sequence[JointLog | str | Path]) -> list[JointLog]:
-    """Return logs, read from files, with the model's joint order and unique names."""
+    """Return the logs, with files read, in the model's joint order and with unique names."""
     known, reading = model.known_joints, reading_for(model)
     read = [
         log
@@ -377,7 +382,7 @@ def _matched(model: RobotModel, logs: Sequence[JointLog | str | Path]) -> list[J
 
 
 def _still_notes(dataset: Dataset) -> list[str]:
-    """Return a note that samples at rest are left out, if any joint ever rests."""
+    """Return a note that samples at rest are left out, if there are any."""
     still = np.where(dataset.has_rows, dataset.still, 0.0)
     most = int(still.argmax())
     if still[most] == 0.0:
@@ -402,8 +407,8 @@ def _filtered_note(trajectory: Trajectory, *, fitted: bool) -> str:
 
 
 def _check_efforts(logs: Sequence[JointLog]) -> None:
-    """Check that joints have motors or efforts that change, the same in each log."""
-    check_repeated(logs)  # also those whose efforts were not there
+    """Raise if a measured effort is constant, or if logs differ in which joints have motors."""
+    check_repeated(logs)  # again, now with efforts
     for log in logs:
         if len(log.passive) == len(log.joints):
             raise LogError(
@@ -412,8 +417,7 @@ def _check_efforts(logs: Sequence[JointLog]) -> None:
             )
         if differing := sorted(set(log.passive) ^ set(logs[0].passive)):
             raise LogError(
-                f"{differing[0]} has no motor in one of {log.name!r} and {logs[0].name!r}, "
-                "but has one in the other.",
+                f"{differing[0]} has a motor in only one of {log.name!r} and {logs[0].name!r}.",
                 advice=f"Use --passive {differing[0]}, or measure its effort in each log.",
                 joints=differing,
             )
@@ -440,7 +444,7 @@ def _check_efforts(logs: Sequence[JointLog]) -> None:
 
 @contextmanager
 def _naming_units(hints: Sequence[str]) -> Iterator[None]:
-    """Name units that look wrong where a log is refused: they may be the reason."""
+    """Add hints of wrong units to the advice of a LogError, as they may be its cause."""
     try:
         yield
     except LogError as error:
@@ -453,7 +457,7 @@ def _naming_units(hints: Sequence[str]) -> Iterator[None]:
 def _hints(log: JointLog, model: RobotModel) -> list[str]:
     limits, doubt = model.position_limits, position_unit_hint(log)
     hints = [doubt, effort_sign_hint(log)]
-    if doubt is None:  # or limits are passed for that reason
+    if doubt is None:  # otherwise limits are exceeded for that reason
         largest = np.array(model.effort_limits, float)
         for signal in model.effort_signals:  # with an unknown gain, efforts have no unit
             if signal.joint in log.joints and signal.deviation >= abs(signal.gain):

@@ -1,4 +1,4 @@
-"""How far a model is from measurements, and where it fails."""
+"""Compare a model with measurements, and find where it fails."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from geodrake.identification.logs.case import Case, error_table, open_case, series
 from geodrake.identification.logs.hypothesis import HeldOut
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Failing, Series
-from geodrake.identification.logs.model_fit import as_it_stands, model_unknowns
+from geodrake.identification.logs.model_fit import model_unknowns, unfitted_errors
 from geodrake.identification.logs.unknowns import Unknowns
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
@@ -32,11 +32,11 @@ def compare(
     blocks: int | None = None,
     hold_resting: bool = True,
 ) -> Comparison:
-    """Compare a model, without refitting, with measurements that it was not fitted to.
+    """Compare a model, without refitting, with logs.
 
-    Nothing in the model is refitted. The `bandwidth` of the filter, Hz, is by default that of the
-    model's fit to the same logs, or chosen from the data; every log is cut into so many `blocks`.
-    Joints that hardly move in any log are held, unless `hold_resting` is false.
+    The `bandwidth` of the filter, Hz, is by default that of the model's fit to the same logs, or
+    chosen from the data. Every log is cut into `blocks`. Joints that hardly move in any log are
+    held if `hold_resting`.
     """
     case = open_case(
         model,
@@ -55,7 +55,10 @@ def comparison(
     """Compare a case's model without refitting, or parameters fitted without each fold."""
     dataset = case.dataset
     if unknowns is None or held_out is None:
-        unknowns, held_out = model_unknowns(dataset, case.model), as_it_stands(dataset, case.model)
+        unknowns, held_out = (
+            model_unknowns(dataset, case.model),
+            unfitted_errors(dataset, case.model),
+        )
     found, errors = series(dataset, unknowns, held_out), error_table(dataset, held_out)
     return Comparison(
         errors,
@@ -73,18 +76,19 @@ def where_it_fails(
     sliding: Collection[str] = (),
     most: int = 6,
 ) -> tuple[Failing, ...]:
-    """Return circumstances in which errors are concentrated, the worst of each joint first.
+    """Return the circumstance in which each joint's errors are concentrated, worst joints first.
 
-    Joints come in the order of their nrms. The units of `sliding` ones are m and N.
+    Joints are sorted by their nrms; at most `most` are returned. `sliding` joints have units of m
+    and N.
     """
     worst = []
     for error in errors.joints:
-        joint, own = error.joint, [s for s in found if s.joint == error.joint]
-        squares = np.concatenate([s.residual for s in own]) ** 2
+        joint, blocks = error.joint, [s for s in found if s.joint == error.joint]
+        squares = np.concatenate([s.residual for s in blocks]) ** 2
         if not len(squares):  # of a limb that always stands
             continue
-        way, effort = ("m", "N") if joint in sliding else ("rad", "N·m")
-        circumstances = _circumstances(own, way, effort)
+        position, effort = ("m", "N") if joint in sliding else ("rad", "N·m")
+        circumstances = _circumstances(blocks, position, effort)
         cases = [_failing(joint, words, mask, squares, effort) for words, mask in circumstances]
         notable = [c for c in cases if c is not None and c.rms > _NOTABLE * c.elsewhere]
         if notable:
@@ -93,22 +97,27 @@ def where_it_fails(
     return tuple(case for _, case in worst[:most])
 
 
-def _circumstances(own: Sequence[Series], way: str, effort: str) -> Iterator[tuple[str, Mask]]:
-    """Yield words and masks of quarters of the time, speeds, positions, accelerations and loads."""
+def _circumstances(
+    blocks: Sequence[Series], position: str, effort: str
+) -> Iterator[tuple[str, Mask]]:
+    """Yield descriptions and masks of extreme speeds, positions, accelerations, loads, and blocks.
+
+    `position` and `effort` are units.
+    """
     signals = {
-        name: np.concatenate([getattr(s, name) for s in own])
+        name: np.concatenate([getattr(s, name) for s in blocks])
         for name in ("velocity", "position", "acceleration", "predicted")
     }
     speed, load = np.abs(signals["velocity"]), np.abs(signals["predicted"])
-    yield from _extremes(speed, "at speeds", f"{way}/s")
+    yield from _extremes(speed, "at speeds", f"{position}/s")
     yield from _extremes(load, "at predicted efforts", effort)
-    yield from _extremes(np.abs(signals["acceleration"]), "at accelerations", f"{way}/s²")
-    yield from _extremes(signals["position"], "at positions", way)
+    yield from _extremes(np.abs(signals["acceleration"]), "at accelerations", f"{position}/s²")
+    yield from _extremes(signals["position"], "at positions", position)
     yield "while moving forwards", signals["velocity"] > 0.02 * speed.max()
     yield "while moving backwards", signals["velocity"] < -0.02 * speed.max()
-    blocks = np.concatenate([[s.block] * len(s.time) for s in own])
-    for block in dict.fromkeys(blocks.tolist()):
-        yield f"in {block}", blocks == block
+    names = np.concatenate([[s.block] * len(s.time) for s in blocks])
+    for name in dict.fromkeys(names.tolist()):
+        yield f"in {name}", names == name
 
 
 def _extremes(values: Array, words: str, unit: str) -> Iterator[tuple[str, Mask]]:

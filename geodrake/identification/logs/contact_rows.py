@@ -1,13 +1,13 @@
-"""Rows of a robot in contact that unknown contact forces and unmeasured efforts do not reach.
+"""Equations of motion free of unknown contact forces and unmeasured efforts.
 
     Y φ + Σ Y_e μ_e = τ + Jᵀ w,      N J̃ᵀ = 0,      N (Y φ + Σ Y_e μ_e) = N τ
 
-J are the Jacobians of the frames that may touch, over all nv velocities. Rows of N span what no
-force w changes, and are orthonormal in the units of the noise (J̃). Each row belongs to a velocity:
-those of the base first, then joints of limbs in the air; joints of standing limbs have none. The
-equation holds at each instant, and so does any filter of it, also across touches and lifts. A frame
-in doubt counts as touching, which is valid and costs some rows. Joints whose efforts nobody
-measured have no rows, and are in none.
+J are the Jacobians of the frames that may be in contact, over all nv velocities. The rows of N span
+the directions that no contact force w affects, and are orthonormal in units of the noise (J̃). Each
+row belongs to a velocity: first those of the base, then joints of limbs in the air; joints of
+standing limbs have none. The equation holds at each instant, so that filtering is valid across
+touches and lifts. A frame in doubt counts as touching, which is valid and costs some rows. Joints
+with unmeasured efforts have no rows, and no part in others.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from geodrake.model.robot_model import RobotModel
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-_LEAST = 0.05  # share of a row that is independent of the rows before it
-_FORCE, _EFFORT = 0.01, 0.03  # noise of base rows over the weight, and of joints over their efforts
-_NONE = 1e-9  # of a row, what is rounding
-_ARM = 0.15  # m, by which forces make moments of the base
+_LEAST = 0.05  # least norm of a row's part orthogonal to the rows before it
+_FORCE, _EFFORT = 0.01, 0.03  # noise of base rows over the weight, of joint rows over their efforts
+_NONE = 1e-9  # relative rounding error of a row
+_ARM = 0.15  # lever arm of forces for moments of the base, m
 
 
 def contact_rows(model: RobotModel, trajectory: Trajectory, segment: Segment) -> MixedRows | None:
-    """Return rows N at the instants of a segment; None if all forces and efforts are known."""
+    """Return the rows N at the instants of a segment; None if all forces and efforts are known."""
     measured = ~np.isin(model.joints, trajectory.unmeasured)
     if (contacts := trajectory.contacts) is None:
-        own = np.tile(measured.astype(float), (len(segment), 1))
-        return None if measured.all() else MixedRows(own, {})
+        single = np.tile(measured.astype(float), (len(segment), 1))
+        return None if measured.all() else MixedRows(single, {})
     base = [model.joints.index(joint) for joint in model.base_joints]
     (J, flags), scales = contacts_in(model, contacts, segment), row_scales(model, trajectory)
     return rows_without(J, flags, scales, base, measured=measured)
@@ -50,7 +50,7 @@ def contact_rows(model: RobotModel, trajectory: Trajectory, segment: Segment) ->
 def contacts_in(
     model: RobotModel, contacts: ContactFlags, segment: Segment
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Return Jacobians (N, c, k, nv) of frames at the instants of a segment, and if they touch."""
+    """Return Jacobians (N, c, k, nv) and contact flags (N, c) of frames in a segment."""
     bodies = RobotBodies(model.tree, model.positions(segment.position), model.total_phi)
     frames = contact_frames(model, contacts.frames)
     J = contact_jacobians(frames, bodies, soles=on_soles(contacts, frames))
@@ -59,71 +59,67 @@ def contacts_in(
 
 @dataclass(frozen=True, eq=False)
 class MixedRows:
-    """Rows N of a segment without the zeros of limbs in the air, whose rows are their own.
+    """Rows N of a segment, stored densely only where they combine several velocities."""
 
-    Attributes:
-        own: (N, nv) 1 where a row is that of its velocity alone, 0 where it is none or mixed.
-        mixed: Velocity -> its row (N, nv), where that has others in it at any instant.
-    """
-
-    own: Array
-    mixed: Mapping[int, Array]
+    single: Array  # (N, nv) 1 where a row is that of its velocity alone, 0 if mixed or absent
+    mixed: Mapping[int, Array]  # velocity -> its row (N, nv), if it is mixed at any instant
 
     @property
     def coupling(self) -> NDArray[np.bool_]:
-        """(nv, nv) whether the row of the first velocity ever has the second in it."""
-        found = np.eye(self.own.shape[1], dtype=bool)
+        """(nv, nv) whether the row of the first velocity ever includes the second."""
+        coupling = np.eye(self.single.shape[1], dtype=bool)
         for i, row in self.mixed.items():
-            found[i] |= (np.abs(row) > _NONE).any(axis=0)
-        return found
+            coupling[i] |= (np.abs(row) > _NONE).any(axis=0)
+        return coupling
 
     @property
     def shares(self) -> Array:
-        """(nv,) share of the instants in which a velocity has a row."""
-        found = self.own.mean(axis=0)
+        """(nv,) share of the instants at which a velocity has a row."""
+        shares = self.single.mean(axis=0)
         for i, row in self.mixed.items():
-            found[i] = row.any(axis=1).mean()
-        return np.asarray(found)
+            shares[i] = row.any(axis=1).mean()
+        return np.asarray(shares)
 
-    def __getitem__(self, at: slice) -> MixedRows:
+    def __getitem__(self, instants: slice) -> MixedRows:
         """Return the rows at some of the instants."""
-        return MixedRows(self.own[at], {i: row[at] for i, row in self.mixed.items()})
+        mixed = {i: row[instants] for i, row in self.mixed.items()}
+        return MixedRows(self.single[instants], mixed)
 
     def efforts(self, efforts: Array) -> Array:
-        """Return efforts (N, nv) of rows from those of velocities."""
-        found = self.own * efforts
+        """Return the efforts (N, nv) of rows from those of velocities."""
+        of_rows = self.single * efforts
         for i, row in self.mixed.items():
-            found[:, i] = np.einsum("nj,nj->n", row, efforts)
-        return found
+            of_rows[:, i] = np.einsum("nj,nj->n", row, efforts)
+        return of_rows
 
     def powers(self, powers: Array) -> Array:
-        """Return the mean power (nv,) of rows of noise that has a power (nv,) in velocities."""
-        found = np.square(self.own).mean(axis=0) * powers
+        """Return the mean noise power (nv,) of rows from that of velocities (nv,)."""
+        of_rows = np.square(self.single).mean(axis=0) * powers
         for i, row in self.mixed.items():
-            found[i] = np.square(row).mean(axis=0) @ powers
-        return np.asarray(found)
+            of_rows[i] = np.square(row).mean(axis=0) @ powers
+        return np.asarray(of_rows)
 
 
 @compiled
 def add_weighted(
     row: Array, columns: Array, which: tuple[Indices, Indices, Indices], total: Array
 ) -> None:
-    """Add columns (·, N) of velocities, weighted by a row (nv, N), to others.
+    """Add columns (·, N) of velocities, weighted by a mixed row (nv, N), to `total`.
 
     Args:
-        which: (k,) the columns, the velocities that they are of, and which others they go to.
+        which: Indices (k,) of the columns, of their velocities, and of their targets in `total`.
     """
-    used, sources, at = which
+    used, sources, targets = which
     for k in range(len(used)):
-        weight, own, sums = row[sources[k]], columns[used[k]], total[at[k]]
+        weight, column, sums = row[sources[k]], columns[used[k]], total[targets[k]]
         for n in range(len(sums)):
-            sums[n] += weight[n] * own[n]
+            sums[n] += weight[n] * column[n]
 
 
 def row_scales(model: RobotModel, trajectory: Trajectory) -> Array:
-    """Return rough noise (nv,) of the rows of velocities, N·m or N, by which they are weighed.
+    """Return rough noise levels (nv,) of the velocities' rows, N·m or N.
 
-    The weight is that of the file, so that rows are the same for all fits of a model.
+    They depend on the weight in the file, so that rows are the same for all fits of a model.
     """
     power, count = np.zeros(len(model.joints)), 0
     for segment in trajectory.segments:
@@ -148,27 +144,25 @@ def rows_without(
     *,
     measured: NDArray[np.bool_] | None = None,
 ) -> MixedRows:
-    """Return rows N for the Jacobians (N, c, k, nv) of frames; (N, c) marks contacts.
+    """Return the rows N for Jacobians (N, c, k, nv) and contact flags (N, c) of frames.
 
     Args:
         scales: (nv,) noise of the rows of velocities, N·m or N.
         base: Velocities of the base, which get rows first.
-        measured: (nv,) whether efforts of velocities are known; by default of all.
+        measured: (nv,) whether the effort of a velocity is measured; by default all are.
     """
     count, _, _, nv = J.shape
-    reached, J = np.asarray(J.any(axis=(0, 2))), contiguous(J)
-    states, which = np.unique(flags, axis=0, return_inverse=True)
+    affects, J = np.asarray(J.any(axis=(0, 2))), contiguous(J)
+    states, state_indices = np.unique(flags, axis=0, return_inverse=True)
     known = np.ones(nv, bool) if measured is None else measured
-    own, modes = (
-        np.tile(known.astype(float), (count, 1)),
-        list[tuple[Indices, Indices, Indices, Indices]](),
-    )
+    single = np.tile(known.astype(float), (count, 1))
+    modes = list[tuple[Indices, Indices, Indices, Indices]]()
     for number, state in enumerate(states):
-        at, feet = np.flatnonzero(which.ravel() == number), np.flatnonzero(state)
-        moving = np.flatnonzero(reached[feet].any(axis=0) & known)  # others' rows are their own
+        at, feet = np.flatnonzero(state_indices.ravel() == number), np.flatnonzero(state)
+        moving = np.flatnonzero(affects[feet].any(axis=0) & known)  # the others have single rows
         if not len(moving):
             continue
-        own[at[:, None], moving] = 0.0
+        single[at[:, None], moving] = 0.0
         K = J[at[len(at) // 2]][state][:, :, moving].reshape(-1, len(moving)) / scales[moving]
         Q = np.linalg.qr(K.T)[0]
         first = np.flatnonzero(np.isin(moving, base)).tolist()
@@ -179,14 +173,14 @@ def rows_without(
         int(i): np.zeros((count, nv)) for _, _, moving, owners in modes for i in moving[owners]
     }
     for i, row in mixed.items():
-        row[:, i], own[:, i] = own[:, i], 0.0
+        row[:, i], single[:, i] = single[:, i], 0.0
     for at, feet, moving, owners in modes:
         if len(owners):
             rows = np.zeros((len(at), len(owners), len(moving)))
             calc_free_rows(J, (at, feet, moving, owners), scales, rows)
             for k, i in enumerate(moving[owners].tolist()):
                 mixed[i][at[:, None], moving] = rows[:, k]
-    return MixedRows(own, mixed)
+    return MixedRows(single, mixed)
 
 
 @inlined
@@ -196,7 +190,7 @@ def _orthogonalize(basis: Array, k: int) -> None:
     for i in range(len(row)):
         whole += row[i] * row[i]
     size, before = whole, np.inf
-    while size < 0.5 * before:  # once leaves what rounding left of the first ones
+    while size < 0.5 * before:  # repeat after cancellation
         before = size
         for other in range(k):
             along = 0.0
@@ -221,48 +215,48 @@ def calc_free_rows(
     scales: Array,
     rows: Array,
 ) -> None:
-    """Write rows that are orthogonal to those of J (N, c, k, nv), by Gram and Schmidt.
+    """Write rows orthogonal to those of J (N, c, k, nv), by Gram–Schmidt.
 
     Args:
-        which: Instants, frames that touch there, velocities (m,) that move them, and (r,) those of
-            the latter from whose unit vectors rows begin.
+        which: Instants, frames in contact there, velocities (m,) that move them, and the owners
+            (r,) of rows among these, whose unit vectors are orthogonalized.
         scales: (nv,) units of velocities' rows in which they are orthonormal.
         rows: (N', r, m) rows at these instants, to be written.
     """
-    instants, frames, moving, own = which
+    instants, frames, moving, owners = which
     axes, nv = J.shape[2], len(moving)
     m = len(frames) * axes
-    basis = np.empty((m + len(own), nv))
+    basis = np.empty((m + len(owners), nv))
     for at, n in enumerate(instants):
-        for k in range(m + len(own)):
+        for k in range(m + len(owners)):
             row = basis[k]
             for i in range(nv):
                 if k < m:
                     row[i] = J[n, frames[k // axes], k % axes, moving[i]] / scales[moving[i]]
                 else:
-                    row[i] = 1.0 if i == own[k - m] else 0.0
+                    row[i] = 1.0 if i == owners[k - m] else 0.0
             _orthogonalize(basis, k)
             if k >= m:
-                scale = scales[moving[own[k - m]]]
+                scale = scales[moving[owners[k - m]]]
                 for i in range(nv):
                     rows[at, k - m, i] = scale * row[i] / scales[moving[i]]
 
 
 def _owners(P: Array, first: Sequence[int], rank: int) -> list[int]:
-    """Return velocities whose rows of a projection are a basis of it, those of the base first."""
-    rest, own = P.copy(), list[int]()
+    """Return velocities whose rows of a projection P span its range, those of `first` preferred."""
+    rest, owners = P.copy(), list[int]()
 
-    def take(at: int) -> None:
+    def take(index: int) -> None:
         nonlocal rest
-        unit = rest[:, at] / np.linalg.norm(rest[:, at])
+        unit = rest[:, index] / np.linalg.norm(rest[:, index])
         rest = rest - np.outer(unit, unit @ rest)
-        own.append(at)
+        owners.append(index)
 
-    for at in first:
-        if len(own) < rank and np.linalg.norm(rest[:, at]) > _LEAST:
-            take(at)
-    while len(own) < rank:
+    for index in first:
+        if len(owners) < rank and np.linalg.norm(rest[:, index]) > _LEAST:
+            take(index)
+    while len(owners) < rank:
         sizes = np.linalg.norm(rest, axis=0)
-        sizes[own] = 0.0
+        sizes[owners] = 0.0
         take(int(np.argmax(sizes)))
-    return own
+    return owners

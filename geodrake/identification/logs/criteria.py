@@ -1,55 +1,53 @@
-"""Numbers that several parts of an identification and a diagnosis share.
+"""Thresholds and priors that identification and diagnosis share.
 
-What is believed of a robot before its logs are seen, and so decides between explanations, is in
-`geodrake.diagnosis.beliefs`. What one search alone asks for, such as a window of a contact or a
-formula, stands there; and so do numbers that say how finely something is computed.
+Prior beliefs that decide between explanations are in `geodrake.diagnosis.beliefs`. Constants of a
+single search, and numerical tolerances, are in its module.
 """
 
 from __future__ import annotations
 
-# What counts as found.
+# Significance.
 
 ALARM = 0.01
-"""Largest probability of a false alarm, over all that was tried."""
+"""Largest probability of a false alarm, over all candidates."""
 
 TIE = 0.05
-"""Two fits are no tie if the better one is better with probability 1 − tie."""
+"""Two fits are tied unless one is better with probability 1 − TIE."""
 
 PENALTY = 6.0
-"""A parameter must bring this gain, twice a log-likelihood, for a fit with it to be better.
+"""Twice the log-likelihood that a parameter must gain for a fit with it to be better.
 
-χ² of one degree of freedom exceeds it once in seventy times.
+χ² with one degree of freedom exceeds it with probability 1/70.
 """
 
-# What is noise.
+# Noise.
 
 LEAST_NOISE = 1e-4
-"""No sensor of efforts has less noise than this share of their deviation."""
+"""Least noise of an effort sensor, relative to the standard deviation of the effort."""
 
 NOISE_MARGIN = 1.25
-"""Ratio to the noise floor up to which the error of all joints is noise.
+"""Largest ratio of the error of all joints to the noise floor that counts as noise.
 
-A formula is searched at every joint that errs by more, as that may be all that is above the noise.
+A formula is searched at every joint with a larger ratio, as that joint may be the only one.
 """
 
 JOINT_NOISE_MARGIN = 1.6
-"""Ratio to its floor up to which the error of one joint is noise.
+"""Largest ratio of the error of one joint to its noise floor that counts as noise.
 
-It counts beside `NOISE_MARGIN`: the others' noise must not cover up one joint at which most of the
-squared error is something else.
+It applies beside `NOISE_MARGIN`, so that the noise of other joints cannot hide one bad joint.
 """
 
-# What is known before, and how well.
+# Priors.
 
 SPREAD = 0.3
-"""A model file knows its inertias to about 30 %, as a geometric distance."""
+"""Uncertainty of a model file's inertias, as a geometric distance: about 30 %."""
 
 LARGEST = 10.0
-"""An effect is thought to need at most so many times the deviation of its joint's effort."""
+"""Largest effort of an effect, relative to the standard deviation of its joint's effort."""
 
 WORTH = 4.0
 """Effective number of samples of unexplained errors that vary with the motion, in any log.
 
-It is the same whenever the motion repeats: part of it, half of its size in the mean, varies with
-any one column of a fit.
+Such errors repeat with the motion. On average, half of their size correlates with any one column of
+a fit.
 """

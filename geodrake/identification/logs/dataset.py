@@ -1,8 +1,8 @@
-"""Logs reduced to triangular factors: one per fold and joint, over every column that may be used.
+"""Logs reduced to a triangular factor per fold and joint.
 
-A factor holds the columns of the inertial parameters, of all effects (those of the model and those
-that a diagnosis may try) and of the measured effort. Fits, held-out errors and comparisons of
-hundreds of candidates are then small dense problems; no one goes back to the samples.
+A factor contains the columns of inertial parameters, of all effects (the model's and the candidates
+of a diagnosis), and of the measured effort. Fits, held-out errors and comparisons of hundreds of
+candidates are then small dense problems that need no samples.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from geodrake.manifolds import PhysicalInertia
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Delay = int | Sequence[int]
-"""Index of a dataset's delay: that of all joints, or one for each."""
+"""Index of a dataset's delay, for all joints or one for each."""
 
 
-LEAST_INERTIA = 1e-3  # of the model's, that a joint without a motor feels
+LEAST_INERTIA = 1e-3  # least inertia at a joint without a motor, relative to the model's
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,20 +36,20 @@ class JointRows:
     motion: Array  # (K, 3) position, velocity and acceleration of the joint
     A: Array  # (K, p_j) columns, in the order of the joint's column indices
     b: Array  # (K, d) measured effort less `carried`, one column per delay of the dataset
-    number: NDArray[np.intp]  # (K,) which of the filter's outputs they are, ascending
-    # (K,) effort beside what is fitted: of known payloads, less what columns of bodies have in them
-    # of effects (`Effect.in_bodies`), and less what measured wrenches do at joints.
+    number: NDArray[np.intp]  # (K,) ascending indices among the filter's outputs
+    # (K,) known effort: of known payloads, less that of effects included in the columns of bodies
+    # (`Effect.in_bodies`), and less that of measured wrenches.
     carried: Array
 
     def part(self, low: int, high: int) -> JointRows:
-        """Return those of the outputs low to high − 1."""
-        own = slice(*np.searchsorted(self.number, [low, high]))
-        return JointRows(*(getattr(self, each.name)[own] for each in fields(self)))
+        """Return the rows of outputs low to high − 1."""
+        rows = slice(*np.searchsorted(self.number, [low, high]))
+        return JointRows(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     @classmethod
     def join(cls, parts: Sequence[JointRows]) -> JointRows:
-        """Return rows one after another."""
-        names = [each.name for each in fields(cls)]
+        """Concatenate rows."""
+        names = [field.name for field in fields(cls)]
         return cls(*(np.concatenate([getattr(rows, name) for rows in parts]) for name in names))
 
 
@@ -57,17 +57,16 @@ class JointRows:
 class JointData:
     """Data of all folds for one joint."""
 
-    # (p_j,) global indices of the columns that can be nonzero at this joint, ascending.
-    columns: Indices
-    # (F, m, p_j + d) triangular factors R of [A | b], with RᵀR = [A | b]ᵀ[A | b], one for each
-    # fold; the rows themselves where these are fewer than the columns.
+    columns: Indices  # (p_j,) ascending global indices of columns that can be nonzero here
+    # (F, m, p_j + d) triangular factors R of [A | b] with RᵀR = [A | b]ᵀ[A | b] for each fold, or
+    # the rows themselves if they are fewer than the columns.
     factors: Array
-    samples: NDArray[np.int_]  # (F,) rows behind each factor
+    samples: NDArray[np.int_]  # (F,) rows in each factor
     rows: tuple[tuple[JointRows, ...], ...]  # per fold, the kept rows of each of its blocks
-    carried: Array  # (F, p_j) products Aᵀc with the effort c that b is without
-    seen: NDArray[np.int_]  # (F,) rows before those were left out at which the joint stands still
+    carried: Array  # (F, p_j) products Aᵀc with the known effort c, which b excludes
+    seen: NDArray[np.int_]  # (F,) rows, including those at which the joint is at rest
     effort_sums: Array  # (F, 2) sums of the measured efforts, and of their squares
-    peaks: Array  # (p_j,) largest size of every column in the kept rows
+    peaks: Array  # (p_j,) largest absolute value of every column in the kept rows
 
     @property
     def grams(self) -> Array:
@@ -82,76 +81,75 @@ class JointData:
 
     @cached_property
     def _positions(self) -> Indices:
-        """Position of every global column up to the last, and −1 for all that follow."""
+        """Local index of every global column up to the last one here, then −1."""
         positions = np.full(self.columns[-1] + 2, -1)
         positions[self.columns] = np.arange(len(self.columns))
         return positions
 
     def local(self, columns: Indices) -> Indices:
-        """Return positions of global columns at this joint; −1 where a column cannot be nonzero."""
+        """Return local indices of global columns; −1 where a column is zero at this joint."""
         return self._positions[np.minimum(columns, len(self._positions) - 1)]
 
-    def factors_of(self, columns: Indices, late: int = 0) -> Array:
-        """Return factors (F, m, p + 1) of [A | b] with global columns (p,) and efforts of a delay.
+    def factors_of(self, columns: Indices, delay: int = 0) -> Array:
+        """Return factors (F, m, p + 1) of [A | b] with global columns (p,) and one delay's efforts.
 
-        Columns that cannot be nonzero at this joint are zero.
+        Columns of other joints are zero.
         """
         local = self.local(columns)
-        found = self.factors[:, :, np.append(local, len(self.columns) + late)]
-        found[:, :, :-1] *= local >= 0
-        return found
+        factors = self.factors[:, :, np.append(local, len(self.columns) + delay)]
+        factors[:, :, :-1] *= local >= 0
+        return factors
 
     @property
     def still(self) -> float:
-        """Share of the rows that are not used as the joint is at rest."""
+        """Share of the rows that are unused because the joint is at rest."""
         return float(1.0 - self.samples.sum() / self.seen.sum())
 
     def parameters(self, columns: Indices, x: Array) -> Array:
-        """Return (F, p_j) parameters of this joint's columns, of those (F, p) of global columns.
+        """Return the parameters (F, p_j) of this joint from those (F, p) of global columns.
 
-        One of these may be there twice; parameters of all others are zero.
+        Parameters of a repeated column add up; missing ones are zero.
         """
-        parameters = np.zeros((len(self.columns) + 1, len(x)))  # the last takes what is not seen
+        parameters = np.zeros((len(self.columns) + 1, len(x)))  # the last row is discarded
         np.add.at(parameters, self.local(columns), x.T)
         return np.ascontiguousarray(parameters[:-1].T)
 
 
 @dataclass(frozen=True, eq=False)
 class Dataset(Short):
-    """Several logs, reduced."""
+    """Reduced logs."""
 
     joints: tuple[str, ...]  # names of the nv velocities
     bodies: tuple[str, ...]  # names of the nb bodies
-    # Effects to fit or try, in column order after the 10·nb inertial ones; payloads have the
-    # columns of their body.
+    # Fitted and candidate effects, in the order of their columns after the 10·nb inertial ones;
+    # payloads share the columns of their body.
     effects: tuple[Effect, ...]
-    # (d, nv) seconds by which the effort columns of each joint are advanced on top of the model's
-    # delays; delays[0] is zero.
+    # (d, nv) seconds by which each joint's effort columns are advanced beyond the model's delays;
+    # delays[0] is zero.
     delays: Array
     folds: tuple[str, ...]  # names of the validation folds
     logs: tuple[str, ...]
     data: tuple[JointData, ...]  # one entry per joint
-    # (nv,) standard deviation of the measured effort, N·m or N; of a joint at rest what else its
-    # effort could show, as in `effort_scale`.
+    # (nv,) standard deviation of the measured effort, N·m or N; for a joint at rest see
+    # `effort_scale`.
     effort_std: Array
     noise_floor: Array  # (nv,) estimated RMS of the sensor noise after filtering, N·m or N
     bandwidth: float  # bandwidth of the filter, Hz
-    still: Array  # (nv,) share of the samples left out because the joint stands still
-    payload: Array  # (10,) a body in the middle of what the robot may carry
-    # (nv,) how well the gains of the efforts are known; 0 where known payloads say them.
-    gain_uncertainty: Array
-    # (nv,) whether the noise floor is known whatever a model leaves.
+    still: Array  # (nv,) share of the samples left out because the joint is at rest
+    payload: Array  # (10,) typical payload of the robot
+    gain_uncertainty: Array  # (nv,) relative, of the efforts; 0 if known payloads determine it
+    # (nv,) whether the noise floor is known independently of a model.
     noise_known: NDArray[np.bool_] | bool = True
-    # (nv,) the part of the noise floor that is in the columns, too, N·m or N: that of a free base's
-    # accelerations. It varies with the motion.
+    # (nv,) part of the noise floor due to a free base's accelerations, N·m or N. It is in the
+    # columns too, and so varies with the motion.
     motion_noise: Array | float = 0.0
-    # (nv, 10·nb) what each inertial parameter adds to the inertia that a joint without a motor
-    # feels, over that of the model's bodies; zeros at others. None if all have motors.
+    # (nv, 10·nb) slopes of the inertia at joints without motors with respect to the inertial
+    # parameters, over the model's inertia; zero at other joints. None if all joints have motors.
     passive_inertia: Array | None = None
-    is_mixed: bool = False  # whether rows have efforts of several joints, as contacts are unknown
+    is_mixed: bool = False  # whether rows mix joints' efforts to eliminate unknown contact forces
 
     def passive_shares(self, columns: Indices) -> Array:
-        """Return (nv, p) `passive_inertia` in global columns (p,), zeros where one is −1."""
+        """Return `passive_inertia` (nv, p) of global columns (p,), zero for columns of −1."""
         if self.passive_inertia is None:
             return np.zeros((len(self.joints), len(columns)))
         shares = np.zeros((len(self.joints), self._width + 1))
@@ -159,21 +157,21 @@ class Dataset(Short):
         return shares[:, columns]
 
     def inertias(self, columns: Indices, x: Array) -> Array:
-        """Return (nv, …) inertias at joints without motors over the model's, 1 at others.
+        """Return inertias (nv, …) at joints without motors, relative to the model's; 1 at others.
 
-        They are those of parameters (…, p) of global columns (p,).
+        `x` (…, p) are the parameters of global columns (p,).
         """
         return inertias_of(self.passive_shares(columns), x)
 
     def passive_pull(self, columns: Indices, x: Array, power: Array) -> Array | float:
-        """Return the slope (p,) of the log likelihood by the inertias at joints without motors.
+        """Return the gradient (p,) of the log-likelihood of inertias at joints without motors.
 
-        Nothing was measured of efforts there: 0 = Yφ + noise holds for bodies of any scale. What
-        is noisy is the acceleration, of a variance that is that of the residuals over the squared
-        inertia m, so that n independent samples add n log m, and a part of it goes in the right
-        side of the normal equations. Without it noise would shrink these bodies to nothing.
-        Inertias are those of parameters x (p,) of columns (p,) in use; the `power` (nv,) are
-        weighted sums of squared residuals, which are n with the weights of maximum likelihood.
+        Without a measured effort, 0 = Yφ + noise holds for bodies of any scale. The noise is that
+        of the acceleration, with the residual's variance over the squared inertia m. n independent
+        samples thus add n log m to the log-likelihood, whose gradient enters the right-hand side
+        of the normal equations; without it, noise would shrink these bodies to zero. The inertias
+        are those of parameters x (p,) of `columns` (p,). `power` (nv,) are weighted sums of squared
+        residuals, equal to n for maximum-likelihood weights.
         """
         if self.passive_inertia is None:
             return 0.0
@@ -181,7 +179,7 @@ class Dataset(Short):
 
     @cached_property
     def fold_shares(self) -> Array:
-        """(F,) share of all samples that each fold has."""
+        """(F,) share of all samples in each fold."""
         counts = self.samples.sum(axis=1)
         return np.asarray(counts / counts.sum())
 
@@ -203,14 +201,14 @@ class Dataset(Short):
 
     @cached_property
     def column_peak(self) -> Array:
-        """(p,) largest value of every column, over the effort's deviation, at any joint."""
+        """(p,) largest ratio of every column to the effort's standard deviation, at any joint."""
         peak = np.zeros(self._width)
         for data, std in zip(self.data, self.effort_std, strict=True):
             peak[data.columns] = np.maximum(peak[data.columns], data.peaks / std)
         return peak
 
     def delay_of_each(self, delay: Delay) -> tuple[int, ...]:
-        """Return the index of the delay of every joint."""
+        """Return the delay index of every joint."""
         return tuple(np.broadcast_to(delay, len(self.joints)).tolist())
 
     def effect_columns(self, effect: Effect) -> Indices:
@@ -234,12 +232,12 @@ class Dataset(Short):
 
     @cached_property
     def has_rows(self) -> NDArray[np.bool_]:
-        """(nv,) which joints have rows: those of a limb that always stands have none."""
+        """(nv,) whether a joint has rows; joints of an always standing limb have none."""
         return np.asarray(self.samples.any(axis=0))
 
     @cached_property
     def rows(self) -> NDArray[np.int_]:
-        """(nv,) rows of each joint; 1, of zeros, of one without."""
+        """(nv,) number of rows of each joint, at least 1."""
         return np.maximum(self.samples.sum(axis=0), 1)
 
 
@@ -256,20 +254,17 @@ def column_starts(effects: tuple[Effect, ...], bodies: tuple[str, ...]) -> dict[
 
 
 def inertias_of(shares: Array, x: Array) -> Array:
-    """Return the inertias (nv, …) of parameters (…, p) with shares (nv, p) in them.
-
-    Joints without shares, whose efforts were measured, have ones.
-    """
+    """Return the inertias (nv, …) of parameters (…, p) with shares (nv, p); 1 without shares."""
     inertias = np.maximum(shares @ np.asarray(x).T, LEAST_INERTIA)
     inertias[~shares.any(axis=1)] = 1.0
     return np.asarray(inertias)
 
 
 def is_payload(effect: Effect) -> bool:
-    """Return whether an effect adds to the parameters of a body, and so shares its columns."""
+    """Return whether an effect is a payload, which shares the columns of a body."""
     return effect.role is Role.BODY
 
 
 def is_body(effect: Effect) -> bool:
-    """Return whether the parameters of an effect are those of a body, held always or a while."""
+    """Return whether the parameters of an effect are those of a body, permanent or temporary."""
     return isinstance(effect.manifold, PhysicalInertia)

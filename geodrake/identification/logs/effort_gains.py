@@ -1,16 +1,15 @@
-"""Gains of currents, voltages and commands, estimated with the prior of the inertias.
+"""Estimate gains of currents, voltages and commands with the prior of the inertias.
 
-A joint whose effort is not measured has a signal s in its place, of which efforts are g s with g
-unknown:
+A joint without a measured effort has a signal s instead, and its effort is g s with an unknown g:
 
     s_j = a_j (Y_j φ + h_j + Y_e μ) + noise,    a_j = 1 / g_j
 
-What scales a_j is φ, which is known as well as its prior says, and the effort h of payloads that
-are known. The effects μ that any joint may have are free; their columns are projected out. What is
-left are log |a_j| and the bodies, moved along geodesics from where the model has them, P = L exp(X)
-Lᵀ with L Lᵀ = P₀: the norm of X is the geometric distance ([Lee2019] Eq. (2.2.10)), so that bodies
-twice as heavy are as far as bodies half as heavy, and gains are not drawn to either side. The noise
-of a joint is profiled out on the scale of its own signal: a gain of zero explains nothing.
+The prior of φ and the effort h of known payloads set the scale of a_j. The effects μ that any joint
+may have are free, and their columns are projected out. The unknowns are log |a_j| and the bodies on
+geodesics from the model's, P = L exp(X) Lᵀ with L Lᵀ = P₀. The norm of X is the geometric distance
+([Lee2019] Eq. (2.2.10)), in which bodies twice and half as heavy are equally far, so that the prior
+does not bias gains. The noise of a joint is profiled out on the scale of its signal: a zero gain
+explains nothing.
 """
 
 from __future__ import annotations
@@ -37,44 +36,44 @@ from geodrake.robot.reduction import triangular_factor
 Array = NDArray[np.float64]
 
 ALIKE = 1.5
-"""Deviation of log |gain| among signals of one kind, as motors differ."""
+"""Standard deviation of log |gain| among signals of one kind."""
 
-_STEPS = 50  # of a fit at most
-_LEVEL = 1e-6  # slope of the posterior where a fit is done
-_LONGEST = 1.0  # of log |a| or a geodesic in the first step
-_FITS = 4  # all but the first with independent samples by the residuals of the one before
-_FIRST_SHARE = 0.05  # of the samples that are independent in the first one
-_NOTHING = 1e-12  # share of a signal's variance that no noise is below
-_TOTAL_MASS = 0.05  # share to which a model file knows all bodies together: robots are weighed
-_CLEARLY = 3.0  # deviations of a negative gain that is taken for one
+_STEPS = 50  # largest number of steps of a fit
+_LEVEL = 1e-6  # gradient tolerance of the posterior
+_LONGEST = 1.0  # initial trust radius, of log |a| and geodesics
+_FITS = 4  # fits, each with the effective samples of the residuals before
+_FIRST_SHARE = 0.05  # effective samples over samples in the first fit
+_NOTHING = 1e-12  # least noise variance, relative to the signal's
+_TOTAL_MASS = 0.05  # relative uncertainty of a robot's total mass in its file
+_CLEARLY = 3.0  # standard deviations at which a negative gain is significant
 
 
 @dataclass(frozen=True, eq=False)
 class SignalGains:
     """Conversion of joints' signals to efforts."""
 
-    gains: Array  # (nv,) N·m or N for a unit of the signal; negative where its sign is the other
+    gains: Array  # (nv,) N·m or N per unit of the signal; negative if its sign is opposite
     deviations: Array  # (nv,) standard deviations of log |gain|
-    phi: Array  # (nb, 10) inertial parameters that go with them
-    worth: Array  # (nv,) independent samples of what stays unexplained
-    bodies: Array  # (nv,) deviations of log |gain| by how well bodies are known, all else certain
+    phi: Array  # (nb, 10) inertial parameters of the same fit
+    worth: Array  # (nv,) effective samples of the residual
+    bodies: Array  # (nv,) standard deviations of log |gain| due to the bodies alone
 
 
 @dataclass(frozen=True, eq=False)
 class SignalRows:
-    """One joint's triangular factor of the columns [N, Y, h, s].
+    """Triangular factor of the columns [N, Y, h, s] of one joint.
 
-    N are those of free effects, Y of inertial parameters, h of the effort of known payloads, s of
-    the signal. Rows below those of N have N projected out.
+    N are the columns of free effects, Y those of inertial parameters, h the effort of known
+    payloads, and s the signal. Rows below those of N have N projected out.
     """
 
-    columns: NDArray[np.intp]  # (m,) inertial parameters that matter at the joint
+    columns: NDArray[np.intp]  # (m,) inertial parameters that affect the joint
     free: int  # number of columns N
     factor: Array  # (k, n)
-    samples: int  # rows of the logs behind it
+    samples: int  # rows of the logs
     variance: float  # of the signal
-    mix: Array  # (p, n) of which of the logs' columns these are made
-    blocks: tuple[JointRows, ...]  # rows of blocks of the logs
+    mix: Array  # (p, n) map from the columns of the dataset to these columns
+    blocks: tuple[JointRows, ...]  # rows of the logs by block
 
     @classmethod
     def of(
@@ -84,28 +83,25 @@ class SignalRows:
         d: int,
         free: Sequence[Effect],
         *,
-        held: Effect | None = None,
+        payloads: Effect | None = None,
     ) -> SignalRows:
-        """Return the rows of a joint, over d inertial parameters.
-
-        The column of `held` is what known payloads need.
-        """
+        """Return the rows of a joint, over d inertial parameters and the column of `payloads`."""
         data = dataset.data[joint]
-        order, known = [], []
+        order, information = [], []
         for effect in free:
             local = data.local(dataset.effect_columns(effect))
             if (local >= 0).all():
                 order += local.tolist()
-                known += np.diag(effect_prior(dataset, effect)[1]).tolist()
+                information += np.diag(effect_prior(dataset, effect)[1]).tolist()
         k, last = len(order), len(data.columns)
         inertial = np.flatnonzero(data.columns < d)
         mix = np.zeros((last + 1, k + len(inertial) + 2))
         mix[[*order, *inertial], range(mix.shape[1] - 2)] = 1.0
         mix[last, -1] = 1.0
-        if held is not None:
-            mix[data.local(dataset.effect_columns(held)), -2] = 1.0
+        if payloads is not None:
+            mix[data.local(dataset.effect_columns(payloads)), -2] = 1.0
         variance = float(dataset.effort_std[joint] ** 2)
-        prior = np.eye(k, mix.shape[1]) * np.sqrt(np.array(known) * variance)[:, None]
+        prior = np.eye(k, mix.shape[1]) * np.sqrt(np.array(information) * variance)[:, None]
         factors = [factor[:, : last + 1] @ mix for factor in data.factors]
         return cls(
             data.columns[inertial],
@@ -118,33 +114,34 @@ class SignalRows:
         )
 
     def load(self, phi: Array) -> Array:
-        """Return (r,) rows of the effort of the bodies and of known payloads, for φ (d,)."""
+        """Return the rows (r,) of the effort of the bodies φ (d,) and of known payloads."""
         return self.factor[self.free :, self.free : -1] @ np.append(phi[self.columns], 1.0)
 
     def slopes(self, slope: Array) -> Array:
-        """Return (r, d) slopes of `load` with coordinates of the bodies, for those of φ (d, d)."""
+        """Return the slopes (r, d) of `load` from those of φ (d, d)."""
         return self.factor[self.free :, self.free : -2] @ slope[self.columns]
 
-    def left(self, a: float, phi: Array) -> Array:
-        """Return (r,) residual rows of the bodies with an inverse gain a, sign reversed."""
+    def residual(self, a: float, phi: Array) -> Array:
+        """Return the rows (r,) of predicted − measured signal for an inverse gain a."""
         return a * self.load(phi) - self.factor[self.free :, -1]
 
     def least_squares_gain(self, phi: Array) -> float:
-        """Return the inverse gain a of this joint with these bodies; negative if significant."""
+        """Return the inverse gain of the joint for given bodies; negative only if significant."""
         load = self.load(phi)
         size = max(float(load @ load), np.finfo(float).tiny)
         a = float(load @ self.factor[self.free :, -1]) / size
-        left = self.left(a, phi)
-        error = float(np.sqrt(left @ left / (_FIRST_SHARE * self.samples * size)))
+        residual = self.residual(a, phi)
+        error = float(np.sqrt(residual @ residual / (_FIRST_SHARE * self.samples * size)))
         return a if a < -_CLEARLY * error else float(max(abs(a), error))
 
     def cost(self, a: float, phi: Array, worth: float) -> float:
-        """Return twice the negative log-likelihood, for so many independent samples."""
-        left = self.left(a, phi)
-        return worth * float(np.log(left @ left / self.samples / self.variance + _NOTHING))
+        """Return twice the negative log-likelihood of `worth` effective samples."""
+        residual = self.residual(a, phi)
+        noise = residual @ residual / self.samples / self.variance
+        return worth * float(np.log(noise + _NOTHING))
 
     def effective(self, a: float, phi: Array) -> float:
-        """Return how many independent samples the residual is worth."""
+        """Return the effective number of samples of the residual."""
         N, others = np.split(self.factor[: self.free], [self.free], axis=1)
         body = np.concatenate([a * phi[self.columns], [a, -1.0]])
         x = self.mix @ np.append(np.linalg.lstsq(N, -others @ body, rcond=None)[0], body)
@@ -155,38 +152,37 @@ class SignalRows:
 class GainPriors:
     """Prior of the gains of joints' signals."""
 
-    expected: Array  # (nv,) their sizes, N·m or N for a unit of the signal
-    deviations: Array  # (nv,) of their logarithms; inf where nothing is known
+    expected: Array  # (nv,) |gain|, N·m or N per unit of the signal
+    deviations: Array  # (nv,) standard deviations of log |gain|; inf if unknown
 
 
 def signal_gains(
     rows: Sequence[SignalRows], model: RobotModel, priors: GainPriors, kinds: Sequence[str]
 ) -> SignalGains:
-    """Find the gains of signals, by rows of each joint.
+    """Estimate the gains of signals from the rows of each joint.
 
-    A gain that neither gravity nor inertia shows, as that of a light wrist, is drawn to those of
-    the other joints' signals of its kind (`kinds`, nv); its deviation says how little is known of
-    it.
+    A gain that neither gravity nor inertia identifies, such as that of a light wrist, is drawn to
+    those of other joints of its kind (`kinds`, nv), with a large standard deviation.
     """
-    known, about = priors.deviations, -np.log(priors.expected)
-    told = np.diag(np.maximum(known, _NOTHING) ** -2.0 + _NOTHING)
+    spread, prior_mean = priors.deviations, -np.log(priors.expected)
+    information = np.diag(np.maximum(spread, _NOTHING) ** -2.0 + _NOTHING)
     for kind in dict.fromkeys(kinds):
-        same = np.array([each == kind for each in kinds]) & ~np.isfinite(known)
+        same = np.array([other == kind for other in kinds]) & ~np.isfinite(spread)
         count = int(np.count_nonzero(same))
-        told[np.ix_(same, same)] += (np.eye(count) - 1.0 / max(1, count)) / ALIKE**2
+        information[np.ix_(same, same)] += (np.eye(count) - 1.0 / max(1, count)) / ALIKE**2
     phi, d = model.total_phi.ravel(), model.phi.size
-    told_alone = [each.least_squares_gain(phi) for each in rows]
-    a = np.where(np.isfinite(known), np.exp(about), told_alone)
+    least_squares = [joint.least_squares_gain(phi) for joint in rows]
+    a = np.where(np.isfinite(spread), np.exp(prior_mean), least_squares)
     bodies, signs = _GeodesicBodies.of(model), np.sign(a)
     z = np.concatenate([np.zeros(d), np.log(np.abs(a))])
-    worth = _FIRST_SHARE * np.array([each.samples for each in rows])
+    worth = _FIRST_SHARE * np.array([joint.samples for joint in rows])
     for fit in range(_FITS):
         if fit:
             phi, a = bodies.at(z[:d])[0], signs * np.exp(z[d:])
-            worth = np.array([each.effective(own, phi) for each, own in zip(rows, a, strict=True)])
-        system = partial(
-            _system, rows=rows, bodies=bodies, told=(told, about), signs=signs, worth=worth
-        )
+            pairs = zip(rows, a, strict=True)
+            worth = np.array([joint.effective(inverse, phi) for joint, inverse in pairs])
+        prior = information, prior_mean
+        system = partial(_system, rows=rows, bodies=bodies, prior=prior, signs=signs, worth=worth)
         options = {"initial_trust_radius": _LONGEST, "gtol": _LEVEL, "maxiter": _STEPS}
         z = minimize(
             lambda z, system=system: system(z)[:2],
@@ -196,20 +192,20 @@ def signal_gains(
             method="trust-exact",
             options=options,
         ).x
-    # What stays unexplained varies with the motion, as in `fit_model`: it is worth few samples.
-    _, _, information, grams = system(z)
-    inverse = np.linalg.inv(information)
+    # The residual varies with the motion, as in `fit_model`, and so has few effective samples.
+    _, _, posterior, grams = system(z)
+    inverse = np.linalg.inv(posterior)
     covariance = inverse + inverse @ np.tensordot(worth / WORTH, grams, 1) @ inverse
     deviations = np.sqrt(np.diag(covariance)[d:])
-    found, slope = bodies.at(z[:d])
-    spread, least = np.linalg.inv(bodies.information), np.finfo(float).tiny
+    phi, slope = bodies.at(z[:d])
+    body_covariance, least = np.linalg.inv(bodies.information), np.finfo(float).tiny
     scales = [
         load @ joint.slopes(slope) / max(float(load @ load), least)
-        for joint, load in ((each, each.load(found)) for each in rows)
+        for joint, load in ((joint, joint.load(phi)) for joint in rows)
     ]
-    known = np.sqrt([scale @ spread @ scale for scale in scales])
-    moved = found.reshape(-1, PARAMETERS_PER_BODY)
-    return SignalGains(signs * np.exp(-z[d:]), deviations, moved, worth, known)
+    of_bodies = np.sqrt([scale @ body_covariance @ scale for scale in scales])
+    per_body = phi.reshape(-1, PARAMETERS_PER_BODY)
+    return SignalGains(signs * np.exp(-z[d:]), deviations, per_body, worth, of_bodies)
 
 
 def _system(
@@ -217,64 +213,65 @@ def _system(
     *,
     rows: Sequence[SignalRows],
     bodies: _GeodesicBodies,
-    told: tuple[Array, Array],
+    prior: tuple[Array, Array],
     signs: Array,
     worth: Array,
 ) -> tuple[float, Array, Array, Array]:
-    """Return the negative log-posterior of z, its slope, information, and each joint's part of it.
+    """Return the negative log-posterior of z, its gradient, information, and parts of each joint.
 
-    z (d + nv,) are coordinates of the bodies and log |a|, noise is profiled out, and the
-    information (d + nv, d + nv) is that of Gauss and Newton. `told` are the information (nv, nv)
-    of what is known of log |a|, and about which values (nv,).
+    z (d + nv,) are the coordinates of the bodies and log |a|. Noise is profiled out, and the
+    information (d + nv, d + nv) is the Gauss–Newton one. `prior` is the information (nv, nv) and
+    mean (nv,) of log |a|.
     """
     d, size = len(z) - len(signs), len(z)
     phi, slope = bodies.at(z[:d])
-    known, grams = block_diag(bodies.information, told[0]), np.zeros((len(signs), size, size))
-    from_known = z - np.append(np.zeros(d), told[1])
-    gradient = known @ from_known
-    cost = 0.5 * float(from_known @ gradient)
+    information = block_diag(bodies.information, prior[0])
+    grams = np.zeros((len(signs), size, size))
+    change = z - np.append(np.zeros(d), prior[1])
+    gradient = information @ change
+    cost = 0.5 * float(change @ gradient)
     for j, (joint, a) in enumerate(zip(rows, (signs * np.exp(z[d:])).tolist(), strict=True)):
-        left, load = joint.left(a, phi), joint.load(phi)
+        residual, load = joint.residual(a, phi), joint.load(phi)
         J = np.zeros((len(load), size))
         J[:, :d] = a * joint.slopes(slope)
         J[:, d + j] = a * load
-        noise = left @ left + joint.samples * joint.variance * _NOTHING
+        noise = residual @ residual + joint.samples * joint.variance * _NOTHING
         grams[j] = worth[j] / noise * J.T @ J
-        gradient += worth[j] / noise * J.T @ left
+        gradient += worth[j] / noise * J.T @ residual
         cost += 0.5 * joint.cost(a, phi, worth[j])
-    return cost, gradient, known + grams.sum(axis=0), grams
+    return cost, gradient, information + grams.sum(axis=0), grams
 
 
 @dataclass(frozen=True, eq=False)
 class _GeodesicBodies:
-    """Bodies as end points of geodesics from where a model has them."""
+    """Bodies as end points of geodesics from a model's bodies."""
 
     factors: Array  # (nb, 4, 4) lower factors L of P₀ = L Lᵀ
-    information: Array  # (d, d) of the coordinates x of X, in an orthonormal basis of Sym(4)
+    information: Array  # (d, d) of the coordinates x of X in an orthonormal basis of Sym(4)
 
     @classmethod
     def of(cls, model: RobotModel) -> _GeodesicBodies:
-        """Return bodies near a model's, with its uncertainty."""
+        """Return a model's bodies with their uncertainty."""
         phi = model.with_volume.total_phi
         factors = np.asarray(np.linalg.cholesky(pseudo_inertia(phi)), float)
         d = model.phi.size
-        free = cls(factors, np.eye(d) / SPREAD**2)
-        slope = free.at(np.zeros(d))[1]
+        bodies = cls(factors, np.eye(d) / SPREAD**2)
+        slope = bodies.at(np.zeros(d))[1]
         if model.information is not None:
-            whole = model.information
-            others = np.linalg.pinv(whole[d:, d:], hermitian=True)  # which are free here
-            known = whole[:d, :d] - whole[:d, d:] @ others @ whole[d:, :d]
-            return replace(free, information=slope.T @ known @ slope)
+            full = model.information
+            effects = np.linalg.pinv(full[d:, d:], hermitian=True)  # marginalized, as free here
+            marginal = full[:d, :d] - full[:d, d:] @ effects @ full[d:, :d]
+            return replace(bodies, information=slope.T @ marginal @ slope)
         total = slope[::PARAMETERS_PER_BODY].sum(axis=0) / phi[:, 0].sum()
-        told = np.outer(total, total) / _TOTAL_MASS**2
-        return replace(free, information=free.information + told)
+        of_mass = np.outer(total, total) / _TOTAL_MASS**2
+        return replace(bodies, information=bodies.information + of_mass)
 
     def at(self, x: Array) -> tuple[Array, Array]:
-        """Return φ (d,) and its slope (d, d) with the coordinates x (d,)."""
+        """Return φ (d,) at the coordinates x (d,), and its slope (d, d)."""
         X = np.einsum("bi,iac->bac", x.reshape(-1, PARAMETERS_PER_BODY), SYMMETRIC_BASIS)
         w, V = np.linalg.eigh(X)
         e, gap = np.exp(w), w[:, :, None] - w[:, None, :]
-        same = np.abs(gap) < 1e-6  # where the divided difference of exp is its slope
+        same = np.abs(gap) < 1e-6  # the divided difference is the derivative
         mean = np.exp(0.5 * (w[:, :, None] + w[:, None, :]))
         rise = np.where(same, mean, (e[:, :, None] - e[:, None, :]) / np.where(same, 1.0, gap))
         inner = np.einsum("bka,ikl,blc->biac", V, SYMMETRIC_BASIS, V)  # Vᵀ E V of each direction E

@@ -1,7 +1,6 @@
-"""Evidence for an effect that is valid for coloured residuals.
+"""Evidence for an effect under coloured residuals.
 
-Residuals of robots are not white, so samples are counted by how many independent ones they are
-worth, and errors are always those of data that the fit did not see.
+Residuals of robots are not white: evidence uses effective sample sizes and held-out errors.
 """
 
 from __future__ import annotations
@@ -15,22 +14,23 @@ from scipy.special import chdtrc, ndtr
 
 Array = NDArray[np.float64]
 
-_HARDLY, _NO_RISE = 0.01, 0.05  # of a fold's loss, and of the mean one
-_MOST = 0.5  # of a loss, or of the folds: more than this share
+_HARDLY = 0.01  # negligible change, relative to the fold's loss
+_NO_RISE = 0.05  # negligible rise, relative to the mean loss of the folds
+_MOST = 0.5  # share of a loss, or of the folds
 _FEW = 2  # folds
-_ENOUGH, _EXACT = 5, 10  # folds: for ranks, and of which every pattern of signs is counted
-_UNCORRELATED = 0.02  # autocorrelation from which on there is none
+_ENOUGH, _EXACT = 5, 10  # folds: least for ranks, most for exact enumeration of signs
+_UNCORRELATED = 0.02  # negligible autocorrelation
 
 
 def effective_samples(blocks: Sequence[Array]) -> float:
-    """Return how many independent samples a coloured residual of blocks (K_i,) is worth."""
+    """Return the effective number of samples of a coloured residual in blocks (K_i,)."""
     return float(effective_samples_of_each([blocks])[0])
 
 
 def effective_samples_of_each(series: Sequence[Sequence[Array]]) -> Array:
-    """Return (J,) how many independent samples each of J coloured residuals is worth.
+    """Return the effective numbers (J,) of samples of J coloured residuals.
 
-    The blocks (K_i,) of each residual are stretches without gaps.
+    The blocks (K_i,) of a residual have no gaps inside.
     """
     longest = max(len(block) for blocks in series for block in blocks)
     size = next_fast_len(2 * longest, real=True)
@@ -44,11 +44,11 @@ def effective_samples_of_each(series: Sequence[Sequence[Array]]) -> Array:
 
 
 def effective_by_covariance(covariance: Array, samples: ArrayLike) -> Array:
-    """Return the effective number of n samples with an autocovariance: n / (1 + 2 Σ ρ_k).
+    """Return the effective numbers n / (1 + 2 Σ ρ_k) of n samples from their autocovariance.
 
-    The autocorrelation ρ is summed up to its first value below 0.02. The numbers (…) are between 1
-    and n, and n where nothing is known of ρ. Covariances (…, L) are sums of r_t r_{t+k} over t, for
-    k = 0, 1, …; `samples` (…) are the numbers n.
+    The autocorrelation ρ is summed up to its first value below 0.02. Results (…) are between 1 and
+    n, and n for zero power. Covariances (…, L) are sums of r_t r_{t+k} over t, for k = 0, 1, …;
+    `samples` (…) are the numbers n.
     """
     power = covariance[..., 0]
     correlation = covariance[..., 1:] / np.where(power > 0.0, power, 1.0)[..., None]
@@ -58,27 +58,26 @@ def effective_by_covariance(covariance: Array, samples: ArrayLike) -> Array:
 
 
 def false_alarm_probability(gain: float, parameters: int, tried: int) -> float:
-    """Return the chance that the best of `tried` irrelevant candidates would gain as much.
+    """Return the probability that the best of `tried` irrelevant candidates gains as much.
 
-    The gain is twice the held-out log-likelihood ratio (smaller than the in-sample one: cautious),
-    by linear and shape parameters; candidates are counted as by Bonferroni.
+    The gain is twice the held-out log-likelihood ratio of the linear and shape `parameters`, which
+    is conservative; candidates enter by Bonferroni's correction.
     """
     return min(1.0, tried * chi2_tail(gain, parameters))
 
 
 def chi2_tail(gain: float, degrees: int) -> float:
-    """Return the chance that χ² is larger than a gain; certain below zero."""
+    """Return the probability that χ² exceeds the gain; 1 for negative gains."""
     return float(chdtrc(degrees, max(gain, 0.0)))
 
 
 def fold_agreement(before: Array, after: Array) -> float:
-    """Return the share of the folds whose loss falls.
+    """Return the share of folds whose loss decreases, for losses (F,) before and after.
 
-    Play, for example, shows only in the folds where a load changes its sign. Where the loss falls
-    clearly in more than half of the folds, one in which it hardly changes therefore counts half, as
-    in a sign test; and where it is halved in two or more, each predicted by the others, only those
-    count against it in which it rises, by a notable share of what folds lose in the mean. Losses
-    are (F,); folds without samples have none before.
+    Backlash, for example, shows only in folds in which a load changes its sign. If the loss falls
+    clearly in more than half of the folds, a fold with a negligible change therefore counts half,
+    as in a sign test. If it is halved in two or more folds, only folds in which it rises by more
+    than 5 % of the mean loss count against. Folds without samples have a zero loss before.
     """
     seen = before > 0.0
     if not seen.any():
@@ -92,15 +91,14 @@ def fold_agreement(before: Array, after: Array) -> float:
 
 
 def tie_probability(loss_a: Array, loss_b: Array) -> float:
-    """Return the chance that b is truly no worse than a, from the paired losses of the folds.
+    """Return the probability that b is no worse than a, from held-out losses (F,) of the folds.
 
-    Folds differ by orders of magnitude, as those of slow and fast motion do, and what varies with
-    time shows in few of them: the ranks of the differences tell more than their mean. It is the
-    one-sided p-value of Wilcoxon's signed-rank test among the folds that differ by more than
-    hardly, of the paired t-test where these are too few for ranks; one half where none does.
-    Losses (F,) are held-out ones of the better hypothesis and of the other, per fold.
+    Losses of folds differ by orders of magnitude, as slow and fast motion do, so that ranks of the
+    differences are more robust than their mean. Return the one-sided p-value of Wilcoxon's
+    signed-rank test over folds with a notable difference, or of the paired t-test if these are too
+    few for ranks, or ½ if there are fewer than two.
     """
-    from scipy.stats import rankdata, ttest_1samp  # half a second, for those who need it
+    from scipy.stats import rankdata, ttest_1samp  # takes half a second to import
 
     difference = loss_b - loss_a
     difference = difference[np.abs(difference) > _HARDLY * np.maximum(loss_a, loss_b)]
@@ -115,6 +113,6 @@ def tie_probability(loss_a: Array, loss_b: Array) -> float:
     if len(difference) <= _EXACT:
         signs = np.arange(2 ** len(difference))[:, None] >> np.arange(len(difference)) & 1
         return float(np.mean(signs @ ranks >= positive - 1e-9))
-    # Of differences without a sign of their own, the sum has this mean and this variance.
+    # Mean and variance of the rank sum under random signs.
     mean, variance = 0.5 * ranks.sum(), 0.25 * np.square(ranks).sum()
     return float(ndtr(-(positive - mean - 0.5) / np.sqrt(variance)))

@@ -1,8 +1,8 @@
-"""A hypothesis: the model with certain effects, fitted and validated fold by fold.
+"""Hypotheses: the model with certain effects, fitted and cross-validated.
 
-Every fold is predicted by a fit to the others. The normal matrices are assembled from the factors
-of each fold and joint of a `Dataset`, so that a fit costs one Cholesky factorization; where bodies
-come out that cannot exist, `fit_problem` keeps them physical.
+Every fold is predicted by a fit to the others. Normal matrices are assembled from the factors of
+each fold and joint of a `Dataset`, so that a fit costs one Cholesky factorization. If its bodies
+are not physical, `fit_problem` is solved instead.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from geodrake.inertia import PARAMETERS_PER_BODY, is_physical
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-_ROUNDING = 1e-12  # by which a parameter may be beyond its bound
-_SETTLED = 0.3  # weights are settled if they change by less than this share
+_ROUNDING = 1e-12  # tolerance of bounds
+_SETTLED = 0.3  # change of the weights' logarithms below which they have converged
 _MOST_REFITS = 8
-_FIRST_SHARE = 0.05  # of the samples that count as effective ones in the first fit
+_FIRST_SHARE = 0.05  # effective samples over samples in the first fit
 
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
     """Held-out squared errors."""
 
-    # (F, nv) sums of squared held-out residuals, (N·m)² or N²; of joints without motors those of
-    # accelerations times the inertia that the model gave the joint before.
+    # (F, nv) sums of squared held-out residuals, (N·m)² or N²; for joints without motors those of
+    # accelerations times the prior inertia.
     sse: Array
-    samples: NDArray[np.int_]  # (F, nv) rows behind them
+    samples: NDArray[np.int_]  # (F, nv) numbers of rows
     x: Array  # (F, p) parameters fitted without each fold
 
     @property
@@ -54,11 +54,11 @@ class HeldOut:
 
 def hold_out(dataset: Dataset, columns: Indices, x: Array, *, delay: Delay = 0) -> HeldOut:
     """Return the errors of parameters x (F, p) of columns (p,) in every fold."""
-    sse = np.empty((len(dataset.folds), len(dataset.joints)))
-    for j, (data, late) in enumerate(zip(dataset.data, dataset.delay_of_each(delay), strict=True)):
+    sse, delays = np.empty((len(dataset.folds), len(dataset.joints))), dataset.delay_of_each(delay)
+    for j, (data, delay_index) in enumerate(zip(dataset.data, delays, strict=True)):
         n = len(data.columns)
         predicted = (data.factors[:, :, :n] @ data.parameters(columns, x)[..., None])[..., 0]
-        sse[:, j] = np.square(data.factors[:, :, n + late] - predicted).sum(1)
+        sse[:, j] = np.square(data.factors[:, :, n + delay_index] - predicted).sum(1)
     return HeldOut(sse / dataset.inertias(columns, x).T ** 2, dataset.samples, x)
 
 
@@ -67,24 +67,24 @@ def normal_matrices(
 ) -> tuple[Array, Array]:
     """Return the weighted AᵀA (F, p, p) and Aᵀb (F, p) of every fold, for columns (p,) of A.
 
-    The weights (nv,) are those of a squared residual of each joint, 1 / (N·m)² or 1 / N².
+    `weights` (nv,) are those of the joints' squared residuals, 1 / (N·m)² or 1 / N².
     """
     p, folds = len(columns), len(dataset.folds)
     gram, rhs = np.zeros((folds, p, p)), np.zeros((folds, p))
     delays = dataset.delay_of_each(delay)
-    for data, weight, late in zip(dataset.data, weights, delays, strict=True):
+    for data, weight, delay_index in zip(dataset.data, weights, delays, strict=True):
         seen = np.flatnonzero(data.local(columns) >= 0)
-        rows = data.factors_of(columns[seen], late)
-        own = weight * np.swapaxes(rows, 1, 2)[:, :-1] @ rows
-        gram[:, seen[:, None], seen] += own[:, :, :-1]
-        rhs[:, seen] += own[:, :, -1]
+        rows = data.factors_of(columns[seen], delay_index)
+        products = weight * np.swapaxes(rows, 1, 2)[:, :-1] @ rows
+        gram[:, seen[:, None], seen] += products[:, :, :-1]
+        rhs[:, seen] += products[:, :, -1]
     return gram, rhs
 
 
 class CrossValidation:
-    """Fits of given unknowns to all folds but one, optionally with physical bodies.
+    """Fits of unknowns to all folds but one, optionally with physical bodies.
 
-    The weights (nv,) are those of a squared residual of each joint, 1 / (N·m)².
+    `weights` (nv,) are those of the joints' squared residuals, 1 / (N·m)² or 1 / N².
     """
 
     def __init__(
@@ -100,22 +100,22 @@ class CrossValidation:
         self.dataset, self.unknowns, self.weights = dataset, unknowns, weights
         self.delay = dataset.delay_of_each(delay)
         if held_out is None:
-            (gram, rhs), (own_gram, own_rhs) = self._whole, self._own
-            own_rhs = own_rhs + dataset.fold_shares[:, None] * unknowns.pull
+            (gram, rhs), (fold_gram, fold_rhs) = self._total, self._of_folds
+            fold_rhs = fold_rhs + dataset.fold_shares[:, None] * unknowns.pull
             folds = range(len(dataset.folds))
-            x = self._solved(gram - own_gram, rhs - own_rhs, folds, physical=physical)
+            x = self._solved(gram - fold_gram, rhs - fold_rhs, folds, physical=physical)
             held_out = hold_out(dataset, unknowns.columns, x, delay=self.delay)
         self.held_out = held_out
 
     @cached_property
-    def _own(self) -> tuple[Array, Array]:
-        """Normal matrix (F, p, p) and right side (F, p) of each fold."""
+    def _of_folds(self) -> tuple[Array, Array]:
+        """Normal matrix (F, p, p) and right-hand side (F, p) of each fold."""
         return normal_matrices(self.dataset, self.weights, self.unknowns.columns, delay=self.delay)
 
     @cached_property
-    def _whole(self) -> tuple[Array, Array]:
-        """Normal matrix (p, p) and right side (p,) of all folds with the prior."""
-        (gram, rhs), prior = self._own, self.unknowns.information
+    def _total(self) -> tuple[Array, Array]:
+        """Normal matrix (p, p) and right-hand side (p,) of all folds and the prior."""
+        (gram, rhs), prior = self._of_folds, self.unknowns.information
         return gram.sum(0) + prior, rhs.sum(0) + prior @ self.unknowns.mean + self.unknowns.pull
 
     @cached_property
@@ -127,7 +127,7 @@ class CrossValidation:
     def _solved(
         self, grams: Array, rhs: Array, without: Sequence[int | None], *, physical: bool
     ) -> Array:
-        """Return fits (F, p) of matrices (F, p, p), by `without` which folds they are."""
+        """Return the solutions (F, p) for matrices (F, p, p), each `without` a fold."""
         scales = 1.0 / np.sqrt(np.diagonal(grams, axis1=1, axis2=2))
         scaled, x = grams * scales[:, :, None] * scales[:, None, :], np.empty_like(rhs)
         for f, factor in enumerate(cholesky(scaled)):
@@ -140,43 +140,43 @@ class CrossValidation:
         return x
 
     def _are_physical(self, x: Array) -> bool:
-        """Return whether all bodies of parameters (…, p) can exist."""
+        """Return whether all bodies of parameters (…, p) are physical."""
         places = np.array(self.unknowns.inertia_blocks, int)[:, None]
         return bool(is_physical(x[..., places + np.arange(PARAMETERS_PER_BODY)]).all())
 
     @property
     def is_physical(self) -> bool:
-        """Whether the bodies of all fits can exist."""
+        """Whether the bodies of all fits are physical."""
         return self._are_physical(self.held_out.x)
 
     @cached_property
     def fit_all(self) -> Array:
         """(p,) parameters fitted to all folds."""
-        gram, rhs = self._whole
+        gram, rhs = self._total
         return self._solved(gram[None], rhs[None], [None], physical=True)[0]
 
     @cached_property
     def deviations(self) -> Array:
-        """Return (p,) standard deviations of `fit_all`, bounds left aside."""
-        gram, _ = self._whole
+        """(p,) standard deviations of `fit_all`, ignoring bounds."""
+        gram, _ = self._total
         scale = 1.0 / np.sqrt(np.diag(gram))
         matrix = gram * scale[:, None] * scale + RIDGE * np.eye(len(scale))
         return scale * np.sqrt(np.diag(np.linalg.inv(matrix)))
 
 
 def _within(x: Array, rhs: Array, scaled: tuple[Array, Array], unknowns: Unknowns) -> Array:
-    """Return the minimizer (p,) within the bounds of unknowns, from that without them, x (p,).
+    """Return the minimizer (p,) within the bounds of the unknowns, from the unbounded one x (p,).
 
-    The normal equations have the right side (p,), and a matrix (p, p) scaled to unit diagonal by
-    factors (p,).
+    The normal equations have the right-hand side `rhs` (p,), and a matrix (p, p) scaled to unit
+    diagonal by factors (p,).
     """
     free, (matrix, scale) = np.ones(len(x), bool), scaled
     lower, upper = unknowns.lower - _ROUNDING, unknowns.upper + _ROUNDING
     while np.any(outside := (x < lower) | (x > upper)):
         free &= ~outside
         x = np.clip(x, unknowns.lower, unknowns.upper)
-        held = (matrix[np.ix_(free, ~free)] @ (x[~free] / scale[~free])) / scale[free]
-        right = scale[free] * (rhs[free] - held)
+        fixed = (matrix[np.ix_(free, ~free)] @ (x[~free] / scale[~free])) / scale[free]
+        right = scale[free] * (rhs[free] - fixed)
         x[free] = scale[free] * solved(cholesky(matrix[np.ix_(free, free)]), right)
     return x
 
@@ -187,7 +187,7 @@ class Hypothesis(Short):
 
     dataset: Dataset
     unknowns: Unknowns
-    weights: Array  # (nv,) of squared residuals: effective share of the samples / mse
+    weights: Array  # (nv,) of squared residuals: effective share of the samples over the MSE
     delay: tuple[int, ...]  # index of the dataset's effort delay of each joint
     prior_scale: float  # factor by which the prior of the bodies is widened
     cv: CrossValidation
@@ -217,43 +217,43 @@ def residual_blocks(
     """Return held-out residuals (K_i,) of each joint and block, for x (F, p) of columns (p,)."""
     return [
         [
-            rows.b[:, late] - rows.A @ own
-            for own, blocks in zip(data.parameters(columns, x), data.rows, strict=True)
+            rows.b[:, delay_index] - rows.A @ parameters
+            for parameters, blocks in zip(data.parameters(columns, x), data.rows, strict=True)
             for rows in blocks
         ]
-        for data, late in zip(dataset.data, dataset.delay_of_each(delay), strict=True)
+        for data, delay_index in zip(dataset.data, dataset.delay_of_each(delay), strict=True)
     ]
 
 
 def effective_of_rows(blocks: Sequence[Sequence[Array]], rows: Array | NDArray[np.int_]) -> Array:
-    """Return (nv,) effective samples of rows (nv,), by the residuals of those that are kept.
+    """Return the effective samples (nv,) of rows (nv,), from residuals of the kept rows.
 
-    A joint without rows is given one.
+    It is 1 for a joint without rows.
     """
     kept = np.array([sum(map(len, joint)) for joint in blocks])
-    found = effective_samples_of_each(blocks) * (rows / np.maximum(kept, 1))
-    return np.where(kept > 0, found, 1.0)
+    effective = effective_samples_of_each(blocks) * (rows / np.maximum(kept, 1))
+    return np.where(kept > 0, effective, 1.0)
 
 
 def reweight(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
-    """Refit with weights that follow from the held-out residuals themselves.
+    """Refit iteratively with weights from the held-out residuals.
 
-    The weight of a joint is the inverse of its squared error (half its own, half what the same
-    relative error of all joints would be, so that no joint is given up), reduced to its effective
-    samples so that coloured residuals do not outvote the prior. Effective samples are counted in so
-    many `iterations` at most, each time with weights that agree with the errors.
+    A joint's weight is the inverse of the geometric mean of its own squared error and that of the
+    mean relative error of all joints, so that no joint is ignored. It is scaled to effective
+    samples, so that coloured residuals do not outweigh the prior. Effective samples are updated at
+    most `iterations` times, each time with converged weights.
     """
     dataset, unknowns, delay = hypothesis.dataset, hypothesis.unknowns, hypothesis.delay
     samples, variance = dataset.rows, dataset.effort_std**2
     weights, effective = hypothesis.weights, hypothesis.effective
     x, mse = unknowns.mean, hypothesis.held_out.mse
 
-    def deserved(cv: CrossValidation) -> Array:
+    def weights_of(cv: CrossValidation) -> Array:
         mse = np.maximum(cv.held_out.mse, 1e-12 * variance)
         mean = np.mean((mse / variance)[dataset.has_rows])
         return np.asarray(effective / samples / np.sqrt(mse * mean * variance))
 
-    def counted(cv: CrossValidation) -> Array:
+    def effective_of(cv: CrossValidation) -> Array:
         blocks = residual_blocks(dataset, unknowns.columns, cv.held_out.x, delay=delay)
         return effective_of_rows(blocks, samples)
 
@@ -263,26 +263,26 @@ def reweight(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
             unknowns = unknowns.pulled(dataset, x, power)
             cv = CrossValidation(dataset, unknowns, weights, delay=delay, physical=False)
             x, mse = cv.held_out.x.mean(0), cv.held_out.mse
-            before, weights = weights, deserved(cv)
-            if _alike(weights, before):
+            previous, weights = weights, weights_of(cv)
+            if _have_converged(weights, previous):
                 break
-        effective = counted(cv)
-        before, weights = weights, deserved(cv)
-        if _alike(weights, before):
+        effective = effective_of(cv)
+        previous, weights = weights, weights_of(cv)
+        if _have_converged(weights, previous):
             break
     if not cv.is_physical:
         cv = CrossValidation(dataset, unknowns, cv.weights, delay=delay)
-        effective = counted(cv)
-        weights = deserved(cv)
+        effective = effective_of(cv)
+        weights = weights_of(cv)
     return replace(hypothesis, unknowns=unknowns, weights=weights, cv=cv, effective=effective)
 
 
-def _alike(weights: Array, before: Array) -> bool:
-    return bool(np.all(np.abs(np.log(weights / before)) < _SETTLED))
+def _have_converged(weights: Array, previous: Array) -> bool:
+    return bool(np.all(np.abs(np.log(weights / previous)) < _SETTLED))
 
 
 def first_hypothesis(dataset: Dataset, unknowns: Unknowns, *, delay: Delay = 0) -> Hypothesis:
-    """Return the given model with its parameters refitted within their prior."""
+    """Return the model with its parameters refitted within their prior."""
     weights = _FIRST_SHARE / dataset.effort_std**2
     cv = CrossValidation(dataset, unknowns, weights, delay=delay)
     effective = np.asarray(_FIRST_SHARE * dataset.rows, float)

@@ -1,7 +1,7 @@
-"""One joint along stretches of logs: what simulations of it alone need, and what they say.
+"""Data for simulating one joint along logs, and comparisons with its measured motion.
 
-Residuals are simulated − measured positions. Some windows are kept for tests, and searches see
-pieces of long logs.
+Residuals are simulated − measured positions. Some windows are held out, and searches use pieces of
+long logs.
 """
 
 from __future__ import annotations
@@ -42,28 +42,28 @@ Indices = NDArray[np.intp]
 T = TypeVar("T", np.float64, np.bool_)
 
 LONGEST_DELAY = 0.06
-"""Commands are late by no more, s."""
+"""Largest delay of commands, s."""
 
-_WINDOWS = 8  # of all logs, two of a stretch at least; every other one is left out for a test
-_SOUGHT, _PIECE = 40.0, 10.0  # s of all stretches that searches see, in pieces of so many
-_NOTHING = float(np.finfo(float).tiny)  # rad² or m², of a joint that stands exactly still
-_LINEAR_DELAYS = tuple(np.linspace(0.0, LONGEST_DELAY, 7).tolist())  # s, that linear fits try
+_WINDOWS = 8  # of all logs, at least two of a stretch; every other one is held out
+_SOUGHT, _PIECE = 40.0, 10.0  # total time that searches use, and length of its pieces, s
+_NOTHING = float(np.finfo(float).tiny)  # rad² or m²
+_LINEAR_DELAYS = tuple(np.linspace(0.0, LONGEST_DELAY, 7).tolist())  # candidates, s
 
 
 @dataclass(frozen=True, eq=False)
 class JointMotions:
-    """One joint along S stretches of logs: what a simulation of it alone needs."""
+    """Data for simulating one joint along S stretches of logs."""
 
-    rows: tuple[Array, ...]  # per stretch (N, 8) b, M, K, D, and smooth q, q̇, q̈, command
+    rows: tuple[Array, ...]  # per stretch (N, 8) b, M, K, D, smoothed q, q̇, q̈, and command
     positions: tuple[Array, ...]  # per stretch (N,) positions as logged, rad or m
     periods: tuple[float, ...]  # per stretch the time between rows, s
 
     def servo(
         self, parameters: Sequence[float], *, limit: float = np.inf, rate_share: float = 1.0
     ) -> Array:
-        """Return the numbers (12 + S,) of a servo with some first parameters, and zeros beyond.
+        """Return servo parameters (12 + S,) from the first few of them; the others are zero.
 
-        Limit and share of the rate are those of a `ServoFit`.
+        `limit` and `rate_share` are those of a `ServoFit`.
         """
         numbers = np.zeros(BEGUN + len(self.rows))
         numbers[: len(parameters)], numbers[LIMIT] = parameters, limit
@@ -75,20 +75,20 @@ class JointMotions:
         return numbers
 
     def simulated(self, servo: Array) -> Array:
-        """Return positions (N,) under the commands, rad or m."""
+        """Return simulated positions (N,), rad or m."""
         x = np.empty(len(self.measured))
         calc_servo_motions(*self._whole, servo, (x, np.empty((0, 0))))
         return x
 
     def with_slopes(self, servo: Array, free: Mask) -> tuple[Array, Array]:
-        """Return the residual (N,), and its slopes (N, f) with numbers (12 + S,) that are free."""
+        """Return the residual (N,) and its slopes (N, f) with respect to the free parameters."""
         count = len(free) if free[INTEGRAL:].any() else INTEGRAL
         x, J = np.empty(len(self.measured)), np.zeros((len(self.measured), count))
         calc_servo_motions(*self._whole, servo, (x, J))
         return x - self.measured, J[:, free[:count]]
 
     def with_integral(self, servo: Array, integral: float) -> Array:
-        """Return a servo with an integral that begins as bodies need it in the mean."""
+        """Return a servo with an integral whose initial effort matches the bodies on average."""
         found = servo.copy()
         found[INTEGRAL] = integral
         for k, (rows, period) in enumerate(zip(self.rows, self.periods, strict=True)):
@@ -98,47 +98,47 @@ class JointMotions:
         return found
 
     def linear_servo(self, signal: EffortSignal) -> EffortSignal:
-        """Return gain, delay and integral of a servo by a linear fit of what it is behind.
+        """Estimate gain, delay and integral of a servo by a linear fit of its tracking error.
 
-        That is what bodies, friction and inertia need, over the gain. Where no servo pulls to where
-        it is told to go, it is the signal itself, if anything is known of its gain. There is no
-        integral unless one explains much more.
+        The tracking error is the effort of bodies, friction and inertia over the gain. If no fit
+        has a positive gain, keep the signal if its gain is known. Add an integral only if that
+        explains much more.
         """
         parts = list(zip(self.rows, self.periods, strict=True))
         ones = np.repeat(np.eye(len(parts)), [len(rows) for rows, _ in parts], axis=0)
         b, v, vd = np.concatenate(self.rows)[:, [0, 5, 6]].T
-        sides, found = np.column_stack([b, v, np.sign(v), vd, ones]), list[_Linear]()
+        base_columns, fits = np.column_stack([b, v, np.sign(v), vd, ones]), list[_LinearServo]()
         for delay in _LINEAR_DELAYS:
-            told = [_late_error(rows, period, delay) for rows, period in parts]
-            behind = np.concatenate([error for error, _ in told])
-            for more in ((), (np.concatenate([summed for _, summed in told]),)):
-                columns = np.column_stack([sides, *more])
-                x = np.linalg.lstsq(columns, behind, rcond=None)[0]
+            errors = [_late_error(rows, period, delay) for rows, period in parts]
+            error = np.concatenate([error for error, _ in errors])
+            for integrals in ((), (np.concatenate([integral for _, integral in errors]),)):
+                columns = np.column_stack([base_columns, *integrals])
+                x = np.linalg.lstsq(columns, error, rcond=None)[0]
                 gain = 1.0 / x[0] if x[0] > 0.0 else 0.0
-                integral = -gain * x[-1] if more else 0.0
-                if gain and (integral > 0.0 or not more):
-                    found.append(_Linear(behind - columns @ x, gain, delay, integral))
+                integral = -gain * x[-1] if integrals else 0.0
+                if gain and (integral > 0.0 or not integrals):
+                    fits.append(_LinearServo(error - columns @ x, gain, delay, integral))
         best = None
-        for with_it in (False, True):
-            some = [each for each in found if bool(each.integral) == with_it]
-            if some:
-                other = min(some, key=lambda each: float(each.left @ each.left))
-                if best is None or self.gain_of(best.left, other.left) >= PENALTY:
-                    best = other
+        for has_integral in (False, True):
+            candidates = [fit for fit in fits if bool(fit.integral) == has_integral]
+            if candidates:
+                candidate = min(candidates, key=lambda fit: float(fit.residual @ fit.residual))
+                if best is None or self.gain_of(best.residual, candidate.residual) >= PENALTY:
+                    best = candidate
         if best is None and signal.uncertainty < 1.0:
             return signal
-        if best is None:  # about what bodies need, over how far it is behind
-            behind = np.concatenate([_late_error(rows, period, 0.0)[0] for rows, period in parts])
-            return replace(signal, gain=float(np.std(b) / max(np.std(behind), _NOTHING)))
+        if best is None:  # the bodies' effort over the tracking error
+            error = np.concatenate([_late_error(rows, period, 0.0)[0] for rows, period in parts])
+            return replace(signal, gain=float(np.std(b) / max(np.std(error), _NOTHING)))
         return replace(signal, gain=best.gain, delay=best.delay, integral=best.integral)
 
     def residual(self, servo: Array) -> Array:
-        """Return (N,) simulated − measured positions of all stretches."""
+        """Return simulated − measured positions (N,) of all stretches."""
         return self._residual(servo.tobytes())
 
     @cached_property
     def _residual(self) -> Callable[[bytes], Array]:
-        """Residuals (N,) by the bytes of a servo's parameters; the last four are kept."""
+        """Residual (N,) as a function of the bytes of the parameters; the last four are cached."""
 
         @lru_cache(maxsize=4)
         def residual(servo: bytes) -> Array:
@@ -147,7 +147,7 @@ class JointMotions:
         return residual
 
     def rms(self, servo: Array, rows: Mask | None = None) -> float:
-        """Return the RMS of simulated − measured positions at some rows (N,), or all."""
+        """Return the RMS of the residual at the marked rows (N,), or at all."""
         residual = self.residual(servo)
         return float(np.sqrt(np.mean((residual if rows is None else residual[rows]) ** 2)))
 
@@ -171,14 +171,14 @@ class JointMotions:
         )
 
     def gain(self, before: Array, after: Array, rows: Mask | None = None) -> float:
-        """Return twice the log-likelihood that one servo gains over another at some rows (N,)."""
+        """Return twice the log-likelihood ratio of two servos at some rows (N,), or at all."""
         return self.gain_of(self.residual(before), self.residual(after), rows)
 
     def gain_of(self, before: Array, after: Array, rows: Mask | None = None) -> float:
-        """Return the same of residuals (N,), less the mean of each stretch.
+        """Return twice the log-likelihood ratio of two residuals (N,) centred in each stretch.
 
-        By that a joint is off where bodies are a little too heavy or a zero is another one. It says
-        nothing of a servo, but would make all residuals go together, as if they were one.
+        Slightly wrong bodies or zeros shift a whole stretch. The mean carries no information about
+        the servo, but would correlate all residuals.
         """
         kept = self._split(np.ones(len(after), bool) if rows is None else rows)
 
@@ -195,11 +195,11 @@ class JointMotions:
         return effective_samples(blocks[1]) * float(np.log(squares[0] / squares[1]))
 
     def noise(self, residual: Array) -> float:
-        """Return the variance of a residual (N,) as it counts in deviations of parameters.
+        """Return the residual variance that scales the parameter covariance.
 
-        Noise counts by the samples that it is worth. What varies smoothly with the motion does so
-        whenever the motion repeats, and is worth `WORTH` samples however many there are; it is
-        taken to be at least as much as cannot be told from chance.
+        Noise counts with its effective samples. The part that varies smoothly with the motion
+        repeats with the motion and counts as `WORTH` samples in any log; it is taken to be at least
+        its chance level.
         """
         rows = np.concatenate(self.rows)
         q, v, vd = ((column - column.mean()) / (np.std(column) or 1.0) for column in rows[:, 4:7].T)
@@ -207,22 +207,22 @@ class JointMotions:
         error = (ahead - ahead.mean()) / (np.std(ahead) or 1.0)
         terms = q, v, vd, error, q * q, v * v, v * abs(v), v**3, np.sign(v), np.sign(v) * q, q * v
         columns = np.stack([np.ones_like(q), *terms, abs(v), vd * v, vd * q], 1)
-        left = residual - columns @ np.linalg.lstsq(columns, residual)[0]
-        count, k = effective_samples(self._split(left)), columns.shape[1]
+        noise = residual - columns @ np.linalg.lstsq(columns, residual)[0]
+        count, k = effective_samples(self._split(noise)), columns.shape[1]
         square = max(float(residual @ residual), _NOTHING)
-        share = 1.0 - float(left @ left) / square - k / count
+        share = 1.0 - float(noise @ noise) / square - k / count
         share = min(max(share, float(np.sqrt(2.0 * k)) / count), 1.0)
         return square * ((1.0 - share) / count + share / WORTH)
 
     def pieces(self) -> JointMotions:
-        """Return what a search sees of long logs: pieces, spread evenly over the stretches."""
+        """Return evenly spread pieces of long logs, for a search."""
         lengths = [period * len(q) for q, period in zip(self.positions, self.periods, strict=True)]
         if sum(lengths) <= _SOUGHT:
             return self
         cut = [
             (k, at)
             for k, (q, period) in enumerate(zip(self.positions, self.periods, strict=True))
-            for at in _even(len(q), max(1, round(_PIECE / period)))
+            for at in _equal_slices(len(q), max(1, round(_PIECE / period)))
         ]
         count = max(1, round(_SOUGHT / _PIECE))
         kept = [cut[i] for i in np.unique(np.linspace(0, len(cut) - 1, count).round().astype(int))]
@@ -234,9 +234,9 @@ class JointMotions:
 
     @cached_property
     def seen(self) -> tuple[JointMotions, Mask]:
-        """The stretches up to where a test alone needs them, and rows (N,) that a fit sees.
+        """The stretches without trailing held-out rows, and a mask (N,) of rows to fit.
 
-        A row more says how commands go on.
+        One row more is kept to interpolate commands.
         """
         shown = self._split(~self.tested)
         kept = [slice(np.max(np.flatnonzero(own), initial=-1) + 2) for own in shown]
@@ -248,15 +248,14 @@ class JointMotions:
         return motions, np.concatenate([own[at] for own, at in zip(shown, kept, strict=True)])
 
     def _split(self, values: NDArray[T]) -> list[NDArray[T]]:
-        """Return values (N,) of each stretch."""
+        """Return the values (N,) split by stretch."""
         return np.split(values, np.cumsum([len(each) for each in self.rows])[:-1])
 
     @cached_property
     def tested(self) -> Mask:
-        """(N,) rows of every other window, which a test leaves out of the fit.
+        """(N,) mask of held-out rows, those of every other window.
 
-        Each stretch begins in a window that the fit sees: what its integral begins with shows only
-        there, and a servo that was left to guess it would not be told from one without.
+        The first window of each stretch is fitted, as only it identifies the initial integral.
         """
         counts = np.array([len(each) for each in self.rows])
         pairs = np.maximum(1, np.rint(0.5 * _WINDOWS * counts / max(counts.sum(), 1)).astype(int))
@@ -264,30 +263,30 @@ class JointMotions:
         return np.concatenate([np.arange(n) * 2 * k // max(n, 1) % 2 == 1 for n, k in windows])
 
 
-class _Linear(NamedTuple):
-    """A servo by a linear fit."""
+class _LinearServo(NamedTuple):
+    """A linear fit of a servo."""
 
-    left: Array  # (N,) what stays unexplained of what it is behind, rad or m
+    residual: Array  # (N,) unexplained tracking error, rad or m
     gain: float
     delay: float
     integral: float
 
 
 def _late_error(rows: Array, period: float, delay: float) -> tuple[Array, Array]:
-    """Return how far late commands (N,) are ahead of positions, and the integral of that."""
+    """Return the tracking error (N,) of delayed commands, and its integral."""
     time = period * np.arange(len(rows))
     ahead = np.interp(time - delay, time, rows[:, 7]) - rows[:, 4]
     return ahead, period * np.cumsum(ahead)
 
 
-def _even(count: int, length: int) -> list[slice]:
-    """Return slices of about some length that cover so many rows."""
+def _equal_slices(count: int, length: int) -> list[slice]:
+    """Return consecutive slices of about equal `length` that cover `count` rows."""
     ends = np.linspace(0, count, max(1, round(count / length)) + 1).round().astype(int).tolist()
     return [slice(*pair) for pair in pairwise(ends)]
 
 
 def _runs(values: Array, kept: Mask) -> list[Array]:
-    """Return pieces of values that are kept one after another."""
+    """Return runs of consecutive kept values."""
     cuts = np.flatnonzero(np.diff(kept)) + 1
     pieces = zip(np.split(values, cuts), np.split(kept, cuts), strict=True)
     return [piece for piece, there in pieces if len(there) and there[0]]
@@ -299,7 +298,7 @@ def motions_of(
     trajectories: Sequence[Trajectory],
     joints: Sequence[int],
 ) -> dict[int, JointMotions]:
-    """Return what simulations of some joints, each alone, need, by the index of the joint."""
+    """Return the simulation data of some joints, by joint index."""
     rows: dict[int, list[Array]] = {j: [] for j in joints}
     positions: dict[int, list[Array]] = {j: [] for j in joints}
     periods = []
@@ -307,19 +306,19 @@ def motions_of(
         command = np.full_like(log.position, np.nan) if log.command is None else log.command
         robot = carrying(model, log.payloads)
         for stretch in trajectory.segments:
-            chunks = [(part.time, _about(robot, part)) for _, part in stretch.chunks()]
+            chunks = [(part.time, _linearized_rows(robot, part)) for _, part in stretch.chunks()]
             time = np.concatenate([instants for instants, _ in chunks])
             columns = np.concatenate([values for _, values in chunks])  # (N, 7, n)
             for j in joints:
-                told = _read(log.time, command[:, j], time)
+                told = _interpolated(log.time, command[:, j], time)
                 rows[j].append(contiguous(np.column_stack([columns[:, :, j], told])))
-                positions[j].append(_read(log.time, log.position[:, j], time))
+                positions[j].append(_interpolated(log.time, log.position[:, j], time))
             periods.append(stretch.period)
     return {j: JointMotions(tuple(rows[j]), tuple(positions[j]), tuple(periods)) for j in joints}
 
 
-def _about(model: RobotModel, part: Segment) -> Array:
-    """Return (N, 7, n) b, M, K, D, q, q̇ and q̈ of every joint alone."""
+def _linearized_rows(model: RobotModel, part: Segment) -> Array:
+    """Return b, M, K, D, q, q̇ and q̈ (N, 7, n) of every joint."""
     motion = (model.positions(part.position), part.velocity, part.acceleration)
     slopes = effort_slopes(model.tree, *motion, model.total_phi)
     kinds = (slopes.acceleration, slopes.position, slopes.velocity)
@@ -328,7 +327,7 @@ def _about(model: RobotModel, part: Segment) -> Array:
     return np.stack([b, *own, part.position, part.velocity, part.acceleration], 1)
 
 
-def _read(time: Array, values: Array, instants: Array) -> Array:
-    """Return values of a log at other instants, between those that are there."""
+def _interpolated(time: Array, values: Array, instants: Array) -> Array:
+    """Return values of a log interpolated at other instants."""
     known = np.isfinite(time) & np.isfinite(values)
     return np.interp(instants, time[known], values[known])

@@ -1,4 +1,4 @@
-"""Fits of reduced logs with any regularizer, and the weight that held-out errors ask for."""
+"""Fits of reduced logs with any regularizer, and the choice of its weight by held-out errors."""
 
 from __future__ import annotations
 
@@ -32,30 +32,29 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.description import drake_messages
 
 _NOTHING = 1e-200
-"""Information in the scale of `effect_prior` below which an effect is unidentified."""
+"""Information of `effect_prior` below which an effect is unidentified."""
 
 _PROBE = 0.1
-"""The scale of a regularizer is measured at this geometric distance."""
+"""Geometric distance at which the scale of a regularizer is measured."""
 
 _DECADES = (4, 3, 2, 1, 0, -1)
-"""A sweep tries these powers of ten of γ, relative to that of inertias known to within `SPREAD`."""
+"""Powers of ten of γ in a sweep, relative to the γ of inertias with an uncertainty of `SPREAD`."""
 
 _LEAST_DECADE = 0
-"""A sweep chooses at least this power of ten.
+"""Smallest power of ten that a sweep chooses.
 
-Below, what the model lacks goes into its inertias, and held-out errors on the same kind of motion
-even reward that.
+Below it, inertias absorb missing effects, which held-out errors of similar motion even reward.
 """
 
 _SWEPT_AS = {"riemannian": "entropic"}
-"""The γ of these regularizers is chosen by another: both agree to second order, one is convex."""
+"""Convex regularizers, equal to second order, that choose the γ of others."""
 
 
 def log_unknowns(dataset: Dataset, model: RobotModel) -> Unknowns:
-    """Return bodies known as well as a model file knows them, and effects that the data decide.
+    """Return a model's parameters as unknowns: bodies with the prior of a file, weak effects.
 
-    Payloads come next to the bodies. The model's parameters are the prior mean; what an earlier fit
-    left known is not used: the prior of an identification is its regularizer.
+    Payloads follow the bodies. The prior means are the model's parameters. The information of an
+    earlier fit is not used, as the prior of an identification is its regularizer.
     """
     unknowns = inertial_unknowns(model.phi, pullback_information(model.phi, SPREAD))
     means = {fitted.effect: fitted.parameters for fitted in model.effects}
@@ -73,39 +72,37 @@ def log_unknowns(dataset: Dataset, model: RobotModel) -> Unknowns:
 
 @dataclass(frozen=True, eq=False)
 class LogFits:
-    """Logs to be fitted with one regularizer or another.
+    """Fits of reduced logs with any regularizer.
 
-    A payload counts as a body of its own, with what the model says of it as its prior. Positive
-    parameters of effects that the model has, such as friction and rotor inertias, have a prior too:
-    they are known to within their own size. Others are not regularized, but for a prior so weak
-    that it only decides where the data say nothing.
+    A payload is a separate body with the model's value as prior. Positive parameters of the model's
+    effects, such as friction and rotor inertias, have a prior of their own size. Other parameters
+    have only a weak prior, for directions that the data do not identify.
     """
 
     dataset: Dataset
-    unknowns: Unknowns  # what the fits move; its means are the prior
-    # (nv,) weight of a squared residual of each joint, so that the weighted squared residual counts
-    # effective samples.
+    unknowns: Unknowns  # free parameters, whose means are the prior
+    # (nv,) weights of the joints' squared residuals, whose weighted sum is the number of effective
+    # samples.
     weights: Array
-    # Mass of all bodies and payloads together, kg; None if it is not known.
-    total_mass: float | None = None
-    # (p,) parameters near which the likelihood of joints without motors is taken, and (nv,) the
-    # `power` of their residuals, as in `Dataset.passive_pull`; the prior's, and none.
+    total_mass: float | None = None  # of all bodies and payloads, kg, if known
+    # (p,) parameters at which the likelihood of joints without motors is expanded, by default the
+    # prior, and (nv,) the `power` of `Dataset.passive_pull`, by default zero.
     near: Array | None = None
     power: Array | None = None
 
     @property
     def prior(self) -> Array:
-        """(nb, 10) prior of the bodies, and of payloads after them."""
+        """(nb, 10) prior of the bodies, followed by payloads."""
         return self.unknowns.mean[: self._inertial].reshape(-1, PARAMETERS_PER_BODY)
 
     @property
     def folds(self) -> range:
-        """The folds by number."""
+        """Indices of the folds."""
         return range(len(self.dataset.folds))
 
     @property
     def _inertial(self) -> int:
-        """Number of the parameters of bodies and payloads, which come first."""
+        """Number of parameters of bodies and payloads, which come first."""
         return len(self.unknowns.inertia_blocks) * PARAMETERS_PER_BODY
 
     def solve(
@@ -119,10 +116,9 @@ class LogFits:
     ) -> IdentificationResult:
         """Fit all folds, or all but one; see `geodrake.identification.identify`.
 
-        Exactly one is given of γ and the residual bound, the greatest weighted squared residual. A
-        MathematicalProgram certifies the fit if asked to.
+        Pass exactly one of `gamma` and `residual_bound`, the largest weighted squared residual.
         """
-        with drake_messages():  # an error says it all when a solver gives up
+        with drake_messages():  # the error of a failed solver is sufficient
             return identify(
                 *self.data(without),
                 self.prior,
@@ -136,8 +132,8 @@ class LogFits:
             )
 
     def compare(self, reference: str, gamma: float) -> RegularizerComparison:
-        """Fit all regularizers to all folds at the training residual of one and its γ."""
-        # Scalars are held as firmly as bodies are, by each regularizer.
+        """Fit all regularizers to all folds, at the training residual of a reference and its γ."""
+        # Each regularizer weighs scalars like bodies.
         firm = gamma * regularizer_scale(self.prior, reference)
         scales = {name: regularizer_scale(self.prior, name) for name in REGULARIZERS}
         with drake_messages():
@@ -167,9 +163,9 @@ class LogFits:
         return A, np.concatenate([factor[:, -1], prior @ mean])
 
     def _passive_rows(self, without: int | None) -> Array:
-        """Return rows (k, p + 1) of the inertias m at k joints without motors.
+        """Return rows (k, p + 1) for the inertias m at k joints without motors.
 
-        They are what −2 n log m is to second order near m₀: n (m/m₀ − 2)², but for a constant.
+        They approximate −2 n log m to second order at m₀: n (m/m₀ − 2)² plus a constant.
         """
         near = self.unknowns.mean if self.near is None else self.near
         power = np.zeros(len(self.dataset.joints)) if self.power is None else self.power
@@ -187,13 +183,14 @@ class LogFits:
         return bounds if len(bounds) else None
 
     def extra_prior(self, regularizer: str, gamma: float | None) -> Array | None:
-        """Return (extra, 2) the model's positive parameters and weights; or None.
+        """Return positive prior values and weights (extra, 2), or None without any.
 
-        The weights make the parameters known to within their own size, whatever γ. Without one, as
-        with a residual bound, γ is that of inertias known to within `SPREAD`.
+        The weights give the parameters an uncertainty of their own size for any γ. Without `gamma`,
+        it is that of inertias with an uncertainty of `SPREAD`.
         """
-        all_three = self.unknowns.lower, self.unknowns.upper, self.unknowns.mean
-        lower, upper, values = (each[self._inertial :] for each in all_three)
+        effects = slice(self._inertial, None)
+        lower, upper = self.unknowns.lower[effects], self.unknowns.upper[effects]
+        values = self.unknowns.mean[effects]
         known = (lower >= 0.0) & (values > 0.0) & (values <= upper)
         if not known.any():
             return None
@@ -205,16 +202,16 @@ class LogFits:
         return np.column_stack([np.where(known, values, np.nan), weights])
 
     def least_residual(self, without: int | None = None) -> float:
-        """Return the least weighted squared residual that any parameters reach, physical or not."""
+        """Return the smallest weighted squared residual of any parameters, physical or not."""
         return least_residual(*self.data(without))
 
     def held_out(self, results: Sequence[IdentificationResult]) -> HeldOut:
-        """Return the errors in every fold of the fits (F,) without it."""
+        """Return the held-out errors of fits (F,), each without one fold."""
         x = np.array([result.x for result in results])
         return hold_out(self.dataset, self.unknowns.columns, x)
 
     def loss(self, regularizer: str, gamma: float) -> Array:
-        """Return (F,) parts of the folds in the joints' summed squared nrms; inf if a fit fails."""
+        """Return the folds' parts (F,) of the joints' summed squared nrms; inf if a fit fails."""
         try:
             parts = [self.solve(regularizer, gamma=gamma, without=f) for f in self.folds]
         except IdentificationError:
@@ -225,35 +222,35 @@ class LogFits:
 
 
 def regularizer_scale(prior: Array, regularizer: str) -> float:
-    """Return the mean d² over squared geometric distance near a prior (nb, 10) of physical bodies.
+    """Return the mean ratio of d² to the squared geometric distance near a prior (nb, 10).
 
-    It is about 1 but for a Euclidean regularizer.
+    It is about 1, except for the Euclidean regularizer.
     """
     kind = REGULARIZERS[regularizer]()
     directions = np.linalg.inv(np.linalg.cholesky(pullback_metric(prior)))
-    found = []
+    ratios = []
     for body, rows in enumerate(directions):
         for row in rows:
-            moved = prior.copy()
-            moved[body] += _PROBE * row
-            found.append(kind.divergence(moved, prior) / _PROBE**2)
-    return float(np.mean(found))
+            phi = prior.copy()
+            phi[body] += _PROBE * row
+            ratios.append(kind.divergence(phi, prior) / _PROBE**2)
+    return float(np.mean(ratios))
 
 
 @dataclass(frozen=True)
-class Weighing:
+class GammaScore:
     """One γ of a sweep."""
 
     gamma: float
-    nrms: float  # held-out nrms with it; inf where a fit failed
+    nrms: float  # held-out nrms; inf if a fit failed
 
 
-def weigh(fits: LogFits, regularizer: str) -> tuple[float, tuple[Weighing, ...]]:
-    """Return the largest γ that is not clearly worse than the best, and the errors of each.
+def choose_gamma(fits: LogFits, regularizer: str) -> tuple[float, tuple[GammaScore, ...]]:
+    """Return the largest γ within one standard error of the best, and all scores by falling γ.
 
-    Decades of γ are tried, then half decades around the best; none below `_LEAST_DECADE` is chosen.
-    "Clearly" is one standard error of the difference over the folds, so that where the data say
-    little the prior stays. Tried ones come with the largest γ first.
+    The sweep tries decades of γ, then half decades around the best; it chooses none below
+    `_LEAST_DECADE`. The standard error is that of the difference over the folds, so that
+    uninformative data keep the prior.
 
     Raises:
         IdentificationError: No fit succeeded.
@@ -287,7 +284,7 @@ def weigh(fits: LogFits, regularizer: str) -> tuple[float, tuple[Weighing, ...]]
     chosen = max(decade for decade, loss in allowed.items() if as_good(loss))
     joints = len(fits.dataset.joints)
     sweep = [
-        Weighing(start * 10.0**decade, float(np.sqrt(losses[decade].sum() / joints)))
+        GammaScore(start * 10.0**decade, float(np.sqrt(losses[decade].sum() / joints)))
         for decade in sorted(losses, reverse=True)
     ]
     return start * 10.0**chosen, tuple(sweep)

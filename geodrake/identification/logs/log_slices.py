@@ -1,4 +1,4 @@
-"""Slices of logs: filtered rows of every joint, a lot of which reductions of a log share."""
+"""Filtered rows of every joint in slices of logs, cached across reductions of the same logs."""
 
 from __future__ import annotations
 
@@ -33,29 +33,28 @@ from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regresso
 
 Array = NDArray[np.float64]
 Part = Effect | str
-"""Owner of columns: an effect, or `INERTIA`."""
+"""Owner of columns: an effect or `INERTIA`."""
 
 Blocks = Mapping[int, Array]
-"""Columns (K, k) by the index of the joint."""
+"""Columns (K, k) by joint index."""
 
 ROOM = 10_000_000
-"""Reductions of the same logs share at most so many numbers: 80 MB."""
+"""Size of the cache of reductions, in numbers (80 MB)."""
 
 MIXED_ROOM = 30_000_000
 """The same with unknown contact forces, where rows of the base depend on all joints."""
 
 SIGNALS_ROOM = 2_000_000
-"""At most so many of them are signals at the logs' full rate; filtered columns cost more."""
+"""The part for signals at the logs' full rate; filtered columns are more expensive to recompute."""
 
 
 class RowCache:
-    """Cache that reductions of the same logs and robot share.
+    """Cache shared by reductions of the same logs and robot.
 
-    The columns of an effect do not depend on what else is tried, so that only those have to be
-    evaluated that no reduction had before. When there is no more room for so many numbers, what no
-    reduction has used for longest makes room; what this one or the last one used stays, as the next
-    one most often needs the same. Of `signals` at the full rate, which only further columns need,
-    no more is kept then.
+    The columns of an effect do not depend on other candidates, so that a reduction evaluates only
+    new ones. When the cache is full, the least recently used entries are evicted, except those of
+    this reduction and the last. `signals` at the full rate, which only new columns need, never
+    evict others.
     """
 
     def __init__(self, room: int = ROOM, *, signals: int = SIGNALS_ROOM) -> None:
@@ -63,7 +62,7 @@ class RowCache:
         self._used, self._turn, self._stale = dict[Hashable, int](), 0, list[Hashable]()
 
     def begin(self) -> None:
-        """Begin another reduction."""
+        """Start another reduction."""
         self._turn += 1
         self._stale = sorted(self._used, key=self._used.__getitem__, reverse=True)
 
@@ -74,19 +73,19 @@ class RowCache:
         return self._kept.get(key)
 
     def once(self, key: Hashable, make: Callable[[], Blocks], *, signals: bool = False) -> Blocks:
-        """Return the cached value of a key, or compute and cache it; `signals` as in `keep`."""
+        """Return the cached value of a key, or compute and cache it; see `keep`."""
         if (found := self.get(key)) is None:
             self.keep(key, found := make(), signals=signals)
         return found
 
     def read_only(self) -> RowCache:
-        """Return the cache for reductions whose columns are not needed again."""
+        """Return a view of the cache for reductions whose columns are not needed again."""
         reader = RowCache(0)
         reader._kept = self._kept
         return reader
 
     def keep(self, key: Hashable, blocks: Blocks, *, signals: bool = False) -> None:
-        """Cache blocks within the limit; `signals` are at the full rate."""
+        """Cache blocks if there is room; `signals` are at the full rate."""
         if (size := _size(blocks)) == 0 or key in self._kept:
             return
         while size > self._room and self._stale and not signals:
@@ -108,29 +107,29 @@ def _size(blocks: Blocks) -> int:
 INERTIA = "inertia"
 """Owner of the columns of inertial parameters."""
 
-_OWN = -1  # where rows that are velocities' own stand among those of contacts
-_FELT = 0.02  # share of a row's noise from which the friction of a joint at rest matters to it
+_SINGLE = -1  # key of `MixedRows.single` in the cache
+_FELT = 0.02  # part in a row, relative to its noise, from which a joint at rest invalidates the row
 
 _OTHERS = frozenset({"load", "bodies"})
-"""Signals that are not of the motion alone."""
+"""Signals that depend on more than the motion."""
 
 MOSTLY_STILL = 0.3
-"""A joint's sample is left out if it is at rest in more than this share of the filter's window.
+"""Largest share of the filter's window in which a joint may be at rest, for a sample to be used.
 
-Dry friction can then be anything up to breakaway, and no model of the motion says what.
+At rest, dry friction can have any value up to breakaway.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Which columns each joint has, and how they are computed."""
+    """Columns of each joint, and their evaluation."""
 
     model: RobotModel
-    effects: tuple[Effect, ...]  # effects that have columns
-    sign_width: Array  # (nv,) speed below which the direction of motion is not known
-    still_speed: Array  # (nv,) speed below which a joint counts as at rest
+    effects: tuple[Effect, ...]  # effects with columns
+    sign_width: Array  # (nv,) speed below which the direction of motion is unknown
+    still_speed: Array  # (nv,) speed below which a joint is at rest
     columns: tuple[Indices, ...]  # per joint, the global indices of its columns
-    # (nv, nv) which joints rows have in them, where unknown contact forces are taken out.
+    # (nv, nv) whether a row includes a joint, if unknown contact forces are eliminated.
     coupling: NDArray[np.bool_] | None = None
 
     @classmethod
@@ -143,24 +142,25 @@ class Layout:
         *,
         coupling: NDArray[np.bool_] | None = None,
     ) -> Layout:
-        """Return the layout of the columns of bodies and effects; speeds (nv,) in rad/s or m/s.
+        """Return the layout of the columns of bodies and effects.
 
-        Where unknown contact forces are taken out, rows have columns of the joints in them, by
-        their `coupling` (nv, nv).
+        With a `coupling` (nv, nv), a row has the columns of all joints that it includes.
         """
         motion = _probe(model, 7)
         size = np.abs(
-            inverse_dynamics_regressor(_felt(model, effects)[0], motion.q, motion.v, motion.vd)
+            inverse_dynamics_regressor(
+                _tree_and_tilt(model, effects)[0], motion.q, motion.v, motion.vd
+            )
         ).max(axis=0)
-        inertial = size > 1e-12 * size.max(initial=1e-300)  # what can matter at a joint
+        inertial = size > 1e-12 * size.max(initial=1e-300)
         starts = column_starts(effects, model.bodies)
         if coupling is not None:
             inertial = coupling @ inertial
         columns = [[np.flatnonzero(inertial[j])] for j in range(len(model.joints))]
-        own = tuple(effect for effect in effects if not is_payload(effect))
+        forces = tuple(effect for effect in effects if not is_payload(effect))
         probe = model.motion(_probe(model, 1), sign_width=1.0)
-        rows = EffectColumns(model.joints, own).fit_rows(probe)
-        for effect, blocks in zip(own, rows, strict=True):
+        rows = EffectColumns(model.joints, forces).fit_rows(probe)
+        for effect, blocks in zip(forces, rows, strict=True):
             indices = starts[effect] + np.arange(len(effect.parameters))
             felt = blocks if coupling is None else np.flatnonzero(coupling[:, [*blocks]].any(1))
             for joint in felt:
@@ -170,61 +170,61 @@ class Layout:
 
     @cached_property
     def parts(self) -> tuple[Part, ...]:
-        """Owners of columns, in their order."""
+        """Owners of columns, in order."""
         return (INERTIA, *(effect for effect in self.effects if not is_payload(effect)))
 
     def places(self, part: Part, columns: Indices, row: int) -> Indices:
-        """Return where columns of a part are among those that it has in a row; −1 where nowhere."""
+        """Return the indices of a part's columns among those in a row; −1 where absent."""
         if isinstance(part, Effect):
             return columns
-        own = self.bodies[row]
-        return np.where(np.isin(columns, own), np.searchsorted(own, columns), -1)
+        inertial = self.bodies[row]
+        return np.where(np.isin(columns, inertial), np.searchsorted(inertial, columns), -1)
 
     def width(self, part: Part, row: int) -> int:
-        """Return how many columns a part has in a row."""
+        """Return the number of columns of a part in a row."""
         return len(part.parameters) if isinstance(part, Effect) else len(self.bodies[row])
 
     @cached_property
     def bodies(self) -> list[Indices]:
-        """Which columns of bodies each joint has."""
+        """Indices of the inertial columns of each joint."""
         return [c[c < self.model.phi.size] for c in self.columns]
 
     @property
     def tree(self) -> KinematicTree:
-        """The tree with which columns of bodies are computed, with the gravity on them."""
-        return self._felt[0]
+        """The tree for the columns of bodies, with the gravity that acts on them."""
+        return self._tree_and_tilt[0]
 
     @cached_property
-    def _felt(self) -> tuple[KinematicTree, Effect | None]:
-        return _felt(self.model, self.effects)
+    def _tree_and_tilt(self) -> tuple[KinematicTree, Effect | None]:
+        return _tree_and_tilt(self.model, self.effects)
 
     def in_bodies(self, joint: int, blocks: Mapping[Effect, Blocks]) -> Array | float:
-        """Return (K,) effort of effects that a joint's columns of bodies contain; 0 without."""
-        effect = self._felt[1]
+        """Return the effort (K,) of effects included in a joint's columns of bodies, or 0."""
+        effect = self._tree_and_tilt[1]
         if effect is None or joint not in blocks[effect]:
             return 0.0
         return np.asarray(blocks[effect][joint] @ effect.in_bodies)
 
     def blocks_in_bodies(self, blocks: Sequence[Blocks]) -> dict[Effect, Blocks]:
-        """Return what `in_bodies` needs of the columns of all parts."""
-        effect = self._felt[1]
+        """Return the columns that `in_bodies` needs, from those of all parts."""
+        effect = self._tree_and_tilt[1]
         return {} if effect is None else {effect: blocks[self.parts.index(effect)]}
 
     @cached_property
     def origins(self) -> list[tuple[Part, Hashable]]:
-        """Each part with the dependencies of its columns other than the motion."""
-        widths, found = self.sign_width.tobytes(), list[tuple[Part, Hashable]]()
+        """Each part with a key of its columns' dependencies other than the motion."""
+        widths, origins = self.sign_width.tobytes(), list[tuple[Part, Hashable]]()
         for part in self.parts:
             if isinstance(part, Effect):
                 of_motion = declares_signals(type(part)) and not part.depends_on & _OTHERS
-                found.append((part, widths if of_motion else self._origin))
+                origins.append((part, widths if of_motion else self._origin))
             else:
-                found.append((part, self.tree.gravity.tobytes()))
-        return found
+                origins.append((part, self.tree.gravity.tobytes()))
+        return origins
 
     @cached_property
     def _origin(self) -> Hashable:
-        """The model's efforts, and widths."""
+        """Key of the model's efforts and sign widths."""
         effects = tuple(
             (fitted.effect, np.asarray(fitted.parameters).tobytes())
             for fitted in self.model.effects
@@ -241,34 +241,35 @@ class Layout:
     ) -> tuple[list[Blocks], Array]:
         """Return unfiltered columns of some parts at a log's motion, and the load (N, nv).
 
-        That is the effort of the bodies with what they hold, which may be known already.
+        The load is the effort of the bodies with payloads, unless it is given.
         """
         robot, inertial = carrying(self.model, trajectory.payloads), dict[int, Array]()
         if INERTIA in parts:
-            inertial, needed = self._inertial_at(motion, robot.total_phi.ravel())
-            load = needed if load is None else load
+            inertial, of_bodies = self._inertial_at(motion, robot.total_phi.ravel())
+            load = of_bodies if load is None else load
         elif load is None:
             load = inverse_dynamics(self.tree, motion.q, motion.v, motion.vd, robot.total_phi)
-        seen = robot.motion(motion, sign_width=self.sign_width, load=load)
         of_log = replace(
-            seen,
+            robot.motion(motion, sign_width=self.sign_width, load=load),
             log=log_number(trajectory.name),
             bandwidth=trajectory.filter.bandwidth,
             acceleration_noise=trajectory.acceleration_noise,
         )
-        seen = robot.with_effort(of_log)  # gains scale contacts of this log, and play
+        state = robot.with_effort(of_log)  # gains scale this log's contacts and backlash
         effects = tuple(part for part in parts if isinstance(part, Effect))
-        found = dict(zip(effects, EffectColumns(robot.joints, effects).fit_rows(seen), strict=True))
-        return [inertial if isinstance(part, str) else found[part] for part in parts], seen.load
+        rows = EffectColumns(robot.joints, effects).fit_rows(state)
+        columns = dict(zip(effects, rows, strict=True))
+        return [inertial if isinstance(part, str) else columns[part] for part in parts], state.load
 
     def _inertial_at(self, motion: Motion, phi: Array) -> tuple[dict[int, Array], Array]:
         """Return inertial columns of every joint, and the efforts (N, nv) for φ (10 nb,)."""
-        rows = {j: np.empty((len(own), len(motion))).T for j, own in enumerate(self.bodies)}
+        rows = {j: np.empty((len(at), len(motion))).T for j, at in enumerate(self.bodies)}
         load = np.empty(motion.v.shape)
         for part, Y in regressor_pieces(self.tree, motion.q, motion.v, motion.vd):
             np.matmul(Y, phi, out=load[part])
-            for j, own in enumerate(self.bodies):  # (checked modes copy)
-                np.take(Y[:, j], own, axis=1, out=rows[j][part], mode="clip")
+            for j, at in enumerate(self.bodies):
+                # Other modes than "clip" make a copy.
+                np.take(Y[:, j], at, axis=1, out=rows[j][part], mode="clip")
         return rows, load
 
 
@@ -276,21 +277,21 @@ class Layout:
 class LogSlice:
     """Samples of a stretch that are filtered together."""
 
-    layout: Layout  # which columns each joint has
+    layout: Layout
     trajectory: Trajectory
     stretch: Stretch
-    samples: slice  # some of the segment's samples
-    # (nv,) seconds by which the efforts were logged late, for each column of efforts.
+    samples: slice  # of the stretch
+    # For each column of efforts, the delays (nv,) of the logged efforts, s.
     advance: Sequence[Array]
     place: Hashable
 
     @property
     def count(self) -> int:
-        """How many outputs the filter has of the samples."""
+        """Number of outputs of the filter."""
         return self.trajectory.filter.output_count(self.samples.stop - self.samples.start)
 
     def rows(self, shared: RowCache) -> list[JointRows]:
-        """Return filtered rows of every joint; `shared` is used and filled."""
+        """Return filtered rows of every joint, using and filling the cache."""
         motion, columns = self._motion_rows(shared), self._columns(shared)
         efforts, carried = self._efforts(shared), self._carried(columns, shared)
         of_joints = [list[Array]() for _ in self.layout.columns]
@@ -310,16 +311,16 @@ class LogSlice:
         ]
 
     def _moving(self, shared: RowCache) -> list[Indices]:
-        """Return the outputs of each joint in which it moves: others have no rows."""
+        """Return the outputs of each joint in which it moves; others have no rows."""
         motion = self._motion_rows(shared)
         joints = range(len(self.layout.columns))
         return [np.flatnonzero(motion[j][:, 3] <= MOSTLY_STILL) for j in joints]
 
     @cached_property
     def _near(self) -> tuple[Segment, slice]:
-        """The samples and their neighbourhood, and their indices in it."""
-        late = float(np.abs(self.advance).max(initial=0.0)) / self.stretch.period
-        margin = SPLINE_REACH + round(late)
+        """The samples with a margin, and their indices in it."""
+        longest = float(np.abs(self.advance).max(initial=0.0)) / self.stretch.period
+        margin = SPLINE_REACH + round(longest)
         low = max(0, self.samples.start - margin)
         inner = slice(self.samples.start - low, self.samples.stop - low)
         return self.stretch[low : self.samples.stop + margin], inner
@@ -336,13 +337,13 @@ class LogSlice:
             rows = contact_rows(self.layout.model, self.trajectory, self._here)
             if rows is None:
                 return None
-            found = {_OWN: rows.own, **rows.mixed}
+            found = {_SINGLE: rows.single, **rows.mixed}
             shared.keep(key, found)
-        return MixedRows(found[_OWN], {i: row for i, row in found.items() if i != _OWN})
+        return MixedRows(found[_SINGLE], {i: row for i, row in found.items() if i != _SINGLE})
 
     @cached_property
     def _row_ratios(self) -> Array:
-        """(nv, nv) noise of the row of the second velocity over that of the first."""
+        """(nv, nv) noise of the second velocity's row relative to the first's."""
         scales = row_scales(self.layout.model, self.trajectory)
         return scales / scales[:, None]
 
@@ -355,7 +356,7 @@ class LogSlice:
         return spline_through(effort)
 
     def _motion_rows(self, shared: RowCache) -> Blocks:
-        """Return per joint (K, 4) motion and share of time at rest; at −1 the (K,) instants."""
+        """Return the motion and share of time at rest (K, 4) by joint, and instants (K,) at −1."""
 
         def make() -> Blocks:
             here, low_pass = self._here, self.trajectory.filter
@@ -363,48 +364,45 @@ class LogSlice:
             states = np.stack([here.position, here.velocity, here.acceleration], 2)[at]
             rests = np.asarray(np.abs(here.velocity) < self.layout.still_speed)
             if (rows := self.contact_rows(shared)) is not None:
-                felt = rests | (rows.own == 0.0)
+                invalid = rests | (rows.single == 0.0)
                 for j, row in rows.mixed.items():
                     shares = np.abs(row) * self._row_ratios[j]
-                    felt[:, j] = ((shares > _FELT) & rests).any(axis=1) | ~row.any(axis=1)
-                rests = np.asarray(felt)
+                    invalid[:, j] = ((shares > _FELT) & rests).any(axis=1) | ~row.any(axis=1)
+                rests = np.asarray(invalid)
             still = low_pass.apply(rests)
-            both = np.concatenate([states, still[:, :, None]], 2)
-            return {-1: here.time[at], **{j: both[:, j] for j in range(both.shape[1])}}
+            joined = np.concatenate([states, still[:, :, None]], 2)
+            return {-1: here.time[at], **{j: joined[:, j] for j in range(joined.shape[1])}}
 
         return shared.once(("motion", self.place), make)
 
     def _efforts(self, shared: RowCache) -> Array:
-        """Return (K, nv, d) filtered efforts as they were logged `advance` seconds later."""
+        """Return filtered efforts (K, nv, d), each advanced by its delay."""
 
         def advanced(seconds: Array) -> Blocks:
             (near, inner), period = self._near, self.stretch.period
-            moved = delayed_by(-seconds, near.motor_effort, period, spline=self._effort_spline)
-            moved = moved[inner]
+            effort = delayed_by(-seconds, near.motor_effort, period, spline=self._effort_spline)
+            effort = effort[inner]
             if (rows := self.contact_rows(shared)) is not None:
-                moved = rows.efforts(moved)
-            return {0: self.trajectory.filter.apply(moved)}
+                effort = rows.efforts(effort)
+            return {0: self.trajectory.filter.apply(effort)}
 
         keys = [("effort", seconds.tobytes(), self.place) for seconds in self.advance]
         pairs = zip(keys, self.advance, strict=True)
         return np.stack([shared.once(key, partial(advanced, s))[0] for key, s in pairs], -1)
 
     def _carried(self, blocks: Sequence[Blocks], shared: RowCache) -> list[Array]:
-        """Return per joint (K,) filtered efforts of the log's known payloads.
-
-        It is less by what the columns of bodies have in them of effects that have their own.
-        """
+        """Return `JointRows.carried` (K,) of every joint."""
         layout = self.layout
         phi = carried_phi(layout.model, self.trajectory.payloads).ravel()
         inertial, others = blocks[layout.parts.index(INERTIA)], layout.blocks_in_bodies(blocks)
         bodies = [
-            inertial[j] @ phi[own] - layout.in_bodies(j, others)
-            for j, own in enumerate(layout.bodies)
+            inertial[j] @ phi[at] - layout.in_bodies(j, others)
+            for j, at in enumerate(layout.bodies)
         ]
         if (ground := self._here.ground) is None:
             return bodies
-        pushed = self.trajectory.filter.apply(ground)
-        return [b - p[at] for b, p, at in zip(bodies, pushed.T, self._moving(shared), strict=True)]
+        wrench = self.trajectory.filter.apply(ground)
+        return [b - w[at] for b, w, at in zip(bodies, wrench.T, self._moving(shared), strict=True)]
 
     def _columns(self, shared: RowCache) -> list[Blocks]:
         """Return filtered columns of all parts of the layout."""
@@ -416,8 +414,8 @@ class LogSlice:
             missing = [layout.parts[k] for k in places]
             gains = gains_of(layout.model)
             key = ("load", self.place, layout.model.total_phi.tobytes(), gains.tobytes(), gravity)
-            known = shared.get(key)
-            motion, load = self._motion(shared), None if known is None else known[0]
+            cached = shared.get(key)
+            motion, load = self._motion(shared), None if cached is None else cached[0]
             rows = self.contact_rows(shared)
             if self.trajectory.is_grounded and load is None:
                 load = self._load(motion, rows)
@@ -429,35 +427,34 @@ class LogSlice:
         return [blocks for blocks in found if blocks is not None]
 
     def _load(self, motion: Motion, rows: MixedRows | None) -> Array:
-        """Return loads (N, nv) of joints without ground forces, which no model predicts.
+        """Return the loads (N, nv) of joints under unpredictable ground forces.
 
-        They are the efforts of motors, by the gains that the model has; in limbs in the air they
-        are what the model needs. Columns that follow measured efforts there would explain the noise
-        of these.
+        They are the measured efforts of motors, with the model's gains. In limbs in the air they
+        are the model's efforts, as columns of measured efforts would fit the noise of these.
         """
         efforts = self._here.motor_effort / gains_of(self.layout.model)
         if rows is None:
             return efforts
         phi = carrying(self.layout.model, self.trajectory.payloads).total_phi
-        needed = inverse_dynamics(self.layout.tree, motion.q, motion.v, motion.vd, phi)
-        return np.where(rows.own == 1.0, needed, efforts)
+        predicted = inverse_dynamics(self.layout.tree, motion.q, motion.v, motion.vd, phi)
+        return np.where(rows.single == 1.0, predicted, efforts)
 
     def _filtered(
         self, parts: Sequence[Part], blocks: Sequence[Blocks], shared: RowCache
     ) -> list[dict[int, Array]]:
-        """Return filtered columns of some parts in the rows of joints, from those of velocities."""
-        moving, found = self._moving(shared), [dict[int, Array]() for _ in parts]
+        """Return filtered columns of some parts in the joints' rows, from unfiltered columns."""
+        moving, of_parts = self._moving(shared), [dict[int, Array]() for _ in parts]
         for row, widths, columns in self._unfiltered(parts, blocks, shared):
             filtered = self.trajectory.filter.apply(columns, moving[row])
             ends = np.cumsum([*widths.values()])[:-1]
-            for part, own in zip(widths, np.split(filtered, ends, axis=1), strict=True):
-                found[part][row] = own
-        return found
+            for part, block in zip(widths, np.split(filtered, ends, axis=1), strict=True):
+                of_parts[part][row] = block
+        return of_parts
 
     def _unfiltered(
         self, parts: Sequence[Part], blocks: Sequence[Blocks], shared: RowCache
     ) -> Iterator[tuple[int, dict[int, int], Array]]:
-        """Yield rows, how many columns each part has there, and these at the full rate (N, ·)."""
+        """Yield rows, the number of columns of each part there, and unfiltered columns (N, ·)."""
         layout, rows = self.layout, self.contact_rows(shared)
         count, nv = self.samples.stop - self.samples.start, len(layout.columns)
         coupling = np.eye(nv, dtype=bool) if layout.coupling is None else layout.coupling
@@ -469,41 +466,43 @@ class LogSlice:
             if not widths:
                 continue
             if row not in mixed:
-                own = [blocks[k].get(row, np.zeros((count, w))) for k, w in widths.items()]
-                columns = _stacked(own)
-                if rows is not None and (rows.own[:, row] != 1.0).any():
-                    columns *= rows.own[:, row, None]
+                parts_here = [blocks[k].get(row, np.zeros((count, w))) for k, w in widths.items()]
+                columns = _stacked(parts_here)
+                if rows is not None and (rows.single[:, row] != 1.0).any():
+                    columns *= rows.single[:, row, None]
             else:
                 columns = np.zeros((sum(widths.values()), count)).T
                 weights = contiguous(mixed[row].T)
-                first = np.zeros(len(parts), np.intp)  # columns of parts in these
+                first = np.zeros(len(parts), np.intp)  # first column of each part
                 first[[*widths]] = np.cumsum([0, *widths.values()])[:-1]
-                for of, places, sources, block in together:
-                    at = layout.places(parts[int(of[0])], places, row)
+                for owners, places, sources, block in together:
+                    at = layout.places(parts[int(owners[0])], places, row)
                     used = np.flatnonzero(felt[sources] & (at >= 0))
-                    which = used, sources[used], first[of[used]] + at[used]
+                    which = used, sources[used], first[owners[used]] + at[used]
                     add_weighted(weights, block, which, columns.T)
             yield row, widths, columns
 
     def _mixed(
         self, parts: Sequence[Part], blocks: Sequence[Blocks], felt: NDArray[np.bool_]
     ) -> list[tuple[Indices, Indices, Indices, Array]]:
-        """Return columns of velocities that are felt by mixed rows, those of all effects together.
+        """Return the columns of velocities that affect mixed rows, joined for all effects.
 
-        They are numbers of parts (k,), which of their columns each is, whose it is, and (k, N).
+        Each entry has part indices (k,), column indices in these parts, velocities, and the columns
+        (k, N).
         """
-        found, few = (list[tuple[Indices, Indices, Indices, Array]]() for _ in range(2))
-        for k, each in enumerate(blocks):
+        joined, of_effects = (list[tuple[Indices, Indices, Indices, Array]]() for _ in range(2))
+        for k, block in enumerate(blocks):
             part = parts[k]
-            for j in (j for j in each if felt[j]):
-                own = np.arange(each[j].shape[1])
-                places = own if isinstance(part, Effect) else self.layout.bodies[j]
-                one = np.full_like(own, k), places, np.full_like(own, j), contiguous(each[j].T)
-                (few if isinstance(part, Effect) else found).append(one)
-        if few:
-            numbers, places, sources, columns = map(np.concatenate, zip(*few, strict=True))
-            found.append((numbers, places, sources, columns))
-        return found
+            for j in (j for j in block if felt[j]):
+                order = np.arange(block[j].shape[1])
+                places = order if isinstance(part, Effect) else self.layout.bodies[j]
+                columns = contiguous(block[j].T)
+                entry = np.full_like(order, k), places, np.full_like(order, j), columns
+                (of_effects if isinstance(part, Effect) else joined).append(entry)
+        if of_effects:
+            owners, places, sources, columns = map(np.concatenate, zip(*of_effects, strict=True))
+            joined.append((owners, places, sources, columns))
+        return joined
 
     def _motion(self, shared: RowCache) -> Motion:
 
@@ -524,7 +523,7 @@ class LogSlice:
         )
 
     def _past(self) -> Array:
-        """Return (M, nv) positions before the slice, as far as an effect needs them."""
+        """Return positions (M, nv) before the slice, for effects with a state."""
         start = self.samples.start
         if start == 0 or not any(effect.state_count for effect in self.layout.effects):
             return np.zeros((0, len(self.layout.model.joints)))
@@ -532,12 +531,12 @@ class LogSlice:
 
 
 def _stacked(blocks: Iterable[Array]) -> Array:
-    """Return columns (K, ·) side by side, each of them as one piece of memory."""
+    """Return the blocks' columns (K, ·) side by side, in Fortran order."""
     return np.concatenate([block.T for block in blocks]).T
 
 
 def gains_of(model: RobotModel) -> Array:
-    """Return (nv,) logged efforts over those of joints, by the gains that a model has."""
+    """Return the model's gains (nv,) of logged efforts."""
     gains = np.ones(len(model.joints))
     for fitted in model.effects:
         if fitted.effect.role is Role.SCALE:
@@ -546,17 +545,16 @@ def gains_of(model: RobotModel) -> Array:
 
 
 def _probe(model: RobotModel, samples: int) -> Motion:
-    """Return random motion, to see which columns can be nonzero."""
+    """Return random motion, to detect nonzero columns."""
     random, nv = np.random.default_rng(0), len(model.joints)
     q = model.tree.inside(model.positions(random.normal(size=(samples, nv))))
     return Motion(q, random.normal(size=(samples, nv)), random.normal(size=(samples, nv)))
 
 
-def _felt(model: RobotModel, effects: Sequence[Effect]) -> tuple[KinematicTree, Effect | None]:
-    """Return the tree with the gravity on its bodies, and the effect that changes it.
-
-    Where columns are exact about two places, they are so about the latter.
-    """
+def _tree_and_tilt(
+    model: RobotModel, effects: Sequence[Effect]
+) -> tuple[KinematicTree, Effect | None]:
+    """Return the tree with the gravity on its bodies, and the last effect that changes it."""
     for effect in reversed(effects):
         gravity = effect.gravity_of_bodies(model.tree.gravity)
         if gravity is not None:

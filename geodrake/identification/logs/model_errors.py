@@ -1,4 +1,4 @@
-"""How far a model is from logs: errors of joints, where they are concentrated, series."""
+"""Errors of a model on logs: by joint, by circumstance, and over time."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from geodrake.identification.logs.criteria import JOINT_NOISE_MARGIN, NOISE_MARG
 Array = NDArray[np.float64]
 
 _BLOCK = re.compile(r"^(?P<log>.+) -?[\d.]+–-?[\d.]+ s$")
-_SHARE = 0.03  # of a joint's samples, over which errors are averaged to find the worst windows
+_SHARE = 0.03  # length of the averaging window, relative to a joint's samples
 _LEAST_SAMPLES = 5
-_NOTABLE = 2.0  # times the joint's mean square, from which on a window is bad
+_NOTABLE = 2.0  # mean square of a bad window, relative to the joint's
 
 
 @dataclass(frozen=True)
@@ -28,11 +28,11 @@ class JointError:
 
     joint: str
     rms: float  # RMS of measured − predicted effort
-    # Standard deviation of the measured effort; of a joint at rest the effort that it holds, or
-    # that gravity could ask of it.
+    # Standard deviation of the measured effort; for a joint at rest its holding effort, or the
+    # largest effort of gravity.
     std: float
     floor: float  # estimated RMS of the sensor noise
-    knows_noise: bool = True  # whether that is known whatever a model leaves
+    knows_noise: bool = True  # whether the floor is known independently of a model
 
     @property
     def nrms(self) -> float:
@@ -41,12 +41,12 @@ class JointError:
 
     @property
     def shows_noise(self) -> bool:
-        """Whether the floor may be that of a sensor, unlike that of filtered efforts."""
+        """Whether the floor is positive, unlike that of filtered efforts."""
         return self.floor > 0.0
 
     @property
     def is_noise(self) -> bool:
-        """Whether no more than sensor noise is left at the joint."""
+        """Whether the joint's error is only sensor noise."""
         return self.rms <= JOINT_NOISE_MARGIN * self.floor
 
     @property
@@ -89,20 +89,20 @@ class ErrorTable(Short):
 
     @property
     def shows_noise(self) -> bool:
-        """Whether the floor may be that of a sensor, unlike that of filtered efforts."""
+        """Whether the floor is positive, unlike that of filtered efforts."""
         return self.floor_nrms > 0.0
 
     @property
     def knows_noise(self) -> bool:
-        """Whether the noise of all joints is known independently of the model, and small enough.
+        """Whether the noise of all joints is known independently of a model, and small enough.
 
-        Where it is as large as all that the efforts show beside it, any error passes for noise.
+        If noise dominates the efforts, any error passes for noise.
         """
         return not self.is_mostly_noise and all(joint.knows_noise for joint in self.joints)
 
     @property
     def is_mostly_noise(self) -> bool:
-        """Whether noise is half of the mean square of the efforts or more."""
+        """Whether noise is at least half of the mean square of the efforts."""
         return self.floor_nrms**2 >= 0.5
 
     @property
@@ -127,7 +127,7 @@ class ErrorTable(Short):
 
 @dataclass(frozen=True, eq=False)
 class Series(Short):
-    """One joint over one block, filtered and decimated: arrays (K,) that figures show."""
+    """Filtered and decimated signals (K,) of one joint in one block, for figures."""
 
     joint: str
     block: str
@@ -154,11 +154,11 @@ class Failing:
     """A circumstance in which a joint's error is larger than elsewhere."""
 
     joint: str
-    circumstance: str  # in words, such as "at speeds below 0.05 rad/s"
+    circumstance: str  # such as "at speeds below 0.05 rad/s"
     rms: float  # RMS of the error there, N·m or N
-    elsewhere: float  # RMS of the error otherwise, N·m or N
-    share: float  # of the joint's squared error that is made there
-    time: float  # share of the samples that are there
+    elsewhere: float  # RMS of the error elsewhere, N·m or N
+    share: float  # share of the joint's squared error there
+    time: float  # share of the samples there
     unit: str = "N·m"  # of the joint's effort
 
 
@@ -168,21 +168,21 @@ class Comparison(Shown):
 
     errors: ErrorTable
     failing: tuple[Failing, ...]  # where the error is concentrated, worst first
-    series: tuple[Series, ...]  # what was measured and predicted
-    notes: tuple[str, ...]  # what was done to the logs and noticed about the model
-    first: tuple[str, ...] = ()  # of these, what is to be known first: doubts, and what is not used
+    series: tuple[Series, ...]  # measured and predicted signals
+    notes: tuple[str, ...]  # on the preparation of the logs, and on the model
+    first: tuple[str, ...] = ()  # the most important of these: doubts and unused data
 
 
 @dataclass(frozen=True)
 class WorstWindow:
-    """A stretch of time in which a joint errs much more than usual."""
+    """A time window with an unusually large error of a joint."""
 
     joint: str
-    block: str  # name of the fold it is in
-    start: float  # first instant in the log's own time, s
+    block: str  # name of its fold
+    start: float  # first instant in the log's time, s
     end: float  # last instant, s
     rms: float  # of measured − predicted effort there, N·m or N
-    share: float  # of the joint's squared error that is made there
+    share: float  # share of the joint's squared error there
 
     @property
     def log(self) -> str:
@@ -191,30 +191,30 @@ class WorstWindow:
 
 
 def _log_of(block: str) -> str:
-    """Return the name of a block without its stretch of time, if it has one."""
+    """Return the name of a block without its time window."""
     match = _BLOCK.match(block)
     return match["log"] if match else block
 
 
 def worst_windows(series: Sequence[Series], *, most: int = 3) -> tuple[WorstWindow, ...]:
-    """Return the worst stretches of one joint, those of largest share of its squared error first.
+    """Return the worst windows of one joint, by their share of its squared error.
 
-    There are none where the error is about the same throughout.
+    There are none if the error is about uniform.
     """
     squares = [np.square(s.residual) for s in series]
-    count, total = sum(map(len, squares)), float(sum(each.sum() for each in squares))
+    count, total = sum(map(len, squares)), float(sum(block.sum() for block in squares))
     if total == 0.0 or not np.isfinite(total):
         return ()
     width = max(_LEAST_SAMPLES, round(_SHARE * count))
-    found = []
-    for s, own in zip(series, squares, strict=True):
-        if len(own) < 2:
+    windows = []
+    for s, square in zip(series, squares, strict=True):
+        if len(square) < 2:
             continue
-        above = uniform_filter1d(own, min(width, len(own))) > _NOTABLE * total / count
+        above = uniform_filter1d(square, min(width, len(square))) > _NOTABLE * total / count
         edges = np.flatnonzero(np.diff(np.concatenate([[False], above, [False]])))
         for first, last in edges.reshape(-1, 2).tolist():
             if last - first >= 2:
                 times = float(s.time[first]), float(s.time[last - 1])
-                rms, share = np.sqrt(own[first:last].mean()), own[first:last].sum() / total
-                found.append(WorstWindow(s.joint, s.block, *times, float(rms), float(share)))
-    return tuple(sorted(found, key=lambda window: -window.share)[:most])
+                rms, share = np.sqrt(square[first:last].mean()), square[first:last].sum() / total
+                windows.append(WorstWindow(s.joint, s.block, *times, float(rms), float(share)))
+    return tuple(sorted(windows, key=lambda window: -window.share)[:most])

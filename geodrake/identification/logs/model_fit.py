@@ -26,15 +26,14 @@ from geodrake.identification.normal_equations import scaled_cholesky, solved
 from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
 
-_STEP = 1e-6  # of a parameter, with which what it does is differentiated
+_STEP = 1e-6  # of finite differences
 
 
 def known_information(model: RobotModel, *, spread: float = SPREAD, stated: float = 1.0) -> Array:
-    """Return what is known (n, n) of a model's inertias and effects.
+    """Return the prior information (n, n) about a model's inertias and effects.
 
-    A model that was fitted before is known as well as its information matrix says; of a model
-    file, inertias are known to within `spread`, a geometric distance, and parameters of effects to
-    within a share `stated` of what it says.
+    It is the information matrix of a fitted model. For a model file, inertias have an uncertainty
+    of `spread`, a geometric distance, and effect parameters a relative one of `stated`.
     """
     if model.information is not None:
         return model.information
@@ -49,14 +48,13 @@ def known_information(model: RobotModel, *, spread: float = SPREAD, stated: floa
 def model_unknowns(
     dataset: Dataset, model: RobotModel, *, spread: float = SPREAD, stated: float = 1.0
 ) -> Unknowns:
-    """Return all parameters of a model that a fit may change, with their prior."""
+    """Return all free parameters of a model with their prior."""
     p, information = model.phi.size, known_information(model, spread=spread, stated=stated)
     unknowns = inertial_unknowns(model.phi, information[:p, :p])
     for f in (fitted for fitted in model.effects if fitted.effect.parameters):
-        own = np.zeros((len(f.parameters),) * 2)  # of all together below
-        unknowns = unknowns.with_effect(
-            f.effect, dataset.effect_columns(f.effect), own, f.parameters
-        )
+        zero = np.zeros((len(f.parameters),) * 2)  # the joint information is set below
+        columns = dataset.effect_columns(f.effect)
+        unknowns = unknowns.with_effect(f.effect, columns, zero, f.parameters)
     return replace(unknowns, information=information)
 
 
@@ -64,12 +62,12 @@ def model_unknowns(
 class ModelFit:
     """A model fitted to logs."""
 
-    model: RobotModel  # the fitted one
+    model: RobotModel  # the fitted model
     held_out: HeldOut  # errors of the same fit without each fold
-    result: FitResult  # with its information matrix and the certificate of its program
-    unknowns: Unknowns  # what was fitted
-    gain_shifts: Array  # (nv, p) change of the parameters with the gain of each joint's efforts
-    unexplained_covariance: Array  # (p, p) by what stays unexplained
+    result: FitResult  # with information matrix and certificate
+    unknowns: Unknowns  # the fitted parameters
+    gain_shifts: Array  # (nv, p) slopes of the parameters with respect to the efforts' gains
+    unexplained_covariance: Array  # (p, p) covariance due to unexplained error
     of_motion: Array  # (nv,) share of each joint's squared error that varies with the motion
 
 
@@ -86,7 +84,7 @@ def fit_model(
 ) -> ModelFit:
     """Fit, validate, and return the fitted model.
 
-    Efforts of the dataset are advanced by the model's `delays` already. The residuals are worth
+    The efforts of the dataset are already advanced by the model's `delays`. The residuals have
     `effective` samples (nv,); a share `of_motion` (nv,) of their square varies with the motion.
     """
     problem = fit_problem(dataset, unknowns, weights)
@@ -110,9 +108,9 @@ def model_with(
     noise: Array,
     delays: Sequence[FittedEffect],
 ) -> RobotModel:
-    """Return the model with a fit of the unknowns in place of its parameters, and effort delays.
+    """Return the model with fitted parameters and effort delays.
 
-    The `noise` (nv,) is the held-out RMS.
+    `noise` (nv,) is the held-out RMS.
     """
     deviations = fit.standard_deviations()
     spans = [(effect, unknowns.span(effect)) for effect in unknowns.effects]
@@ -125,31 +123,31 @@ def model_with(
 
 
 def with_settled_effects(model: RobotModel) -> RobotModel:
-    """Return a fitted model whose effects do what the fit's columns say (`Effect.fit_rows`)."""
+    """Return a fitted model whose effects reproduce the columns of the fit (`Effect.fit_rows`)."""
     bodies = model.bodies_at_rest
     return replace(model, effects=tuple(settled_effect(f, bodies) for f in model.effects))
 
 
 def settled_effect(fitted: FittedEffect, bodies: RobotBodies) -> FittedEffect:
-    """Return an effect that does what the fit's columns say, with its deviations to first order."""
-    x, unsure = fitted.parameters, fitted.deviations
-    effect, found = fitted.effect.settled(x, bodies)
-    if effect is fitted.effect or unsure is None or not np.isfinite(unsure).all():
-        return FittedEffect(effect, found, unsure)
-    moved = [fitted.effect.settled(x + step, bodies)[1] for step in _STEP * np.eye(len(x))]
-    slopes = (np.array(moved) - found) / _STEP
-    return FittedEffect(effect, found, np.linalg.norm(slopes * unsure[:, None], axis=0))
+    """Return the effect that reproduces the columns of the fit, with first-order deviations."""
+    x, deviations = fitted.parameters, fitted.deviations
+    effect, settled = fitted.effect.settled(x, bodies)
+    if effect is fitted.effect or deviations is None or not np.isfinite(deviations).all():
+        return FittedEffect(effect, settled, deviations)
+    perturbed = [fitted.effect.settled(x + step, bodies)[1] for step in _STEP * np.eye(len(x))]
+    slopes = (np.array(perturbed) - settled) / _STEP
+    return FittedEffect(effect, settled, np.linalg.norm(slopes * deviations[:, None], axis=0))
 
 
 def _gain_shifts(
     dataset: Dataset, unknowns: Unknowns, weights: Array, fit: FitResult, *, known: bool
 ) -> Array:
-    """Return (nv, p) changes of the fitted parameters with the gain of each joint's efforts.
+    """Return slopes (nv, p) of the fitted parameters with respect to the efforts' gains.
 
-    A wrong gain 1 + g of joint j moves them by g times its row, to first order; that of a joint
-    whose gain is fitted moves nothing else. It acts on the measured effort, of which known payloads
-    are a part. If the prior is `known` by a fit to efforts of the same gains, these have gone into
-    it: then what a gain moves is only what has changed since.
+    To first order, a wrong gain 1 + g of joint j shifts the parameters by g times row j; rows of
+    joints with fitted gains are zero. The gain scales the measured effort, including that of known
+    payloads. If the prior is `known` from a fit to efforts with the same gains, only the change
+    since then is shifted.
     """
     pulls = np.zeros((len(dataset.joints), len(unknowns.columns)))
     fitted = {effect.where[0] for effect in unknowns.effects if effect.role is Role.SCALE}
@@ -159,7 +157,7 @@ def _gain_shifts(
         rows = np.concatenate(data.factors_of(unknowns.columns))
         A, b = rows[:, :-1], rows[:, -1]
         pull = A.T @ (A @ (fit.x - unknowns.mean) if known else b)
-        carried = np.append(data.carried.sum(axis=0), 0.0)  # 0 where the joint sees nothing
+        carried = np.append(data.carried.sum(axis=0), 0.0)  # 0 for columns of other joints
         pulls[j] = weight * (pull + carried[data.local(unknowns.columns)])
     return _moved(fit, pulls.T).T
 
@@ -167,27 +165,27 @@ def _gain_shifts(
 def _unexplained_covariance(
     dataset: Dataset, unknowns: Unknowns, weights: Array, fit: FitResult, samples: Array
 ) -> Array:
-    """Return the covariance (p, p) of fitted parameters by the unexplained error.
+    """Return the covariance (p, p) of fitted parameters due to unexplained error.
 
-    With A the information of the fit and G_j the weighted normal matrix of joint j, noise gives
-    Σ_j A⁻¹ G_j A⁻¹, if samples are counted by what they are worth. Of the part of the residual that
-    is no noise, all n_j of them are worth no more than `WORTH`. `samples` (nv,) are n_j times the
-    share of the squared residual that varies with the motion.
+    With A the information of the fit and G_j the weighted normal matrix of joint j, noise with n_j
+    effective samples gives Σ_j A⁻¹ G_j A⁻¹. The part of the residual that is not noise has only
+    `WORTH` effective samples. `samples` (nv,) are n_j times the share of the squared residual that
+    varies with the motion.
     """
     gram = np.zeros((len(unknowns.columns),) * 2)
-    for data, weight, worth in zip(dataset.data, weights, samples, strict=True):
+    for data, weight, count in zip(dataset.data, weights, samples, strict=True):
         A = np.concatenate(data.factors_of(unknowns.columns))[:, :-1]
-        gram += worth / WORTH * weight * (A.T @ A)
+        gram += count / WORTH * weight * (A.T @ A)
     return _moved(fit, _moved(fit, gram).T)
 
 
 def _moved(fit: FitResult, pulls: Array) -> Array:
-    """Return (p, k) changes of parameters with slopes (p, k) of the fit's cost."""
+    """Return changes (p, k) of the parameters due to gradients (p, k) of the fit's cost."""
     factor, scale = scaled_cholesky(fit.information)
     return np.asarray(scale[:, None] * solved(factor, scale[:, None] * pulls))
 
 
-def as_it_stands(dataset: Dataset, model: RobotModel) -> HeldOut:
+def unfitted_errors(dataset: Dataset, model: RobotModel) -> HeldOut:
     """Return the errors of a model on logs without any fit to them."""
     unknowns = model_unknowns(dataset, model)
     x = np.tile(unknowns.mean, (len(dataset.folds), 1))

@@ -1,4 +1,4 @@
-"""The noise floor: how much of the measured effort no model of the motion can predict."""
+"""Estimate the noise floor: the part of the measured effort that no model can predict."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
-_SAMPLES = 100_000  # of a segment that are looked at
-_POSES = 200  # at which the inertia matrix is looked at
+_SAMPLES = 100_000  # largest number of samples of a segment to use
+_POSES = 200  # number of poses at which the inertia matrix is evaluated
 
 
 def known_noise(
@@ -34,25 +34,21 @@ def known_noise(
     sign_width: ArrayLike = 0.0,
     fitted: bool = False,
 ) -> tuple[Array, NDArray[np.bool_], Array]:
-    """Return the sensors' noise in efforts after filtering: its RMS, if it is known, and a part.
+    """Return the RMS (n,) of the filtered effort noise, whether it is known, and a part of it.
 
-    The noise is taken to be white.
+    The noise is assumed white. Above the motion's bandwidth the spectrum of efforts is that of
+    sensors and power electronics; the quietest band there, continued into the passband, is the
+    floor. Coloured noise below it looks like an effect and is not counted. Dry friction also jumps
+    beyond the bandwidth, so that residuals of a model, which may be `fitted` to the logs, replace
+    the efforts where they are quieter. `sign_width` (nv,) are the speeds below which the direction
+    of motion is unknown.
 
-    Above the motion's bandwidth the effort's spectrum holds what sensors and power electronics
-    add. The quietest band there, continued into the passband, is the floor: coloured noise below
-    it looks like an effect, and is not counted. Jumps of dry friction reach beyond the bandwidth
-    too; a model fitted to the logs takes them away. Noise is never more than such a model leaves.
-    Where there is less above the bandwidth than any sensor's noise, efforts were filtered before:
-    the floor is then that of the quietest part of what a fitted model leaves below, or not known,
-    and zero but for the noise of accelerations.
-
-    With a model the floor is that of its residuals where they are quieter than the efforts, as
-    those of a model `fitted` to the logs are; below speeds `sign_width` (nv,) the direction of
-    motion is not known. Returned are (n,) floors, N·m or N, and (n,) whether they are known
-    whatever a model leaves: not where efforts were filtered before, nor where a model leaves much
-    less than the noise above the bandwidth, which is then not white. The third result is the part
-    (n,) of the floors, N·m or N, that a free base's accelerations add; it is zero for robots fixed
-    to the world. That noise is in the columns, too, so that it varies with the motion.
+    If the band above the bandwidth is quieter than any sensor, efforts were filtered before. The
+    floor is then the quietest part of a fitted model's residual below, or, without one, that of
+    accelerations alone, and unknown. It is also unknown if a model's residual is much smaller than
+    the noise above the bandwidth, which is then not white. The third result is the part (n,) of
+    the RMS, N·m or N, due to a free base's accelerations, zero for fixed robots; it is in the
+    columns too, and so varies with the motion.
     """
     power = np.zeros(len(trajectories[0].joints))
     weight, claimed, moving = power.copy(), power.copy(), power.copy()
@@ -62,7 +58,7 @@ def known_noise(
         gain, bandwidth = trajectory.filter.noise_gain, trajectory.filter.bandwidth
         for segment in trajectory.segments:
             rate = 1.0 / segment.period
-            start = segment[: looked_at(segment)]
+            start = segment[: sampled(segment)]
             rows = None if robot is None else contact_rows(robot, trajectory, start)
             density = density_of_rows(start, rows, rate, bandwidth)
             start = replace(start, effort=without_contacts(rows, start.effort))
@@ -83,17 +79,17 @@ def known_noise(
                     moving += len(segment) * share * noise
             silent |= is_silent(density, start)
             power += len(segment) * noise
-            # Limbs that stand have no rows, and what is zero there is no noise.
+            # Standing limbs have no rows; zeros there are not noise.
             weight += len(segment) * (1.0 if rows is None else rows.shares)
     known, weight = ~silent & (claimed <= JOINT_NOISE_MARGIN**2 * power), np.maximum(weight, 1.0)
     return np.sqrt(power / weight), known, np.sqrt(moving / weight)
 
 
 def filtered_below(trajectory: Trajectory) -> float:
-    """Return where the efforts of a log end, Hz, if they were filtered before; else infinity."""
+    """Return the cut-off frequency, Hz, of a filter applied before logging; infinity if none."""
     bandwidth, ends = trajectory.filter.bandwidth, []
     for segment in trajectory.segments:
-        start, rate = segment[: looked_at(segment)], 1.0 / segment.period
+        start, rate = segment[: sampled(segment)], 1.0 / segment.period
         silent = is_silent(quiet_density(start.effort, rate, bandwidth), start)
         if not silent.all():
             return np.inf
@@ -101,13 +97,13 @@ def filtered_below(trajectory: Trajectory) -> float:
     return float(np.median(np.concatenate(ends)))
 
 
-def looked_at(segment: Stretch) -> int:
-    """Return how many samples of a segment are looked at for noise and a bandwidth."""
+def sampled(segment: Stretch) -> int:
+    """Return the number of samples of a segment used to estimate noise and a bandwidth."""
     return min(len(segment), _SAMPLES)
 
 
 def is_silent(density: Array, segment: Segment) -> NDArray[np.bool_]:
-    """Return (n,) whether white noise of a density is less than any sensor of efforts has."""
+    """Return whether white noise of a density (n,) is less than that of any effort sensor."""
     rms = np.sqrt(density * 0.5 / segment.period)
     return np.asarray(rms < LEAST_NOISE * segment.effort.std(axis=0))
 
@@ -115,10 +111,10 @@ def is_silent(density: Array, segment: Segment) -> NDArray[np.bool_]:
 def density_of_rows(
     segment: Segment, rows: MixedRows | None, rate: float, bandwidth: float
 ) -> Array:
-    """Return the density (nv,) of noise in efforts without unknown contact forces, the mean.
+    """Return the mean noise density (nv,) in the rows without unknown contact forces.
 
-    It is that of the efforts as they were measured, by their shares in the rows. These begin and
-    end where limbs lift and touch, and such jumps are no noise.
+    The density of the measured efforts is propagated to the rows, since the rows jump where limbs
+    lift and touch.
     """
     density = quiet_density(segment.effort, rate, bandwidth)
     return density if rows is None else rows.powers(density)
@@ -136,24 +132,22 @@ def acceleration_powers(
     sign_width: ArrayLike,
     rows: MixedRows | None,
 ) -> Array:
-    """Return (nv, nv) mean squares of predicted efforts due to noise of each acceleration.
-
-    They are over the square of that noise.
-    """
-    some = slice(None, None, max(1, len(segment) // _POSES))
-    motion, rows = motion_of(segment[some], model, trajectory), None if rows is None else rows[some]
-    needed, found = model.effort(motion, sign_width=sign_width), list[Array]()
+    """Return mean squares (nv, nv) of the efforts due to unit noise of each acceleration."""
+    poses = slice(None, None, max(1, len(segment) // _POSES))
+    motion = motion_of(segment[poses], model, trajectory)
+    rows = None if rows is None else rows[poses]
+    effort, powers = model.effort(motion, sign_width=sign_width), list[Array]()
     noise = np.asarray(trajectory.acceleration_noise)
     for j, deviation in enumerate(np.where(noise > 0.0, noise, 1.0)):
-        faster = motion.vd.copy()
-        faster[:, j] += deviation
-        more = model.effort(replace(motion, vd=faster), sign_width=sign_width) - needed
-        found.append(np.square(without_contacts(rows, more) / deviation).mean(0))
-    return np.array(found)
+        vd = motion.vd.copy()
+        vd[:, j] += deviation
+        change = model.effort(replace(motion, vd=vd), sign_width=sign_width) - effort
+        powers.append(np.square(without_contacts(rows, change) / deviation).mean(0))
+    return np.array(powers)
 
 
 def motion_of(segment: Segment, model: RobotModel, trajectory: Trajectory) -> Motion:
-    """Return a segment as the model's motion, in the time and at the temperatures of its log."""
+    """Return the model's motion in a segment, with the time and temperatures of its log."""
     return Motion(
         model.positions(segment.position),
         segment.velocity,
@@ -170,6 +164,6 @@ def effort_residual(
     trajectory: Trajectory,
     rows: MixedRows | None,
 ) -> Array:
-    """Return (K, n) measured − predicted effort at the full rate."""
-    needed = model.effort(motion_of(segment, model, trajectory), sign_width=sign_width)
-    return segment.effort - without_contacts(rows, delayed_by(model.delays, needed, segment.period))
+    """Return measured − predicted efforts (K, n) at the full rate."""
+    effort = model.effort(motion_of(segment, model, trajectory), sign_width=sign_width)
+    return segment.effort - without_contacts(rows, delayed_by(model.delays, effort, segment.period))

@@ -1,4 +1,4 @@
-"""From prepared logs to a `Dataset`, chunk by chunk, so that memory does not grow with a log."""
+"""Reduce prepared logs to a `Dataset`, chunk by chunk, in constant memory."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regresso
 Array = NDArray[np.float64]
 Noise = tuple[Array, NDArray[np.bool_] | bool, Array | float]
 
-LEAST_SIGN_WIDTH = 0.002  # of a joint's peak speed, below which its direction is not known
-SIGN_NOISE = 1.2  # deviations σ of a speed's noise; the mean sign is erf(v/√2σ) ≈ tanh(v/1.2σ)
-AT_REST = 8.0  # deviations of a speed's noise, below which a joint never moves
-LEAST_SPEED = 1e-4  # of the fastest joint's speed, below which a joint never moves
-STILL_SPEED, STILL_NOISE = 0.01, 2.0  # of the peak speed, and of its noise: below, a joint rests
-_AT_ONCE = 0.1  # of the time for which the joint that moves less is in motion
-_ALIKE = 0.1  # of a joint's speed, by which it is another joint's times a ratio
-WORTHWHILE = 20  # times more rows than columns are folded into a triangular factor
-LEAST_DEVIATION = 1e-7  # of an effort's RMS: what is less is rounding of a constant
-ROWS_KEPT = 4_000  # filtered rows of each fold and joint, for autocorrelations and figures
+LEAST_SIGN_WIDTH = 0.002  # speed of unknown direction, relative to the peak speed
+SIGN_NOISE = 1.2  # the same, in standard deviations σ of the speed: E sgn ≈ tanh(v/1.2σ)
+AT_REST = 8.0  # peak speed of a joint that never moves, in standard deviations of its noise
+LEAST_SPEED = 1e-4  # the same, relative to the fastest joint's
+STILL_SPEED, STILL_NOISE = 0.01, 2.0  # speed at rest, relative to the peak speed and to its noise
+_AT_ONCE = 0.1  # least common motion, relative to the motion of the joint that moves less
+_ALIKE = 0.1  # largest sine of the angle between speeds of joints that move alike
+WORTHWHILE = 20  # pending rows per column before they are reduced
+LEAST_DEVIATION = 1e-7  # rounding error of a constant effort, relative to its RMS
+ROWS_KEPT = 4_000  # filtered rows kept of each fold and joint, for autocorrelations and figures
 
 
 def reduce_logs(
@@ -55,14 +55,14 @@ def reduce_logs(
 ) -> Dataset:
     """Reduce logs to the triangular factors of every fold and joint.
 
-    The model's inertial parameters give the load, its delays shift the efforts. Effects get columns
-    if they are of the model or to be tried. Further `delays` to try, s, are of all joints or (nv,)
-    of each; the first must be 0. `noise` is what `known_noise` says, if that was looked
-    at already; else it depends on whether the model was `fitted` to these logs. `shared`
-    is what reductions of the same logs by the same robot have in common; it is used and filled.
+    The model provides the loads, and delays that shift the efforts. `effects` are those with
+    columns, fitted or candidates. Candidate `delays` beyond the model's, s, are for all joints or
+    (nv,) for each; the first must be 0. `noise` is the result of `known_noise`; by default it is
+    computed, for a model that may have been `fitted` to these logs. `shared` is the cache of
+    reductions of the same logs and robot.
 
     Raises:
-        LogError: The effort of a joint never changes, or a joint moves for a moment only.
+        LogError: The effort of a joint never changes, or a joint moves only for a moment.
     """
     effects = tuple(e for e in dict.fromkeys(effects) if e.parameters)
     still = still_speeds(trajectories)
@@ -78,7 +78,7 @@ def reduce_logs(
     for joint, moves in zip(model.joints, dataset.has_rows, strict=True):
         if not moves and coupling is None:
             raise LogError(
-                f"{joint} moves only for a moment: in no filtered sample it moves for most "
+                f"{joint} moves only for a moment: no filtered sample has it moving for most "
                 "of the filter's window.",
                 advice="Record a log in which it moves, or always rests. Did its sensor jump?",
                 joint=joint,
@@ -131,21 +131,21 @@ def reduce_over(
 def coupling_of(
     layout: Layout, trajectories: Sequence[Trajectory], shared: RowCache
 ) -> NDArray[np.bool_] | None:
-    """Return (nv, nv) which velocities are in the row of which, in any slice of any log.
+    """Return whether a row includes a velocity (nv, nv), in any slice of any log.
 
-    None if neither a contact force nor a motor's effort is unknown.
+    Return None if all contact forces and efforts are known.
     """
     if not any(trajectory.has_unknown_forces for trajectory in trajectories):
         return None
 
     def make() -> dict[int, Array]:
-        found = np.eye(len(layout.columns), dtype=bool)
-        places = [(k, i) for k, each in enumerate(trajectories) for i in range(len(each.segments))]
-        for at in places:
-            for _, part in _slices(layout, trajectories, at, ()):
-                if (rows := part.contact_rows(shared)) is not None:
-                    found |= rows.coupling
-        return {0: found.astype(float)}
+        coupling = np.eye(len(layout.columns), dtype=bool)
+        for k, trajectory in enumerate(trajectories):
+            for i in range(len(trajectory.segments)):
+                for _, part in _slices(layout, trajectories, (k, i), ()):
+                    if (rows := part.contact_rows(shared)) is not None:
+                        coupling |= rows.coupling
+        return {0: coupling.astype(float)}
 
     return np.asarray(shared.once(("coupling",), make)[0] > 0.0)
 
@@ -159,11 +159,11 @@ def reduced_joints(
 ) -> tuple[JointData, ...]:
     """Return the reduced data of every joint, with the columns of a layout; see `reduce_logs`.
 
-    A joint may rest all the time. `advance` are (nv,) seconds by which the efforts were logged
-    late, for each column of efforts.
+    A joint may rest throughout. `advance` are the delays (nv,) of the logged efforts, s, for each
+    column of efforts.
     """
     shared = RowCache(0) if shared is None else shared
-    boxes = [[_Box(len(c) + len(advance)) for _ in folds] for c in layout.columns]
+    builders = [[_FactorBuilder(len(c) + len(advance)) for _ in folds] for c in layout.columns]
     members: dict[tuple[int, int], list[tuple[int, Block]]] = defaultdict(list)
     for f, fold in enumerate(folds):
         for block in fold.blocks:
@@ -175,25 +175,23 @@ def reduced_joints(
                 low, high = max(block.start - first, 0), min(block.stop - first, part.count)
                 if low < high:
                     for j, rows in enumerate(chunk):
-                        boxes[j][f].seen += high - low
-                        boxes[j][f].add(block, rows.part(low, high))
-    return tuple(
-        _joint_data(columns, joint) for columns, joint in zip(layout.columns, boxes, strict=True)
-    )
+                        builders[j][f].seen += high - low
+                        builders[j][f].add(block, rows.part(low, high))
+    return tuple(map(_joint_data, layout.columns, builders))
 
 
-def _joint_data(columns: Indices, boxes: Sequence[_Box]) -> JointData:
-    rows = tuple(tuple(map(JointRows.join, box.kept.values())) for box in boxes)
-    kept = [np.abs(each.A).max(axis=0) for fold in rows for each in fold if len(each.A)]
+def _joint_data(columns: Indices, folds: Sequence[_FactorBuilder]) -> JointData:
+    rows = tuple(tuple(map(JointRows.join, fold.kept.values())) for fold in folds)
+    peaks = [np.abs(block.A).max(axis=0) for fold in rows for block in fold if len(block.A)]
     return JointData(
         columns,
-        _stacked([box.whole_factor() for box in boxes]),
-        np.array([box.samples for box in boxes]),
+        _stacked([fold.whole_factor() for fold in folds]),
+        np.array([fold.samples for fold in folds]),
         rows,
-        np.array([box.carried[: len(columns)] for box in boxes]),
-        np.array([box.seen for box in boxes]),
-        np.array([box.sums for box in boxes]),
-        np.max([np.zeros(len(columns)), *kept], axis=0),
+        np.array([fold.carried[: len(columns)] for fold in folds]),
+        np.array([fold.seen for fold in folds]),
+        np.array([fold.sums for fold in folds]),
+        np.max([np.zeros(len(columns)), *peaks], axis=0),
     )
 
 
@@ -203,9 +201,9 @@ def gain_uncertainty(
     deviations: Sequence[Array | float],
     frames: Sequence[str] = (),
 ) -> Array:
-    """Return (nv,) how well gains of efforts are known, by payloads and deviations (nv,) of logs.
+    """Return the relative uncertainty (nv,) of the efforts' gains, from `deviations` of logs.
 
-    It is 0 where known payloads, or forces of the ground at `frames`, say them.
+    It is 0 where known payloads, or ground forces at `frames`, determine the gain.
     """
     known = joints_with_known_gain(model, payloads, frames) if any(payloads) or frames else ()
     largest = np.max([np.broadcast_to(each, len(model.joints)) for each in deviations], axis=0)
@@ -213,7 +211,7 @@ def gain_uncertainty(
 
 
 def peak_speeds(trajectories: Sequence[Trajectory]) -> Array:
-    """Return (nv,) the largest speed of every joint, rad/s or m/s; 0 for one that does not move."""
+    """Return the peak speed (nv,) of every joint, rad/s or m/s; 0 if it never moves."""
     segments = [segment for trajectory in trajectories for segment in trajectory.segments]
     peak = np.max([segment.peak_speed for segment in segments], axis=0)
     noise = np.max([trajectory.speed_noise for trajectory in trajectories], axis=0)
@@ -222,24 +220,24 @@ def peak_speeds(trajectories: Sequence[Trajectory]) -> Array:
 
 
 def still_speeds(trajectories: Sequence[Trajectory]) -> Array:
-    """Return (nv,) speeds below which a joint is at rest, or its velocity is mere noise.
+    """Return speeds (nv,) below which a joint is at rest, or its velocity is only noise.
 
-    It is zero for joints that never move: what they hold is all that is known of them.
+    They are zero for joints that never move, of which all samples are used.
     """
     noise = np.max([trajectory.speed_noise for trajectory in trajectories], axis=0)
     return least_still_speeds(peak_speeds(trajectories), noise)
 
 
 def least_still_speeds(peaks: Array, noise: Array) -> Array:
-    """Return `still_speeds` of peak speeds (nv,) and their noise (nv,), rad/s or m/s."""
+    """Return `still_speeds` from peak speeds (nv,) and their noise (nv,), rad/s or m/s."""
     return np.where(peaks > 0.0, np.maximum(STILL_SPEED * peaks, STILL_NOISE * noise), 0.0)
 
 
 def moving_together(trajectories: Sequence[Trajectory]) -> NDArray[np.bool_]:
-    """Return (nv, nv) whether two joints move at the same time, and not always alike.
+    """Return whether two joints (nv, nv) move at the same time, and not in proportion.
 
-    They must do so for a tenth of the time for which the joint that moves less is in motion. Joints
-    whose speeds are in one ratio, as those of legs whose feet stand, show what each has.
+    The common motion must last at least a tenth of that of the joint that moves less. Joints move
+    in proportion, for example, in legs with feet on the ground.
     """
     peaks = peak_speeds(trajectories)
     noise = np.max([trajectory.speed_noise for trajectory in trajectories], axis=0)
@@ -252,34 +250,34 @@ def moving_together(trajectories: Sequence[Trajectory]) -> NDArray[np.bool_]:
                 speed = moves * chunk.velocity
                 count += moves.T @ moves
                 product += speed.T @ speed
-                square += np.square(speed).T @ moves  # of the first where the second moves, too
-    alone = np.diag(count)
-    at_once = count >= _AT_ONCE * np.maximum(np.minimum.outer(alone, alone), 1.0)
+                square += np.square(speed).T @ moves  # of the first while the second moves
+    moving = np.diag(count)
+    together = count >= _AT_ONCE * np.maximum(np.minimum.outer(moving, moving), 1.0)
     alike = product**2 > (1.0 - _ALIKE**2) * square * square.T
-    return np.asarray(at_once & ~(alike & ~np.eye(len(peaks), dtype=bool)))
+    return np.asarray(together & ~(alike & ~np.eye(len(peaks), dtype=bool)))
 
 
 def sign_widths(model: RobotModel, trajectories: Sequence[Trajectory]) -> Array:
-    """Return (nv,) the speed below which dry friction of the model fades, or signs are unknown."""
+    """Return the speed (nv,) below which the model's dry friction fades, or signs are unknown."""
     noise = np.max([trajectory.speed_noise for trajectory in trajectories], axis=0)
     return model.sign_widths(least_sign_widths(peak_speeds(trajectories), noise))
 
 
 def least_sign_widths(peaks: Array, noise: Array) -> Array:
-    """Return (nv,) the speed below which the direction of motion is not known.
+    """Return the speed (nv,) below which the direction of motion is unknown.
 
-    Peak speeds (nv,) and deviations (nv,) of the noise of velocities are in rad/s or m/s.
+    `noise` (nv,) is the standard deviation of the velocities, rad/s or m/s.
     """
     return np.maximum(LEAST_SIGN_WIDTH * peaks, SIGN_NOISE * noise)
 
 
-class _Box:
-    """Rows of one joint and fold on their way into a factor."""
+class _FactorBuilder:
+    """Incremental reduction of the rows of one joint and fold."""
 
     def __init__(self, width: int) -> None:
         self.width, self.seen, self.samples = width, 0, 0
         self.kept: dict[Block, list[JointRows]] = defaultdict(list)
-        self.pending = list[Array]()  # the factor of earlier rows first, if there is one
+        self.pending = list[Array]()  # the factor of earlier rows, if any, comes first
         self.sums, self.carried = np.zeros(2), np.zeros(width)
 
     def add(self, block: Block, rows: JointRows) -> None:
@@ -294,14 +292,14 @@ class _Box:
             self.pending = [self.whole_factor()]
 
     def whole_factor(self) -> Array:
-        """Return the factor of all rows: they themselves where they are fewer than the columns."""
+        """Return the factor of all rows, or the rows if they are fewer than the columns."""
         if sum(map(len, self.pending)) > self.width:
             return triangular_factor(self.pending)
         return np.concatenate([np.zeros((0, self.width)), *self.pending])
 
 
 def _stacked(factors: Sequence[Array]) -> Array:
-    """Return (F, m, p) factors (m_i, p), with rows of zeros where one has fewer than another."""
+    """Stack factors (m_i, p), padded with zero rows."""
     most = max(map(len, factors))
     return np.array([np.pad(factor, ((0, most - len(factor)), (0, 0))) for factor in factors])
 
@@ -314,8 +312,8 @@ def _slices(
 ) -> Iterator[tuple[int, LogSlice]]:
     """Yield the first output of every slice of a segment, and the slice."""
     trajectory, stretch = trajectories[at[0]], trajectories[at[0]].segments[at[1]]
-    felt = sum(len(mobilizer.dofs) for mobilizer in layout.model.tree.mobilizers)
-    width = PARAMETERS_PER_BODY * felt  # of what a regressor has beside zeros
+    dofs = sum(len(mobilizer.dofs) for mobilizer in layout.model.tree.mobilizers)
+    width = PARAMETERS_PER_BODY * dofs  # nonzero entries of a regressor
     size, first = min(CHUNK, LARGEST_REGRESSOR // width), 0
     for samples, outputs in trajectory.filter.chunks(len(stretch), size):
         place = (*at, samples.start, samples.stop)
@@ -326,10 +324,10 @@ def _slices(
 def effort_deviation(
     joints: Sequence[str], data: Sequence[JointData], passive: Collection[str] = ()
 ) -> Array:
-    """Return (nv,) standard deviation of the measured efforts, N·m or N; 0 of a joint at rest.
+    """Return the standard deviation (nv,) of the measured efforts, N·m or N; 0 without rows.
 
     Raises:
-        LogError: The effort of a joint that moves never changes: its sensor has nothing to say.
+        LogError: The effort of a moving joint is constant.
     """
     count = np.array([joint.samples.sum() for joint in data])
     sums = np.array([joint.effort_sums.sum(axis=0) for joint in data])
@@ -347,8 +345,8 @@ def effort_deviation(
     return deviation
 
 
-_SAMPLES = 100_000  # of a segment that are looked at
-_POSES = 50  # of each segment, at which gravity is looked at
+_SAMPLES = 100_000  # largest number of samples of a segment to use
+_POSES = 50  # poses of each segment at which gravity is evaluated
 
 
 def effort_scale(
@@ -358,12 +356,11 @@ def effort_scale(
     data: Sequence[JointData],
     deviation: Array,
 ) -> Array:
-    """Return (nv,) the scale of each joint's effort, N·m or N.
+    """Return the scale (nv,) of each joint's effort, N·m or N.
 
-    That is the `deviation` of its effort, if it moves. The effort of a joint at rest, or without a
-    motor, deviates by next to nothing, and is no measure of an error: there it is the effort that
-    it holds, or that by which gravity could load it if the robot stood on its side, whichever is
-    larger.
+    It is the standard `deviation` of the effort of a moving joint. The effort of a joint at rest,
+    or without a motor, hardly varies; its scale is the larger of its holding effort and of the
+    effort of gravity with the robot on its side.
     """
     still = _at_rest(model, data) | (deviation == 0.0)
     if not still.any():
@@ -375,36 +372,36 @@ def effort_scale(
 
 
 def _at_rest(model: RobotModel, data: Sequence[JointData]) -> NDArray[np.bool_]:
-    """Return (nv,) which joints of one degree of freedom hardly move."""
+    """Return which joints (nv,) of one degree of freedom hardly move."""
     low, high = np.full((2, len(data)), np.nan)
     for joint in model.single_joints:
         j = model.joints.index(joint)
-        own = [rows.motion[:, 0] for fold in data[j].rows for rows in fold if len(rows.motion)]
-        if own:
-            low[j], high[j] = min(q.min() for q in own), max(q.max() for q in own)
+        q = [rows.motion[:, 0] for fold in data[j].rows for rows in fold if len(rows.motion)]
+        if q:
+            low[j], high[j] = min(part.min() for part in q), max(part.max() for part in q)
     return resting(low, high, np.isin(model.joints, model.sliding_joints))
 
 
 def passive_inertia(
     model: RobotModel, tree: KinematicTree, trajectories: Sequence[Trajectory]
 ) -> Array | None:
-    """Return `Dataset.passive_inertia`, the mean over poses of the logs."""
+    """Return `Dataset.passive_inertia`, averaged over poses of the logs."""
     passive = {joint for trajectory in trajectories for joint in trajectory.passive}
     if not passive:
         return None
-    q, found = _poses(model, trajectories), np.zeros((len(model.joints), model.phi.size))
+    q, shares = _poses(model, trajectories), np.zeros((len(model.joints), model.phi.size))
     still, weightless = np.zeros((len(q), len(model.joints))), replace(tree, gravity=np.zeros(3))
     for joint in passive:
         j, vd = model.joints.index(joint), still.copy()
         vd[:, j] = 1.0
         columns = inverse_dynamics_regressor(weightless, q, still, vd)[:, j]
         inertia = columns @ model.total_phi.ravel()
-        found[j] = (columns / np.maximum(inertia, np.finfo(float).tiny)[:, None]).mean(axis=0)
-    return found
+        shares[j] = (columns / np.maximum(inertia, np.finfo(float).tiny)[:, None]).mean(axis=0)
+    return shares
 
 
 def _poses(model: RobotModel, trajectories: Sequence[Trajectory]) -> Array:
-    """Return (K, nq) positions of the model at instants of the logs."""
+    """Return positions (K, nq) of the model at instants of the logs."""
     segments = [segment for trajectory in trajectories for segment in trajectory.segments]
     starts = [segment[:_SAMPLES].position for segment in segments]
     positions = [start[:: max(1, len(start) // _POSES)] for start in starts]
@@ -414,7 +411,7 @@ def _poses(model: RobotModel, trajectories: Sequence[Trajectory]) -> Array:
 def _load_by_gravity(
     model: RobotModel, tree: KinematicTree, trajectories: Sequence[Trajectory]
 ) -> Array:
-    """Return (nv,) RMS of the loads by gravity from three sides, N·m or N."""
+    """Return the RMS (nv,) of the efforts of gravity along three axes, N·m or N."""
     q = _poses(model, trajectories)
     zero = np.zeros((len(q), len(model.joints)))
     power, g = np.zeros(len(model.joints)), float(np.linalg.norm(tree.gravity))

@@ -1,27 +1,18 @@
-"""Gains of servos by the motion itself: each joint simulated under its commands, and compared.
+"""Estimate servo gains from the motion: simulate each joint under its commands.
 
-What a stiff servo makes of its command hardly shows in inverse dynamics: it moves its joint almost
-as it is told, so that its stiffness times how far it lags, its damping and its delay all look like
-friction. It shows in how the joint moves. Each joint is therefore simulated alone, while all others
-move as they were measured to (`servo_motion`).
+Inverse dynamics hardly reveals a stiff servo: the joint follows its command so closely that
+stiffness times lag, damping and delay all look like friction. The motion reveals it. Each joint is
+therefore simulated alone, while all others follow their measured motion (`servo_motion`). The
+parameters minimize Σ (x − q)² by Levenberg–Marquardt from a linear fit on; data-sheet values and a
+usual delay act as priors.
 
-Its parameters are those of least squares of x − q by Levenberg and Marquardt's method, from a
-linear fit on; what a data sheet says of them, and a usual delay, count like further samples. They
-count only if windows of the log that the fit did not see are predicted better than from where it
-began.
+A fit is accepted only if it predicts held-out windows better than its starting point. So is each of
 
-An integral that goes on since before the log has left an effort w where a stretch begins, of which
-nobody knows; without an integral w would be a constant effort. A servo therefore has an integral
-only if windows that a fit did not see are predicted better with ki than with such a constant alone,
-and if all of them then say that there is one.
-
-A servo saturates in the simulation, its integral held, where such windows are predicted better for
-it: at the limit of effort that the model states, or at one of its own, which is sought like another
-parameter, from what bodies need at most on. A share of the damping d is the servo's own, within the
-limit, and the rest the joint's: only a servo at its limit tells them apart.
-
-Friction by the load is rarer than all else: it must predict such windows better, too, and a dead
-band by far.
+- an integral: its state at the start of a stretch, an effort w, is unknown. It must predict better
+  than a constant w alone, and be significant in the final fit.
+- saturation, at the model's effort limit or at a fitted one; the integral then stops. A share of
+  the damping d is the servo's and saturates too. Only a servo at its limit tells it from the rest.
+- load-dependent friction, and a dead band, which must halve the error.
 """
 
 from __future__ import annotations
@@ -33,7 +24,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.identification.bounded_descent import descended
+from geodrake.identification.bounded_descent import bounded_least_squares
 from geodrake.identification.logs.criteria import PENALTY, WORTH
 from geodrake.identification.logs.effort_gains import ALIKE
 from geodrake.identification.logs.joint_motions import LONGEST_DELAY, JointMotions
@@ -58,46 +49,47 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 USUAL_DELAY = 0.01
-"""Commands are late by so much in the mean, s."""
+"""Mean delay of commands, s."""
 
 USUAL_PERIOD = 1e-3
-"""Servos compute their effort about so often, s: the motion that they feel is late by as much.
+"""Typical control period of a servo, s, by which its feedback is delayed.
 
-As a servo's damping and the joint's inertia make up for that exactly, no motion tells it.
+The damping and the inertia compensate this delay exactly, so that no motion reveals it.
 """
 
 _PLACES = {name: at for at, name in enumerate((*PARAMETERS, "limit"))}
 _MOST_EVALUATIONS, _FIRST_EVALUATIONS = 60, 8
-_FARTHEST = 3.0  # deviations of a number from what is expected
-_LEAST_LIMIT = 0.01  # of its size
-LOWERED = 0.7  # deviation of the logarithm of a limit from a stall torque: servos are set to less
-_USUAL_LOAD, _MOST_LOAD = 0.2, 2.0  # of the largest load, that friction by its square is there
+_FARTHEST = 3.0  # largest distance of a parameter from its prior, in standard deviations
+_LEAST_LIMIT = 0.01  # smallest limit, relative to the largest effort of the bodies
+LOWERED = 0.7  # standard deviation of log(limit / stall torque): limits are often set lower
+_USUAL_LOAD, _MOST_LOAD = 0.2, 2.0  # load-dependent friction at the largest load, relative to it
 _USUAL_BAND = 0.01  # rad or m
-_IDLE_LEAVES = 0.5  # share of what is left of positions, that a dead band leaves at most
-_SMOOTHER = 1.0 / 24.0 / np.sqrt(3.0)  # of second differences of commands: deviation
-_TRIED_DELAYS = (0.0, 0.01, 0.03)  # s, that searches begin from
+_IDLE_LEAVES = 0.5  # largest ratio of the residual with a dead band to that without
+_SMOOTHER = 1.0 / 24.0 / np.sqrt(3.0)  # deviation per second difference of the command
+_TRIED_DELAYS = (0.0, 0.01, 0.03)  # starting points of searches, s
 
 
 @dataclass(frozen=True, eq=False)
 class ServoFit:
-    """A servo and what its joint has beside the bodies, by the joint's motion."""
+    """Servo, friction and rotor inertia of a joint, estimated from its motion."""
 
-    # (10,) values of `PARAMETERS`: the rate's with all damping that the servo makes, damping that
-    # of the joint alone; the last two are 0 for a servo without an integral, and a dead band
+    # (10,) values of `PARAMETERS`. `rate` is all damping of the servo, `damping` that of the joint
+    # alone. The last two are 0 without an integral or a dead band.
     parameters: Array
-    # (10,) their standard deviations; of all but kp for bodies that are known exactly. Counted are
-    # feedback that acts late, and commands between the rows of a log, which no log shows
+    # (10,) standard deviations. Except for kp they assume exactly known bodies. They include
+    # delayed feedback and the unknown commands between rows of a log.
     deviations: Array
     error: float  # RMS of simulated − measured positions, rad or m
-    start: float  # the same where the search began
-    moved: float  # deviation of the measured positions, rad or m
-    limit: float  # effort at which the servo saturates; infinite where the motion shows none
-    rate_share: float  # of the command's rate, that the servo's damping knows
+    start: float  # the same at the start of the search
+    moved: float  # standard deviation of the measured positions, rad or m
+    limit: float  # saturation effort of the servo; infinite if the motion shows none
+    rate_share: float  # share of the command's rate that the servo's damping sees
 
     def with_gain_uncertainty(self, share: float) -> ServoFit:
-        """Return the fit with deviations no smaller than its gain's, as a share.
+        """Return the fit with relative deviations of at least `share`, that of the gain.
 
-        The motion tells ratios of forces: all but times and positions scale with the stiffness.
+        The motion identifies ratios of forces: all but times and positions scale with the
+        stiffness.
         """
         forces = ~np.isin(PARAMETERS, ("delay", "dead_band"))
         least = share * forces * np.abs(self.parameters)
@@ -106,17 +98,21 @@ class ServoFit:
 
 @dataclass(frozen=True, eq=False)
 class _Servo:
-    """A servo in a search: its numbers (12 + S,), and which of them (12 + S,) move."""
+    """Servo parameters (12 + S,) in a search, and which of them (12 + S,) are free."""
 
     numbers: Array
     free: Mask
 
     @classmethod
     def of(cls, numbers: Array, *, summed: bool = False) -> _Servo:
-        """Return one with an integral, or a constant effort w in each stretch, or without."""
+        """Return a servo with all usual parameters free.
+
+        If `summed`, it has an integral and an initial effort w in each stretch, which includes the
+        offset.
+        """
         free = np.arange(len(numbers)) < LOAD
         free[INTEGRAL], free[SHARE] = summed, np.isfinite(numbers[LIMIT])
-        free[OFFSET], free[BEGUN:] = not summed, summed  # w has it
+        free[OFFSET], free[BEGUN:] = not summed, summed
         return cls(numbers, free)
 
     @property
@@ -125,13 +121,13 @@ class _Servo:
         return bool(self.free[BEGUN])
 
     def freed(self, which: int) -> _Servo:
-        """Return the servo with one more of its numbers free."""
+        """Return the servo with one more free parameter."""
         free = self.free.copy()
         free[which] = True
         return _Servo(self.numbers, free)
 
     def without(self, which: int) -> _Servo:
-        """Return the servo with one of its numbers zero for good."""
+        """Return the servo with one parameter fixed at zero."""
         numbers, free = self.numbers.copy(), self.free.copy()
         numbers[which], free[which] = 0.0, False
         return _Servo(numbers, free)
@@ -144,7 +140,7 @@ class _Servo:
         return _Servo(numbers, free)
 
     def along(self, motions: JointMotions) -> _Servo:
-        """Return the servo along other stretches; its integral begins as bodies need it."""
+        """Return the servo for other stretches, with integrals initialized from the bodies."""
         plain = self.numbers[:BEGUN]
         numbers = motions.servo(plain.tolist(), limit=float(plain[LIMIT]))
         if self.summed:
@@ -154,7 +150,7 @@ class _Servo:
         return _Servo(numbers, free)
 
     def limited(self, limit: float, share: float, *, sought: bool = False) -> _Servo:
-        """Return the servo with another limit, and a share of its damping within it to be found."""
+        """Return the servo with another limit, free if `sought`, and a free damping share."""
         numbers, free = self.numbers.copy(), self.free.copy()
         numbers[[LIMIT, SHARE]] = limit, share
         free[LIMIT], free[SHARE] = sought, np.isfinite(limit)
@@ -162,7 +158,7 @@ class _Servo:
 
 
 Expected = Mapping[str, tuple[float, float]]
-"""Parameter above 0, or `limit` -> what is expected of it, and the deviation of its logarithm."""
+"""Positive parameter, or `limit` -> prior median and standard deviation of its logarithm."""
 
 
 def fit_servo(
@@ -173,17 +169,15 @@ def fit_servo(
     expected: Expected | None = None,
     bodies: float = 0.0,
 ) -> ServoFit | None:
-    """Return the servo that moves a joint as it was measured to, from that by a linear fit on.
+    """Fit the servo that reproduces a joint's measured motion, starting from a linear fit.
 
-    The `limit` is the largest effort of the joint, N·m or N, by the model: the servo may keep it,
-    or another one, or none. Of the stiffness and other parameters values may be `expected`, by
-    default of the stiffness about that by the linear fit; `bodies` are known to a share. A limit
-    that is expected is the servo's where the motion does not reach it. None if windows that the fit
-    did not see are predicted no better than from where it began, or than by a joint that stands
-    still.
+    The servo saturates at the `limit` of the model, N·m or N, at another one, or never. `expected`
+    are priors, by default one of the stiffness around the linear fit. An expected limit is used if
+    the motion does not reach it. `bodies` is the relative uncertainty of the bodies. Return None if
+    held-out windows are predicted no better than at the start, or than by a joint at rest.
     """
-    inertia, some = np.concatenate(motions.rows)[:, 1], motions.pieces()
-    begin = [
+    inertia, pieces = np.concatenate(motions.rows)[:, 1], motions.pieces()
+    start_parameters = [
         signal.gain,
         signal.damping,
         0.05 * signal.gain,
@@ -194,13 +188,15 @@ def fit_servo(
         signal.dead_band,
     ]
     expected = {"stiffness": (signal.gain, ALIKE), **(expected or {})}
-    told = signal.integral or some.linear_servo(signal).integral
-    first = _Search(some, told, expected)
-    found = first.with_dead_band(first.at_its_limit(some.servo(begin), limit))
-    loaded = first.best([found.freed(LOAD)], seen=True)
-    if some is not motions:
+    linear_integral = signal.integral or pieces.linear_servo(signal).integral
+    piece_search = _Search(pieces, linear_integral, expected)
+    found = piece_search.with_dead_band(
+        piece_search.at_its_limit(pieces.servo(start_parameters), limit)
+    )
+    loaded = piece_search.best([found.freed(LOAD)], seen=True)
+    if pieces is not motions:
         found, loaded = found.along(motions), loaded.along(motions)
-    search, start = replace(first, motions=motions), motions.servo(begin)
+    search, start = replace(piece_search, motions=motions), motions.servo(start_parameters)
     fit = search.fitted(found, loaded, start, bodies)
     if fit is not None and fit.parameters[INTEGRAL] ** 2 < PENALTY * fit.deviations[INTEGRAL] ** 2:
         plain = search.best([found.plain()], seen=True)
@@ -210,16 +206,16 @@ def fit_servo(
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """Searches for the servo of a joint, from servos (12 + S,) on."""
+    """Search for the servo of a joint."""
 
     motions: JointMotions
-    told: float  # the integral gain by a linear fit; 0 if it has none
+    linear_integral: float  # integral gain of the linear fit, 0 without one
     expected: Expected
 
     def fitted(self, half: _Servo, loaded: _Servo, start: Array, bodies: float) -> ServoFit | None:
-        """Return the fit to all rows, from those to half of the windows on; see `fit_servo`.
+        """Return the fit to all rows, starting from fits to half of the windows; see `fit_servo`.
 
-        One of these has friction by the load.
+        `half` has no load-dependent friction, `loaded` has.
         """
         motions, began = self.motions, start.copy()
         began[[LIMIT, SHARE]] = half.numbers[[LIMIT, SHARE]]
@@ -234,38 +230,38 @@ class _Search:
         best = self.best([half])
         usual, spread = self.expected.get("limit", (np.inf, np.inf))
         if sought:
-            never = self.best([best.limited(np.inf, 0.0), _Servo.of(start)])
-            odd = np.log(best.numbers[LIMIT] / usual) / spread if np.isfinite(usual) else 0.0
-            if motions.gain(never.numbers, best.numbers) < PENALTY + odd**2:
-                best = never
+            unlimited = self.best([best.limited(np.inf, 0.0), _Servo.of(start)])
+            surprise = np.log(best.numbers[LIMIT] / usual) / spread if np.isfinite(usual) else 0.0
+            if motions.gain(unlimited.numbers, best.numbers) < PENALTY + surprise**2:
+                best = unlimited
         for which in (OFFSET, LOAD, DEAD_BAND, RATE, DELAY, SHARE):
             bare = best.without(which)
             if best.numbers[which]:
                 bare = self.best([bare])
             if motions.gain(bare.numbers, best.numbers) < PENALTY:
                 best = bare
-        error, first = motions.rms(best.numbers), motions.rms(began)
-        if not error < min(first, moved):
+        error, start_error = motions.rms(best.numbers), motions.rms(began)
+        if not error < min(start_error, moved):
             return None
         if np.isfinite(usual):
-            # Of what a servo gives, friction takes its part before the shaft of a data sheet. By
-            # its load it is known up to the largest one that was seen.
+            # Data sheets state the torque at the shaft, after friction. Load-dependent friction is
+            # known only up to the largest load in the logs.
             seen = min(usual, self._most)
             dry = float(best.numbers[COULOMB] + best.numbers[LOAD] * seen**2)
-            held = best.limited(usual + dry, 0.0)
-            if (motions.residual(held.numbers) == motions.residual(best.numbers)).all():
-                best = held
+            at_usual_limit = best.limited(usual + dry, 0.0)
+            if (motions.residual(at_usual_limit.numbers) == motions.residual(best.numbers)).all():
+                best = at_usual_limit
         parameters, limit, rate_share = _with_own_damping(best.numbers)
         deviations = self._deviations(best)
-        # Bodies that are heavier move as these do with a stiffness that is larger by as much.
+        # Heavier bodies with a proportionally larger stiffness move alike.
         whole = np.hypot(deviations[0], bodies * parameters[0])
         deviations[0] = min(whole, self.expected["stiffness"][1] * parameters[0])
-        return ServoFit(parameters, deviations, error, first, moved, limit, rate_share)
+        return ServoFit(parameters, deviations, error, start_error, moved, limit, rate_share)
 
     def at_its_limit(self, start: Array, limit: float) -> _Servo:
-        """Return the servo by half of the windows, saturating as the others ask for.
+        """Fit half of the windows, and choose the saturation by the others.
 
-        That is never, or at a limit of the joint, or at one that is found.
+        Candidates are no saturation, the limit of the joint, and a fitted limit.
         """
         motions, begin, best = self.motions, _Servo.of(start), self._by_half(start)
 
@@ -275,28 +271,29 @@ class _Search:
 
         tried = [(each.numbers, each.limited(limit, 0.0).numbers) for each in (begin, best)]
         if any((motions.simulated(free) != motions.simulated(held)).any() for free, held in tried):
-            hidden = replace(self, told=self.told or float(start[0]))  # an integral by its limit
+            # Saturation can hide the integral from the linear fit.
+            hidden = replace(self, linear_integral=self.linear_integral or float(start[0]))
             other = hidden._by_half(begin.limited(limit, 0.0).numbers)
             best = other if is_better(other) else best
         starts = [best]
-        for integral in (0.0, self.told or start[0]):
+        for integral in (0.0, self.linear_integral or start[0]):
             starts.append(_Servo.of(motions.with_integral(start, integral), summed=True))
         starts = [
             each.limited(self._most, share, sought=True) for share in (0.0, 1.0) for each in starts
         ]
         found = self.best(starts, seen=True)
         if is_better(found):
-            told = float(found.numbers[INTEGRAL]) or self.told
-            other = replace(self, told=told)._by_half(found.plain().numbers)
+            integral = float(found.numbers[INTEGRAL]) or self.linear_integral
+            other = replace(self, linear_integral=integral)._by_half(found.plain().numbers)
             found = self.best([other.freed(LIMIT)], seen=True)
             best = found if is_better(found) else best
         return best
 
     def with_dead_band(self, servo: _Servo) -> _Servo:
-        """Return the servo with a dead band, if that predicts the other windows far better.
+        """Return the servo with a dead band if that predicts the other windows far better.
 
-        One that takes away little of what is left of positions is not told from what else is
-        lacking, such as the steps of a servo's clock. It is sought where slopes promise enough.
+        A small improvement may come from other effects, such as the clock of the servo. The search
+        starts only if the slopes promise enough.
         """
         motions, tried = self.motions, servo.freed(DEAD_BAND)
         seen, rows = motions.seen
@@ -311,16 +308,16 @@ class _Search:
 
     @cached_property
     def _most(self) -> float:
-        """The most effort that bodies need, N·m or N; 1 if they need none."""
+        """Largest effort of the bodies, N·m or N; 1 if it is zero."""
         return float(np.abs(self.motions.needed).max()) or 1.0
 
     def _by_half(self, start: Array) -> _Servo:
-        """Return a servo by the windows that a test does not need.
+        """Fit the windows that are not held out.
 
-        It has an integral if the others are predicted better with it than with a constant effort.
+        Add an integral if it predicts the others better than a constant effort.
         """
         motions = self.motions
-        starts = [start]  # with several delays, and damping known to the command or not
+        starts = [start]  # several delays, damping with and without the command's rate
         for delay in _TRIED_DELAYS:
             starts.append(start.copy())
             starts[-1][[RATE, DELAY]] = 0.0 if delay else 0.5 * start[2], delay
@@ -328,31 +325,33 @@ class _Search:
             starts = [_with_share(each, share) for share in (0.0, 1.0) for each in starts]
         plain = self.best([_Servo.of(each) for each in starts], seen=True)
         constant = _Servo.of(plain.numbers, summed=True)
-        if not self.told:
+        if not self.linear_integral:
             return plain
-        resets = [motions.with_integral(each, self.told) for each in starts]
+        resets = [motions.with_integral(each, self.linear_integral) for each in starts]
         best = self.best([_Servo.of(each, summed=True) for each in resets], seen=True)
         constant = self.best([each.without(INTEGRAL) for each in (constant, best)], seen=True)
         worth = motions.gain(constant.numbers, best.numbers, motions.tested)
         return best if worth >= PENALTY else plain
 
     def best(self, starts: Sequence[_Servo], *, seen: bool = False) -> _Servo:
-        """Return the least squares over all rows, or those that a fit sees, from several starts on.
+        """Return the least-squares fit to all rows, or to those not held out if `seen`.
 
-        Of several the one that is best after a few steps is followed to its end. What is expected
-        of numbers bounds them in searches, and counts over all rows.
+        A few steps are taken from each start, and the best one is continued to convergence. Priors
+        bound the parameters; in fits to all rows they enter the cost too.
         """
-        whole, size = self.motions, len(starts[0].numbers)
-        most = _MOST_EVALUATIONS if len(starts) == 1 else _FIRST_EVALUATIONS
-        motions, rows = whole.seen if seen else (whole, np.ones(len(whole.measured), bool))
+        all_motions, size = self.motions, len(starts[0].numbers)
+        max_steps = _MOST_EVALUATIONS if len(starts) == 1 else _FIRST_EVALUATIONS
+        motions, rows = (
+            all_motions.seen if seen else (all_motions, np.ones(len(all_motions.measured), bool))
+        )
         expected = {_PLACES[name]: value for name, value in self.expected.items()}
         places = [at for at in expected if starts[0].free[at] or at != LIMIT]
         usual, spread = np.transpose([expected[at] for at in places])
-        weights, late = 0.0 * spread, 0.0
-        if not seen:  # on the scale of what is left of positions
+        weights, delay_weight = 0.0 * spread, 0.0
+        if not seen:  # on the scale of the residual
             left = motions.residual(starts[0].numbers)
             noise = np.sqrt(left @ left / WORTH)
-            weights, late = noise / spread, noise / USUAL_DELAY * np.sqrt(2.0 / np.pi)
+            weights, delay_weight = noise / spread, noise / USUAL_DELAY * np.sqrt(2.0 / np.pi)
         upper, lower = np.full((2, size), np.inf)
         upper[[DELAY, LOAD]] = LONGEST_DELAY, _MOST_LOAD / self._most
         lower[:BEGUN], lower[LIMIT], lower[BEGUN:] = 0.0, _LEAST_LIMIT * self._most, -np.inf
@@ -369,31 +368,30 @@ class _Search:
                 return found
 
             def residual(x: Array) -> Array:
-                return beside(numbers(x), motions.simulated(numbers(x)) - motions.measured)
+                return with_priors(numbers(x), motions.simulated(numbers(x)) - motions.measured)
 
-            def beside(at: Array, left: Array) -> Array:
+            def with_priors(at: Array, left: Array) -> Array:
                 known = weights * np.log(at[places] / usual)
-                return np.hstack([left[rows], known, late * at[DELAY]])
+                return np.hstack([left[rows], known, delay_weight * at[DELAY]])
 
             def with_slopes(x: Array) -> tuple[Array, Array]:
                 at, own = numbers(x), np.zeros((len(places) + 1, size))
                 own[range(len(places)), places] = weights / at[places]
-                own[-1, DELAY] = late
+                own[-1, DELAY] = delay_weight
                 left, J = motions.with_slopes(at, free)
-                return beside(at, left), np.vstack([J[rows], own[:, free]])
+                return with_priors(at, left), np.vstack([J[rows], own[:, free]])
 
             begin = np.clip(start.numbers, lower, upper)[free]
-            x, cost = descended((residual, with_slopes), begin, (lower[free], upper[free]), most)
+            x, cost = bounded_least_squares(
+                (residual, with_slopes), begin, (lower[free], upper[free]), max_steps
+            )
             return cost, replace(start, numbers=numbers(x))
 
         best = min(map(search, starts), key=lambda each: each[0])[1]
         return best if len(starts) == 1 else self.best([best], seen=seen)
 
     def _deviations(self, best: _Servo) -> Array:
-        """Return (10,) standard deviations of parameters that are free.
-
-        Each is that with all others unknown, and with what no log shows; see `_unobservable`.
-        """
+        """Return marginal standard deviations (10,), including what `_unobservable` adds."""
         numbers, free, gain = best.numbers, best.free, best.numbers[0]
         least = np.full(len(numbers), float(np.std(self.motions.needed)) or 1.0)
         least[:OFFSET] = 0.0, 0.02 * gain, 0.01 * gain, 1e-3, 1e-4, 0.01
@@ -402,52 +400,56 @@ class _Search:
         size = np.maximum(np.abs(numbers), least)[free]
         J = self.motions.with_slopes(numbers, free)[1]
         columns = np.column_stack([J * size, *self._unobservable(numbers, J, free)])
-        # What the motion does not show is known to its own size.
-        known = np.ones(columns.shape[1])
+        # Parameters that the motion does not identify have a prior of their own size.
+        prior = np.ones(columns.shape[1])
         for name, (_, spread) in self.expected.items():
-            known[: len(size)][np.flatnonzero(free) == _PLACES[name]] = spread**-2.0
+            prior[: len(size)][np.flatnonzero(free) == _PLACES[name]] = spread**-2.0
         H = columns.T @ columns / self.motions.noise(self.motions.residual(numbers))
-        values, vectors = np.linalg.eigh(H + np.diag(known))
-        # (Rounding may leave less than what is known.)
-        covariance = vectors / np.maximum(values, known.min()) @ vectors.T
-        moves = np.zeros((len(free), len(known)))
+        values, vectors = np.linalg.eigh(H + np.diag(prior))
+        # Rounding may leave eigenvalues below those of the prior.
+        covariance = vectors / np.maximum(values, prior.min()) @ vectors.T
+        moves = np.zeros((len(free), len(prior)))
         moves[free, : len(size)] = np.diag(size)
         d, share = numbers[[DAMPING, SHARE]]
-        own = share * moves[DAMPING] + d * moves[SHARE]
-        moves[RATE] += own
-        moves[DAMPING] -= own
+        servo_damping = share * moves[DAMPING] + d * moves[SHARE]
+        moves[RATE] += servo_damping
+        moves[DAMPING] -= servo_damping
         return np.sqrt(np.einsum("ij,jk,ik->i", moves, covariance, moves))[:LIMIT]
 
     def _unobservable(self, numbers: Array, J: Array, free: Mask) -> tuple[Array, Array]:
-        """Return changes (N,) of positions by one deviation of each quantity that no log shows.
+        """Return changes (N,) of positions per standard deviation of unobservable quantities.
 
-        Feedback that acts late by τ takes kp τ off the damping and d τ off the inertia. How
-        commands go on between rows of period T matters too: one that a servo holds is, but for a
-        delay, a smooth one c with T² c̈ / 24 more in the mean; any share of that is as likely.
-        `J` (N, f) are slopes with the numbers that are `free`.
+        Feedback delayed by τ reduces the damping by kp τ and the inertia by d τ. Commands between
+        rows of period T are unknown too: a command that the servo holds equals, up to a delay, a
+        smooth one c plus T² c̈ / 24, of which any share is equally likely. `J` (N, f) are slopes
+        with respect to the `free` parameters.
         """
-        motions, at = self.motions, np.flatnonzero(free).searchsorted([DAMPING, ARMATURE])
-        late = J[:, at] @ [numbers[0], numbers[RATE] + numbers[DAMPING]]
+        motions, indices = self.motions, np.flatnonzero(free).searchsorted([DAMPING, ARMATURE])
+        delayed = J[:, indices] @ [numbers[0], numbers[RATE] + numbers[DAMPING]]
         rows = tuple(each.copy() for each in motions.rows)
         for each in rows:
             each[1:-1, 7] -= _SMOOTHER * np.diff(each[:, 7], 2)
         rounded = replace(motions, rows=rows).simulated(numbers)
-        return -USUAL_PERIOD * late, rounded - motions.measured - motions.residual(numbers)
+        return -USUAL_PERIOD * delayed, rounded - motions.measured - motions.residual(numbers)
 
 
 def _with_share(numbers: Array, share: float) -> Array:
-    """Return numbers of a servo that makes a share of the damping."""
+    """Return servo parameters with the servo's share of the damping."""
     found = numbers.copy()
     found[SHARE] = share
     return found
 
 
 def _with_own_damping(numbers: Array) -> tuple[Array, float, float]:
-    """Return parameters (10,) of a servo that makes its share of the damping, and two numbers more.
+    """Return parameters (10,) with the servo's damping moved into its rate gain.
 
-    These are its limit, and how much of the command's rate its damping knows.
+    Return also the limit, and the share of the command's rate that the damping sees.
     """
     parameters, share = numbers[:LIMIT].copy(), float(numbers[SHARE])
-    own, known = share * float(parameters[DAMPING]), float(parameters[RATE])
-    parameters[[RATE, DAMPING]] = known + own, parameters[DAMPING] - own
-    return parameters, float(numbers[LIMIT]), known / (known + own) if own else 1.0
+    servo_damping, rate = share * float(parameters[DAMPING]), float(parameters[RATE])
+    parameters[[RATE, DAMPING]] = rate + servo_damping, parameters[DAMPING] - servo_damping
+    return (
+        parameters,
+        float(numbers[LIMIT]),
+        rate / (rate + servo_damping) if servo_damping else 1.0,
+    )

@@ -1,16 +1,16 @@
-"""How a servo moves its joint: simulated along the measured motion of all others, compiled.
+"""Compiled simulation of one servo joint, while all others follow their measured motion.
 
-Near the measured motion the bodies' effort is linear,
+Near the measured motion the effort of the bodies is linear,
 
     b + M (ẍ − q̈) + D (ẋ − q̇) + K (x − q),
 
-with slopes of the recursion, and the joint's motion x follows from
+and the joint's motion x follows from
 
     … + o + I ẍ + d ẋ + (F + k l²) sgn ẋ
         = kp e + kr (dc/dt(t − δ) − ẋ) + w + ki ∫e dt,    e = dead(c(t − δ) − x),
 
-where dead takes a dead band b off an error, and the load l of the bodies is the first line: a gear
-rubs by all that goes through it, or where it brakes by so much of that that it does not lock
+where dead subtracts a dead band b from an error, and the load l is the effort of the bodies. Gear
+friction depends on the whole load, limited where the load brakes so that the gear does not lock
 (`SquaredLoadFriction`).
 """
 
@@ -41,31 +41,31 @@ PARAMETERS = (
 """kp, kr, d, F, I, δ, o, k, ki and b; of joints that turn in N·m/rad, N·m·s/rad (twice), N·m,
 kg·m², s, N·m, 1/(N·m), N·m/(rad·s) and rad.
 
-Numbers of a servo are these, its limit (infinite for none), the share of d within it, and the
-efforts w that an integral begins with, one for each stretch.
+A servo array has these, its limit (infinite for none), the share of d within the limit, and the
+initial efforts w of the integral, one for each stretch.
 """
 
 RATE, DAMPING, COULOMB, ARMATURE, DELAY, OFFSET, LOAD, INTEGRAL = 1, 2, 3, 4, 5, 6, 7, 8
 DEAD_BAND, LIMIT, SHARE, BEGUN = 9, 10, 11, 12
-"""Where these numbers are; stiffness is the first."""
+"""Indices into a servo array; stiffness is the first."""
 
-_STEPS, _LONGEST_STEP = 4, 5e-3  # of simulations between two rows at least, and at most so long, s
-_THETA = 0.55  # how far within a step forces are as they are there
-_FAR = 1e3  # rad or m, from the measured motion, and no farther: squares stay numbers
+_STEPS, _LONGEST_STEP = 4, 5e-3  # least number of steps between two rows, longest step, s
+_THETA = 0.55  # of the theta method: fraction of a step at which forces are evaluated
+_FAR = 1e3  # largest distance from the measured motion, rad or m, so that squares stay finite
 
 
 @compiled
 def calc_servo_motions(
     rows: Array, ends: Indices, periods: Array, servo: Array, out: tuple[Array, Array]
 ) -> None:
-    """Write the positions of a joint along stretches, one after the other; see the next.
+    """Write the positions of a joint along several stretches; see `calc_servo_motion`.
 
     Args:
         rows: (N, 8) of all stretches.
-        ends: (S,) where each ends.
+        ends: (S,) end of each stretch in `rows`.
         periods: (S,) s.
-        servo: (12 + S,) numbers of a servo, an effort w for each stretch.
-        out: (N,) positions, and (N, 8 or 11 + S) their slopes with these numbers; or none.
+        servo: (12 + S,) servo array, with an effort w for each stretch.
+        out: (N,) positions, and their slopes (N, 8 or 11 + S), or (0, 0) to skip them.
     """
     positions, slopes = out
     here, begin = servo[: BEGUN + 1].copy(), 0
@@ -81,21 +81,19 @@ def calc_servo_motions(
 
 @compiled
 def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array, Array]) -> None:
-    """Write the positions (N,) of a joint under its commands, by steps of the theta method.
+    """Write the positions (N,) of a joint under its commands, by the theta method.
 
-    Forces are those between both ends of a step, where the error is of second order but for what
-    damps stiff joints. Dry friction is that of the velocity and of the load afterwards, and a set
-    at rest: a joint sticks until more than F + k l² pulls at it. Slopes are those of the steps
-    themselves, while a joint that sticks goes on doing so. One that a weak servo lets
-    run away is held where it is far from the measured motion.
+    The method is of second order, except for the damping of stiff joints. Dry friction depends on
+    velocity and load at the end of a step, and is set-valued at rest: a joint sticks until the
+    other forces exceed F + k l². Slopes are exact for the discrete steps, with sticking fixed. A
+    joint that runs away under a weak servo is stopped far from the measured motion.
 
     Args:
         rows: (N, 8) b, M, K, D, q, q̇, q̈ and the command.
         period: Time between rows, s.
-        servo: (13,) kp, kr, d, F, I, δ, o, k, ki, b, the largest effort, the share of d within it,
-            and w.
-        out: (N,) positions, and (N, p) their slopes with the first 8 of these numbers, or with all
-            but the share; (0, p) if those are not asked for.
+        servo: (13,) kp, kr, d, F, I, δ, o, k, ki, b, the limit, the share of d within it, and w.
+        out: (N,) positions, and their slopes (N, p) with respect to the first 8 parameters or to
+            all but the share; (0, p) to skip them.
     """
     positions, slopes = out
     steps = max(_STEPS, int(np.ceil(period / _LONGEST_STEP)))
@@ -170,13 +168,12 @@ def move_slopes(
     direct: Array,
     step: tuple[float, float, float, float, float, float, float],
 ) -> None:
-    """Take a step of slopes (3, p) of position, velocity and integral with numbers of a servo.
+    """Advance the slopes (3, p) of position, velocity and integral by one step.
 
     Args:
-        direct: Forces by which these numbers, and others after them, act by themselves.
-        step: How much force a velocity before adds, what damps, what holds, what an integral gives,
-            how much a force moves the joint (0 where it sticks), how long the integral grows, s,
-            and the time, s.
+        direct: Partial derivatives of the force with respect to the parameters.
+        step: Force per previous velocity, damping, stiffness, force per integral, velocity per
+            force (0 while sticking), integration time, s, and step, s.
     """
     inertia, damps, holds, gives, moves, grows, dt = step
     by_x, by_z = -moves * holds, moves * gives
@@ -194,7 +191,7 @@ def move_slopes(
 def calc_between(
     a: Array, b: Array, share: float
 ) -> tuple[float, float, float, float, float, float, float]:
-    """Return b, M, K, D, q, q̇ and q̈ between two rows."""
+    """Return b, M, K, D, q, q̇ and q̈ interpolated between two rows."""
     left = 1.0 - share
     return (
         left * a[0] + share * b[0],
@@ -214,12 +211,12 @@ def calc_within(
     joint: tuple[float, float],
     gear: tuple[float, float, float, float, float],
 ) -> tuple[float, float, float, float]:
-    """Return the next three with a servo, and its effort where that is at its limit, or 0.
+    """Return `calc_velocity_after` with a servo, and the servo's effort if saturated, else 0.
 
     Args:
-        limit: The largest effort of the servo, N·m or N.
-        servo: What it gives at rest, and how much of that a velocity takes away.
-        joint: What else moves the joint at rest, and how much of that a velocity takes away.
+        limit: Largest effort of the servo, N·m or N.
+        servo: Effort of the servo at rest, and its decrease per velocity.
+        joint: Other efforts on the joint at rest, and their decrease per velocity.
         gear: See `calc_velocity_after`.
     """
     (drive, soft), (rest, heavy) = servo, joint
@@ -235,7 +232,7 @@ def calc_within(
 def calc_rubbing(
     gear: tuple[float, float, float, float, float], v: float, way: float
 ) -> tuple[float, float]:
-    """Return the load that counts for friction, along the velocity, and how much that grows."""
+    """Return the load along the velocity that acts in friction, and the slope of that friction."""
     _, load, least, held, grows = gear
     through = max(way * (held + grows * v), least)
     return through, 2.0 * load * through if through > least else 0.0
@@ -245,16 +242,16 @@ def calc_rubbing(
 def calc_velocity_after(
     pull: float, stiff: float, gear: tuple[float, float, float, float, float]
 ) -> tuple[float, float, float]:
-    """Return the velocity after an implicit step, its direction, and how it resists more force.
+    """Return the velocity after an implicit step, its sign, and the force per velocity.
 
-    Velocity and direction are 0 if the joint sticks. There is one such velocity: where the load
-    brakes, friction grows by less than the load does.
+    Velocity and sign are 0 if the joint sticks. The velocity is unique: where the load brakes,
+    friction grows more slowly than the load.
 
     Args:
-        pull: What moves the joint at rest, N·m or N.
-        stiff: How much of that a velocity takes away.
-        gear: F and k of friction F + k l²; the least load l, along the velocity, that it grows
-            with; the load of bodies that stop, and how it grows with the velocity.
+        pull: Force on the joint at rest, N·m or N.
+        stiff: Its decrease per velocity.
+        gear: F and k of friction F + k l²; the least load l along the velocity that increases it;
+            the load at zero velocity, and its increase per velocity.
     """
     F, load, least, held, grows = gear
     way = 1.0 if pull > 0.0 else -1.0
@@ -277,10 +274,10 @@ def calc_velocity_after(
 
 @compiled
 def calc_command_before(rows: Array, at: float, period: float) -> tuple[float, float]:
-    """Return the command at a row's number, which may be between two, and its rate.
+    """Return the command and its rate at a fractional row index.
 
-    Between rows it is a cubic with the rates of central differences, as in rollouts. Before
-    the first row the command is as it is there.
+    Between rows it is a cubic with the rates of central differences, as in rollouts. Before the
+    first row it is constant.
     """
     if at <= 0.0:
         return rows[0, 7], 0.0

@@ -1,4 +1,4 @@
-"""Logs without efforts: gains of the signals that replace them, and the efforts."""
+"""Calibrate signals such as currents and commands, and convert them to efforts."""
 
 from __future__ import annotations
 
@@ -44,13 +44,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CarriedColumn(RobotEffect):
-    """The effort that known payloads of a log need.
+    """Effort of the known payloads of a log, as a column beside those of effects.
 
-    It is no effect of the robot, but a column of logs beside those of effects: where the gains of
-    efforts are not known, it cannot be taken off what was measured.
+    With unknown gains it cannot be subtracted from the measured signal.
     """
 
-    # Number of a log -> name of a body -> inertial parameters (10,) of what it carries there.
+    # Number of a log -> name of a body -> inertial parameters (10,) of its payload.
     carried: Mapping[int, Mapping[str, Array]] = field(default_factory=dict, compare=False)
 
     name = "carried"
@@ -65,7 +64,7 @@ class CarriedColumn(RobotEffect):
         return {joint: effort[:, j : j + 1] for j, joint in enumerate(motion.joints)}
 
 
-_SHARP = 20.0  # Hz
+_LEAST_MOTION_BANDWIDTH = 20.0  # of simulations, Hz
 
 
 def calibrate_efforts(
@@ -73,25 +72,25 @@ def calibrate_efforts(
 ) -> tuple[RobotModel, list[JointLog], list[str]]:
     """Return the model with effort signals, logs with efforts, and notes.
 
-    Gains that the model does not know are found by its inertias; see `effort_gains`. Logs have
-    their joints in the model's order. Servos are those of simulated joints; where columns are only
-    looked at, the linear fit alone will do, some three times as fast.
+    Unknown gains are estimated with the model's inertias; see `effort_gains`. Logs have their
+    joints in the model's order. Without `simulate`, servos are those of a linear fit, about three
+    times as fast.
 
     Raises:
-        LogError: Something else stands for the efforts of a joint in one log than in another or in
-            the model, or there is nothing at all, or a servo is at its limit nearly all the time,
-            or no signal goes with the motion.
+        LogError: The kinds of a joint's signals differ between logs or from the model, there is no
+            signal, a servo saturates nearly all the time, or no signal matches the motion.
     """
     if not logs:
         return model, [], []
     kinds = _kinds(model, logs)
     if all(kind == "effort" for kind in kinds) and not model.effort_signals:
         return model, list(logs), []
-    asked, logs = logs, list(logs)
+    raw_logs, logs = logs, list(logs)
     if model.effort_signals:
         logs = [_known_efforts(model, log) for log in logs]
-    notes = [note for pair in zip(asked, logs, strict=True) for note in _limit_notes(model, *pair)]
-    kinds = _kinds(model, logs)  # of joints that the model does not know
+    pairs = zip(raw_logs, logs, strict=True)
+    notes = [note for pair in pairs for note in _limit_notes(model, *pair)]
+    kinds = _kinds(model, logs)  # now only of joints that the model does not convert
     if all(kind == "effort" for kind in kinds):
         return model, logs, notes
     found = calibrated(model, logs, kinds, simulate=simulate)
@@ -116,7 +115,7 @@ def _check_known(found: Sequence[EffortSignal], logs: Sequence[JointLog]) -> Non
         f"The {kinds} of {', '.join(signal.joint for signal in measured)} do not match the "
         "motion with any gains.",
         advice=hint
-        or "Are they of these joints, synchronous and with the right sign? Do the joints move "
+        or "Do they belong to these joints, in time and with the right sign? Do the joints move "
         "under load? Otherwise give the gains with --gain JOINT=VALUE.",
     )
 
@@ -125,17 +124,18 @@ def _is_unknown(signal: EffortSignal) -> bool:
     return signal.deviation >= abs(signal.gain)
 
 
-def _limit_notes(model: RobotModel, asked: JointLog, given: JointLog) -> list[str]:
+def _limit_notes(model: RobotModel, commanded: JointLog, limited: JointLog) -> list[str]:
     """Return notes on commanded efforts of a log that exceed motor limits."""
     notes = []
-    for at, joint in enumerate(asked.joints):
+    for j, joint in enumerate(commanded.joints):
         signal = signal_of(model.effort_signals, joint)
         if signal is None or signal.kind != EFFORT:
             continue
-        beyond = np.isfinite(asked.effort[:, at]) & (given.effort[:, at] != asked.effort[:, at])
+        command = commanded.effort[:, j]
+        beyond = np.isfinite(command) & (limited.effort[:, j] != command)
         if beyond.any():
             notes.append(
-                f"{asked.name}: in {100.0 * np.mean(beyond):.2g} % of the rows the commanded "
+                f"{commanded.name}: in {100.0 * np.mean(beyond):.2g} % of the rows the commanded "
                 f"effort of {joint} exceeds the motor's limit in the model, which is used "
                 "instead"
             )
@@ -145,45 +145,44 @@ def _limit_notes(model: RobotModel, asked: JointLog, given: JointLog) -> list[st
 def _known_efforts(model: RobotModel, log: JointLog) -> JointLog:
     """Return the log with efforts of joints whose signals the model can convert."""
     signals = model.effort_signals
-    summed = any(each.integral and kind_of(log, each.joint) == COMMAND for each in signals)
-    known = in_efforts(log, signals, _needed(model, log) if summed else None)
-    check_saturation(known, log)
-    return known
+    has_integral = any(each.integral and kind_of(log, each.joint) == COMMAND for each in signals)
+    converted = in_efforts(log, signals, _raw_efforts(model, log) if has_integral else None)
+    check_saturation(converted, log)
+    return converted
 
 
-def _needed(model: RobotModel, log: JointLog) -> Array:
-    """Return (N, n) efforts, N·m or N, that a model needs for positions of a log, noise and all.
-
-    What the robot carried in the log needs its share of them.
-    """
-    q, known = log.position.copy(), np.isfinite(log.time)
+def _raw_efforts(model: RobotModel, log: JointLog) -> Array:
+    """Return the model's efforts (N, n), N·m or N, with known payloads, at raw positions."""
+    q, timed = log.position.copy(), np.isfinite(log.time)
     for column in q.T:
-        there = np.isfinite(column) & known
-        if there.any():
-            column[:] = np.interp(log.time, log.time[there], column[there])
-    needed = np.full(q.shape, np.nan)
-    if np.count_nonzero(known) > 1 and np.isfinite(q[known]).all():
-        time = log.time[known]
-        v = np.gradient(q[known], time, axis=0)
-        motion = Motion(model.positions(q[known]), v, np.gradient(v, time, axis=0))
-        needed[known] = carrying(model, log.payloads).effort(motion)
-    return needed
+        valid = np.isfinite(column) & timed
+        if valid.any():
+            column[:] = np.interp(log.time, log.time[valid], column[valid])
+    efforts = np.full(q.shape, np.nan)
+    if np.count_nonzero(timed) > 1 and np.isfinite(q[timed]).all():
+        time = log.time[timed]
+        v = np.gradient(q[timed], time, axis=0)
+        motion = Motion(model.positions(q[timed]), v, np.gradient(v, time, axis=0))
+        efforts[timed] = carrying(model, log.payloads).effort(motion)
+    return efforts
 
 
 def gain_words(
     model: RobotModel, signals: Sequence[EffortSignal], logs: Sequence[JointLog] = ()
 ) -> str:
-    """Return the fitted gains in words, with data sheets of motors."""
+    """Return a sentence with the fitted gains, relative to data sheets if known."""
     words = []
     for signal in signals:
         slides = signal.joint in model.sliding_joints
         unit = when_sliding(signal.unit) if slides else signal.unit
         unknown = _is_unknown(signal)
-        value = "unknown," if unknown else f"{signal.gain:.3g}"
-        words.append(f"{signal.joint} {value} ± {signal.deviation:.2g} {unit}")
-        if (told := published_gain(logs, signal.joint, signal.kind)) is not None and not unknown:
-            share, spread = signal.gain / told[0], signal.deviation / told[0]
-            words[-1] += f" ({share:.2g} ± {spread:.1g} times the published value of {told[2]})"
+        gain = "unknown," if unknown else f"{signal.gain:.3g}"
+        words.append(f"{signal.joint} {gain} ± {signal.deviation:.2g} {unit}")
+        published = published_gain(logs, signal.joint, signal.kind)
+        if published is not None and not unknown:
+            value, _, motor = published
+            share, spread = signal.gain / value, signal.deviation / value
+            words[-1] += f" ({share:.2g} ± {spread:.1g} times the published value of {motor})"
     kinds = " and ".join(dict.fromkeys(f"{signal.kind}s" for signal in signals))
     return (
         f"efforts are computed from {kinds}, with gains estimated with the model's inertias: "
@@ -196,37 +195,37 @@ def calibrated(
 ) -> tuple[EffortSignal, ...]:
     """Fit the signals of all joints without measured efforts.
 
-    `kinds` (nv,) are what stands for the efforts of each joint. A linear fit takes efforts of
-    servos for a gain times how far the command is away; how their joints move says the rest, from
-    that on. The linear fit counts for a simulation of the same logs afterwards.
+    `kinds` (nv,) are the kinds of the joints' signals. The linear fit models the effort of a servo
+    as a gain times its tracking error; simulations then start from it. It is cached for a
+    simulation of the same logs.
 
     Raises:
-        LogError: A servo pushes away from where it is told to go.
+        LogError: A servo has a negative stiffness.
     """
-    of, linear = _LINEAR.pop(model, ((), None))
-    if linear is None or len(of) != len(logs) or not all(map(_is_same, of, logs)):
+    cached_logs, linear = _LINEAR.pop(model, ((), None))
+    if linear is None or len(cached_logs) != len(logs) or not all(map(_is_same, cached_logs, logs)):
         linear = _linear(model, logs, kinds)
     trajectories, gains = linear
-    found, deviations = dict[int, EffortSignal](), gains.deviations * np.abs(gains.gains)
+    signals, deviations = dict[int, EffortSignal](), gains.deviations * np.abs(gains.gains)
     for j, (joint, kind) in enumerate(zip(model.joints, kinds, strict=True)):
         if kind != EFFORT:
             gain = float(abs(gains.gains[j]) if kind == COMMAND else gains.gains[j])
-            found[j] = EffortSignal(joint, kind, gain, float(deviations[j]))
-    servos, moved = [j for j, kind in enumerate(kinds) if kind == COMMAND], set[int]()
+            signals[j] = EffortSignal(joint, kind, gain, float(deviations[j]))
+    servos, simulated = [j for j, kind in enumerate(kinds) if kind == COMMAND], set[int]()
     if not simulate:
         _LINEAR[model] = tuple(logs), linear
     elif servos:
-        motions, alike = servo_motions(model, logs, servos, trajectories), _alike(model, kinds)
-        starts = {j: own.pieces().linear_servo(found[j]) for j, own in motions.items()}
-        for j, own in motions.items():
-            same = [starts[k].gain for k in servos if alike[k] == alike[j]]
-            share, usual = min(found[j].uncertainty, float(gains.bodies[j])), float(np.median(same))
-            fit = servo_by_motion(model, logs, own, starts[j], usual=usual, bodies=share)
+        motions, groups = servo_motions(model, logs, servos, trajectories), _groups(model, kinds)
+        starts = {j: data.pieces().linear_servo(signals[j]) for j, data in motions.items()}
+        for j, data in motions.items():
+            usual = float(np.median([starts[k].gain for k in servos if groups[k] == groups[j]]))
+            share = min(signals[j].uncertainty, float(gains.bodies[j]))
+            fit = servo_by_motion(model, logs, data, starts[j], usual=usual, bodies=share)
             if fit is not None:
-                found[j] = signal_by_motion(found[j], fit)
-                moved.add(j)
-    for j in servos:  # where an integral holds a joint up, the motion alone tells its sign
-        if gains.gains[j] < 0.0 and j not in moved:
+                signals[j] = signal_by_motion(signals[j], fit)
+                simulated.add(j)
+    for j in servos:  # with an integral, only a simulation identifies the sign
+        if gains.gains[j] < 0.0 and j not in simulated:
             raise LogError(
                 f"The servo of {model.joints[j]} has a negative stiffness, "
                 f"{gains.gains[j]:.3g} ± {deviations[j]:.2g} N·m/rad.",
@@ -234,14 +233,14 @@ def calibrated(
                 "joint?",
                 joint=model.joints[j],
             )
-    return tuple(found.values())
+    return tuple(signals.values())
 
 
 _Linear = tuple[Sequence[Trajectory], SignalGains]
-"""Prepared logs with signals in the place of efforts, and gains by a linear fit."""
+"""Prepared logs with signals in place of efforts, and gains of a linear fit."""
 
 _LINEAR = WeakKeyDictionary[RobotModel, tuple[tuple[JointLog, ...], _Linear]]()
-"""Linear fits of logs whose columns were looked at, until the logs are compared with the model."""
+"""Linear fits of the last logs of a model, reused when these logs are simulated."""
 
 
 def _is_same(log: JointLog, other: JointLog) -> bool:
@@ -251,42 +250,42 @@ def _is_same(log: JointLog, other: JointLog) -> bool:
 
 
 def _linear(model: RobotModel, logs: Sequence[JointLog], kinds: Sequence[str]) -> _Linear:
-    """Fit gains of logs' signals, whose `kinds` (nv,) are those of the joints."""
+    """Fit the gains of signals of the given `kinds` (nv,)."""
     trajectories = prepare_logs(signals_as_efforts(logs, kinds))
     usual = [kind for kind in catalogue() if kind.complexity == 0]
     free = [kind.shaped(joint)[0] for joint in model.single_joints for kind in usual]
     free += [effect for effect in effects_of(model) if effect.role is not Role.BODY]
     free = list(dict.fromkeys(free))
-    held = None
+    payloads = None
     if any(log.payloads for log in logs):
-        each = [(log_number(log.name), carried_phi(model, log.payloads)) for log in logs]
-        held = CarriedColumn({n: _by_body(model, phi) for n, phi in each})
-    effects = free if held is None else [*free, held]
+        carried = [(log_number(log.name), carried_phi(model, log.payloads)) for log in logs]
+        payloads = CarriedColumn({n: _by_body(model, phi) for n, phi in carried})
+    effects = free if payloads is None else [*free, payloads]
     folds = validation_blocks(trajectories)
     dataset = reduce_logs(model, trajectories, folds, effects=effects)
     d = model.phi.size
-    rows = [SignalRows.of(dataset, j, d, free, held=held) for j in range(len(kinds))]
-    gains = signal_gains(rows, model, _gain_priors(model, logs, kinds), _alike(model, kinds))
+    rows = [SignalRows.of(dataset, j, d, free, payloads=payloads) for j in range(len(kinds))]
+    gains = signal_gains(rows, model, _gain_priors(model, logs, kinds), _groups(model, kinds))
     return trajectories, gains
 
 
-def _alike(model: RobotModel, kinds: Sequence[str]) -> list[str]:
-    """Return (nv,) kinds of signals whose gains are alike."""
+def _groups(model: RobotModel, kinds: Sequence[str]) -> list[str]:
+    """Return labels (nv,) of groups of signals with similar gains."""
     pairs = zip(model.joints, kinds, strict=True)
     return [f"{kind} {joint in model.sliding_joints}" for joint, kind in pairs]
 
 
 def _gain_priors(model: RobotModel, logs: Sequence[JointLog], kinds: Sequence[str]) -> GainPriors:
-    """Return the priors of gains of efforts, from logs, and of signals, from data sheets."""
+    """Return the prior gains: of efforts from the logs, of other signals from data sheets."""
     deviations = np.max([log.gain_deviations for log in logs], axis=0)
-    known = np.where([kind == EFFORT for kind in kinds], np.maximum(deviations, 1e-6), np.inf)
+    spread = np.where([kind == EFFORT for kind in kinds], np.maximum(deviations, 1e-6), np.inf)
     expected = np.ones(len(kinds))
     for j, (joint, kind) in enumerate(zip(model.joints, kinds, strict=True)):
         published = published_gain(logs, joint, kind)
         if published is not None:
             expected[j] = published[0]
-            known[j] = _log_deviation(*published[:2])
-    return GainPriors(expected, known)
+            spread[j] = _log_deviation(*published[:2])
+    return GainPriors(expected, spread)
 
 
 def published_gain(
@@ -295,36 +294,36 @@ def published_gain(
     """Return a published gain of a signal, its deviation, and the motor's name."""
     for log in logs:
         motor = log.motors.get(joint)
-        told = None if motor is None else motor.gain(kind)
-        if motor is not None and told is not None:
-            return (*told, motor.name)
+        gain = None if motor is None else motor.gain(kind)
+        if motor is not None and gain is not None:
+            return (*gain, motor.name)
     return None
 
 
 def expected_servo(logs: Sequence[JointLog], joint: str, usual: float, linear: float) -> Expected:
-    """Return the servo in data sheets, or a usual stiffness.
+    """Return priors of a servo from data sheets, or from a usual stiffness.
 
-    Servos are alike only as far as the stiffness by a linear fit allows: that of a wrist may be a
+    The prior is wide enough for the stiffness of the `linear` fit: that of a wrist may be a
     thousandth of that of a shoulder.
     """
-    found = {"stiffness": (usual, max(ALIKE, abs(float(np.log(linear / usual)))))}
+    priors = {"stiffness": (usual, max(ALIKE, abs(float(np.log(linear / usual)))))}
     motors = [log.motors[joint] for log in logs if joint in log.motors]
     for motor in motors[:1]:
-        for name, told in (("stiffness", motor.gain(COMMAND)), ("armature", motor.armature)):
-            if told is not None:
-                found[name] = told[0], _log_deviation(*told[:2])
+        for name, value in (("stiffness", motor.gain(COMMAND)), ("armature", motor.armature)):
+            if value is not None:
+                priors[name] = value[0], _log_deviation(*value[:2])
         if motor.stall_torque is not None:
-            found["limit"] = motor.stall_torque[0], LOWERED
-    return found
+            priors["limit"] = motor.stall_torque[0], LOWERED
+    return priors
 
 
 def _log_deviation(value: float, deviation: float) -> float:
-    """Return the deviation of a value's logarithm; at least a thousandth."""
+    """Return the standard deviation of a value's logarithm, at least 0.001."""
     return max(float(np.sqrt(np.log1p((deviation / value) ** 2))), 1e-3)
 
 
 def _by_body(model: RobotModel, phi: Array) -> dict[str, Array]:
-    """Name -> inertial parameters (10,) of bodies (nb, 10) that are something."""
+    """Return the nonzero inertial parameters (10,) by body name."""
     return {body: own for body, own in zip(model.bodies, phi, strict=True) if own.any()}
 
 
@@ -334,18 +333,18 @@ def servo_motions(
     joints: Sequence[int],
     trajectories: Sequence[Trajectory] | None = None,
 ) -> dict[int, JointMotions]:
-    """Return the data for simulations of joints with servos, at sufficient bandwidth.
+    """Return the data for simulations of servo joints, at sufficient bandwidth.
 
-    Bodies are those of the model that is saved, not as a linear fit moves them. The logs may have
-    been prepared for such a fit, as `trajectories`.
+    The bodies are those of the model, not of a linear fit. `trajectories` are the logs as prepared
+    for such a fit, if there was one.
     """
     kinds = [COMMAND if j in joints else EFFORT for j in range(len(model.joints))]
-    known = signals_as_efforts(logs, kinds)
-    before = prepare_logs(known) if trajectories is None else trajectories
-    highest = HIGHEST_BANDWIDTH / max(t.filter.period for t in before)
-    bandwidth, motion = before[0].bandwidths
-    sharp = min(max(motion, _SHARP), highest)
-    prepared = prepare_logs(known, bandwidth=bandwidth, motion_bandwidth=sharp)
+    signals = signals_as_efforts(logs, kinds)
+    first = prepare_logs(signals) if trajectories is None else trajectories
+    highest = HIGHEST_BANDWIDTH / max(t.filter.period for t in first)
+    bandwidth, motion_bandwidth = first[0].bandwidths
+    motion_bandwidth = min(max(motion_bandwidth, _LEAST_MOTION_BANDWIDTH), highest)
+    prepared = prepare_logs(signals, bandwidth=bandwidth, motion_bandwidth=motion_bandwidth)
     return motions_of(replace(model, effects=()), logs, prepared, joints)
 
 
@@ -358,14 +357,14 @@ def servo_by_motion(
     usual: float | None = None,
     bodies: float = 0.0,
 ) -> ServoFit | None:
-    """Return the servo of a joint by how it moves in logs, if that is predicted better for it.
+    """Fit the servo of a joint to its motion in logs; return None if that predicts no better.
 
     Args:
         motions: The joint along the logs.
-        signal: The servo by a linear fit, or as it was known.
-        usual: Stiffness of such servos, N·m/rad or N/m, if no data sheet says it; by default that
-            of the signal.
-        bodies: Share to which bodies are known.
+        signal: The servo of a linear fit, or of the model.
+        usual: Usual stiffness of such servos, N·m/rad or N/m, for joints without a data sheet; by
+            default that of the signal.
+        bodies: Relative uncertainty of the bodies.
     """
     limit = float(model.effort_limits[model.joints.index(signal.joint)])
     return fit_servo(
@@ -378,7 +377,7 @@ def servo_by_motion(
 
 
 def signal_by_motion(signal: EffortSignal, fit: ServoFit) -> EffortSignal:
-    """Return the signal of a servo with the numbers of a fit to its motion."""
+    """Return the signal of a servo with the parameters of a fit to its motion."""
     gain, rate, *_, delay, _, _, integral, band = fit.parameters.tolist()
     spread = fit.deviations
     return replace(
@@ -415,28 +414,24 @@ BESIDE: Mapping[str, type[JointEffect]] = {
 def with_servo_motions(
     model: RobotModel, logs: Sequence[JointLog]
 ) -> tuple[RobotModel, dict[str, ServoFit]]:
-    """Return the model with servos and friction by which its joints move as in logs.
+    """Fit servos, friction, rotor inertias and offsets to the motion of each servo joint.
 
-    Each joint with a servo is simulated alone, under its commands; see `fit_servo`. Its friction,
-    rotor inertia and offset are those of the simulation; joints that are simulated no better stay
-    as they are. How well a stiffness is known stays the share of it that it was.
-
-    Args:
-        model: The model, which knows its servos.
-        logs: Logs with commands, their joints in the model's order.
+    Each joint is simulated alone, under its commands; see `fit_servo`. Joints that are not
+    predicted better keep their parameters. The relative uncertainty of a stiffness stays the same.
+    Logs have commands, and their joints in the model's order.
 
     Returns:
-        The model, and what was found by the joint.
+        The model, and the fits by joint.
     """
-    moved = [j for j, servo in enumerate(servos_of(model)) if servo is not None]
+    joints = [j for j, servo in enumerate(servos_of(model)) if servo is not None]
     signals = {signal.joint: signal for signal in model.effort_signals}
     fits = dict[str, ServoFit]()
-    for j, motions in servo_motions(model, logs, moved).items():
+    for j, motions in servo_motions(model, logs, joints).items():
         signal = signals[joint := model.joints[j]]
         fit = servo_by_motion(model, logs, motions, signal)
         if fit is not None:
-            deviation = signal.uncertainty * fit.parameters[0]
-            signals[joint] = replace(signal_by_motion(signal, fit), deviation=deviation)
+            gain_deviation = signal.uncertainty * fit.parameters[0]
+            signals[joint] = replace(signal_by_motion(signal, fit), deviation=gain_deviation)
             fits[joint] = fit.with_gain_uncertainty(signal.uncertainty)
     kinds = tuple(BESIDE.values())
     effects = [
@@ -446,34 +441,30 @@ def with_servo_motions(
     ]
     for joint, fit in fits.items():
         for name, kind in BESIDE.items():
-            value, unsure = (
-                each[[PARAMETERS.index(name)]] for each in (fit.parameters, fit.deviations)
-            )
+            index = [PARAMETERS.index(name)]
+            value, deviation = fit.parameters[index], fit.deviations[index]
             if value.any() and kind is LoadFriction:
-                effects.append(LoadFriction.fitted(joint, value.item(), unsure.item()))
+                effects.append(LoadFriction.fitted(joint, value.item(), deviation.item()))
             elif value.any():
-                effects.append(FittedEffect(kind.shaped(joint)[0], value, unsure))
+                effects.append(FittedEffect(kind.shaped(joint)[0], value, deviation))
     return replace(model, effects=tuple(effects), effort_signals=tuple(signals.values())), fits
 
 
 def signals_as_efforts(logs: Sequence[JointLog], kinds: Sequence[str]) -> list[JointLog]:
-    """Return logs with signals in the place of efforts: of servos, how far the command is away.
+    """Return logs with signals of the given `kinds` (nv,) in place of efforts.
 
-    What known payloads need is not taken off a signal of unknown gain: they are left out. `kinds`
-    (nv,) are what stands for the efforts of each joint.
+    The signal of a servo is its tracking error. Known payloads are dropped, as their effort cannot
+    be subtracted from a signal of unknown gain.
     """
-    found = []
+    converted = []
     for log in logs:
         effort = log.effort.copy()
         for j, kind in enumerate(kinds):
             if kind == COMMAND and log.command is not None:
                 effort[:, j] = log.command[:, j] - log.position[:, j]
-        found.append(
-            replace(
-                log, effort=effort, effort_kinds=dict.fromkeys(log.passive, PASSIVE), payloads=()
-            )
-        )
-    return found
+        passive = dict.fromkeys(log.passive, PASSIVE)
+        converted.append(replace(log, effort=effort, effort_kinds=passive, payloads=()))
+    return converted
 
 
 def _kinds(model: RobotModel, logs: Sequence[JointLog]) -> tuple[str, ...]:

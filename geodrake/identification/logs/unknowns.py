@@ -1,7 +1,4 @@
-"""Unknowns of a fit: columns of a dataset with prior, bounds and physical blocks.
-
-`fit_problem` is its convex program.
-"""
+"""Unknowns of a fit: columns of a dataset with prior, bounds and physical blocks."""
 
 from __future__ import annotations
 
@@ -27,15 +24,15 @@ Indices = NDArray[np.intp]
 class Unknowns:
     """Unknown parameters of a fit, p in all."""
 
-    columns: Indices  # (p,) of the dataset; one may serve twice (a link and its payload)
+    columns: Indices  # (p,) of the dataset; a link and its payload share columns
     mean: Array  # (p,) prior mean
     information: Array  # (p, p) prior information, inverse of the prior covariance
     lower: Array  # (p,) lower bounds
     upper: Array  # (p,) upper bounds
-    inertia_blocks: tuple[int, ...]  # first unknown of every ten that must stay physical
-    effects: tuple[Effect, ...] = ()  # those among the unknowns
+    inertia_blocks: tuple[int, ...]  # first unknown of every physical body
+    effects: tuple[Effect, ...] = ()  # effects among the unknowns
     starts: tuple[int, ...] = ()  # first unknown of every effect
-    pull: Array | float = 0.0  # (p,) added to the right side, as in `Dataset.passive_pull`
+    pull: Array | float = 0.0  # (p,) added to the right-hand side; see `Dataset.passive_pull`
 
     def on(self, dataset: Dataset) -> Unknowns:
         """Return these unknowns in the columns of another dataset of the same bodies."""
@@ -48,14 +45,14 @@ class Unknowns:
         return replace(self, pull=dataset.passive_pull(self.columns, x, power))
 
     def pulled_mean(self, share: float) -> Array:
-        """Return (p,) the mean of a prior that has a share of the pull in it."""
+        """Return the prior mean (p,) shifted by a share of the pull."""
         if not np.any(self.pull):
             return self.mean
         return self.mean + share * np.linalg.solve(self.information, self.pull)
 
     @property
     def is_inertial(self) -> NDArray[np.bool_]:
-        """Return (p,) which unknowns belong to bodies."""
+        """(p,) whether an unknown belongs to a body."""
         inertial = np.zeros(len(self.columns), bool)
         for start in self.inertia_blocks:
             inertial[start : start + PARAMETERS_PER_BODY] = True
@@ -68,7 +65,7 @@ class Unknowns:
         return np.where(inertial, -np.inf, self.lower), np.where(inertial, np.inf, self.upper)
 
     def span(self, effect: Effect) -> slice:
-        """Return the indices of an effect's parameters among the unknowns."""
+        """Return the slice of an effect's parameters."""
         start = self.starts[self.effects.index(effect)]
         return slice(start, start + len(effect.parameters))
 
@@ -90,36 +87,33 @@ class Unknowns:
         )
 
     def released(self, effect: Effect, information: Array, mean: Array | None = None) -> Unknowns:
-        """Return these unknowns without the prior of one effect.
+        """Return these unknowns with another prior of one effect, independent of the others.
 
-        `information` (k, k) is what is known about it instead, around a mean (k,) or zero.
+        The new prior has `information` (k, k) and a mean (k,), by default zero.
         """
         span = self.span(effect)
         inside = np.zeros(len(self.columns), bool)
         inside[span] = True
         cross = self.information[np.ix_(~inside, inside)]
-        known = np.zeros_like(self.information)
-        # What is known about the others, whatever the effect's parameters are.
-        known[np.ix_(~inside, ~inside)] = self.information[np.ix_(~inside, ~inside)] - (
+        prior = np.zeros_like(self.information)
+        # The others keep their marginal information.
+        prior[np.ix_(~inside, ~inside)] = self.information[np.ix_(~inside, ~inside)] - (
             cross @ np.linalg.solve(self.information[span, span], cross.T)
         )
-        known[span, span] = information
+        prior[span, span] = information
         means = self.mean.copy()
         means[span] = 0.0 if mean is None else mean
-        return replace(self, mean=means, information=known)
+        return replace(self, mean=means, information=prior)
 
     def loosened(self, factor: float, inertial: int) -> Unknowns:
-        """Return these unknowns with the prior of the first `inertial` ones so much wider."""
+        """Return these unknowns with the prior of the first `inertial` ones widened by a factor."""
         scale = np.ones(len(self.columns))
         scale[:inertial] = 1.0 / factor
         return replace(self, information=self.information * scale[:, None] * scale)
 
 
 def inertial_unknowns(phi: Array, information: Array) -> Unknowns:
-    """Return the inertial parameters of all bodies as unknowns.
-
-    Their prior has the mean φ (nb, 10) and the information (10·nb, 10·nb).
-    """
+    """Return all bodies as unknowns with prior mean φ (nb, 10) and information (10·nb, 10·nb)."""
     p = phi.size
     unbounded = np.full(p, np.inf)
     blocks = tuple(range(0, p, PARAMETERS_PER_BODY))
@@ -127,10 +121,10 @@ def inertial_unknowns(phi: Array, information: Array) -> Unknowns:
 
 
 def pullback_information(phi: Array, spread: float) -> Array:
-    """Return the information G(φ)/spread² (10·nb, 10·nb) of bodies φ (nb, 10) known so well.
+    """Return the prior information G(φ)/spread² (10·nb, 10·nb) about bodies φ (nb, 10).
 
     `spread` is the standard deviation of the geometric distance along any direction: 0.1 means that
-    mass and lengths are known to about 10 %. G is that of [Lee2019] Eq. (3.5.51).
+    mass and lengths are known to about 10 %. G is the metric of [Lee2019] Eq. (3.5.51).
     """
     return block_diag(*pullback_metric(phi)) / spread**2
 
@@ -138,8 +132,8 @@ def pullback_information(phi: Array, spread: float) -> Array:
 def payload_reference(phi: Array) -> Array:
     """Return a typical payload (10,) of a robot with bodies φ (nb, 10).
 
-    Its mass is a tenth of the robot's. Its radius of gyration is a third of that of the robot's
-    bodies about their own origins.
+    It has a tenth of the robot's mass, and a third of the radius of gyration of its bodies about
+    their origins.
     """
     mass = phi[:, 0].sum()
     square = 0.5 * phi[:, 4:7].sum() / mass
@@ -147,11 +141,11 @@ def payload_reference(phi: Array) -> Array:
 
 
 def effect_prior(dataset: Dataset, effect: Effect) -> tuple[Array, Array]:
-    """Return the prior mean (k,) and information (k, k) of an effect: as large as any may be.
+    """Return the weak prior mean (k,) and information (k, k) of a new effect.
 
-    A payload is known to within ten times the size of the dataset's `payload`, in the geometric
-    distance; of everything else, no parameter is thought to need more than `LARGEST` times the
-    deviation of its joint's effort at any instant, or more than it says itself.
+    A payload has an uncertainty of 10 in geometric distance around the dataset's `payload`. Any
+    other parameter causes at most `LARGEST` times the standard deviation of its joint's effort, and
+    is bounded by its own spread.
     """
     if is_body(effect):
         return np.zeros(PARAMETERS_PER_BODY), pullback_information(dataset.payload[None], 10.0)
@@ -164,19 +158,20 @@ def effect_prior(dataset: Dataset, effect: Effect) -> tuple[Array, Array]:
 def fold_factors(
     dataset: Dataset, columns: Indices, weights: Array, *, delay: Delay = 0
 ) -> list[Array]:
-    """Return for each fold the triangular factor (p + 1, p + 1) of all joints' weighted [A | b].
+    """Return the triangular factor (p + 1, p + 1) of all joints' weighted [A | b] of each fold.
 
-    The `weights` (nv,) are those of a squared residual of each joint, and columns (p,) those of A.
-    Rows of a joint are few where it feels few columns, so that each is factored by itself first.
+    `weights` (nv,) are those of the joints' squared residuals, and `columns` (p,) those of A. Each
+    joint is factored first, as few columns affect it.
     """
     blocks = [list[Array]() for _ in dataset.folds]
     delays = dataset.delay_of_each(delay)
-    for data, weight, late in zip(dataset.data, weights, delays, strict=True):
+    for data, weight, delay_index in zip(dataset.data, weights, delays, strict=True):
         seen = np.append(np.flatnonzero(data.local(columns) >= 0), len(columns))
-        for fold, rows in zip(blocks, data.factors_of(columns[seen[:-1]], late), strict=True):
-            own = np.linalg.qr(rows, "r") if len(rows) > len(seen) else rows
-            wide = np.zeros((len(own), len(columns) + 1))
-            wide[:, seen] = np.sqrt(weight) * own
+        factors = data.factors_of(columns[seen[:-1]], delay_index)
+        for fold, rows in zip(blocks, factors, strict=True):
+            factor = np.linalg.qr(rows, "r") if len(rows) > len(seen) else rows
+            wide = np.zeros((len(factor), len(columns) + 1))
+            wide[:, seen] = np.sqrt(weight) * factor
             fold.append(wide)
     return [triangular_factor([np.vstack(fold)]) for fold in blocks]
 
@@ -192,17 +187,15 @@ def fit_problem(
 ) -> FitProblem:
     """Return the convex program of a fit of the unknowns to all folds, or to all but one.
 
-    The `weights` (nv,) are those of a squared residual of each joint, `delay` is the index of the
-    effort column to fit, and `factors` are those of `fold_factors`, if they are known.
+    `weights` (nv,) are those of the joints' squared residuals, `delay` is the index of the effort
+    column, and `factors` are those of `fold_factors`, if already computed.
     """
     kept = [fold for fold in range(len(dataset.folds)) if fold != without]
     if factors is None:
         factors = fold_factors(dataset, unknowns.columns, weights, delay=delay)
     triangle = triangular_factor([factors[fold] for fold in kept])
     lower, upper = unknowns.scalar_bounds
-    bodies = (
-        unknowns.inertia_blocks if np.any(unknowns.pull) else ()
-    )  # which the pull may make unphysical
+    bodies = unknowns.inertia_blocks if np.any(unknowns.pull) else ()  # may become unphysical
     reference = {k: unknowns.mean[k : k + PARAMETERS_PER_BODY] for k in bodies}
     reference |= {unknowns.span(e).start: dataset.payload for e in unknowns.effects if is_body(e)}
     return FitProblem(

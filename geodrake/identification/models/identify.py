@@ -14,15 +14,15 @@ from geodrake.effects.effect_columns import declares_signals
 from geodrake.errors import ArgumentError, GeodrakeError, IdentificationError
 from geodrake.identification.fit import FitResult
 from geodrake.identification.identify import IdentificationResult, physical_prior
-from geodrake.identification.logs.case import error_table, open_case, reopen
+from geodrake.identification.logs.case import error_table, open_case, reduce_fitted
 from geodrake.identification.logs.compare import comparison
 from geodrake.identification.logs.criteria import SPREAD
 from geodrake.identification.logs.hypothesis import first_hypothesis, reweight
-from geodrake.identification.logs.log_fits import LogFits, Weighing, log_unknowns, weigh
+from geodrake.identification.logs.log_fits import GammaScore, LogFits, choose_gamma, log_unknowns
 from geodrake.identification.logs.model_fit import (
     ModelFit,
-    as_it_stands,
     model_with,
+    unfitted_errors,
     with_settled_effects,
 )
 from geodrake.identification.models.results import (
@@ -171,15 +171,15 @@ def identify_model(
         near=weighed.held_out.x.mean(0),
         power=weighed.power,
     )
-    gamma, sweep = settings.gamma, tuple[Weighing, ...]()
+    gamma, sweep = settings.gamma, tuple[GammaScore, ...]()
     if settings.residual_ratio is None and gamma is None:
         progress(f"Choosing the weight of the {settings.regularizer} regularizer")
-        gamma, sweep = weigh(fits, settings.regularizer)
+        gamma, sweep = choose_gamma(fits, settings.regularizer)
     fits, result, folds = _settled(fits, settings, gamma)
     if any(_is_friction_by_load(effect) for effect in unknowns.effects):
         # It was fitted by the prior's loads; now it is by those of the first fit.
         phi = result.phi[: len(prior.phi)]
-        case = replace(reopen(case, replace(prior, phi=phi)), model=prior)
+        case = replace(reduce_fitted(case, replace(prior, phi=phi)), model=prior)
         unknowns = log_unknowns(case.dataset, prior)
         fits = replace(fits, dataset=case.dataset, unknowns=unknowns)
         fits, result, folds = _settled(fits, settings, gamma)
@@ -206,7 +206,7 @@ def identify_model(
         settings.regularizer,
         result.gamma,
         sweep,
-        error_table(case.dataset, as_it_stands(case.dataset, prior)),
+        error_table(case.dataset, unfitted_errors(case.dataset, prior)),
         error_table(case.dataset, held_out),
         bodies,
         result,
@@ -228,7 +228,7 @@ def _block_names(fits: LogFits) -> tuple[str, ...]:
     return (*fits.dataset.bodies, *(f"payload on {e.where[0]}" for e in payloads))
 
 
-def _sweep_notes(gamma: float | None, sweep: Sequence[Weighing]) -> list[str]:
+def _sweep_notes(gamma: float | None, sweep: Sequence[GammaScore]) -> list[str]:
     """Return a note if a weaker weight of a sweep than may be chosen would fit better."""
     chosen = [tried.nrms for tried in sweep if tried.gamma == gamma]
     weaker = [tried for tried in sweep if gamma is not None and tried.gamma < gamma]

@@ -8,7 +8,7 @@ from geodrake.boundary.arguments import integer, number, one_of
 from geodrake.boundary.showing import Short, Shown
 from geodrake.errors import ArgumentError
 from geodrake.identification.identify import REGULARIZERS, IdentificationResult
-from geodrake.identification.logs.log_fits import Weighing
+from geodrake.identification.logs.log_fits import GammaScore
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable
 from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
@@ -52,7 +52,7 @@ class ModelIdentification(Shown):
     regularizer: str  # name of the regularizer
     gamma: float  # weight of the regularizer against effective samples
     # What each γ tried gives; empty where γ or a residual bound was given.
-    sweep: tuple[Weighing, ...]
+    sweep: tuple[GammaScore, ...]
     before: ErrorTable  # errors of the model as it came
     after: ErrorTable  # held-out errors of the fit
     bodies: tuple[BodyChange, ...]  # what became of every body; payloads follow
