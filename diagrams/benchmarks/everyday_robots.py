@@ -46,14 +46,12 @@ from diagrams.benchmarks.simulated.scoring import (
     calibration,
     explained,
     is_sure_and_wrong,
-    judged_words,
     median,
     share,
     tell_draws,
-    told,
 )
 from diagrams.benchmarks.simulated.truths import DRY, HELD, LATE, OFFSET, ROTOR, WET, Seen
-from diagrams.harness import positive_number, run_draws, script_parser, write
+from diagrams.harness import positive_number, run_draws, script_parser
 from geodrake.logs import JointLog
 
 ARMS = ("ur3", "ur10", "panda", "so101", "baxter", "tiago", "kinova", "ur5", "z1")
@@ -200,19 +198,7 @@ def main() -> None:
     if options.quick:
         draws = [Draw("ur5", 1, duration=12.0, **shared)]
     rows = run_draws(parser, options, score_draw, draws)
-    lines = lines_of(rows)
-    missed = [_words(row) for row in rows if row["missing"] or row["wrong"]]
-    tell_draws("Everyday logs", lines, missed, len(rows))
-    write(options, {"lines": told(lines), "rows": rows})
-
-
-def _words(row: Row) -> str:
-    """Return what went wrong with a draw, in a line."""
-    what = f"{row['off']:.0%} off, {row['rate']:.0f} Hz, noise {row['noise']:.1%}"
-    what += f", {1e3 * row['late']:.0f} ms late, {row['mass']:.2f} kg, {', '.join(row['kinds'])}"
-    what += "".join(f", {fault}" for fault in row.get("faults", ()))
-    text = f"{row['robot']} number {row['number']} ({what}) hides {', '.join(row['hidden'])}"
-    return judged_words(text, row)
+    tell_draws(options, "Everyday logs", lines_of(rows), rows)
 
 
 if __name__ == "__main__":

@@ -28,15 +28,13 @@ from diagrams.benchmarks.simulated.scoring import (
     Row,
     calibration,
     judged,
-    judged_words,
     median,
     not_found,
     share,
     step_row,
     tell_draws,
-    told,
 )
-from diagrams.harness import cpu_clock, positive_number, run_draws, script_parser, write
+from diagrams.harness import cpu_clock, positive_number, run_draws, script_parser
 from geodrake.model.ground_contacts import contact_frames
 from geodrake.model.robot_model import load_description
 
@@ -126,21 +124,6 @@ def _of_deviations(compared: Mapping[str, Any], joints: Collection[str]) -> floa
     return math.sqrt(sum(squares) / len(squares)) if squares else None
 
 
-def is_missed(row: Mapping[str, Any]) -> bool:
-    """Return whether anything is missing, or named and wrong."""
-    return bool(row["failed"] or row["missing"] or row["wrong"])
-
-
-def miss_words(row: Mapping[str, Any]) -> str:
-    """Return what went wrong with a draw, in a line."""
-    logged = [name for name in ("wrenches", "efforts") if row[name]]
-    text = (
-        f"seed {row['seed']} number {row['number']} {row['robot']} (contacts {row['contacts']}, "
-        f"with {' and '.join(logged) or 'neither'}) hides {row['hidden']}"
-    )
-    return judged_words(text, row)
-
-
 _EXACT = 1e-9
 
 
@@ -198,10 +181,7 @@ def main() -> None:
         else legged.all_draws(options.seed)[: options.most]
     )
     rows = run_draws(parser, options, score_draw, wanted)
-    lines = lines_of(rows)
-    missed = [miss_words(row) for row in rows if is_missed(row)]
-    tell_draws("Floating bases", lines, missed, len(rows))
-    write(options, {"lines": told(lines), "rows": rows})
+    tell_draws(options, "Floating bases", lines_of(rows), rows)
 
 
 if __name__ == "__main__":

@@ -29,7 +29,6 @@ from diagrams.benchmarks.simulated.scoring import (
     calibration,
     median,
     share,
-    show_lines,
     step_row,
     told,
 )
@@ -630,7 +629,7 @@ def main() -> None:
     rows = run_draws(parser, options, run_draw, wanted)
     lines = [*bars(rows), *coverage_lines(rows)]
     smallest = smallest_lines([row for row in rows if row["case"] == SMALLEST])
-    show_lines("Hidden effects", lines)
+    show("Hidden effects", told(lines))
     if smallest:
         show("Smallest effect found in 9 of 10 logs", smallest)
     write(options, {"lines": told(lines), "smallest": smallest, "rows": rows})

@@ -45,11 +45,9 @@ from diagrams.benchmarks.simulated.scoring import (
     explained,
     is_clean,
     is_sure_and_wrong,
-    judged_words,
     quantiles,
     share,
     tell_draws,
-    told,
 )
 from diagrams.benchmarks.simulated.truths import (
     COLOURED,
@@ -64,7 +62,7 @@ from diagrams.benchmarks.simulated.truths import (
     Usual,
     scaled,
 )
-from diagrams.harness import positive_number, run_draws, script_parser, write
+from diagrams.harness import positive_number, run_draws, script_parser
 from geodrake.logs import JointLog
 
 ORDINARY, OUTSIDE, QUIET = "ordinary", "outside", "quiet"
@@ -253,25 +251,6 @@ def is_missed(row: Row) -> bool:
     return bool(row["wrong"] or row["failed"] or (row["missing"] and row["case"] == ORDINARY))
 
 
-def miss_words(row: Row) -> str:
-    """Return what went wrong with a draw, in a line."""
-    what = [f"{row['off']:.0%} off", f"{row['rate']:.0f} Hz", f"noise {row['noise']:.1%}"]
-    what += [row["colour"]] if row["colour"] != WHITE else []
-    what += [name for name in ("velocities", "quantised", "calibrated") if row[name]]
-    what += [f"tool {row['mass']:.2f} kg"] if row["mass"] else []
-    hides = [*row["hidden"], *([f"{row['kind']} at {row['joints']}"] if row["kind"] else [])]
-    if "breakaway" in row["values"]:
-        what.append(f"breakaway {row['values']['breakaway'][0]:.3f} rad/s")
-    text = (
-        f"{row['case']} seed {row['seed']} number {row['number']} {row['robot']} {row['engine']} "
-        f"({', '.join(what)}) hides {', '.join(hides) or 'nothing'}"
-    )
-    text = judged_words(text, row)
-    if row["failed"]:
-        return text
-    return f"{text}; nrms {row['start_nrms']:.3g} → {row['end_nrms']:.3g}, {row['seconds']:.1f} s"
-
-
 def lines_of(rows: Sequence[Row]) -> list[Line]:
     """Return all lines."""
     ordinary = [row for row in rows if row["case"] == ORDINARY]
@@ -338,10 +317,7 @@ def main() -> None:
     wanted = [each for seed in seeds for each in all_draws(seed)][: options.most]
     wanted = quick_draws(options.seed) if options.quick else wanted
     rows = run_draws(parser, options, score_draw, wanted)
-    lines = lines_of(rows)
-    missed = [miss_words(row) for row in rows if is_missed(row)]
-    tell_draws("Ordinary robots", lines, missed, len(rows))
-    write(options, {"lines": told(lines), "rows": rows})
+    tell_draws(options, "Ordinary robots", lines_of(rows), rows, is_missed)
 
 
 if __name__ == "__main__":

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from argparse import Namespace
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -13,7 +15,7 @@ from scipy.stats import binomtest
 
 from diagrams.benchmarks.simulated.recording import Recording
 from diagrams.benchmarks.simulated.truths import HELD, WRONG_INERTIA
-from diagrams.harness import plain, show
+from diagrams.harness import plain, show, write
 from geodrake.diagnosis import Step, explain
 from geodrake.errors import GeodrakeError
 from geodrake.model import RobotModel
@@ -107,14 +109,19 @@ def _mass_row(rows: Sequence[Row], held_by: Sequence[str], truth: float) -> dict
     }
 
 
-def judged_words(text: str, row: Row) -> str:
-    """Return what was missed, and what was right, behind what it is about."""
-    if row["failed"]:
-        return f"{text}; FAILED: {row['failed']}"
-    for title in ("missing", "wrong"):
-        text += f"; {title.upper()}: {', '.join(row[title])}" if row[title] else ""
-    right = "; ".join(step_words(step) for step in row["steps"] if step["right"])
-    return f"{text}; right: {right or 'nothing'}"
+def is_missed(row: Row) -> bool:
+    """Return whether anything is missing, or named and wrong."""
+    return bool(row["failed"] or row["missing"] or row["wrong"])
+
+
+def missed_words(row: Row) -> str:
+    """Return what a draw was and hid, then what was missed and what was right, in a line."""
+    about = takewhile(lambda item: item[0] != "failed", plain(row).items())
+    words = [f"{name} {', '.join(x) if isinstance(x, dict) else x}" for name, x in about if x]
+    titles = [title for title in ("failed", "missing", "wrong") if row[title]]
+    words += [f"{title.upper()} {row[title]}" for title in titles]
+    right = [step_words(step) for step in row["steps"] if step["right"]]
+    return ", ".join([*words, f"right: {'; '.join(right) or 'nothing'}"])
 
 
 def is_clean(row: Row) -> bool:
@@ -159,33 +166,18 @@ def told(lines: Sequence[Line]) -> list[dict[str, Any]]:
     return [{**asdict(line), "reached": line.reached} for line in lines]
 
 
-def show_lines(title: str, lines: Sequence[Line]) -> None:
-    """Print lines."""
-    shown = []
-    for line in lines:
-        is_share = "seconds" not in line.figure and "floor" not in line.figure
-        number = ("{:.1%}" if is_share else "{:.2f}").format
-        asked = None if line.bar is None else f"{'≤' if line.most else '≥'} {number(line.bar)}"
-        if line.bar is not None and line.highest is not None:
-            asked = f"{number(line.bar)} – {number(line.highest)}"
-        found = line.value is not None
-        shown.append(
-            {
-                "figure": line.figure,
-                "asked": asked,
-                "reached": number(line.value) if found else None,
-                "interval": f"{number(line.low)} – {number(line.high)}" if found else None,
-                "of": line.logs,
-                "": {True: "reached", False: "missed", None: ""}[line.reached],
-            }
-        )
-    show(title, shown)
-
-
-def tell_draws(title: str, lines: Sequence[Line], missed: Sequence[str], draws: int) -> None:
-    """Print the report of robots, and what was missed of how many draws."""
-    show_lines(title, lines)
-    print(f"Missed, {len(missed)} of {draws} draws:", *missed, sep="\n- ")
+def tell_draws(
+    options: Namespace,
+    title: str,
+    lines: Sequence[Line],
+    rows: Sequence[Row],
+    is_missed: Callable[[Row], bool] = is_missed,
+) -> None:
+    """Print the report of robots and the draws in which something was missed, and write them."""
+    show(title, told(lines))
+    missed = [missed_words(row) for row in rows if is_missed(row)]
+    print(f"Missed, {len(missed)} of {len(rows)} draws:", *missed, sep="\n- ")
+    write(options, {"lines": told(lines), "rows": rows})
 
 
 def share(
