@@ -32,11 +32,11 @@ class _Command(TyperCommand):
         return super().parse_args(ctx, args)
 
     def get_params(self, ctx: Any) -> list[Any]:
-        found: list[Any] = super().get_params(ctx)
-        for each in found:
-            if isinstance(each, TyperArgument) or each.is_flag:
-                each.display_type_rich = lambda ctx: None
-        return found
+        return _without_types(super().get_params(ctx))
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        pieces: list[str] = super().collect_usage_pieces(ctx)
+        return [each.strip("{}.") + "..." * each.endswith("...") for each in pieces]
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         hidden = [
@@ -54,6 +54,9 @@ class _Command(TyperCommand):
 class _Commands(TyperGroup):
     """The commands; usage errors quote the command line in printable characters."""
 
+    def get_params(self, ctx: Any) -> list[Any]:
+        return _without_types(super().get_params(ctx))
+
     def make_context(self, *args: Any, **more: Any) -> Any:
         with _printable_words():
             return super().make_context(*args, **more)
@@ -61,6 +64,14 @@ class _Commands(TyperGroup):
     def invoke(self, ctx: Any) -> Any:
         with _printable_words():
             return super().invoke(ctx)
+
+
+def _without_types(parameters: list[Any]) -> list[Any]:
+    """Return parameters whose help names no Python types of arguments and flags."""
+    for each in parameters:
+        if isinstance(each, TyperArgument) or each.is_flag:
+            each.display_type_rich = lambda ctx: None
+    return parameters
 
 
 @contextmanager
@@ -132,7 +143,7 @@ def _command(
             "--version",
             callback=_print_version,
             is_eager=True,
-            help="Print the version, and those of the packages it uses.",
+            help="Print the versions of geodrake and of its packages.",
         ),
     ] = False,
 ) -> None:

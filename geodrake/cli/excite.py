@@ -187,7 +187,7 @@ def _designed(
     model, update, motors = given.model, given.progress, motors_of(given.model)
     if model.base_joints and options.feet is None:
         raise ArgumentError(
-            f"The base of {model.path.name} floats, and nothing says what holds it.",
+            f"The base of {model.path.name} is free, but nothing supports it.",
             advice="Name the links that it stands on: --feet LINK,LINK. If its base is held, as of "
             "a robot that hangs, omit --floating.",
         )

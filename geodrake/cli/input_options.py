@@ -27,7 +27,7 @@ _MOST_REPAIRS = 5  # repairs that are printed one by one; notes have all
 _KINDS = ("prismatic", "revolute")
 _RADIUS = 0.1  # m, radius of gyration of a revolute axis: a guess, as is the mass
 _URDF = """<?xml version="1.0"?>
-<!-- One horizontal {kind} axis, written by geodrake: nothing is known of it but its mass. -->
+<!-- One horizontal {kind} axis, written by geodrake: only its mass is known. -->
 <robot name="axis">
   <link name="base"/>
   <link name="moving">
@@ -64,9 +64,9 @@ class ReadingOptions:
             prior for its gains. Repeatable.
         motors (FILE.yaml): Further motors, in the format of geodrake's table.
         passive (JOINT): Joint without a motor, whose effort is zero. Repeatable.
-        topic (NAME): Topic of a bag, or channel of an LCM log (x lists them); of a table with
-            several robots, the word in its columns that names one, such as left, or all if it
-            is one robot. Several topics of a bag are joined by time. Repeatable.
+        topic (NAME): Topic of a bag, or channel of an LCM log; an unknown name, such as x, lists
+            all. Several are joined by time. In a table with several robots, the word that
+            names one in its columns, such as left; all if it is one robot. Repeatable.
         episode (N): Episode of a LeRobot dataset or of a file of demonstrations; default all.
         skip_bad_rows: Skip corrupt rows, up to 1 %, and report their number.
     """
@@ -139,7 +139,7 @@ class ReadingOptions:
             raise ArgumentError(
                 f"--passive says that {twice[0]!r} has no motor, and --kind that it is "
                 f"{said[twice[0]]}.",
-                advice="Leave one of both out.",
+                advice="Omit one of them.",
             )
         return said | passive
 
@@ -251,7 +251,7 @@ class ModelOptions:
     Models:
         lock (JOINT=VALUE): Fix a joint at a position, rad or m. Joints that no log has are fixed
             automatically. Repeatable.
-        robot (NAME): Robot of a file that has several (x lists them).
+        robot (NAME): Robot of a file that has several; an unknown name, such as x, lists all.
         package (NAME=FOLDER): Folder of a ROS package that the model refers to, in addition to
             ROS_PACKAGE_PATH, AMENT_PREFIX_PATH and parent folders. Repeatable.
         xacro_arg (NAME:=VALUE): Argument of a xacro file. Repeatable.

@@ -225,8 +225,8 @@ class AddOptions(_Steps):
     """Add an effect to the model, refit, and show the errors before and after.
 
     Attributes:
-        effect (EFFECT[@PLACE]): Name of an effect (x lists them), and its joint or body, as in
-            payload@flange; j2+j3 is a pair of joints.
+        effect (EFFECT[@PLACE]): Name of an effect, and its joint or body, as in payload@flange;
+            j2+j3 is a pair of joints. An unknown name, such as x, lists all effects.
         where (NAME): Joint or body of the effect; twice for a pair of joints. By default all
             joints, or the body or pair of neighbouring joints with the largest improvement.
             Repeatable.
@@ -261,8 +261,8 @@ class _NamedEffects:
     """Effects by name.
 
     Attributes:
-        effects (NAME[@PLACE],…|FILE.py): Effects to add (x lists their names), and their joint or
-            body; FILE.py loads effects of your own. Repeatable.
+        effects (NAME[@PLACE],…|FILE.py): Effects to add, and their joint or body; FILE.py loads
+            effects of your own. An unknown name, such as x, lists all. Repeatable.
     """
 
     effects: list[Path] | None = None
@@ -278,8 +278,8 @@ class IdentifyOptions(_NamedEffects, Options):
         meshcat (FILE.html): Write an interactive page of the inertia ellipsoids.
 
     Regularization:
-        regularizer (NAME): Distance from the model's inertias: entropic, pullback, riemannian, …
-            (x lists them).
+        regularizer (NAME): Distance from the model's inertias: entropic, pullback, riemannian, …;
+            an unknown name, such as x, lists all.
         gamma (GAMMA): Weight of the regularizer; 100 keeps inertias within about 1/√100 = 10 %. By
             default chosen by held-out error.
         residual_bound (RATIO): Instead of a weight, the largest RMS training residual, relative to
@@ -474,7 +474,7 @@ class CheckOptions(ModelOptions, CommonOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class DigestOptions(ReadingOptions, ModelOptions, CommonOptions):
-    """Reduce each log to a small file for fleet. Exit code 1 if any log fails.
+    """Reduce each log to a small file for fleets. Exit code 1 if any log fails.
 
     Attributes:
         to (FOLDER): Folder of digests of robots with this model; created if missing. The first

@@ -362,7 +362,7 @@ def make_problem(
     model.positions(np.zeros((1, len(model.joints))))  # refuses joints of several degrees
     if stance is None and model.base_joints:
         raise ArgumentError(
-            f"The base of {model.path.name} floats, and nothing says what holds it.",
+            f"The base of {model.path.name} is free, but nothing supports it.",
             advice="Name the feet that it stands on: --feet LINK,LINK (options.stance). For a "
             "robot whose base is held, omit --floating.",
         )

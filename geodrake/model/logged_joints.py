@@ -86,7 +86,7 @@ def model_of_logs(
         return model
     if silent:
         places = {joint: _place(model, logs, joint) for joint in silent}
-        why = "as no log has their efforts (--lock JOINT=VALUE sets the position)"
+        why = "as no log has efforts of these joints (--lock JOINT=VALUE sets the position)"
         model = holding(model, places, why=why)
     return holding_resting(model, logs) if hold_resting else model
 

@@ -319,7 +319,7 @@ def _row_words(found: LogInspection) -> tuple[str, ...]:
     """Return rows, rates, gaps and rest, in sentences."""
     log, mean = found.log, len(found.log) / found.seconds
     column = found.time_column
-    source = f"time from {column}" if column else "no column of time, constant rate"
+    source = f"time from column {column}" if column else "no column of time, constant rate"
     words = [
         f"{len(log)} rows in {number(found.seconds)} s, typically every "
         f"{number(1e3 * found.period)} ms, {number(mean, 4)} Hz on average; {source}"

@@ -69,7 +69,7 @@ def test_what_is_understood(tmp_path):
     rows[:, 1:3] = np.rad2deg(rows[:, 1:3])
     output, found, again = shown(write(tmp_path / "log.csv", "t,q1_deg,q2_deg,tau1,tau2", rows))
     for words in (
-        *("shoulder", "q1_deg", "deg × 0.01745", "2300 rows in 24.0 s", "time from t"),
+        *("shoulder", "q1_deg", "deg × 0.01745", "2300 rows in 24.0 s", "time from column t"),
         *("1 gap: 1.01 s at t = 9.99 s", "at rest for", "position is in deg", "has an outlier"),
     ):
         assert words in output

@@ -53,7 +53,7 @@ def gripper_log(robot, path, *, finger=0.01, **further):
 def test_a_log_without_the_gripper_holds_it_and_says_so(robot, tmp_path):
     log = gripper_log(robot, tmp_path / "log.csv", finger=0.0)
     shown = told("compare", robot, log, "--json", tmp_path / "out.json")
-    assert "Fixed, as no log has their efforts" in shown and "left at 0" in shown
+    assert "Fixed, as no log has efforts of these joints" in shown and "left at 0" in shown
     assert "right follows left" in shown
     assert float(re.search(r"nrms of all joints ([\d.]+)", shown)[1]) < 0.02
 

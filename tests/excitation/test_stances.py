@@ -215,7 +215,7 @@ class TestFeet:
             design_excitation(stance.target(noise=1.0), options=options, trajectory=FAMILY)
 
     def test_designs_ask_for_what_holds_the_base(self):
-        with pytest.raises(ArgumentError, match="nothing says what holds it"):
+        with pytest.raises(ArgumentError, match="nothing supports it"):
             design_excitation(make_target(biped(), noise=1.0), trajectory=FAMILY)
         stance = standing("l_foot")
         other = make_target(replace(stance.model), noise=1.0)
