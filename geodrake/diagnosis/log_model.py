@@ -68,7 +68,7 @@ from geodrake.identification.logs.hypothesis import (
 )
 from geodrake.identification.logs.model_fit import model_unknowns
 from geodrake.identification.logs.unknowns import Unknowns
-from geodrake.identification.normal_equations import not_held, scaled_cholesky, solved
+from geodrake.identification.normal_equations import scaled_cholesky, singular_error, solved
 from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.inertia.parameters import pseudo_inertia_basis
 from geodrake.model.robot_model import RobotModel
@@ -573,10 +573,10 @@ class LogModel:
         try:
             x, noise, found = calc_most_probable(blocks, of_prior, of_noise, of_joints, noise)
         except np.linalg.LinAlgError as error:
-            raise not_held() from error
+            raise singular_error() from error
         weights, inertia, hessian, factor, determinant = found
         if not np.isfinite(determinant):
-            raise not_held()
+            raise singular_error()
         way = x - mean
         score = (
             -float(samples @ np.log(noise / inertia**2))

@@ -1,4 +1,4 @@
-"""Regularizers compared fairly: all of them with the same residual ([Lee2019] §3.5.1)."""
+"""Compare regularizers at the same residual ([Lee2019] §3.5.1)."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ _EXACT = 1e-20
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RegularizerComparison(Short):
-    """Results by regularizer, in the requested order, with residuals equal to 1e-5.
+    """Results by regularizer, in the requested order, with equal residuals to 1e-5.
 
-    The `gamma` given is that of the `reference`. Regularizers without a solution of that residual
-    are among the `failures` instead, with the reason.
+    `gamma` is that of the `reference`. `failures` are the reasons why other regularizers have no
+    solution with that residual.
     """
 
     results: Mapping[str, IdentificationResult]
@@ -54,51 +54,49 @@ def compare_regularizers(
     extra_priors: Mapping[str, ArrayLike | None] | None = None,
     **options: Any,
 ) -> RegularizerComparison:
-    """Solve with one regularizer and its γ, and with the others for the same residual.
+    """Solve with a reference regularizer and its γ, and with others at the same residual.
 
-    The same γ would not be fair, as distances differ in size. Solutions of the same residual fit
-    the training data equally well, and differ in what they take from the prior (Proposition A.5).
-    The Riemannian one is not convex: its γ is one for which a local minimum has that residual.
+    Equal γ would be unfair, as distances differ in scale. Solutions with equal residuals fit the
+    training data equally well, and differ only in the use of the prior (Proposition A.5). The
+    Riemannian distance is not convex: its γ is one for which a local minimum has that residual.
 
-    A, b, prior and further options are those of `identify`, the same for all; `regularizers` are
-    names, or regularizers such as `PointMassKL(points)`. γ > 0 is that of the `reference`, whose
-    name means the one of `regularizers` that has it, if there is one. `extra_priors` maps names to
-    an `extra_prior` of their own, as weights of a Euclidean distance have a unit.
+    A, b, prior and further options are those of `identify`. `regularizers` are names, or
+    regularizers such as `PointMassKL(points)`. γ > 0 is that of the `reference`, which may be the
+    name of one of them. `extra_priors` maps names to a separate `extra_prior`, as weights of a
+    Euclidean distance have units.
 
     Raises:
         IdentificationError: The reference has no solution, or fits the data to rounding.
     """
     positive(gamma, "gamma")
-    given = [regularizer_of(each) for each in instances(regularizers, "regularizers", object)]
-    kinds = {kind.name: kind for kind in given}
-    if len(kinds) < len(given):
-        names = ", ".join(kind.name for kind in given)
+    compared = [regularizer_of(each) for each in instances(regularizers, "regularizers", object)]
+    kinds = {kind.name: kind for kind in compared}
+    if len(kinds) < len(compared):
+        names = ", ".join(kind.name for kind in compared)
         raise ArgumentError(f"Each regularizer can be compared once; got {names}.")
-    first_kind = kinds.get(str(reference)) or regularizer_of(reference)
-    compared, extra_priors = {**kinds, first_kind.name: first_kind}, extra_priors or {}
-    if unknown := sorted(set(extra_priors) - set(compared)):
-        raise ArgumentError(
-            f"extra_priors has {', '.join(unknown)}; compared are {', '.join(compared)}."
-        )
+    reference_kind = kinds.get(str(reference)) or regularizer_of(reference)
+    names, extra_priors = ", ".join({**kinds, reference_kind.name: None}), extra_priors or {}
+    if unknown := sorted(set(extra_priors) - {*kinds, reference_kind.name}):
+        raise ArgumentError(f"extra_priors has {', '.join(unknown)}; compared are {names}.")
 
     def solve(kind: Regularizer, **form: Any) -> IdentificationResult:
-        own = {**options}
+        settings = {**options}
         if kind.name in extra_priors:
-            own["extra_prior"] = extra_priors[kind.name]
-        return identify(A, b, prior, regularizer=kind, **form, **own)
+            settings["extra_prior"] = extra_priors[kind.name]
+        return identify(A, b, prior, regularizer=kind, **form, **settings)
 
-    first = solve(first_kind, gamma=gamma)
-    residual = first.residual
+    reference_result = solve(reference_kind, gamma=gamma)
+    residual = reference_result.residual
     if residual <= _EXACT * float(np.square(np.asarray(b, float)).sum()):
         raise IdentificationError(
-            f"The data are fitted exactly: the residual of {first_kind.name} is "
+            f"The data are fitted exactly: the residual of {reference_kind.name} is "
             f"{residual:.3g}, at which no other can be compared.",
             advice="Raise gamma, or use measured data.",
         )
     results, failures = dict[str, IdentificationResult](), dict[str, str]()
     for name, kind in kinds.items():
-        if name == first_kind.name:
-            results[name] = first
+        if name == reference_kind.name:
+            results[name] = reference_result
             continue
         try:
             result = solve(kind, residual_bound=residual)
@@ -111,11 +109,11 @@ def compare_regularizers(
             results[name] = result
         except GeodrakeError as error:
             if isinstance(error, ArgumentError) and "minimum" not in error.evidence:
-                raise  # no other data would do with these arguments
+                raise  # the arguments are invalid for any data
             failures[name] = str(error)
     return RegularizerComparison(
         results=results,
-        reference=first_kind.name,
+        reference=reference_kind.name,
         gamma=gamma,
         residual=residual,
         failures=failures,

@@ -1,8 +1,7 @@
-"""Solve a fit: in closed form where that is exact, by Newton's method, or as a conic program.
+"""Solve a fit in closed form, by Newton's method, or as a conic program.
 
-A fit of any kind is certified by its MathematicalProgram. The closed forms and Newton's method have
-no say in this: costs and constraints are those that Drake evaluates of the program, and the minimum
-is that of a conic solver.
+Any fit is certified by its MathematicalProgram, independently of how it was solved: Drake evaluates
+costs and constraints, and a conic solver finds the minimum.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ from geodrake.inertia import Array
 from geodrake.robot.reduction import triangular_factor
 
 SOLVER = "clarabel"
-"""It certifies a fit, and solves one where Newton's method gives up."""
+"""Solver of certificates, and of fits in which Newton's method fails."""
 
 _LOGARITHM = np.array([[0.0, 1.0], [0.0, 0.0], [1.0, 0.0]])
 """Rows of the exponential cone of (t, y) with t ≤ log y."""
@@ -45,17 +44,16 @@ _LOGARITHM = np.array([[0.0, 1.0], [0.0, 0.0], [1.0, 0.0]])
 
 @dataclass(eq=False)
 class FitProgram:
-    """A fit as a conic program, ready for any of Drake's conic solvers."""
+    """A fit as a conic program for any of Drake's conic solvers."""
 
-    problem: FitProblem  # what it was built from
-    coordinates: Coordinates  # map between its variables and the parameters
-    # The program itself; other convex costs and constraints may be added to it.
-    program: MathematicalProgram
+    problem: FitProblem
+    coordinates: Coordinates  # map between the program's variables and the parameters
+    program: MathematicalProgram  # other convex costs and constraints may be added
     z: Any  # (p,) decision variables, the coordinates of the parameters
-    cost_scale: float = 1.0  # value by which the cost was divided
+    cost_scale: float = 1.0  # divisor of the cost
     residual_cone: Any = None  # constraint of the point-to-set form, or None
-    residual_scale: float = 1.0  # value by which the residual was divided in `residual_cone`
-    # Other variables, with the map from z to the most favourable values of each.
+    residual_scale: float = 1.0  # divisor of the residual in `residual_cone`
+    # Auxiliary variables, each with the map from z to their optimal values.
     others: list[tuple[Any, Callable[[Array], Array]]] = field(default_factory=list)
 
     def point(self, x: Array) -> Array:
@@ -67,10 +65,10 @@ class FitProgram:
         return values
 
     def evaluated(self, x: Array) -> tuple[float, float]:
-        """Return the cost and the worst violation at parameters x (p,), evaluated by Drake.
+        """Return the cost and the largest constraint violation at parameters x (p,), by Drake.
 
-        The cost is in the unit of the fit's, less a constant; the violation is how far they are
-        outside the constraints at most, in the program's variables.
+        The cost is in units of the fit's, up to a constant; the violation is in the program's
+        variables.
         """
         program, values = self.program, self.point(x)
         costs = [float(program.EvalBinding(c, values)[0]) for c in program.GetAllCosts()]
@@ -83,7 +81,7 @@ class FitProgram:
     def _add_errors(self, rows: Array) -> Any:
         """Return new variables F z − f for rows [F f].
 
-        With FᵀF as the Hessian of a cost instead, its minimum is some hundred times less exact.
+        A cost with the Hessian FᵀF instead would be about a hundred times less exact.
         """
         errors = self.program.NewContinuousVariables(len(rows), "e")
         matrix = csc_matrix(np.hstack([rows[:, :-1], -np.eye(len(rows))]))
@@ -93,7 +91,7 @@ class FitProgram:
         return errors
 
     def _add_bodies(self) -> None:
-        """Keep bodies physical, and near their entropic prior."""
+        """Keep bodies physical, and add their entropic priors."""
         problem, coordinates = self.problem, self.coordinates
         floors = coordinates.starts - problem.margin * coordinates.references
         for i, start in enumerate(problem.inertia_blocks):
@@ -112,7 +110,7 @@ class FitProgram:
     def _maximize_log_determinant(self, block: slice, begin: Array, weight: float) -> None:
         """Add the cost −weight log|S| with S = begin + smat(z) ([Lee2019] Eq. (3.5.45)).
 
-        log|S| ≥ Σ t_i holds just when [[S, Z], [Zᵀ, diag(Z)]] ⪰ 0 for some lower triangular Z with
+        log|S| ≥ Σ t_i if and only if [[S, Z], [Zᵀ, diag(Z)]] ⪰ 0 for some lower triangular Z with
         t_i ≤ log Z_ii.
         """
         program = self.program
@@ -165,12 +163,12 @@ class FitProgram:
 def build_fit(
     problem: FitProblem, *, centre: Array | None = None, size: float | None = None
 ) -> FitProgram:
-    """Return the conic program of a problem; `solve_fit` solves it, with exact shortcuts.
+    """Return the conic program of a problem; `solve_fit` solves it.
 
-    The cost is the excess over the unconstrained least squares, which keeps the solver's
-    relative tolerance meaningful when the residual itself is large. The program is scaled at a
-    centre (p,) close to the solution, by default the references, and its cost is divided by its
-    size there, unless that is given.
+    The cost is the excess over unconstrained least squares, for which the solver's relative
+    tolerance is meaningful even with a large residual. The program is scaled at a `centre` (p,)
+    close to the solution, by default the references, and its cost is divided by `size`, by default
+    its value there.
     """
     instance(problem, "problem", FitProblem)
     if centre is not None:
@@ -183,7 +181,7 @@ def build_fit(
     rows = np.column_stack([C, np.zeros(len(C))])
     if problem.residual_bound is None:
         rows = np.vstack([data, rows])
-    else:  # divided by the part of it that z can spend
+    else:  # scaled by the part of the bound beyond the least residual
         triangle = _reduced(data)
         least = problem.residual_bound - float(np.square(triangle[p:, p]).sum())
         fit.residual_scale = float(np.sqrt(max(least, np.finfo(float).tiny)))
@@ -191,7 +189,7 @@ def build_fit(
         cone = np.eye(len(errors) + 1)
         fit.residual_cone = program.AddLorentzConeConstraint(cone[:, 1:], cone[0], errors)
     rows = _reduced(rows)[:p]
-    if size is None:  # its value at the centre, and not far below its curvature
+    if size is None:  # the value at the centre, not far below the curvature
         z = np.zeros(problem.size) if centre is None else coordinates.at(centre)
         priors = (*problem.entropic.values(), *problem.entropic_scalars.values())
         value = float(np.square(rows @ np.append(z, -1.0)).sum())
@@ -212,42 +210,39 @@ def build_fit(
 
 
 def _reduced(rows: Array) -> Array:
-    """Return rows [F f] of the same least squares, the last one that no z changes."""
+    """Return triangular rows [F f] of the same least squares; the last is independent of z."""
     return triangular_factor([rows]) if len(rows) >= rows.shape[1] else rows
 
 
 @typed
 def solve_fit(problem: FitProblem, *, solver: str = SOLVER, shortcuts: bool = True) -> FitResult:
-    """Fit the parameters: the unique minimum, with the information of data and prior together.
+    """Solve a fit for its unique minimum, by one of Drake's conic solvers.
 
-    With `shortcuts`, a quadratic problem is first solved in closed form and then as bounded least
-    squares; when all bodies come out physical, that is the solution of the full problem too. Else,
-    or if they do not, the solver is one of Drake's conic ones.
+    With `shortcuts`, a quadratic problem is first solved in closed form or as bounded least
+    squares, which is exact if all bodies are physical.
 
     Raises:
-        ArgumentError: There is no such solver, or the residual bound is below what any parameters
-            reach.
+        ArgumentError: The solver is unknown, or the residual bound is unreachable.
         IdentificationError: The solver found no solution.
     """
     begin = time.perf_counter()
     check_solver(solver)
-    quick = _in_closed_form(problem) if shortcuts else None
-    if quick is not None:
-        return quick
+    closed_form = _in_closed_form(problem) if shortcuts else None
+    if closed_form is not None:
+        return closed_form
     check_residual_bound(problem)
     x, weight, _ = solved_apart(partial(conic_solution, problem, solver, None), solver)
     return fit_result(problem, x, weight, solver, begin)
 
 
 def solve_with_fallback(problem: FitProblem) -> FitResult:
-    """Return the fit in closed form or by Newton's method, or by Clarabel where that gives up.
+    """Solve a fit in closed form, by Newton's method, or by Clarabel if that fails.
 
-    The ArgumentError of a residual bound that no physical bodies inside all constraints reach has
-    the `minimum` that they do in its evidence.
+    The ArgumentError of an unreachable residual bound has the `minimum` in its evidence.
     """
     begin = time.perf_counter()
-    if (quick := _in_closed_form(problem)) is not None:
-        return quick
+    if (closed_form := _in_closed_form(problem)) is not None:
+        return closed_form
     try:
         return solve_newton(problem)
     except GeodrakeError as failure:
@@ -261,13 +256,13 @@ def solve_with_fallback(problem: FitProblem) -> FitResult:
 def certified(
     problem: FitProblem, fit: FitResult, *, size: float | None = None, scope: Scope = "global"
 ) -> FitResult:
-    """Return the fit with its certificate; where the program has a better solution, that one.
+    """Return the fit with its certificate, or the program's solution if that is better.
 
-    Better is a solution inside all constraints whose cost is lower by more than `TOLERANCE` of the
-    cost, or any such one where the fit is outside of them.
+    A feasible solution is better if its cost is lower by more than `TOLERANCE` of the cost, or if
+    the fit is infeasible.
 
-    Of a cost that is not convex, the problem is its second order at the fit, and the scope "local".
-    The size of the cost is by default that of the program, and the residual.
+    For a nonconvex cost, the problem is its second order at the fit, and the scope is "local". The
+    `size` of the cost is by default that of the program plus the residual.
     """
     begin = time.perf_counter()
     try:
@@ -275,46 +270,50 @@ def certified(
         cost, violation = program.evaluated(fit.x)
     except (np.linalg.LinAlgError, ArgumentError) as error:
         if scope == "local" and isinstance(error, ArgumentError):
-            raise  # its second order is no convex program
+            raise  # the second order is not convex
         return uncertified(fit, "its program has no significant digits left after rounding", scope)
     if size is None:
         size = program.cost_scale + (fit.residual if problem.residual_bound is None else 0.0)
-    told = Certificate(solver=SOLVER, gap=np.inf, cost=size, violation=violation, scope=scope)
+    certificate = Certificate(
+        solver=SOLVER, gap=np.inf, cost=size, violation=violation, scope=scope
+    )
     try:
         x, weight, accuracy = solved_apart(partial(conic_solution, problem, SOLVER, fit.x), SOLVER)
-        least, beyond = program.evaluated(x)
+        minimum, solver_violation = program.evaluated(x)
     except (IdentificationError, ConvergenceError) as error:
-        return replace(fit, certificate=replace(told, failure=error.problem))
-    gap = cost - least
+        return replace(fit, certificate=replace(certificate, failure=error.problem))
+    gap = cost - minimum
     worse = gap > TOLERANCE * size or violation > TOLERANCE
-    if worse and beyond <= TOLERANCE and scope == "global":
+    if worse and solver_violation <= TOLERANCE and scope == "global":
         outside = f"violating constraints by {violation:.1e}"
         above = f"above the minimum cost by {gap / size:.1e} of it"
         why = outside if violation > TOLERANCE else above
         note = f"By {SOLVER}, as the fit of {fit.solver} was {why}"
         fit = replace(fit_result(problem, x, weight, SOLVER, begin - fit.solve_time), note=note)
-        told, gap = replace(told, violation=beyond, replaced=True), 0.0
-    left = max(accuracy * program.cost_scale, np.finfo(float).eps * size)
-    return replace(fit, certificate=replace(told, gap=max(gap, 0.0) + left))
+        certificate, gap = replace(certificate, violation=solver_violation, replaced=True), 0.0
+    solver_gap = max(accuracy * program.cost_scale, np.finfo(float).eps * size)
+    return replace(fit, certificate=replace(certificate, gap=max(gap, 0.0) + solver_gap))
 
 
 def uncertified(fit: FitResult, failure: str, scope: Scope = "global") -> FitResult:
-    """Return the fit with a certificate that says why it is not certified."""
-    told = Certificate(solver=SOLVER, gap=np.inf, cost=np.nan, violation=np.nan, scope=scope)
-    return replace(fit, certificate=replace(told, failure=failure))
+    """Return the fit with a certificate that states why it is not certified."""
+    certificate = Certificate(
+        solver=SOLVER, gap=np.inf, cost=np.nan, violation=np.nan, scope=scope, failure=failure
+    )
+    return replace(fit, certificate=certificate)
 
 
 def conic_solution(
     problem: FitProblem, solver: str, centre: Array | None, accuracies: Accuracies
 ) -> tuple[Array, float, float]:
-    """Return a conic solver's parameters (p,), the weight of their prior, and the duality gap.
+    """Return a conic solver's parameters (p,), the weight of the prior, and the duality gap.
 
-    The program is scaled where the solution is about: at the centre, by Newton's method, or by a
-    rough solution of its own.
+    The program is scaled at `centre`, or by default at a solution of Newton's method or a rough
+    conic one.
     """
     entropic = len(problem.entropic) == len(problem.inertia_blocks) > 0
     if centre is None and entropic:
-        with contextlib.suppress(IdentificationError):  # the conic solver says why
+        with contextlib.suppress(IdentificationError):  # the conic solver reports the cause
             centre = solve_newton(problem).x
     if centre is None:
         rough = build_fit(problem)
@@ -325,17 +324,18 @@ def conic_solution(
 
 
 def solution_of(fit: FitProgram, result: MathematicalProgramResult) -> tuple[Array, float]:
-    """Return parameters (p,) of a conic solution, and the γ of the regularized problem with them.
+    """Return the parameters (p,) of a conic solution, and the γ of the equal regularized problem.
 
-    They are inside bounds and physical, or an IdentificationError says that the solver was not
-    exact enough. γ comes from the residual cone's multiplier μ: at the boundary ‖u‖ = s of the
-    cone, d² + μ (‖u‖ − s)/s is stationary, and so is d² + ‖u‖²/γ with γ = 2 s²/μ.
+    Raise an IdentificationError if the parameters are not physical due to the solver's tolerance. γ
+    follows from the residual cone's multiplier μ: at the boundary ‖u‖ = s of the cone,
+    d² + μ (‖u‖ − s)/s is stationary, and so is d² + ‖u‖²/γ with γ = 2 s²/μ.
     """
     problem, bound = fit.problem, fit.problem.residual_bound
     x = fit.coordinates.parameters(result.GetSolution(fit.z))
     x = np.clip(x, problem.lower, problem.upper)
-    flat = fit.coordinates.smallest_eigenvalues(x) <= 0
-    wrong = [start for start, is_so in zip(problem.inertia_blocks, flat, strict=True) if is_so]
+    eigenvalues = fit.coordinates.smallest_eigenvalues(x).tolist()
+    blocks = zip(problem.inertia_blocks, eigenvalues, strict=True)
+    wrong = [start for start, smallest in blocks if smallest <= 0]
     wrong += [column for column in problem.entropic_scalars if x[column] <= 0]
     if wrong:
         raise IdentificationError(
@@ -353,7 +353,7 @@ def solution_of(fit: FitProgram, result: MathematicalProgramResult) -> tuple[Arr
 
 
 def _in_closed_form(problem: FitProblem) -> FitResult | None:
-    """Return the least-squares fit; None if it does not solve the problem."""
+    """Return the closed-form or bounded least-squares fit; None if it is not the solution."""
     begin = time.perf_counter()
     entropic = problem.entropic or problem.entropic_scalars
     if entropic or problem.constraints is not None or problem.residual_bound is not None:
@@ -374,7 +374,7 @@ def _in_closed_form(problem: FitProblem) -> FitResult | None:
     if np.any((z < lower) | (z > upper)):
         if np.any(lower == upper):
             return None
-        # The bounded columns are the last ones of the triangle, so the others drop out.
+        # The bounded columns are last in the triangle, so that the others drop out.
         free, last = order[~bounded[order]], order[bounded[order]]
         k, box = len(free), (lower[last], upper[last])
         z[last] = lsq_linear(F[k:, k:], f[k:], box, method="bvls", tol=1e-14).x

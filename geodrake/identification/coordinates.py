@@ -1,4 +1,4 @@
-"""Dimensionless coordinates of a fit, in which a solver converges."""
+"""Dimensionless coordinates of a fit, for well-scaled solvers."""
 
 from __future__ import annotations
 
@@ -28,26 +28,26 @@ IDENTITY = _FLAT @ np.eye(4).ravel()
 """Coordinates svec(I) of the 4×4 identity; shape (10,)."""
 
 _CENTRE_FLOOR = 0.01
-"""Share of the reference in a centred scale, which keeps it regular at the boundary."""
+"""Share of the reference in a centred scale, which keeps the scale regular at the boundary."""
 
 
 def smat(coordinates: Array) -> Array:
-    """Return symmetric matrices (..., 4, 4) of orthonormal coordinates (..., 10)."""
+    """Return the symmetric matrices (..., 4, 4) with orthonormal coordinates (..., 10)."""
     return (coordinates @ _FLAT).reshape(*coordinates.shape[:-1], 4, 4)
 
 
 def svec(matrices: Array) -> Array:
-    """Return orthonormal coordinates (..., 10) of symmetric matrices (..., 4, 4)."""
+    """Return the orthonormal coordinates (..., 10) of symmetric matrices (..., 4, 4)."""
     return matrices.reshape(*matrices.shape[:-2], 16) @ _FLAT.T
 
 
 @dataclass(frozen=True, eq=False)
 class Scalars:
-    """Positive scalars over their priors, y = begin + slope z."""
+    """Ratios of positive scalars to their priors, y = begin + slope z."""
 
     columns: NDArray[np.intp]  # (k,) indices in z
     begin: Array  # (k,) y at z = 0
-    slope: Array  # (k,) change of y with z
+    slope: Array  # (k,) dy/dz
     weights: Array  # (k,) weights of their divergence
 
     def ratios(self, z: Array) -> Array:
@@ -60,9 +60,9 @@ class Coordinates:
     """Coordinates z with x = x₀ + T z, chosen so that each z is of order one.
 
     An inertia block has P(φ) = P(φ₀) + L smat(z) Lᵀ with the Cholesky factor L of its reference
-    P = L Lᵀ: there the pullback metric ([Lee2019] Eq. (B.1.7)) is half the identity, whatever
-    the frame and units. A scalar is divided by its prior, where it is a positive one that has
-    one, and else by the norm of its column of data and prior.
+    P = L Lᵀ, where the pullback metric ([Lee2019] Eq. (B.1.7)) is half the identity in any frame
+    and units. A positive scalar is divided by its prior value, and any other one by the norm of
+    its column of data and prior.
     """
 
     problem: FitProblem
@@ -74,8 +74,8 @@ class Coordinates:
     def of(cls, problem: FitProblem, *, centre: Array | None = None) -> Coordinates:
         """Return the coordinates of a problem.
 
-        Blocks are scaled at the references, or at a centre (p,) close to the solution, so that a
-        solver gets closer to a boundary.
+        Blocks are scaled by the references, or by a `centre` (p,) close to the solution, with which
+        a solver gets closer to a boundary.
         """
         R = problem.factor[:, :-1]
         norms = np.sqrt((R * R).sum(0) + np.diagonal(problem.prior_information))
@@ -111,10 +111,10 @@ class Coordinates:
     def prior_root(self) -> Array:
         """Return a matrix C (k, p) with Cᵀ C = Tᵀ Λ T."""
         metric = self.transform.T @ self.problem.prior_information @ self.transform
-        known = np.flatnonzero(np.diagonal(metric))
-        root = np.zeros((len(known), len(metric)))
+        columns = np.flatnonzero(np.diagonal(metric))
+        root = np.zeros((len(columns), len(metric)))
         try:
-            root[:, known] = np.linalg.cholesky(metric[np.ix_(known, known)]).T
+            root[:, columns] = np.linalg.cholesky(metric[np.ix_(columns, columns)]).T
         except np.linalg.LinAlgError:
             values, vectors = np.linalg.eigh(metric)
             if values[0] < -1e-9 * values[-1]:
@@ -126,7 +126,7 @@ class Coordinates:
         return root
 
     def scalars(self, priors: Mapping[int, tuple[float, float]]) -> Scalars:
-        """Return positive scalars with priors, column -> (x⁰, weight), as functions of z."""
+        """Return the ratios of positive scalars to priors, column -> (x⁰, weight)."""
         columns = np.array(list(priors), int)
         values = np.reshape([priors[k] for k in priors], (-1, 2)).astype(float)
         begin = self.problem.prior_mean[columns] / values[:, 0]
@@ -134,12 +134,12 @@ class Coordinates:
         return Scalars(columns, begin, slope, values[:, 1])
 
     def bounds(self) -> tuple[Array, Array]:
-        """Return bounds (p,) and (p,) of z that belong to those of x."""
+        """Return the bounds (p,) and (p,) of z for those of x."""
         scale = np.ones(self.problem.size)
         scalar = np.isfinite(self.problem.lower) | np.isfinite(self.problem.upper)
         scale[scalar] = np.diagonal(self.transform)[scalar]
         mean, least = self.problem.prior_mean, self.problem.lower.copy()
-        for column in self.problem.entropic_scalars:  # whose divergence keeps them positive
+        for column in self.problem.entropic_scalars:  # the divergence keeps them positive
             least[column] = least[column] if least[column] > 0 else -np.inf
         return (least - mean) / scale, (self.problem.upper - mean) / scale
 
@@ -172,17 +172,14 @@ class Coordinates:
 
 
 def _pseudo_inertias(problem: FitProblem, x: Array | None = None) -> Array:
-    """Return P(φ_i) of every block of x (p,), or of its references; (n_blocks, 4, 4)."""
+    """Return P(φ_i) (n_blocks, 4, 4) of every block of x (p,), or of the references."""
     references, starts = problem.reference, problem.inertia_blocks
     blocks = [references[k] if x is None else x[k : k + 10] for k in starts]
     return pseudo_inertia(np.reshape(blocks, (-1, 10)))
 
 
 def _congruent(roots: NDArray[np.floating[Any]], matrices: Array) -> Array:
-    """Return L⁻¹ M L⁻ᵀ for roots L and symmetric matrices M (n, 4, 4), symmetric to the last digit.
-
-    For a body that is nearly flat, rounding alone would not leave it so.
-    """
+    """Return L⁻¹ M L⁻ᵀ for roots L and symmetric matrices M (n, 4, 4), exactly symmetric."""
     half = np.swapaxes(np.linalg.solve(roots, matrices), -1, -2)
     full = np.asarray(np.linalg.solve(roots, half), float)
     return 0.5 * (full + np.swapaxes(full, -1, -2))

@@ -1,4 +1,4 @@
-"""Solution of a fit, with information and certificate."""
+"""Solutions of fits, with information and certificates."""
 
 from __future__ import annotations
 
@@ -16,53 +16,53 @@ from geodrake.inertia import Array, pullback_metric
 Scope = Literal["global", "local"]
 
 TOLERANCE = 1e-6
-"""How far a fit may be above the solver's cost, and that above the least, as shares of the cost.
+"""Certified relative excess of a fit's cost over the solver's, and of that over the minimum.
 
-It is also the greatest violation of a constraint.
+It is also the largest certified violation of a constraint.
 """
 
 _NOTHING = 1e-24
-"""A parameter is not identifiable up to this share of the largest information: rounding's."""
+"""Information of an unidentifiable parameter, relative to the largest: rounding errors."""
 _BOUNDARY = 1e-5
-"""Distance, in scaled units, within which a bound counts as reached."""
+"""Distance, in scaled units, within which a bound is active."""
 _SAME, SAME_COST = 1e-4, 1e-9
-"""Geodesic distance, and relative difference of costs, within which two minima count as one."""
+"""Geodesic distance, and relative difference of costs, within which two minima are the same."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
     """Optimality certificate of reported parameters by the fit's MathematicalProgram.
 
-    A cost has the unit of squared deviations, with whitened data. The scope is "global" of a convex
-    program; "local" where a distance that is not convex was replaced by its second order at the
-    reported parameters, so that they are certified as a local minimum.
+    Costs are in units of squared standard deviations. The scope is "global" for a convex program,
+    and "local" if a nonconvex distance was replaced by its second order at the reported parameters,
+    which are then a certified local minimum.
     """
 
-    solver: str  # the conic solver that solved the program
-    # How far the cost is above its minimum at most: its difference from the solver's, and the
-    # duality gap of that; inf if the solver found no solution.
+    solver: str  # the conic solver
+    # Bound of the cost's excess over its minimum: the difference from the solver's cost plus the
+    # duality gap; inf if the solver failed.
     gap: float
     cost: float
-    # How far parameters are outside the program's constraints (P ⪰ 0, bounds, ellipsoids, masses,
-    # residual) at most, in its dimensionless variables.
+    # Largest violation of the program's constraints (P ⪰ 0, bounds, ellipsoids, masses, residual),
+    # in its dimensionless variables.
     violation: float
     scope: Scope = "global"
-    replaced: bool = False  # whether the parameters are the solver's, as the fit itself was worse
-    failure: str = ""  # why the solver found no solution; empty if it did
+    replaced: bool = False  # whether the parameters are the solver's, which were better
+    failure: str = ""  # why the solver failed; empty if it succeeded
 
     @property
     def relative_gap(self) -> float:
-        """Return the gap as a share of the cost."""
+        """The gap relative to the cost."""
         return self.gap / self.cost
 
     @property
     def holds(self) -> bool:
-        """Return whether both parts of the gap and the violation are within `TOLERANCE`."""
+        """Whether both parts of the gap and the violation are within `TOLERANCE`."""
         return self.relative_gap <= 2.0 * TOLERANCE and self.violation <= TOLERANCE
 
     @property
     def words(self) -> str:
-        """Return the certificate in a line."""
+        """The certificate in a sentence."""
         if self.failure:
             return f"{self.solver} could not certify the fit: {self.failure}"
         least = "a local minimum" if self.scope == "local" else "the least"
@@ -76,66 +76,66 @@ class Certificate:
 
 @dataclass(frozen=True, eq=False)
 class LocalMinima:
-    """Where the starts led to."""
+    """Local minima reached from several starts."""
 
     starts: tuple[str, ...]  # names of the starts
-    # (n,) cost reached from each start, at the γ of the solution; inf where the search failed.
+    # (n,) cost reached from each start, at the γ of the solution; inf if the search failed.
     costs: Array
-    distances: Array  # (n,) geodesic distance of what each start led to from the best
-    strict: bool  # whether the best is a strict local minimum: its Hessian is positive definite
+    distances: Array  # (n,) geodesic distance of each minimum from the best
+    strict: bool  # whether the Hessian at the best is positive definite
 
     @property
     def agree(self) -> bool:
-        """Return whether all starts led to the same minimum."""
+        """Whether all starts led to the same minimum."""
         return bool((self.distances < _SAME).all())
 
     @property
     def distinct(self) -> int:
-        """Return the number of different minima, distinguished by their costs."""
+        """Number of different minima, distinguished by their costs."""
         reached = np.isfinite(self.costs)
         if (self.distances[reached] < _SAME).all():
             return 1
-        found = np.sort(self.costs[reached])
-        scale = max(abs(found[0]), np.finfo(float).tiny)
-        return 1 + int(np.count_nonzero(np.diff(found) > SAME_COST * scale))
+        costs = np.sort(self.costs[reached])
+        scale = max(abs(costs[0]), np.finfo(float).tiny)
+        return 1 + int(np.count_nonzero(np.diff(costs) > SAME_COST * scale))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FitResult(Short):
-    """Solution of a `FitProblem`: every inertia block is physical, and every bound kept exactly."""
+    """Solution of a `FitProblem`, with physical inertia blocks and exactly satisfied bounds."""
 
     x: Array  # (p,) parameters
-    # (p, p) posterior information: half the cost's Hessian at x, so that its inverse is the
-    # covariance of x while no bound is active.
+    # (p, p) posterior information, half the cost's Hessian at x. Its inverse is the covariance of x
+    # if no bound is active.
     information: Array
     residual: float  # squared residual ‖R x − r‖²
     active_bounds: tuple[int, ...]  # indices of parameters at one of their bounds
-    active_blocks: tuple[int, ...]  # first columns of inertia blocks at the boundary of bodies
-    # Of the prior against the data: 1, and in the point-to-set form the γ for which the regularized
-    # form has this solution (inf when the data are idle).
+    active_blocks: tuple[int, ...]  # first columns of inertia blocks at the physical boundary
+    # Weight of the prior relative to the data: 1, or in the point-to-set form the γ for which the
+    # regularized form has the same solution (inf if the data are inactive).
     prior_weight: float
     solver: str  # "closed form", "bounded least squares", "newton", or the conic solver
-    solve_time: float  # of the whole solution, s
-    note: str = ""  # why another solver than usual gave the answer; empty if it was the usual one
-    # None if it was not asked for, and of point masses, which a MathematicalProgram solves.
+    solve_time: float  # total, s
+    note: str = ""  # why an unusual solver was used, or empty
+    # None if not requested, and for point masses, which a MathematicalProgram solves.
     certificate: Certificate | None = None
-    minima: LocalMinima | None = None  # what the starts led to, if several minima are possible
-    masses: Array | None = None  # (N,) point masses of all bodies in a row, kg, if that they are
+    minima: LocalMinima | None = None  # of nonconvex fits
+    masses: Array | None = None  # (N,) point masses of all bodies, kg, if bodies consist of them
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Return notes on an unusual solver, and on the certificate."""
+        """Notes on an unusual solver, and on the certificate."""
         certificate = self.certificate
         return tuple(filter(None, [self.note, certificate.words if certificate else ""]))
 
     def covariance(self) -> Array:
-        """Return the covariance (p, p) of x, in its units; inf on its diagonal is of the unknown.
+        """Return the covariance (p, p) of x; variances of unidentified parameters are inf.
 
-        It counts every row of data as independent: with correlated residuals, scale the information
-        by the share of effective samples first.
+        It assumes independent rows of data: with correlated residuals, scale the information by the
+        share of effective samples first.
         """
-        known = np.diagonal(self.information)
-        size = np.sqrt(np.where(known > _NOTHING * known.max(initial=0.0), known, 1.0))
+        diagonal = np.diagonal(self.information)
+        size = np.sqrt(np.where(diagonal > _NOTHING * diagonal.max(initial=0.0), diagonal, 1.0))
         values, vectors = np.linalg.eigh(self.information / np.outer(size, size))
         known = values > len(values) * np.finfo(float).eps * values[-1]
         inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T
@@ -151,10 +151,7 @@ class FitResult(Short):
 def fit_result(
     problem: FitProblem, x: Array, prior_weight: float, solver: str, begin: float
 ) -> FitResult:
-    """Return the result of a solver that began at a `time.perf_counter()`, at its solution x (p,).
-
-    The `prior_weight` is that of the prior against the data.
-    """
+    """Return the result at a solution x (p,) of a solver that began at a `time.perf_counter()`."""
     coordinates, R = Coordinates.of(problem), problem.factor[:, :-1]
     prior = problem.prior_information.copy()
     for start, (_, gamma) in problem.entropic.items():
@@ -164,13 +161,13 @@ def fit_result(
         prior[column, column] += 0.5 * gamma / x[column] ** 2
     scale = np.diagonal(coordinates.transform)
     at_bound = np.minimum(x - problem.lower, problem.upper - x) <= _BOUNDARY * scale
-    near = coordinates.smallest_eigenvalues(x) < 2.0 * problem.margin
+    at_boundary = coordinates.smallest_eigenvalues(x) < 2.0 * problem.margin
     return FitResult(
         x=x,
         information=prior if np.isinf(prior_weight) else R.T @ R + prior_weight * prior,
         residual=problem.residual(x),
         active_bounds=tuple(np.flatnonzero(at_bound).tolist()),
-        active_blocks=tuple(np.array(problem.inertia_blocks, int)[near].tolist()),
+        active_blocks=tuple(np.array(problem.inertia_blocks, int)[at_boundary].tolist()),
         prior_weight=prior_weight,
         solver=solver,
         solve_time=time.perf_counter() - begin,

@@ -1,4 +1,4 @@
-"""Geodesic least squares: the bodies closest to the hyperplanes of measurements."""
+"""Geodesic least squares: bodies with minimal geodesic distances to measured hyperplanes."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from geodrake.inertia.positive_definite import karcher_mean, whitening
 
 METHODS = ("newton", "cyclic")
 
-_SHARE = 0.9  # of the way to where a body is none, at most in one step
-_SHORT = 2.0**-8  # of that, the share from which on rows may be left out
-_LEAST_CURVATURE = 1e-3  # of that of the prior
+_SHARE = 0.9  # longest step, relative to the boundary of physical bodies
+_SHORT = 2.0**-8  # relative step length below which rows may be dropped
+_LEAST_CURVATURE = 1e-3  # relative to the prior's
 _SMALL = 1e-100
 _SETTLED = 1e-6  # distance below which rounding may end the search
 _MOST_ROUNDS = 5
 _ROOT = 1e-14
 _MOST_STEPS = 200
 _SAME = 1e-5
-_LEAST_ROOM = 1e-8  # 1 + W where a projection is about to get lost
+_LEAST_ROOM = 1e-8  # least 1 + W, which vanishes where a projection ceases to exist
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,12 +40,12 @@ class GeodesicLeastSquaresResult:
     """Bodies found by `geodesic_least_squares`."""
 
     phi: Array  # (nb, 10) inertial parameters, all physical
-    cost: float  # Σ γ_i ½ d(Φ, H_i)² + γ ½ d(Φ, Φ⁰)² over the rows that were used
+    cost: float  # Σ γ_i ½ d(Φ, H_i)² + γ ½ d(Φ, Φ⁰)² over the used rows
     residual: float  # ‖A Φ − b‖²_{Σ⁻¹} over all rows
-    rejected: tuple[int, ...]  # rows without a projection near enough, which were left out
+    rejected: tuple[int, ...]  # unused rows, without a projection within reach
     iterations: int
-    distance: float  # length of a further Newton step, about the geodesic distance from the minimum
-    curvature: float  # least eigenvalue of the Hessian over γ, which is above zero at a minimum
+    distance: float  # length of the next Newton step, about the distance from the minimum
+    curvature: float  # least eigenvalue of the Hessian over γ, positive at a minimum
 
 
 def geodesic_least_squares(
@@ -59,27 +59,26 @@ def geodesic_least_squares(
     tolerance: float = 1e-8,
     max_iterations: int = 2000,
 ) -> GeodesicLeastSquaresResult:
-    """Find the bodies that minimize Σ γ_i ½ d(Φ, H_i)² + γ ½ d(Φ, Φ⁰)² ([Lee2019] Eq. (3.4.37)).
+    """Minimize Σ γ_i ½ d(Φ, H_i)² + γ ½ d(Φ, Φ⁰)² over physical bodies ([Lee2019] Eq. (3.4.37)).
 
     H_i are the hyperplanes a_iᵀ Φ = b_i, d is the geodesic distance, and γ_i = a_iᵀ M₀⁻¹ a_i / σ_i²
-    with the pullback metric M₀ at the prior (Remark 3.8), so that near the prior this is the
-    regularized least squares (3.4.39) with the same γ. A row whose hyperplane no bodies within a
-    factor e reach is left out, until some are within reach: measurements that make no sense for
-    physical bodies do no harm.
+    with the pullback metric M₀ at the prior (Remark 3.8), so that close to the prior this is the
+    regularized least squares (3.4.39) with the same γ. A row is unused while no bodies within a
+    factor e reach its hyperplane, so that outliers that are not physical do no harm.
 
-    The problem is not convex. It starts at the minimum of its convex relation, the entropic fit
-    (§3.5) with the same γ to the rows that are in use, where most hyperplanes are within reach.
+    The problem is not convex. The search starts at the entropic fit (§3.5) with the same γ to the
+    used rows, where most hyperplanes are within reach.
 
-    "newton" takes steps by the exact Hessian, straight on so that rows that are fulfilled stay so,
-    and short enough to end inside of the cone and to lower the cost. A row is left out on the way
-    only if no step lowers the cost otherwise. The "cyclic" method is that of the source (§3.4.2):
-    project onto every hyperplane, and take the Karcher mean of the projections. It lowers the cost
-    in every iteration, but by a share of about γ / Σ γ_i of what is left where data say nothing:
-    where γ is small it says that it has not converged.
+    "newton" uses the exact Hessian. Its steps are straight, so that satisfied rows stay satisfied,
+    and short enough to stay inside the cone and to lower the cost. A row is dropped only if no
+    other step lowers the cost. "cyclic" is the method of the source (§3.4.2): project onto every
+    hyperplane, and take the Karcher mean of the projections. It lowers the cost in every iteration,
+    but along directions without data by only about γ / Σ γ_i of the rest, so that it does not
+    converge for small γ.
 
-    A (m, 10·nb), b, the prior Φ⁰, γ and sigma are those of `identify`. It stops at a `tolerance`,
-    the geodesic distance from the minimum by the next Newton step, or where rounding hides what is
-    left of it, and gives up after `max_iterations`.
+    A (m, 10·nb), b, the prior Φ⁰, γ and sigma are those of `identify`. The search stops when the
+    next Newton step, about the geodesic distance from the minimum, is below `tolerance` or hidden
+    by rounding, and fails after `max_iterations`.
 
     Raises:
         ArgumentError: No row has a projection.
@@ -98,19 +97,19 @@ def geodesic_least_squares(
             advice="Subtract contributions of friction and the like from b first.",
         )
     point, readmitted = _start(rows, prior, gamma), np.zeros(len(rows), bool)
-    before = np.inf
+    previous = np.inf
     for count in range(max_iterations + 1):
-        hidden = is_within_rounding(point.promise, before, point.rounding)
+        hidden = is_within_rounding(point.promise, previous, point.rounding)
         if point.distance <= tolerance or (point.distance < _SETTLED and hidden):
-            everything = replace(point, used=np.ones(len(rows), bool))
-            returning = everything.projections.exists & ~(point.used | readmitted)
+            with_all_rows = replace(point, used=np.ones(len(rows), bool))
+            returning = with_all_rows.projections.exists & ~(point.used | readmitted)
             if not returning.any():
                 return point.result(rows, count)
-            # (Once each, so that there is an end.)
+            # Once each, so that the search terminates.
             readmitted |= returning
             point = replace(point, used=point.used | returning)
         if count < max_iterations:
-            before = point.promise
+            previous = point.promise
             point = point.mean() if method == "cyclic" else point.newton_step()
     raise point.failure(
         f"is still {point.distance:.2g} from its minimum after {max_iterations} iterations",
@@ -119,7 +118,7 @@ def geodesic_least_squares(
 
 
 def _start(rows: Array, prior: Array, gamma: float) -> _GeodesicPoint:
-    """Return the entropic fit to the rows that have projections there, and these rows."""
+    """Return the entropic fit to the rows with projections there."""
     point = _GeodesicPoint.of(rows, prior, gamma)
     if not point.used.any():
         raise ArgumentError(
@@ -130,22 +129,22 @@ def _start(rows: Array, prior: Array, gamma: float) -> _GeodesicPoint:
         A, b = rows[point.used, :-1], rows[point.used, -1]
         try:
             fit = identify(A, b, prior, regularizer="entropic", gamma=gamma, certify=False)
-        except IdentificationError:  # of data that are too much for double precision
+        except IdentificationError:  # beyond double precision
             break
-        found = point.at(whitening(pseudo_inertia(fit.phi))[0], np.ones(len(rows), bool))
-        if not found.used.any():
+        fitted = point.at(whitening(pseudo_inertia(fit.phi))[0], np.ones(len(rows), bool))
+        if not fitted.used.any():
             break
-        same, point = np.array_equal(found.used, point.used), found
-        if same:
+        converged, point = np.array_equal(fitted.used, point.used), fitted
+        if converged:
             break
     return point
 
 
 @dataclass(frozen=True, eq=False)
 class _GeodesicPoint:
-    """Bodies P = L Lᵀ, seen from m rows tr(P X) = b of weights γ_i and from a prior of weight γ.
+    """Bodies P = L Lᵀ with m rows tr(P X) = b of weights γ_i, and a prior of weight γ.
 
-    P is kept as its root L, which stays one however far a step leads.
+    P is stored as its root L, which keeps it positive definite.
     """
 
     prior: Array  # roots L⁰ (nb, 4, 4) of the prior P⁰
@@ -158,25 +157,25 @@ class _GeodesicPoint:
 
     @classmethod
     def of(cls, rows: Array, prior: Array, gamma: float) -> _GeodesicPoint:
-        """Return the prior, with the rows (m, 10·nb + 1) that have projections there."""
+        """Return the prior, with those of the rows (m, 10·nb + 1) that have projections there."""
         root = whitening(pseudo_inertia(prior))[0]
         X = dual(rows[:, :-1].reshape(len(rows), -1, PARAMETERS_PER_BODY))
         gammas = 2.0 * np.square(np.swapaxes(root, -1, -2) @ X @ root).sum((1, 2, 3))
-        everything = np.ones(len(rows), bool)
-        return cls(root, X, rows[:, -1], gammas, gamma, root, everything).at(root, everything)
+        all_rows = np.ones(len(rows), bool)
+        return cls(root, X, rows[:, -1], gammas, gamma, root, all_rows).at(root, all_rows)
 
     def at(self, root: Array, used: NDArray[np.bool_]) -> _GeodesicPoint:
-        """Return other bodies with some rows, without those that have no projection there."""
-        there = replace(self, root=root, used=used)
-        if (exists := there.projections.exists).all():
-            return there
+        """Return other bodies with those of the rows that have projections there."""
+        point = replace(self, root=root, used=used)
+        if (exists := point.projections.exists).all():
+            return point
         kept = used.copy()
         kept[used] = exists
-        return replace(there, used=kept)
+        return replace(point, used=kept)
 
     @cached_property
     def projections(self) -> Projections:
-        """Projections onto the rows in use."""
+        """Projections onto the used rows."""
         return project(self.root, self.X[self.used], self.b[self.used])
 
     @property
@@ -205,17 +204,18 @@ class _GeodesicPoint:
         """Eigenvalues and eigenvectors of the Hessian (10 nb, 10 nb) of the cost, in V."""
         logs, axes = self.to_prior
         half = np.maximum(0.5 * np.abs(logs[:, :, None] - logs[:, None, :]), _SMALL)
-        own = pairwise(self.gamma * (half / np.tanh(half))[None], axes[None])
+        hessian = pairwise(self.gamma * (half / np.tanh(half))[None], axes[None])
         # To second order, L (𝟙 + V) Lᵀ is on the geodesic of velocity V − ½ V².
-        pull = smat(self.downhill.reshape(len(axes), -1))
-        bent = block_diag(*np.einsum("bca,iad,jdc->bij", pull, SYMMETRIC_BASIS, SYMMETRIC_BASIS))
-        own += self.projections.hessian(self.weights) + 0.5 * (bent + bent.T)
-        values, vectors = np.linalg.eigh(own)
+        gradient = smat(self.downhill.reshape(len(axes), -1))
+        basis = SYMMETRIC_BASIS
+        bend = block_diag(*np.einsum("bca,iad,jdc->bij", gradient, basis, basis))
+        hessian += self.projections.hessian(self.weights) + 0.5 * (bend + bend.T)
+        values, vectors = np.linalg.eigh(hessian)
         return values, vectors
 
     @cached_property
     def step(self) -> Array:
-        """Newton's step (10 nb,), turned downhill where the cost is not convex."""
+        """Newton's step (10 nb,), a descent direction even if the cost is not convex."""
         values, vectors = self.spectrum
         along = vectors.T @ self.downhill
         return vectors @ (along / np.maximum(np.abs(values), _LEAST_CURVATURE * self.gamma))
@@ -235,7 +235,7 @@ class _GeodesicPoint:
         return float(rounding_of_squares(self.cost, self.weights.sum() + self.gamma))
 
     def moved(self, change: Array) -> _GeodesicPoint:
-        """Return bodies L (𝟙 + V) Lᵀ, without the rows that have no projection there."""
+        """Return the bodies L (𝟙 + V) Lᵀ with the rows that have projections there."""
         values, axes = np.linalg.eigh(change)
         return self.at(self.root @ spectral(axes, np.sqrt(1.0 + values)), self.used)
 
@@ -267,7 +267,7 @@ class _GeodesicPoint:
         rates = np.concatenate([self.projections.rates, logs[None]])
         points = spectral(np.concatenate([self.projections.axes, axes[None]]), np.exp(rates))
         try:
-            # Seen from here, so that what is far from another is so by its logarithm only.
+            # In coordinates at this point, where logarithms measure distances.
             mean = karcher_mean(np.swapaxes(points, 0, 1), np.append(self.weights, self.gamma))
             return self.moved(mean - np.eye(4))
         except (ArgumentError, ConvergenceError) as error:
@@ -295,23 +295,23 @@ class _GeodesicPoint:
             curvature=curvature,
         )
 
-    def failure(self, what: str, advice: str) -> ConvergenceError:
-        words = f"Geodesic least squares {what}."
-        return ConvergenceError(words, advice=advice, distance=self.distance)
+    def failure(self, predicate: str, advice: str) -> ConvergenceError:
+        problem = f"Geodesic least squares {predicate}."
+        return ConvergenceError(problem, advice=advice, distance=self.distance)
 
 
 class Projections(NamedTuple):
-    """Geodesic projections of one set of bodies onto m hyperplanes ([Lee2019] Proposition 3.2).
+    """Geodesic projections of bodies onto m hyperplanes ([Lee2019] Proposition 3.2).
 
     With P = L Lᵀ, the gradient of tr(P X) is N = Lᵀ X L = U diag(σ) Uᵀ, and P̂ = L exp(Q) Lᵀ with
     Q = −W(λ N) for the inverse W of w eʷ.
     """
 
-    # (m,) whether there is one within a factor e: λ_max(P⁻¹ P̂) ≤ e for every body.
+    # (m,) whether the projection exists within a factor e: λ_max(P⁻¹ P̂) ≤ e for every body.
     exists: NDArray[np.bool_]
     sigma: Array  # (m, nb, 4) eigenvalues σ
     axes: Array  # (m, nb, 4, 4) U
-    rates: Array  # (m, nb, 4) eigenvalues −W(λ σ) of Q; zero where there is no projection
+    rates: Array  # (m, nb, 4) eigenvalues −W(λ σ) of Q; zero without a projection
 
     @property
     def half_squared_distances(self) -> Array:
@@ -319,20 +319,20 @@ class Projections(NamedTuple):
         return 0.5 * np.square(self.rates).sum((1, 2))
 
     def gradient(self, weights: Array) -> Array:
-        """Return that of Σ γ_i ½ d_i² as P moves along L exp(t V) Lᵀ, (nb, 4, 4)."""
+        """Return the gradient (nb, 4, 4) of Σ γ_i ½ d_i² along L exp(t V) Lᵀ."""
         return -np.asarray(np.einsum("m,mbij->bij", weights, spectral(self.axes, self.rates)))
 
     def hessian(self, weights: Array) -> Array:
-        """Return that of the same, (10 nb, 10 nb) in the coordinates of `flat`.
+        """Return the Hessian (10 nb, 10 nb) of Σ γ_i ½ d_i² in the coordinates of `flat`.
 
-        L exp(½ t V) is a frame that is parallel along the geodesic, so Hess[V] = −dQ with
-        dN = ½ (V N + N V), where λ changes so that P̂ stays on its hyperplane. In the axes of N,
-        that of each row is diagonal, plus a term of rank one.
+        The frame L exp(½ t V) is parallel along the geodesic, so Hess[V] = −dQ with
+        dN = ½ (V N + N V), where λ keeps P̂ on its hyperplane. In the axes of N, the Hessian of each
+        row is diagonal plus a rank-one term.
         """
         W = -self.rates
         decay = np.exp(-W) / np.maximum(1.0 + W, _LEAST_ROOM)  # W'(λ σ)
         x = W * np.exp(W)
-        # Divided differences of W, which are W' where two arguments are nearly the same.
+        # Divided differences of W, or W' for nearly equal arguments.
         gap, middle = W[..., :, None] - W[..., None, :], 0.5 * (W[..., :, None] + W[..., None, :])
         near = np.abs(gap) < _SAME
         slope = np.exp(-middle) / np.maximum(1.0 + middle, _LEAST_ROOM)
@@ -348,7 +348,7 @@ class Projections(NamedTuple):
 
 
 def spectral(axes: Array, values: Array) -> Array:
-    """Return symmetric matrices (…, 4, 4) of axes (…, 4, 4) and eigenvalues (…, 4)."""
+    """Return the symmetric matrices (…, 4, 4) with axes (…, 4, 4) and eigenvalues (…, 4)."""
     return np.asarray((axes * values[..., None, :]) @ np.swapaxes(axes, -1, -2))
 
 
@@ -359,9 +359,10 @@ def flat(matrices: Array) -> Array:
 
 
 def pairwise(values: Array, axes: Array) -> Array:
-    """Return the sum of m quadratic forms Σ values_ab (uₐᵀ V u_b)², (10 nb, 10 nb) as of `flat`.
+    """Return the matrix (10 nb, 10 nb) of m summed quadratic forms Σ values_ab (uₐᵀ V u_b)².
 
-    Values (m, nb, 4, 4) are symmetric; axes (m, nb, 4, 4) have u as columns.
+    Coordinates of V are those of `flat`, values (m, nb, 4, 4) are symmetric, and axes (m, nb, 4, 4)
+    have u as columns.
     """
     turned = np.swapaxes(axes, -1, -2)[..., None, :, :] @ SYMMETRIC_BASIS @ axes[..., None, :, :]
     rows, nb = turned.shape[:2]
@@ -372,9 +373,9 @@ def pairwise(values: Array, axes: Array) -> Array:
 
 
 def project(roots: Array, X: Array, b: Array) -> Projections:
-    """Return projections of bodies P_j = L_j L_jᵀ onto the hyperplanes Σ_j tr(P_j X_ij) = b_i.
+    """Project bodies with roots L (nb, 4, 4) onto hyperplanes Σ_j tr(P_j X_ij) = b_i.
 
-    L is (nb, 4, 4), and X (m, nb, 4, 4).
+    X is (m, nb, 4, 4).
     """
     sigma, axes = np.linalg.eigh(np.swapaxes(roots, -1, -2) @ X @ roots)
     multiplier, exists = _multipliers(sigma.reshape(len(b), -1), b)
@@ -386,48 +387,48 @@ def project(roots: Array, X: Array, b: Array) -> Projections:
 def _multipliers(sigma: Array, b: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return roots λ (m,) of C(λ) = Σ_k σ_k exp(−W(λ σ_k)) − b, and whether they exist.
 
-    [Lee2019] Eq. (3.4.40): C decreases from one end of the interval where all λ σ_k ≥ −1/e to the
-    other, so that its values there tell whether it has a root. Newton's method, kept in a bracket.
+    [Lee2019] Eq. (3.4.40): C decreases on the interval where all λ σ_k ≥ −1/e, so that its values
+    at the ends determine whether it has a root. Newton's method, with a bracket.
     """
     scale = np.abs(sigma).max(1)
     usable = scale > 0
     safe = np.where(usable, scale, 1.0)
     sigma, b = sigma / safe[:, None], b / safe
-    # Ends where λ σ_k is −1/e for the largest σ, if that is above 0, and the least, if below.
+    # At an end, λ σ_k = −1/e for the largest σ > 0 or the smallest σ < 0.
     ends = np.stack([-sigma.max(1), -sigma.min(1)])
     inner = ends * [[-1.0], [1.0]] > 0
-    # Without such a σ, C + b ≤ Σ log(1 + |λ|)/|λ| ≤ n/√|λ| tells how far out a root can be.
-    far = np.square(sigma.shape[1] / np.where(b == 0.0, 1.0, b))
-    low, high = np.where(inner, 1.0 / (np.e * np.where(inner, ends, 1.0)), [-far, far])
-    # Far out C comes close to −b, but does not reach it.
+    # Without such a σ, C + b ≤ Σ log(1 + |λ|)/|λ| ≤ n/√|λ| bounds the root.
+    bound = np.square(sigma.shape[1] / np.where(b == 0.0, 1.0, b))
+    low, high = np.where(inner, 1.0 / (np.e * np.where(inner, ends, 1.0)), [-bound, bound])
+    # C approaches −b at infinity without reaching it.
     finite = np.where(inner, [low, high], 0.0)
     above, below = (np.exp(-_lambert(finite[..., None] * sigma)) * sigma).sum(2) - b
     exists = usable & np.where(inner[0], above >= 0, b < 0) & np.where(inner[1], below <= 0, b > 0)
-    at = (sigma.sum(1) - b) / np.where(usable, np.square(sigma).sum(1), 1.0)
-    at = np.where((at > low) & (at < high), at, 0.5 * (low + high))
+    root = (sigma.sum(1) - b) / np.where(usable, np.square(sigma).sum(1), 1.0)
+    root = np.where((root > low) & (root < high), root, 0.5 * (low + high))
     active, last = exists.copy(), np.full(len(b), np.inf)
     for _ in range(_MOST_STEPS):
         rows = np.flatnonzero(active)
         if not len(rows):
             break
-        s, x = sigma[rows], at[rows]
+        s, x = sigma[rows], root[rows]
         decay = np.exp(-_lambert(x[:, None] * s))
         error = (s * decay).sum(1) - b[rows]
         low[rows] = np.where(error > 0, x, low[rows])
         high[rows] = np.where(error > 0, high[rows], x)
         slope = (np.square(s * decay) / np.maximum(1.0 - np.log(decay), 1e-12)).sum(1)
-        following = x + error / slope
-        # At the ends C falls so steeply that Newton's steps are short: halve instead.
-        poor = (following <= low[rows]) | (following >= high[rows])
+        next_x = x + error / slope
+        # C is steep at the ends, where Newton's steps are short: bisect instead.
+        poor = (next_x <= low[rows]) | (next_x >= high[rows])
         poor |= np.abs(error) > 0.5 * last[rows]
         last[rows] = np.abs(error)
-        following = np.where(poor, 0.5 * (low[rows] + high[rows]), following)
+        next_x = np.where(poor, 0.5 * (low[rows] + high[rows]), next_x)
         done = np.abs(error) <= _ROOT * (1.0 + np.abs(b[rows]))
         done |= high[rows] - low[rows] <= _ROOT * np.abs(x)
-        active[rows], at[rows] = ~done, np.where(done, x, following)
-    return np.where(exists, at, 0.0) / safe, exists
+        active[rows], root[rows] = ~done, np.where(done, x, next_x)
+    return np.where(exists, root, 0.0) / safe, exists
 
 
 def _lambert(x: Array) -> Array:
-    """Return W(x) ≥ −1 with W eᵂ = x ≥ −1/e, of which SciPy gives NaN within rounding of −1/e."""
+    """Return W(x) ≥ −1 with W eᵂ = x ≥ −1/e; SciPy returns NaN within rounding of −1/e."""
     return np.fmax(lambertw(x).real, -1.0)

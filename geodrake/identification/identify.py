@@ -28,18 +28,18 @@ REGULARIZERS: dict[str, type[Regularizer]] = {
 }
 
 _MARGIN = 1e-6
-"""Smallest eigenvalue of P(φ⁰)⁻¹ P(φ): physical, and next to no constraint otherwise."""
+"""Smallest eigenvalue of P(φ⁰)⁻¹ P(φ): physical, but hardly a constraint."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class IdentificationResult(FitResult):
-    """Identified parameters, with all that a fit has, such as residual and certificate."""
+    """Identified parameters, with the fit's residual, certificate and so on."""
 
     phi: Array  # (nb, 10) inertial parameters, all physical
     extra: Array  # (extra,) further linear parameters, such as friction coefficients
-    divergence: float  # d(Φ, Φ⁰)² of the regularizer, without γ, extra parameters included
+    divergence: float  # d(Φ, Φ⁰)² of the regularizer without γ, including extra parameters
     regularizer: str  # its name
-    gamma: float  # the weight γ given, or in the point-to-set form the γ of the same solution
+    gamma: float  # γ, in the point-to-set form that of the same solution
 
 
 @typed
@@ -60,53 +60,51 @@ def identify(  # noqa: PLR0913 - the stable interface
     solver: str | None = None,
     certify: bool = True,
 ) -> IdentificationResult:
-    """Fit physical parameters to A x ≈ b, near a prior.
+    """Fit physical parameters to A x ≈ b, close to a prior.
 
-    The minimum is global, except with "riemannian", whose result says what was found (`minima`).
-    With `gamma` it minimizes ‖A x − b‖²_{Σ⁻¹} + γ d(Φ, Φ⁰)² ([Lee2019] Eq. (3.2.16)); with
+    The minimum is global, except with "riemannian", whose result reports its `minima`. With
+    `gamma` it minimizes ‖A x − b‖²_{Σ⁻¹} + γ d(Φ, Φ⁰)² ([Lee2019] Eq. (3.2.16)); with
     `residual_bound` c, d(Φ, Φ⁰)² subject to ‖A x − b‖²_{Σ⁻¹} ≤ c (Eq. (3.5.52)), which compares
-    regularizers fairly. x = [Φ, extra]; the extra parameters are regularized where they have an
-    `extra_prior`, as elements of P(1) (Remark 3.13, Eq. (3.6.60)): d² then counts
+    regularizers fairly. x = [Φ, extra]. Extra parameters with an `extra_prior` are regularized as
+    elements of P(1) (Remark 3.13, Eq. (3.6.60)): d² also includes
 
         Σ_k w_k (x_k − x_k⁰)²                           euclidean
         Σ_k w_k ½ (x_k/x_k⁰ − 1)²                       pullback
         Σ_k w_k (x_k/x_k⁰ − log(x_k/x_k⁰) − 1)          entropic
         Σ_k w_k ½ log²(x_k/x_k⁰)                        riemannian
 
-    too, of which all but the first are the same in all units and agree to second order.
+    All but the first are independent of units, and agree to second order.
 
     Args:
         A: (m, 10·nb + extra) regressor; the bodies' columns come first, in their order.
         b: (m,) measurements.
         prior: (nb, 10) physical inertial parameters Φ⁰.
         regularizer: "euclidean", "pullback", "entropic" or "riemannian"; or a `Regularizer` with
-            settings of its own, such as `PointMassKL(points)`.
-        gamma: Weight γ > 0; exactly one of gamma and residual_bound.
-        residual_bound: Greatest squared residual c.
-        sigma: (m,) or scalar standard deviations of b, in its units; None for 1.
+            settings, such as `PointMassKL(points)`.
+        gamma: Weight γ > 0; pass exactly one of gamma and residual_bound.
+        residual_bound: Largest squared residual c.
+        sigma: (m,) or scalar standard deviations of b, in its units; by default 1.
         ellipsoids: (nb, 4, 4) matrices Q with [x;1]ᵀ Q [x;1] ≥ 0 inside the body's hull; adds
             tr(P(φ_i) Q_i) ≥ 0 (Eq. (3.5.46)).
         total_mass: Sum of all masses, kg.
-        extra_bounds: (extra, 2) least and greatest extra parameters; ±inf for none.
+        extra_bounds: (extra, 2) bounds of extra parameters; ±inf for none.
         extra_prior: (extra,) prior values x⁰ > 0 of extra parameters such as rotor inertias and
-            friction, which are then kept positive; NaN for those that have none. Or (extra, 2) with
-            their weights w beside that of the bodies, 1 if not given (Eq. (5.3.38)). Not with point
-            masses.
-        constraints: Bounds on masses and centres of mass; ellipsoids and total mass may be there
-            too instead.
-        solver: By default a closed form or Newton's method, and Clarabel where that gives up
-            (`note` of the result) and for point masses. Or one alone: "newton", but for point
-            masses, or a name of `SOLVERS`; SCS is there to cross-check Clarabel.
-        certify: Whether, without a `solver`, the MathematicalProgram of the fit is solved too, and
-            its better solution taken if there is one (`certificate` of the result); some 0.1 s,
-            which series of fits can save.
+            friction, which are then kept positive; NaN for none. Or (extra, 2) with their weights
+            w relative to that of the bodies, by default 1 (Eq. (5.3.38)). Not with point masses.
+        constraints: Bounds on masses and centres of mass; may also have the ellipsoids and total
+            mass.
+        solver: By default a closed form or Newton's method, or Clarabel if these fail (`note` of
+            the result) and for point masses. Otherwise "newton", except for point masses, or a name
+            of `SOLVERS`; SCS serves as a cross-check.
+        certify: Whether to also solve the MathematicalProgram of the fit, and use its solution if
+            it is better (`certificate` of the result). Only without a `solver`; takes about 0.1 s.
 
     Raises:
-        ArgumentError: A shape, value or name is wrong, or no physical bodies inside all
-            constraints reach the residual bound; `minimum` of its evidence is what they reach.
+        ArgumentError: An argument is invalid, or no physical bodies inside all constraints reach
+            the residual bound; the evidence has the `minimum` that they reach.
         IdentificationError: The solver found no solution, for instance because no physical
             bodies have the total mass inside their ellipsoids.
-        ConvergenceError: A conic solver has found none in 20 s.
+        ConvergenceError: A conic solver did not finish in 20 s.
     """
     kind = regularizer_of(regularizer)
     if (gamma is None) == (residual_bound is None):
@@ -129,7 +127,7 @@ def identify(  # noqa: PLR0913 - the stable interface
     columns = list(problem.scalar_priors)
     values, weights = np.reshape(list(problem.scalar_priors.values()), (-1, 2)).T
     if columns:
-        kind.scalar_divergence(values, values)  # refuses, if there is none
+        kind.scalar_divergence(values, values)  # raises if there is none
     try:
         weight = 1.0 if gamma is None else float(gamma)
         certify = instance(certify, "certify", bool) and solver is None
@@ -141,7 +139,7 @@ def identify(  # noqa: PLR0913 - the stable interface
         raise _rounded("the parameters are not physical")
     try:
         divergence = kind.divergence_of(fit, prior)
-    except ArgumentError as error:  # of a body that is so flat that its logarithm has no digits
+    except ArgumentError as error:  # a body is too flat for its logarithm
         raise _rounded("the parameters are not physical") from error
     if columns:
         divergence += float(weights @ kind.scalar_divergence(fit.x[columns], values))
@@ -164,19 +162,20 @@ def _rounded(what: str) -> IdentificationError:
 
 
 def regularizer_of(regularizer: str | Regularizer) -> Regularizer:
-    """Return the regularizer of a name, with default settings; regularizers are unchanged."""
+    """Return the regularizer of a name with default settings, or the regularizer itself."""
     if isinstance(regularizer, Regularizer):
         return regularizer
     return REGULARIZERS[one_of(regularizer, "regularizer", REGULARIZERS)]()
 
 
 def physical_prior(prior: ArrayLike, names: Sequence[str] = ()) -> Array:
-    """Return a prior (nb, 10) of bodies that can exist, of a model's if they have names.
+    """Return a prior (nb, 10) after checking that all bodies, of a model if named, are physical.
 
     Raises:
-        ArgumentError: There are none, or some cannot exist; its evidence then has `bodies` and, as
-            `nearest`, a prior (nb, 10) with the smallest possible bodies in the place of impossible
-            ones. They keep mass and centre of mass; those without a mass get a thousandth of all.
+        ArgumentError: There are no bodies, or some are not physical. The evidence then has the
+            `bodies`, and a `nearest` prior (nb, 10) in which these have the smallest physical
+            inertia. They keep mass and centre of mass; without a mass they get a thousandth of the
+            total.
     """
     prior = real_array(prior, "prior", ("m", PARAMETERS_PER_BODY))
     if not len(prior):
@@ -210,7 +209,7 @@ def physical_prior(prior: ArrayLike, names: Sequence[str] = ()) -> Array:
 
 
 def _merged(constraints: BodyConstraints | None, **given: Any) -> BodyConstraints:
-    """Return the constraints together with those given one by one."""
+    """Return the constraints with those given as arguments."""
     constraints = BodyConstraints() if constraints is None else constraints
     given = {name: value for name, value in given.items() if value is not None}
     for name in given:
@@ -227,7 +226,7 @@ def build_problem(
     extra_bounds: ArrayLike | None = None,
     extra_prior: ArrayLike | None = None,
 ) -> FitProblem:
-    """Return the fit of bodies and extra parameters to data, without a regularizer.
+    """Return the fit problem of bodies and extra parameters, without a regularizer.
 
     The arguments are those of `identify`, with a `whitened_factor` (k, 10·nb + extra + 1).
     """
@@ -259,7 +258,7 @@ def build_problem(
 
 
 def _extra_priors(extra_prior: ArrayLike | None, bounds: Array) -> dict[int, tuple[float, float]]:
-    """Return the number of an extra parameter -> its prior value and weight."""
+    """Return the prior values and weights by index of the extra parameter."""
     if extra_prior is None:
         return {}
     count = len(bounds)
@@ -270,9 +269,9 @@ def _extra_priors(extra_prior: ArrayLike | None, bounds: Array) -> dict[int, tup
         )
     values, weights = given.T if given.ndim == 2 else (given, np.ones(count))
     known = ~np.isnan(values)
-    usable = np.isfinite(values) & (values > 0) & np.isfinite(weights) & (weights > 0)
+    valid = np.isfinite(values) & (values > 0) & np.isfinite(weights) & (weights > 0)
     inside = (values >= bounds[:, 0]) & (values <= bounds[:, 1]) & (bounds[:, 1] > 0)
-    if wrong := np.flatnonzero(known & ~(usable & inside)).tolist():
+    if wrong := np.flatnonzero(known & ~(valid & inside)).tolist():
         raise ArgumentError(
             "extra_prior has values or weights that are not positive, or values outside "
             f"extra_bounds, at {wrong}.",

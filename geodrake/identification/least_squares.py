@@ -25,10 +25,10 @@ _NAMED, _MOST_PARTS = 4, 3
 class LeastSquaresResult:
     """A solution of ‖A x − b‖²_{Σ⁻¹} → min."""
 
-    x: Array  # (p,) parameters; not all of them may be physical
-    residual: float  # their squared residual, the least there is
-    rank: int  # number of parameters or combinations that the data identify
-    directions: Array  # (p − rank, p) directions that leave A x as it is
+    x: Array  # (p,) parameters, not necessarily physical
+    residual: float  # squared residual
+    rank: int  # number of identified parameters or combinations
+    directions: Array  # (p − rank, p) unidentified directions, which do not change A x
 
 
 def least_squares(
@@ -41,13 +41,13 @@ def least_squares(
 ) -> LeastSquaresResult:
     """Solve the unconstrained least squares A x ≈ b ([Lee2019] Eq. (3.2.15)).
 
-    A is (m, p), b (m,), and sigma the standard deviations of b, (m,) or scalar, in its units. Of
-    as many `bodies`, the 10 parameters each come first, to name directions by. With `minimum_norm`,
-    x is that of least norm where the data do not identify it; the norm depends on units and frames.
+    A is (m, p), b (m,), and sigma the standard deviations of b, (m,) or scalar, in its units. The
+    first parameters are those of `bodies`, 10 each, which names directions. With `minimum_norm`,
+    return the x of least norm if the data do not identify it; it depends on units and frames.
 
     Raises:
-        IdentificationError: The data do not identify x; `directions` of its evidence holds what
-            they leave open, a row each.
+        IdentificationError: The data do not identify x; the evidence has the unidentified
+            `directions` as rows.
     """
     integer(bodies, "bodies", lower=0)
     factor = whitened_factor(A, b, sigma=sigma)
@@ -59,7 +59,7 @@ def least_squares(
     scale = np.where(norms > 0, norms, 1.0)
     x = np.linalg.lstsq(R / scale, r, rcond=_RANK)[0] / scale
     if len(directions):
-        # Of all solutions the one without a part in the open directions.
+        # The solution orthogonal to the unidentified directions.
         basis = np.linalg.qr(directions.T)[0]
         x = x - basis @ (basis.T @ x)
     errors = R @ x - r
@@ -80,12 +80,11 @@ def physical_least_squares(
     constraints: BodyConstraints | None = None,
     solver: str = "clarabel",
 ) -> FitResult:
-    """Solve least squares over physical bodies, with P(φ) ≻ 0, without a prior.
+    """Solve least squares over physical bodies, P(φ) ≻ 0, without a regularizer.
 
-    [Lee2019] §3.2.2: the solution often lies at the boundary of physical bodies (`active_blocks`).
-
-    The prior (nb, 10) are bodies of about the right size, that the program is scaled by; the
-    solver is one of Drake's conic ones, and the other arguments are those of `identify`.
+    The solution often lies at the boundary of physical bodies (`active_blocks`; [Lee2019] §3.2.2).
+    The prior (nb, 10) only sets the scale of the program. `solver` is one of Drake's conic solvers;
+    the other arguments are those of `identify`.
 
     Raises:
         IdentificationError: The data do not identify all parameters, or the solver failed.
@@ -100,9 +99,9 @@ def physical_least_squares(
 
 
 def open_directions(factor: Array) -> Array:
-    """Return sparse directions (k, p) that do not change ‖R x − r‖.
+    """Return sparse directions (k, p), with largest value 1, that do not change ‖R x − r‖.
 
-    They have the greatest value 1; there are none if the data (n, p + 1) identify all parameters.
+    There are none if the data (n, p + 1) identify all parameters.
     """
     R = factor[:, :-1]
     p = R.shape[1]

@@ -1,15 +1,15 @@
-"""Newton's method for convex fits, some ten primal–dual steps on the triangular factor.
+"""Newton's method for convex fits: about ten primal–dual steps on the triangular factor.
 
-With dual matrices Z_i and multipliers λ, the minimum of a `NewtonProgram` is where
+With dual matrices Z_i and multipliers λ, the minimum of a `NewtonProgram` satisfies
 
     F'(F z − f) + γ svec(I) − svec(Z) + Gᵀ(γ − λ) − Eᵀ ν = 0,
     S_i Z_i = γ_i I,   s_k λ_k = γ_k,   s = G z − h
 
-with γ_k = 0 for a mere inequality and the weight of its prior for a positive scalar s_k. So the
-entropic divergence is the point γ on the central path of S ⪰ 0, and a method that follows
-the path stops there: it needs as few steps for a tiny γ, which leaves S nearly singular, as for a
-large one. Steps are those of Nesterov and Todd with Mehrotra's predictor and corrector; S, Z, s
-and λ stay strictly positive.
+with γ_k = 0 for an inequality, and the weight of the prior for a positive scalar s_k. The minimum
+with an entropic divergence is thus the point γ on the central path of S ⪰ 0, where the
+path-following method stops. It needs as few steps for a tiny γ, with a nearly singular S, as for a
+large one. Steps are Nesterov–Todd with Mehrotra's predictor and corrector; S, Z, s and λ stay
+strictly positive.
 """
 
 from __future__ import annotations
@@ -45,52 +45,50 @@ from geodrake.robot.reduction import triangular_factor
 
 _STEPS, _PATIENCE, _HALVINGS = 100, 3, 8
 _ROOM, _LEAST_ROOM = 0.02, 1e-5
-"""Share of the way to the boundary that a step leaves, far from and close to the solution."""
+"""Relative distance to the boundary after a step, far from and close to the solution."""
 _PUSH, _SLACK = 10.0, 0.1
-"""Multipliers at the start, relative to the cost's slope, and least slack there."""
+"""Initial multipliers, relative to the cost's slope, and least initial slack."""
 _SHORT, _BACK = 0.4, 0.7
-"""Length below which a step is bad, and the share of the excess that is kept to go back."""
+"""Length below which a step is poor, and the share of the excess kept by a recentring step."""
 _FEASIBLE = 1e-9
 _EXACT, _QUADRATIC = 1e-11, 1e-4
-"""Gaps, relative to the smallest γ: one more step is exact; Newton's method is quadratic."""
+"""Gaps, relative to the smallest γ, of an exact next step and of quadratic convergence."""
 _ROUNDING, _GOOD = 1e-16, 1e-9
-"""Gaps, relative to the cost: only rounding is left; it will do where rounding ends the way."""
+"""Gaps, relative to the cost, of rounding errors and of an acceptable end."""
 _FLOOR = 1e-15
 """Products S Z, relative to the misfit, below which rounding makes Z or S indefinite."""
 _SAME_RESIDUAL, _NEARLY = 1e-10, 1e-7
-"""Relative differences from the residual bound: that aimed at, and that rounding may leave."""
+"""Targeted and acceptable relative differences from the residual bound."""
 _RIGID, _IDLE = 1e-12, 1e10
-"""Weights, relative to the cost of the prior, at which prior and data no longer matter."""
+"""Weights, relative to the cost of the prior, at which the prior or the data no longer matter."""
 _LEAP, _MOST_TRIALS, _NARROW = 6.0, 60, 1e-12
-"""Longest step of the weight's logarithm, iterations of Brent's method, and its tolerance."""
+"""Longest step of log weight, iterations of Brent's method, and its tolerance."""
 _PANEL = 16
 _UNIT = np.eye(4)
 _BARRIER, _LEAST = 1e-10, 1e-11
-"""Weight of a barrier, of the curvature of its block's quadratic prior, and of the misfit there."""
+"""Weight of a barrier, relative to the curvature of the block's quadratic prior and the misfit."""
 _UNDETERMINED, _FIXING = 1e-11, 1e-5
 _INSIDE = (0.0, 1e-13, 1e-11, 1e-9)
-"""Shares of the way to the prior, where every P(φ⁰)⁻¹ P(φ) is the identity, to be tried in turn."""
+"""Fractions of the way to the prior, to be tried in turn against rounding."""
 
 
 def solve_newton(problem: FitProblem) -> FitResult:
-    """Fit parameters whose every inertia block has an entropic or a quadratic prior.
+    """Solve a fit in which every inertia block has an entropic or a quadratic prior.
 
-    An entropic divergence keeps P(φ) ≻ 0 by itself, so `margin` plays no part there. A block with a
-    quadratic prior gets a logarithmic barrier of 1e-10 of its prior's curvature, or more where
-    rounding needs it. In the point-to-set form the weight of the prior is the root of
-    residual(γ) = residual_bound.
+    An entropic divergence keeps P(φ) ≻ 0 without the `margin`. A block with a quadratic prior gets
+    a logarithmic barrier of 1e-10 of its prior's curvature, or more against rounding. In the
+    point-to-set form the weight of the prior is the root of residual(γ) = residual_bound.
 
-    The cost is exact to 1e-7 of itself or to 1e-12 γ, if that is more: bodies to about 1e-6 in
+    The cost is exact to 1e-7 of itself or to 1e-12 γ, if that is larger: bodies to about 1e-6 in
     geometric distance.
 
-    The ArgumentError of a residual bound below what physical bodies inside all constraints reach
-    has that `minimum` in its evidence.
+    The ArgumentError of an unreachable residual bound has the `minimum` in its evidence.
     """
     begin = time.perf_counter()
     check_residual_bound(instance(problem, "problem", FitProblem))
     program = NewtonProgram.of(problem)
-    found, weight = bounded(program, lambda trial, _: minimize(trial))
-    return fit_result(problem, program.parameters(found.z), weight, "newton", begin)
+    solution, weight = bounded(program, lambda trial, _: minimize(trial))
+    return fit_result(problem, program.parameters(solution.z), weight, "newton", begin)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,26 +96,25 @@ class NewtonProgram:
     """A fit in the coordinates z of `Coordinates`, split into data and prior.
 
     Minimizes ‖M z − d‖² + w (‖C z‖² + Σ_i γ_i (tr S_i − log|S_i|) + Σ_k γ_k (s_k − log s_k)) with
-    S_i = B_i + smat(z_i) ≻ 0, s = G z − h ≥ 0 and E z = e ([Lee2019] Eqs. (3.5.45), (3.5.46)). The
-    γ_k of an inequality is 0, but for positive scalars over their priors. A block whose prior is
-    quadratic has a γ_i next to nothing, as the barrier that keeps it physical.
+    S_i = B_i + smat(z_i) ≻ 0, s = G z − h ≥ 0 and E z = e ([Lee2019] Eqs. (3.5.45), (3.5.46)). Only
+    the ratios of positive scalars to their priors have γ_k > 0. A block with a quadratic prior has
+    a tiny γ_i, as a barrier that keeps it physical.
     """
 
     coordinates: Coordinates
-    data: Array  # (p, p + 1) triangle [M | d]; what d has beyond it is `floor`
+    data: Array  # (p, p + 1) triangle [M | d] of the data, without the residual `floor`
     prior: Array  # (k, p) root C of the quadratic prior
-    fixing: Array  # (j, p) weak rows that fix directions which neither data nor prior determine
+    fixing: Array  # (j, p) weak rows that fix directions without data or prior
     blocks: NDArray[np.intp]  # (n, 10) indices of the inertia blocks in z
     begin: Array  # (n, 4, 4) matrices B
     gammas: Array  # (n,) weights γ_i
-    barrier: NDArray[np.bool_]  # (n,) which of them are of barriers
-    strength: float  # size of the prior, to which weights w are relative
-    scalars: Scalars  # positive scalars over their priors, with their weights γ_k
-    # G (m, p) and h (m,), with rows of unit length but those of the positive scalars, which come
-    # first.
+    barrier: NDArray[np.bool_]  # (n,) whether a weight is that of a barrier
+    strength: float  # size of the prior, the unit of weights w
+    scalars: Scalars  # ratios of positive scalars to their priors, with their weights γ_k
+    # G (m, p) and h (m,): rows of the positive scalars first, then others of unit length.
     inequalities: Rows
     equalities: Rows  # E (l, p) and e (l,), with independent rows of unit length
-    floor: float  # least squared residual of any parameters, also unphysical ones
+    floor: float  # least squared residual of any parameters, physical or not
     weight: float = 1.0  # weight w of the prior
 
     @classmethod
@@ -177,15 +174,15 @@ class NewtonProgram:
         return float(np.square(self.data @ np.append(z, -1.0)).sum())
 
     def matrices(self, z: Array) -> Array:
-        """Return S_i of every block, (n, 4, 4), at z (p,)."""
+        """Return S_i (n, 4, 4) of every block at z (p,)."""
         return self.begin + smat(z[self.blocks])
 
     def parameters(self, z: Array) -> Array:
         """Return parameters (p,) at z (p,), physical and within bounds despite rounding."""
         problem = self.coordinates.problem
-        for share in _INSIDE:  # rounding alone can leave a tiny γ's bodies at the boundary
-            near = (1.0 - share) * z + share * self.middle
-            x = np.clip(self.coordinates.parameters(near), problem.lower, problem.upper)
+        for share in _INSIDE:  # with a tiny γ, rounding can put bodies onto the boundary
+            inner = (1.0 - share) * z + share * self.middle
+            x = np.clip(self.coordinates.parameters(inner), problem.lower, problem.upper)
             physical = is_physical(x[self.blocks]) & (self.coordinates.smallest_eigenvalues(x) > 0)
             if np.all(physical):
                 return x
@@ -198,7 +195,7 @@ class NewtonProgram:
 
     @cached_property
     def rows(self) -> Rows:
-        """Upper triangular F (p, p), in Fortran's order, and f (p,) of the cost ½ ‖F z − f‖²."""
+        """Upper triangular F (p, p) in Fortran order, and f (p,), of the cost ½ ‖F z − f‖²."""
         p, triangle = len(self.middle), self.data
         extra = np.vstack([np.sqrt(self.weight) * self.prior, self.fixing])
         if len(extra):
@@ -209,7 +206,7 @@ class NewtonProgram:
 
     @cached_property
     def gamma(self) -> Array:
-        """(n,) weights w γ_i; a barrier has a least one, so that rounding does not drown it."""
+        """(n,) weights w γ_i; those of barriers are bounded below against rounding."""
         least = np.where(self.barrier, _LEAST * self.excess(self.middle), 0.0)
         return np.maximum(self.weight * self.gammas, least)
 
@@ -221,11 +218,11 @@ class NewtonProgram:
 
     @property
     def weights(self) -> Array:
-        """All weights of entropic priors and barriers."""
+        """Weights of all entropic priors and barriers."""
         return np.append(self.gamma, self.targets[self.targets > 0])
 
     def cost(self, z: Array) -> float:
-        """Return the cost at z (p,), counted from a perfect fit at the prior."""
+        """Return the cost at z (p,), zero for a perfect fit at the prior."""
         S, (F, f), ratios = self.matrices(z), self.rows, self.scalars.ratios(z)
         divergences = np.trace(S, axis1=1, axis2=2) - np.linalg.slogdet(S)[1] - 4.0
         scalars = self.weight * self.scalars.weights @ (ratios - np.log(ratios) - 1.0)
@@ -233,7 +230,7 @@ class NewtonProgram:
 
 
 def _undetermined(rows: Array, scalars: NDArray[np.intp]) -> Array:
-    """Return weak rows for the directions of scalars (indices) that no row determines."""
+    """Return weak rows for directions of the scalars that no row determines."""
     if not len(scalars):
         return np.zeros((0, rows.shape[1]))
     _, sizes, directions = np.linalg.svd(triangular_factor([rows[:, scalars]]))
@@ -242,7 +239,7 @@ def _undetermined(rows: Array, scalars: NDArray[np.intp]) -> Array:
 
 
 class Iterate(NamedTuple):
-    """A point between start and solution, or a step from it."""
+    """A point of the iteration, or a step."""
 
     z: Array  # (p,) coordinates
     Z: Array  # (n, 4, 4) dual matrices of the blocks
@@ -251,12 +248,12 @@ class Iterate(NamedTuple):
     forces: Array  # (l,) multipliers ν of the equalities
 
     def moved(self, step: Iterate, length: float) -> Iterate:
-        """Return this point, a length of a step further."""
-        return Iterate(*(at + length * by for at, by in zip(self, step, strict=True)))
+        """Return this point moved by a step times a length."""
+        return Iterate(*(value + length * by for value, by in zip(self, step, strict=True)))
 
 
 class Solution(Protocol):
-    """A solution that has coordinates."""
+    """A solution with coordinates."""
 
     @property
     def z(self) -> Array:
@@ -264,18 +261,21 @@ class Solution(Protocol):
 
 
 Program = TypeVar("Program", bound=NewtonProgram)
-Found = TypeVar("Found", bound=Solution)
+Minimum = TypeVar("Minimum", bound=Solution)
 
 
 def bounded(
-    program: Program, solve: Callable[[Program, Found | None], Found], guess: float | None = None
-) -> tuple[Found, float]:
-    """Return the minimum by `solve`, and in the point-to-set form its weight of the prior.
+    program: Program,
+    solve: Callable[[Program, Minimum | None], Minimum],
+    guess: float | None = None,
+) -> tuple[Minimum, float]:
+    """Return the minimum of a program and the weight of its prior, by `solve`.
 
-    That is the one, near the guess, for which the residual is the bound; inf where data are idle.
-    `solve` maps a program and the last minimum, None at first, to its minimum.
+    In the point-to-set form the weight is that for which the residual equals the bound, close to
+    `guess`; inf if the data are inactive. `solve` maps a program and the last minimum, at first
+    None, to its minimum.
 
-    Brent's method on the logarithms: the residual grows with the weight of the prior ([Lee2019]
+    Brent's method on logarithms, as the residual grows with the weight of the prior ([Lee2019]
     Propositions A.4 and A.5).
     """
     bound = program.coordinates.problem.residual_bound
@@ -284,36 +284,36 @@ def bounded(
     wanted = max(bound - program.floor, np.finfo(float).tiny)
     scale = (program.excess(program.middle) + wanted) / program.strength
     low, high = np.log([_RIGID * scale, _IDLE * scale])
-    trials: list[tuple[float, Found, float, float]] = []
+    trials: list[tuple[float, Minimum, float, float]] = []
 
     @cache
     def error(log_weight: float) -> float:
         weight = float(np.exp(log_weight))
-        found = solve(program.weighted(weight), trials[-1][1] if trials else None)
-        excess = program.excess(found.z)
-        trials.append((abs(excess - wanted), found, weight, excess))
+        minimum = solve(program.weighted(weight), trials[-1][1] if trials else None)
+        excess = program.excess(minimum.z)
+        trials.append((abs(excess - wanted), minimum, weight, excess))
         if trials[-1][0] <= _SAME_RESIDUAL * bound:
             return 0.0
         return float(np.log(max(excess, np.finfo(float).tiny) / wanted))
 
     guess = wanted / program.strength if guess is None else guess
     u, step = float(np.clip(np.log(guess), low, high)), 0.0
-    while here := error(u):
-        step = min(max(2.0 * abs(here), 2.0 * step), _LEAP)
-        following = float(np.clip(u - np.copysign(step, here), low, high))
-        if following == u:
+    while error_here := error(u):
+        step = min(max(2.0 * abs(error_here), 2.0 * step), _LEAP)
+        next_u = float(np.clip(u - np.copysign(step, error_here), low, high))
+        if next_u == u:
             break
-        if error(following) * here <= 0.0:
-            ends = min(u, following), max(u, following)
+        if error(next_u) * error_here <= 0.0:
+            ends = min(u, next_u), max(u, next_u)
             brentq(error, *ends, xtol=_NARROW, maxiter=_MOST_TRIALS, disp=False)
             break
-        u = following
-    _, found, weight, excess = min(trials, key=lambda trial: trial[0])
-    if u == high and here < 0.0:
-        return found, np.inf
+        u = next_u
+    _, minimum, weight, excess = min(trials, key=lambda trial: trial[0])
+    if u == high and error_here < 0.0:
+        return minimum, np.inf
     if abs(excess - wanted) <= _NEARLY * bound:
-        return found, weight
-    if u == low and here > 0.0:
+        return minimum, weight
+    if u == low and error_here > 0.0:
         raise out_of_reach(bound, program.floor + excess)
     raise IdentificationError(
         f"No weight of the prior has the residual {bound:.10g}; the closest was "
@@ -326,25 +326,25 @@ def bounded(
 
 
 def minimize(program: NewtonProgram) -> Iterate:
-    """Return the minimum of a program, by damped Newton steps that stay strictly inside."""
+    """Return the minimum of a program, by damped Newton steps in the interior."""
     best: tuple[float, _Linearization] | None = None
     gamma, stalled = program.weights.min(initial=np.inf), 0
     last = _cold_start(program)
-    here = _linearized(program, last)
+    current = _linearized(program, last)
     for _ in range(_STEPS):
-        if here is None:
+        if current is None:
             break
-        last, gap, cost = here.at, here.gap(), program.cost(here.at.z)
-        feasible, stalled = here.is_feasible, stalled + 1
+        last, gap, cost = current.at, current.gap(), program.cost(current.at.z)
+        feasible, stalled = current.is_feasible, stalled + 1
         if feasible and (best is None or gap < best[0]):
             stalled = 0 if best is None or gap < 0.5 * best[0] else stalled
-            best = gap, here
+            best = gap, current
         least = max(_EXACT * gamma, min(_QUADRATIC * gamma, _ROUNDING * cost))
         if feasible and gap <= (least if np.isfinite(gamma) else _ROUNDING * cost):
             break
         if best is not None and stalled > _PATIENCE and best[0] <= _GOOD * cost:
             break
-        here = _next(here)
+        current = _next(current)
     size = 0.0 if best is None else max(program.cost(best[1].at.z), float(program.weights.sum()))
     if best is None or best[0] > _GOOD * size:
         (G, h), (E, e) = program.inequalities, program.equalities
@@ -352,29 +352,29 @@ def minimize(program: NewtonProgram) -> Iterate:
         contradict = missed > 1e-7 * (1.0 + np.abs(last.z).max(initial=0.0))
         why = CONTRADICTION if contradict else OTHER_CAUSE
         raise no_parameters("newton", why, violation=float(missed))
-    gap, here = best
-    point = here.at
+    gap, current = best
+    point = current.at
     if gap <= _QUADRATIC * gamma:
-        # One more step on the factor at hand nearly squares the error that is left.
-        step = here.direction(0.0)
-        point = point.moved(step.step, min(1.0, (1.0 - _LEAST_ROOM) * here.reach(step)))
+        # Another step with the last factor nearly squares the error.
+        step = current.direction(0.0)
+        point = point.moved(step.step, min(1.0, (1.0 - _LEAST_ROOM) * current.reach(step)))
     return point
 
 
 def _cold_start(program: NewtonProgram) -> Iterate:
-    """Return the prior, with multipliers larger than all slopes of the cost there."""
+    """Return the prior, with multipliers larger than all slopes of the cost."""
     z, (F, f), (G, h) = program.middle, program.rows, program.inequalities
     slack, errors = G @ z - h, F @ z - f
-    slope = F.T @ errors + G.T @ program.targets  # of all but logarithms and traces of blocks
+    slope = F.T @ errors + G.T @ program.targets  # without logarithms and traces of blocks
     push = _PUSH * float(np.abs(slope).max(initial=0.0))
     if np.any(slack < 0):
         push = max(push, float(program.gamma.max(initial=0.0)))
     push = push or 1.0
-    # Columns of scalars have unit length, so a scalar moves about as far as the error is large.
+    # Columns of scalars have unit length, so that scalars move about as much as the error.
     scalars = np.ones(len(z))
     scalars[program.blocks] = 0.0
-    far = np.linalg.norm(errors) * np.linalg.norm(G * scalars, axis=1)
-    slack = np.maximum(slack, _SLACK * (1.0 + far))
+    shift = np.linalg.norm(errors) * np.linalg.norm(G * scalars, axis=1)
+    slack = np.maximum(slack, _SLACK * (1.0 + shift))
     Z = (program.gamma + push)[:, None, None] * _UNIT
     multipliers = (push + program.targets) / slack
     return Iterate(z, Z, slack, multipliers, np.zeros(len(program.equalities[1])))
@@ -391,10 +391,9 @@ class _Direction(NamedTuple):
 class _Linearization:
     """The optimality conditions of a program linearized at a point, factored once.
 
-    With Newton's matrix FᵀF + KᵀK + Gᵀ(λ/s)G a step is the solution of a least squares problem
-    with the rows F, K and √(λ/s) G, where K_i takes z_i to the change of the scaled S_i. It is
-    solved as such, by QR: its right side in products like Fᵀ f would lose a tiny γ next to strong
-    data.
+    A step with Newton's matrix FᵀF + KᵀK + Gᵀ(λ/s)G solves a least-squares problem with the rows F,
+    K and √(λ/s) G, where K_i maps z_i to the change of the scaled S_i. It is solved by QR, as
+    normal equations would lose a tiny γ next to strong data.
     """
 
     def __init__(self, program: NewtonProgram, at: Iterate) -> None:
@@ -409,7 +408,7 @@ class _Linearization:
         self._products = self._d**2  # eigenvalues of S Z
         T = root_S @ np.swapaxes(V, 1, 2) / np.sqrt(self._d)[:, None, :]
         self._D = self._d[:, :, None] * _UNIT
-        self._prior_pull = program.gamma[:, None, None] * (np.swapaxes(T, 1, 2) @ T)
+        self._prior_gradient = program.gamma[:, None, None] * (np.swapaxes(T, 1, 2) @ T)
         self._scaling = np.linalg.inv(T)
         self._errors = f - F @ at.z
         floor = _FLOOR * float(self._errors @ self._errors)
@@ -419,8 +418,8 @@ class _Linearization:
         scaling = self._scaling[:, None]
         K = np.zeros((*program.blocks.shape, len(f)))
         images = svec(scaling @ SYMMETRIC_BASIS @ np.swapaxes(scaling, 2, 3))
-        for into, block, image in zip(K, program.blocks, images, strict=True):
-            into[:, block] = image.T
+        for rows, block, image in zip(K, program.blocks, images, strict=True):
+            rows[:, block] = image.T
         below = [K.reshape(-1, len(f)), np.sqrt(self._stiffness)[:, None] * G]
         self._R, self._reflectors = F, list[Array]()
         if len(rows := np.asfortranarray(np.vstack(below))):
@@ -430,38 +429,38 @@ class _Linearization:
 
     @property
     def is_feasible(self) -> bool:
-        """Whether inequalities and equalities hold, up to their slacks."""
+        """Whether equalities hold, and inequalities up to their slacks."""
         errors = np.abs(np.append(self._slack_error, self._equality_error))
         scale = 1.0 + np.abs(self.at.z).max(initial=0.0)
         return bool(errors.max(initial=0.0) <= _FEASIBLE * scale)
 
     def _reduced(self, matrices: Array, forces: Array) -> Array:
-        """Return the right side (p,) of R x = … for those of K as (n, 4, 4), and of λ."""
+        """Return the reduced right-hand side (p,) for those of K (n, 4, 4) and λ (m,)."""
         if not self._reflectors:
             return self._errors.copy()
-        pulls = svec(matrices - self._prior_pull).ravel()
+        gradients = svec(matrices - self._prior_gradient).ravel()
         rows = (forces - self.program.targets) / np.sqrt(self._stiffness)
-        sides = self._errors[:, None], np.concatenate([pulls, rows])[:, None]
+        sides = self._errors[:, None], np.concatenate([gradients, rows])[:, None]
         return np.asarray(dtpmqrt(0, *self._reflectors, *sides, side="L", trans="T")[0][:, 0])
 
     def gap(self) -> float:
-        """Return the distance of the cost from its minimum, to first order; inf if it overflows."""
-        at, weighty = self.at, self._targets > 0
+        """Return the first-order gap of the cost to its minimum; inf if it overflows."""
+        at, weighted = self.at, self._targets > 0
         try:
             with np.errstate(over="raise", divide="raise", invalid="raise"):
                 error = self._reduced(self._D, at.multipliers) + self._spread @ at.forces
                 products = at.slack * at.multipliers
-                aims = np.append(np.repeat(self._aim, 4), self._targets[weighty])
-                ratio = np.append(self._products.ravel(), products[weighty]) / aims
+                aims = np.append(np.repeat(self._aim, 4), self._targets[weighted])
+                ratio = np.append(self._products.ravel(), products[weighted]) / aims
                 logs = aims @ (ratio - 1.0 - np.log(ratio))
-                return float(logs + products[~weighty].sum() + 0.5 * error @ error)
+                return float(logs + products[~weighted].sum() + 0.5 * error @ error)
         except FloatingPointError:
             return np.inf
 
     def direction(self, centre: float, predicted: _Direction | None = None) -> _Direction:
         """Return the step to S Z = (γ + centre) I and s λ = centre.
 
-        The second-order terms of a first step, if one was predicted, are taken along.
+        It includes the second-order terms of a `predicted` step.
         """
         at, d, G = self.at, self._d, self.program.inequalities[0]
         wanted = (self._aim[:, None] + centre - self._products)[:, :, None] * _UNIT
@@ -493,12 +492,12 @@ class _Linearization:
         return _Direction(step, primal, dual)
 
     def reach(self, direction: _Direction) -> float:
-        """Return the length at which S, Z, s or λ reach the boundary; inf if they never do."""
+        """Return the step length at which S, Z, s or λ reach the boundary, or inf."""
         root = 1.0 / np.sqrt(self._d)
         scale = root[:, :, None] * root[:, None, :]
-        both = np.concatenate([direction.primal * scale, direction.dual * scale])
+        changes = np.concatenate([direction.primal * scale, direction.dual * scale])
         shares = [
-            np.linalg.eigvalsh(both)[:, 0],
+            np.linalg.eigvalsh(changes)[:, 0],
             direction.step.slack / self.at.slack,
             direction.step.multipliers / self.at.multipliers,
         ]
@@ -506,27 +505,28 @@ class _Linearization:
         return float(1.0 / fall) if fall > 0 else np.inf
 
     def excess(self, direction: _Direction, length: float) -> float:
-        """Return the mean of S Z and s λ minus γ, after a length of a step."""
+        """Return the mean of S Z − γ and s λ − γ after a step of some length."""
         S, Z = self._D + length * direction.primal, self._D + length * direction.dual
         s = self.at.slack + length * direction.step.slack
         y = self.at.multipliers + length * direction.step.multipliers
         beyond = np.maximum((S * Z).sum((1, 2)) - 4.0 * self._aim, 0.0).sum()
-        mere = self._targets == 0
-        beyond += np.maximum(s * y - self._targets, 0.0)[~mere].sum() + max(s[mere] @ y[mere], 0.0)
+        plain = self._targets == 0
+        beyond += np.maximum(s * y - self._targets, 0.0)[~plain].sum()
+        beyond += max(s[plain] @ y[plain], 0.0)
         return float(beyond) / max(self._d.size + len(s), 1)
 
 
 def _linearized(program: NewtonProgram, point: Iterate) -> _Linearization | None:
-    """Return the conditions at a point; None if rounding put it at the boundary."""
+    """Return the linearization at a point; None if rounding put it onto the boundary."""
     with contextlib.suppress(np.linalg.LinAlgError):
         return _Linearization(program, point)
     return None
 
 
 def _next(here: _Linearization) -> _Linearization | None:
-    """Return the conditions after a predictor and a corrector; None if no step is possible.
+    """Return the linearization after a predictor–corrector step; None if no step is possible.
 
-    Multipliers of constraints that contradict each other grow until they overflow.
+    Multipliers of contradicting constraints grow until they overflow.
     """
     with (
         contextlib.suppress(FloatingPointError),
@@ -539,16 +539,16 @@ def _next(here: _Linearization) -> _Linearization | None:
         step = here.direction(ratio**3 * excess, predictor)
         reach = here.reach(step)
         if reach < _SHORT:
-            # Second-order terms can mislead far from the path; go back towards it.
+            # Second-order terms can mislead far from the central path; return towards it.
             back = here.direction(_BACK * excess)
-            step, reach = max((step, reach), (back, here.reach(back)), key=lambda way: way[1])
-        # The closer to the solution, the closer to the boundary a step may end.
+            step, reach = max((step, reach), (back, here.reach(back)), key=lambda trial: trial[1])
+        # Close to the solution, steps may end close to the boundary.
         length = min(1.0, (1.0 - min(_ROOM, max(ratio, _LEAST_ROOM))) * reach)
         for _ in range(_HALVINGS):
             there = _linearized(here.program, here.at.moved(step.step, length))
             if there is not None:
                 return there
-            length *= 0.5  # Rounding was more than the room.
+            length *= 0.5  # rounding crossed the boundary
     return None
 
 

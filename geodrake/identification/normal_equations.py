@@ -1,4 +1,4 @@
-"""Small normal equations by the thousand: ridged, and factored once."""
+"""Fast solutions of many small normal equations, with a ridge."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from geodrake.inertia import Array
 Indices = NDArray[np.intp]
 
 RIDGE = 1e-9
-"""Addition to the diagonal of normal matrices that are scaled to have ones there. It keeps
-columns that say the same (a friction and its asymmetric form) from making them singular."""
+"""Ridge of normal matrices with unit diagonal. It keeps them regular with redundant columns, such
+as a friction and its asymmetric form."""
 
 
 def cholesky(matrices: Array, ridge: float = RIDGE) -> Array:
-    """Return lower Cholesky factors of symmetric matrices (..., n, n) of unit diagonal, ridged."""
+    """Return lower Cholesky factors of matrices (..., n, n) of unit diagonal plus the ridge."""
     try:
         factors = np.linalg.cholesky(matrices + ridge * np.eye(matrices.shape[-1]))
     except np.linalg.LinAlgError:
         factors = np.array(np.nan)
     if not np.isfinite(factors).all():
-        raise not_held()
+        raise singular_error()
     return np.asarray(factors)
 
 
-def not_held() -> IdentificationError:
+def singular_error() -> IdentificationError:
     """Return the error of a fit whose normal matrix is not positive definite."""
     return IdentificationError(
         "Some parameters have neither data nor a prior: the normal matrix of the fit is not "
@@ -40,7 +40,7 @@ def not_held() -> IdentificationError:
 def scaled_cholesky(matrices: Array, ridge: float = RIDGE) -> tuple[Array, Array]:
     """Return lower Cholesky factors L (..., n, n) and scales s (..., n) of symmetric matrices.
 
-    L Lᵀ is the matrix times s from both sides, which has ones on its diagonal, and the ridge.
+    L Lᵀ = diag(s) A diag(s) + ridge 𝟙, with a unit diagonal of the first term.
     """
     scale = 1.0 / np.sqrt(np.diagonal(matrices, axis1=-2, axis2=-1))
     return cholesky(matrices * scale[..., :, None] * scale[..., None, :], ridge), scale
@@ -48,11 +48,11 @@ def scaled_cholesky(matrices: Array, ridge: float = RIDGE) -> tuple[Array, Array
 
 @compiled
 def calc_solution(A: Array, b: Array, ridge: float, groups: Indices) -> tuple[Array, float, Array]:
-    """Return the solution (n,) of A x = b, scaled and ridged as above, log |A|, and a factor.
+    """Return the solution (n,) of A x = b, scaled and ridged, log |A|, and a factor.
 
-    Unknowns of different `groups` (n,) have no products with each other, which saves most of the
-    work. Those of group −1 have some with all. The factor L of A = L Lᵀ has them last, and those of
-    each group together.
+    Unknowns of different `groups` (n,) do not interact, which saves most of the work; those of
+    group −1 interact with all. The factor L of A = L Lᵀ has the unknowns sorted by group, with
+    group −1 last.
     """
     n, first = len(b), int(np.sum(groups >= 0))
     order = np.argsort(np.where(groups < 0, n, groups), kind="mergesort")
@@ -80,33 +80,33 @@ def calc_solution(A: Array, b: Array, ridge: float, groups: Indices) -> tuple[Ar
         back = 1.0 / scale[i]
         for k in range(i + 1):
             factor[i, k] *= back
-    found = np.empty(n)
-    found[order] = scale * x
-    return found, logarithm, factor
+    solution = np.empty(n)
+    solution[order] = scale * x
+    return solution, logarithm, factor
 
 
 @inlined
 def _eliminate(factor: Array, low: int, high: int, first: int) -> None:
-    """Factor columns from `low` to `high` in place, and take them out of those from `first` on."""
-    felt, count = np.empty(len(factor) - first, np.intp), 0
+    """Factor columns `low` to `high` in place, and eliminate them from those from `first` on."""
+    coupled, count = np.empty(len(factor) - first, np.intp), 0
     for i in range(first, len(factor)):
         for k in range(low, high):
             if factor[i, k] != 0.0:
-                felt[count] = i
+                coupled[count] = i
                 count += 1
                 break
     root = np.linalg.cholesky(factor[low:high, low:high].copy())
     factor[low:high, low:high] = root
     if count:
-        felt = felt[:count]
-        rows = np.linalg.solve(root, np.ascontiguousarray(factor[felt, low:high].T))
+        coupled = coupled[:count]
+        rows = np.linalg.solve(root, np.ascontiguousarray(factor[coupled, low:high].T))
         squares = rows.T @ rows
         for i in range(count):
-            factor[felt[i], low:high] = rows[:, i]
+            factor[coupled[i], low:high] = rows[:, i]
             for k in range(i + 1):
-                factor[felt[i], felt[k]] -= squares[i, k]
+                factor[coupled[i], coupled[k]] -= squares[i, k]
 
 
 def solved(factor: Array, right: Array) -> Array:
-    """Return solutions of right sides (n,) or (n, m), by the (n, n) that `cholesky` gave."""
+    """Return solutions for right-hand sides (n,) or (n, m), with a factor (n, n) of `cholesky`."""
     return np.asarray(dpotrs(factor.T, right)[0]) if len(right) else right

@@ -1,7 +1,7 @@
-"""Bodies as point masses at given places: their masses are identified, and φ follows from them.
+"""Identify bodies as point masses at given positions, close to prior masses.
 
-[Lee2019] Eqs. (3.5.54)–(3.5.56), (3.7.87): with masses that are not negative, every body can exist
-and lies inside the hull of its points. They stay near prior masses in one distance or another.
+With nonnegative masses, every body is physical and inside the hull of its points ([Lee2019]
+Eqs. (3.5.54)–(3.5.56), (3.7.87)).
 """
 
 from __future__ import annotations
@@ -43,19 +43,19 @@ from geodrake.inertia import (
 from geodrake.inertia.parameters import central_second_moment, from_point_masses
 from geodrake.robot.reduction import triangular_factor
 
-_MOST = 1_000_000  # points of a body
+_MOST = 1_000_000  # largest number of points of a body
 _SAME_PRIOR = 1e-6
 _SCALES = (1.0, 0.3, 3.0, 0.1, 10.0, 0.03)
 _LEAST, _SPENT = 1e-6, 1e-5
-"""Least share of its prior that a point mass keeps, and one below which it cannot get any less."""
+"""Lower bound of a point mass relative to its prior, and the ratio below which it is active."""
 
 
 @dataclass(frozen=True, eq=False)
 class PointMasses(Short):
-    """Point masses of several bodies: (n_i, 3) positions in each one's frame, m, and ⁰μ > 0, kg."""
+    """Point masses of several bodies."""
 
-    positions: tuple[Array, ...]
-    masses: tuple[Array, ...]  # (n_i,) prior masses ⁰μ
+    positions: tuple[Array, ...]  # (n_i, 3) in each body's frame, m
+    masses: tuple[Array, ...]  # (n_i,) prior masses ⁰μ > 0, kg
 
     def __post_init__(self) -> None:
         places = instances(self.positions, "positions", object)
@@ -79,8 +79,8 @@ class PointMasses(Short):
     def of_bodies(cls, phi: ArrayLike, counts: int | Sequence[int] = 85) -> PointMasses:
         """Spread equal masses evenly over the uniform ellipsoid of every body of phi (nb, 10).
 
-        They have the bodies' inertial parameters exactly, so that `parameters()` returns phi. The
-        counts, one or one a body, are at least 10 points.
+        They have exactly the inertial parameters phi. The counts, one for all or one for each body,
+        are at least 10 points.
         """
         phi, numbers = _checked_bodies(phi, counts)
         com, spread = phi[:, 1:4] / phi[:, :1], central_second_moment(phi) / phi[:, :1, None]
@@ -93,11 +93,12 @@ class PointMasses(Short):
     def within(
         cls, phi: ArrayLike, ellipsoids: Ellipsoid, counts: int | Sequence[int] = 85
     ) -> PointMasses:
-        """Spread points over the regions that bodies fit into, heavier where the bodies are.
+        """Spread points over given regions of bodies phi (nb, 10), with more mass at the bodies.
 
-        Half of the points are spread evenly over the region, with equal masses, half of what the
-        body can have there. The other points are those of `of_bodies` for the rest of the body.
-        Regions are of shape (nb,) for phi (nb, 10); counts, one or one a body, at least 20 points.
+        Half of the points are spread evenly over the region, with half of the largest uniform mass
+        that the body allows there. The others are those of `of_bodies` for the rest of the body.
+        `ellipsoids` are of shape (nb,). The counts, one for all or one for each body, are at least
+        20 points.
         """
         phi, numbers = _checked_bodies(phi, counts, least=2 * PARAMETERS_PER_BODY)
         regions = instance(ellipsoids, "ellipsoids", Ellipsoid)
@@ -110,17 +111,17 @@ class PointMasses(Short):
         for k, (body, number) in enumerate(zip(phi, numbers, strict=True)):
             ball = _unit_ball(number // 2)
             spread = regions.rotation[k] * regions.semi_axes[k]
-            far = regions.center[k] + ball / np.linalg.norm(ball, axis=1).max() @ spread.T
-            shape = from_point_masses(np.full(len(far), 1.0 / len(far)), far)
-            given = 0.5 / float(eigvalsh(pseudo_inertia(shape), pseudo_inertia(body))[-1])
-            near = cls.of_bodies([body - given * shape], number - len(far))
-            positions.append(np.vstack([*near.positions, far]))
-            masses.append(np.append(near.masses[0], np.full(len(far), given / len(far))))
+            even = regions.center[k] + ball / np.linalg.norm(ball, axis=1).max() @ spread.T
+            unit = from_point_masses(np.full(len(even), 1.0 / len(even)), even)
+            mass = 0.5 / float(eigvalsh(pseudo_inertia(unit), pseudo_inertia(body))[-1])
+            rest = cls.of_bodies([body - mass * unit], number - len(even))
+            positions.append(np.vstack([*rest.positions, even]))
+            masses.append(np.append(rest.masses[0], np.full(len(even), mass / len(even))))
         return cls(tuple(positions), tuple(masses))
 
     @property
     def prior(self) -> Array:
-        """Return ⁰μ of all bodies in a row, (N,) kg."""
+        """Prior masses ⁰μ (N,) of all bodies, kg."""
         return np.concatenate(self.masses)
 
     def matrix(self) -> Array:
@@ -137,7 +138,7 @@ class PointMasses(Short):
 def _checked_bodies(
     phi: ArrayLike, counts: int | Sequence[int], least: int = PARAMETERS_PER_BODY
 ) -> tuple[Array, list[int]]:
-    """Return physical bodies (nb, 10), and how many points each gets."""
+    """Return physical bodies (nb, 10), and the number of points of each."""
     phi = real_array(phi, "phi", ("m", PARAMETERS_PER_BODY))
     wrong = np.flatnonzero(~is_physical(phi)).tolist()
     if wrong:
@@ -153,7 +154,7 @@ def _checked_bodies(
 
 
 def _unit_ball(number: int) -> Array:
-    """Return (n, 3) points spread evenly over a ball, with mean zero and covariance the identity.
+    """Return evenly spread points (n, 3) of a ball, with zero mean and unit covariance.
 
     R_3 low-discrepancy points (M. Roberts 2018) in a cube, mapped to the ball and then corrected.
     """
@@ -169,10 +170,10 @@ def _unit_ball(number: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class PointMassRegularizer(Regularizer):
-    """A distance of masses μ ≥ 0 from their prior ones, with Φ = R μ.
+    """Distance of masses μ ≥ 0 from prior masses, with Φ = R μ.
 
-    The prior of `identify` must be `points.parameters()`. Masses are kept above a millionth of
-    their prior, so that every body is strictly physical.
+    The prior of `identify` must be `points.parameters()`. Masses stay above a millionth of their
+    prior, so that every body is strictly physical.
     """
 
     points: PointMasses
@@ -186,14 +187,14 @@ class PointMassRegularizer(Regularizer):
 
     @abstractmethod
     def add_cost(self, program: MathematicalProgram, shares: Any, weight: float) -> None:
-        """Add weight · d² of μ = shares ∘ ⁰μ as a convex cost of (N,) variables of the program."""
+        """Add the convex cost weight · d² of μ = shares ∘ ⁰μ, with shares (N,) as variables."""
 
     @abstractmethod
     def mobility(self, masses: Array) -> Array:
-        """Return (N,) inverses of half the second derivatives of d² at masses (N,)."""
+        """Return the inverses (N,) of half the second derivatives of d² at masses (N,)."""
 
     def divergence(self, phi: Array, prior: Array) -> float:
-        """Return the least d² of masses with the inertial parameters Φ (nb, 10)."""
+        """Return the smallest d² of masses with the inertial parameters Φ (nb, 10)."""
         wanted = LinearConstraints(matrix=np.eye(phi.size), lower=phi.ravel(), upper=phi.ravel())
         problem = build_problem(np.zeros((1, phi.size + 1)), prior)
         problem = replace(problem, constraints=wanted)
@@ -206,16 +207,16 @@ class PointMassRegularizer(Regularizer):
         return self.distance(fit.masses)
 
     def regularize(self, problem: FitProblem, prior: Array, gamma: float) -> FitProblem:
-        """Return the problem with γ d² to second order around the prior; `solve` is exact."""
+        """Return the problem with the second order of γ d² at the prior; `solve` is exact."""
         return self._informed(problem, gamma, self.points.prior)
 
     def solve(
         self, problem: FitProblem, prior: Array, gamma: float, solver: Solver, certify: bool = False
     ) -> FitResult:
-        """Return the best masses, with Drake's conic solver of that name, by default Clarabel.
+        """Return the fit of the masses by one of Drake's conic solvers, by default Clarabel.
 
-        There is no certificate, as that solves a MathematicalProgram itself.
-        The ArgumentError of a residual bound that no masses reach has the `minimum` that they do.
+        There is no certificate, as the fit itself is a MathematicalProgram. The ArgumentError of an
+        unreachable residual bound has the `minimum` in its evidence.
         """
         begin, solver = time.perf_counter(), solver or "clarabel"
         self._check(prior)
@@ -237,7 +238,7 @@ class PointMassRegularizer(Regularizer):
     def _of_masses(self, problem: FitProblem) -> tuple[Array, FitProblem, float]:
         """Return T, the fit of v = [μ/⁰μ, extra] with x = T v, and the least residual of any x.
 
-        The residual of that fit, which has no distance, is what there is beyond the least.
+        The fit has no distance yet, and its residual is that beyond the least.
         """
         N, R = len(self.points.prior), self.points.matrix()
         extra = problem.size - len(R)
@@ -266,16 +267,16 @@ class PointMassRegularizer(Regularizer):
     ) -> tuple[Array, float]:
         """Return v, and the weight of the prior."""
         N, prior = len(self.points.prior), self.points.prior
-        # The first solution only says how to scale the cost for the second.
+        # The first, rough solution only sets the scale of the cost for the second.
         size = 1e-2 * gamma * self.distance(0.0 * prior)
-        for tried in (ROUGHLY, accuracies):
+        for tolerances in (ROUGHLY, accuracies):
             for factor in _SCALES:
                 fit = build_fit(inner, size=factor * size)
                 self.add_cost(fit.program, fit.z[:N], gamma / fit.cost_scale)
                 try:
-                    result, _ = run_solver(fit.program, solver, tried)
+                    result, _ = run_solver(fit.program, solver, tolerances)
                     break
-                except IdentificationError as failure:  # rounding may end it at one scale alone
+                except IdentificationError as failure:  # rounding may fail at only one scale
                     rounding = SolutionResult.kSolverSpecificError.name
                     if factor == _SCALES[-1] or failure.evidence.get("status") != rounding:
                         raise
@@ -286,7 +287,7 @@ class PointMassRegularizer(Regularizer):
         return v, weight
 
     def _informed(self, problem: FitProblem, gamma: float, masses: Array) -> FitProblem:
-        """Return it with (R M Rᵀ)⁻¹ as information, for mobilities M of masses not spent."""
+        """Return the problem with the information (R M Rᵀ)⁻¹, for mobilities M of free masses."""
         R = self.points.matrix()
         free = self.mobility(masses) * (masses > _SPENT * self.points.prior)
         information = problem.prior_information.copy()
@@ -295,15 +296,15 @@ class PointMassRegularizer(Regularizer):
 
     def _check(self, prior: Array) -> None:
         """Raise if the prior is not that of the points."""
-        own = self.points.parameters()
-        differ = f"its shape is {prior.shape} instead of {own.shape}"
-        if own.shape == prior.shape:
-            away = np.abs(own - prior).max(1)
-            bodies = np.flatnonzero(away > _SAME_PRIOR * np.abs(prior).max()).tolist()
-            differ = f"bodies {bodies} differ by up to {away.max():.2g}" if bodies else ""
-        if differ:
+        expected = self.points.parameters()
+        difference = f"its shape is {prior.shape} instead of {expected.shape}"
+        if expected.shape == prior.shape:
+            errors = np.abs(expected - prior).max(1)
+            bodies = np.flatnonzero(errors > _SAME_PRIOR * np.abs(prior).max()).tolist()
+            difference = f"bodies {bodies} differ by up to {errors.max():.2g}" if bodies else ""
+        if difference:
             raise ArgumentError(
-                f"The prior differs from the point masses: {differ}.",
+                f"The prior differs from the point masses: {difference}.",
                 advice="Pass points.parameters() as the prior, or construct points for this "
                 "prior with PointMasses.of_bodies(prior).",
             )
@@ -341,7 +342,7 @@ class PointMassKL(PointMassRegularizer):
         return float((rel_entr(masses, prior) + prior - masses).sum())
 
     def add_cost(self, program: MathematicalProgram, shares: Any, weight: float) -> None:
-        """Add weight · d² of μ = s ∘ ⁰μ: t ≥ s log s just when 1 ≥ s exp(−t/s)."""
+        """Add weight · d² of μ = s ∘ ⁰μ, with t ≥ s log s as 1 ≥ s exp(−t/s)."""
         t = program.NewContinuousVariables(len(shares), "t")
         cone, offset = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, -1.0]]), np.array([1.0, 0.0, 0.0])
         for pair in zip(shares, t, strict=True):

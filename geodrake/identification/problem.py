@@ -1,4 +1,4 @@
-"""Problem of a fit: triangular data, physical bodies, bounds and a prior."""
+"""Fit problems: triangular data, physical bodies, bounds and a prior."""
 
 from __future__ import annotations
 
@@ -20,10 +20,9 @@ from geodrake.robot.reduction import triangular_factor
 
 
 def whitened_factor(A: ArrayLike, b: ArrayLike, *, sigma: ArrayLike | None = None) -> Array:
-    """Return a triangular factor of the whitened data [A | b]/σ, all that a fit needs of them.
+    """Return the triangular factor [R r; 0 ρ] (p + 1, p + 1) of the whitened data [A | b]/σ.
 
-    It is (p + 1, p + 1) upper triangular [R r; 0 ρ], with ‖A x − b‖²_{Σ⁻¹} = ‖R x − r‖² + ρ² for
-    every x. The arguments are those of `identify`.
+    ‖A x − b‖²_{Σ⁻¹} = ‖R x − r‖² + ρ² for every x. The arguments are those of `identify`.
     """
     return triangular_factor([whitened(A, b, sigma=sigma)])
 
@@ -45,7 +44,7 @@ def whitened(A: ArrayLike, b: ArrayLike, *, sigma: ArrayLike | None = None) -> A
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinearConstraints:
-    """Rows `lower ≤ matrix x ≤ upper` of a matrix (k, p); limits (k,) may be infinite."""
+    """Constraints `lower ≤ matrix x ≤ upper` with a matrix (k, p); limits (k,) may be infinite."""
 
     matrix: Array
     lower: Array
@@ -54,43 +53,41 @@ class LinearConstraints:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FitProblem(Short):
-    """Convex fit of inertial parameters and scalar effect parameters, both in one vector x.
+    """Convex fit of a vector x of inertial parameters and scalar effect parameters.
 
-    Minimizes, with P ≻ 0 for every inertia block φ_i of x and all bounds and constraints kept,
+    Minimizes, subject to P ≻ 0 for every inertia block φ_i of x, bounds and constraints,
 
         ‖R x − r‖² + (x − x₀)ᵀ Λ (x − x₀) + Σ_i γ_i d(φ_i ‖ φ_i⁰)² + Σ_k γ_k d(x_k ‖ x_k⁰)²
 
     ([Lee2019] Eqs. (3.5.43), (3.5.47)); with `residual_bound` c it minimizes the last two terms
-    subject to ‖R x − r‖² ≤ c instead (Eq. (3.5.52)). P ≻ 0 is kept strictly, as
-    P(φ_i) ⪰ margin · P(reference_i), because a solver returns points on the boundary.
+    subject to ‖R x − r‖² ≤ c instead (Eq. (3.5.52)). P ≻ 0 is enforced as
+    P(φ_i) ⪰ margin · P(reference_i), because solvers return points on the boundary.
     """
 
-    # (k, p + 1) factor [R | r] of the data divided by their standard deviation, such as
-    # `whitened_factor` gives.
-    factor: Array
+    factor: Array  # (k, p + 1) factor [R | r] of the whitened data, such as `whitened_factor`
     inertia_blocks: tuple[int, ...]  # first columns of the blocks of ten inertial parameters
     prior_mean: Array  # (p,) x₀
-    prior_information: Array  # (p, p) positive semidefinite Λ; zero where nothing is known
-    # (p,) least and greatest values of the scalar parameters, −inf and inf for none.
+    prior_information: Array  # (p, p) positive semidefinite Λ
+    # (p,) bounds of the scalar parameters, −inf and inf for none.
     lower: Array = field(default_factory=lambda: np.array(-np.inf))
     upper: Array = field(default_factory=lambda: np.array(np.inf))
     # First column of a block -> (φ⁰ (10,), γ) of its entropic divergence.
     entropic: Mapping[int, tuple[Array, float]] = field(default_factory=dict)
-    # First column of a block -> physical φ (10,) of the size that is expected of it; φ⁰ of
-    # `entropic`, else the prior mean, when absent.
+    # First column of a block -> physical φ (10,) of the expected size; by default φ⁰ of `entropic`,
+    # or the prior mean.
     reference: Mapping[int, Array] = field(default_factory=dict)
-    # Column of a positive scalar -> (x⁰, w), of which a regularizer of weight γ makes γ w d(x, x⁰)²
-    # ([Lee2019] Remark 3.13); by itself it only sets the scale.
+    # Column of a positive scalar -> (x⁰, w). A regularizer of weight γ adds γ w d(x, x⁰)²
+    # ([Lee2019] Remark 3.13); without one, x⁰ only sets the scale.
     scalar_priors: Mapping[int, tuple[float, float]] = field(default_factory=dict)
     # Column of a positive scalar -> (x⁰, γ) of its entropic divergence x/x⁰ − log(x/x⁰) − 1
     # (Eq. (5.3.33)).
     entropic_scalars: Mapping[int, tuple[float, float]] = field(default_factory=dict)
     constraints: LinearConstraints | None = None
     residual_bound: float | None = None  # c of the point-to-set form; None for the sum
-    margin: float = 1e-4  # smallest eigenvalue of P(reference)⁻¹ P(φ) that is allowed
+    margin: float = 1e-4  # smallest allowed eigenvalue of P(reference)⁻¹ P(φ)
 
     def __post_init__(self) -> None:
-        """Check every field, and complete bounds and references."""
+        """Check all fields, and complete bounds and references."""
         put = object.__setattr__
         put(self, "factor", real_array(self.factor, "factor", ("m", "n")))
         p = self.factor.shape[1] - 1
@@ -133,7 +130,7 @@ class FitProblem(Short):
         return float(errors @ errors)
 
     def _priors(self, name: str, allowed: Set[int], shape: tuple[int, ...]) -> dict[int, Any]:
-        """Return pairs of a prior value of a shape and its weight, at columns that are allowed."""
+        """Return the checked (value, weight) pairs of a field, by column."""
         priors = {}
         for column, pair in instance(getattr(self, name), name, Mapping).items():
             if integer(column, f"a column of {name}") not in allowed:
@@ -218,7 +215,7 @@ def check_residual_bound(problem: FitProblem) -> None:
 
 
 def least_residual(A: Array, b: Array) -> float:
-    """Return the least ‖A x − b‖² that any parameters x reach, physical or not."""
+    """Return the minimum of ‖A x − b‖² over all parameters x, physical or not."""
     norms = np.linalg.norm(A, axis=0)
     scaled = A / np.where(norms > 0, norms, 1.0)
     return float(np.square(scaled @ np.linalg.lstsq(scaled, b)[0] - b).sum())
@@ -241,21 +238,18 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BodyConstraints(Short):
-    """Linear constraints on inertial parameters; −inf and inf are no bounds."""
+    """Linear constraints on inertial parameters; −inf and inf stand for no bound."""
 
-    # (nb, 4, 4) matrices Q with [x;1]ᵀ Q [x;1] ≥ 0 inside an ellipsoid that holds all of a body's
-    # mass: tr(P(φ_i) Q_i) ≥ 0 ([Lee2019] Eq. (3.5.46)).
+    # (nb, 4, 4) matrices Q with [x;1]ᵀ Q [x;1] ≥ 0 inside an ellipsoid that contains all of a
+    # body's mass: tr(P(φ_i) Q_i) ≥ 0 ([Lee2019] Eq. (3.5.46)).
     ellipsoids: ArrayLike | None = None
     total_mass: float | None = None  # sum of all masses, kg
-    mass_bounds: ArrayLike | None = None  # (nb, 2) least and greatest masses, kg
-    # (nb, 3, 2) least and greatest coordinates of each centre of mass in the body's frame, m.
+    mass_bounds: ArrayLike | None = None  # (nb, 2) bounds of the masses, kg
+    # (nb, 3, 2) bounds of each centre of mass in the body's frame, m.
     com_bounds: ArrayLike | None = None
 
     def rows(self, prior: Array, size: int) -> LinearConstraints | None:
-        """Return the rows on x = [Φ, extra] (size,) with a prior Φ⁰ (nb, 10); may raise.
-
-        They are None if nothing limits x.
-        """
+        """Return the constraints on x = [Φ, extra] (size,) with a prior Φ⁰ (nb, 10), or None."""
         parts = list(self._parts(prior))
         if not parts:
             return None
@@ -267,7 +261,7 @@ class BodyConstraints(Short):
         return LinearConstraints(matrix=wide, lower=lower[used], upper=upper[used])
 
     def _parts(self, prior: Array) -> Iterator[tuple[Array, Array, Array]]:
-        """Yield rows (k, 10·nb) on the bodies, with their lower and upper values (k,)."""
+        """Yield rows (k, 10·nb) on the bodies, with their lower and upper limits (k,)."""
         mass, none = np.zeros_like(prior), np.full(len(prior), np.inf)
         mass[:, 0] = 1.0
         if self.ellipsoids is not None:
@@ -320,7 +314,7 @@ def _ellipsoid_rows(ellipsoids: ArrayLike, prior: Array) -> Array:
 
 
 def checked_bounds(name: str, bounds: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Return bounds as an array whose last axis is (least, greatest), which may be ±inf."""
+    """Return bounds as an array of a shape whose last axis is (lower, upper); ±inf are allowed."""
     array = real_array(bounds, name, shape, finite=False)
     low, high = array[..., 0], array[..., 1]
     usable = (low <= high) & (low < np.inf) & (high > -np.inf)

@@ -22,10 +22,10 @@ _WIDE = 5e-5
 
 
 class Regularizer(ABC):
-    """A squared distance d(Φ, Φ⁰)² of inertial parameters (nb, 10) from their physical prior.
+    """Squared distance d(Φ, Φ⁰)² of inertial parameters (nb, 10) from a physical prior.
 
-    A regularizer says what it adds to a convex fit, and measures what came out. One that is not
-    convex overrides `solve` too.
+    A regularizer adds a term to a convex fit, and evaluates it at the solution. A nonconvex one
+    also overrides `solve`.
     """
 
     name: ClassVar[str]
@@ -36,10 +36,10 @@ class Regularizer(ABC):
 
     @abstractmethod
     def regularize(self, problem: FitProblem, prior: Array, gamma: float) -> FitProblem:
-        """Return the problem, whose first columns are the bodies', with γ d(Φ, Φ⁰)² added."""
+        """Return the problem with γ d(Φ, Φ⁰)² added; the columns of bodies come first."""
 
     def scalar_divergence(self, values: Array, priors: Array) -> Array:
-        """Return d(x, x⁰)² of positive scalars (k,) one by one ([Lee2019] Remark 3.13)."""
+        """Return d(x, x⁰)² of each positive scalar (k,) ([Lee2019] Remark 3.13)."""
         raise ArgumentError(
             f"The regularizer {self.name} has no divergence for extra parameters, but "
             "extra_prior gives them a prior.",
@@ -55,10 +55,9 @@ class Regularizer(ABC):
     ) -> FitResult:
         """Return the fit with γ d(Φ, Φ⁰)² added.
 
-        With None, as `solve_with_fallback` does, and if asked with its `Certificate`, or the better
-        solution of its program; with "newton", by that alone; else by Drake's conic solver of that
-        name alone. Where such a solver is not exact enough to keep bodies physical at the problem's
-        margin, it tries ten times that margin, up to 1e-4.
+        Without a `solver`, use `solve_with_fallback`, optionally with a certificate. Otherwise use
+        only "newton" or the conic solver of that name. If the conic solver is too inexact to keep
+        bodies physical, increase the margin tenfold, up to 1e-4.
         """
         regularized = self.regularize(problem, prior, gamma)
         if solver is None:
@@ -75,9 +74,9 @@ class Regularizer(ABC):
 
 
 class QuadraticRegularizer(Regularizer):
-    """A regularizer (Φ − Φ⁰)ᵀ G (Φ − Φ⁰) with a constant G, block by block.
+    """Regularizer (Φ − Φ⁰)ᵀ G (Φ − Φ⁰) with a constant block-diagonal G.
 
-    Positive scalars have the metric ½ / x⁰² of P(1), unless `scalar_metric` is another.
+    Positive scalars have the metric ½ / x⁰² of P(1), unless `scalar_metric` is overridden.
     """
 
     @abstractmethod
@@ -89,7 +88,7 @@ class QuadraticRegularizer(Regularizer):
         return 0.5 / priors**2
 
     def scalar_divergence(self, values: Array, priors: Array) -> Array:
-        """Return d(x, x⁰)² of positive scalars, one by one."""
+        """Return d(x, x⁰)² of each positive scalar."""
         return self.scalar_metric(priors) * (values - priors) ** 2
 
     def divergence(self, phi: Array, prior: Array) -> float:
@@ -98,7 +97,7 @@ class QuadraticRegularizer(Regularizer):
         return float(np.einsum("bi,bij,bj", change, self.metric(prior), change))
 
     def regularize(self, problem: FitProblem, prior: Array, gamma: float) -> FitProblem:
-        """Return the problem with γ G as further prior information."""
+        """Return the problem with γ G added to the prior information."""
         information = problem.prior_information.copy()
         for start, metric in zip(problem.inertia_blocks, self.metric(prior), strict=True):
             information[start : start + 10, start : start + 10] += gamma * metric
@@ -109,15 +108,16 @@ class QuadraticRegularizer(Regularizer):
 
 
 class Euclidean(QuadraticRegularizer):
-    """d² = ‖Φ − Φ⁰‖² ([Lee2019] Eq. (3.2.16)): adds kg² and (kg·m²)², so prefer another.
+    """d² = ‖Φ − Φ⁰‖² ([Lee2019] Eq. (3.2.16)), which depends on units and frames.
 
-    Its minimum often lies at the boundary of physical bodies.
+    It adds kg² and (kg·m²)², and its minimum often lies at the boundary of physical bodies. Prefer
+    another regularizer.
     """
 
     name = "euclidean"
 
     def scalar_metric(self, priors: Array) -> Array:
-        """Return one for every scalar."""
+        """Return 1 for every scalar."""
         return np.ones_like(priors)
 
     def metric(self, prior: Array) -> Array:
@@ -128,9 +128,8 @@ class Euclidean(QuadraticRegularizer):
 class Pullback(QuadraticRegularizer):
     """d² = Σ_i ½ tr((P(φ_i⁰)⁻¹ P(φ_i − φ_i⁰))²) ([Lee2019] Eqs. (3.3.33), (3.5.50)).
 
-    The geometric distance near the prior, as a quadratic form: independent of units and frames.
-    Finite at the boundary of physical bodies, which a fit with strong data and a weak prior
-    therefore can reach.
+    The second order of the geometric distance at the prior, independent of units and frames. It is
+    finite at the boundary of physical bodies, which a fit with strong data can therefore reach.
     """
 
     name = "pullback"
@@ -143,8 +142,8 @@ class Pullback(QuadraticRegularizer):
 class Entropic(Regularizer):
     """d² = Σ_i −log|P_i| + log|P_i⁰| + tr((P_i⁰)⁻¹ P_i) − 4 ([Lee2019] Eqs. (2.2.14), (3.5.44)).
 
-    Convex and independent of units and frames. Grows without limit at the boundary of physical
-    bodies, so that every result is well inside.
+    It is convex, and independent of units and frames. It is infinite at the boundary of physical
+    bodies, so that every result is strictly inside.
     """
 
     name = "entropic"
@@ -159,7 +158,7 @@ class Entropic(Regularizer):
         return np.asarray(change - np.log1p(change))
 
     def regularize(self, problem: FitProblem, prior: Array, gamma: float) -> FitProblem:
-        """Return it with an entropic prior for every body, and every scalar that has a prior."""
+        """Return the problem with an entropic prior of every body and every scalar with a prior."""
         priors = zip(problem.inertia_blocks, prior, strict=True)
         return replace(
             problem,

@@ -1,8 +1,8 @@
-"""The Riemannian distance: the geometric distance itself, and not convex.
+"""Fits with the Riemannian distance, the geometric distance itself, which is not convex.
 
-Local minima of such a fit are found within bounds and linear constraints. Every step is to the
-minimum of the second order of the cost within the constraints: Newton's method where the cost is
-convex, and else with its negative curvatures turned positive.
+Local minima are found within bounds and linear constraints. Every step minimizes the second order
+of the cost within the constraints; where the cost is not convex, negative curvatures are made
+positive.
 """
 
 from __future__ import annotations
@@ -32,31 +32,31 @@ from geodrake.inertia import Array, riemannian_distance
 STARTS = ("entropic", "pullback", "prior", "data")
 
 _ACCURACY = 1e-14
-"""Decrease that a step must promise to be worth taking, as a share of the size of the cost."""
+"""Predicted relative decrease of the cost at convergence."""
 _MOST_STEPS, _MOST_DRAWS = 300, 60
 _RIDGES = (0.0, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6)
-"""Shares of its diagonal to be added in turn to a Hessian that rounding left indefinite."""
+"""Relative ridges to be tried in turn on a Hessian that rounding left indefinite."""
 _LEAST_CURVATURE = 0.1
-"""Of the distance, relative to that at the prior, where its own is not convex."""
+"""Least curvature of the convexified distance, relative to that at the prior."""
 
 
 @dataclass(frozen=True)
 class Riemannian(Regularizer):
     """d² = Σ_i ½ ‖log(P_i⁰⁻½ P_i P_i⁰⁻½)‖² ([Lee2019] Eqs. (3.3.26), (3.5.53)).
 
-    Half the square of the geodesic distance (2.2.10), so that it agrees to second order with the
-    pullback metric and the entropic divergence, and one γ means the same for all three. Independent
-    of units and frames; grows without limit at the boundary of physical bodies.
+    Half the square of the geodesic distance (2.2.10), which agrees to second order with the
+    pullback metric and the entropic divergence, so that γ has the same meaning for all three. It is
+    independent of units and frames, and infinite at the boundary of physical bodies.
 
-    The problem is not convex: a body e times as heavy as its prior costs little more when it gets
-    heavier still, so that there can be several minima. The search starts at the entropic solution,
-    the global minimum of a convex neighbour, and then at others; `minima` of the result says
-    whether they led to the same place. In the point-to-set form, γ is the one for which the
-    residual of a local minimum meets its bound.
+    The problem is not convex: the cost flattens for bodies more than e times as heavy as their
+    prior, so that there can be several minima. The search starts at the entropic solution, the
+    global minimum of a convex approximation, and then at others; `minima` of the result reports
+    whether they agree. In the point-to-set form, γ is one for which the residual of a local minimum
+    equals the bound.
     """
 
-    # Where to start from, the entropic solution first: some of "entropic", "pullback", "prior" and
-    # "data", the entropic solution of a thousandth of the weight γ.
+    # Starts of the search, "entropic" first: some of "entropic", "pullback", "prior" and "data",
+    # the entropic solution with γ/1000.
     starts: tuple[str, ...] = STARTS
 
     name: ClassVar[str] = "riemannian"
@@ -78,24 +78,24 @@ class Riemannian(Regularizer):
         return np.asarray(0.5 * np.log(values / priors) ** 2)
 
     def regularize(self, problem: FitProblem, prior: Array, gamma: float) -> FitProblem:
-        """Return the entropic problem, a convex neighbour that agrees with this to second order."""
+        """Return the entropic problem, a convex approximation that agrees to second order."""
         return Entropic().regularize(problem, prior, gamma)
 
     def solve(
         self, problem: FitProblem, prior: Array, gamma: float, solver: Solver, certify: bool = False
     ) -> FitResult:
-        """Return the best local minimum of all starts; the solver finds the first start.
+        """Return the best local minimum of all starts; `solver` finds the first start.
 
         The certificate is that of a local minimum. Its program is the second order of the cost at
-        the solution, with all constraints, and with the weight that meets a residual bound.
+        the solution with all constraints, and with the weight that meets a residual bound.
         """
         begin = time.perf_counter()
         program = RiemannianProgram.of(self.regularize(problem, prior, gamma))
         convex = Entropic().solve(problem, prior, gamma, solver)
         first = program.start(convex.x)
 
-        def solve(trial: RiemannianProgram, before: LocalMinimum | None) -> LocalMinimum:
-            return trial.minimum(first if before is None else before.z)
+        def solve(trial: RiemannianProgram, previous: LocalMinimum | None) -> LocalMinimum:
+            return trial.minimum(first if previous is None else previous.z)
 
         best, weight = bounded(program, solve, guess=convex.prior_weight)
         found: dict[str, LocalMinimum | None] = {"entropic": best}
@@ -103,7 +103,7 @@ class Riemannian(Regularizer):
 
         def start(name: str) -> Array:
             if name == "pullback":
-                # It may be at the boundary of bodies; a share of the first start leads inside.
+                # Its bodies may be at the boundary; mixing in the first start moves them inside.
                 x = Pullback().solve(free, prior, gamma * weight, "newton").x
                 return 0.9 * program.start(x) + 0.1 * first
             if name == "data":
@@ -115,7 +115,7 @@ class Riemannian(Regularizer):
         for name in (name for name in self.starts[1:] if name not in idle):
             try:
                 found[name] = weighted.minimum(start(name))
-            except GeodrakeError:  # the minima that were found stand
+            except GeodrakeError:  # keep the other minima
                 found[name] = None
         lowest = min(filter(None, found.values()), key=lambda minimum: minimum.value)
         rounding = _ACCURACY * gamma * weighted.weight
@@ -132,13 +132,13 @@ class Riemannian(Regularizer):
         try:
             local, size = program.weighted(weight).second_order(x)
             return certified(local, fit, size=size, scope="local")
-        except ArgumentError:  # the second order is no convex program
+        except ArgumentError:  # the second order is not convex
             return uncertified(fit, "the cost is not convex around the minimum", scope="local")
 
 
 @dataclass(frozen=True, eq=False)
 class LocalMinimum:
-    """A local minimum z (p,), the cost and its Hessian (p, p) there, and whether it is strict."""
+    """A local minimum z (p,), its cost, Hessian (p, p), and whether it is strict."""
 
     z: Array
     value: float
@@ -148,47 +148,47 @@ class LocalMinimum:
 
 @dataclass(frozen=True, eq=False)
 class RiemannianProgram(NewtonProgram):
-    """A fit of ½ ‖F z − f‖² + Σ_i γ_i ½ ‖log S_i‖² + Σ_k γ_k ½ log² y_k.
+    """Fit with the cost ½ ‖F z − f‖² + Σ_i γ_i ½ ‖log S_i‖² + Σ_k γ_k ½ log² y_k.
 
-    It is that of its entropic neighbour, with another distance from the same prior, where every
-    S_i is the identity and the positive scalars y are 1.
+    It is the entropic program with another distance. At the prior, every S_i is the identity and
+    the positive scalars y are 1.
     """
 
     @cached_property
     def freedom(self) -> Array:
-        """Return (p, q) orthonormal directions along the equalities."""
+        """(p, q) orthonormal basis of the equalities' null space."""
         return np.asarray(null_space(self.equalities[0]))
 
     @property
     def limits(self) -> Rows:
-        """Bounds and constraints G z ≥ h, but for those that the distance keeps by itself."""
+        """Bounds and constraints G z ≥ h, except those that the distance implies."""
         (G, h), k = self.inequalities, len(self.scalars.columns)
         return G[k:], h[k:]
 
     def start(self, x: Array) -> Array:
-        """Return coordinates (p,) of parameters x (p,), put onto the equality constraints."""
+        """Return the coordinates (p,) of parameters x (p,), projected onto the equalities."""
         z, (E, e) = self.coordinates.at(x), self.equalities
         return np.asarray(z + np.linalg.lstsq(E, e - E @ z, rcond=None)[0])
 
     def drawn_in(self, z: Array, inner: Array) -> Array:
-        """Return z (p,), or if it breaks a constraint a point on the way to one that keeps all."""
+        """Return z (p,), moved towards a feasible `inner` point until it is feasible."""
         (G, h), (E, e) = self.limits, self.equalities
         for share in 0.8 ** np.arange(_MOST_DRAWS):
-            near = inner + share * (z - inner)
-            kept = np.allclose(E @ near, e, rtol=0.0, atol=1e-9) and (G @ near >= h).all()
-            if kept and np.isfinite(self.cost(near)):
-                return near
+            point = inner + share * (z - inner)
+            feasible = np.allclose(E @ point, e, rtol=0.0, atol=1e-9) and (G @ point >= h).all()
+            if feasible and np.isfinite(self.cost(point)):
+                return point
         return inner
 
     def cost(self, z: Array) -> float:
-        """Return the cost at z (p,), less `floor`; infinite where a body is not physical."""
+        """Return the cost at z (p,) without `floor`; infinite if a body is not physical."""
         (F, f), y = self.rows, self.scalars.ratios(z)
         bodies = self.gamma @ half_squared_logs(self.matrices(z))
         scalars = self.targets[: len(y)] @ half_squared_logs(y[:, None, None])
         return float(0.5 * np.square(F @ z - f).sum() + bodies + scalars)
 
     def derivatives(self, z: Array, *, convex: bool = False) -> tuple[Array, Array]:
-        """Return the gradient (p,) and Hessian (p, p) at z, or one of positive curvatures only."""
+        """Return the gradient (p,) and the Hessian (p, p), optionally convexified, at z."""
         (F, f), blocks = self.rows, self.blocks
         gradient, hessian = F.T @ (F @ z - f), F.T @ F
         slopes, curvatures = log_derivatives(self.matrices(z), convex=convex)
@@ -203,20 +203,20 @@ class RiemannianProgram(NewtonProgram):
         return gradient, hessian
 
     def minimum(self, z: Array) -> LocalMinimum:
-        """Return the minimum that z (p,), inside all constraints, leads to."""
+        """Return the local minimum reached from a feasible z (p,)."""
         size = max(min(self.cost(z), self.cost(0.0 * z)), float(self.gamma.max()))
-        before = np.inf
+        previous = np.inf
         for _ in range(_MOST_STEPS):
             gradient, step, strict = self._direction(z)
             value = self.cost(z)
             promise, rounding = -float(gradient @ step), PRECISION * max(abs(value), size)
-            ends = promise <= _ACCURACY * size or is_within_rounding(promise, before, rounding)
+            ends = promise <= _ACCURACY * size or is_within_rounding(promise, previous, rounding)
 
             def decrease(share: Array, z: Array = z, step: Array = step) -> float:
                 return self.cost(z) - self.cost(z + share * step)
 
             length = float(step_length(decrease, promise, rounding))
-            before, z = promise, z + length * step
+            previous, z = promise, z + length * step
             if ends:
                 return LocalMinimum(z, self.cost(z), self.derivatives(z)[1], strict)
             if length == 0.0:
@@ -227,12 +227,12 @@ class RiemannianProgram(NewtonProgram):
         )
 
     def _direction(self, z: Array) -> tuple[Array, Array, bool]:
-        """Return the gradient (p,), a step downhill (p,), and whether the cost is convex there."""
+        """Return the gradient (p,), a descent step (p,), and whether the cost is convex."""
         gradient, hessian = self.derivatives(z)
         if (step := self._step(z, gradient, hessian)) is not None:
             return gradient, step, True
         hessian = self.derivatives(z, convex=True)[1]
-        for ridge in _RIDGES:  # it may be convex, but for rounding
+        for ridge in _RIDGES:  # against rounding
             ridged = hessian + ridge * np.diag(np.diagonal(hessian))
             if (step := self._step(z, gradient, ridged)) is not None:
                 return gradient, step, False
@@ -242,10 +242,10 @@ class RiemannianProgram(NewtonProgram):
         )
 
     def _step(self, z: Array, gradient: Array, hessian: Array) -> Array | None:
-        """Return the step to the minimum of a second order within the constraints.
+        """Return the step to the constrained minimum of a quadratic model, or None if not convex.
 
-        None if it is not convex. Which constraints are active is a problem of least distance, that
-        of Lawson and Hanson's *Solving Least Squares Problems* (1974), ch. 23.
+        The active constraints are those of Lawson and Hanson's least-distance problem (*Solving
+        Least Squares Problems*, 1974, ch. 23).
         """
         N, (G, h) = self.freedom, self.limits
         try:
@@ -257,20 +257,20 @@ class RiemannianProgram(NewtonProgram):
         if missing.max(initial=0.0) > 0.0:
             norms = np.linalg.norm(rows, axis=0)
             norms = np.where(norms > 0, norms, 1.0)
-            far = missing / norms
-            scaled = np.vstack([rows / norms, far / far.max()])
+            distance = missing / norms
+            scaled = np.vstack([rows / norms, distance / distance.max()])
             try:
                 active = nnls(scaled, np.eye(len(scaled))[-1])[0] > 0
-            except RuntimeError:  # it found none in as many steps as it has
+            except RuntimeError:  # not converged
                 return None
-            held = rows[:, active]
-            y += held @ np.linalg.lstsq(held.T @ held, missing[active])[0]
+            normals = rows[:, active]
+            y += normals @ np.linalg.lstsq(normals.T @ normals, missing[active])[0]
         return np.asarray(N @ np.linalg.solve(root.T, y))
 
     def second_order(self, x: Array) -> tuple[FitProblem, float]:
-        """Return the problem whose cost is the second order of this one's at x (p,), and its size.
+        """Return the problem with the second order of the cost at x (p,), and the cost's size.
 
-        An ArgumentError says that it is not convex.
+        Raise an ArgumentError if it is not convex.
         """
         z = self.coordinates.at(x)
         gradient, hessian = self.derivatives(z)
@@ -284,34 +284,35 @@ class RiemannianProgram(NewtonProgram):
             entropic_scalars={},
             residual_bound=None,
         )
-        # (Like that of a FitProgram: where the prior fits, γ is what there is to compare with.)
+        # As in a FitProgram, γ sets the scale if the prior fits perfectly.
         return local, max(self.cost(z) + self.floor, float(self.gamma.max()))
 
     def information(self, hessian: Array) -> Array:
-        """Return the information (p, p) about the parameters of a Hessian (p, p) in z."""
+        """Return the information (p, p) about the parameters from a Hessian (p, p) in z."""
         inverse = np.linalg.inv(self.coordinates.transform)
         information = 0.5 * inverse.T @ hessian @ inverse
         return 0.5 * (information + information.T)
 
     def compared(self, found: Mapping[str, LocalMinimum | None], best: LocalMinimum) -> LocalMinima:
-        """Return the results of several starts (name -> minimum or None) against the best."""
+        """Compare the minima of several starts, None if failed, with the best."""
         root = np.linalg.inv(np.linalg.cholesky(self.matrices(best.z)))
-        own = self.scalars.ratios(best.z)
+        best_ratios = self.scalars.ratios(best.z)
         costs, distances = np.full(len(found), np.inf), np.full(len(found), np.inf)
         for k, minimum in enumerate(found.values()):
             if minimum is not None:
                 ratio = root @ self.matrices(minimum.z) @ np.swapaxes(root, -1, -2)
-                ratios = [np.linalg.eigvalsh(ratio).ravel(), self.scalars.ratios(minimum.z) / own]
+                scalars = self.scalars.ratios(minimum.z) / best_ratios
+                ratios = np.append(np.linalg.eigvalsh(ratio).ravel(), scalars)
                 costs[k] = minimum.value
-                distances[k] = np.linalg.norm(np.log(np.concatenate(ratios)))
+                distances[k] = np.linalg.norm(np.log(ratios))
         return LocalMinima(tuple(found), costs, distances, best.strict)
 
 
 def half_squared_logs(S: Array) -> Array:
     """Return ½ Σ_k log² λ_k(S) of matrices S (..., n, n); infinite if one is not positive definite.
 
-    It is convex along geodesics, but not along straight lines: beyond an eigenvalue of e it
-    flattens.
+    It is convex along geodesics, but not along straight lines, as it flattens beyond eigenvalues of
+    e.
     """
     eigenvalues = np.asarray(np.linalg.eigvalsh(S), float)
     positive = eigenvalues > 0
@@ -320,11 +321,11 @@ def half_squared_logs(S: Array) -> Array:
 
 
 def log_derivatives(S: Array, *, convex: bool = False) -> tuple[Array, Array]:
-    """Return gradients (..., 10) and Hessians (..., 10, 10) at positive definite S (..., 4, 4).
+    """Return gradients (..., 10) and Hessians (..., 10, 10) of `half_squared_logs` at S ≻ 0.
 
-    The function is a spectral one, so that its gradient is V diag(h) Vᵀ with h(λ) = log λ / λ, and
-    its Hessian has the divided differences of h as coefficients in the eigenvectors V. If `convex`,
-    negative coefficients are turned positive, and small ones enlarged.
+    The gradient of this spectral function is V diag(h) Vᵀ with h(λ) = log λ / λ, and its Hessian
+    has the divided differences of h as coefficients in the eigenvectors V. If `convex`, these are
+    replaced by their absolute values, bounded below.
     """
     eigenvalues, V = np.linalg.eigh(S)
     logs = np.log(eigenvalues)

@@ -1,7 +1,7 @@
 """Drake's conic solvers in a subprocess, with descriptions of failures.
 
-A panic in Rust, a failed assertion in C++ or `exit` in C end the process they are in, and nothing
-in Python can catch them. A copy of this process by `fork` has all data, whatever they are.
+A panic in Rust, a failed assertion in C++ or `exit` in C ends the process, and Python cannot catch
+it. A fork of this process needs no serialization of the arguments.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ T = TypeVar("T")
 _INTERRUPTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 SOLVERS: dict[str, type[SolverInterface]] = {"clarabel": ClarabelSolver, "scs": ScsSolver}
-"""SCS is there to cross-check."""
+"""Conic solvers by name; SCS serves as a cross-check."""
 
 
 Accuracies = Sequence[float]
-"""Relative duality gaps and violations to ask for in turn."""
+"""Tolerances of relative duality gaps and violations, to be tried in turn."""
 ROUGHLY: Accuracies = (1e-7, 1e-6)
 EXACTLY: Accuracies = (1e-10, 1e-9)
-"""The last digit may be out of reach of rounding, and a little less will do."""
+"""The second tolerance is for problems whose rounding errors exceed the first."""
 
 _SECONDS = 20.0
-"""Time that a fit by a conic solver may take."""
+"""Time limit of a fit by a conic solver."""
 
 CONTRADICTION = (
     "The bounds, constraints and residual bound are infeasible for physical bodies.",
@@ -65,26 +65,26 @@ _CAUSES = {
 
 
 class LostProcessError(Exception):
-    """The failure of a subprocess without a result, as the rest of a sentence."""
+    """Failure of a subprocess without a result; its message completes a sentence."""
 
 
 class LateProcessError(LostProcessError):
-    """A process whose time was over."""
+    """A subprocess that exceeded its time limit."""
 
 
 def in_subprocess(work: Callable[[], T], *, seconds: float) -> T:
-    """Return or raise the result of a function in a silent copy of this process.
+    """Return the pickled result of a function in a silent fork of this process.
 
-    What it returns is pickled. What it raises is a LostProcessError, unless it is a GeodrakeError,
-    as are its end and, as a LateProcessError, the end of its time.
+    Raise its GeodrakeError; a LostProcessError for other exceptions and crashes; and a
+    LateProcessError after the time limit.
     """
     line, other = Pipe()
-    # An interrupt waits, so that it is not one of the copy's too.
-    waiting = signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
+    # Interrupts are delayed, so that the child does not inherit one.
+    previous_mask = signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
     try:
         with warnings.catch_warnings():
-            # Python warns of other threads: the copy has none, and numerical libraries look after
-            # their own locks at a fork. One that waits all the same is lost when its time is over.
+            # Python warns of other threads. The child has none, and numerical libraries reset their
+            # locks at a fork; a deadlocked child ends at the time limit.
             warnings.simplefilter("ignore", DeprecationWarning)
             child = os.fork()
         if not child:
@@ -93,19 +93,19 @@ def in_subprocess(work: Callable[[], T], *, seconds: float) -> T:
     except OSError as error:
         raise LostProcessError(f"could not be started: {error.strerror}") from error
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, waiting)
+        signal.pthread_sigmask(signal.SIG_SETMASK, previous_mask)
     other.close()
     answer: tuple[T, Exception | None] | None = None
-    patience = os.WNOHANG
+    wait_options = os.WNOHANG
     try:
         if not line.poll(max(seconds, 0.0)):
             raise LateProcessError(f"did not finish in {seconds:g} s")
         answer = line.recv()
     except (EOFError, OSError):
-        patience = 0  # it is ending, perhaps amid its answer
+        wait_options = 0  # the child is ending, perhaps while sending
     finally:
         line.close()
-        end = _ended(child, patience)
+        end = _end(child, wait_options)
     if answer is None:
         raise LostProcessError(f"ended with {end}")
     result, failure = answer
@@ -114,15 +114,15 @@ def in_subprocess(work: Callable[[], T], *, seconds: float) -> T:
     return result
 
 
-def _ended(child: int, patience: int) -> str:
-    """Ensure that a process has ended, and return its status."""
+def _end(child: int, wait_options: int) -> str:
+    """End a process if it is still running, and return its status."""
     try:
-        found, status = os.waitpid(child, patience)
-        if not found:
+        pid, status = os.waitpid(child, wait_options)
+        if not pid:
             os.kill(child, signal.SIGKILL)
             _, status = os.waitpid(child, 0)
     except (ProcessLookupError, ChildProcessError):
-        # The program has its children reaped elsewhere, and the number may be another's.
+        # The program reaps its children elsewhere, and the PID may be reused.
         return "unknown reason"
     code = os.waitstatus_to_exitcode(status)
     return f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
@@ -132,7 +132,7 @@ def _serve(work: Callable[[], Any], line: Connection) -> NoReturn:
     """Send the result or exception of `work`, and end this process."""
     try:
         for number in _INTERRUPTS:
-            signal.signal(number, signal.SIG_DFL)  # an interrupt is the first process's
+            signal.signal(number, signal.SIG_DFL)  # the parent handles interrupts
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _INTERRUPTS)
         faulthandler.disable()
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -143,7 +143,7 @@ def _serve(work: Callable[[], Any], line: Connection) -> NoReturn:
             line.send((work(), None))
         except GeodrakeError as error:
             line.send((None, error))
-        except BaseException as error:  # Drake raises SystemExit where its assertions fail
+        except BaseException as error:  # Drake raises SystemExit if its assertions fail
             line.send((None, LostProcessError(f"raised {type(error).__name__}: {error}")))
     finally:
         os._exit(0)
@@ -160,20 +160,19 @@ def check_solver(solver: str) -> None:
 
 
 def solved_apart(solve: Callable[[Accuracies], T], solver: str) -> T:
-    """Return the result of `solve`, given accuracies to try, in a subprocess.
+    """Return the result of `solve` with the given accuracies, in a subprocess.
 
-    Where rounding has left no digit of a step, Clarabel panics on the numbers that are none, and
-    that ends the process it is in. No check before the call can tell, as it takes the last digits
-    of an iterate; a little less accuracy often ends before that.
+    If rounding leaves no significant digit of a step, Clarabel panics on NaN and ends its process.
+    This cannot be predicted; a lower accuracy often avoids it.
     """
-    over = time.monotonic() + _SECONDS
+    deadline = time.monotonic() + _SECONDS
     for accuracies in (EXACTLY, EXACTLY[1:]):
-        seconds = max(over - time.monotonic(), 0.0)
+        seconds = max(deadline - time.monotonic(), 0.0)
         try:
             return in_subprocess(partial(solve, accuracies), seconds=seconds)
         except LateProcessError as error:
             raise ConvergenceError(
-                f"{solver} {error}, which is all that a fit has.",
+                f"{solver} {error}, the time limit of a fit.",
                 advice="Use the default solver, or raise gamma.",
                 solver=solver,
             ) from None
@@ -185,30 +184,30 @@ def solved_apart(solve: Callable[[Accuracies], T], solver: str) -> T:
 def run_solver(
     program: MathematicalProgram, solver: str, accuracies: Accuracies = EXACTLY
 ) -> tuple[MathematicalProgramResult, float]:
-    """Return the solution of a program, and the duality gap that Clarabel may have left.
+    """Return the solution of a program, and a bound of Clarabel's duality gap in units of the cost.
 
-    It runs in this process; `solved_apart` is safe where this is not. The gap is in the unit of the
-    cost. The IdentificationError of a solver that found no solution has the `status` in its
-    evidence.
+    It runs in this process; `solved_apart` protects against crashes. The IdentificationError of a
+    failed solver has the `status` in its evidence.
     """
     check_solver(solver)
     engine = SOLVERS[solver]()
-    for share in accuracies:
-        almost = 1e3 * share  # "almost solved" counts as success in Drake
-        own: dict[str, float | int] = {}
+    for tolerance in accuracies:
+        reduced = 1e3 * tolerance  # "almost solved" counts as success in Drake
+        settings: dict[str, float | int] = {}
         if solver == "clarabel":
             for name in ("tol_gap_abs", "tol_gap_rel", "tol_feas"):
-                own |= {name: share, f"reduced_{name}": almost}
+                settings |= {name: tolerance, f"reduced_{name}": reduced}
         else:
-            own = {"eps_abs": 1e2 * share, "eps_rel": 1e2 * share, "max_iters": 100_000}
+            settings = {"eps_abs": 1e2 * tolerance, "eps_rel": 1e2 * tolerance}
+            settings["max_iters"] = 100_000
         options = SolverOptions()
-        for name, value in own.items():
+        for name, value in settings.items():
             options.SetOption(engine.solver_id(), name, value)
         result = engine.Solve(program, None, options)
         status = result.get_solution_result()
         if result.is_success():
             exact = getattr(result.get_solver_details(), "status", "") == "Solved"
-            gap = (share if exact else almost) if solver == "clarabel" else np.nan
+            gap = (tolerance if exact else reduced) if solver == "clarabel" else np.nan
             return result, gap * max(1.0, abs(result.get_optimal_cost()))
         if status != SolutionResult.kSolverSpecificError:
             break

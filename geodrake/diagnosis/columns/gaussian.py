@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from geodrake.compiling import compiled, contiguous
 from geodrake.diagnosis.columns.design import JointDesign
 from geodrake.identification.logs.criteria import LEAST_NOISE
-from geodrake.identification.normal_equations import calc_solution, not_held
+from geodrake.identification.normal_equations import calc_solution, singular_error
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -89,7 +89,7 @@ def most_probable(
     try:
         x, mse, H = calc_most_probable((grams, sides, places), weights, bounds, gains, (start, mse))
     except np.linalg.LinAlgError as error:
-        raise not_held() from error
+        raise singular_error() from error
     deviation, zero = x - mean, np.zeros_like(x)
     shared = np.full(len(x), -1)
     prior_det, log_det = (calc_solution(A, zero, _RIDGE, shared)[1] for A in (bounds[0], H))

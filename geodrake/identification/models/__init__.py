@@ -1,4 +1,4 @@
-"""Identify a robot model from logs: its inertias near their prior, its effects from the data."""
+"""Identify a robot model from logs: inertias close to their prior, effects from the data."""
 
 from geodrake.identification.models.identify import identify_model
 from geodrake.identification.models.results import (

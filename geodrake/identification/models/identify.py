@@ -1,4 +1,4 @@
-"""Identify a robot model from logs: its inertias near their prior, its effects from the data."""
+"""Identify a robot model from logs: inertias close to their prior, effects from the data."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ from geodrake.model.holding import holding
 from geodrake.model.robot_model import RobotModel
 
 _FAR = 2.0
-"""Factor of a mass from which on a body's change is worth a word."""
+"""Ratio of masses from which a body's change is reported."""
 
 _USUAL = 2.0
-"""Ratio to the file's uncertainty up to which all bodies together usually differ."""
+"""Usual change of the total mass, relative to the uncertainty of a file."""
 
 USUAL = tuple(e.name for e in catalogue() if e.complexity == 0 and "v" in e.depends_on)
-"""Effects that almost every robot has, and that inertias otherwise approximate."""
+"""Effects of almost every robot, which inertias otherwise absorb."""
 
 
 def changed_bodies(model: RobotModel, fit: ModelFit) -> tuple[BodyChange, ...]:
@@ -55,7 +55,7 @@ def changed_bodies(model: RobotModel, fit: ModelFit) -> tuple[BodyChange, ...]:
 def body_changes(
     names: Sequence[str], before: Array, after: Array, fit: FitResult
 ) -> tuple[BodyChange, ...]:
-    """Return the changes of bodies (nb, 10) by a fit, whose first parameters they are."""
+    """Return the changes of bodies (nb, 10), the first parameters of a fit."""
     covariance = fit.covariance()
     masses, com, _ = to_mass_com_inertia(np.stack([before, after], axis=1))
     distances = pullback_distance(before, after, before)
@@ -67,11 +67,17 @@ def body_changes(
         unknown = np.isinf(np.diagonal(block))
         known = np.where(np.isinf(block), 0.0, block)
         spread = np.einsum("ij,jk,ik->i", jacobian, known, jacobian)
-        spread[unknown[1:] | unknown[0] | (spread < 0.0)] = np.inf  # below 0: rounding errors alone
-        spread = np.sqrt(spread)
-        deviation, far = float(np.sqrt(block[0, 0])), float(distances[k])
+        spread[unknown[1:] | unknown[0] | (spread < 0.0)] = np.inf  # negative: only rounding errors
         changes.append(
-            BodyChange(name, (m0, m1), com[k], deviation, spread, start in fit.active_blocks, far)
+            BodyChange(
+                name,
+                (m0, m1),
+                com[k],
+                float(np.sqrt(block[0, 0])),
+                np.sqrt(spread),
+                start in fit.active_blocks,
+                float(distances[k]),
+            )
         )
     return tuple(changes)
 
@@ -99,10 +105,9 @@ def model_notes(model: RobotModel, bodies: Sequence[BodyChange]) -> list[str]:
 
 
 def common_factor_notes(bodies: Sequence[BodyChange]) -> list[str]:
-    """Return a note that all bodies together became heavier or lighter than a file may be wrong.
+    """Return a note if the total mass changed by more than the usual error of a file.
 
-    Efforts that are all too large or too small by one factor, such as currents or torques of
-    motors, do that.
+    A common factor of all efforts, such as currents or torques of motors, causes that.
     """
     before, after = (sum(body.mass[k] for body in bodies) for k in (0, 1))
     if before <= 0.0 or after <= 0.0 or abs(np.log(after / before)) <= _USUAL * SPREAD:
@@ -114,9 +119,10 @@ def common_factor_notes(bodies: Sequence[BodyChange]) -> list[str]:
     ]
 
 
-_MOST_ITERATIONS = 10  # refits until the weights of the joints stay
-_SAME_INERTIA = 1e-3  # share by which that at a joint without a motor changes in the last refit
-_NOTABLY = 0.95  # ratio of held-out errors below which a weaker weight is worth a word
+_MOST_ITERATIONS = 10  # largest number of refits
+_SAME_INERTIA = 1e-3  # relative change of an inertia at a joint without a motor at convergence
+_LOADS = frozenset({"load", "bodies"})
+_NOTABLY = 0.95  # ratio of held-out errors below which a smaller γ is reported
 
 
 def identify_model(
@@ -125,20 +131,21 @@ def identify_model(
     settings: IdentificationSettings | None = None,
     *,
     effects: Sequence[Effect] = (),
-    progress: Callable[[str], None] = lambda words: None,
+    progress: Callable[[str], None] = lambda message: None,
 ) -> ModelIdentification:
     """Identify the inertial parameters and effects of a model, with the model as prior.
 
-    The inertial parameters are regularized towards those of the model. Of its effects, positive
-    parameters such as friction and rotor inertias are known to within their own size, by the
-    divergence of P(1) that belongs to the regularizer ([Lee2019] Remark 3.13); others and new
-    effects are not regularized. A joint's residuals are weighted by its held-out error and reduced
-    to effective samples, so that γ weighs d² against the log-likelihood: 1/γ is the variance of d.
+    Inertial parameters are regularized towards those of the model. Positive parameters of its
+    effects, such as friction and rotor inertias, have an uncertainty of their own size in the
+    regularizer's divergence on P(1) ([Lee2019] Remark 3.13). Other parameters and new effects are
+    not regularized. A joint's residuals are weighted by its held-out error and scaled to effective
+    samples, so that γ weighs d² against the log-likelihood: 1/γ is the variance of d.
 
-    `effects` are fitted beside those of the model; `progress` is called with what is going on.
+    `effects` are fitted in addition to the model's; `progress` receives messages.
 
     Raises:
-        ArgumentError: The model has one of the effects already, or a body of it cannot exist.
+        ArgumentError: The model already has one of the effects, or one of its bodies is not
+            physical.
         LogError: A log cannot be used.
         IdentificationError: No physical parameters reach the residual bound.
     """
@@ -157,19 +164,19 @@ def identify_model(
         blocks=settings.blocks,
         hold_resting=settings.hold_resting and settings.total_mass is None,
     )
-    if case.model.joints != prior.joints:  # some are held
+    if case.model.joints != prior.joints:  # some joints are held
         held = {joint: case.model.held[joint] for joint in prior.joints if joint in case.model.held}
         model, prior = holding(model, held), case.model
     prior = replace(prior, motorless=case.model.motorless)
     unknowns = log_unknowns(case.dataset, prior)
-    weighed = reweight(first_hypothesis(case.dataset, unknowns), iterations=_MOST_ITERATIONS)
+    hypothesis = reweight(first_hypothesis(case.dataset, unknowns), iterations=_MOST_ITERATIONS)
     fits = LogFits(
         case.dataset,
         unknowns,
-        weighed.weights,
+        hypothesis.weights,
         settings.total_mass,
-        near=weighed.held_out.x.mean(0),
-        power=weighed.power,
+        near=hypothesis.held_out.x.mean(0),
+        power=hypothesis.power,
     )
     gamma, sweep = settings.gamma, tuple[GammaScore, ...]()
     if settings.residual_ratio is None and gamma is None:
@@ -177,7 +184,7 @@ def identify_model(
         gamma, sweep = choose_gamma(fits, settings.regularizer)
     fits, result, folds = _settled(fits, settings, gamma)
     if any(_is_friction_by_load(effect) for effect in unknowns.effects):
-        # It was fitted by the prior's loads; now it is by those of the first fit.
+        # Refit with the loads of the first fit instead of the prior's.
         phi = result.phi[: len(prior.phi)]
         case = replace(reduce_fitted(case, replace(prior, phi=phi)), model=prior)
         unknowns = log_unknowns(case.dataset, prior)
@@ -217,8 +224,7 @@ def identify_model(
 
 
 def _is_friction_by_load(effect: Effect) -> bool:
-    seen = effect.depends_on & {"load", "bodies"}
-    by_load = declares_signals(type(effect)) and bool(seen)
+    by_load = declares_signals(type(effect)) and not effect.depends_on.isdisjoint(_LOADS)
     return effect.role is Role.FORCE and effect.jumps and by_load
 
 
@@ -229,10 +235,10 @@ def _block_names(fits: LogFits) -> tuple[str, ...]:
 
 
 def _sweep_notes(gamma: float | None, sweep: Sequence[GammaScore]) -> list[str]:
-    """Return a note if a weaker weight of a sweep than may be chosen would fit better."""
-    chosen = [tried.nrms for tried in sweep if tried.gamma == gamma]
-    weaker = [tried for tried in sweep if gamma is not None and tried.gamma < gamma]
-    best = min(weaker, key=lambda tried: tried.nrms, default=None)
+    """Return a note if a γ below the allowed ones would fit better."""
+    chosen = [score.nrms for score in sweep if score.gamma == gamma]
+    smaller = [score for score in sweep if gamma is not None and score.gamma < gamma]
+    best = min(smaller, key=lambda score: score.nrms, default=None)
     if best is None or not chosen or best.nrms > _NOTABLY * chosen[0]:
         return []
     return [
@@ -243,10 +249,10 @@ def _sweep_notes(gamma: float | None, sweep: Sequence[GammaScore]) -> list[str]:
 
 
 def with_effects(model: RobotModel, effects: Sequence[Effect]) -> RobotModel:
-    """Return the model with further effects whose parameters are zero.
+    """Return the model with additional effects of zero parameters.
 
     Raises:
-        ArgumentError: The model has one of them already.
+        ArgumentError: The model already has one of them.
     """
     instance(model, "model", RobotModel)
     for effect in (effects := instances(effects, "effects", Effect)):
@@ -266,13 +272,13 @@ def with_effects(model: RobotModel, effects: Sequence[Effect]) -> RobotModel:
 def _settled(
     fits: LogFits, settings: IdentificationSettings, gamma: float | None
 ) -> tuple[LogFits, IdentificationResult, list[IdentificationResult]]:
-    """Return `_solved`, with the inertias at joints without motors taken near the solution."""
+    """Return `_solved`, iterated until inertias at joints without motors converge."""
     result, folds = _solved(fits, settings, gamma)
     columns, dataset = fits.unknowns.columns, fits.dataset
     for _ in range(_MOST_ITERATIONS if dataset.passive_inertia is not None else 0):
-        before = fits.near if fits.near is not None else fits.unknowns.mean
-        was, now = (dataset.inertias(columns, x) for x in (before, result.x))
-        if np.abs(np.log(now / was)).max() < _SAME_INERTIA:
+        near = fits.near if fits.near is not None else fits.unknowns.mean
+        previous, current = (dataset.inertias(columns, x) for x in (near, result.x))
+        if np.abs(np.log(current / previous)).max() < _SAME_INERTIA:
             break
         fits = replace(fits, near=result.x)
         result, folds = _solved(fits, settings, gamma)
@@ -282,7 +288,7 @@ def _settled(
 def _solved(
     fits: LogFits, settings: IdentificationSettings, gamma: float | None
 ) -> tuple[IdentificationResult, list[IdentificationResult]]:
-    """Return the fits to all and to all but each fold, with one γ or each at its own bound."""
+    """Return the fits to all folds and without each fold, with one γ or each at its own bound."""
     name, ratio = settings.regularizer, settings.residual_ratio or 1.0
 
     def solve(without: int | None) -> IdentificationResult:
@@ -294,13 +300,13 @@ def _solved(
         return solve(None), [solve(f) for f in fits.folds]
     except (IdentificationError, ArgumentError) as error:
         if gamma is None:
-            words = ""
+            limit = ""
             if (least := error.evidence.get("minimum")) is not None:
                 reached = np.sqrt(least / fits.least_residual())
-                words = f" Physical bodies reach about {reached:.4g}."
+                limit = f" Physical bodies reach about {reached:.4g}."
             raise IdentificationError(
                 f"No physical parameters have an RMS residual within {ratio:g} times the "
-                f"smallest of any parameters.{words}",
+                f"smallest of any parameters.{limit}",
                 advice="Raise the bound, or use gamma instead.",
             ) from error
         if isinstance(error, ArgumentError):
@@ -318,26 +324,26 @@ def _solved(
 def _compared(
     fits: LogFits, result: IdentificationResult, folds: Sequence[IdentificationResult]
 ) -> tuple[tuple[Alternative, ...], list[str]]:
-    """Return all regularizers at the residual of a fit, and notes of those without a solution.
+    """Return all regularizers at the residual of a fit, and notes on those without a solution.
 
-    The `folds` are the same fit to all but each fold.
+    `folds` are the same fit without each fold.
     """
-    names, found = _block_names(fits), list[Alternative]()
+    names, alternatives = _block_names(fits), list[Alternative]()
     compared = fits.compare(result.regularizer, result.gamma)
     failures = dict(compared.failures)
-    for name, own in compared.results.items():
+    for name, fit in compared.results.items():
         try:
             parts = folds
             if name != result.regularizer:
-                parts = [fits.solve(name, gamma=own.gamma, without=f) for f in fits.folds]
+                parts = [fits.solve(name, gamma=fit.gamma, without=f) for f in fits.folds]
         except GeodrakeError as error:
             failures[name] = f"Without one fold: {error}"
             continue
         errors = error_table(fits.dataset, fits.held_out(parts))
-        at = tuple(names[start // PARAMETERS_PER_BODY] for start in own.active_blocks)
-        phi = own.phi[: len(fits.dataset.bodies)]
-        found.append(Alternative(name, own.gamma, own.residual, errors, phi, at))
+        at = tuple(names[start // PARAMETERS_PER_BODY] for start in fit.active_blocks)
+        phi = fit.phi[: len(fits.dataset.bodies)]
+        alternatives.append(Alternative(name, fit.gamma, fit.residual, errors, phi, at))
     notes = [
         f"the {name} regularizer has no solution to compare: {failures[name]}" for name in failures
     ]
-    return tuple(found), notes
+    return tuple(alternatives), notes

@@ -23,9 +23,7 @@ class BodyChange(Short):
     com: Array  # (2, 3) centres of mass before and after in the body's frame, m
     mass_deviation: float  # standard deviation of the mass, kg
     com_deviation: Array  # (3,) standard deviations of the centre of mass, m
-    # Whether it is at the boundary of what a body can be, so that only the demand for physical
-    # consistency keeps it from what no body can have.
-    at_boundary: bool
+    at_boundary: bool  # whether the body is at the boundary of physical consistency
     # Geometric distance from before to after, in the metric before: 0.1 is about 10 % of mass or
     # lengths.
     distance: float
@@ -36,7 +34,7 @@ class Alternative(Short):
     """Result of another regularizer at the same training residual."""
 
     regularizer: str
-    gamma: float  # weight with which it reaches the residual
+    gamma: float  # weight at which it has that residual
     residual: float  # weighted squared residual of the training data
     errors: ErrorTable  # held out
     phi: Array  # (nb, 10) inertial parameters
@@ -48,19 +46,17 @@ class ModelIdentification(Shown):
     """An identified model."""
 
     model: RobotModel  # the fitted model, with its information matrix
-    prior: RobotModel  # the model as it came
+    prior: RobotModel  # the model before the fit
     regularizer: str  # name of the regularizer
     gamma: float  # weight of the regularizer against effective samples
-    # What each γ tried gives; empty where γ or a residual bound was given.
-    sweep: tuple[GammaScore, ...]
-    before: ErrorTable  # errors of the model as it came
+    sweep: tuple[GammaScore, ...]  # candidates for γ; empty if γ or a residual bound was given
+    before: ErrorTable  # errors of the prior model
     after: ErrorTable  # held-out errors of the fit
-    bodies: tuple[BodyChange, ...]  # what became of every body; payloads follow
+    bodies: tuple[BodyChange, ...]  # changes of all bodies, followed by payloads
     result: IdentificationResult  # the solution: residual, divergence, solver
     comparison: Comparison  # held-out predictions, for reports
-    # All regularizers at the same training residual, if asked for.
-    alternatives: tuple[Alternative, ...]
-    notes: tuple[str, ...]  # what was done to the logs and noticed
+    alternatives: tuple[Alternative, ...]  # all regularizers at the same residual, if requested
+    notes: tuple[str, ...]  # on the preparation of the logs, and on the fit
 
     @property
     def at_boundary(self) -> tuple[str, ...]:
@@ -68,28 +64,27 @@ class ModelIdentification(Shown):
         return tuple(body.name for body in self.bodies if body.at_boundary)
 
 
-_LARGEST_RATIO = 1e6  # of residuals, beyond which a bound bounds nothing
+_LARGEST_RATIO = 1e6  # largest meaningful ratio of residuals
 
 
 @dataclass(frozen=True, kw_only=True)
 class IdentificationSettings(Short):
-    """How to identify; at most one of gamma and residual_ratio, neither to choose γ by itself."""
+    """Settings of an identification; without gamma and residual_ratio, γ is chosen by a sweep."""
 
-    regularizer: str = "entropic"  # its name, of `geodrake.identification.REGULARIZERS`
+    regularizer: str = "entropic"  # a name in `geodrake.identification.REGULARIZERS`
     gamma: float | None = None  # weight γ > 0 of the regularizer against effective samples
-    # RMS of the training residual that is allowed, relative to the least that any parameters reach;
-    # above 1, and up to a million.
+    # Allowed RMS of the training residual, relative to the least of any parameters; above 1, at
+    # most a million. Excludes gamma.
     residual_ratio: float | None = None
-    # Mass of all moving bodies together, payloads included, kg, if it is known.
-    total_mass: float | None = None
-    compare: bool = False  # whether to solve with all regularizers at the same residual too
+    total_mass: float | None = None  # of all moving bodies and payloads, kg, if known
+    compare: bool = False  # whether to also solve with all regularizers at the same residual
     # Bandwidth of the filter, Hz; by default that of the model's fit to the same logs, or chosen
     # from the data.
     bandwidth: float | None = None
-    blocks: int | None = None  # blocks into which every log is cut for validation
+    blocks: int | None = None  # number of blocks of every log for validation
     # Whether joints that hardly move in any log are held; see
-    # `geodrake.model.logged_joints.holding_resting`. None is held beside a total mass, which is
-    # that of all bodies.
+    # `geodrake.model.logged_joints.holding_resting`. With a total mass, which includes all bodies,
+    # none is held.
     hold_resting: bool = True
 
     def __post_init__(self) -> None:
