@@ -51,9 +51,9 @@ have [further effects](models.md#mjcf).
 PICTURES = """
 ## Residuals
 
-An arm moves for 20 s, and its model lacks one effect. The pictures show the residual of one joint
-over time, over the joint's speed and over its position. The panel that shows a curve instead of a
-cloud usually identifies the effect.
+An arm moves for 20 s, and its model lacks one effect. The text and the pictures describe the
+residual of one joint: over time, over the joint's speed and over its position. The panel that shows
+a curve instead of a cloud usually identifies the effect.
 """
 
 
@@ -169,11 +169,11 @@ def page(drawn: dict[type[Effect], Path], folder: Path) -> str:
     parts = [INTRODUCTION + table + PICTURES]
     for effect, path in drawn.items():
         parameters = ", ".join(f"{p.name} ({p.unit})" for p in effect.parameters)
-        lines = [f"### `{effect.name}`", f"In a residual: {effect.signature}."]
+        lines = [f"### `{effect.name}`", f"{effect.signature[0].upper()}{effect.signature[1:]}."]
         if parameters:
             lines.append(f"Parameters: {parameters}.")
         picture = Path(os.path.relpath(path, folder)).as_posix()
-        lines.append(f"![Residual of {effect.name}]({picture})")
+        lines.append(f"![{effect.name}]({picture})")
         parts.append("\n\n".join(lines) + "\n")
     return "\n".join(parts)
 
