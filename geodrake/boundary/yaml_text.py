@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import yaml  # type: ignore[import-untyped]
 
 from geodrake.boundary.escaping import one_line
 from geodrake.boundary.input_files import read_regular
-from geodrake.errors import GeodrakeError, ModelError
+from geodrake.errors import ArgumentError, GeodrakeError, ModelError
+
+T = TypeVar("T")
 
 LARGEST_FILE = 100_000_000  # bytes
 _MOST_NODES = 1_000_000  # with aliases unfolded
@@ -51,6 +55,22 @@ def yaml_content(path: Path, what: str, error: type[GeodrakeError], *, advice: s
     except (yaml.YAMLError, ValueError, RecursionError) as problem:
         raise error(
             f"The {what} {path} is not valid YAML: {one_line(problem)}.", advice=advice, path=path
+        ) from problem
+
+
+def made_of_yaml(
+    path: Path, what: str, error: type[GeodrakeError], make: Callable[[object], T], *, advice: str
+) -> T:
+    """Return what a function makes of the content of a YAML file, with errors that name the file.
+
+    See `yaml_content` for arguments.
+    """
+    content = yaml_content(path, what, error, advice=advice)
+    try:
+        return make(content)
+    except ArgumentError as problem:
+        raise error(
+            f"{what.capitalize()} {path}: {problem.problem}", advice=problem.advice or advice
         ) from problem
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -11,7 +12,7 @@ import msgspec
 from geodrake.boundary.arguments import file_path, number
 from geodrake.boundary.showing import Short
 from geodrake.boundary.yaml_schema import Schema, as_schema
-from geodrake.boundary.yaml_text import yaml_content
+from geodrake.boundary.yaml_text import made_of_yaml
 from geodrake.errors import ArgumentError, FleetError
 from geodrake.fleet.digest_log import Wanted
 from geodrake.fleet.log_places import DATED_BY, absolute_pattern, check_date_pattern, home_path
@@ -141,12 +142,7 @@ def read_fleet(path: str | Path) -> Fleet:
         FleetError: It cannot be read, has other keys or kinds of values, or names a robot twice.
     """
     path = file_path(path)
-    content = yaml_content(path, "fleet file", FleetError, advice=_FORM)
-    try:
-        return _fleet(path, content)
-    except ArgumentError as error:
-        advice = error.advice or _FORM
-        raise FleetError(f"Fleet file {path}: {error.problem}", advice=advice) from error
+    return made_of_yaml(path, "fleet file", FleetError, partial(_fleet, path), advice=_FORM)
 
 
 def _fleet(path: Path, content: object) -> Fleet:

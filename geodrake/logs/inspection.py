@@ -22,7 +22,7 @@ from geodrake.logs.preparation import prepare_logs
 from geodrake.logs.sensor_faults import without_faults
 from geodrake.logs.time_stamps import longest_step
 from geodrake.logs.uniform_log import make_uniform
-from geodrake.logs.units_of_values import effort_sign_hint, position_unit_hint
+from geodrake.logs.units_of_values import effort_hint, position_unit_hint
 
 _WINDOW, _STILL = 0.25, 2e-3  # s, and rad or m by which a joint at rest may move in them
 _SHORTEST_REST = 0.5  # s
@@ -99,7 +99,7 @@ def inspect_log(
     missing = [joint for joint in joints or () if joint not in (*log.joints, *log.standing)]
     notes = [f"the model's {', '.join(missing)} have no measurements"] if missing else []
     time = columns.sources.get("time")
-    first = tuple(filter(None, (position_unit_hint(log), effort_sign_hint(log), unused)))
+    first = tuple(filter(None, (position_unit_hint(log), effort_hint(log), unused)))
     return LogInspection(
         log,
         time.column if time else "",

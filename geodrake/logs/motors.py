@@ -10,7 +10,7 @@ import msgspec
 
 from geodrake.boundary.arguments import file_path, typed
 from geodrake.boundary.yaml_schema import Schema, as_schema
-from geodrake.boundary.yaml_text import yaml_content
+from geodrake.boundary.yaml_text import made_of_yaml
 from geodrake.errors import ArgumentError, nearest
 
 Published = tuple[float, float, str]
@@ -70,19 +70,16 @@ def motor_of_robot(name: str) -> Motor | None:
 
 
 def _read(path: Path) -> dict[str, Motor]:
-    content = yaml_content(path, "table of motors", ArgumentError, advice=_FORM)
-    try:
-        read = as_schema(content, dict[str, Motor])
-    except ArgumentError as error:
-        raise ArgumentError(f"Motors {path}: {error.problem}", advice=_FORM) from error
+    return made_of_yaml(path, "motors", ArgumentError, _motors, advice=_FORM)
+
+
+def _motors(content: object) -> dict[str, Motor]:
+    read = as_schema(content, dict[str, Motor])
     for name, motor in read.items():
         for what in motor.__struct_fields__[2:]:
             value = getattr(motor, what)
             if value is not None and not (value[0] > 0.0 and 0.0 <= value[1] < float("inf")):
-                raise ArgumentError(
-                    f"Motors {path}: {what} of {name} is {value[0]:.4g} ± {value[1]:.4g}.",
-                    advice=_FORM,
-                )
+                raise ArgumentError(f"{what} of {name} is {value[0]:.4g} ± {value[1]:.4g}.")
     return {name: msgspec.structs.replace(motor, name=name) for name, motor in read.items()}
 
 

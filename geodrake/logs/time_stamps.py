@@ -39,6 +39,7 @@ _SHORT, _BURSTS = 0.25, 0.05  # of the mean step, and the share of steps that ar
 _GAP_STEPS, _GAP_SECONDS = 5.0, 0.02  # a longer step is a gap, a shorter one is jitter
 _BURSTS_TOGETHER = 10.0  # longest usual steps of what is averaged
 _INSTANT = 1e-9  # s
+_DIGITS = 30.0  # of the 40 that the digits of a clock leave out at the end of a minute
 _WHOLE = 1e-6  # by which stamps that count are off
 _WRAPS = [2.0**bits * unit for bits in (16, 24, 32) for unit in (1.0, 1e-3, 1e-6, 1e-9)]
 """Times at which a counter in some unit begins anew, s."""
@@ -81,6 +82,29 @@ def time_unit(
         return None
     words = f"time is in {unit}, judging by {rates[unit]:.4g} Hz: converted"
     return _UNITS[unit], f"{words} (--units time=s if it is not)"
+
+
+def of_clock(time: Array) -> Array | None:
+    """Return seconds of time stamps (N,) that are digits of a clock; None if they are not.
+
+    These are hhmmss.fff or hhmmssmmm, which jump where a minute ends, as 59.99 is followed by 100.
+    """
+    for unit in (1.0, 1e-3):
+        stamps = unit * time[:_ROWS]
+        jumps = np.diff(stamps) > _DIGITS
+        if not jumps.any():
+            continue
+        own = np.diff(_since_midnight(stamps))
+        digits = stamps // np.array([[1e4], [1e2], [1.0]]) % np.array([[1e10], [1e2], [1e2]])
+        are_a_clocks = (np.nanmax(digits, axis=1) < [24.0, 60.0, 60.0]).all()
+        if are_a_clocks and own[jumps].max() <= longest_step(float(np.nanmedian(own))):
+            return _since_midnight(unit * time)
+    return None
+
+
+def _since_midnight(stamps: Array) -> Array:
+    """Return the seconds of stamps hhmmss.fff."""
+    return 3600.0 * (stamps // 1e4) + 60.0 * (stamps // 1e2 % 1e2) + stamps % 1e2
 
 
 def are_parts(seconds: Array, parts: Array) -> bool:

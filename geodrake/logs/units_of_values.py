@@ -274,6 +274,7 @@ _JUMP = 0.2  # of its range, between two rows: 0.3 in random order, 0.1 in 20 ro
 _LARGEST = 1e100  # of efforts that are compared with limits, and of positions with each other
 _LEAST_LIMIT = 1e-9  # N·m or N: no motor is that weak
 _NEAR_ZERO, _TOUCHES = 0.03, 4  # of the largest effort, and how often one comes down to it
+_MOST_AMPERES = 300.0
 _LOOKS = 200  # at a position, between which its noise turns it round
 _LEAST_MRAD, _MOST_DEGREES = 400.0, 3600.0  # ten turns
 _LEAST_TICKS = 100.0  # no joint goes there in radians
@@ -354,8 +355,23 @@ def check_ticks(log: JointLog) -> None:
     )
 
 
-def effort_sign_hint(log: JointLog) -> str | None:
-    """Return a hint if efforts look like magnitudes, which return to zero, or None."""
+def effort_hint(log: JointLog) -> str | None:
+    """Return a hint if efforts look like magnitudes or counts of currents, or None.
+
+    Magnitudes return to zero while the joint turns both ways.
+    """
+    counts = {
+        name: float(peaks_of(tau[:, None])[0])
+        for name, tau in zip(log.joints, log.motor_effort.T, strict=True)
+        if log.effort_kinds.get(name) == "current" and are_whole(tau)
+    }
+    large = {name: f"{peak:.0f}" for name, peak in counts.items() if peak > _MOST_AMPERES}
+    if large:
+        return (
+            f"The currents of {', '.join(large)} are integers of up to {', '.join(large.values())} "
+            "A, which motors of robots do not draw: they seem to be counts or mA. Give their unit, "
+            "as in --units current=mA."
+        )
     position, effort = log.position[:_ROWS], log.motor_effort[:_ROWS]
     rows = np.isfinite(position).all(axis=1) & np.isfinite(effort).all(axis=1)
     position, effort = position[rows], effort[rows]

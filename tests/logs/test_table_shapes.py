@@ -563,6 +563,16 @@ SHAPES = {
     "ODrive_names.csv": logger("t", "node{}.Pos_Estimate", "node{}.Torque_Estimate", (0, 1),
         0.5 / np.pi),
     "theta.csv": logger("t", "th{}", "tau{}"),
+    "commas_in_names.csv": text("t;q1, rad;q2, rad;tau1, Nm;tau2, Nm\n" + PLAIN.to_csv(
+        index=False, header=False, sep=";", decimal=",")),
+    "KUKA_Sunrise.log": table(PLAIN.assign(time=np.rint(1e9 * TIME), s=0)[["s", *PLAIN]].set_axis(
+        ["ZeitInSec", "ZeitInNanoSec", "axisQMsr[0]", "axisQMsr[1]", "axisTauMsr[0]",
+        "axisTauMsr[1]"], axis=1), sep=" "),
+    "root.npz": lambda path: np.savez(path, t=TIME, joint_names=np.array(JOINTS), torque=EFFORT,
+        joint_pos=POSITION, root_pos=np.zeros((ROWS, 3))),
+    "spare_motors.jsonl": text("\n".join(json.dumps({"time": t, "motor_state": [
+        {"q": q, "tau_est": tau} for q, tau in (*zip(place, effort, strict=True), (0, 0), (0, 0))]})
+        for t, place, effort in zip(*(x.tolist() for x in (TIME, POSITION, EFFORT)), strict=True))),
     "saved_by_Octave.txt": of_octave({"t": TIME[:, None], "q": POSITION, "tau": EFFORT}),
     "of_Octave_at_a_rate.txt": of_octave({"q": POSITION, "Ts": np.array([[0.01]]), "tau": EFFORT}),
     "a_range_of_Octave.txt": of_octave({"q": POSITION, "tau": EFFORT}, "# name: t\n"
@@ -614,7 +624,10 @@ def test_a_table_of_any_shape_is_the_same_log(tmp_path, name):
         assert words in noted
 
 
-@pytest.mark.parametrize("names", ["x1 x2 x3 x4 u", "x theta x_dot theta_dot u"])
+@pytest.mark.parametrize(
+    "names",
+    ["x1 x2 x3 x4 u", "x theta x_dot theta_dot u", "x theta1 x_dot theta1_dot F"],
+)
 def test_states_of_a_cart_with_a_pole_are_of_its_joints(tmp_path, names):
     values = np.column_stack([POSITION, VELOCITY, EFFORT[:, 0]]).T
     path = csv_of(tmp_path, {"t": TIME, **dict(zip(names.split(), values, strict=True))})
@@ -809,6 +822,16 @@ def test_a_counter_of_time_that_begins_anew_goes_on(tmp_path, bits, unit, times)
     log = read_log(csv_at(tmp_path, stamps, np.sin(time), np.cos(time), f"t_{unit}"))
     np.testing.assert_allclose(log.time - log.time[0], time, atol=1e-6)
     assert any("the counter of time begins anew at" in note for note in log.notes)
+
+
+@pytest.mark.parametrize("form", ["%H%M%S.%f", "%H%M%S%f"])
+def test_digits_of_a_clock_are_no_seconds(tmp_path, form):
+    time = 0.02 * np.arange(400)
+    moments = pandas.Timestamp("2026-05-01 09:59:55") + pandas.to_timedelta(time, unit="s")
+    stamps = [float(text[: len(text) - 3]) for text in moments.strftime(form)]
+    log = log_at(tmp_path, stamps, time)
+    np.testing.assert_allclose(log.time - log.time[0], time, atol=1e-6)
+    assert any("has the digits of a clock" in note for note in log.notes)
 
 
 def log_at(folder, stamps, time):

@@ -36,7 +36,7 @@ from geodrake.logs.preparation import motion_bandwidth_of, prepare_logs
 from geodrake.logs.smoothing import Segment
 from geodrake.logs.uniform_log import make_uniform
 from geodrake.logs.units_of_values import (
-    effort_sign_hint,
+    effort_hint,
     effort_unit_hint,
     position_limit_hint,
     position_unit_hint,
@@ -456,7 +456,7 @@ def _naming_units(hints: Sequence[str]) -> Iterator[None]:
 
 def _hints(log: JointLog, model: RobotModel) -> list[str]:
     limits, doubt = model.position_limits, position_unit_hint(log)
-    hints = [doubt, effort_sign_hint(log)]
+    hints = [doubt, effort_hint(log)]
     if doubt is None:  # otherwise limits are exceeded for that reason
         largest = np.array(model.effort_limits, float)
         for signal in model.effort_signals:  # with an unknown gain, efforts have no unit

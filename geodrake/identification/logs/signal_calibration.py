@@ -32,7 +32,7 @@ from geodrake.logs.folds import validation_blocks
 from geodrake.logs.log_checks import check_saturation
 from geodrake.logs.motion import PASSIVE, SIGNAL_KINDS, JointLog, Motion, Trajectory
 from geodrake.logs.preparation import prepare_logs
-from geodrake.logs.units_of_values import effort_sign_hint, position_unit_hint
+from geodrake.logs.units_of_values import effort_hint, position_unit_hint
 from geodrake.model.carried_payloads import carried_phi, carrying
 from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal, signal_of
 from geodrake.model.robot_model import RobotModel
@@ -109,7 +109,7 @@ def _check_known(found: Sequence[EffortSignal], logs: Sequence[JointLog]) -> Non
     if not measured or len(measured) < len(found) or not all(map(_is_unknown, measured)):
         return
     kinds = " and ".join(dict.fromkeys(f"{signal.kind}s" for signal in measured))
-    looks = (position_unit_hint, effort_sign_hint)
+    looks = (position_unit_hint, effort_hint)
     hint = next((hint for log in logs for look in looks if (hint := look(log))), "")
     raise LogError(
         f"The {kinds} of {', '.join(signal.joint for signal in measured)} do not match the "

@@ -9,6 +9,7 @@ import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -83,6 +84,8 @@ def read_json(path: Path, reading: Reading) -> LogTable:
             json.loads(text)  # which tells what is wrong
         is_one = len(values) == 1 and unpacked(path).suffix.lower() not in _LINES
         content = _of_rows(path, values[0]) if is_one else values
+        if len(text) > _LONG and reading.mapping is None:  # others get a draft of a mapping
+            _check_told(path, content, _JSON_ADVICE)
         table = messages_table(path, content, reading)
         table = table or content_table(path, content, reading, _JSON_ADVICE)
         cut = f"the last record is cut off and not used: {rest[:_SHOWN]!r}"
@@ -127,11 +130,30 @@ def read_yaml(path: Path, reading: Reading) -> LogTable:
         whole = text.rpartition(b"\n---")[0] or text  # the last message may be cut off
         content, *more = yaml.load_all(whole, yaml.CSafeLoader)
         documents = [each for each in (content, *more) if isinstance(each, Mapping)]
+        _check_told(path, documents or content, model)
         table = messages_table(path, documents, reading)
-        table = table or content_table(path, documents if more else content, reading, advice)
-    if not any(map(meaning_of, table.names)):
-        raise LogError(f"Log {str(path)!r} has neither time nor joints.", advice=model)
-    return table
+        return table or content_table(path, documents if more else content, reading, advice)
+
+
+_LONG = 1_000_000  # letters of JSON
+_FIRST = 100  # of the items of a list or a table
+
+
+def _check_told(path: Path, content: Any, advice: str) -> None:
+    """Raise for content whose first fields are neither of joints nor of time."""
+    fields = fields_of(_beginning({"log": content}), lists=True)
+    names = {re.sub(r"\[\d+\]", "", name) for name, _ in fields}
+    if not any(meaning_of(part) for name in names for part in (name, name.rpartition(".")[2])):
+        raise LogError(f"Log {str(path)!r} has neither time nor joints.", advice=advice)
+
+
+def _beginning(content: Any) -> Any:
+    """Return content with the first items of each list and table in it."""
+    if isinstance(content, list):
+        return [*map(_beginning, content[:_FIRST])]
+    if isinstance(content, dict):
+        return {name: _beginning(value) for name, value in islice(content.items(), _FIRST)}
+    return content
 
 
 _OF_MESSAGE = re.compile(r'(\w+)\s*(?::\s*("(?:[^"\\]|\\.)*"|[^\s{}"]+)|:?\s*\{)|\}')

@@ -53,7 +53,7 @@ from geodrake.logs.motion import (
     JointLog,
     check_joints,
 )
-from geodrake.logs.time_stamps import are_parts, time_unit
+from geodrake.logs.time_stamps import are_parts, of_clock, time_unit
 
 HEADER = "time,<joint>.position,<joint>.velocity,<joint>.effort"
 MOST_COLUMNS = 10_000  # ten times more than a robot of a hundred joints has
@@ -87,8 +87,11 @@ def in_seconds(
     meaning: Meaning, time: Array, motion: Sequence[Array | None] = ()
 ) -> tuple[Array, tuple[str, ...]]:
     """Return time stamps (N,) of unknown unit in s, and a note; `motion` as for `time_unit`."""
-    said = meaning.unit is not None or meaning.beside is not None
-    found = None if said else time_unit(meaning.column, time, *motion)
+    if meaning.unit is not None or meaning.beside is not None:
+        return time, ()
+    if (seconds := of_clock(time)) is not None:
+        return seconds, ("time has the digits of a clock, hhmmss, as its minutes show: converted",)
+    found = time_unit(meaning.column, time, *motion)
     return (time, ()) if found is None else (found[0] * time, (found[1],))
 
 
@@ -140,6 +143,7 @@ def listed(names: Sequence[str]) -> str:
 Best = dict[tuple[str, str], list[Meaning]]
 
 _MOST_CLOCKS, _EVEN = 50, 0.9  # columns that are looked at, and share of steps that are even
+_FORWARD = 0.99  # share of steps of a counter that begins anew
 _CLOCKS = frozenset(("time", "timestamp", "stamp", "ts", "clock", "duration", "uptime", "elapsed"))
 _KEPT = {"m": 1, "motor": 1, "filtered": 1, "filt": 1, "smoothed": 1, "qd": 1, "raw": 2, "th": 2}
 _STEADY = 0.2  # of its mean, by which the voltage of a supply may vary
@@ -457,7 +461,7 @@ def likely_clock(table: LogTable) -> tuple[Meaning | None, str, bool]:
             units = [find_unit(word, "time") for word in plain_words(name)]
             short = next((u for u in units if u is not None and u.factor < 1.0), None)  # as ms
             unit = known.unit if known is not None and is_part else short
-            is_unit = unit is not None and bool((steps > 0.0).all())
+            is_unit = unit is not None and float((steps > 0.0).mean()) > _FORWARD
             counts = step == 1.0 and not (is_called or is_unit)  # rows
             if step > 0.0 and not counts and (is_unit or float(even.mean()) > _EVEN):
                 words = f"{name!r} increases by {step:.4g} from row to row"
@@ -497,6 +501,8 @@ def _by_names(
     said += [f"taken as states and inputs, in the model's order: {_span(states)}"] * bool(states)
     asked = [words for words in map(plain_words, reading.topics) if words]
     told = [m for m in told if any(words <= plain_words(m.column) for words in asked)] or told
+    told, spare = _without_spare(table, told, joints)
+    said += spare
     of_joints = _with_targets(table, told)
     if joints and len(joints) > 1 and all(meaning.is_bare for meaning in of_joints):
         called = log_name(path)  # the joint may be said by the name of the file
@@ -564,6 +570,24 @@ def _check_units(table: LogTable, places: Mapping[tuple[str, str], Meaning]) -> 
                 advice=f"Give it, as in --units {source.quantity}=UNIT. "
                 f"{unit_advice(source.quantity)}",
             )
+
+
+def _without_spare(
+    table: LogTable, told: list[Meaning], joints: Sequence[str] | None
+) -> tuple[list[Meaning], list[str]]:
+    """Return columns but those of numbered motors behind the robot's last, and a note.
+
+    They are zero throughout, and more than the model has joints.
+    """
+    counted = {m.column: m.number for m in told if m.number is not None}
+    numbers = sorted({*counted.values()})
+    if not joints or len(numbers) <= len(joints):
+        return told, []
+    known = [name for name in counted if table.has_numbers(name)]
+    moved = {counted[n] for n, values in table.read(known, skip=True)[0].items() if values.any()}
+    spare = [name for name, number in counted.items() if number > max(moved, default=numbers[-1])]
+    note = f"zero throughout, so without a motor: {', '.join(spare[:1])} …"
+    return [m for m in told if m.column not in spare], [note] * bool(spare)
 
 
 _TARGET = "tq"  # torques, or targets of positions q

@@ -161,12 +161,12 @@ def records_table(
     for k, record in enumerate(content):
         for name, value in fields_of(record, lists=True):
             if name not in columns:
-                columns[name] = [None] * k
+                columns[name] = []
                 width += len(value) if isinstance(value, list) else 1
                 check_room(path, len(content) * width, f"{width} fields")
-            columns[name].append(value)
-        for values in columns.values():
-            values.extend([None] * (k + 1 - len(values)))
+            columns[name] += [None] * (k - len(columns[name])) + [value]
+    for values in columns.values():
+        values.extend([None] * (len(content) - len(values)))
     arrays = dict[str, Any](columns)
     for name, values in columns.items():
         if not {*map(type, values)} <= _NUMBERS and not any(isinstance(x, list) for x in values):

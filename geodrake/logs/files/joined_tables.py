@@ -474,7 +474,8 @@ def _named(table: LogTable, naming: Mapping[str, Texts]) -> LogTable:
     measured = joint_columns(columns)
     measured = [m for m in measured if m.role <= PLAIN]
     if in_lists:  # whose items are in columns of lists, too, or in numbered ones, from 0 on
-        measured = [m for m in measured if m.column.endswith("]")] or [
+        sizes = Counter(m.column.rpartition("[")[0] for m in measured)
+        measured = [m for m in measured if sizes[m.column.rpartition("[")[0]] == len(naming)] or [
             m for m in measured if m.number is not None and m.number < len(naming)
         ]
     owner = {name: _named_by(name, naming) for name in naming}

@@ -174,8 +174,6 @@ class JointMessages(Messages):
     read: Callable[[], JointMessages] | None = None
     # Whether efforts are those of a controller.
     from_controller: bool = field(default=False, init=False)
-    # Whether there is a message for each motor, or for more than the robot has.
-    by_motor: bool = field(default=False, init=False)
 
     def said(self, message: Any) -> Iterator[Said]:
         """Yield what a message says of joints; those without names are numbers from 0 on."""
@@ -187,7 +185,6 @@ class JointMessages(Messages):
                 if len(values) and not (isnan(values[0]) and np.isnan(values).all()):
                     found[quantity] = values
                     self.from_controller |= path == _OUTPUT
-                    self.by_motor |= isinstance(fields[path], list) and len(values) > 1
                     break
         if not is_complete(found) and (own := _numbers_of_joints(fields)):
             joints, found = own
@@ -279,19 +276,8 @@ class JointMessages(Messages):
                 )
             if again := np.count_nonzero(steps == 0):
                 notes.append(f"{again} messages with a repeated stamp are skipped")
-        first, *others = map(self._without_spare, self.tables_of(groups))
+        first, *others = self.tables_of(groups)
         return [first.noting(*notes), *others]
-
-    def _without_spare(self, table: LogTable) -> LogTable:
-        """Return a table without entries of unused motors after the robot's last."""
-        if not self.by_motor:
-            return table
-        places = {n: int(n.rpartition("[")[2][:-1]) for n in table.columns if n.endswith("]")}
-        last = max((k for name, k in places.items() if table.columns[name].any()), default=0)
-        spare = [name for name, k in places.items() if k > last]
-        note = f"zero throughout, so without a motor: {', '.join(spare[:1])} …"
-        columns = {name: x for name, x in table.columns.items() if name not in spare}
-        return replace(table, columns=columns).noting(*[note] * bool(spare))
 
 
 def stamp_of(message: Any) -> int:
@@ -384,10 +370,10 @@ def _places(paths: tuple[str, ...]) -> dict[str, list[str]]:
         if path == NUMBERS or meaning is None or meaning.role >= PREVIOUS:
             continue
         quantity, role = meaning.quantity, meaning.role
-        if meaning.is_wanted or path.startswith(_POINTS):
-            quantity = "command" if quantity in ("position", "command") else ""
-        elif path.partition(".")[0] == "output":
+        if path.partition(".")[0] == "output":
             quantity, role = quantity if path == _OUTPUT else "", OTHER
+        elif meaning.is_wanted or path.startswith(_POINTS):
+            quantity = "command" if quantity in ("position", "command") else ""
         if quantity:
             ranked[quantity].append((role, path))
     return {q: [path for _, path in sorted(own, key=itemgetter(0))] for q, own in ranked.items()}

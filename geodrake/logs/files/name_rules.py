@@ -158,14 +158,13 @@ def meanings_of(names: Iterable[str], joints: Sequence[str] = ()) -> list[Meanin
     whatever else words of this say, such as `base` and `wrist_angle`.
     """
     names = list(names)
-    both = {n for n in names if n.replace("q_current", "d_current") in {*names} - {n}}
     whole = {_split(joint): joint for joint in joints if _has_name(joint)}
     roman = _roman_numbers(names)
     of_model = {number: joint for joint, (_, number) in _roman_numbers(joints).items()}
     found = list[Meaning]()
     for name in names:
         plain, number = roman.get(name, (name, 0))
-        plain = plain.replace("q_current", "iq") if name in both else plain
+        plain = _of_current(plain, names)
         if (told := _of_joint(name, whole) or meaning_of(plain) or meaning_of(name)) is None:
             continue
         if number and told.quantity in OF_JOINTS and not told.joint:
@@ -173,6 +172,11 @@ def meanings_of(names: Iterable[str], joints: Sequence[str] = ()) -> list[Meanin
             words = words_of(joint) if number in of_model else told.words
             told = replace(told, joint=joint, words=words)
         found.append(replace(told, column=name))
+    alone = {m.quantity for m in found if len(plain_words(m.column)) == 1}
+    alone &= {m.quantity for m in found if _FORWARD & plain_words(m.column)}
+    for k, meaning in enumerate(found):  # beside tau and its feedforward, feedback is no measured
+        if meaning.quantity in alone and _BACK & plain_words(meaning.column):
+            found[k] = replace(meaning, role=DESIRED)
     units = _units_of_family(names)
     for k, meaning in enumerate(found):
         if meaning.unit is None and (said := units.get(meaning.quantity)) is not None:
@@ -227,6 +231,19 @@ def _roman_numbers(names: Sequence[str]) -> dict[str, tuple[str, int]]:
         if len(own) > 1 and sorted(own.values()) == [*range(1, 1 + len(own))]
         for name, number in own.items()
     }
+
+
+def _of_current(name: str, names: Sequence[str]) -> str:
+    """Return a name with `iq` for q, if that is the axis of a current and no position.
+
+    There is then the same of d, or of a voltage.
+    """
+    words = _split(name)
+    if "q" not in words or not set(_CURRENT).intersection(words):
+        return name
+    others = (re.sub(r"(?<![A-Za-z])q(?![a-z])", "d", name), name.replace("current", "voltage"))
+    is_axis = any(other != name and other in names for other in others)
+    return re.sub(r"(?<![A-Za-z])q(?![a-z])", "iq", name) if is_axis else name
 
 
 def _units_of_family(names: Sequence[str]) -> Mapping[str, str]:
@@ -467,6 +484,8 @@ def _is_flag(words: Words) -> bool:
     return not _FLAGS.isdisjoint(words[max(told, default=0) :])
 
 
+_FORWARD, _BACK = {"ff", "feedforward"}, {"fb", "feedback"}
+_TOLD_BY_UNIT = ("mA",)  # as of m1_mA; V and A are letters of many names
 _COUNTER = re.compile(
     r"(?i)(step|loop|sample|cycle|row|frame|packet|message|msg|error)[ _]?(count|cnt)$"
 )
@@ -475,14 +494,14 @@ _COUNTER = re.compile(
 def _measured_in(name: str) -> Meaning | None:
     """Read a name in any language by the unit behind it, as in `Winkel 1 [°]` or `elbow_deg`.
 
-    Units of time, and of what stands for efforts, count in brackets alone.
+    Units of time, and of what stands for efforts but mA, count in brackets alone.
     """
     units = {q: _without_brackets(name, q) for q in ("time", *QUANTITIES, *SIGNAL_KINDS)}
     counts = _COUNTER.search(name)
     bare = [(quantity, *without_unit(name, quantity)) for quantity in QUANTITIES if not counts]
-    bare = [each for each in bare if each[2] is not None and each[2].signal is None]
+    bare = [e for e in bare if e[2] and (not e[2].signal or e[2].name in _TOLD_BY_UNIT)]
     for quantity, plain, unit in [*((q, *told) for q, told in units.items()), *bare]:
-        if unit is None:
+        if unit is None or (unit.signal and not _SUPPLY.isdisjoint(_split(name))):
             continue
         if quantity == "time":
             return Meaning(name, quantity, role=OTHER, unit=unit, style=(plain,))
@@ -557,7 +576,7 @@ def without_unit(name: str, quantity: str, *, alone: bool = True) -> tuple[str, 
             text = "_".join(parts[first : first + count])
             last = first + count == len(parts)
             is_long = len(re.split(r"[_\s.]+", name)) > 2 or parts[0][-1:].isdecimal() or not alone
-            if len(text) < 2 and not (last and is_long and text in ("A", "N", "V")):
+            if len(text) < 2 and not (last and is_long and text in ("A", "N", "V", "%")):
                 continue
             unit = None if text in _INCREMENTAL else find_unit(text, quantity)
             if unit is not None and (last or parts[-1].isdecimal()):

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from geodrake.boundary.arguments import (
     typed,
 )
 from geodrake.boundary.yaml_schema import Schema, as_schema
-from geodrake.boundary.yaml_text import yaml_content
+from geodrake.boundary.yaml_text import made_of_yaml
 from geodrake.errors import ArgumentError, LogError, nearest
 from geodrake.logs.files.name_rules import DESIRED, NUMBERED, OF_JOINTS, Meaning
 from geodrake.logs.files.units import unit_names, unit_of
@@ -249,12 +250,7 @@ _FORM = (
 @typed
 def read_mapping(path: Path) -> ColumnMapping:
     """Read a mapping file, in which no column may come twice."""
-    content = yaml_content(path, "mapping", LogError, advice=_FORM)
-    try:
-        return mapping_of(path, content)
-    except ArgumentError as error:
-        advice = error.advice or _FORM
-        raise LogError(f"Mapping {path}: {error.problem}", advice=advice) from error
+    return made_of_yaml(path, "mapping", LogError, partial(mapping_of, path), advice=_FORM)
 
 
 class _ColumnSchema(Schema):

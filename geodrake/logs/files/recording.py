@@ -26,7 +26,7 @@ _STILL = 2e-3  # rad or m, by which a joint may move and still stand
 _COMPLEMENTS = (16, 32)  # bits of registers in two's complement
 _SIGN_BITS = (10, 15)  # bits that hold a sign beside a magnitude, as of Feetech's servos
 _NINES = re.compile(r"-?9{3,}")  # what loggers write where nothing was measured
-_LEAST = 3  # rows with either sign
+_LEAST, _CLOSER = 3, 0.5  # rows with either sign, and share of the jumps that these leave
 
 
 def recorded(columns: Columns, numbers: dict[str, Array], torn: TornRows) -> JointLog:
@@ -143,7 +143,7 @@ def _take_signs(columns: Columns, numbers: dict[str, Array]) -> Iterator[str]:
 
     A joint that always pushes one way has registers of the kind of other joints.
     """
-    for quantity in {what: None for _, what in columns.places}:
+    for quantity in {what: None for joint, what in columns.places if joint}:
         own = [source.column for (_, what), source in columns.places.items() if what == quantity]
         found = {c: _register(numbers[c], magnitudes=quantity != "position") for c in own}
         known = next(filter(None, found.values()), None)
@@ -164,9 +164,9 @@ def _take_signs(columns: Columns, numbers: dict[str, Array]) -> Iterator[str]:
 def _register(numbers: Array, *, magnitudes: bool) -> tuple[float, bool] | None:
     """Return half of the range of a register, and if it is in two's complement; None otherwise.
 
-    A register of k bits that is read without its sign shows small numbers, numbers next to 2ᵏ, and
-    none in between: at least half of the range is never visited. With a bit for the sign the
-    others begin at that bit; this is looked for if `magnitudes`.
+    A register of k bits that is read without its sign jumps by most of its range where the sign
+    changes, and with it does not. A bit for the sign is looked for if `magnitudes`, and so are
+    numbers that are next to 2ᵏ throughout.
     """
     largest = np.fmax.reduce(numbers, initial=0.0)
     if largest < 2 ** _SIGN_BITS[0] or np.fmin.reduce(numbers) < -ROUNDING:
@@ -174,24 +174,20 @@ def _register(numbers: Array, *, magnitudes: bool) -> tuple[float, bool] | None:
     if not are_whole(numbers):
         return None
     known = np.rint(numbers[np.isfinite(numbers)])
-    for bits in _COMPLEMENTS:
-        half = 2.0 ** (bits - 1)
-        least = known.min(initial=np.inf, where=known >= half)
-        if largest < 2.0 * half - 0.5 and _are_apart(known, half, least):
+    kinds = [(2.0 ** (bits - 1), True) for bits in _COMPLEMENTS]
+    kinds += [(2.0**bit, False) for bit in _SIGN_BITS if magnitudes]
+    for half, is_complement in kinds:
+        if not half <= largest < 2.0 * half:
+            continue
+        above = known >= half
+        if magnitudes and is_complement and known.min() >= 1.5 * half:  # always negative
             return half, True
-    for bit in _SIGN_BITS if magnitudes else ():
-        half = 2.0**bit
-        if largest < 1.5 * half and _are_apart(known, half, 1.5 * half):
-            return half, False
+        turned = np.where(above, known - 2.0 * half if is_complement else half - known, known)
+        before, after = (np.abs(np.diff(x))[above[1:] != above[:-1]] for x in (known, turned))
+        few = min(np.count_nonzero(above), np.count_nonzero(~above)) < _LEAST
+        if not few and len(before) >= 2 and np.median(after) < _CLOSER * np.median(before):
+            return half, is_complement
     return None
-
-
-def _are_apart(numbers: Array, half: float, least: float) -> bool:
-    """Return whether numbers below `half` stay half of it away from `least`, and both occur."""
-    above = numbers >= half
-    crossings = np.count_nonzero(above[1:] != above[:-1])
-    few = min(np.count_nonzero(above), np.count_nonzero(~above)) < _LEAST
-    return bool(not few and crossings >= 2 and least - numbers[~above].max() >= half)
 
 
 def _without_motors(data: dict[str, Array], columns: Columns) -> tuple[dict[str, str], list[str]]:

@@ -15,7 +15,7 @@ from geodrake.logs.files.table import LogTable
 from geodrake.logs.motion import PASSIVE
 
 _STATE = re.compile(r"(?:x|xs|states?|obs|observations?)[_ ]?\[?\d+\]?", re.IGNORECASE)
-_INPUT = re.compile(r"(?:u|us|ctrl|inputs?)[_ ]?\[?\d*\]?", re.IGNORECASE)
+_INPUT = re.compile(r"(?:u|us|f|ctrl|inputs?)[_ ]?\[?\d*\]?", re.IGNORECASE)
 _OF_SLIDING = {"x": "position", "xdot": "velocity", "dx": "velocity", "vx": "velocity"}
 _OF_TURNING = {"theta": "position", "thetadot": "velocity", "dtheta": "velocity"}
 _ALIKE = 0.99  # correlation of a velocity with the steps of its position
@@ -39,7 +39,7 @@ def state_columns(
     letters = {word: name for word, name in zip(words, names, strict=True) if count[word] == 1}
     turning = [joint for joint in joints if joint not in sliding]
     found = list[Meaning]()
-    if len(sliding) == len(turning) == 1 and all(m.is_bare for m in moved):
+    if len(sliding) == len(turning) == 1 and not any(m.joint for m in moved):
         for own, called in ((sliding, _OF_SLIDING), (turning, _OF_TURNING)):
             told_by = {what: letters[word] for word, what in called.items() if word in letters}
             found += [_meaning(name, what, own[0]) for what, name in told_by.items()]

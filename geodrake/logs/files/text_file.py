@@ -156,7 +156,10 @@ def text_layout(path: Path, file: Iterator[str], reading: Reading) -> TextLayout
     keyed_names, units = _keyed_names([cells for _, cells in above], lines[data:], mark)
     whole = (k for k, cells in above if all(cells) and len({*cells}) == len(cells))
     begin = next(whole, above[0][0] if above else begin)  # names that tell the columns apart
-    separator = _separator(lines[begin])
+    is_of_rows = data > begin and len(_cells_of(lines[begin], mark)) == len(
+        _cells_of(lines[data], mark)
+    )
+    separator = mark if is_of_rows else _separator(lines[begin])
     cells, after = _header_cells(path, lines, begin, separator)
     names: Sequence[str] = () if reading.columns else _joint_state(cells)
     unnamed = tuple[str, ...]()
