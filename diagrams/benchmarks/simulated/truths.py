@@ -161,9 +161,6 @@ class Truth:
     needs_known_inertia: bool = False
     alone: bool = False  # whether it is left out of pairs
     reverses: bool = False  # whether it shows only at a joint whose load changes its sign
-    # Of an effect of no catalogue, what a correlate is to name: pairs of a joint (its own, the
-    # other, any) and one of its signals, "position" or "speed"; or the time.
-    follows: tuple[tuple[str, str], ...] = ()
     in_space: bool = False  # whether a planar robot does not feel it
 
     def found(self, site: Site, size: float) -> dict[str, float]:
@@ -438,8 +435,6 @@ TRUTHS = {truth.name: truth for truth in _CATALOGUE}
 
 # Effects of no catalogue
 
-OWN, OTHER, ANY, TIME = "own", "other", "any", "time"
-
 
 @of_joint
 def _end_stop(own: Signals, other: Signals, rng: Generator) -> Array:
@@ -477,21 +472,15 @@ _damper = of_joint(lambda own, other, rng: (other.q - other.q.mean()) * own.v)
 
 _WHEEL = "spinning wheel in a link"
 OUTSIDE = {
-    name: Truth(
-        name,
-        LINK if name == _WHEEL else JOINT,
-        law,
-        follows=(follows,),
-        in_space=name == _WHEEL,
-    )
-    for name, law, follows in (
-        ("brake that another joint's position tightens", _brake, (OTHER, "position")),
-        ("spring past an angle", _end_stop, (OWN, "position")),
-        ("friction of a neighbour's speed", _neighbour, (OTHER, "speed")),
-        ("oscillation in time", _clock, (TIME, TIME)),
-        (_WHEEL, _wheel, (ANY, "speed")),
-        ("hose on the sum of two angles", _hose, (OTHER, "position")),
-        ("damper that another joint opens", _damper, (OTHER, "position")),
+    name: Truth(name, LINK if name == _WHEEL else JOINT, law, in_space=name == _WHEEL)
+    for name, law in (
+        ("brake that another joint's position tightens", _brake),
+        ("spring past an angle", _end_stop),
+        ("friction of a neighbour's speed", _neighbour),
+        ("oscillation in time", _clock),
+        (_WHEEL, _wheel),
+        ("hose on the sum of two angles", _hose),
+        ("damper that another joint opens", _damper),
     )
 }
 """Those that one joint shows in one log, by name."""
