@@ -39,7 +39,6 @@ from diagrams.benchmarks.simulated.truths import DRY, HELD, WET
 from diagrams.harness import JOBS, finished, positive_number, script_parser, show_values, write
 from geodrake.fleet import FleetFinding, FleetResult, FleetWork, read_fleet, run_fleet
 from geodrake.fleet.changes import MONTH
-from geodrake.fleet.fleet_result import ChangeRival
 from geodrake.fleet.type_columns import RAMP, STEP
 
 
@@ -82,25 +81,22 @@ def robot_row(draw: FleetDraw, found: Sequence[FleetFinding]) -> dict[str, Any]:
         **dict.fromkeys(("hidden", "where", "hidden day", "hidden size", "day off", "inside")),
     }
     if hidden is None:
-        return {**row, "found": False, "in rivals": False, "others named": len(found)}
+        return {**row, "found": False, "others named": len(found)}
     where = (model.bodies if hidden.what == PAYLOAD else model.joints)[hidden.joint]
     shape = RAMP if hidden.what == WEAR else STEP
 
-    def is_it(one: FleetFinding | ChangeRival) -> bool:
-        return frozenset(one.effect.split("+")) in FAMILIES[hidden.what] and one.where == where
+    def is_it(one: FleetFinding) -> bool:
+        family, effects = FAMILIES[hidden.what], frozenset(one.effect.split("+"))
+        return effects in family and (one.where, one.kind) == (where, shape)
 
     near = (change for change in found if abs(day_of(change.date) - hidden.day) <= DAYS_OFF)
-    right = next((change for change in near if is_it(change) and change.kind == shape), None)
+    right = next(filter(is_it, near), None)
     row |= {"hidden": hidden.what, "where": where, "hidden day": hidden.day}
     row |= {"hidden size": hidden.size, "found": right is not None}
     if right is not None:
         low, high = (day_of(end) for end in right.interval)
         row |= {"day off": day_of(right.date) - hidden.day, "inside": low <= hidden.day <= high}
-    return {
-        **row,
-        "in rivals": any(is_it(rival) for change in found for rival in change.rivals),
-        "others named": len(found) - (right is not None),
-    }
+    return {**row, "others named": len(found) - (right is not None)}
 
 
 def _named(change: FleetFinding) -> dict[str, Any]:
@@ -112,7 +108,6 @@ def _named(change: FleetFinding) -> dict[str, Any]:
         "interval": [day_of(end) for end in change.interval],
         "probability": change.probability,
         "false_alarm_probability": change.false_alarm_probability,
-        "rivals": [[r.effect, r.where, r.kind, r.probability] for r in change.rivals],
     }
 
 
@@ -137,13 +132,8 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     }
     for what in FAMILIES:
         same = [row for row in changed if row["hidden"] == what]
-        table[what] = {
-            "found": _share(sum(row["found"] for row in same), len(same)),
-            "or among rivals": _share(
-                sum(row["found"] or row["in rivals"] for row in same), len(same)
-            ),
-            "of": len(same),
-        }
+        share = _share(sum(row["found"] for row in same), len(same))
+        table[what] = {"found": share, "of": len(same)}
     return table
 
 
@@ -155,18 +145,16 @@ def main() -> None:
     """Run from the command line."""
     parser = script_parser(__doc__, draws=True)
     parser.add_argument("--robots", type=positive_number, default=100, help="(%(default)s)")
-    parser.add_argument("--still", action="store_true", help="nothing changes in any robot")
     parser.add_argument("--folder", type=Path, help="keep logs and digests here, and go on there")
     options = parser.parse_args()
     kinds = TYPES[:1] if options.quick else TYPES
     each = 7 if options.quick else -(-options.robots // len(kinds))
     shorter = {"duration": 8.0, "days": 20} if options.quick else {}
-    fixed = {"still": options.still, **shorter}
-    draws = [FleetDraw(kind, k, options.seed, **fixed) for kind in kinds for k in range(each)]
+    draws = [FleetDraw(kind, k, options.seed, **shorter) for kind in kinds for k in range(each)]
     with ExitStack() as stack:
         folder = options.folder or Path(stack.enter_context(tempfile.TemporaryDirectory()))
         # Logs of other draws are others.
-        own = f"seed_{options.seed}_{draws[0].days}_days" + "_still" * options.still
+        own = f"seed_{options.seed}_{draws[0].days}_days"
         result, seconds = study(folder / own, draws, options.jobs or (1 if options.quick else JOBS))
     found = {robot.robot: robot.findings for robot in result.robots}
     rows = [robot_row(draw, found[draw.name]) for draw in draws]

@@ -49,7 +49,6 @@ class FleetDraw:
     seed: int
     days: int = DAYS
     duration: float = 12.0
-    still: bool = False
 
     @property
     def name(self) -> str:
@@ -64,7 +63,7 @@ class FleetDraw:
     @property
     def change(self) -> HiddenChange | None:
         """What changes; None for every fifth robot."""
-        if self.still or self.number % _UNCHANGED == _UNCHANGED - 1:
+        if self.number % _UNCHANGED == _UNCHANGED - 1:
             return None
         rng = self.random("change")
         what = CHANGES[(self.number - self.number // _UNCHANGED) % len(CHANGES)]
