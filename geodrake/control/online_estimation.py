@@ -209,7 +209,7 @@ Rows = tuple[Array, Array]
 """A regressor (k, n) and its efforts (k,)."""
 
 Projecting = tuple[Array, Factors, tuple[float, float]]
-"""Tolerances, (nv,) or (1,), and factors and `how` of `calc_slab_projection`."""
+"""Tolerances, (nv,) or (1,), and factors and `options` of `calc_slab_projection`."""
 
 METHODS = ("projection", "nudge")
 _SHARING = 1e-2  # of a row's squared length, added to it

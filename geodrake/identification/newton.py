@@ -523,7 +523,7 @@ def _linearized(program: NewtonProgram, point: Iterate) -> _Linearization | None
     return None
 
 
-def _next(here: _Linearization) -> _Linearization | None:
+def _next(current: _Linearization) -> _Linearization | None:
     """Return the linearization after a predictor–corrector step; None if no step is possible.
 
     Multipliers of contradicting constraints grow until they overflow.
@@ -532,22 +532,22 @@ def _next(here: _Linearization) -> _Linearization | None:
         contextlib.suppress(FloatingPointError),
         np.errstate(over="raise", divide="raise", invalid="raise"),
     ):
-        predictor = here.direction(0.0)
-        excess = here.excess(predictor, 0.0)
-        length = min(1.0, (1.0 - _LEAST_ROOM) * here.reach(predictor))
-        ratio = min(1.0, here.excess(predictor, length) / excess) if excess > 0 else 0.0
-        step = here.direction(ratio**3 * excess, predictor)
-        reach = here.reach(step)
+        predictor = current.direction(0.0)
+        excess = current.excess(predictor, 0.0)
+        length = min(1.0, (1.0 - _LEAST_ROOM) * current.reach(predictor))
+        ratio = min(1.0, current.excess(predictor, length) / excess) if excess > 0 else 0.0
+        step = current.direction(ratio**3 * excess, predictor)
+        reach = current.reach(step)
         if reach < _SHORT:
             # Second-order terms can mislead far from the central path; return towards it.
-            back = here.direction(_BACK * excess)
-            step, reach = max((step, reach), (back, here.reach(back)), key=lambda trial: trial[1])
+            back = current.direction(_BACK * excess)
+            step, reach = max((step, reach), (back, current.reach(back)), key=lambda pair: pair[1])
         # Close to the solution, steps may end close to the boundary.
         length = min(1.0, (1.0 - min(_ROOM, max(ratio, _LEAST_ROOM))) * reach)
         for _ in range(_HALVINGS):
-            there = _linearized(here.program, here.at.moved(step.step, length))
-            if there is not None:
-                return there
+            following = _linearized(current.program, current.at.moved(step.step, length))
+            if following is not None:
+                return following
             length *= 0.5  # rounding crossed the boundary
     return None
 

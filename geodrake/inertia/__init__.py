@@ -5,8 +5,8 @@ One body has ten inertial parameters, in this order everywhere in geodrake ([Lee
     φ = [m, hx, hy, hz, Ixx, Iyy, Izz, Ixy, Iyz, Izx]
 
 about the body origin Bo, expressed in the body frame B: mass m in kg, first mass moment
-h = m p_BoBcm_B in kg·m, rotational inertia I_BBo_B in kg·m². φ is the linear image of the pseudo
-inertia P(φ) = ∫ [x;1][x;1]ᵀ dm, and a body can exist just when P(φ) ≻ 0 (Eq. (3.2.7)).
+h = m p_BoBcm_B in kg·m, rotational inertia I_BBo_B in kg·m². φ is a linear image of the
+pseudo-inertia P(φ) = ∫ [x;1][x;1]ᵀ dm, and is physical if and only if P(φ) ≻ 0 (Eq. (3.2.7)).
 
 All functions broadcast over leading axes.
 """

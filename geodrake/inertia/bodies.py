@@ -1,8 +1,7 @@
-"""Bodies as identification sees them: links welded together move as one, so they count as one.
+"""Lump welded links into bodies.
 
-No effort at a joint distinguishes a tool flange from the wrist it is bolted to. Everything that
-has a row a body (inertial parameters, regressors, priors) uses the bodies of `lumped_bodies`, in
-its order.
+No joint effort distinguishes a tool flange from the wrist it is bolted to. Inertial parameters,
+regressors and priors have one row for each of the `lumped_bodies`, in their order.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from geodrake.boundary.arguments import instance, shown
 from geodrake.errors import ArgumentError, ModelError
 
 BASE_FRAMES = "base_coordinates_of_"
-"""How model instances begin whose bodies are massless frames between the joints of a free base."""
+"""Prefix of model instances with massless frames between the joints of a free base."""
 
 
 @dataclass(frozen=True)
@@ -28,15 +27,15 @@ class Member:
 
     index: BodyIndex  # the link's index in the plant
     name: str
-    scoped_name: str  # with its model's name
+    scoped_name: str  # with the model instance's name
     X_RB: RigidTransform  # pose of the link B in the frame R of the lumped body's representative
 
 
 @dataclass(frozen=True)
 class LumpedBody:
-    """Links that are welded together and move as one."""
+    """Links that are welded together."""
 
-    name: str  # name of the representative, the link whose inboard joint moves
+    name: str  # of the representative, the link whose inboard joint moves
     body_index: BodyIndex  # index of the representative; parameters are expressed in its frame
     members: tuple[Member, ...]  # all links of the body, the representative first
 
@@ -48,7 +47,7 @@ def check_plant(plant: MultibodyPlant) -> None:
 
 
 def check_context(system: System, context: Context) -> None:
-    """Raise unless this is a Context of a system, such as a plant."""
+    """Raise unless this is a Context of the system."""
     try:
         system.ValidateContext(context)
     except TypeError as error:
@@ -61,9 +60,9 @@ def check_context(system: System, context: Context) -> None:
 
 
 def lumped_bodies(plant: MultibodyPlant) -> tuple[LumpedBody, ...]:
-    """Return groups of welded links that move with respect to the world.
+    """Return the groups of welded links that move relative to the world.
 
-    Without the one welded to the world, in order of the representative's BodyIndex.
+    They are sorted by their representatives' BodyIndex.
     """
     check_plant(plant)
     context = plant.CreateDefaultContext()
@@ -92,7 +91,7 @@ def is_base_frame(plant: MultibodyPlant, body: RigidBody) -> bool:
 
 
 def body_names(plant: MultibodyPlant) -> tuple[str, ...]:
-    """Return a name for every body by BodyIndex; `instance::name` where names are ambiguous."""
+    """Return the name of every body by BodyIndex; `instance::name` if ambiguous."""
     bodies = [plant.get_body(BodyIndex(i)) for i in range(plant.num_bodies())]
     count = Counter(body.name() for body in bodies)
     return tuple(
@@ -101,7 +100,7 @@ def body_names(plant: MultibodyPlant) -> tuple[str, ...]:
 
 
 def _representatives(plant: MultibodyPlant) -> list[tuple[RigidBody, list[RigidBody]]]:
-    """Return every moving group's most inboard link and the group, breadth first."""
+    """Return the most inboard link and all links of every moving group, breadth first."""
     neighbours: dict[int, list[RigidBody]] = {i: [] for i in range(plant.num_bodies())}
     for joint_index in plant.GetJointIndices():
         joint = plant.get_joint(joint_index)
@@ -111,13 +110,13 @@ def _representatives(plant: MultibodyPlant) -> list[tuple[RigidBody, list[RigidB
 
     anchored = list(plant.GetBodiesWeldedTo(plant.world_body()))
     seen = {int(body.index()) for body in anchored}
-    queue, found = deque(anchored), []
+    queue, groups = deque(anchored), []
     while queue:
         for body in neighbours[int(queue.popleft().index())]:
             if int(body.index()) not in seen:
                 group = list(plant.GetBodiesWeldedTo(body))
                 if not is_base_frame(plant, body):
-                    found.append((body, group))
+                    groups.append((body, group))
                 seen.update(int(member.index()) for member in group)
                 queue.extend(group)
-    return found
+    return groups

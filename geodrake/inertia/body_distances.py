@@ -1,11 +1,11 @@
 """Distances between the inertial parameters of bodies, [Lee2019] §3.3.
 
-Riemannian, entropic and pullback distance do not depend on the body frame, nor on the units of
-length and mass; the Euclidean distance of φ does. For small differences they agree:
+Unlike the Euclidean distance of φ, the Riemannian, entropic and pullback distances do not depend on
+the body frame and on units. For small differences they agree:
 
     riemannian² ≈ 2 entropic ≈ 2 pullback²
 
-where the 2 comes from (2.2.10), which leaves out the ½ of the metric (2.2.5).
+The factor 2 is due to (2.2.10), which omits the ½ of the metric (2.2.5).
 
 All functions broadcast over leading axes.
 """
@@ -33,17 +33,17 @@ def riemannian_distance(phi1: ArrayLike, phi2: ArrayLike) -> Array:
 def entropic_divergence(phi1: ArrayLike, phi2: ArrayLike) -> Array:
     """Return entropic divergences (...) d(φ₁‖φ₂)² of physical bodies φ (..., 10), convex in φ₁.
 
-    They compare to squares of distances ([Lee2019] Eq. (3.3.28)).
+    They correspond to squared distances ([Lee2019] Eq. (3.3.28)).
     """
     first, second = _together(phi1=phi1, phi2=phi2)
     return positive_definite.log_det_divergence(pseudo_inertia(first), pseudo_inertia(second))
 
 
 def pullback_distance(phi1: ArrayLike, phi2: ArrayLike, reference: ArrayLike) -> Array:
-    """Return distances (...) √(½ tr((P₀⁻¹ P(φ₁ − φ₂))²)) in the metric of one body, the reference.
+    """Return distances (...) √(½ tr((P₀⁻¹ P(φ₁ − φ₂))²)) in the metric at a reference.
 
-    All are (..., 10), the reference physical. They stay finite at the edge of physical bodies
-    ([Lee2019] Eq. (3.3.33), with its ½).
+    All are (..., 10); only the reference must be physical. Distances are finite at the boundary of
+    physical bodies ([Lee2019] Eq. (3.3.33), with its ½).
     """
     first, second, reference = _together(phi1=phi1, phi2=phi2, reference=reference)
     _, inverse = positive_definite.whitening(pseudo_inertia(reference))
@@ -52,6 +52,6 @@ def pullback_distance(phi1: ArrayLike, phi2: ArrayLike, reference: ArrayLike) ->
 
 
 def _together(**phi: ArrayLike) -> list[Array]:
-    """Inertial parameters (..., 10) whose leading axes broadcast, by the names of arguments."""
+    """Return checked inertial parameters (..., 10), by argument name, whose axes broadcast."""
     sizes: Sizes = {}
     return [checked_phi(values, name, sizes) for name, values in phi.items()]

@@ -1,7 +1,7 @@
-"""Ellipsoids: the uniform one that a body is equivalent to, and the one that it must fit into.
+"""Ellipsoids equivalent to bodies, and ellipsoids that contain bodies.
 
-An ellipsoid is the set [x;1]ᵀ Q [x;1] ≥ 0. A body can be made of mass inside of it just when
-P(φ) ⪰ 0 and tr(P(φ) Q) ≥ 0 ([Lee2019] Eq. (3.5.46); the sign of Eq. (3.2.12) is the other one).
+An ellipsoid is the set [x;1]ᵀ Q [x;1] ≥ 0. A body can consist of mass inside it if and only if
+P(φ) ⪰ 0 and tr(P(φ) Q) ≥ 0 ([Lee2019] Eq. (3.5.46); Eq. (3.2.12) has the opposite sign).
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from geodrake.inertia.parameters import (
 
 @dataclass(frozen=True, eq=False)
 class Ellipsoid(Short):
-    """A solid ellipsoid in a body's frame B, or several.
+    """Solid ellipsoids in body frames B.
 
     Attributes:
-        center: (..., 3) centre from Bo, expressed in B, m.
+        center: (..., 3) position of the centre from Bo, expressed in B, m.
         semi_axes: (..., 3) semi-axes, m.
         rotation: (..., 3, 3) rotation R_BE, whose columns are the axes.
     """
@@ -86,7 +86,7 @@ class Ellipsoid(Short):
         return np.asarray(((local / self.semi_axes) ** 2).sum(-1) <= 1.0)
 
     def uniform_body(self, mass: ArrayLike) -> Array:
-        """Inertial parameters (..., 10) of this ellipsoid filled evenly with a mass (...), kg."""
+        """Return the inertial parameters (..., 10) of the uniform ellipsoid of a mass (...), kg."""
         mass = real_array(mass, "mass", ("...",), {"...": self.center.shape[:-1]})
         mass = np.broadcast_to(mass, np.broadcast_shapes(mass.shape, self.center.shape[:-1]))
         squares = self.semi_axes**2
@@ -95,9 +95,9 @@ class Ellipsoid(Short):
         return from_mass_com_inertia(mass, np.broadcast_to(self.center, (*mass.shape, 3)), turned)
 
     def random_points(self, rng: np.random.Generator, size: tuple[int, ...]) -> Array:
-        """Return points (*size, 3), m, evenly distributed over one ellipsoid or several.
+        """Return uniformly distributed points (*size, 3), m, of the ellipsoids.
 
-        The last axes of the size are those of the ellipsoids, if there are several.
+        The last axes of `size` are those of the ellipsoids.
         """
         instance(rng, "rng", np.random.Generator)
         direction = rng.normal(size=(*_checked_size(size, self.center.shape[:-1]), 3))
@@ -108,7 +108,7 @@ class Ellipsoid(Short):
 
 
 def _checked_size(size: tuple[int, ...], leading: tuple[int, ...]) -> tuple[int, ...]:
-    """Return a shape of points whose last axes are those of the ellipsoids."""
+    """Return the size if its last axes are those of the ellipsoids; raise otherwise."""
     size = integers(size, "size")
     if min(size, default=0) < 0 or len(size) < len(leading) or not _broadcast(size, leading):
         raise ArgumentError(
@@ -123,13 +123,13 @@ def _broadcast(size: tuple[int, ...], leading: tuple[int, ...]) -> bool:
 
 
 def equivalent_ellipsoid(phi: ArrayLike, *, least_semi_axis: float = 0.0) -> Ellipsoid:
-    """Return the uniform ellipsoids that have the inertial parameters φ (..., 10) of bodies.
+    """Return the uniform ellipsoids with the inertial parameters φ (..., 10).
 
-    Their semi-axes are √(5 σᵢ/m) of the principal second moments σ, in ascending order.
+    Their semi-axes are √(5 σᵢ/m), with ascending principal second moments σ.
 
     Args:
-        least_semi_axis: Length, m, that shorter semi-axes get, so that bodies at the boundary of
-            physical ones can be drawn; only their mass then has to be above zero.
+        least_semi_axis: Lower bound of the semi-axes, m, with which bodies at the physical boundary
+            can be drawn; only their mass must then be positive.
     """
     phi = checked_phi(phi)
     least_semi_axis = number(least_semi_axis, "least_semi_axis", lower=0.0)
@@ -140,7 +140,7 @@ def equivalent_ellipsoid(phi: ArrayLike, *, least_semi_axis: float = 0.0) -> Ell
         raise ArgumentError(f"The inertial parameters {bad.tolist()} are not physical.")
     principal = principal_axes(phi)
     squares: Array = 5.0 * principal.second_moments / principal.mass[..., None]
-    # Rounding takes a thin body below zero.
+    # Rounding can make the smallest moment of a thin body negative.
     least = max(least_semi_axis**2, float(np.finfo(float).tiny))
     return Ellipsoid(principal.center, np.sqrt(np.maximum(squares, least)), principal.rotation)
 
@@ -169,10 +169,9 @@ def ellipsoid_of_quadric(Q: ArrayLike) -> Ellipsoid:
 
 
 def is_realizable(phi: ArrayLike, Q: ArrayLike) -> NDArray[np.bool_]:
-    """Return whether mass inside of an ellipsoid can have inertial parameters φ (..., 10).
+    """Return whether mass inside ellipsoids Q (..., 4, 4) can have inertial parameters φ (..., 10).
 
-    The ellipsoids are [x;1]ᵀ Q [x;1] ≥ 0 of Q (..., 4, 4); what is asked is P(φ) ≻ 0 and
-    tr(P(φ) Q) ≥ 0 ([Lee2019] Eqs. (3.2.7), (3.5.46)).
+    The conditions are P(φ) ≻ 0 and tr(P(φ) Q) ≥ 0 ([Lee2019] Eqs. (3.2.7), (3.5.46)).
     """
     sizes: Sizes = {}
     phi, Q = checked_phi(phi, "phi", sizes), real_array(Q, "Q", ("...", 4, 4), sizes)
@@ -181,5 +180,5 @@ def is_realizable(phi: ArrayLike, Q: ArrayLike) -> NDArray[np.bool_]:
 
 
 def realizability_row(Q: ArrayLike) -> Array:
-    """Return coefficients a (..., 10) of the constraint aᵀφ = tr(P(φ) Q) ≥ 0 for Q (..., 4, 4)."""
+    """Return the coefficients a (..., 10) of aᵀφ = tr(P(φ) Q) ≥ 0 for Q (..., 4, 4)."""
     return from_dual(real_array(Q, "Q", ("...", 4, 4)))

@@ -1,4 +1,4 @@
-"""Maps of inertial parameters for internal use, without checks of their arguments."""
+"""Maps of inertial parameters without argument checks, for internal use."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _TO_MATRIX, _TO_DUAL = (basis.reshape(PARAMETERS_PER_BODY, 16) for basis in (BAS
 
 
 def calc_rotational_inertia(phi: Array) -> Array:
-    """I (..., 3, 3) of φ (..., 10)."""
+    """Return I (..., 3, 3) of φ (..., 10)."""
     return np.asarray(phi[..., [[4, 7, 9], [7, 5, 8], [9, 8, 6]]])
 
 
@@ -50,26 +50,26 @@ def calc_dual(covector: Array) -> Array:
 
 
 def calc_from_pseudo_inertia(matrix: Array) -> Array:
-    """φ (..., 10) of P(φ) (..., 4, 4)."""
+    """Return φ (..., 10) of P(φ) (..., 4, 4)."""
     flat = matrix.reshape(-1, 16) @ _TO_DUAL.T
     return np.asarray(flat.reshape((*matrix.shape[:-2], PARAMETERS_PER_BODY)))
 
 
 def calc_parallel_axis(mass: Array, com: Array) -> Array:
-    """Return inertias (..., 3, 3) of masses (...) that are points (..., 3), m (pᵀp 1 − p pᵀ)."""
+    """Return inertias m (pᵀp 1 − p pᵀ) (..., 3, 3) of point masses (...) at (..., 3)."""
     square = (com * com).sum(-1)[..., None, None] * _IDENTITY
     return np.asarray(mass[..., None, None] * (square - com[..., :, None] * com[..., None, :]))
 
 
 def calc_from_mass_com_inertia(mass: Array, com: Array, inertia_com: Array) -> Array:
-    """φ (..., 10) of masses (...), centres (..., 3) and central inertias (..., 3, 3)."""
+    """Return φ (..., 10) of masses (...), centres (..., 3) and central inertias (..., 3, 3)."""
     inertia = inertia_com + calc_parallel_axis(mass, com)
     moments = [inertia[..., i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))]
     return np.concatenate([mass[..., None], mass[..., None] * com, np.stack(moments, -1)], -1)
 
 
 def calc_change_frame(phi: Array, R_AB: Array, p_AoBo_A: Array) -> Array:
-    """φ (..., 10) about Ao in A of φ about Bo in B; see `change_frame`."""
+    """Return φ (..., 10) about Ao in A from φ about Bo in B; see `change_frame`."""
     H_AB = np.zeros((*np.broadcast_shapes(R_AB.shape[:-2], p_AoBo_A.shape[:-1]), 4, 4))
     H_AB[..., :3, :3], H_AB[..., :3, 3], H_AB[..., 3, 3] = R_AB, p_AoBo_A, 1.0
     return calc_from_pseudo_inertia(H_AB @ calc_pseudo_inertia(phi) @ np.swapaxes(H_AB, -1, -2))

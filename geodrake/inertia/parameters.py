@@ -1,4 +1,4 @@
-"""Inertial parameters, pseudo inertia, and mass with centre of mass: maps between them."""
+"""Maps between inertial parameters, pseudo-inertias, and mass with centre of mass and inertia."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ PARAMETER_UNITS = ("kg", *("kg·m",) * 3, *("kg·m²",) * 6)
 
 
 def checked_phi(phi: ArrayLike, name: str = "phi", sizes: Sizes | None = None) -> Array:
-    """Inertial parameters (..., 10); ArgumentError if they are something else, or not finite.
+    """Return finite inertial parameters (..., 10), or raise an ArgumentError.
 
-    The lengths of the axes `...` so far are completed by this array.
+    `sizes` are the lengths of the axes `...` so far, to which this array adds.
     """
     return real_array(phi, name, ("...", PARAMETERS_PER_BODY), sizes)
 
@@ -44,7 +44,7 @@ def rotational_inertia(phi: ArrayLike) -> Array:
 
 
 def pseudo_inertia(phi: ArrayLike) -> Array:
-    """Pseudo inertia P(φ) = [[Σ, h], [hᵀ, m]] (..., 4, 4) of φ (..., 10).
+    """Return the pseudo-inertia P(φ) = [[Σ, h], [hᵀ, m]] (..., 4, 4) of φ (..., 10).
 
     [Lee2019] Eq. (B.1.4).
     """
@@ -52,7 +52,7 @@ def pseudo_inertia(phi: ArrayLike) -> Array:
 
 
 def from_pseudo_inertia(matrix: ArrayLike) -> Array:
-    """Inertial parameters (..., 10) of symmetric P (..., 4, 4), the inverse of `pseudo_inertia`.
+    """Return inertial parameters (..., 10) of symmetric P (..., 4, 4); inverts `pseudo_inertia`.
 
     [Lee2019] Eq. (B.1.6).
     """
@@ -65,7 +65,7 @@ def pseudo_inertia_basis() -> Array:
 
 
 def dual(covector: ArrayLike) -> Array:
-    """Return the matrices X(a) (..., 4, 4) with aᵀφ = tr(P(φ) X(a)), of a (..., 10).
+    """Return the matrices X(a) (..., 4, 4) with aᵀφ = tr(P(φ) X(a)), for a (..., 10).
 
     [Lee2019] Eqs. (B.1.8), (B.1.9).
     """
@@ -81,11 +81,11 @@ def from_dual(matrix: ArrayLike) -> Array:
 def is_physical(phi: ArrayLike, *, tolerance: float = 0.0) -> NDArray[np.bool_]:
     """Return whether P(φ) ≻ 0 (...), so that a body of positive density can have φ (..., 10).
 
-    With NaN or infinity they are not physical ([Lee2019] Eq. (3.2.7)).
+    Parameters with NaN or infinity are not physical ([Lee2019] Eq. (3.2.7)).
 
     Args:
-        tolerance: Least ratio of P's smallest to its largest eigenvalue that counts, in units
-            where the largest diagonal second moment is the mass (so it does not depend on units).
+        tolerance: Least ratio of the smallest to the largest eigenvalue of P, in units in which the
+            largest diagonal second moment equals the mass.
     """
     phi = real_array(phi, "phi", ("...", PARAMETERS_PER_BODY), finite=False)
     tolerance = number(tolerance, "tolerance")
@@ -120,9 +120,9 @@ def from_mass_com_inertia(mass: ArrayLike, com: ArrayLike, inertia_com: ArrayLik
 
 
 def to_mass_com_inertia(phi: ArrayLike) -> tuple[Array, Array, Array]:
-    """Mass (...), centre of mass (..., 3) and central inertia (..., 3, 3) of φ (..., 10).
+    """Return mass (...), centre of mass (..., 3) and central inertia (..., 3, 3) of φ (..., 10).
 
-    The inverse of `from_mass_com_inertia`; no mass may be zero.
+    The inverse of `from_mass_com_inertia`, for nonzero masses.
     """
     phi = checked_phi(phi)
     mass = phi[..., 0]
@@ -133,7 +133,7 @@ def to_mass_com_inertia(phi: ArrayLike) -> tuple[Array, Array, Array]:
 
 
 def change_frame(phi: ArrayLike, R_AB: ArrayLike, p_AoBo_A: ArrayLike) -> Array:
-    """Inertial parameters (..., 10) about Ao, expressed in A, of bodies φ known about Bo in B.
+    """Return inertial parameters (..., 10) about Ao in frame A, from those φ about Bo in frame B.
 
     [Lee2019] Eq. (3.3.24).
 
@@ -149,7 +149,7 @@ def change_frame(phi: ArrayLike, R_AB: ArrayLike, p_AoBo_A: ArrayLike) -> Array:
 
 
 def change_units(phi: ArrayLike, *, metre: float, kilogram: float) -> Array:
-    """Return the numbers (..., 10) of the same bodies in other units of length and mass.
+    """Return inertial parameters (..., 10) in other units of length and mass.
 
     [Lee2019] Eq. (3.3.24).
 
@@ -165,7 +165,7 @@ def from_point_masses(masses: ArrayLike, positions: ArrayLike) -> Array:
     """Return inertial parameters (..., 10) of Σ mₖ [xₖ;1][xₖ;1]ᵀ ([Lee2019] Eq. (3.2.5)).
 
     Args:
-        masses: (..., k) masses, kg; negative ones take mass away.
+        masses: (..., k) masses, kg; may be negative.
         positions: (..., k, 3) positions from Bo, expressed in B, m.
     """
     sizes: Sizes = {}
@@ -177,9 +177,9 @@ def from_point_masses(masses: ArrayLike, positions: ArrayLike) -> Array:
 
 
 def pullback_metric(phi: ArrayLike) -> Array:
-    """Metric g(φ) = ½ tr(P⁻¹ P(e_i) P⁻¹ P(e_j)) (..., 10, 10) of physical bodies φ (..., 10).
+    """Return the metric g(φ) = ½ tr(P⁻¹ P(e_i) P⁻¹ P(e_j)) (..., 10, 10) of physical φ (..., 10).
 
-    The affine-invariant one, pulled back to inertial parameters ([Lee2019] Eq. (B.1.7)).
+    The affine-invariant metric, pulled back to inertial parameters ([Lee2019] Eq. (B.1.7)).
     """
     phi = checked_phi(phi)
     bad = np.flatnonzero(~is_physical(phi)).tolist()
@@ -198,7 +198,7 @@ def pullback_metric(phi: ArrayLike) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class PrincipalAxes(Short):
-    """A body about its centre of mass, along its principal axes.
+    """Inertias of bodies about their centres of mass, in principal axes.
 
     Attributes:
         mass: (...) masses, kg.
@@ -216,7 +216,7 @@ class PrincipalAxes(Short):
 
 
 def central_second_moment(phi: ArrayLike) -> Array:
-    """Second moments Σᶜ = Σ − m p pᵀ (..., 3, 3), kg·m², about the centre of mass.
+    """Return the second moments Σᶜ = Σ − m p pᵀ (..., 3, 3), kg·m², about the centre of mass.
 
     [Lee2019] Eq. (3.3.17).
     """
@@ -230,7 +230,7 @@ def central_second_moment(phi: ArrayLike) -> Array:
 
 
 def principal_axes(phi: ArrayLike) -> PrincipalAxes:
-    """Return principal axes of bodies φ (..., 10) with a mass."""
+    """Return the principal axes of bodies φ (..., 10) with nonzero mass."""
     phi = checked_phi(phi)
     values, axes = np.linalg.eigh(central_second_moment(phi))
     handedness = np.where(np.linalg.det(axes) < 0, -1.0, 1.0)
@@ -240,10 +240,11 @@ def principal_axes(phi: ArrayLike) -> PrincipalAxes:
 
 
 def triangle_margins(phi: ArrayLike) -> Array:
-    """By how much each principal moment is less than the sum of the other two, (..., 3).
+    """Return the relative margins (..., 3) of the triangle inequality of principal moments.
 
-    Margins (J₂ + J₃ − J₁) / (J₁ + J₂ + J₃) and so on, in ascending order: all above zero for a body
-    that can exist, zero for a flat one, and they add up to one ([Lee2019] Eqs. (3.2.8)–(3.2.10)).
+    They are (J₂ + J₃ − J₁) / (J₁ + J₂ + J₃) and so on, in ascending order. They add up to one; all
+    are positive for a physical body, and one is zero for a flat one ([Lee2019] Eqs.
+    (3.2.8)–(3.2.10)).
     """
     values = principal_axes(phi).second_moments
     if not (extent := values.sum(-1) > 0).all():

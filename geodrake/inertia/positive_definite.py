@@ -1,13 +1,13 @@
 """Symmetric positive-definite matrices P(n) with the affine-invariant metric, [Lee2019] §2.2.
 
-A change of basis P ↦ G P Gᵀ changes no distance, divergence or mean below (Eq. (2.2.4)). For pseudo
-inertias this means: no choice of frame, unit of length or unit of mass does.
+Distances, divergences and means are invariant to a change of basis P ↦ G P Gᵀ (Eq. (2.2.4)), and
+so, for pseudo-inertias, to the choice of frame and units.
 
 The source has a factor ½ in its metric ½ tr((P⁻¹ dP)²) (2.2.5), but none in its distance (2.2.10):
 
     distance(P, P + dP)² ≈ tr((P⁻¹ dP)²) ≈ 2 log_det_divergence(P + dP, P)
 
-Matrices are (..., n, n), positive definite if nothing else is said; functions broadcast.
+Matrices are (..., n, n), positive definite unless stated otherwise; functions broadcast.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from geodrake.errors import ArgumentError, ConvergenceError
 
 Array = NDArray[np.float64]
 
-_ASYMMETRY = 1e-8  # most relative asymmetry of a matrix that counts as rounding
-_CLOSE = 0.5  # relative difference below which it is precise to work with differences
-_SERIES = 1e-3  # logarithm below which eˣ − 1 − x is precise as a series
+_ASYMMETRY = 1e-8  # largest relative asymmetry due to rounding
+_CLOSE = 0.5  # relative difference below which differences are precise
+_SERIES = 1e-3  # logarithm below which the series of eˣ − 1 − x is precise
 
 
 def geodesic(P1: ArrayLike, P2: ArrayLike, t: ArrayLike) -> Array:
@@ -40,8 +40,8 @@ def geodesic(P1: ArrayLike, P2: ArrayLike, t: ArrayLike) -> Array:
 def distance(P1: ArrayLike, P2: ArrayLike) -> Array:
     """Return geodesic distances (...) √(Σ log² λᵢ), with λ the eigenvalues of P1⁻¹ P2.
 
-    This is √2 times the length of the geodesic in the metric (2.2.5), whose ½ the source leaves out
-    here ([Lee2019] Eq. (2.2.10)).
+    This is √2 times the length of the geodesic in the metric (2.2.5), whose ½ the source omits here
+    ([Lee2019] Eq. (2.2.10)).
     """
     return np.asarray(np.linalg.norm(relative_logarithms(P1, P2), axis=-1))
 
@@ -49,7 +49,7 @@ def distance(P1: ArrayLike, P2: ArrayLike) -> Array:
 def log_det_divergence(P1: ArrayLike, P2: ArrayLike) -> Array:
     """Return log-det divergences (...) −log|P2⁻¹ P1| + tr(P2⁻¹ P1) − n = Σ (λᵢ − 1 − log λᵢ) ≥ 0.
 
-    Zero just when P1 = P2 ([Lee2019] Eq. (2.2.14) with −n for its −4, and Eq. (2.2.15)).
+    They are zero only for P1 = P2 ([Lee2019] Eq. (2.2.14) with −n for its −4, and Eq. (2.2.15)).
     """
     logs = relative_logarithms(P2, P1)
     series = 0.5 * logs**2 * (1.0 + logs / 3.0 * (1.0 + logs / 4.0 * (1.0 + logs / 5.0)))
@@ -58,15 +58,12 @@ def log_det_divergence(P1: ArrayLike, P2: ArrayLike) -> Array:
 
 
 def relative_logarithms(P1: ArrayLike, P2: ArrayLike) -> Array:
-    """Logarithms (..., n) of the eigenvalues of P1⁻¹ P2, ascending: all that they differ by."""
+    """Return the ascending logarithms (..., n) of the eigenvalues of P1⁻¹ P2."""
     return relative_spectrum(P1, P2)[0]
 
 
 def whitening(P: ArrayLike) -> tuple[Array, Array]:
-    """Lower triangular L with P = L Lᵀ, and its inverse.
-
-    P is scaled to a unit diagonal first, so that units do not cost precision.
-    """
+    """Return the lower triangular L with P = L Lᵀ, and its inverse, precise in any units."""
     P = real_array(P, "P", ("...", "n", "n"), finite=False)
     diagonal = np.diagonal(P, axis1=-2, axis2=-1)
     usable = np.asarray(np.isfinite(P).all((-2, -1)) & (diagonal > 0).all(-1))
@@ -74,10 +71,11 @@ def whitening(P: ArrayLike) -> tuple[Array, Array]:
         raise _not_positive(P, usable)
     scale = np.sqrt(diagonal)
     scaled = P / (scale[..., :, None] * scale[..., None, :])
-    even = np.abs(scaled - np.swapaxes(scaled, -1, -2)).max((-2, -1), initial=0.0) < _ASYMMETRY
-    if not even.all():
+    asymmetry = np.abs(scaled - np.swapaxes(scaled, -1, -2)).max((-2, -1), initial=0.0)
+    symmetric = np.asarray(asymmetry < _ASYMMETRY)
+    if not symmetric.all():
         raise ArgumentError(
-            f"Expected symmetric matrices; got {_first(P, even)}.",
+            f"Expected symmetric matrices; got {_first(P, symmetric)}.",
             advice="Pass 0.5 * (P + P.T) if the difference is due to rounding.",
         )
     try:
@@ -97,20 +95,20 @@ def _not_positive(P: Array, good: NDArray[np.bool_]) -> ArgumentError:
 
 
 def _first(P: Array, good: NDArray[np.bool_]) -> list[list[float]]:
-    """Return the first bad matrix, or any if rounding hides which it is."""
+    """Return the first bad matrix, or any one if rounding hides it."""
     flat = P.reshape(-1, *P.shape[-2:])
-    found: list[list[float]] = flat[int(np.argmin(good.ravel()))].tolist()
-    return found
+    bad: list[list[float]] = flat[int(np.argmin(good.ravel()))].tolist()
+    return bad
 
 
 def congruent(G: Array, V: Array) -> Array:
-    """Return G V Gᵀ, exactly symmetric, of G (..., m, n) and symmetric V (..., n, n)."""
+    """Return G V Gᵀ, exactly symmetric, for G (..., m, n) and symmetric V (..., n, n)."""
     product = G @ V @ np.swapaxes(G, -1, -2)
     return np.asarray(0.5 * (product + np.swapaxes(product, -1, -2)))
 
 
 def from_root(side: Array, half_logs: Array) -> Array:
-    """Return S exp(2 half_logs) Sᵀ, exactly symmetric, of S (..., n, n) and (..., n)."""
+    """Return S exp(2 half_logs) Sᵀ, exactly symmetric, for S (..., n, n) and (..., n)."""
     root = side * np.exp(half_logs)[..., None, :]
     return np.asarray(root @ np.swapaxes(root, -1, -2))
 
@@ -118,8 +116,8 @@ def from_root(side: Array, half_logs: Array) -> Array:
 def relative_spectrum(P1: ArrayLike, P2: ArrayLike) -> tuple[Array, Array]:
     """Return logarithms (..., n) and axes (..., n, n) of L⁻¹ P2 L⁻ᵀ with P1 = L Lᵀ.
 
-    Close matrices are compared by their difference, others by their roots: either way the small
-    eigenvalues are as precise as they can be.
+    Close matrices are compared by their difference and others by their roots, which is most precise
+    for small eigenvalues.
     """
     _, inverse = whitening(P1)
     L2, _ = whitening(P2)
@@ -141,41 +139,41 @@ def karcher_mean(
     tolerance: float = 1e-10,
     max_iterations: int = 50,
 ) -> Array:
-    """Return the matrix with the least weighted sum of squared distances Σ wₖ d(S, Pₖ)².
+    """Return the Karcher mean, which minimizes the weighted squared distances Σ wₖ d(S, Pₖ)².
 
-    Newton's method on the manifold: the Hessian of ½ d² is at least the metric, so that the
-    minimum is unique, and the norm of the gradient bounds the distance that is left.
+    Newton's method on the manifold. The Hessian of ½ d² is at least the metric, so that the minimum
+    is unique, and the norm of the gradient bounds the distance from it.
 
     Args:
         matrices: (..., k, n, n) positive-definite matrices.
-        weights: (..., k) weights, none negative; all equal if None.
-        tolerance: Distance from the exact mean at which to stop, unless rounding hides what is
-            left of it.
-        max_iterations: Newton steps after which to give up.
+        weights: (..., k) nonnegative weights; by default equal.
+        tolerance: Distance from the exact mean, if above rounding errors.
+        max_iterations: Largest number of Newton steps.
     """
     integer(max_iterations, "max_iterations", lower=1)
     positive(tolerance, "tolerance")
     sizes: Sizes = {}
     P = real_array(matrices, "matrices", ("...", "k", "n", "n"), sizes)
     w = _normalized(weights, sizes)
-    mean, before, found = _first_guess(P, w), np.full((), np.inf), np.zeros((), bool)
+    mean, previous, converged = _first_guess(P, w), np.full((), np.inf), np.zeros((), bool)
     for _ in range(max_iterations):
         L, _ = whitening(mean)
         logs, axes = relative_spectrum(mean[..., None, :, :], P)
         gradient = _weighted_sum(w, logs, axes)  # of −½ Σ wₖ d², whitened
-        left = np.asarray(np.linalg.norm(gradient, axis=(-2, -1)))
+        error = np.asarray(np.linalg.norm(gradient, axis=(-2, -1)))
         step = _newton_step(w, logs, axes, gradient)
         promise, cost = (gradient * step).sum((-2, -1)), _cost(P, w, mean)
         rounding = rounding_of_squares(cost, 1.0)
-        found = found | (left <= tolerance) | is_within_rounding(promise, before, rounding)
-        if found.all():
+        hidden = is_within_rounding(promise, previous, rounding)
+        converged = converged | (error <= tolerance) | hidden
+        if converged.all():
             return mean
-        before, mean = promise, _line_search(P, w, (L, step), (cost, promise, rounding))
+        previous, mean = promise, _line_search(P, w, (L, step), (cost, promise, rounding))
     raise ConvergenceError(
         f"The Karcher mean did not converge to {tolerance:g} in {max_iterations} steps: the "
-        f"error is {float(left.max()):.2g}.",
+        f"error is {float(error.max()):.2g}.",
         advice="Some matrix is nearly singular; remove it, or use a larger tolerance.",
-        distance=left,
+        distance=error,
     )
 
 
@@ -192,7 +190,7 @@ def _normalized(weights: ArrayLike | None, sizes: Sizes) -> Array:
 
 
 def _first_guess(P: Array, w: Array) -> Array:
-    """Return the middle of arithmetic and harmonic mean, which is exact for two equal weights."""
+    """Return the midpoint of arithmetic and harmonic mean, exact for two equal weights."""
     _, inverses = whitening(P)
     arithmetic = np.einsum("...k,...kij->...ij", w, P)
     inverse = np.einsum("...k,...kli,...klj->...ij", w, inverses, inverses)
@@ -205,10 +203,9 @@ def _weighted_sum(w: Array, logs: Array, axes: Array) -> Array:
 
 
 def _newton_step(w: Array, logs: Array, axes: Array, gradient: Array) -> Array:
-    """Return H⁻¹ gradient with the Hessian H of ½ Σ wₖ d², all whitened.
+    """Return the whitened Newton step H⁻¹ gradient with the Hessian H of ½ Σ wₖ d².
 
-    In the axes of its logarithm, ½ d² has curvature (x/2) coth(x/2) ≥ 1 along each pair of axes
-    whose logarithms differ by x.
+    ½ d² has curvature (x/2) coth(x/2) ≥ 1 along each pair of axes whose logarithms differ by x.
     """
     n = gradient.shape[-1]
     half = 0.5 * np.abs(logs[..., :, None] - logs[..., None, :])
@@ -226,14 +223,14 @@ def _newton_step(w: Array, logs: Array, axes: Array, gradient: Array) -> Array:
 def _line_search(
     P: Array, w: Array, along: tuple[Array, Array], known: tuple[Array, Array, Array]
 ) -> Array:
-    """Return the next mean: cost, what the slope promises of the step, and rounding are known."""
+    """Return the next mean, from the cost, its predicted decrease and its rounding error."""
     (L, step), (cost, promise, rounding) = along, known
     rates, axes = np.linalg.eigh(step)
 
-    def moved(share: Array) -> Array:
+    def point(share: Array) -> Array:
         return from_root(L @ axes, 0.5 * share[..., None] * rates)
 
-    return moved(step_length(lambda t: cost - _cost(P, w, moved(t)), promise, rounding))
+    return point(step_length(lambda t: cost - _cost(P, w, point(t)), promise, rounding))
 
 
 def _cost(P: Array, w: Array, mean: Array) -> Array:

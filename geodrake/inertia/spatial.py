@@ -23,7 +23,7 @@ def from_spatial_inertia(spatial: SpatialInertia) -> Array:
 
 
 def to_spatial_inertia(phi: ArrayLike) -> SpatialInertia:
-    """Drake's M_BBo_B of one body's inertial parameters (10,); a zero mass gives zero inertia."""
+    """Return Drake's M_BBo_B of inertial parameters (10,); a zero mass gives zero inertia."""
     phi = real_array(phi, "phi", (PARAMETERS_PER_BODY,))
     mass = phi[0]
     if mass == 0.0:
@@ -33,9 +33,9 @@ def to_spatial_inertia(phi: ArrayLike) -> SpatialInertia:
 
 
 def inertial_parameters(plant: MultibodyPlant, context: Context | None = None) -> Array:
-    """Inertial parameters (nb, 10) of `lumped_bodies(plant)`, each in its representative's frame.
+    """Return the parameters (nb, 10) of `lumped_bodies(plant)`, in their representatives' frames.
 
-    They are those of a Context; the plant's default values if None.
+    They are those of a Context, by default the plant's default values.
     """
     check_plant(plant)
     if context is None:

@@ -1,13 +1,12 @@
 """Barrier-Hessian manifolds: convex sets of parameters with the geometry of their log barrier.
 
-Parameters that only make sense inside an open convex set (a friction coefficient above zero, a
-pseudo inertia that is positive definite) get a strictly convex barrier h that grows without bound
-towards the edge ([Lee2019] §5.3). Its Hessian is a metric, Eq. (5.3.17), and its Bregman divergence
-a distance-like measure of error,
+Parameters in an open convex set, such as positive friction coefficients and positive definite
+pseudo-inertias, get a strictly convex barrier h that is unbounded towards the boundary ([Lee2019]
+§5.3). Its Hessian is a metric, Eq. (5.3.17), and its Bregman divergence measures errors:
 
     D(x‖y) = h(x) − h(y) − ∇h(y)ᵀ (x − y)                                          [Lee2019] (2.2.2)
 
-Both are free of the choice of units and frames, except for parameters without any bound.
+Both are independent of units and frames, except for parameters without bounds.
 
 All methods broadcast over leading axes.
 """

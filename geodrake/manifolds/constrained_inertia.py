@@ -1,4 +1,4 @@
-"""Inertial parameters of a body with linear constraints, such as an ellipsoid it must fit into."""
+"""Inertial parameters of a body with linear constraints, such as an enclosing ellipsoid."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _INERTIA = PhysicalInertia()
 class ConstrainedInertia(Manifold, Short):
     """Inertial parameters φ with P(φ) ≻ 0 and aₖᵀ φ > bₖ for m constraints.
 
-    h = −log det P(φ) − α Σ log(aₖᵀ φ − bₖ), [Lee2019] Eq. (5.3.27). It does not depend on the
-    scale of a constraint, so that α has no unit.
+    h = −log det P(φ) − α Σ log(aₖᵀ φ − bₖ), [Lee2019] Eq. (5.3.27). α is dimensionless, as h does
+    not depend on the scale of a constraint.
 
     Attributes:
         normals: (m, 10) rows aₖᵀ, such as `geodrake.inertia.ellipsoids.realizability_row`.
@@ -48,11 +48,11 @@ class ConstrainedInertia(Manifold, Short):
 
     @property
     def least_weight(self) -> float:
-        """Return α, or 1 if that is less."""
+        """Return min(α, 1)."""
         return min(1.0, self.weight)
 
     def slacks(self, x: ArrayLike) -> Array:
-        """Return how far each constraint is from being broken, aₖᵀ x − bₖ, (..., m)."""
+        """Return the slacks aₖᵀ x − bₖ (..., m) of the constraints."""
         return self.calc_slacks(real_array(x, "x", ("...", PARAMETERS_PER_BODY)))
 
     def calc_slacks(self, x: Array) -> Array:
@@ -81,17 +81,14 @@ class ConstrainedInertia(Manifold, Short):
         return np.asarray(_INERTIA.calc_metric(x) + self.weight * np.swapaxes(rows, -1, -2) @ rows)
 
     def calc_frame(self, x: Array) -> Array:
-        """Return the body's, corrected for the constraints."""
+        """Return the frame of the body, corrected for the constraints."""
         T = _INERTIA.calc_frame(x)
         rows = self._scaled(x) @ T
         L = np.linalg.cholesky(np.eye(len(T)) + self.weight * rows.T @ rows)
         return np.asarray(T @ np.linalg.inv(L).T)
 
     def calc_inverse_metric_times(self, x: Array, b: Array) -> Array:
-        """Return g(x)⁻¹ b by Woodbury's identity, [Lee2019] Eq. (B.4.21) without its factors 2.
-
-        Only an m×m matrix is solved with.
-        """
+        """Return g(x)⁻¹ b by Woodbury's identity, [Lee2019] Eq. (B.4.21) without its factors 2."""
         rows = self._scaled(x)
         free = _INERTIA.calc_inverse_metric_times(x, b)
         rows_free = _INERTIA.calc_inverse_metric_times(x[..., None, :], rows)

@@ -1,4 +1,4 @@
-"""Inertial parameters of one body, inside the cone of physical ones."""
+"""Inertial parameters of one body in the cone of physical bodies."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ _UNIT_TANGENTS = np.array(
     [(np.outer(a, b) + np.outer(b, a)) / (2.0 if a @ b else np.sqrt(2.0)) for a, b in _PAIRS]
 )
 """Orthonormal basis (10, 4, 4) of the symmetric matrices."""
-_ROUNDING = 1e-14  # least relative eigenvalue of P that rounding leaves positive
-_LONGEST_GROWTH = 300.0  # logarithm of a growth that is still a number
+_ROUNDING = 1e-14  # least relative eigenvalue of P despite rounding
+_LONGEST_GROWTH = 300.0  # logarithm of the largest growth without overflow
 
 
 @dataclass(frozen=True)
 class PhysicalInertia(Manifold):
     """Inertial parameters φ of one body with P(φ) ≻ 0 and h = −log det P(φ), [Lee2019] §5.3.1.
 
-    The metric is the Hessian of h, [Lee2019] Eq. (5.3.24): twice the one of (B.1.7), so that one
-    adaptation gain means one speed for inertias and friction alike.
+    The metric is the Hessian of h, [Lee2019] Eq. (5.3.24), twice that of (B.1.7), so that an
+    adaptation gain means the same speed for inertias and friction.
     """
 
     @property
@@ -69,7 +69,7 @@ class PhysicalInertia(Manifold):
         return calc_from_pseudo_inertia(P @ calc_dual(b) @ P)
 
     def calc_divergence(self, x: Array, y: Array) -> Array:
-        """D(x‖y) = −log det(P(y)⁻¹P(x)) + tr(P(y)⁻¹P(x)) − 4, [Lee2019] Eq. (5.3.25)."""
+        """Return D(x‖y) = −log det(P(y)⁻¹P(x)) + tr(P(y)⁻¹P(x)) − 4, [Lee2019] Eq. (5.3.25)."""
         return log_det_divergence(calc_pseudo_inertia(x), calc_pseudo_inertia(y))
 
     def calc_longest_step(self, x: Array, v: Array) -> Array:
@@ -79,16 +79,16 @@ class PhysicalInertia(Manifold):
         return np.where(falling, -1.0 / np.where(falling, rates, -1.0), np.inf)
 
     def calc_frame(self, x: Array) -> Array:
-        """P⁻¹(L E Lᵀ) (10, 10) for orthonormal symmetric E, which no scale costs precision."""
+        """Return P⁻¹(L E Lᵀ) (10, 10) for orthonormal symmetric E, precise in any units."""
         L = _root(x)
         return calc_from_pseudo_inertia(L @ _UNIT_TANGENTS @ L.T).T
 
     def calc_mirror_span(self, x: Array, rows: Array) -> MirrorSpan:
-        """P(y(λ)) = L (𝟙 − Lᵀ X(Aᵀ λ) L)⁻¹ Lᵀ, from P⁻¹(y) = P⁻¹(x) − X(Aᵀ λ)."""
+        """Return the span P(y(λ)) = L (𝟙 − Lᵀ X(Aᵀ λ) L)⁻¹ Lᵀ with P⁻¹(y) = P⁻¹(x) − X(Aᵀ λ)."""
         return robot_span(contiguous(x), contiguous(rows), _bodies(x))
 
     def calc_point_of_gradient(self, gradient: Array, near: Array) -> Array:
-        """P(y)⁻¹ = −X(∇h(y))."""
+        """Return the points with P(y)⁻¹ = −X(∇h(y))."""
         try:
             inverse = np.linalg.inv(-calc_dual(gradient))
             return calc_from_pseudo_inertia(np.asarray(inverse, float))
@@ -96,15 +96,15 @@ class PhysicalInertia(Manifold):
             return np.full(gradient.shape, np.nan)
 
     def calc_natural_step(self, x: Array, b: Array, time: float) -> Array:
-        """Return the geodesic of [Lee2019] Eq. (2.2.9), which needs no inverse on its way."""
+        """Return the geodesic step of [Lee2019] Eq. (2.2.9), which needs no inverse."""
         if x.shape == b.shape:
             stepped, each = np.empty(x.shape), (contiguous(x).ravel(), contiguous(b).ravel())
             if calc_natural_steps(*each, _bodies(x), float(time), stepped.reshape(-1)):
                 return stepped
-        return super().calc_natural_step(x, b, time)  # long, or at the edge of what can exist
+        return super().calc_natural_step(x, b, time)  # long, or close to the boundary
 
     def _retract(self, x: Array, v: Array) -> Array:
-        """Return the geodesic, [Lee2019] Eq. (2.2.9)."""
+        """Return the end point of the geodesic, [Lee2019] Eq. (2.2.9)."""
         L, root = whitening(calc_pseudo_inertia(x))
         rates, axes = np.linalg.eigh(root @ calc_pseudo_inertia(v) @ np.swapaxes(root, -1, -2))
         longest = np.abs(rates).max(-1, keepdims=True)
@@ -118,7 +118,7 @@ class PhysicalInertia(Manifold):
 
     @staticmethod
     def _rates(x: Array, v: Array) -> Array:
-        """Return eigenvalues (..., 4) of P(x)⁻¹ P(v) in ascending order."""
+        """Return the eigenvalues (..., 4) of P(x)⁻¹ P(v) in ascending order."""
         _, root = whitening(calc_pseudo_inertia(x))
         whitened = root @ calc_pseudo_inertia(v) @ np.swapaxes(root, -1, -2)
         return np.asarray(np.linalg.eigvalsh(whitened), float)
@@ -131,7 +131,7 @@ def _bodies(x: Array) -> Factors:
 
 
 def _root(x: Array) -> Array:
-    """Lower triangular L (..., 4, 4) with P(x) = L Lᵀ; units cost no precision."""
+    """Return the lower triangular L (..., 4, 4) with P(x) = L Lᵀ, precise in any units."""
     P = calc_pseudo_inertia(x)
     scale = np.sqrt(np.diagonal(P, axis1=-2, axis2=-1))
     units = scale[..., :, None] * scale[..., None, :]

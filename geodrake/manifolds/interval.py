@@ -1,4 +1,4 @@
-"""Parameters with bounds: positive ones, intervals, and free ones."""
+"""Parameters with separate bounds: positive, bounded and free ones."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from geodrake.errors import ArgumentError
 from geodrake.manifolds.base import Array, Manifold, MirrorSpan, excess, slowed_time
 from geodrake.manifolds.robot_kernels import Factors, calc_natural_steps, robot_span
 
-_LONGEST_GROWTH = 300.0  # logarithm of a growth that is still a number
-_MOST = 10**6  # parameters
-_LEAST_SLACK = 1e-150  # whose inverse square is still a number
+_LONGEST_GROWTH = 300.0  # logarithm of the largest growth without overflow
+_MOST = 10**6  # largest number of parameters
+_LEAST_SLACK = 1e-150  # smallest slack whose inverse square is finite
 
 
 @dataclass(frozen=True)
 class Interval(Manifold):
     """Parameters with separate bounds, lᵢ < xᵢ < uᵢ.
 
-    h = −Σ log(xᵢ − lᵢ) − Σ log(uᵢ − xᵢ), [Lee2019] Eq. (5.3.35). A bound may be infinite, and then
-    has no term; a parameter without any bound is flat instead, with the term ½ xᵢ².
+    h = −Σ log(xᵢ − lᵢ) − Σ log(uᵢ − xᵢ), [Lee2019] Eq. (5.3.35). An infinite bound has no term; a
+    parameter without bounds is flat, with the term ½ xᵢ².
 
     Attributes:
         lower: The n lower bounds l.
@@ -58,27 +58,27 @@ class Interval(Manifold):
 
     @cached_property
     def _flat(self) -> NDArray[np.bool_]:
-        """Which parameters have no bound, (n,)."""
+        """(n,) whether a parameter has no bound."""
         return np.isinf(self.lower) & np.isinf(self.upper)
 
     @cached_property
     def _one_sided(self) -> NDArray[np.bool_]:
-        """Which parameters have one bound, (n,)."""
+        """(n,) whether a parameter has exactly one bound."""
         return np.isfinite(self.lower) ^ np.isfinite(self.upper)
 
     @cached_property
     def _only_bound(self) -> Array:
-        """The bounds of those."""
+        """Bounds of the one-sided parameters."""
         lower, upper = self._bounds
         return np.where(np.isfinite(lower), lower, upper)[self._one_sided]
 
     @cached_property
     def only_lower(self) -> bool:
-        """Whether all parameters have a lower bound and no upper one, as coefficients do."""
+        """Whether all parameters have a lower bound and no upper one."""
         return bool(np.isfinite(self.lower).all() and np.isinf(self.upper).all())
 
     def _slacks(self, x: Array) -> tuple[Array, Array]:
-        """Return distances to the lower and the upper bounds."""
+        """Return the distances to the lower and upper bounds."""
         lower, upper = self._bounds
         return x - lower, upper - x
 
@@ -108,7 +108,7 @@ class Interval(Manifold):
         return self._curvature(x)[..., None] * np.eye(self.dimension)
 
     def calc_inverse_metric_times(self, x: Array, b: Array) -> Array:
-        """Return g(x)⁻¹ b, [Lee2019] Eq. (B.4.22) and (B.4.23), component by component."""
+        """Return g(x)⁻¹ b componentwise, [Lee2019] Eq. (B.4.22) and (B.4.23)."""
         if self.only_lower:
             slack = x - self._bounds[0]
             return np.asarray(slack * slack * b)
@@ -134,25 +134,25 @@ class Interval(Manifold):
         return np.diag(1.0 / np.sqrt(self._curvature(x)))
 
     def calc_mirror_span(self, x: Array, rows: Array) -> MirrorSpan:
-        """Return the span; for lower bounds only, by the compiled loop of robots."""
+        """Return the span, by the compiled kernel if there are only lower bounds."""
         if self.only_lower:
             return robot_span(contiguous(x), contiguous(rows), self._factors(x))
         return super().calc_mirror_span(x, rows)
 
     def calc_point_of_gradient(self, gradient: Array, near: Array) -> Array:
-        """Treat each parameter by itself; NaN where one has no such point."""
+        """Return the points componentwise; NaN where there is none."""
         lower, upper = self._bounds
         if self.only_lower:
             return np.asarray(lower + 1.0 / _positive(-gradient))
-        one, two = self._one_sided, np.isfinite(lower) & np.isfinite(upper)
-        away = np.where(np.isfinite(lower[one]), 1.0, -1.0)  # from the bound
+        single, double = self._one_sided, np.isfinite(lower) & np.isfinite(upper)
+        sign = np.where(np.isfinite(lower[single]), 1.0, -1.0)  # away from the bound
         y = gradient.copy()
-        y[..., one] = self._only_bound + away / _positive(-away * gradient[..., one])
-        y[..., two] = _balanced(lower[two], upper[two], gradient[..., two])
+        y[..., single] = self._only_bound + sign / _positive(-sign * gradient[..., single])
+        y[..., double] = _balanced(lower[double], upper[double], gradient[..., double])
         return y
 
     def calc_natural_step(self, x: Array, b: Array, time: float) -> Array:
-        """Follow the geodesic without safeguards, if it is short and all bounds are lower ones."""
+        """Return the geodesic step, by the compiled kernel if short and with only lower bounds."""
         if self.only_lower and x.shape == b.shape:
             stepped, each = np.empty(x.shape), (contiguous(x).ravel(), contiguous(b).ravel())
             if calc_natural_steps(*each, self._factors(x), float(time), stepped.reshape(-1)):
@@ -160,7 +160,7 @@ class Interval(Manifold):
         return super().calc_natural_step(x, b, time)
 
     def _factors(self, x: Array) -> Factors:
-        """Return the factors of points (..., n) that have lower bounds only."""
+        """Return the factors of points (..., n) with only lower bounds."""
         places, lower = np.arange(x.size), np.broadcast_to(self._bounds[0], x.shape).flatten()
         return places[:0], np.empty(0), places, lower, np.ones(x.size)
 
@@ -168,7 +168,7 @@ class Interval(Manifold):
         return self.calc_contains(x) & (np.abs(x) < LARGEST).all(-1)
 
     def _retract(self, x: Array, v: Array) -> Array:
-        """Treat each parameter by itself: the geodesic with one bound, the slowed line with two."""
+        """Return geodesics of one-sided parameters, and slowed straight lines of the others."""
         lower, upper = self._bounds
         below, above = self._slacks(x)
         bounded = self._one_sided
@@ -180,20 +180,20 @@ class Interval(Manifold):
         edge = np.where(v > 0, above, below) / np.where(v == 0, 1.0, np.abs(v))
         line = x + np.where(v == 0, 1.0, slowed_time(edge)) * v
         point = np.where(bounded, geodesic, line)
-        # Rounding may put a point that is near a bound onto it.
+        # Rounding may put a point onto a bound.
         least = np.maximum(np.nextafter(lower, np.inf), lower + _LEAST_SLACK)
         most = np.minimum(np.nextafter(upper, -np.inf), upper - _LEAST_SLACK)
         return np.clip(point, least, most)
 
 
 def _positive(x: Array) -> Array:
-    """Return the numbers, with NaN put in for those that are not above zero."""
+    """Replace values that are not positive by NaN."""
     x[x <= 0] = np.nan
     return x
 
 
 def _balanced(lower: Array, upper: Array, force: Array) -> Array:
-    """Return where 1/(u − y) − 1/(y − l) = force, precise in the smaller slack."""
+    """Return the y with 1/(u − y) − 1/(y − l) = force, precise in the smaller slack."""
     half = 0.5 * (upper - lower)
     q = np.abs(half * force)
     root = np.hypot(1.0, q)
@@ -210,7 +210,7 @@ class Positive(Interval):
 
 
 class Free(Interval):
-    """n parameters without bounds: ℝⁿ with h = ½ ‖x‖², in the units that they are given in."""
+    """n parameters without bounds: ℝⁿ with h = ½ ‖x‖², which depends on their units."""
 
     def __init__(self, dimension: int = 1) -> None:
         integer(dimension, "dimension", lower=0, upper=_MOST)

@@ -1,4 +1,4 @@
-"""Several manifolds side by side."""
+"""Product manifolds."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ from geodrake.manifolds.robot_kernels import (
 class _FactorGroup:
     """Factors of one kind and weight."""
 
-    manifold: Manifold  # what they all are
-    places: NDArray[np.intp]  # (k, n) their coordinates
+    manifold: Manifold
+    places: NDArray[np.intp]  # (k, n) indices of their coordinates
     weight: float
 
     @cached_property
     def _span(self) -> slice | None:
-        """Where the coordinates are, if they follow each other: slices take a third of the time."""
+        """Slice of the coordinates if they are contiguous, three times as fast as indices."""
         start = int(self.places[0, 0]) if self.places.size else 0
         following = np.arange(start, start + self.places.size).reshape(self.places.shape)
         return slice(start, following.size + start) if (following == self.places).all() else None
 
     @cached_property
     def _shapes(self) -> tuple[tuple[int, int], tuple[int]]:
-        """Of the coordinates, and of them in a row."""
+        """Shapes of the coordinates by factor, and flat."""
         k, n = self.places.shape
         return (k, n), (k * n,)
 
@@ -52,15 +52,15 @@ class _FactorGroup:
         return x[..., self._span].reshape(x.shape[:-1] + self._shapes[0])
 
     def light(self, covectors: Array) -> Array:
-        """Return covectors divided by the weight of the barrier."""
+        """Divide covectors by the weight of the barrier."""
         return covectors if self.weight == 1.0 else covectors / self.weight
 
     def heavy(self, covectors: Array) -> Array:
-        """Return covectors times the weight of the barrier."""
+        """Multiply covectors by the weight of the barrier."""
         return covectors if self.weight == 1.0 else covectors * self.weight
 
     def put(self, values: Array, x: Array) -> None:
-        """Write coordinates (..., k, n) to their places in those of the product (..., N)."""
+        """Write coordinates (..., k, n) into those of the product (..., N)."""
         if self._span is None:
             x[..., self.places] = values
         else:
@@ -69,9 +69,9 @@ class _FactorGroup:
 
 @dataclass(frozen=True)
 class Product(Manifold):
-    """Several manifolds side by side, h = Σ wᵢ hᵢ(xᵢ), [Lee2019] Eq. (5.3.41)–(5.3.44).
+    """Product of manifolds with h = Σ wᵢ hᵢ(xᵢ), [Lee2019] Eq. (5.3.41)–(5.3.44).
 
-    Kernels take all bodies of one weight at once, and all bounded parameters: fast enough for an
+    Kernels process all bodies of one weight at once, and all bounded parameters, fast enough for an
     update at every sample.
 
     Attributes:
@@ -105,7 +105,7 @@ class Product(Manifold):
 
     @cached_property
     def _factors(self) -> tuple[tuple[Manifold, float, slice], ...]:
-        """Every factor that is no product itself, with its weight and where its coordinates are."""
+        """The factors of nested products, with their weights and slices of coordinates."""
         factors, start = [], 0
         for factor, weight in _leaves(self):
             factors.append((factor, weight, slice(start, start + factor.dimension)))
@@ -114,12 +114,12 @@ class Product(Manifold):
 
     @cached_property
     def least_weight(self) -> float:
-        """Return the least weight of a factor, at most 1."""
-        return min((1.0, *(weight * each.least_weight for each, weight, _ in self._factors)))
+        """Smallest weight of a factor, at most 1."""
+        return min((1.0, *(weight * factor.least_weight for factor, weight, _ in self._factors)))
 
     @cached_property
     def _groups(self) -> tuple[_FactorGroup, ...]:
-        """Bodies together, intervals as one manifold, and every other factor by itself."""
+        """Groups of bodies, of intervals as one manifold, and of every other factor alone."""
         bodies: dict[float, list[NDArray[np.intp]]] = {}
         intervals: dict[float, list[tuple[Interval, NDArray[np.intp]]]] = {}
         groups = []
@@ -141,8 +141,8 @@ class Product(Manifold):
         return tuple(groups)
 
     def _filled(self, function: Callable[..., Array], *vectors: Array) -> Array:
-        """Return values (..., n) of a function of a group and of its coordinates (..., k, n_g)."""
-        # (What has fewer leading axes than the rest is not repeated: the functions broadcast.)
+        """Return values (..., n) of a function of a group and its coordinates (..., k, n_g)."""
+        # The functions broadcast, so that vectors need not have the same leading axes.
         same = vectors[0].shape == vectors[-1].shape
         filled = np.empty(
             vectors[0].shape if same else np.broadcast_shapes(*[x.shape for x in vectors])
@@ -164,7 +164,7 @@ class Product(Manifold):
         return _sum(g.weight * g.manifold.calc_barrier(g.part(x)).sum(-1) for g in self._groups)
 
     def calc_gradient(self, x: Array) -> Array:
-        """Return the factors' gradients times their weights, (..., n)."""
+        """Return the weighted gradients (..., n) of the factors."""
         gradient = np.empty(x.shape)
         for group in self._groups:
             group.put(group.heavy(group.manifold.calc_gradient(group.part(x))), gradient)
@@ -178,7 +178,7 @@ class Product(Manifold):
         return metric
 
     def calc_inverse_metric_times(self, x: Array, b: Array) -> Array:
-        """Return gᵢ(xᵢ)⁻¹ bᵢ / wᵢ factor by factor, [Lee2019] Eq. (B.4.19)."""
+        """Return gᵢ(xᵢ)⁻¹ bᵢ / wᵢ of all factors, [Lee2019] Eq. (B.4.19)."""
         return self._filled(
             lambda g, x, b: g.manifold.calc_inverse_metric_times(x, g.light(b)), x, b
         )
@@ -191,49 +191,49 @@ class Product(Manifold):
         )
 
     def calc_longest_step(self, x: Array, v: Array) -> Array:
-        """Return the least of the factors' times (...)."""
+        """Return the smallest of the factors' times (...)."""
         times = [g.manifold.calc_longest_step(g.part(x), g.part(v)).min(-1) for g in self._groups]
         return np.minimum.reduce(times)
 
     def calc_frame(self, x: Array) -> Array:
-        """Return those of the factors as blocks (n, n)."""
+        """Return the block-diagonal frame (n, n) of the factors."""
         frame = np.zeros((self.dimension, self.dimension))
         for factor, w, part in self._factors:
             frame[part, part] = factor.calc_frame(x[part]) / np.sqrt(w)
         return frame
 
     def calc_mirror_span(self, x: Array, rows: Array) -> MirrorSpan:
-        """Treat each factor by itself; those of robots in one loop."""
+        """Return the span of all factors, by the compiled kernel for robots."""
         if self.robot is not None and x.ndim == 1:
             return robot_span(contiguous(x), contiguous(rows), self.robot)
         points, products = [], np.zeros((len(rows), len(rows)))
         for group in self._groups:
-            own = group.manifold.calc_mirror_span(group.part(x), group.part(rows))
-            points.append((group, own.point))
-            products += group.light(own.products)
+            span = group.manifold.calc_mirror_span(group.part(x), group.part(rows))
+            points.append((group, span.point))
+            products += group.light(span.products)
 
         def point(multipliers: Array) -> Array:
             y = np.empty(x.shape)
-            for group, own in points:
-                group.put(own(group.light(multipliers)), y)
+            for group, group_point in points:
+                group.put(group_point(group.light(multipliers)), y)
             return y
 
         return MirrorSpan(products, point)
 
     def calc_point_of_gradient(self, gradient: Array, near: Array) -> Array:
-        """Treat each factor by itself."""
+        """Return the points of all factors."""
         y = np.empty(near.shape)
         for group in self._groups:
-            own = group.light(group.part(gradient))
-            group.put(group.manifold.calc_point_of_gradient(own, group.part(near)), y)
+            part = group.light(group.part(gradient))
+            group.put(group.manifold.calc_point_of_gradient(part, group.part(near)), y)
         return y
 
     def calc_retract(self, x: Array, v: Array) -> Array:
-        """Treat each factor by itself."""
+        """Return the retractions of all factors."""
         return self._filled(lambda g, x, v: g.manifold.calc_retract(x, v), x, v)
 
     def calc_natural_step(self, x: Array, b: Array, time: float) -> Array:
-        """Treat each factor by itself; of one point, those of robots in one loop."""
+        """Return the steps of all factors, by the compiled kernel for one point of a robot."""
         if self.robot is not None and x.ndim == b.ndim == 1:
             stepped, (x, b) = np.empty(x.shape), (contiguous(x), contiguous(b))
             if calc_natural_steps(x, b, self.robot, float(time), stepped):
@@ -244,7 +244,7 @@ class Product(Manifold):
 
     @cached_property
     def robot(self) -> Factors | None:
-        """For compiled loops; None unless all factors are bodies and lower bounds."""
+        """Factors for compiled kernels; None unless all are bodies and lower bounds."""
         bodies, bounded = [], []
         for factor, weight, part in self._factors:
             if isinstance(factor, PhysicalInertia):
@@ -258,10 +258,10 @@ class Product(Manifold):
 
 
 def _leaves(product: Product) -> Iterator[tuple[Manifold, float]]:
-    """Yield the factors of a product and of the products in it, with their weights."""
+    """Yield the factors of nested products with their weights."""
     for factor, weight in zip(product.manifolds, product.weights, strict=True):
         if isinstance(factor, Product):
-            yield from ((leaf, weight * own) for leaf, own in _leaves(factor))
+            yield from ((leaf, weight * inner) for leaf, inner in _leaves(factor))
         else:
             yield factor, weight
 

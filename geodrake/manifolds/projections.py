@@ -2,13 +2,13 @@
 
     Proj_C(x) = argmin D(y‖x)  over y in C
 
-The projection of an estimate onto any convex set that holds the truth p brings it nearer to p, in
-the divergence of the manifold (the Pythagorean inequality, Eq. (2.2.12)):
+Projecting an estimate onto a convex set that contains the true p moves it closer to p in the
+manifold's divergence (Pythagorean inequality, Eq. (2.2.12)):
 
     D(p‖x) ≥ D(p‖Proj_C(x)) + D(Proj_C(x)‖x)
 
-It is found by Newton's method on the dual, in coordinates in which the metric is the identity, so
-that units and frames cost no precision.
+Newton's method on the dual, in coordinates in which the metric is the identity, so that units and
+frames do not cost precision.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class Polyhedron(Short):
 
     Attributes:
         matrix: (k, n) coefficients.
-        lower: (k,) least values; −inf for none.
-        upper: (k,) greatest values; inf for none, and the same as `lower` for an equation.
+        lower: (k,) lower limits; −inf for none.
+        upper: (k,) upper limits; inf for none, equal to `lower` for an equation.
     """
 
     matrix: Array
@@ -54,7 +54,7 @@ class Polyhedron(Short):
             object.__setattr__(self, name, value)
 
     def violation(self, y: ArrayLike) -> Array:
-        """Return (k,) how far each row is outside of its limits at y (n,)."""
+        """Return the violation (k,) of each row at y (n,)."""
         value = self.matrix @ real_array(y, "y", (self.matrix.shape[1],))
         return np.maximum(0.0, np.maximum(self.lower - value, value - self.upper))
 
@@ -65,34 +65,34 @@ def halfspace(a: ArrayLike, b: float) -> Polyhedron:
 
 
 def affine_set(A: ArrayLike, b: ArrayLike) -> Polyhedron:
-    """Return the points y with A y = b, for A (k, n) and b (k,), or one row (n,) and a number."""
+    """Return the points y with A y = b, for A (k, n) and b (k,), or one row (n,) and a scalar."""
     A, b = np.atleast_2d(real_array(A, "A")), np.atleast_1d(real_array(b, "b"))
     return Polyhedron(A, b, b)
 
 
 def slab(a: ArrayLike, lower: float, upper: float) -> Polyhedron:
-    """Return the points y with lower ≤ aᵀ y ≤ upper, for a (n,); infinite limits do not bound."""
+    """Return the points y with lower ≤ aᵀ y ≤ upper, for a (n,); limits may be infinite."""
     limits = (number(lower, "lower", finite=False), number(upper, "upper", finite=False))
     return Polyhedron(real_array(a, "a", ("n",))[None], *(np.array([limit]) for limit in limits))
 
 
 _MOST_SCALINGS = 4
-_EMPTY = 1e-13  # least share of the unit row that a non-empty polyhedron leaves
-_NEAR = 0.25  # length of a Newton step in the metric that is taken in full
+_EMPTY = 1e-13  # least residual of the unit row for a non-empty polyhedron
+_NEAR = 0.25  # length of a full Newton step in the metric
 _MOST_DOUBLINGS = 60
-_ROUNDING = 4e-16  # of a row's value, relative to its terms
-_SLOW = 0.5  # share of the error that a step may leave where steps only polish
-_EXACT = 1e-13  # error after which there is nothing to gain
+_ROUNDING = 4e-16  # rounding error of a row's value, relative to its terms
+_SLOW = 0.5  # ratio of errors above which polishing steps end
+_EXACT = 1e-13  # error of an exact solution
 _PRECISE = 1e-8  # error below which steps only polish
-_LOOSE = 0.3  # length of the next Newton step on the path
+_LOOSE = 0.3  # length of the next Newton step close to the central path
 _LEAST_WEIGHT = 1e-24
-_LONG, _SHORT = 1e-3, 4.0  # factors of the weight on the way away from x and on the way back
+_LONG, _SHORT = 1e-3, 4.0  # factors of the weight on the way away from x, and back
 
 
 def _shortest(G: Array, lower: Array, upper: Array) -> Array | None:
-    """Multipliers μ (k,) of the shortest z = Gᵀ μ with lower ≤ G z ≤ upper; None if there is none.
+    """Return multipliers μ (k,) of the shortest z = Gᵀ μ with lower ≤ G z ≤ upper, or None.
 
-    Lawson and Hanson's least-distance program: it stands rows that depend on each other.
+    Lawson and Hanson's least-distance program, which allows dependent rows.
     """
     below, above = np.flatnonzero(np.isfinite(lower)), np.flatnonzero(np.isfinite(upper))
     rows = np.concatenate([G[below], -G[above]])
@@ -108,22 +108,22 @@ def _shortest(G: Array, lower: Array, upper: Array) -> Array | None:
             u, _ = nnls(matrix, unit)
         except RuntimeError:
             return None
-        left = 1.0 - float(matrix[-1] @ u)
-        if not left > _EMPTY:
+        residual = 1.0 - float(matrix[-1] @ u)
+        if not residual > _EMPTY:
             return None
-        length = float(np.linalg.norm(rows.T @ u)) / left
+        length = float(np.linalg.norm(rows.T @ u)) / residual
         if length < 10.0:
             break
         scale *= length
     multipliers = np.zeros(len(lower))
-    np.add.at(multipliers, below, u[: len(below)] * (scale / left))
-    np.add.at(multipliers, above, -u[len(below) :] * (scale / left))
+    np.add.at(multipliers, below, u[: len(below)] * (scale / residual))
+    np.add.at(multipliers, above, -u[len(below) :] * (scale / residual))
     return multipliers
 
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """A point y (n,) with the multipliers λ (k,) that lead to it from x."""
+    """A point y (n,) with the multipliers λ (k,) from x."""
 
     manifold: Manifold
     limits: Polyhedron
@@ -131,9 +131,9 @@ class _State:
     multipliers: Array
 
     def weighted(self, w: float) -> _State:
-        """Return the state with the gradient and the multipliers times w."""
-        force = w * self.manifold.calc_gradient(self.y)
-        y = self.manifold.calc_point_of_gradient(force, self.y)
+        """Return the state with the gradient and the multipliers scaled by w."""
+        gradient = w * self.manifold.calc_gradient(self.y)
+        y = self.manifold.calc_point_of_gradient(gradient, self.y)
         return replace(self, y=y, multipliers=w * self.multipliers)
 
     @cached_property
@@ -148,7 +148,7 @@ class _State:
 
     @cached_property
     def gaps(self) -> tuple[Array, Array]:
-        """How far lower and upper limits are above the value of the rows, in the metric at y."""
+        """Lower and upper limits minus the values of the rows, in the metric at y."""
         value = self.limits.matrix @ self.y
         limits = self.limits.lower, self.limits.upper
         below, above = ((limit - value) / self.lengths for limit in limits)
@@ -156,61 +156,62 @@ class _State:
 
     @cached_property
     def error(self) -> float:
-        """Greatest distance in the metric at y from feasibility and complementarity of a row."""
+        """Largest violation in the metric at y of a row's feasibility and complementarity."""
         below, above = self.gaps
-        broken = np.maximum(0.0, np.maximum(below, -above))
-        pushed = np.where(self.multipliers > 0, np.abs(below), np.abs(above))
+        violation = np.maximum(0.0, np.maximum(below, -above))
+        complementarity = np.where(self.multipliers > 0, np.abs(below), np.abs(above))
         terms = np.abs(self.limits.matrix) @ np.abs(self.y)
         rounding = _ROUNDING * len(self.y) * terms / self.lengths
-        off = np.where(self.multipliers == 0, broken, pushed)
-        return float(np.maximum(0.0, off - rounding).max())
+        errors = np.where(self.multipliers == 0, violation, complementarity)
+        return float(np.maximum(0.0, errors - rounding).max())
 
     @cached_property
-    def wanted(self) -> Array | None:
+    def newton_multipliers(self) -> Array | None:
         """Multipliers λ + d (k,) after Newton's step d; None if there is none.
 
-        z = Aᵀ d is least ½ |z + Aᵀ λ|² within the limits.
+        z = Aᵀ d minimizes ½ |z + Aᵀ λ|² within the limits.
         """
-        rows, held = self.rows / self.lengths[:, None], self.multipliers * self.lengths
-        shift = rows @ (rows.T @ held)
-        found = _shortest(rows, *(gap + shift for gap in self.gaps))
-        if found is None or not np.isfinite(found).all():
+        rows, current = self.rows / self.lengths[:, None], self.multipliers * self.lengths
+        shift = rows @ (rows.T @ current)
+        wanted = _shortest(rows, *(gap + shift for gap in self.gaps))
+        if wanted is None or not np.isfinite(wanted).all():
             return None
-        binding = found != 0.0
-        if binding.any() and not held[~binding].any():  # where the step alone loses no digits
-            gap = np.where(found > 0.0, *self.gaps)[binding]
+        binding = wanted != 0.0
+        if binding.any() and not current[~binding].any():
+            # Solving for the step is more precise.
+            gap = np.where(wanted > 0.0, *self.gaps)[binding]
             step = np.linalg.lstsq(rows[binding], gap)[0]
-            better = held[binding] + np.linalg.lstsq(rows[binding].T, step)[0]
-            if (better * found[binding] > 0.0).all():
-                found[binding] = better
-        return np.asarray(found / self.lengths)
+            refined = current[binding] + np.linalg.lstsq(rows[binding].T, step)[0]
+            if (refined * wanted[binding] > 0.0).all():
+                wanted[binding] = refined
+        return np.asarray(wanted / self.lengths)
 
     @property
     def newton_length(self) -> float:
         """Length of Newton's step in the metric at y, which bounds the distance to the optimum."""
-        if self.wanted is None:
+        if self.newton_multipliers is None:
             return np.inf
-        return float(np.linalg.norm((self.wanted - self.multipliers) @ self.rows))
+        return float(np.linalg.norm((self.newton_multipliers - self.multipliers) @ self.rows))
 
     def newton_step(self) -> _State | None:
         """Return the state after a step of the multipliers, or None.
 
-        A long step d is damped to d / (1 + |d|), which no barrier ends ([Lee2019] Eq. (2.2.11)), or
-        goes on as long as the dual rises and no multiplier changes its sign.
+        A long step d is damped to d / (1 + |d|), which stays inside, and then doubled while the
+        dual increases and no multiplier changes its sign.
         """
-        if self.wanted is None:
+        if self.newton_multipliers is None:
             return None
-        held, d = self.multipliers, self.wanted - self.multipliers
-        if not (self.limits.matrix.T @ d).any():  # rows contradict each other
+        current, d = self.multipliers, self.newton_multipliers - self.multipliers
+        if not (self.limits.matrix.T @ d).any():  # contradicting rows
             return None
         span = self.manifold.calc_mirror_span(self.y, self.limits.matrix)
         length = self.newton_length / np.sqrt(self.manifold.least_weight)
         share = 1.0 if length < _NEAR else 1.0 / (1.0 + length)
         y = span.point(share * d)
         if length >= _NEAR:
-            turning = (held * d < 0) & (self.limits.lower < self.limits.upper)
-            most = float((-held[turning] / d[turning]).min(initial=np.inf))
-            sign, moving = np.where(held == 0, d, held), d != 0
+            turning = (current * d < 0) & (self.limits.lower < self.limits.upper)
+            most = float((-current[turning] / d[turning]).min(initial=np.inf))
+            sign, moving = np.where(current == 0, d, current), d != 0
             targets = np.where(sign > 0, self.limits.lower, self.limits.upper)[moving]
             rows = self.limits.matrix[moving]
             for _ in range(_MOST_DOUBLINGS):
@@ -222,7 +223,7 @@ class _State:
                 share, y = 2.0 * share, farther
         if not self.manifold.calc_contains(y):
             return None
-        multipliers = self.wanted if share == 1.0 else held + share * d
+        multipliers = self.newton_multipliers if share == 1.0 else current + share * d
         return replace(self, y=y, multipliers=multipliers)
 
 
@@ -234,40 +235,40 @@ def _solved(state: _State, most_steps: int) -> _State:
             if state.error <= _EXACT:
                 return state
             if best.error <= _PRECISE and state.error > _SLOW * best.error and state is not best:
-                break  # rounding leaves no more
+                break  # only rounding errors remain
             best = min(state, best, key=lambda s: s.error)
             following = state.newton_step()
             if following is None:
                 break
             state = following
         return min(state, best, key=lambda s: s.error)
-    except (ArgumentError, np.linalg.LinAlgError):  # on the edge, as far as rounding tells
+    except (ArgumentError, np.linalg.LinAlgError):  # at the boundary within rounding
         return best
 
 
 def _along_path(start: _State, max_iterations: int) -> _State:
-    """Return the optimum by those for gradients w ∇h(x), w from small to 1.
+    """Return the optimum by following the optima for gradients w ∇h(x), from small w to 1.
 
-    Where the optimum has to be much greater than x, ∇h(x) outweighs the barrier so far that the
-    quadratic model of a Newton step is good for small steps only. A small w makes x great, and then
-    the path is that of interior-point methods.
+    If the optimum is much larger than x, ∇h(x) dominates the barrier, and Newton's quadratic model
+    is good only for small steps. A small w enlarges x, and the path is that of interior-point
+    methods.
     """
-    weight, state, found = 1.0, start, False
+    weight, state, is_close = 1.0, start, False
     try:
-        while weight > _LEAST_WEIGHT and not found:
+        while weight > _LEAST_WEIGHT and not is_close:
             start, weight = start.weighted(_LONG), _LONG * weight
-            state, found = _centered(start, max_iterations)
-        while weight < 1.0 and found:
+            state, is_close = _centered(start, max_iterations)
+        while weight < 1.0 and is_close:
             factor = min(_SHORT, 1.0 / weight)
             weight = weight * factor if factor == _SHORT else 1.0
-            state, found = _centered(state.weighted(factor), max_iterations)
+            state, is_close = _centered(state.weighted(factor), max_iterations)
     except (ArgumentError, np.linalg.LinAlgError):
         return state
     return _solved(state, max_iterations) if weight == 1.0 else state
 
 
 def _centered(state: _State, max_iterations: int) -> tuple[_State, bool]:
-    """Return a state on the path, and whether it is near enough to the path."""
+    """Return a state moved towards the path, and whether it is close enough."""
     for _ in range(max_iterations):
         if state.newton_length < _LOOSE:
             return state, True
@@ -278,8 +279,8 @@ def _centered(state: _State, max_iterations: int) -> tuple[_State, bool]:
     return state, False
 
 
-_UNSURE = 1e-14  # relative, of coordinates and multipliers on the way to a certificate
-_SAME_EQUATION = 1e-10  # singular value, relative to the largest, of rows that say nothing new
+_UNSURE = 1e-14  # relative rounding error of coordinates and multipliers in a certificate
+_SAME_EQUATION = 1e-10  # relative singular value of redundant rows
 
 
 def bregman_projection(
@@ -290,17 +291,17 @@ def bregman_projection(
     tolerance: float = 1e-10,
     max_iterations: int = 25,
 ) -> Array:
-    """Return the point of a polyhedron that is nearest to x, inside of the manifold's set.
+    """Return the point of a polyhedron, inside of the manifold, that is closest to x.
 
-    It is returned only with a certificate: multipliers with which it meets the conditions of
-    optimality, checked with the manifold's own gradient.
+    The result is certified: it satisfies the optimality conditions, evaluated with the manifold's
+    gradient.
 
     Args:
-        manifold: Where x lives.
-        x: (n,) point inside of the manifold's set, however far from the polyhedron.
+        manifold: Manifold of x.
+        x: (n,) point inside of the manifold, at any distance from the polyhedron.
         constraints: The polyhedron.
-        tolerance: Greatest error of the conditions of optimality, in lengths of the metric.
-        max_iterations: Most steps between two points of the path from x to the projection.
+        tolerance: Largest error of the optimality conditions, in lengths of the metric.
+        max_iterations: Largest number of steps between two points of the path.
 
     Returns:
         (n,) the projection; x itself if it is in the polyhedron.
@@ -312,14 +313,14 @@ def bregman_projection(
         return x
     constraints = _without_zeros(constraints)
     _check_equations(manifold, x, constraints)
-    with np.errstate(all="ignore"):  # what overflows does not pass the certificate
-        y, missing = _certified(manifold, x, constraints, (tolerance, max_iterations))
-    if missing <= tolerance:
+    with np.errstate(all="ignore"):  # the certificate rejects overflows
+        y, error = _certified(manifold, x, constraints, (tolerance, max_iterations))
+    if error <= tolerance:
         return y
     violation = constraints.violation(y)
     raise ConvergenceError(
         f"The projection did not converge to {tolerance:g}: the last point violates row "
-        f"{int(np.argmax(violation))} by {violation.max():.3g} (error {missing:.2g}).",
+        f"{int(np.argmax(violation))} by {violation.max():.3g} (error {error:.2g}).",
         advice="Check that some point of the manifold satisfies all rows: limits, signs and units.",
         last=y,
         violation=violation,
@@ -329,52 +330,52 @@ def bregman_projection(
 def _certified(
     manifold: Manifold, x: Array, constraints: Polyhedron, effort: tuple[float, int]
 ) -> tuple[Array, float]:
-    """Return the best point that was found, and how far it is from being optimal."""
+    """Return the best point, and its error of the optimality conditions."""
     scale = 1.0 / np.linalg.norm(constraints.matrix, axis=1)
     limits = (scale * limit for limit in (constraints.lower, constraints.upper))
     rows = Polyhedron(scale[:, None] * constraints.matrix, *limits)
     best, least = x, np.inf
-    for way in (_solved, _along_path):  # the second at more expense
-        state = way(_State(manifold, rows, x, np.zeros(len(scale))), effort[1])
-        push = constraints.matrix, scale * state.multipliers
-        missing = _certificate(manifold, (x, state.y), push)
-        missing = max(state.error, missing) if np.isfinite(missing) else np.inf
-        if missing < least or best is x:
-            best, least = state.y, missing
+    for solve in (_solved, _along_path):  # the second is more expensive
+        state = solve(_State(manifold, rows, x, np.zeros(len(scale))), effort[1])
+        duals = constraints.matrix, scale * state.multipliers
+        error = _certificate(manifold, (x, state.y), duals)
+        error = max(state.error, error) if np.isfinite(error) else np.inf
+        if error < least or best is x:
+            best, least = state.y, error
         if least <= effort[0]:
             break
     return best, least
 
 
 def _certificate(
-    manifold: Manifold, points: tuple[Array, Array], push: tuple[Array, Array]
+    manifold: Manifold, points: tuple[Array, Array], duals: tuple[Array, Array]
 ) -> float:
     """Return the violation of the optimality conditions at y, beyond rounding.
 
-    What is left of ∇h(y) − ∇h(x) − Aᵀ λ is shared out to x and y: with both moved by no more than
-    the length returned, it would be zero.
+    The residual ∇h(y) − ∇h(x) − Aᵀ λ is a backward error: it would vanish after moving both x and y
+    by no more than the returned length.
     """
-    (x, y), (A, held) = points, push
+    (x, y), (A, multipliers) = points, duals
     if not (np.isfinite(y).all() and bool(manifold.calc_contains(y))):
         return np.inf
     try:
-        rest = manifold.calc_gradient(y) - manifold.calc_gradient(x) - A.T @ held
+        residual = manifold.calc_gradient(y) - manifold.calc_gradient(x) - A.T @ multipliers
         frames = np.stack([manifold.calc_frame(x), manifold.calc_frame(y)])
         inverses = np.linalg.inv(frames)
-        # The metric at y seen from x has the squares of `stretch`.
+        # The metric at y relative to that at x has the eigenvalues `stretch`².
         _, stretch, axes = np.linalg.svd(inverses[1] @ frames[0])
     except np.linalg.LinAlgError:
         return np.inf
     damping, seen = 1.0 / np.hypot(1.0, stretch), axes @ frames[0].T
-    left = float(np.linalg.norm(damping * (seen @ rest)))
-    unsure = float(np.linalg.norm(damping * (np.abs(seen) @ (np.abs(held) @ np.abs(A)))))
+    length = float(np.linalg.norm(damping * (seen @ residual)))
+    rounding = float(np.linalg.norm(damping * (np.abs(seen) @ (np.abs(multipliers) @ np.abs(A)))))
     for point, inverse in zip(points, inverses, strict=True):
-        unsure += float(np.linalg.norm(np.linalg.norm(inverse, axis=0) * point))
-    return max(0.0, left - _UNSURE * unsure)
+        rounding += float(np.linalg.norm(np.linalg.norm(inverse, axis=0) * point))
+    return max(0.0, length - _UNSURE * rounding)
 
 
 def _without_zeros(constraints: Polyhedron) -> Polyhedron:
-    """Return the polyhedron without rows that are zero."""
+    """Return the polyhedron without zero rows."""
     A, lower, upper = constraints.matrix, constraints.lower, constraints.upper
     used = A.any(1)
     if ((lower > 0) | (upper < 0))[~used].any():

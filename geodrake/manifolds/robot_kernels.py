@@ -1,8 +1,7 @@
-"""Parameters of a robot at every sample: physical bodies, and coefficients with a lower bound.
+"""Compiled kernels for a robot's parameters: physical bodies, and coefficients with lower bounds.
 
-Of a body, P is the pseudo-inertia of φ, and X(b) the symmetric matrix with tr(P(φ) X(b)) = φᵀ b
-([Lee2019] Eq. (B.1.8)). All is done in units in which the diagonal of P is one, so that those of
-the user cost no precision.
+P is the pseudo-inertia of a body φ, and X(b) the symmetric matrix with tr(P(φ) X(b)) = φᵀ b
+([Lee2019] Eq. (B.1.8)). Kernels scale P to a unit diagonal, so that units do not cost precision.
 """
 
 from __future__ import annotations
@@ -19,15 +18,15 @@ from geodrake.manifolds.base import Array, MirrorSpan
 
 Places = NDArray[np.int64]
 Factors = tuple[Places, Array, Places, Array, Array]
-"""Where k bodies begin in a point (n,), and 1/w of each for the weights w of barriers; where all m
-others are, their lower bounds and 1/w.
+"""Starts (k,) of bodies in a point (n,) and their 1/w for weights w of the barriers; indices (m,)
+of all other parameters, their lower bounds and 1/w.
 """
 
-_USUAL_GROWTH = 4.0  # logarithm of what one step may multiply a slack by
-_LONGEST = 2.0  # half a step that squarings follow exactly
-_SHORT = 3e-3  # of a matrix, of whose exponential five terms are exact to rounding
-_WELL_INSIDE = 1e-12  # det P over the product of its diagonal
-_CLEAR = 1e-12  # det P in units in which the largest second moment is the mass
+_USUAL_GROWTH = 4.0  # largest |log| growth of a slack in one step
+_LONGEST = 2.0  # largest half step for scaling and squaring
+_SHORT = 3e-3  # norm for which five terms of the exponential are exact to rounding
+_WELL_INSIDE = 1e-12  # least ratio of det P to the product of its diagonal
+_CLEAR = 1e-12  # least det P in units in which the largest second moment is the mass
 _ROOT = 2.0**0.5
 
 
@@ -45,7 +44,7 @@ def put_pseudo_inertia(phi: Array, P: Array) -> None:
 
 @inlined
 def put_parameters(P: Array, phi: Array) -> None:
-    """Write φ (10,) of P."""
+    """Write φ (10,) from P."""
     phi[0], phi[1], phi[2], phi[3] = P[3, 3], P[0, 3], P[1, 3], P[2, 3]
     phi[4], phi[5], phi[6] = P[1, 1] + P[2, 2], P[2, 2] + P[0, 0], P[0, 0] + P[1, 1]
     phi[7], phi[8], phi[9] = -P[0, 1], -P[1, 2], -P[2, 0]
@@ -64,7 +63,7 @@ def put_dual(b: Array, X: Array) -> None:
 
 @compiled
 def put_product(A: Array, B: Array, out: Array) -> None:
-    """Write A B of matrices (4, 4); not inlined, which would take long to compile."""
+    """Write A B of matrices (4, 4); inlining would slow compilation."""
     for i in range(4):
         for j in range(4):
             total = 0.0
@@ -75,7 +74,7 @@ def put_product(A: Array, B: Array, out: Array) -> None:
 
 @inlined
 def put_congruence(A: Array, B: Array, room: Array, out: Array) -> None:
-    """Write Aᵀ B A of matrices (4, 4), which may be B itself."""
+    """Write Aᵀ B A of matrices (4, 4); `out` may be B."""
     put_product(B, A, room)
     for i in range(4):
         for j in range(4):
@@ -87,7 +86,7 @@ def put_congruence(A: Array, B: Array, room: Array, out: Array) -> None:
 
 @inlined
 def put_triangular_congruence(L: Array, B: Array, room: Array, out: Array) -> None:
-    """Write the lower triangle of Lᵀ B L (4, 4) of a lower triangular L; `out` may be B itself."""
+    """Write the lower triangle of Lᵀ B L (4, 4) for a lower triangular L; `out` may be B."""
     for i in range(4):
         for j in range(i + 1):
             total = 0.0
@@ -104,7 +103,7 @@ def put_triangular_congruence(L: Array, B: Array, room: Array, out: Array) -> No
 
 @inlined
 def frobenius_norm(Z: Array) -> float:
-    """Return the root of the sum of squares of a matrix (4, 4)."""
+    """Return the Frobenius norm of a matrix (4, 4)."""
     total = 0.0
     for i in range(4):
         for j in range(4):
@@ -123,7 +122,7 @@ def put_identity(out: Array) -> None:
 
 @inlined
 def put_exponential(Z: Array, size: float, room: Array, E: Array) -> None:
-    """Write exp(Z) of a matrix (4, 4) of Frobenius' norm `size`: a series of Z/2ᵏ, squared."""
+    """Write exp(Z) of a matrix (4, 4) of Frobenius norm `size`, by scaling and squaring."""
     share, squarings = 1.0, 0
     while size * share > _SHORT:
         share, squarings = 0.5 * share, squarings + 1
@@ -165,7 +164,7 @@ def put_root(P: Array, L: Array) -> float:
 
 @inlined
 def put_units(P: Array, d: Array) -> bool:
-    """Divide P by the roots d (4,) of its diagonal; return False if it is not positive."""
+    """Scale P to a unit diagonal by roots d (4,); return False if its diagonal is not positive."""
     for i in range(4):
         if not P[i, i] > 0.0:
             return False
@@ -192,9 +191,9 @@ def put_body_root(phi: Array, P: Array, d: Array, L: Array) -> bool:
 def calc_natural_steps(x: Array, b: Array, factors: Factors, time: float, out: Array) -> bool:
     """Write the geodesics from x (n,) along −time g⁻¹ b ([Lee2019] Eq. (2.2.9)).
 
-    Of a body, P⁺ = exp(Z) P = E P Eᵀ with Z = −time P X(b) and E = exp(½ Z). Above a lower bound l,
-    l + (x − l) exp(−time (x − l) b). False, with `out` unfinished, where the step is very long or
-    near the edge.
+    For a body, P⁺ = exp(Z) P = E P Eᵀ with Z = −time P X(b) and E = exp(½ Z). For a lower bound l,
+    x⁺ = l + (x − l) exp(−time (x − l) b). Return False, with `out` incomplete, if the step is very
+    long or ends close to the boundary.
     """
     bodies, shares, places, lower, other_shares = factors
     P, X, Z = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
@@ -208,11 +207,11 @@ def calc_natural_steps(x: Array, b: Array, factors: Factors, time: float, out: A
         for i in range(4):
             for j in range(4):
                 X[i, j] *= -0.5 * time * shares[body] * d[i] * d[j]
-        put_product(X, P, Z)  # whose exponential is Eᵀ
+        put_product(X, P, Z)  # Eᵀ = exp(Z)
         size = frobenius_norm(Z)
         if not size < _LONGEST:
             return False
-        if size == 0.0:  # it stays, to the last digit
+        if size == 0.0:  # unchanged to the last digit
             out[first:last] = x[first:last]
             continue
         put_exponential(Z, size, F, E)
@@ -228,7 +227,10 @@ def calc_natural_steps(x: Array, b: Array, factors: Factors, time: float, out: A
 
 @inlined
 def grown(x: Array, b: Array, others: tuple[Places, Array, Array], out: Array) -> bool:
-    """Return the steps of `calc_natural_steps` of those with lower bounds, each with its time."""
+    """Write the steps of `calc_natural_steps` for parameters with lower bounds, each with its time.
+
+    Return whether the steps are short and end inside.
+    """
     (places, lower, times), length, size = others, 0.0, 0.0
     for k in range(len(places)):
         at = places[k]
@@ -244,7 +246,7 @@ def grown(x: Array, b: Array, others: tuple[Places, Array, Array], out: Array) -
 
 @compiled
 def calc_clearly_inside(x: Array, factors: Factors) -> bool:
-    """Return whether all of x (n,) is inside by more than rounding."""
+    """Return whether x (n,) is inside by more than rounding."""
     bodies, _, places, lower, _ = factors
     P, L = np.empty((4, 4)), np.empty((4, 4))
     for first in bodies:
@@ -261,10 +263,10 @@ def calc_clearly_inside(x: Array, factors: Factors) -> bool:
 
 @compiled
 def calc_whitened(x: Array, rows: Array, factors: Factors, L: Array, out: Array) -> None:
-    """Write covectors (r, n) in an orthonormal frame at x (n,): A g⁻¹ Aᵀ is W Wᵀ.
+    """Write covectors A (r, n) in an orthonormal frame at x (n,), with A g⁻¹ Aᵀ = W Wᵀ.
 
-    Of a body, Lᵀ X(b) L with P = L Lᵀ, in a basis of the symmetric matrices; the roots L (k, 4, 4)
-    are not numbers where there are none. Above a lower bound, (x − l) b.
+    For a body, Lᵀ X(b) L with P = L Lᵀ, in a basis of the symmetric matrices; the roots L (k, 4, 4)
+    are NaN if P is not positive definite. For a lower bound, (x − l) b.
     """
     bodies, shares, places, lower, other_shares = factors
     P, X, F, d = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4)), np.empty(4)
@@ -273,11 +275,11 @@ def calc_whitened(x: Array, rows: Array, factors: Factors, L: Array, out: Array)
         if not put_body_root(x[first : first + PARAMETERS_PER_BODY], P, d, root):
             root[:] = np.nan
         for r in range(len(rows)):
-            any_of_it = False
+            is_nonzero = False
             for j in range(first, first + PARAMETERS_PER_BODY):
-                any_of_it |= rows[r, j] != 0.0
+                is_nonzero |= rows[r, j] != 0.0
                 out[r, j] = 0.0
-            if not any_of_it:  # as of bodies inboard of a joint
+            if not is_nonzero:  # such as bodies inboard of a joint
                 continue
             put_dual(rows[r, first : first + PARAMETERS_PER_BODY], X)
             put_triangular_congruence(root, X, F, X)
@@ -295,10 +297,10 @@ def calc_whitened(x: Array, rows: Array, factors: Factors, L: Array, out: Array)
 
 @inlined
 def put_combination(rows: Array, multipliers: Array, share: float, M: Array) -> None:
-    """Write 𝟙 − share Σ λ W (4, 4) of W (r, 10) from `calc_whitened`."""
+    """Write 𝟙 − share Σ λ W (4, 4) for W (r, 10) of `calc_whitened`."""
     entry = 0
     for i in range(4):
-        for j in range(-1, i):  # the diagonal first
+        for j in range(-1, i):  # −1 stands for the diagonal
             value = 0.0
             for r in range(len(rows)):
                 value += multipliers[r] * rows[r, entry]
@@ -315,8 +317,8 @@ def calc_spanned(
 ) -> None:
     """Write the point with the gradient ∇h(x) + Aᵀ λ; NaN where no such point exists.
 
-    Of a body, P⁺ = L (𝟙 − Σ λ W)⁻¹ Lᵀ from P⁻¹ − X(Aᵀ λ), with λ (r,) and L and W those of
-    `calc_whitened`. Above a lower bound, the inverse slack is linear in λ.
+    For a body, P⁺ = L (𝟙 − Σ λ W)⁻¹ Lᵀ from P⁻¹ − X(Aᵀ λ), with λ (r,), and L and W of
+    `calc_whitened`. For a lower bound, the inverse slack is linear in λ.
     """
     (L, rows), (bodies, shares, places, lower, other_shares) = span, factors
     M, C, Y, P = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
@@ -344,8 +346,8 @@ def calc_spanned(
         at, value = places[k], 0.0
         for r in range(len(rows)):
             value += multipliers[r] * rows[r, at]
-        left = 1.0 - np.sqrt(other_shares[k]) * value
-        out[at] = lower[k] + (x[at] - lower[k]) / left if left > 0.0 else np.nan
+        ratio = 1.0 - np.sqrt(other_shares[k]) * value
+        out[at] = lower[k] + (x[at] - lower[k]) / ratio if ratio > 0.0 else np.nan
 
 
 def robot_span(x: Array, rows: Array, factors: Factors) -> MirrorSpan:
@@ -365,11 +367,11 @@ def robot_span(x: Array, rows: Array, factors: Factors) -> MirrorSpan:
 def factors_of(
     bodies: Sequence[tuple[int, float]], bounded: Sequence[tuple[int, float, float]]
 ) -> Factors:
-    """Return factors for these loops.
+    """Return factors for the compiled kernels.
 
     Args:
-        bodies: Where each body begins, and 1/w.
-        bounded: Where each of all others is, its lower bound, and 1/w.
+        bodies: Start of each body, and 1/w.
+        bounded: Index of each other parameter, its lower bound, and 1/w.
     """
     starts, shares = np.reshape(np.array(bodies, float), (-1, 2)).T.copy()
     places, lower, other_shares = np.reshape(np.array(bounded, float), (-1, 3)).T.copy()

@@ -58,7 +58,7 @@ def candidate_effects(
     known = [joint for joint in single if joint in calibrated]
     speed = dict(zip(model.joints, peaks.tolist(), strict=True))
     temperatures = mean_temperatures(trajectories)
-    found: list[Effect] = []
+    effects: list[Effect] = []
     segments = [
         segment
         for trajectory in trajectories
@@ -88,21 +88,21 @@ def candidate_effects(
         if effect.places == "joint":
             for joint in (j for j in (known if unknown else single) if not has_none(effect, j)):
                 if speed[joint] > 0.0 and effect.proposer in (Proposer.WARMING, Proposer.BRISTLES):
-                    found.extend(effect.shaped(joint, reach=reach[joint], duration=duration))
+                    effects.extend(effect.shaped(joint, reach=reach[joint], duration=duration))
                 elif speed[joint] > 0.0:
-                    found.extend(_at_joint(effect, joint, speed[joint], temperatures.get(joint)))
+                    effects.extend(_at_joint(effect, joint, speed[joint], temperatures.get(joint)))
         elif effect.places == "joint_pair":
             pairs = together if issubclass(effect, SharedActuatorEffect) else followers
             for pair in (p for p in pairs if not any(has_none(effect, j) for j in p)):
-                found.extend(candidates_of(effect, pair))
+                effects.extend(candidates_of(effect, pair))
         elif effect.places == "body":
             for body in () if effect.of_force_sensor else model.bodies:
-                found.extend(candidates_of(effect, body))
+                effects.extend(candidates_of(effect, body))
             for body, origin in sensors.items() if effect.of_force_sensor else ():
-                found.extend(candidates_of(effect, body, *origin))
+                effects.extend(candidates_of(effect, body, *origin))
         elif effect.places == "robot":
-            found.extend(candidates_of(effect))
-    return (*found, *_effects_behind(model, segments))
+            effects.extend(candidates_of(effect))
+    return (*effects, *_effects_behind(model, segments))
 
 
 def _effects_behind(model: RobotModel, segments: Sequence[Segment]) -> Iterator[Effect]:
@@ -180,5 +180,5 @@ def candidate_delays(low_pass: ZeroPhaseFilter) -> tuple[float, ...]:
     period, bandwidth = low_pass.period, low_pass.bandwidth
     step = max(period, LONGEST_DELAY / 10, min(0.02 / bandwidth, LONGEST_DELAY / 2))
     steps = np.arange(1, max(2, int(LONGEST_DELAY / step + 1e-9) + 1)) * step
-    late, early = steps.tolist(), (-steps[: (len(steps) + 1) // 2]).tolist()
-    return (0.0, *late, *early, *(sign * share * step for share in _SHORT for sign in (1.0, -1.0)))
+    fractions = [sign * share * step for share in _SHORT for sign in (1.0, -1.0)]
+    return (0.0, *steps.tolist(), *(-steps[: (len(steps) + 1) // 2]).tolist(), *fractions)

@@ -141,9 +141,8 @@ def open_case(
     def prepare(logs: Sequence[JointLog]) -> tuple[tuple[Trajectory, ...], list[str], list[str]]:
         uniform = [make_uniform(log) for log in logs]
         hints = [hint for each in uniform for hint in _hints(each.log, model)]
-        bandwidths = model.bandwidths
-        found = ([b for key in fingerprints_of(log) if (b := bandwidths.get(key))] for log in logs)
-        fitted_at = {known[0] if known else None for known in found}
+        keys = [[key for key in fingerprints_of(log) if key in model.bandwidths] for log in logs]
+        fitted_at = {model.bandwidths[known[0]] if known else None for known in keys}
         with _naming_units(hints):
             if bandwidth is not None:
                 motion = motion_bandwidth

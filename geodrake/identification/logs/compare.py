@@ -59,18 +59,18 @@ def comparison(
             model_unknowns(dataset, case.model),
             unfitted_errors(dataset, case.model),
         )
-    found, errors = series(dataset, unknowns, held_out), error_table(dataset, held_out)
+    blocks, errors = series(dataset, unknowns, held_out), error_table(dataset, held_out)
     return Comparison(
         errors,
-        where_it_fails(found, errors, sliding=case.model.sliding_joints),
-        found,
+        where_it_fails(blocks, errors, sliding=case.model.sliding_joints),
+        blocks,
         case.notes,
         case.first,
     )
 
 
 def where_it_fails(
-    found: Sequence[Series],
+    all_blocks: Sequence[Series],
     errors: ErrorTable,
     *,
     sliding: Collection[str] = (),
@@ -83,7 +83,7 @@ def where_it_fails(
     """
     worst = []
     for error in errors.joints:
-        joint, blocks = error.joint, [s for s in found if s.joint == error.joint]
+        joint, blocks = error.joint, [s for s in all_blocks if s.joint == error.joint]
         squares = np.concatenate([s.residual for s in blocks]) ** 2
         if not len(squares):  # of a limb that always stands
             continue

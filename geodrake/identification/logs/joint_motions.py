@@ -67,11 +67,11 @@ class JointMotions:
         """
         numbers = np.zeros(BEGUN + len(self.rows))
         numbers[: len(parameters)], numbers[LIMIT] = parameters, limit
-        own = (1.0 - rate_share) * numbers[RATE]
-        if own > 0.0:
-            numbers[RATE] -= own
-            numbers[DAMPING] += own
-            numbers[SHARE] = own / numbers[DAMPING]
+        servo_damping = (1.0 - rate_share) * numbers[RATE]
+        if servo_damping > 0.0:
+            numbers[RATE] -= servo_damping
+            numbers[DAMPING] += servo_damping
+            numbers[SHARE] = servo_damping / numbers[DAMPING]
         return numbers
 
     def simulated(self, servo: Array) -> Array:
@@ -186,8 +186,8 @@ class JointMotions:
             pieces = zip(self._split(residual), kept, strict=True)
             return [
                 b
-                for x, own in pieces
-                for b in _runs(x - np.mean(x[own] if own.any() else 0.0), own)
+                for x, mask in pieces
+                for b in _runs(x - np.mean(x[mask] if mask.any() else 0.0), mask)
             ]
 
         blocks = centered(before), centered(after)
@@ -238,14 +238,14 @@ class JointMotions:
 
         One row more is kept to interpolate commands.
         """
-        shown = self._split(~self.tested)
-        kept = [slice(np.max(np.flatnonzero(own), initial=-1) + 2) for own in shown]
+        masks = self._split(~self.tested)
+        kept = [slice(np.max(np.flatnonzero(mask), initial=-1) + 2) for mask in masks]
         motions = JointMotions(
-            tuple(contiguous(rows[at]) for rows, at in zip(self.rows, kept, strict=True)),
-            tuple(q[at] for q, at in zip(self.positions, kept, strict=True)),
+            tuple(contiguous(rows[part]) for rows, part in zip(self.rows, kept, strict=True)),
+            tuple(q[part] for q, part in zip(self.positions, kept, strict=True)),
             self.periods,
         )
-        return motions, np.concatenate([own[at] for own, at in zip(shown, kept, strict=True)])
+        return motions, np.concatenate([mask[part] for mask, part in zip(masks, kept, strict=True)])
 
     def _split(self, values: NDArray[T]) -> list[NDArray[T]]:
         """Return the values (N,) split by stretch."""
@@ -310,8 +310,8 @@ def motions_of(
             time = np.concatenate([instants for instants, _ in chunks])
             columns = np.concatenate([values for _, values in chunks])  # (N, 7, n)
             for j in joints:
-                told = _interpolated(log.time, command[:, j], time)
-                rows[j].append(contiguous(np.column_stack([columns[:, :, j], told])))
+                commands = _interpolated(log.time, command[:, j], time)
+                rows[j].append(contiguous(np.column_stack([columns[:, :, j], commands])))
                 positions[j].append(_interpolated(log.time, log.position[:, j], time))
             periods.append(stretch.period)
     return {j: JointMotions(tuple(rows[j]), tuple(positions[j]), tuple(periods)) for j in joints}

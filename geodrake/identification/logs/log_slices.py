@@ -333,13 +333,13 @@ class LogSlice:
     def contact_rows(self, shared: RowCache) -> MixedRows | None:
         """See `contact_rows.contact_rows`."""
         key = "contact rows", self.place
-        if (found := shared.get(key)) is None:
+        if (cached := shared.get(key)) is None:
             rows = contact_rows(self.layout.model, self.trajectory, self._here)
             if rows is None:
                 return None
-            found = {_SINGLE: rows.single, **rows.mixed}
-            shared.keep(key, found)
-        return MixedRows(found[_SINGLE], {i: row for i, row in found.items() if i != _SINGLE})
+            cached = {_SINGLE: rows.single, **rows.mixed}
+            shared.keep(key, cached)
+        return MixedRows(cached[_SINGLE], {i: row for i, row in cached.items() if i != _SINGLE})
 
     @cached_property
     def _row_ratios(self) -> Array:
@@ -360,8 +360,8 @@ class LogSlice:
 
         def make() -> Blocks:
             here, low_pass = self._here, self.trajectory.filter
-            at = low_pass.output_indices(len(here))
-            states = np.stack([here.position, here.velocity, here.acceleration], 2)[at]
+            outputs = low_pass.output_indices(len(here))
+            states = np.stack([here.position, here.velocity, here.acceleration], 2)[outputs]
             rests = np.asarray(np.abs(here.velocity) < self.layout.still_speed)
             if (rows := self.contact_rows(shared)) is not None:
                 invalid = rests | (rows.single == 0.0)
@@ -371,7 +371,7 @@ class LogSlice:
                 rests = np.asarray(invalid)
             still = low_pass.apply(rests)
             joined = np.concatenate([states, still[:, :, None]], 2)
-            return {-1: here.time[at], **{j: joined[:, j] for j in range(joined.shape[1])}}
+            return {-1: here.time[outputs], **{j: joined[:, j] for j in range(joined.shape[1])}}
 
         return shared.once(("motion", self.place), make)
 
@@ -408,8 +408,8 @@ class LogSlice:
         """Return filtered columns of all parts of the layout."""
         layout, gravity = self.layout, self.layout.tree.gravity.tobytes()
         keys = [(part, self.place, origin) for part, origin in layout.origins]
-        found = [shared.get(key) for key in keys]
-        places = [k for k, blocks in enumerate(found) if blocks is None]
+        blocks_of_parts = [shared.get(key) for key in keys]
+        places = [k for k, blocks in enumerate(blocks_of_parts) if blocks is None]
         if places:
             missing = [layout.parts[k] for k in places]
             gains = gains_of(layout.model)
@@ -422,9 +422,9 @@ class LogSlice:
             new, load = layout.evaluate(motion, self.trajectory, missing, load)
             shared.keep(key, {0: load}, signals=True)
             for k, blocks in zip(places, self._filtered(missing, new, shared), strict=True):
-                found[k] = blocks
+                blocks_of_parts[k] = blocks
                 shared.keep(keys[k], blocks)
-        return [blocks for blocks in found if blocks is not None]
+        return [blocks for blocks in blocks_of_parts if blocks is not None]
 
     def _load(self, motion: Motion, rows: MixedRows | None) -> Array:
         """Return the loads (N, nv) of joints under unpredictable ground forces.
@@ -511,8 +511,8 @@ class LogSlice:
             return dict(enumerate((here.position, here.velocity, here.acceleration, here.time)))
 
         model = self.layout.model
-        found = shared.once(("unfiltered motion", self.place), make, signals=True)
-        position, velocity, acceleration, time = (found[i] for i in range(4))
+        signals = shared.once(("unfiltered motion", self.place), make, signals=True)
+        position, velocity, acceleration, time = (signals[i] for i in range(4))
         return Motion(
             model.positions(position),
             velocity,

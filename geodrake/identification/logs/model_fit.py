@@ -92,8 +92,8 @@ def fit_model(
     if held_out is None:
         held_out = CrossValidation(dataset, unknowns, weights).held_out
     fitted = model_with(model, unknowns, result, noise=held_out.rms, delays=delays)
-    known = model.information is not None
-    shifts = _gain_shifts(dataset, unknowns, weights, result, known=known)
+    is_fitted = model.information is not None
+    shifts = _gain_shifts(dataset, unknowns, weights, result, known=is_fitted)
     share = np.zeros(len(weights)) if of_motion is None else of_motion
     samples = dataset.samples.sum(axis=0) if effective is None else effective
     off = _unexplained_covariance(dataset, unknowns, weights, result, samples * share)

@@ -177,7 +177,7 @@ def fit_servo(
     held-out windows are predicted no better than at the start, or than by a joint at rest.
     """
     inertia, pieces = np.concatenate(motions.rows)[:, 1], motions.pieces()
-    start_parameters = [
+    guess = [
         signal.gain,
         signal.damping,
         0.05 * signal.gain,
@@ -189,18 +189,16 @@ def fit_servo(
     ]
     expected = {"stiffness": (signal.gain, ALIKE), **(expected or {})}
     linear_integral = signal.integral or pieces.linear_servo(signal).integral
-    piece_search = _Search(pieces, linear_integral, expected)
-    found = piece_search.with_dead_band(
-        piece_search.at_its_limit(pieces.servo(start_parameters), limit)
-    )
-    loaded = piece_search.best([found.freed(LOAD)], seen=True)
+    initial = _Search(pieces, linear_integral, expected)
+    fitted = initial.with_dead_band(initial.at_its_limit(pieces.servo(guess), limit))
+    loaded = initial.best([fitted.freed(LOAD)], seen=True)
     if pieces is not motions:
-        found, loaded = found.along(motions), loaded.along(motions)
-    search, start = replace(piece_search, motions=motions), motions.servo(start_parameters)
-    fit = search.fitted(found, loaded, start, bodies)
+        fitted, loaded = fitted.along(motions), loaded.along(motions)
+    search, start = replace(initial, motions=motions), motions.servo(guess)
+    fit = search.fitted(fitted, loaded, start, bodies)
     if fit is not None and fit.parameters[INTEGRAL] ** 2 < PENALTY * fit.deviations[INTEGRAL] ** 2:
-        plain = search.best([found.plain()], seen=True)
-        return search.fitted(plain, plain.freed(LOAD), start, bodies)
+        without_integral = search.best([fitted.plain()], seen=True)
+        return search.fitted(without_integral, without_integral.freed(LOAD), start, bodies)
     return fit
 
 
@@ -234,9 +232,9 @@ class _Search:
             surprise = np.log(best.numbers[LIMIT] / usual) / spread if np.isfinite(usual) else 0.0
             if motions.gain(unlimited.numbers, best.numbers) < PENALTY + surprise**2:
                 best = unlimited
-        for which in (OFFSET, LOAD, DEAD_BAND, RATE, DELAY, SHARE):
-            bare = best.without(which)
-            if best.numbers[which]:
+        for index in (OFFSET, LOAD, DEAD_BAND, RATE, DELAY, SHARE):
+            bare = best.without(index)
+            if best.numbers[index]:
                 bare = self.best([bare])
             if motions.gain(bare.numbers, best.numbers) < PENALTY:
                 best = bare
@@ -281,12 +279,12 @@ class _Search:
         starts = [
             each.limited(self._most, share, sought=True) for share in (0.0, 1.0) for each in starts
         ]
-        found = self.best(starts, seen=True)
-        if is_better(found):
-            integral = float(found.numbers[INTEGRAL]) or self.linear_integral
-            other = replace(self, linear_integral=integral)._by_half(found.plain().numbers)
-            found = self.best([other.freed(LIMIT)], seen=True)
-            best = found if is_better(found) else best
+        with_limit = self.best(starts, seen=True)
+        if is_better(with_limit):
+            integral = float(with_limit.numbers[INTEGRAL]) or self.linear_integral
+            other = replace(self, linear_integral=integral)._by_half(with_limit.plain().numbers)
+            with_limit = self.best([other.freed(LIMIT)], seen=True)
+            best = with_limit if is_better(with_limit) else best
         return best
 
     def with_dead_band(self, servo: _Servo) -> _Servo:
@@ -297,14 +295,15 @@ class _Search:
         """
         motions, tried = self.motions, servo.freed(DEAD_BAND)
         seen, rows = motions.seen
-        left, J = (each[rows] for each in seen.with_slopes(servo.numbers, tried.free))
-        unexplained = left - J @ np.linalg.lstsq(J, left)[0]
-        if np.std(unexplained) > np.sqrt(_IDLE_LEAVES) * np.std(left):
+        residual, J = (each[rows] for each in seen.with_slopes(servo.numbers, tried.free))
+        unexplained = residual - J @ np.linalg.lstsq(J, residual)[0]
+        if np.std(unexplained) > np.sqrt(_IDLE_LEAVES) * np.std(residual):
             return servo
-        idle, tested = self.best([tried], seen=True), motions.tested
-        far = motions.rms(idle.numbers, tested) <= _IDLE_LEAVES * motions.rms(servo.numbers, tested)
-        worth = motions.gain(servo.numbers, idle.numbers, tested) >= PENALTY
-        return idle if far and worth else servo
+        banded, tested = self.best([tried], seen=True), motions.tested
+        before, after = (motions.rms(each.numbers, tested) for each in (servo, banded))
+        much_better = after <= _IDLE_LEAVES * before
+        significant = motions.gain(servo.numbers, banded.numbers, tested) >= PENALTY
+        return banded if much_better and significant else servo
 
     @cached_property
     def _most(self) -> float:
@@ -330,8 +329,8 @@ class _Search:
         resets = [motions.with_integral(each, self.linear_integral) for each in starts]
         best = self.best([_Servo.of(each, summed=True) for each in resets], seen=True)
         constant = self.best([each.without(INTEGRAL) for each in (constant, best)], seen=True)
-        worth = motions.gain(constant.numbers, best.numbers, motions.tested)
-        return best if worth >= PENALTY else plain
+        gain = motions.gain(constant.numbers, best.numbers, motions.tested)
+        return best if gain >= PENALTY else plain
 
     def best(self, starts: Sequence[_Servo], *, seen: bool = False) -> _Servo:
         """Return the least-squares fit to all rows, or to those not held out if `seen`.
@@ -349,8 +348,8 @@ class _Search:
         usual, spread = np.transpose([expected[at] for at in places])
         weights, delay_weight = 0.0 * spread, 0.0
         if not seen:  # on the scale of the residual
-            left = motions.residual(starts[0].numbers)
-            noise = np.sqrt(left @ left / WORTH)
+            residuals = motions.residual(starts[0].numbers)
+            noise = np.sqrt(residuals @ residuals / WORTH)
             weights, delay_weight = noise / spread, noise / USUAL_DELAY * np.sqrt(2.0 / np.pi)
         upper, lower = np.full((2, size), np.inf)
         upper[[DELAY, LOAD]] = LONGEST_DELAY, _MOST_LOAD / self._most
@@ -370,16 +369,16 @@ class _Search:
             def residual(x: Array) -> Array:
                 return with_priors(numbers(x), motions.simulated(numbers(x)) - motions.measured)
 
-            def with_priors(at: Array, left: Array) -> Array:
-                known = weights * np.log(at[places] / usual)
-                return np.hstack([left[rows], known, delay_weight * at[DELAY]])
+            def with_priors(at: Array, residuals: Array) -> Array:
+                log_ratios = weights * np.log(at[places] / usual)
+                return np.hstack([residuals[rows], log_ratios, delay_weight * at[DELAY]])
 
             def with_slopes(x: Array) -> tuple[Array, Array]:
-                at, own = numbers(x), np.zeros((len(places) + 1, size))
-                own[range(len(places)), places] = weights / at[places]
-                own[-1, DELAY] = delay_weight
-                left, J = motions.with_slopes(at, free)
-                return with_priors(at, left), np.vstack([J[rows], own[:, free]])
+                at, prior_slopes = numbers(x), np.zeros((len(places) + 1, size))
+                prior_slopes[range(len(places)), places] = weights / at[places]
+                prior_slopes[-1, DELAY] = delay_weight
+                residuals, J = motions.with_slopes(at, free)
+                return with_priors(at, residuals), np.vstack([J[rows], prior_slopes[:, free]])
 
             begin = np.clip(start.numbers, lower, upper)[free]
             x, cost = bounded_least_squares(

@@ -68,14 +68,14 @@ def calc_servo_motions(
         out: (N,) positions, and their slopes (N, 8 or 11 + S), or (0, 0) to skip them.
     """
     positions, slopes = out
-    here, begin = servo[: BEGUN + 1].copy(), 0
+    numbers, begin = servo[: BEGUN + 1].copy(), 0
     for k in range(len(ends)):
-        at = slice(begin, ends[k])
-        here[BEGUN] = servo[BEGUN + k]
-        calc_servo_motion(rows[at], periods[k], here, (positions[at], slopes[at]))
+        span = slice(begin, ends[k])
+        numbers[BEGUN] = servo[BEGUN + k]
+        calc_servo_motion(rows[span], periods[k], numbers, (positions[span], slopes[span]))
         if slopes.shape[1] > INTEGRAL and k > 0:
-            slopes[at, BEGUN + k] = slopes[at, BEGUN]
-            slopes[at, BEGUN] = 0.0
+            slopes[span, BEGUN + k] = slopes[span, BEGUN]
+            slopes[span, BEGUN] = 0.0
         begin = ends[k]
 
 
@@ -97,7 +97,7 @@ def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array
     """
     positions, slopes = out
     steps = max(_STEPS, int(np.ceil(period / _LONGEST_STEP)))
-    kp, kr, d, F, armature, delay, offset, load, ki, band, limit, own, w = servo
+    kp, kr, d, F, armature, delay, offset, load, ki, band, limit, share, w = servo
     dt, per, late = period / steps, steps / period, delay / period
     x, v, z = rows[0, 4], rows[0, 5], 0.0
     c, rise = calc_command_before(rows, -late, period)
@@ -110,50 +110,50 @@ def calc_servo_motion(rows: Array, period: float, servo: Array, out: tuple[Array
             b, M, K, D, q, qd, qdd = calc_between(rows[k], rows[k + 1], (s + _THETA) / steps)
             before, rise_before = c, rise
             c, rise = calc_command_before(rows, k + (s + 1.0) / steps - late, period)
-            told = (1.0 - _THETA) * before + _THETA * c
-            inertia, free, old = (M + armature) * per, D + (1.0 - own) * d, (1.0 - _THETA) * v
-            at = x + ahead * old
-            side = np.sign(calc_beyond(told - x - ahead * v, band))
+            target = (1.0 - _THETA) * before + _THETA * c
+            inertia, free, old = (M + armature) * per, D + (1.0 - share) * d, (1.0 - _THETA) * v
+            predicted = x + ahead * old
+            side = np.sign(calc_beyond(target - x - ahead * v, band))
             acts = 1.0 if band == 0.0 else abs(side)
-            soft = (acts * reach * ahead + kr + own * d) * _THETA
-            drive = acts * reach * (told - at - side * band) + ki * z + w
-            drive += kr * ((c - before) * per - old) - own * d * old
-            held = b + K * (at - q) + D * (old - qd) - M * qdd
-            rest = inertia * v - held - offset - (free - D) * old
+            soft = (acts * reach * ahead + kr + share * d) * _THETA
+            drive = acts * reach * (target - predicted - side * band) + ki * z + w
+            drive += kr * ((c - before) * per - old) - share * d * old
+            load_at_rest = b + K * (predicted - q) + D * (old - qd) - M * qdd
+            rest = inertia * v - load_at_rest - offset - (free - D) * old
             heavy = inertia + K * ahead * _THETA + free * _THETA
-            gear = F, load, least, held - M * per * v, M * per + D * _THETA
-            now, way, stiff, bound = calc_within(limit, (drive, soft), (rest, heavy), gear)
+            gear = F, load, least, load_at_rest - M * per * v, M * per + D * _THETA
+            v_next, direction, stiff, bound = calc_within(limit, (drive, soft), (rest, heavy), gear)
             gives = 1.0 if bound == 0.0 else 0.0
-            mean = old + _THETA * now
-            error = acts * (told - x - ahead * mean - side * band)
+            mean = old + _THETA * v_next
+            error = acts * (target - x - ahead * mean - side * band)
             grows = gives > 0.0 or bound * error < 0.0
             if count > 0:
                 later = (1.0 - _THETA) * rise_before + _THETA * rise
-                through, rubs = calc_rubbing(gear, now, way)
+                through, rubs = calc_rubbing(gear, v_next, direction)
                 direct[:] = (
                     gives * error,
                     gives * ((c - before) * per - mean),
-                    -(1.0 - own + own * gives) * mean,
-                    -way,
-                    (v - now) * per,
+                    -(1.0 - share + share * gives) * mean,
+                    -direction,
+                    (v - v_next) * per,
                     -gives * (acts * reach * later + kr * (rise - rise_before) * per),
                     -1.0,
-                    -way * through**2,
+                    -direction * through**2,
                     gives * (z + ahead * error),
                     -gives * acts * reach * side,
                     np.sign(bound),
                     (1.0 - gives) * d * mean,
                     gives,
                 )
-                pushes, damps = inertia + rubs * M * per, free + rubs * D + gives * (kr + own * d)
-                pulls, moves = K * (1.0 + rubs) + gives * acts * reach, abs(way) / stiff
+                pushes, damps = inertia + rubs * M * per, free + rubs * D + gives * (kr + share * d)
+                pulls, moves = K * (1.0 + rubs) + gives * acts * reach, abs(direction) / stiff
                 growing = dt * acts if grows else 0.0
                 step = pushes, damps, pulls, gives * ki, moves, growing, dt
                 move_slopes(at_numbers, direct, step)
                 at_numbers[2, 5] -= growing * later
                 if count > 9:
                     at_numbers[2, 9] -= growing * side
-            v, x, z = now, x + dt * mean, z + (dt * error if grows else 0.0)
+            v, x, z = v_next, x + dt * mean, z + (dt * error if grows else 0.0)
         if abs(x - rows[k + 1, 4]) > _FAR:
             x, v = rows[k + 1, 4] + np.copysign(_FAR, x - rows[k + 1, 4]), 0.0
             at_numbers[:2] = 0.0
@@ -181,10 +181,10 @@ def move_slopes(
     xs, vs, zs = slopes[0], slopes[1], slopes[2]
     for i in range(len(xs)):
         x, v = xs[i], vs[i]
-        now = moves * direct[i] + by_v * v + by_x * x + by_z * zs[i]
-        mean = (1.0 - _THETA) * v + _THETA * now
+        v_next = moves * direct[i] + by_v * v + by_x * x + by_z * zs[i]
+        mean = (1.0 - _THETA) * v + _THETA * v_next
         zs[i] -= grows * (x + _THETA * dt * mean)
-        xs[i], vs[i] = x + dt * mean, now
+        xs[i], vs[i] = x + dt * mean, v_next
 
 
 @inlined
@@ -192,15 +192,15 @@ def calc_between(
     a: Array, b: Array, share: float
 ) -> tuple[float, float, float, float, float, float, float]:
     """Return b, M, K, D, q, q̇ and q̈ interpolated between two rows."""
-    left = 1.0 - share
+    other = 1.0 - share
     return (
-        left * a[0] + share * b[0],
-        left * a[1] + share * b[1],
-        left * a[2] + share * b[2],
-        left * a[3] + share * b[3],
-        left * a[4] + share * b[4],
-        left * a[5] + share * b[5],
-        left * a[6] + share * b[6],
+        other * a[0] + share * b[0],
+        other * a[1] + share * b[1],
+        other * a[2] + share * b[2],
+        other * a[3] + share * b[3],
+        other * a[4] + share * b[4],
+        other * a[5] + share * b[5],
+        other * a[6] + share * b[6],
     )
 
 
@@ -220,21 +220,21 @@ def calc_within(
         gear: See `calc_velocity_after`.
     """
     (drive, soft), (rest, heavy) = servo, joint
-    now, way, stiff = calc_velocity_after(drive + rest, heavy + soft, gear)
-    effort, bound = drive - soft * now, 0.0
+    velocity, direction, stiff = calc_velocity_after(drive + rest, heavy + soft, gear)
+    effort, bound = drive - soft * velocity, 0.0
     if effort > limit or effort < -limit:
         bound = limit if effort > 0.0 else -limit
-        now, way, stiff = calc_velocity_after(bound + rest, heavy, gear)
-    return now, way, stiff, bound
+        velocity, direction, stiff = calc_velocity_after(bound + rest, heavy, gear)
+    return velocity, direction, stiff, bound
 
 
 @inlined
 def calc_rubbing(
-    gear: tuple[float, float, float, float, float], v: float, way: float
+    gear: tuple[float, float, float, float, float], v: float, direction: float
 ) -> tuple[float, float]:
     """Return the load along the velocity that acts in friction, and the slope of that friction."""
-    _, load, least, held, grows = gear
-    through = max(way * (held + grows * v), least)
+    _, load, least, load_at_rest, grows = gear
+    through = max(direction * (load_at_rest + grows * v), least)
     return through, 2.0 * load * through if through > least else 0.0
 
 
@@ -253,39 +253,39 @@ def calc_velocity_after(
         gear: F and k of friction F + k l²; the least load l along the velocity that increases it;
             the load at zero velocity, and its increase per velocity.
     """
-    F, load, least, held, grows = gear
-    way = 1.0 if pull > 0.0 else -1.0
+    F, load, least, load_at_rest, grows = gear
+    direction = 1.0 if pull > 0.0 else -1.0
     if load == 0.0:
-        most = way * pull - F
-        return (way * most / stiff, way, stiff) if most > 0.0 else (0.0, 0.0, stiff)
-    still = way * held
-    most = way * pull - F - load * max(still, least) ** 2
+        most = direction * pull - F
+        return (direction * most / stiff, direction, stiff) if most > 0.0 else (0.0, 0.0, stiff)
+    still = direction * load_at_rest
+    most = direction * pull - F - load * max(still, least) ** 2
     if most <= 0.0:
         return 0.0, 0.0, stiff
     speed, resists = most / stiff, stiff
     if load * grows > 0.0 and still + grows * speed > least:
         begins = (least - still) / grows if still < least else 0.0
-        left = most - stiff * begins
+        remaining = most - stiff * begins
         linear = stiff + 2.0 * load * max(still, least) * grows
-        resists = np.sqrt(linear**2 + 4.0 * load * grows**2 * left)
-        speed = begins + 2.0 * left / (linear + resists)
-    return way * speed, way, resists
+        resists = np.sqrt(linear**2 + 4.0 * load * grows**2 * remaining)
+        speed = begins + 2.0 * remaining / (linear + resists)
+    return direction * speed, direction, resists
 
 
 @compiled
-def calc_command_before(rows: Array, at: float, period: float) -> tuple[float, float]:
+def calc_command_before(rows: Array, index: float, period: float) -> tuple[float, float]:
     """Return the command and its rate at a fractional row index.
 
     Between rows it is a cubic with the rates of central differences, as in rollouts. Before the
     first row it is constant.
     """
-    if at <= 0.0:
+    if index <= 0.0:
         return rows[0, 7], 0.0
     last = len(rows) - 1
-    low = min(int(at), last)
-    high, g = min(low + 1, last), at - low
+    low = min(int(index), last)
+    high, g = min(low + 1, last), index - low
     a, b = rows[low, 7], rows[high, 7]
-    left, right = 0.5 * (b - rows[max(low - 1, 0), 7]), 0.5 * (rows[min(high + 1, last), 7] - a)
-    bend, twist = 3.0 * (b - a) - 2.0 * left - right, left + right - 2.0 * (b - a)
-    rise = left + g * (2.0 * bend + 3.0 * g * twist)
-    return a + g * (left + g * (bend + g * twist)), rise / period
+    rise_low, right = 0.5 * (b - rows[max(low - 1, 0), 7]), 0.5 * (rows[min(high + 1, last), 7] - a)
+    bend, twist = 3.0 * (b - a) - 2.0 * rise_low - right, rise_low + right - 2.0 * (b - a)
+    rise = rise_low + g * (2.0 * bend + 3.0 * g * twist)
+    return a + g * (rise_low + g * (bend + g * twist)), rise / period

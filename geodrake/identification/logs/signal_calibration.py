@@ -93,20 +93,20 @@ def calibrate_efforts(
     kinds = _kinds(model, logs)  # now only of joints that the model does not convert
     if all(kind == "effort" for kind in kinds):
         return model, logs, notes
-    found = calibrated(model, logs, kinds, simulate=simulate)
-    _check_known(found, logs)
-    model = replace(model, effort_signals=(*model.effort_signals, *found))
+    signals = calibrated(model, logs, kinds, simulate=simulate)
+    _check_known(signals, logs)
+    model = replace(model, effort_signals=(*model.effort_signals, *signals))
     return (
         model,
         [_known_efforts(model, log) for log in logs],
-        [*notes, gain_words(model, found, logs)],
+        [*notes, gain_words(model, signals, logs)],
     )
 
 
-def _check_known(found: Sequence[EffortSignal], logs: Sequence[JointLog]) -> None:
+def _check_known(signals: Sequence[EffortSignal], logs: Sequence[JointLog]) -> None:
     """Raise for motor signals that are unrelated to the efforts of the motion."""
-    measured = [signal for signal in found if signal.kind in SIGNAL_KINDS]
-    if not measured or len(measured) < len(found) or not all(map(_is_unknown, measured)):
+    measured = [signal for signal in signals if signal.kind in SIGNAL_KINDS]
+    if not measured or len(measured) < len(signals) or not all(map(_is_unknown, measured)):
         return
     kinds = " and ".join(dict.fromkeys(f"{signal.kind}s" for signal in measured))
     looks = (position_unit_hint, effort_hint)
@@ -469,7 +469,7 @@ def signals_as_efforts(logs: Sequence[JointLog], kinds: Sequence[str]) -> list[J
 
 def _kinds(model: RobotModel, logs: Sequence[JointLog]) -> tuple[str, ...]:
     """Return (nv,) the kind of each joint's effort signal."""
-    found = []
+    all_kinds = []
     for joint in model.joints:
         kinds = {kind_of(log, joint): log.name for log in logs}
         if len(kinds) > 1:
@@ -490,5 +490,5 @@ def _kinds(model: RobotModel, logs: Sequence[JointLog]) -> tuple[str, ...]:
                 advice="Start from the model file, or set the kind of the column with --kind.",
                 joint=joint,
             )
-        found.append(kind)
-    return tuple(found)
+        all_kinds.append(kind)
+    return tuple(all_kinds)

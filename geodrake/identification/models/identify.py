@@ -90,14 +90,14 @@ def model_notes(model: RobotModel, bodies: Sequence[BodyChange]) -> list[str]:
             "the model has no friction, which inertias then approximate: fit some "
             f"(--effects {','.join(USUAL)}), or let geodrake explain find it"
         )
-    far = [
+    distant = [
         f"{body.name} {body.mass[0]:.3g} → {body.mass[1]:.3g} kg"
         for body in bodies
         if not 1 / _FAR < body.mass[1] / body.mass[0] < _FAR
     ]
-    if far:
+    if distant:
         notes.append(
-            f"masses far from the prior ({', '.join(far)}): unless the prior is that wrong, "
+            f"masses far from the prior ({', '.join(distant)}): unless the prior is that wrong, "
             "the model lacks an effect that inertias approximate, which geodrake diagnose "
             "looks for; a larger gamma keeps them closer"
         )
@@ -195,7 +195,7 @@ def identify_model(
         progress("Comparing regularizers")
         alternatives, unsolved = _compared(fits, result, folds)
     held_out = fits.held_out(folds)
-    delays = [known for known in prior.effects if known.effect.role is Role.DELAY]
+    delays = [f for f in prior.effects if f.effect.role is Role.DELAY]
     fitted = model_with(prior, unknowns, result, noise=held_out.rms, delays=delays)
     fitted = with_settled_effects(fitted)
     seen = tuple(dict.fromkeys((*prior.fitted_to, *case.fingerprints)))
@@ -340,9 +340,9 @@ def _compared(
             failures[name] = f"Without one fold: {error}"
             continue
         errors = error_table(fits.dataset, fits.held_out(parts))
-        at = tuple(names[start // PARAMETERS_PER_BODY] for start in fit.active_blocks)
+        boundary = tuple(names[start // PARAMETERS_PER_BODY] for start in fit.active_blocks)
         phi = fit.phi[: len(fits.dataset.bodies)]
-        alternatives.append(Alternative(name, fit.gamma, fit.residual, errors, phi, at))
+        alternatives.append(Alternative(name, fit.gamma, fit.residual, errors, phi, boundary))
     notes = [
         f"the {name} regularizer has no solution to compare: {failures[name]}" for name in failures
     ]
