@@ -61,7 +61,7 @@ class Beliefs:
     inner: float = 30.0
     unknown: float = 0.3
     curves: tuple[float, ...] = (0.03, 0.3)
-    reversal: float = 0.3
+    reversal: float = 0.1
     columns: float = 0.01
     odd_joint: float = 0.2
     discrepancy: float = 100.0

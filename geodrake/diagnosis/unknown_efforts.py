@@ -60,7 +60,7 @@ class UnresolvedReversal(JointEffect):
 
     name: ClassVar[str] = "unresolved_reversal"
     parameters: ClassVar[tuple[Parameter, ...]] = (
-        *(Parameter(f"sharper_{k}", "N·m") for k in range(2)),
+        *(Parameter(f"sharper_{k}", "N·m") for k in range(3)),
         *(Parameter(f"excess_{k}", "N·m") for k in range(3)),
         *(Parameter(f"softer_{k}", "N·m") for k in range(2)),
         *(Parameter(f"mean_{k}", "N·m") for k in range(2)),
@@ -76,7 +76,7 @@ class UnresolvedReversal(JointEffect):
         speeds = self.speed, float(np.sqrt(self.speed * self.slip)), self.slip
         excess = [np.exp(-np.abs(v) / s) * usual for s in speeds]
         softer = [v / np.hypot(v, s) - usual for s in speeds[1:]]
-        sharper = [np.sign(v) - usual, np.tanh(2.0 * v / self.speed) - usual]
+        sharper = [np.sign(v) - usual, *(np.tanh(k * v / self.speed) - usual for k in (2.0, 4.0))]
         means = [1.0 - np.abs(np.tanh(v / s)) for s in (self.speed, self.slip)]
         return [*sharper, *excess, *softer, *means]
 
