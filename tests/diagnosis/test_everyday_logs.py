@@ -133,6 +133,15 @@ def test_gains_of_efforts_are_no_missing_effect():
     assert "is that of gains of efforts" in page_of(found).sentence
 
 
+@pytest.mark.parametrize("width", [0.008, 0.012])
+def test_reversals_within_a_sample_are_no_stribeck_friction_even_with_hardly_any_noise(width):
+    time, moved = sines(40.0)
+    noise = 0.001 * np.random.default_rng(11).normal(size=moved.q.shape)
+    effort = body_effort(moved.q, moved.v, moved.vd) + DRY * np.tanh(moved.v / width) + noise
+    found = explain(MODEL, [JointLog("quiet", JOINTS, time, moved.q, effort)])
+    assert places(found) == {"coulomb_friction": {*JOINTS}}
+
+
 def test_heavy_rotors_behind_noise_of_accelerations_are_found_at_a_lower_bandwidth():
     log = in_turn(noise=(0.003, 3e-5), rotors=np.array([20.0, 5.0]))
     found = explain(MODEL, [log])
