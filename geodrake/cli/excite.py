@@ -397,8 +397,8 @@ def joint_values(text: str, joints: Sequence[str], option: str) -> Array:
 
 
 _FEET = (
-    "Write --feet LINK,LINK; a link without collision geometry has its size, LINK=LENGTHxWIDTH in "
-    "m, or LINK=point."
+    "Write --feet LINK,LINK; give the size of a link without collision geometry, LINK=LENGTHxWIDTH "
+    "in m, or LINK=point."
 )
 
 

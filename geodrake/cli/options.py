@@ -36,8 +36,8 @@ class CommonOptions:
         report (FILE.html): Write an HTML page with figures.
         series (FILE.csv|.parquet): Write measured and predicted efforts and residuals, by joint and
             time.
-        details: Show more: parameters, errors by joint, where the model fails, bodies, notes.
-            --report has them too.
+        details: Also print parameters, errors by joint, where the model fails, bodies and notes, as
+            --report does.
         quiet: Hide progress.
         debug: Show tracebacks, as GEODRAKE_DEBUG=1 does.
         effects (FILE.py): Load effects of your own. Repeatable.
@@ -369,9 +369,9 @@ class ExciteOptions(_NamedEffects, ModelOptions, CommonOptions):
     Attributes:
         tell_apart (EFFECT,EFFECT[@PLACE]): Find the motion that best distinguishes two effects,
             with everything else refitted.
-        feet (LINK,…): Links on which a legged robot stands and which do not move: the motion keeps
-            it in balance. Its base is free. A link without collision geometry has its size:
-            LINK=LENGTHxWIDTH in m, or LINK=point.
+        feet (LINK,…): Links on which a legged robot stands in balance, and which do not move. Its
+            base is free. Give the size of a link without collision geometry: LINK=LENGTHxWIDTH
+            in m, or LINK=point.
         save (FILE): Save the motion as a log with predicted efforts (.csv, .npz), a ROS
             JointTrajectory (.yaml), or a Drake BsplineTrajectory (.drake.yaml).
         rate (HZ): Sampling rate of the saved motion.
@@ -384,17 +384,17 @@ class ExciteOptions(_NamedEffects, ModelOptions, CommonOptions):
         frequency (HZ): Base frequency of a Fourier motion. By default one period, and three with
             --tell-apart, so that every block of the log shows the difference.
         points (N): Control points of a spline motion; default 16.
-        samples (N): Samples at which information is evaluated; default 300, or 50 free ones.
+        samples (N): Samples at which information is evaluated; default 300, or 50 for free.
 
     Robot and environment:
-        friction (NUMBER): Coefficient of friction between ground and feet, with --feet.
-        force_plate: The wrench of the ground is measured, with --feet, not the efforts of joints.
+        friction (NUMBER): With --feet, the coefficient of friction between ground and feet.
+        force_plate: With --feet, measure the ground's wrench instead of the joints' efforts.
         limits (LIMIT,…): Limits that override the model file's: 0.5 for half of all,
             velocity=1.5 or velocity=50% for all joints, JOINT.position=-1:0.5 for one. Also
             acceleration, jerk, effort, and current, voltage and pwm of models fitted to such logs.
             Repeatable.
         start (POSITION): Position at the start of the motion: one number, or JOINT=NUMBER,…
-            With --feet, start and stand are where its feet are placed; by default as in the file.
+            With --feet, the feet stay where --start or --stand puts them, or else the file.
         stand (POSITION): Rest position of the robot, with ramps from there to the motion and back:
             one number, or JOINT=NUMBER,…
         obstacle (SHAPE|FILE): box:X,Y,Z@x,y,z, sphere:R@…, cylinder:R,L@…, floor:Z, a mesh, or a
@@ -577,7 +577,7 @@ class FleetOptions(CommonOptions):
 
 ALL_OPTIONS = "geodrake.all_options"  # key of a context's `meta`: show advanced options as well
 _ADVANCED, _HELP_ALL = "Advanced: ", "help_all"
-_HELP_WORDS = "Show all options, advanced ones too, and exit."
+_HELP_WORDS = "Show all options, including advanced ones, and exit."
 _ARGUMENTS = ("effect", "model", "logs", "folder", "fleet")
 _FIRST = (*_ARGUMENTS, "save", "report", "json")
 _RARE = {"bandwidth", "blocks", "debug", "effort_uncertainty", "known_payload"}
