@@ -66,7 +66,7 @@ from geodrake.inertia import from_mass_com_inertia, is_physical, to_spatial_iner
 from geodrake.manifolds import Product
 from geodrake.model import RobotModel, load_description, load_model
 from geodrake.robot import LinearTransmission, RobotPorts
-from geodrake.robot.transmission.statements import Drive
+from geodrake.robot.transmission.schema import Drive
 
 # The AMBIDEX-like arm for adaptive control: seven joints of ten move by themselves, and motor
 # friction. The second joint of a rolling pair turns as the first, and both take half a turn each.

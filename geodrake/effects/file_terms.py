@@ -1,4 +1,4 @@
-"""Effects that model files, simulators and servos define differently from geodrake."""
+"""Names for effects in terms of model files, simulators and servos."""
 
 from geodrake import effects
 from geodrake.effects import of_files

@@ -27,8 +27,8 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.robot.joints import joint_names
 from geodrake.robot.loops import LoopJoints, closed_loops
 from geodrake.robot.stated import WORLD, Closure
-from geodrake.robot.transmission.loop import LoopTransmission, solved
-from geodrake.robot.transmission.statements import Drive
+from geodrake.robot.transmission.loop import LoopTransmission, solve_loop
+from geodrake.robot.transmission.schema import Drive
 
 _LEVELLING = 3  # times, as lowest points of balls depend on the ground's slope
 _LEVEL = 0.005  # m, by which points of feet may be off the plane through them
@@ -178,7 +178,7 @@ def _reachable(loop: LoopTransmission, robot: RobotModel) -> tuple[Array, Array]
     corners = np.array(list(product((0.0, 1.0), repeat=len(names)))) if few else random
     shares = np.vstack([corners, random])
     for _ in range(_TRIALS):
-        if (solved(loop.records, low + shares * (high - low))[2] == 1.0).all():
+        if (solve_loop(loop.records, low + shares * (high - low))[2] == 1.0).all():
             return low, high
         low, high = there + _SMALLER * (low - there), there + _SMALLER * (high - there)
     raise ArgumentError(

@@ -1,7 +1,7 @@
 """Checks that parameters of bodies and effects are physical.
 
-Fits end at bounds and at the edge of the cone of physical inertias, so bounds themselves are
-admitted, and what rounding and the tolerance of solvers put beyond them.
+Fits often end at a bound or on the boundary of the cone of physical inertias. The checks therefore
+accept bounds, and violations within rounding and solver tolerances.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from geodrake.inertia.parameters import PARAMETER_NAMES
 from geodrake.manifolds import Interval, PhysicalInertia
 
 ROUNDING = 1e-6
-"""Tolerance beyond an edge, relative to the largest eigenvalue, entry or parameter."""
+"""Tolerance of a bound, relative to the largest eigenvalue, entry or parameter."""
 
-_LEAST = 1e-9  # of a parameter beyond a bound, in its unit
+_LEAST = 1e-9  # absolute tolerance of a bound, in the parameter's unit
 
 
 def check_body(what: str, phi: Array) -> None:
@@ -71,5 +71,5 @@ def _check_finite(what: str, names: Sequence[str], values: Array) -> None:
 
 
 def named(fitted: FittedEffect) -> str:
-    """Return an effect and where it is, in words."""
+    """Return an effect's name and place, for messages."""
     return f"{fitted.effect.name} at {fitted.effect.place}"

@@ -1,12 +1,12 @@
-"""Motion of a free base, from its pose, twist and IMU, and other ways to read these.
+"""Motion of a free base from its pose, twist and IMU, with checks of their conventions.
 
-Positions of the six joints of a base (`geodrake.robot.arrangement`) are the pose. Their
-accelerations come from the IMU: the specific force f turned into the world, R f + g. An error of R
-cancels, as bodies feel f itself.
+The six joints of a base (`geodrake.robot.arrangement`) have its pose as positions. Their
+accelerations are R f + g, with the specific force f of the IMU. Errors of the orientation R cancel,
+because the dynamics of the bodies depend on f alone.
 
-Columns may be meant otherwise than geodrake reads them: in another order, unit or frame. Gravity,
-the gyroscope and feet on the ground each tell how far off a reading is. One that is far off is
-refused if another one fits; where names leave it open, the other one is used.
+Columns may have another order, unit or frame than geodrake assumes. Gravity, the gyroscope and feet
+on the ground each measure the error of an interpretation. One with a large error is refused if
+another one fits. If the column names are ambiguous, the better interpretation is used.
 """
 
 from __future__ import annotations
@@ -48,26 +48,26 @@ from geodrake.model.ground_contacts import (
 )
 from geodrake.model.robot_model import RobotModel
 
-_NORM = 0.02  # by which the length of a quaternion, or of a column of a matrix, may be off one
-_UPRIGHT = np.radians(80.0)  # of pitch, beyond which yaw and roll are nearly one
-_BETTER = 0.7  # times as far off as the most usual reading, another one that names allow is right
-_SWINGING = 0.2  # s, in which a base accelerates
-_ACCELERATES = 0.05  # m/s², by which it does at least
-_TURNING = 0.1  # s, in which a base turns by more than the noise of its orientation
+_NORM = 0.02  # tolerance of the norm of a quaternion or of a matrix column
+_UPRIGHT = np.radians(80.0)  # largest pitch; yaw and roll become indistinguishable beyond
+_BETTER = 0.7  # an alternative needs less than this share of the default interpretation's error
+_SWINGING = 0.2  # s, time scale of accelerations of the base
+_ACCELERATES = 0.05  # m/s², smallest acceleration of the base for a comparison
+_TURNING = 0.1  # s, long enough for rotations of the base to exceed the noise of its orientation
 _FEW_POSES = 200  # pairs of rows
-_MOVES, _LITTLE = 0.002, 0.0005  # m, by which legs move feet between them, and noise may
+_MOVES, _LITTLE = 0.002, 0.0005  # m, smallest displacement of a foot by its leg; noise
 _PARTS = (2,), (0, 1, 2), (3, 4, 5), range(6)  # yaw, rotation, offset, or all of a mounting
-_MOUNTED = 0.65  # of how far feet slide, what is left where a tracked body is mounted otherwise
-_TILTED, _OFF_VERTICAL = 2.0, 28.6  # °, by which the mean specific force may be: doubtful, wrong
-_AGREES, _DIFFERS = 0.1, 0.4  # of squared turns, by which two ways to tell them are off
-_RESTS, _SLIDES, _GLIDES = 0.42, 0.5, 0.7  # of what legs move feet by, which they do on the ground
+_MOUNTED = 0.65  # a mounting must reduce the cost of sliding feet to this share
+_TILTED, _OFF_VERTICAL = 2.0, 28.6  # ° between mean specific force and vertical: doubtful, wrong
+_AGREES, _DIFFERS = 0.1, 0.4  # relative squared difference of two sources of the same rotation
+_RESTS, _SLIDES, _GLIDES = 0.42, 0.5, 0.7  # sliding of a foot over its displacement by the leg
 _ADVICE = "Log base.position.x … and base.orientation.w …, or imu.angular_velocity.x … and so on."
 
 
 def with_base(log: JointLog, model: RobotModel) -> JointLog:
-    """Return a log with the six joints of a floating base, and ground forces.
+    """Return the log with the six joints of a floating base, and ground forces.
 
-    The log of a fixed model is itself; a note says so if it has the pose of a base.
+    The log of a fixed model is unchanged, with a note if it has the pose of a base.
     """
     joints = model.base_joints
     if not joints and any(name.startswith("base.") for name in log.floating):
@@ -82,7 +82,7 @@ def with_base(log: JointLog, model: RobotModel) -> JointLog:
         )
     columns, kept, held = without_held(log.time, log.floating)
     log = replace(log, floating=columns, notes=(*log.notes, *held)).rows(kept)
-    pose, notes = _settled(log, model)
+    pose, notes = _interpreted_pose(log, model)
     count, notes = len(log), [*log.notes, *notes]
     position, velocity, acceleration = _motion_of(pose, log, model.tree.gravity)
     if velocity is None:
@@ -95,18 +95,18 @@ def with_base(log: JointLog, model: RobotModel) -> JointLog:
         if (values := getattr(log, name)) is not None
     }
     effort, kinds = log.effort.copy(), dict(log.effort_kinds)
-    silent = np.asarray(np.isnan(effort).all(axis=0))
+    is_unmeasured = np.asarray(np.isnan(effort).all(axis=0))
     if log.command is not None:
-        silent &= np.isnan(log.command).all(axis=0)
-    if unmeasured := [joint for joint, s in zip(log.joints, silent, strict=True) if s]:
-        effort[:, silent] = 0.0
+        is_unmeasured &= np.isnan(log.command).all(axis=0)
+    if unmeasured := [joint for joint, s in zip(log.joints, is_unmeasured, strict=True) if s]:
+        effort[:, is_unmeasured] = 0.0
         kinds |= dict.fromkeys(unmeasured, UNMEASURED)
         notes.append(
-            f"no efforts of {', '.join(unmeasured)}: their bodies are told by the base's rows, and "
-            "their friction, rotors and gains by nothing"
+            f"no efforts of {', '.join(unmeasured)}: the rows of the base determine their bodies, "
+            "and nothing determines their friction, rotors and gains"
         )
     empty = np.full((count, len(log.joints)), np.nan)
-    found = replace(
+    extended = replace(
         log,
         joints=(*log.joints, *joints),
         position=np.hstack([log.position, position]),
@@ -119,24 +119,25 @@ def with_base(log: JointLog, model: RobotModel) -> JointLog:
         notes=tuple(notes),
         **padded,
     )
-    return with_ground(found, model)
+    return with_ground(extended, model)
 
 
 def _motion_of(
     pose: BasePose, log: JointLog, gravity: Array
 ) -> tuple[Array, Array | None, Array | None]:
     """Return positions (N, 6) of the base's joints, and rates and accelerations if measured."""
-    time, known, place = pose.time, pose.known, pose.place
-    if place is None:
-        place = vectors(log.floating, "base.position")
-    R, angles = pose.turn.as_matrix(), np.full((len(time), 3), np.nan)
-    with catch_warnings(action="ignore"):  # of a base that pitches by a right angle, see below
-        angles[known] = np.unwrap(pose.turn[known].as_euler("ZYX"), axis=0)
+    time, known, position = pose.time, pose.known, pose.position
+    if position is None:
+        position = vectors(log.floating, "base.position")
+    R, angles = pose.R_WB.as_matrix(), np.full((len(time), 3), np.nan)
+    with catch_warnings(action="ignore"):  # gimbal lock is an error below
+        angles[known] = np.unwrap(pose.R_WB[known].as_euler("ZYX"), axis=0)
     if (pitch := float(np.abs(angles[known, 1]).max())) > _UPRIGHT:
         raise LogError(
             f"The base of log {log.name!r} pitches by up to {np.degrees(pitch):.0f}°, near the "
             "singularity of roll, pitch and yaw.",
-            advice="Remove that part of the log; is the orientation that of the body in the world?",
+            advice="Remove that part of the log, or check that the orientation is that of the body "
+            "in the world.",
         )
     rates, velocity, accelerations = None, None, None
     if pose.spin is not None:
@@ -146,13 +147,13 @@ def _motion_of(
             velocity = np.hstack([np.einsum("nij,nj->ni", R, linear_velocity), rates])
     if pose.force is not None:
         linear = np.einsum("nij,nj->ni", R, pose.force) + gravity
-        angular = _slope(time, rates if rates is not None else _slope(time, angles))
+        angular = _derivatives(time, rates if rates is not None else _derivatives(time, angles))
         accelerations = np.hstack([linear, angular])
-    if place is None:
-        place = np.zeros((len(time), 3))
-        if accelerations is not None:  # whose drift does not matter for the dynamics
-            place = _integral(time, _integral(time, np.nan_to_num(accelerations[:, :3])))
-    return np.hstack([place, angles]), velocity, accelerations
+    if position is None:
+        position = np.zeros((len(time), 3))
+        if accelerations is not None:  # drift of the position does not affect the dynamics
+            position = _integral(time, _integral(time, np.nan_to_num(accelerations[:, :3])))
+    return np.hstack([position, angles]), velocity, accelerations
 
 
 def _euler_rates(angles: Array, spin: Array) -> Array:
@@ -165,21 +166,21 @@ def _euler_rates(angles: Array, spin: Array) -> Array:
     return np.stack([yaw_rate, pitch_rate, p + yaw_rate * np.sin(pitch)], -1)
 
 
-def _slope(time: Array, values: Array) -> Array:
-    """Return derivatives (N, n) of a spline through values (N, n); NaN where these are."""
+def _derivatives(time: Array, values: Array) -> Array:
+    """Return derivatives (N, n) of a spline through values (N, n); NaN stays NaN."""
     known = np.isfinite(values).all(axis=1)
-    found = np.full(values.shape, np.nan)
+    slopes = np.full(values.shape, np.nan)
     if np.count_nonzero(known) > 3:
-        found[known] = CubicSpline(time[known], values[known])(time[known], 1)
-    return found
+        slopes[known] = CubicSpline(time[known], values[known])(time[known], 1)
+    return slopes
 
 
 def _integral(time: Array, values: Array) -> Array:
-    """Return integrals (N, 3) of values (N, 3) without their mean, from the first row."""
+    """Return integrals (N, 3) from the first row of values (N, 3) less their mean."""
     return np.asarray(cumulative_trapezoid(values - values.mean(axis=0), time, axis=0, initial=0.0))
 
 
-# How columns may be meant.
+# Interpretations of the columns.
 
 _SAME, _UP, _OVER = (Rotation.from_euler("x", x, degrees=True) for x in (0.0, 90.0, 180.0))
 _INTEGRATED = "integrated from the gyroscope"
@@ -188,46 +189,46 @@ _UNITS = {"mm": 1e-3, "cm": 1e-2, "inches": 0.0254}
 
 @dataclass(frozen=True, eq=False)
 class BasePose:
-    """Pose, angular velocity and specific force of a base in N rows, by one reading."""
+    """Pose, angular velocity and specific force of a base in N rows, in one interpretation."""
 
     time: Array
-    known: NDArray[np.bool_]  # (N,) whether the orientation is known
-    turn: Rotation  # R_WB
-    place: Array | None  # (N, 3) in W, m
+    known: NDArray[np.bool_]  # (N,) rows with a known orientation
+    R_WB: Rotation
+    position: Array | None  # (N, 3) in W, m
     spin: Array | None  # (N, 3) in B, rad/s
     force: Array | None  # (N, 3) in B, m/s²
 
     def between(self, world: Rotation, body: Rotation) -> BasePose:
-        """Return the same in axes of the world and the body from which these turn it."""
+        """Return the pose with the axes of the world and of the body rotated."""
         return replace(
             self,
-            turn=world * self.turn * body.inv(),
-            place=None if self.place is None else world.apply(self.place),
+            R_WB=world * self.R_WB * body.inv(),
+            position=None if self.position is None else world.apply(self.position),
             spin=None if self.spin is None else body.apply(self.spin),
             force=None if self.force is None else body.apply(self.force),
         )
 
     @cached_property
-    def turns(self) -> tuple[Array, Array]:
-        """(K, 3) turns in B in a short time, by the orientation and by the angular velocity."""
+    def rotations(self) -> tuple[Array, Array]:
+        """Return rotations (K, 3) in B over a short time, by orientation and angular velocity."""
         if self.spin is None:
             return np.zeros((0, 3)), np.zeros((0, 3))
         rows = np.flatnonzero(self.known & np.isfinite(self.spin).all(axis=1))
-        time, turn = self.time[rows], self.turn[rows]
+        time, R_WB = self.time[rows], self.R_WB[rows]
         lag = max(1, round(_TURNING / float(np.median(np.diff(time))))) if len(rows) > 1 else 1
         if len(rows) <= lag:
             return np.zeros((0, 3)), np.zeros((0, 3))
         sums = cumulative_trapezoid(self.spin[rows], time, axis=0, initial=0.0)
-        return (turn[:-lag].inv() * turn[lag:]).as_rotvec(), sums[lag:] - sums[:-lag]
+        return (R_WB[:-lag].inv() * R_WB[lag:]).as_rotvec(), sums[lag:] - sums[:-lag]
 
     def readings(self, form: str) -> dict[str, BasePose]:
-        """Return other ways to read the columns, by words for each, given a form of orientation."""
-        found = dict[str, BasePose]()
+        """Return description -> other interpretation of the columns, for a form of orientation."""
+        others = dict[str, BasePose]()
         if form == "w, x, y, z":
-            swapped = Rotation.from_quat(self.turn.as_quat()[:, [3, 0, 1, 2]])
-            found["the quaternion's columns are x, y, z, w"] = replace(self, turn=swapped)
-        found |= {
-            "the orientation rotates the world into the body": replace(self, turn=self.turn.inv()),
+            swapped = Rotation.from_quat(self.R_WB.as_quat()[:, [3, 0, 1, 2]])
+            others["the quaternion's columns are x, y, z, w"] = replace(self, R_WB=swapped)
+        others |= {
+            "the orientation rotates the world into the body": replace(self, R_WB=self.R_WB.inv()),
             "y is upwards": self.between(_UP, _SAME),
             "z is downwards in the world and the body": self.between(_OVER, _OVER),
             "z is downwards in the world": self.between(_OVER, _SAME),
@@ -235,31 +236,31 @@ class BasePose:
         }
         if form == _INTEGRATED:
             for axes in Rotation.create_group("O"):
-                found[axes_words(axes, "the root")] = self.between(_SAME, axes)
-        if self.place is not None:
+                others[axes_words(axes, "the root")] = self.between(_SAME, axes)
+        if self.position is not None:
             for unit, size in _UNITS.items():
-                found[f"positions are in {unit}"] = replace(self, place=size * self.place)
+                others[f"positions are in {unit}"] = replace(self, position=size * self.position)
         if self.force is not None:
-            in_body = self.turn.inv().apply(self.force)
-            found["accelerations have the other sign"] = replace(self, force=-self.force)
-            found["accelerations are in the axes of the world"] = replace(self, force=in_body)
+            in_body = self.R_WB.inv().apply(self.force)
+            others["accelerations have the other sign"] = replace(self, force=-self.force)
+            others["accelerations are in the axes of the world"] = replace(self, force=in_body)
         if self.spin is not None:
-            what, seen, own = "angular velocities are in", *self.turns
-            found[f"{what} degrees per second"] = replace(self, spin=np.radians(self.spin))
-            in_body = self.turn.inv().apply(self.spin)
-            found[f"{what} the axes of the world"] = replace(self, spin=in_body)
-            if seen.any() and own.any():
-                with catch_warnings(action="ignore"):  # of a turn about one axis
-                    axes, _ = Rotation.align_vectors(seen, own)
+            what, by_orientation, by_gyroscope = "angular velocities are in", *self.rotations
+            others[f"{what} degrees per second"] = replace(self, spin=np.radians(self.spin))
+            in_body = self.R_WB.inv().apply(self.spin)
+            others[f"{what} the axes of the world"] = replace(self, spin=in_body)
+            if by_orientation.any() and by_gyroscope.any():
+                with catch_warnings(action="ignore"):  # a rotation about one axis is ambiguous
+                    axes, _ = Rotation.align_vectors(by_orientation, by_gyroscope)
                 spin = replace(self, spin=axes.apply(self.spin))
-                found[axes_words(axes, "the root")] = spin
-        return found
+                others[axes_words(axes, "the root")] = spin
+        return others
 
 
-def _settled(log: JointLog, model: RobotModel) -> tuple[BasePose, list[str]]:
-    """Return how the base moves, and notes; raise if columns are meant otherwise."""
-    pose, form, others = _given(log, model)
-    notes, signs = list[str](), [*_signs(log, model, pose)]
+def _interpreted_pose(log: JointLog, model: RobotModel) -> tuple[BasePose, list[str]]:
+    """Return the pose of the base and notes; raise if another interpretation fits better."""
+    pose, form, others = _usual_pose(log, model)
+    notes, signs = list[str](), [*_evidence(log, model, pose)]
 
     def off_in_all(reading: BasePose) -> float:
         return float(np.nansum([sign.off(reading) / sign.wrong for sign in signs]))
@@ -286,56 +287,56 @@ def _settled(log: JointLog, model: RobotModel) -> tuple[BasePose, list[str]]:
         if given > sign.doubt:
             notes.append(words)
     feet = _Feet.of(log, model, pose)
-    if feet is not None and pose.place is not None and pose.force is None and pose.spin is None:
+    if feet is not None and pose.position is not None and pose.force is None and pose.spin is None:
         pose, more = feet.without_mounting(pose)
         notes += more
     if not any(np.isfinite(sign.off(pose)) for sign in signs):
         notes.append(
             "nothing in the log confirms the orientation of the base: no IMU, no twist, and no "
-            "two feet that rest while legs move"
+            "two feet at rest while legs move"
         )
     return pose, notes
 
 
-def _given(log: JointLog, model: RobotModel) -> tuple[BasePose, str, dict[str, BasePose]]:
-    """Return the pose as it is usually meant, in words, and as its names let it be meant, too."""
+def _usual_pose(log: JointLog, model: RobotModel) -> tuple[BasePose, str, dict[str, BasePose]]:
+    """Return the usual interpretation of the pose, its name, and others that names permit."""
     columns, gravity, advice = log.floating, model.tree.gravity, _ADVICE
-    place, force = (vectors(columns, n) for n in ("base.position", "imu.linear_acceleration"))
+    position, force = (vectors(columns, n) for n in ("base.position", "imu.linear_acceleration"))
     gyro = vectors(columns, "imu.angular_velocity")
     spin = gyro if gyro is not None else vectors(columns, "base.angular_velocity")
     if force is not None and gravity.any():
-        _check_felt(force, gravity, log.name)
-    known, turns = np.ones(len(log), bool), dict[str, Rotation]()
+        _check_specific_force(force, gravity, log.name)
+    known, rotations = np.ones(len(log), bool), dict[str, Rotation]()
     if (found := orientation(columns)) is not None:
         known = np.asarray(np.isfinite(found[1]).all(axis=1))
-        if found[0] != ANGLES:  # zeros stand for nothing
+        if found[0] != ANGLES:  # zeros mark missing values
             known &= found[1].any(axis=1)
         if not known.any():
             raise LogError(
                 f"Log {log.name!r} has no row with the orientation of the base.", advice=advice
             )
-        turns = _turns(*found, known, log.name)
+        rotations = _rotations(*found, known, log.name)
     elif gyro is not None and force is not None:
-        turns = {_INTEGRATED: _integrated(log, gyro, force, gravity)}
+        rotations = {_INTEGRATED: _integrated_orientation(log, gyro, force, gravity)}
     else:
         raise LogError(
             f"The model floats, but log {log.name!r} has no orientation of the base and no IMU"
             f"{''.join(f'; {note}' for note in log.notes if note.startswith('columns ignored'))}.",
             advice=f"{advice} For a robot that is fixed to the world omit --floating.",
         )
-    if found is None:  # whose yaw is not that of positions
-        place = None
+    if found is None:  # the yaw of an integrated orientation differs from that of positions
+        position = None
     poses = {
-        name: BasePose(log.time, known, turn, place, spin, force) for name, turn in turns.items()
+        name: BasePose(log.time, known, R, position, spin, force) for name, R in rotations.items()
     }
     first = next(iter(poses))
     return poses.pop(first), first, poses
 
 
-def _turns(
+def _rotations(
     axes: Sequence[str], values: Array, known: NDArray[np.bool_], name: str
 ) -> dict[str, Rotation]:
-    """Return R_WB of N rows by what values (N, k) may be, the most usual first."""
+    """Return description -> R_WB of N rows for values (N, k), the usual one first."""
     values = np.where(known[:, None], values, np.eye(3).ravel() if len(axes) == 9 else 1.0)
     if axes == ANGLES:
         usual, other = Rotation.from_euler, partial(Rotation.from_euler, degrees=True)
@@ -358,14 +359,14 @@ def _turns(
             advice="Log base.orientation.w, .x, .y and .z of the root body in the world.",
         )
     if len(axes) == 9:
-        turn = Rotation.from_matrix(values.reshape(-1, 3, 3))
-        return {"a matrix row by row": turn, "a matrix column by column": turn.inv()}
+        R_WB = Rotation.from_matrix(values.reshape(-1, 3, 3))
+        return {"a matrix row by row": R_WB, "a matrix column by column": R_WB.inv()}
     first = {"w, x, y, z": Rotation.from_quat(values, scalar_first=True)}
     return first if axes == QUATERNION else first | {"x, y, z, w": Rotation.from_quat(values)}
 
 
-def _check_felt(force: Array, gravity: Array, name: str) -> None:
-    """Refuse specific forces (N, 3) that do not have the size of gravity on average."""
+def _check_specific_force(force: Array, gravity: Array, name: str) -> None:
+    """Refuse specific forces (N, 3) whose mean magnitude is far from gravity."""
     felt = np.linalg.norm(force[np.isfinite(force).all(axis=1)], axis=1)
     g = float(np.linalg.norm(gravity))
     if felt.size == 0 or not 0.5 * g < np.mean(felt) < 2.0 * g:
@@ -378,52 +379,52 @@ def _check_felt(force: Array, gravity: Array, name: str) -> None:
         )
 
 
-def _integrated(log: JointLog, gyro: Array, force: Array, gravity: Array) -> Rotation:
-    """Return the orientation by the gyroscope, with the mean specific force upwards."""
-    turns, now = [np.array([0.0, 0.0, 0.0, 1.0])], Rotation.identity()
+def _integrated_orientation(log: JointLog, gyro: Array, force: Array, gravity: Array) -> Rotation:
+    """Return the integrated orientation, with the mean specific force upwards."""
+    rotations, now = [np.array([0.0, 0.0, 0.0, 1.0])], Rotation.identity()
     steps = np.diff(log.time)[:, None] * 0.5 * (gyro[1:] + gyro[:-1])
     for step in Rotation.from_rotvec(np.nan_to_num(steps)):
         now = now * step
-        turns.append(now.as_quat())
-    relative = Rotation.from_quat(np.array(turns))
+        rotations.append(now.as_quat())
+    relative = Rotation.from_quat(np.array(rotations))
     mean = np.nanmean(relative.apply(force), axis=0)
     upright, _ = Rotation.align_vectors([-gravity], [mean])
     return upright * relative
 
 
-# What tells how columns are meant.
+# Evidence for an interpretation.
 
 
 @dataclass(frozen=True)
-class _Sign:
-    """How far off a reading of the base is, NaN if unknown, and from where on it is doubted."""
+class _Evidence:
+    """A measure of the error of an interpretation, and its thresholds."""
 
-    off: Callable[[BasePose], float]
-    doubt: float  # from which on a reading is said to be off
-    wrong: float  # from which on others are tried
-    right: float  # below which another one is right
-    words: str  # with how far it is off
-    number: str  # of how far another one is off
+    off: Callable[[BasePose], float]  # NaN if it cannot be evaluated
+    doubt: float  # a larger error is noted
+    wrong: float  # a larger error makes alternatives candidates
+    right: float  # an alternative needs a smaller error
+    words: str  # message with the error
+    number: str  # format of an alternative's error
     advice: str
-    is_certain: bool = False  # whether a reading that is wrong is refused without a better one
+    is_certain: bool = False  # refuse a wrong interpretation even without a better one
 
 
-def _signs(log: JointLog, model: RobotModel, pose: BasePose) -> Iterator[_Sign]:
+def _evidence(log: JointLog, model: RobotModel, pose: BasePose) -> Iterator[_Evidence]:
     """Yield the evidence of gravity, the gyroscope, accelerations and feet."""
     up = upwards(model.tree.gravity)
 
     def off_vertical(pose: BasePose) -> float:
         if pose.force is None:
             return np.nan
-        felt = pose.turn.apply(pose.force)[pose.known]
+        felt = pose.R_WB.apply(pose.force)[pose.known]
         return _angle(felt[np.isfinite(felt).all(axis=1)].sum(axis=0), up)
 
     def off_rates(pose: BasePose) -> float:
-        seen, own = pose.turns
+        seen, own = pose.rotations
         size = np.square(seen).sum() + np.square(own).sum()
         return float(np.square(seen - own).sum() / size) if size else np.nan
 
-    yield _Sign(
+    yield _Evidence(
         off_vertical,
         *(_TILTED, _OFF_VERTICAL, _OFF_VERTICAL),
         "the IMU measures gravity {:.1f}° off the vertical of the orientation on average",
@@ -431,56 +432,56 @@ def _signs(log: JointLog, model: RobotModel, pose: BasePose) -> Iterator[_Sign]:
         "the IMU is in that body's axes.",
         is_certain=True,
     )
-    yield _Sign(
+    yield _Evidence(
         off_rates,
         *(_DIFFERS, _DIFFERS, _AGREES),
-        "the orientation does not turn as angular velocities say: {:.0%} of what they say is other",
+        "the orientation does not turn with the angular velocities: they differ by {:.0%}",
         "{:.0%}",
         "angular velocities are in rad/s in that body's axes.",
     )
-    yield _Sign(
+    yield _Evidence(
         partial(_off_accelerations, gravity=model.tree.gravity),
         *(_DIFFERS, _DIFFERS, 0.5 * _DIFFERS),
-        "the IMU does not feel the accelerations of the position: {:.0%} of what it feels is other",
+        "the IMU does not measure the accelerations of the position: they differ by {:.0%}",
         "{:.0%}",
         "the IMU is in that body's axes.",
     )
     if (feet := _Feet.of(log, model, pose)) is not None:
-        place, is_told = "base.position.x … is in m, with z upwards.", feet.are_told
-        yield _Sign(
+        advice, is_told = "base.position.x … is in m, with z upwards.", feet.are_told
+        yield _Evidence(
             feet.sliding,
             *(_GLIDES if is_told else np.inf, _SLIDES, _RESTS),
-            "no foot rests on the ground: the one that moves least still does by {:.2g} times as "
-            "much as legs move feet",
+            "no foot rests on the ground: the one that moves least still moves {:.2g} times as far "
+            "as legs move feet",
             "by {:.2g} times",
-            place,
+            advice,
         )
-        yield _Sign(
+        yield _Evidence(
             partial(feet.off_below, up=up),
             *(2.0 * _OFF_VERTICAL, 2.0 * _OFF_VERTICAL, _OFF_VERTICAL),
-            "feet on the ground are {:.0f}° off from below the base",
+            "feet on the ground are {:.0f}° off the vertical below the base",
             "{:.0f}°",
-            place,
+            advice,
         )
 
 
 def _off_accelerations(pose: BasePose, gravity: Array) -> float:
-    """Return which share of mean accelerations differs by the IMU and by second differences."""
-    if pose.place is None or pose.force is None:
+    """Return the relative difference of accelerations from the IMU and second differences."""
+    if pose.position is None or pose.force is None:
         return np.nan
     period = float(np.median(np.diff(pose.time)))
     step = max(1, round(_SWINGING / period))
-    felt = np.hstack([pose.turn.apply(pose.force) + gravity, pose.place])
+    felt = np.hstack([pose.R_WB.apply(pose.force) + gravity, pose.position])
     lost = uniform_filter1d((~np.isfinite(felt).all(axis=1)).astype(float), 2 * step + 1)
     rows = np.flatnonzero(lost[step:-step] < 1e-9) + step
     own = np.nan_to_num(felt[:, :3])
-    for _ in range(2):  # of which the second differences are the means
+    for _ in range(2):  # second differences are accelerations averaged twice
         own = uniform_filter1d(own, step, axis=0)
-    place = pose.place
-    seen = (place[rows + step] - 2.0 * place[rows] + place[rows - step]) / (step * period) ** 2
+    p = pose.position
+    seen = (p[rows + step] - 2.0 * p[rows] + p[rows - step]) / (step * period) ** 2
     squares = [np.median(np.square(x).sum(axis=1)) for x in (seen - own[rows], seen, own[rows])]
-    is_told = len(rows) and max(squares[1:]) > _ACCELERATES**2
-    return float(squares[0] / sum(squares[1:])) if is_told else np.nan
+    is_moving = len(rows) and max(squares[1:]) > _ACCELERATES**2
+    return float(squares[0] / sum(squares[1:])) if is_moving else np.nan
 
 
 def _angle(first: Array, second: Array) -> float:
@@ -491,15 +492,15 @@ def _angle(first: Array, second: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Feet:
-    """Where links are that may stand on the ground, in pairs of rows a short time apart."""
+    """Positions of links that may stand on the ground, in pairs of rows a short time apart."""
 
-    rows: NDArray[np.intp]  # (2, K) numbers of the rows
+    rows: NDArray[np.intp]  # (2, K) indices of the rows
     places: Array  # (2, K, F, 3) of the links in the base, m
     are_told: bool  # whether the log names the links
 
     @classmethod
     def of(cls, log: JointLog, model: RobotModel, pose: BasePose) -> _Feet | None:
-        """Return the feet that the log names, otherwise the ends of limbs; None without legs."""
+        """Return the feet named in the log, or else the ends of limbs; None without legs."""
         names = (*frames_of(log.floating, FORCE), *frames_of(log.floating, FLAG))
         frames = contact_frames(model, [*dict.fromkeys(names)] or last_links(model))
         own = [joint for joint in model.joints if joint not in model.base_joints]
@@ -508,8 +509,8 @@ class _Feet:
         q = np.zeros((len(log), len(model.joints)))
         q[:, np.isin(model.joints, own)] = log.position[:, [log.joints.index(j) for j in own]]
         whole = pose.known & np.isfinite(q).all(axis=1)
-        if pose.place is not None:
-            whole &= np.isfinite(pose.place).all(axis=1)
+        if pose.position is not None:
+            whole &= np.isfinite(pose.position).all(axis=1)
         rows = np.flatnonzero(whole)
         later = np.searchsorted(log.time[rows], log.time[rows] + _TURNING)
         near = later < len(rows)
@@ -526,20 +527,20 @@ class _Feet:
         return cls(pairs, places[:, :, moves], bool(names)) if moves.any() else None
 
     def _arms(self, pose: BasePose) -> Array:
-        """Return where feet are from the base (2, K, F, 3), in W, m."""
-        return np.asarray(pose.turn.as_matrix()[self.rows][:, :, None] @ self.places[..., None])[
+        """Return positions (2, K, F, 3) of the feet from the base, in W, m."""
+        return np.asarray(pose.R_WB.as_matrix()[self.rows][:, :, None] @ self.places[..., None])[
             ..., 0
         ]
 
     def sliding(self, pose: BasePose) -> float:
-        """Return how far the foot goes that goes least, over how far joints move it.
+        """Return the least displacement of a foot, over that by its joints.
 
-        Without positions of the base feet are seen from each other.
+        Without positions of the base, displacements are those between two feet.
         """
         before, after = self._arms(pose)
         moved, by_joints = after - before, self.places[1] - self.places[0]
-        if pose.place is not None:
-            first, second = pose.place[self.rows]
+        if pose.position is not None:
+            first, second = pose.position[self.rows]
             moved += (second - first)[:, None]
         else:
             one, other = np.triu_indices(moved.shape[1], 1)
@@ -550,46 +551,46 @@ class _Feet:
         return float(np.median(np.divide(*ways).min(axis=1)))
 
     def off_below(self, pose: BasePose, up: Array) -> float:
-        """Return the angle from below the base to feet that rest, degrees; NaN if none does."""
+        """Return the angle of resting feet from the vertical below the base, °; NaN without."""
         if not self.sliding(pose) < _RESTS:
             return np.nan
         return _angle(self._arms(pose).sum(axis=(0, 1, 2)), -up)
 
     def without_mounting(self, pose: BasePose) -> tuple[BasePose, list[str]]:
-        """Return the pose of the root where that of something mounted on it was tracked, and notes.
+        """Return the pose of the root if a body mounted on it was tracked, and notes.
 
-        Feet rest with a rotation and an offset between both.
+        With the rotation and offset between both, feet rest.
         """
-        turns, places = pose.turn.as_matrix()[self.rows], np.asarray(pose.place)[self.rows]
+        rotations, places = pose.R_WB.as_matrix()[self.rows], np.asarray(pose.position)[self.rows]
 
         scale = 2.0 * _LITTLE
 
         def moved(x: Array) -> Array:
             arms = self.places @ Rotation.from_rotvec(x[:3]).as_matrix().T + x[3:]
-            before, after = np.einsum("akij,akfj->akfi", turns, arms) + places[:, :, None]
+            before, after = np.einsum("akij,akfj->akfi", rotations, arms) + places[:, :, None]
             return np.asarray(after - before).ravel()
 
         def cost(x: Array) -> float:
             return float(np.log1p(np.square(moved(x) / scale)).sum())
 
         def solved(which: Sequence[int]) -> Array:
-            """Return the best rotation and offset of which only some numbers are not zero."""
+            """Return the best rotation and offset, zero except for some components."""
             free = np.eye(6)[list(which)]
             start = np.zeros(len(free))
             fit = least_squares(lambda x: moved(x @ free), start, loss="cauchy", f_scale=scale)
             return np.asarray(fit.x @ free)
 
-        tried = [solved(which) for which in _PARTS]
-        at_first, least = cost(np.zeros(6)), cost(tried[-1])
-        if least >= _MOUNTED * at_first:
+        candidates = [solved(which) for which in _PARTS]
+        cost_before, least = cost(np.zeros(6)), cost(candidates[-1])
+        if least >= _MOUNTED * cost_before:
             return pose, []
-        # What is not clearly otherwise stays: a wrong tilt costs more than it mends.
-        x = next(x for x in tried if cost(x) <= least + 0.1 * (at_first - least))
-        turn, offset = Rotation.from_rotvec(x[:3]), x[3:]
-        angles = ", ".join(f"{x:.1f}°" for x in turn.as_euler("ZYX", degrees=True))
+        # Prefer few components: a wrong tilt does more harm than it repairs.
+        x = next(x for x in candidates if cost(x) <= least + 0.1 * (cost_before - least))
+        rotation, offset = Rotation.from_rotvec(x[:3]), x[3:]
+        angles = ", ".join(f"{x:.1f}°" for x in rotation.as_euler("ZYX", degrees=True))
         words = (
-            f"what was tracked is not the root: feet rest if that is turned by {angles} (yaw, "
-            f"pitch, roll) and is at {np.array2string(offset, precision=3)} m in its axes: mended"
+            f"the tracked body is not the root: feet rest if the root is rotated by {angles} (yaw, "
+            f"pitch, roll) and at {np.array2string(offset, precision=3)} m in its axes: corrected"
         )
-        place = np.asarray(pose.place) + pose.turn.apply(offset)
-        return replace(pose, turn=pose.turn * turn, place=place), [words]
+        position = np.asarray(pose.position) + pose.R_WB.apply(offset)
+        return replace(pose, R_WB=pose.R_WB * rotation, position=position), [words]

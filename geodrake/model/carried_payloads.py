@@ -25,18 +25,18 @@ def carried_phi(model: RobotModel, payloads: Payloads) -> Array:
     """Return (nb, 10) inertial parameters that known payloads add to the bodies of a model."""
     phi = np.zeros_like(model.phi)
     for payload in payloads:
-        index, own = _in_frame_of_body(lumped_bodies(model.plant), payload)
-        phi[index] += own
+        index, parameters = _in_frame_of_body(lumped_bodies(model.plant), payload)
+        phi[index] += parameters
     return phi
 
 
 def carrying(model: RobotModel, payloads: Payloads) -> RobotModel:
-    """Return the model with known payloads; itself if there are none."""
+    """Return the model with known payloads."""
     phi = carried_phi(model, payloads)
     carried = [
-        FittedEffect(payload, own)
-        for body, own in zip(model.bodies, phi, strict=True)
-        if own.any()
+        FittedEffect(payload, parameters)
+        for body, parameters in zip(model.bodies, phi, strict=True)
+        if parameters.any()
         for payload in effect_of(Role.BODY).shaped(body)
     ]
     return replace(model, effects=(*model.effects, *carried)) if carried else model
@@ -45,12 +45,12 @@ def carrying(model: RobotModel, payloads: Payloads) -> RobotModel:
 def joints_with_known_gain(
     model: RobotModel, logs: Sequence[Payloads], frames: Sequence[str] = ()
 ) -> tuple[str, ...]:
-    """Return joints whose gain known payloads, or the ground, identify.
+    """Return joints whose gain is identifiable from known payloads or ground forces.
 
-    Those are joints that bear what not all logs have: what the robot holds in all of them its
-    bodies can take in, with any gain. Where `frames` may touch the ground, forces there load the
-    joints between them and the base. They are measured, or follow from the motion of the base and
-    the other joints, whatever the bodies of a limb are.
+    Payloads must differ between logs: the bodies could absorb one that all logs share, at any gain.
+    Where `frames` may touch the ground, forces there load the joints up to the base. These forces
+    are measured, or follow from the motion of the base and the other joints, independently of the
+    bodies of the limb.
     """
     phi = np.array([carried_phi(model, payloads) for payloads in logs])
     changes = np.any(phi != phi[0], axis=(0, 2))
@@ -60,7 +60,7 @@ def joints_with_known_gain(
 
 
 def joints_on_ground(model: RobotModel, frames: Sequence[str]) -> tuple[str, ...]:
-    """Return joints that bear forces of the ground at frames, those of a free base among them."""
+    """Return joints loaded by ground forces at frames, including those of a free base."""
     return _joints_of(model, [frame.body for frame in contact_frames(model, frames)])
 
 
@@ -68,7 +68,7 @@ def _joints_of(model: RobotModel, bodies: Sequence[str]) -> tuple[str, ...]:
     """Return the joints that move some bodies."""
     motions = RobotBodies(model.tree, np.zeros((1, model.tree.num_positions)), model.total_phi)
     moving = {dof for body in bodies for dof in motions.motion(body).dofs}
-    return tuple(joint for at, joint in enumerate(model.joints) if at in moving)
+    return tuple(joint for dof, joint in enumerate(model.joints) if dof in moving)
 
 
 def payload_notes(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:

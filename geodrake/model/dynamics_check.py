@@ -1,12 +1,10 @@
-"""The recursion of geodrake against MultibodyPlant, and its file against another program.
+"""Comparison of a model's dynamics with MultibodyPlant and with another program.
 
-Drake supplies a model's tree, constants and simulation; efforts and regressors come from a compiled
-recursion over that tree (`geodrake.robot.recursion`). Here both compute the same.
+Drake supplies a model's tree and constants, but efforts and regressors come from a compiled
+recursion over that tree (`geodrake.robot.recursion`), which is compared with MultibodyPlant.
 
-MultibodyPlant computes with the bodies that geodrake made of a file, and so cannot see what was
-lost on the way. MuJoCo compiles an MJCF whole, with what no model takes; Pinocchio reads a URDF.
-Others, SDF, directives that put several together and URDFs that Pinocchio does not take, Drake
-reads once more as they stand.
+MultibodyPlant has the bodies that geodrake read, so this cannot reveal errors of reading. For these
+MuJoCo compiles an MJCF file, Pinocchio reads a URDF, and Drake reads all other files unmodified.
 """
 
 from __future__ import annotations
@@ -42,10 +40,10 @@ States = tuple[Array, Array, Array]
 
 
 def second_opinion(model: RobotModel, states: States) -> tuple[str, Array, Array] | str:
-    """Return a program that reads the file, efforts (N, nv) by it and by geodrake, or why none.
+    """Return another program's name, its efforts (N, nv) and geodrake's, or the reason for none.
 
-    They are of what it takes: of all of the file but dry friction for MuJoCo, of the bodies alone
-    for Pinocchio.
+    Both include what that program supports: all but dry friction for MuJoCo, only the bodies for
+    Pinocchio.
     """
     if model.given.robot is not None:
         return "one of several robots was chosen, and only Drake reads part of a file"
@@ -75,9 +73,9 @@ def second_opinion(model: RobotModel, states: States) -> tuple[str, Array, Array
 
 
 def _held(model: RobotModel, text: ModelText) -> Places:
-    """Return where joints are held, those included that follow held ones."""
+    """Return the positions of fixed joints and of their followers."""
     places, ties = dict(model.held), text.terms.followers
-    for _ in ties:  # which may follow each other
+    for _ in ties:  # followers may form chains
         for joint, tie in ties.items():
             if (leader := tie.leader.split("::")[-1]) in places:
                 places.setdefault(joint.split("::")[-1], tie.at(places[leader]))
@@ -89,22 +87,22 @@ Quantities = dict[str, Array]
 QUANTITIES = ("inverse dynamics", "regressor", "gravity", "bias", "mass matrix")
 
 TOLERANCE = 1e-9
-"""Greatest difference that is rounding, as a share of the largest value."""
+"""Largest relative difference that counts as rounding."""
 
 MOST_SAMPLES = 10_000
 _SPEED, _ACCELERATION = 3.0, 10.0  # rad/s or m/s, and per s
-_UPRIGHT = 0.45  # of half a turn, that a free base pitches by at most
-_SIZES = np.array([1.0, *[0.3] * 3, *[0.1] * 6])  # of parameters per mass: 1, m, m²
+_UPRIGHT = 0.45  # largest pitch of a free base, as a share of 180°
+_SIZES = np.array([1.0, *[0.3] * 3, *[0.1] * 6])  # magnitude of parameters per mass: 1, m, m²
 
 
 @dataclass(frozen=True)
 class Agreement(Short):
-    """How far two computations of a quantity differ.
+    """Difference of two computations of a quantity.
 
     Attributes:
-        difference: The largest difference: N·m or N, or for the mass matrix kg·m² or kg.
-        size: The largest effort of the inverse dynamics, or largest value of the mass matrix.
-        where: Joint of the largest difference; of the mass matrix, row and column.
+        difference: Largest difference, N·m or N; for the mass matrix kg·m² or kg.
+        size: Largest effort of the inverse dynamics, or largest entry of the mass matrix.
+        where: Joint of the largest difference; for the mass matrix, row and column.
     """
 
     quantity: str
@@ -114,13 +112,13 @@ class Agreement(Short):
 
     @property
     def relative(self) -> float:
-        """Return the difference as a share of the size."""
+        """Return the relative difference."""
         return self.difference / self.size if self.size else float(np.sign(self.difference))
 
     @property
     def holds(self) -> bool:
         """Return whether the difference is rounding."""
-        return self.relative <= TOLERANCE  # false of what is no number
+        return self.relative <= TOLERANCE  # false for NaN
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,11 +126,10 @@ class DynamicsCheck(Short):
     """Comparison of a model's dynamics with MultibodyPlant and with another program.
 
     Attributes:
-        repairs: What was repaired in the model's file.
-        left_out: What of that is not in the model, other than inertias.
-        second: Agreement of efforts with another program, which reads the file itself; None if
-            there is none.
-        by: That program, or why there is none.
+        repairs: Repairs of the model's file.
+        left_out: Those that ignored an element of the file.
+        second: Agreement of efforts with another program that reads the file; None without one.
+        by: Name of that program, or the reason for none.
     """
 
     agreements: tuple[Agreement, ...]
@@ -148,7 +145,7 @@ class DynamicsCheck(Short):
 
     @property
     def worst(self) -> Agreement:
-        """Return the quantity of the largest relative difference."""
+        """Return the agreement with the largest relative difference."""
         return max(self.agreements, key=lambda a: (not a.holds, a.relative))
 
     @property
@@ -158,7 +155,7 @@ class DynamicsCheck(Short):
 
     @property
     def holds(self) -> bool:
-        """Return whether all differences are rounding, and the model is that of its file."""
+        """Return whether all differences are rounding and the file needed no repair."""
         second = self.second is None or self.second.holds
         return self.is_rounding and second and not self.repairs
 
@@ -167,18 +164,18 @@ def check_dynamics(model: RobotModel, *, samples: int = 100, seed: int = 0) -> D
     """Compare the rigid bodies' dynamics with MultibodyPlant's, payloads included.
 
     States are random within the limits of positions and speeds. Regressors are compared by the
-    efforts of bodies that are random, others in every sample. Joints that follow others are moved
-    with their leaders in the plant, those behind a transmission with their actuators, and their
-    efforts count there. Effects take no part.
+    efforts of random bodies, different in every sample. Following joints move with their leaders,
+    joints behind a transmission with their actuators, and their efforts are mapped there. Effects
+    are excluded.
 
-    The second opinion, by MuJoCo or Pinocchio, is on the file: it is given of models that are still
-    those of their files, so not of ones with payloads, fits or, of MJCF, other effects.
+    Another program, such as MuJoCo or Pinocchio, checks the file. This requires an unchanged model:
+    without payloads, fits or, for MJCF, added effects.
     """
     instance(model, "model", RobotModel)
     integer(samples, "samples", lower=1, upper=MOST_SAMPLES)
     rng = np.random.default_rng(integer(seed, "seed", lower=0))
     states, phi = _random_states(model, samples, rng), model.total_phi
-    mass = float(np.abs(phi[:, 0]).mean()) or 1.0  # of random bodies, with every entry used
+    mass = float(np.abs(phi[:, 0]).mean()) or 1.0
     others = mass * _SIZES * rng.uniform(-1.0, 1.0, (samples, *phi.shape))
     others[..., 0] += 2.0 * mass  # Drake divides by it
     ours = _by_recursion(model, states, phi, others)
@@ -207,7 +204,7 @@ def _random_states(model: RobotModel, count: int, rng: np.random.Generator) -> S
     low, high = np.where(lower <= upper, [lower, upper], middle)  # limits may be farther than π
     q = rng.uniform(low, high, (count, len(low)))
     pitches = [k for k, joint in enumerate(model.joints) if joint in model.base_joints[4::6]]
-    q[:, pitches] *= _UPRIGHT  # of free bases, whose angles are singular at 90°
+    q[:, pitches] *= _UPRIGHT  # angles of free bases are singular at a pitch of 90°
     v, vd = rng.uniform(-1.0, 1.0, (2, count, len(model.joints)))
     return q, v * np.minimum(model.velocity_limits, _SPEED), vd * _ACCELERATION
 
@@ -232,7 +229,7 @@ def _by_recursion(model: RobotModel, states: States, phi: Array, others: Array) 
 
 
 def _by_plant(model: RobotModel, states: States, others: Array) -> Quantities:
-    """Return the same by MultibodyPlant, whose joints move with their leaders and actuators."""
+    """Return MultibodyPlant's dynamics of the same states, mapped to leaders and actuators."""
     plant = model.plant
     q, v, vd, jacobians = model.coordinates.tree_samples(*states)
     along = vd - times(jacobians, states[2])
@@ -260,7 +257,7 @@ def _by_plant(model: RobotModel, states: States, others: Array) -> Quantities:
 
 
 def _agreement(name: str, error: Array, size: float, joints: Sequence[str]) -> Agreement:
-    """Return the largest entry of differences (N, nv) or (N, nv, nv), and where it is."""
+    """Return the agreement for differences (N, nv) or (N, nv, nv)."""
     worst = np.abs(error).max(axis=0, initial=0.0)
     at = np.unravel_index(int(np.argmax(worst)), worst.shape) if worst.size else ()
     where = tuple(dict.fromkeys(joints[int(k)] for k in at))

@@ -14,13 +14,13 @@ from geodrake.inertia import Array
 from geodrake.logs.motion import SIGNAL_KINDS
 
 COMMAND = "command"
-"""Kind of a joint with position commands of a servo only."""
+"""Kind of a joint with nothing but position commands of a servo."""
 
 EFFORT = "effort"
-"""Kind of a joint with commanded efforts, which its motor gives within a limit."""
+"""Kind of a joint with commanded efforts, which its motor limits."""
 
 SERVO = "servo"
-"""Name, among those of effects, of the servo that follows a `COMMAND`."""
+"""Name of the servo that converts a `COMMAND`, as among names of effects."""
 
 KINDS = (EFFORT, *SIGNAL_KINDS, COMMAND)
 
@@ -39,29 +39,28 @@ _NOT_NEGATIVE = (
 
 @dataclass(frozen=True)
 class MotorLimit:
-    """A motor gives the less the faster it drives: −L (1 + v/w) ≤ effort ≤ L (1 − v/w).
+    """A speed-dependent limit of a motor's effort: −L (1 + v/w) ≤ effort ≤ L (1 − v/w).
 
     Attributes:
-        effort: L, its largest effort, N·m or N.
-        no_load_speed: w, at which it gives none, rad/s or m/s; infinite if the limit is the same
-            at every speed.
+        effort: L, the stall effort, N·m or N.
+        no_load_speed: w, rad/s or m/s; infinite for a constant limit.
     """
 
     effort: float
     no_load_speed: float = np.inf
 
     def times(self, factor: float) -> MotorLimit:
-        """Return that of efforts multiplied by a factor above 0."""
+        """Return the limit of efforts multiplied by a factor above 0."""
         return replace(self, effort=factor * self.effort)
 
-    def given(self, asked: Array, velocity: Array) -> Array:
-        """Return efforts (K,), N·m or N, of a motor for commanded ones at given velocities."""
+    def given(self, commanded: Array, velocity: Array) -> Array:
+        """Return a motor's efforts (K,), N·m or N, for commanded ones at given velocities."""
         falling = velocity / self.no_load_speed
-        return np.clip(asked, -self.effort * (1.0 + falling), self.effort * (1.0 - falling))
+        return np.clip(commanded, -self.effort * (1.0 + falling), self.effort * (1.0 - falling))
 
-    def beyond(self, asked: Array, velocity: Array) -> tuple[float, float]:
-        """Return the share of samples (K,) beyond the limit, and their mean square beyond it."""
-        excess = asked - self.given(asked, velocity)
+    def beyond(self, commanded: Array, velocity: Array) -> tuple[float, float]:
+        """Return the share of samples (K,) beyond the limit, and their mean squared excess."""
+        excess = commanded - self.given(commanded, velocity)
         share = float(np.mean(excess != 0.0))
         return share, float(np.mean(excess**2)) / share if share else 1.0
 
@@ -70,35 +69,34 @@ class MotorLimit:
 class EffortSignal:
     """A signal that replaces a joint's effort in logs, and its conversion to an effort.
 
-    The effort is gain·s of a signal s, a current, a voltage, or the effort that the motor is asked
-    for. Of a servo it is
+    For a current, a voltage or a commanded effort s, the effort is gain·s. For a servo it is
 
         gain·e + damping·(ρ dc/dt(t − delay) − v) + integral·∫e dt,    e = dead(c(t − delay) − q)
 
-    with the commanded position c, where dead takes the dead band off an error. It is within
-    ±limit (1 ∓ v / no_load_speed). What the integral was when a log began is not known: it begins
-    so that the servo gives in the mean, beside friction, what the model needs.
+    with the commanded position c and the dead band function dead, limited to
+    ±limit (1 ∓ v / no_load_speed). The integral at the beginning of a log is unknown. It is chosen
+    so that the servo's mean effort, up to friction, is the model's.
 
     Attributes:
         kind: "effort", "current", "voltage", "pwm" or "command".
         gain: N·m (N) per A, V or 1, 1 for efforts; for commands the stiffness, N·m/rad (N/m).
-        deviation: Standard deviation of the gain, in its unit; 0 if it is known exactly.
-        damping: Of a servo, N·m·s/rad (N·s/m).
-        damping_deviation: Its standard deviation, beside that of the gain.
-        rate_share: ρ, from 0 for damping of the motion alone to 1 for damping of its error.
-        delay: How late the command acts, s.
+        deviation: Standard deviation of the gain, in its unit; 0 if it is exact.
+        damping: Damping of a servo, N·m·s/rad (N·s/m).
+        damping_deviation: Its standard deviation, in addition to that of the gain.
+        rate_share: ρ, from 0 for damping of the motion to 1 for damping of the error.
+        delay: Delay of the command, s.
         limit: Largest effort, N·m or N.
-        integral: Of a servo, effort per integral of its error, N·m/(rad·s) (N/(m·s)).
-        integral_deviation: Its standard deviation, beside that of the gain.
-        no_load_speed: At which the motor gives no effort, rad/s or m/s; of no servo.
-        dead_band: Error of position up to which a servo does nothing about it, rad or m.
+        integral: Integral gain of a servo, N·m/(rad·s) (N/(m·s)).
+        integral_deviation: Its standard deviation, in addition to that of the gain.
+        no_load_speed: Speed at which the motor's effort vanishes, rad/s or m/s; not for servos.
+        dead_band: Largest position error that a servo ignores, rad or m.
         dead_band_deviation: Its standard deviation.
         effect_deviations: Effect of the joint, such as `viscous_friction` -> standard deviation of
-            its parameter where logs of commands alone tell it, beside that of the gain, N·m and s:
-            delay, damping, friction and inertia make up for one another.
+            its parameter from logs of commands alone, in addition to that of the gain, N·m and s:
+            delay, damping, friction and inertia compensate for one another.
 
     Raises:
-        ArgumentError: There is no such kind, or a number is out of its range.
+        ArgumentError: The kind is unknown, or a number is out of range.
     """
 
     joint: str
@@ -153,17 +151,17 @@ class EffortSignal:
 
     @property
     def unit(self) -> str:
-        """Unit of the gain at a joint that turns."""
+        """Return the unit of the gain at a revolute joint."""
         return _UNITS[self.kind]
 
     @property
     def motor(self) -> MotorLimit:
-        """Limits of its motor."""
+        """Return the limits of the motor."""
         return MotorLimit(self.limit, self.no_load_speed)
 
     @property
     def uncertainty(self) -> float:
-        """Standard deviation of the gain as a share of it."""
+        """Return the relative standard deviation of the gain."""
         return self.deviation / abs(self.gain)
 
 

@@ -1,4 +1,4 @@
-"""Identified inertias written into the user's own model file."""
+"""Export of identified inertias into a copy of the user's model file."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from geodrake.robot.files.xacro_file import is_xacro, read_expanded
 from geodrake.robot.repairs import TOLERANCE, stated_inertias
 
 _UNCHANGED = 1e-13
-"""Relative difference below which a link keeps the numbers that the file has for it."""
+"""Relative change below which a link keeps its numbers in the file."""
 
-_NOTHING = 1e-9  # of the robot's mass
+_NEGLIGIBLE = 1e-9  # negligible mass, as a share of the robot's
 
 _SUFFIXES = {"urdf": (".urdf",), "sdf": (".sdf", ".world"), "xml": (".xml", ".mjcf")}
 _RELATIVE = re.compile(rb"""(?:filename|file|meshdir|assetdir)\s*=\s*["'](?![\w.+-]+:|/)[^"']""")
@@ -41,8 +41,8 @@ class Export:
     """A model file with identified inertias.
 
     Attributes:
-        links: Names of the links whose numbers changed.
-        notes: What it cannot carry, and how welded links share an inertia.
+        links: Names of the changed links.
+        notes: Information that the file cannot contain, and how welded links share an inertia.
     """
 
     content: bytes
@@ -54,8 +54,8 @@ def save_export(model: RobotModel, path: str | Path) -> Export:
     """Write a copy of a model's file with the model's inertias, `total_phi`, atomically.
 
     Raises:
-        ModelError: The model's file cannot take them.
-        OutputError: The target cannot be written, or is named like another format.
+        ModelError: The model's file cannot contain them.
+        OutputError: The target cannot be written, or has the suffix of another format.
     """
     path = file_path(path)
     check_export(instance(model, "model", RobotModel), path)
@@ -65,27 +65,27 @@ def save_export(model: RobotModel, path: str | Path) -> Export:
 
 
 def check_export(model: RobotModel, path: Path) -> None:
-    """Raise for a model that cannot be exported, or a wrong name of its copy."""
+    """Raise if a model cannot be exported or the target has a wrong suffix."""
     kind = file_kind(model)
     if path.suffix.lower() not in _SUFFIXES[kind]:
         raise OutputError(
-            f"Cannot write --export {path}: {model.path.name} is {_FORMATS[kind]}, so its "
-            "copy is too.",
+            f"Cannot write --export {path}: {model.path.name} is {_FORMATS[kind]}, and so is "
+            "its copy.",
             advice=f"Name it {path.stem}{_SUFFIXES[kind][0]}.",
         )
     moving = {part.scoped_name for body in lumped_bodies(model.plant) for part in body.members}
-    _check_in_itself(model, read_description(model.path, model.given), moving)
+    _check_not_included(model, read_description(model.path, model.given), moving)
 
 
-def _check_in_itself(model: RobotModel, description: ModelDescription, links: Set[str]) -> None:
-    """Raise for links in files that a model's file includes."""
+def _check_not_included(model: RobotModel, description: ModelDescription, links: Set[str]) -> None:
+    """Raise if links are in files that the model's file includes."""
     (text,) = description.texts
     if inside := text.included(links):
         (first, *_), files = inside, ", ".join(dict.fromkeys(map(str, inside.values())))
         raise ModelError(
             f"{model.path} includes {files}, which has {', '.join(inside)}: a copy of the first "
             f"cannot hold the inertia of {first}.",
-            advice="Give the included file, or copy what it has into the model.",
+            advice="Give the included file, or copy its contents into the model.",
         )
 
 
@@ -95,10 +95,9 @@ _FORMATS = {"urdf": "a URDF", "sdf": "an SDF", "xml": "an MJCF"}
 def export_model(model: RobotModel) -> Export:
     """Return a copy of a model's file with the model's inertias; only numbers of `inertial` differ.
 
-    Links that are welded together are one body to identification. Of those the heaviest takes
-    what the others leave of the identified body, if that is something that a body can be;
-    otherwise all are stretched and reweighted by the one affine map that takes the body of the
-    file to the identified one.
+    Welded links are identified as one body. The heaviest link gets the remainder of the identified
+    body if that is physical. Otherwise the affine map from the file's body to the identified one
+    changes all of them.
     """
     exported = export_bodies(instance(model, "model", RobotModel))
     before, after = list[str](), list[str]()
@@ -118,37 +117,37 @@ def export_model(model: RobotModel) -> Export:
 
 
 def export_bodies(model: RobotModel) -> Export:
-    """As `export_model`, with notes on bodies only."""
+    """Return the export of `export_model`, with notes on bodies only."""
     kind, data = file_kind(model), read_expanded(model.path, model.given)
     file, plant = EditedFile(data, model.path), MultibodyPlant(time_step=0.0)
     with drake_messages():
         description = read_description(model.path, model.given)
         description.add_to(plant)
     stated = stated_inertias(description, plant)
-    # Settings that change masses change what is written, too: all is written, without them.
-    anew, here = file.drop_mass_settings(), file.links.keys()
+    # MuJoCo's mass settings would change the exported values: drop them and write all inertias.
+    writes_all, in_file = file.drop_mass_settings(), file.links.keys()
     written: dict[str, Array] = {}
-    shared, absent, nothing = [], [], _NOTHING * float(model.total_phi[:, 0].sum())
+    shared, absent, negligible = [], [], _NEGLIGIBLE * float(model.total_phi[:, 0].sum())
     for body, phi in zip(lumped_bodies(model.plant), model.total_phi, strict=True):
         names = [member.scoped_name for member in body.members]
         before = np.array([stated.get(name, np.zeros(10)) for name in names])
-        if kind == "urdf" and not before.any() and phi[0] < nothing:
+        if kind == "urdf" and not before.any() and phi[0] < negligible:
             continue  # a frame between joints
-        after, how = distributed(body, before, phi)
+        after, note = distributed(body, before, phi)
         changed = {
             name: new
             for name, old, new in zip(names, before, after, strict=True)
             if not np.all(np.abs(new - old) <= _UNCHANGED * np.abs(new).max())  # NaN differs
-            or (anew and new[0] > nothing)
+            or (writes_all and new[0] > negligible)
         }
-        if not changed.keys() <= here:
-            _check_in_itself(model, description, changed.keys())
-        if not changed.keys() <= here and kind == "xml":
-            absent.append(body.name)  # between several joints of one body, or made by MuJoCo
-            changed = {name: new for name, new in changed.items() if anew and name in here}
+        if not changed.keys() <= in_file:
+            _check_not_included(model, description, changed.keys())
+        if not changed.keys() <= in_file and kind == "xml":
+            absent.append(body.name)  # between several joints of one body, or from a MuJoCo macro
+            changed = {name: new for name, new in changed.items() if writes_all and name in in_file}
         written |= changed
-        if how and changed:
-            shared.append(how)
+        if note and changed:
+            shared.append(note)
     file.set_inertias(written)
     file.add_comments(repair_comments(model))
     content = file.content
@@ -157,7 +156,7 @@ def export_bodies(model: RobotModel) -> Export:
     notes = [*_body_notes(model, absent), *shared]
     if is_xacro(model.path):
         notes.append(f"the exported file is the expansion of {model.path.name}, without its macros")
-    elif anew:
+    elif writes_all:
         notes.append(
             f"settings of {model.path.name} with which MuJoCo changes masses are not in the "
             "exported file, which states all inertias"
@@ -166,67 +165,63 @@ def export_bodies(model: RobotModel) -> Export:
 
 
 def reasons(effects: Sequence[FittedEffect]) -> list[str]:
-    """Return why model files cannot express effects of a drive or of part of a log."""
-    pushing, passing = dict[str, list[str]](), list[str]()
+    """Return reasons why model files cannot express effects of a drive or of part of a log."""
+    active, temporary = dict[str, list[str]](), list[str]()
     for effect in (fitted.effect for fitted in effects):
         if effect.by_drive:
-            pushing.setdefault(effect.name, []).append(effect.place)
+            active.setdefault(effect.name, []).append(effect.place)
         if effect.role is Role.EPISODE:
-            passing.append(f"{effect.name} of {effect.place}")
+            temporary.append(f"{effect.name} of {effect.place}")
     why = "it is an active force of the drive"
-    found = {f"{name} of {', '.join(places)}": why for name, places in pushing.items()}
-    found |= dict.fromkeys(passing, "it belongs to one log, not to the robot")
-    return [f"{what} is not in the files: {why}" for what, why in found.items()]
+    causes = {f"{name} of {', '.join(places)}": why for name, places in active.items()}
+    causes |= dict.fromkeys(temporary, "it belongs to one log, not to the robot")
+    return [f"{effects_at} is not in the files: {why}" for effects_at, why in causes.items()]
 
 
 def repair_comments(model: RobotModel) -> list[str]:
-    """Return comments for an exported file on repairs of the original one."""
+    """Return comments on repairs of the original file."""
     return [f"geodrake repaired {model.path.name}: {r}" for r in model.repairs]
 
 
 def distributed(body: LumpedBody, stated: Array, phi: Array) -> tuple[Array, str]:
-    """Return the shares of an identified body among the k links that form it.
+    """Return the shares (k, 10) of an identified body's k links, and a note on several.
 
     Args:
-        stated: (k, 10) what the file states for each, in its own frame.
+        stated: (k, 10) parameters in the file, each in the link's frame, as the result.
         phi: (10,) identified parameters in the frame of the representative.
-
-    Returns:
-        (k, 10) parameters of each link in its own frame, and how several share it, in words.
     """
     frames = [(m.X_RB.rotation().matrix(), m.X_RB.translation()) for m in body.members]
-    back = [(R_RB.T, -R_RB.T @ p_RoBo_R) for R_RB, p_RoBo_R in frames]
-    counts = np.isfinite(stated).all(1) & (stated[:, 0] > 0)
+    inverse = [(R_RB.T, -R_RB.T @ p_RoBo_R) for R_RB, p_RoBo_R in frames]
+    has_mass = np.isfinite(stated).all(1) & (stated[:, 0] > 0)
     after = stated.copy()
-    if counts.sum() <= 1:
-        taker = int(np.argmax(counts))
-        after[taker] = change_frame(phi, *back[taker])
+    if has_mass.sum() <= 1:
+        taker = int(np.argmax(has_mass))
+        after[taker] = change_frame(phi, *inverse[taker])
         return after, ""
     parts = np.array([change_frame(x, *frame) for x, frame in zip(stated, frames, strict=True)])
-    parts[~counts] = 0.0
+    parts[~has_mass] = 0.0
     taker = int(np.argmax(parts[:, 0]))
-    rest = phi - parts.sum(0) + parts[taker]
-    names = [member.name for member, used in zip(body.members, counts, strict=True) if used]
-    if is_physical(rest, tolerance=TOLERANCE):
-        parts[taker] = rest
+    remainder = phi - parts.sum(0) + parts[taker]
+    names = [member.name for member, used in zip(body.members, has_mass, strict=True) if used]
+    if is_physical(remainder, tolerance=TOLERANCE):
+        parts[taker] = remainder
         others = [name for name in names if name != body.members[taker].name]
-        how = (
+        note = (
             f"{', '.join(others)}: unchanged, as welded to {body.members[taker].name}, which "
             "takes the change of both"
         )
     else:
-        parts = _stretched(parts, phi)
-        how = f"{', '.join(names)}: welded together, so all change alike to be the identified body"
-    for k in np.flatnonzero(counts):
-        after[k] = change_frame(parts[k], *back[k])
-    return after, how
+        parts = _mapped_bodies(parts, phi)
+        note = f"{', '.join(names)}: welded together, so all change to form the identified body"
+    for k in np.flatnonzero(has_mass):
+        after[k] = change_frame(parts[k], *inverse[k])
+    return after, note
 
 
-def _stretched(parts: Array, phi: Array) -> Array:
-    """Bodies (k, 10) under the affine map and reweighting that takes their sum to another body.
+def _mapped_bodies(parts: Array, phi: Array) -> Array:
+    """Map bodies (k, 10) by P ↦ A P Aᵀ, with the triangular A that maps their sum to φ.
 
-    P ↦ A P Aᵀ with a triangular A keeps each one as possible as it was; bodies whose sum has no
-    volume get shares of the other body by their mass.
+    This keeps physical bodies physical. Bodies whose sum has no volume share φ by mass instead.
     """
     total = parts.sum(0)
     if not is_physical(total, tolerance=TOLERANCE):
@@ -236,12 +231,12 @@ def _stretched(parts: Array, phi: Array) -> Array:
 
 
 def _upper_root(phi: Array) -> Array:
-    """Upper triangular U with P(φ) = U Uᵀ, which maps [x;1] affinely."""
+    """Return the upper triangular U with P(φ) = U Uᵀ, an affine map of [x; 1]."""
     return np.asarray(np.linalg.cholesky(pseudo_inertia(phi)[::-1, ::-1])[::-1, ::-1])
 
 
 def _check(content: bytes, path: Path, written: Mapping[str, Array]) -> None:
-    """Check that the written file reads back, as edits may miss some XML."""
+    """Raise unless the inertias read back from the edited file, as edits may miss some XML."""
     text = model_text_of(content, path)
     for name, phi in written.items():
         read = text.stated_inertia(name)
@@ -255,7 +250,7 @@ def _check(content: bytes, path: Path, written: Mapping[str, Array]) -> None:
 
 
 def _body_notes(model: RobotModel, absent: Sequence[str]) -> list[str]:
-    """Return notes on payloads, and on bodies that the file has no place for."""
+    """Return notes on payloads, and on bodies missing in the file."""
     notes = []
     carried = [f.effect.where[0] for f in model.effects if f.effect.role is Role.BODY]
     if carried:

@@ -1,7 +1,7 @@
-"""Efforts as formulas: NumPy's functions of numbers that are not known yet are recorded.
+"""Symbolic efforts, recorded by running NumPy code on symbols.
 
-An effect's columns, and the efforts of rigid bodies, are formulas in NumPy's functions. Given
-arrays of symbols instead of numbers, the same code says which formula it is.
+The columns of effects and the efforts of rigid bodies are NumPy code. With arrays of symbols
+instead of numbers, the same code yields its formula.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Operand = Any
 Formulas = NDArray[Any]
 """An array of symbols and numbers."""
 
-_SAME = {  # other names of NumPy's for the same operation
+_ALIASES = {  # NumPy's aliases of operations
     "true_divide": "divide",
     "float_power": "power",
     "fabs": "absolute",
@@ -56,7 +56,7 @@ _COMMUTING = ("add", "multiply", "maximum", "minimum", "equal", "not_equal")
 OPERATIONS = frozenset((*_UNARY, *_BINARY, "where"))
 """Operations that can be recorded; `where` takes a condition and both values."""
 
-_MADE_OF: dict[str, Callable[..., Operand]] = {  # what is written by other operations
+_COMPOSED: dict[str, Callable[..., Operand]] = {  # compositions of other operations
     "square": lambda x: x * x,
     "reciprocal": lambda x: 1.0 / x,
     "positive": lambda x: x,
@@ -72,17 +72,17 @@ _MADE_OF: dict[str, Callable[..., Operand]] = {  # what is written by other oper
     ),
 }
 
-_OF_TWO_ALIKE: dict[str, Callable[[Operand], Operand]] = {
+_OF_EQUAL_OPERANDS: dict[str, Callable[[Operand], Operand]] = {
     "add": lambda x: record("multiply", 2.0, x),
     "subtract": lambda x: 0.0,
 }
 
 
 def record(name: str, *operands: Operand) -> Operand:
-    """Return an operation, by NumPy's name; a number where no operand is a symbol."""
-    name = _SAME.get(name, name)
-    if name in _MADE_OF:
-        return _MADE_OF[name](*operands)
+    """Return an operation, by NumPy's name; a number if no operand is a symbol."""
+    name = _ALIASES.get(name, name)
+    if name in _COMPOSED:
+        return _COMPOSED[name](*operands)
     if name not in OPERATIONS:
         raise ArgumentError(
             f"numpy.{name} cannot be written as source code.",
@@ -91,80 +91,79 @@ def record(name: str, *operands: Operand) -> Operand:
     if not any(isinstance(x, Symbol) for x in operands):
         return getattr(np, name)(*operands).item()
     operands = tuple(x if isinstance(x, Symbol) else float(x) for x in operands)
-    if name in _OF_TWO_ALIKE and operands[0] is operands[1]:
-        return _OF_TWO_ALIKE[name](operands[0])
-    found = _simplified(name, operands)
-    return Symbol.known(name, operands) if found is None else found
+    if name in _OF_EQUAL_OPERANDS and operands[0] is operands[1]:
+        return _OF_EQUAL_OPERANDS[name](operands[0])
+    simpler = _simplified(name, operands)
+    return Symbol.known(name, operands) if simpler is None else simpler
 
 
 def _simplified(name: str, operands: tuple[Operand, ...]) -> Operand | None:
-    """Return the result of an operation with an operand 0 or 1; None if it is not simpler."""
+    """Return the simplified result of an operation, such as with an operand 0 or 1, or None."""
     first, last = operands[0], operands[-1]
-    found = None
+    result = None
     match name, *operands:
         case ("add" | "subtract", _, 0.0) | ("multiply" | "divide" | "power", _, 1.0):
-            found = first
+            result = first
         case ("add", 0.0, _) | ("multiply", 1.0, _):
-            found = last
+            result = last
         case ("multiply", 0.0, _) | ("multiply", _, 0.0) | ("divide", 0.0, _):
-            found = 0.0
+            result = 0.0
         case ("subtract", 0.0, _) | ("multiply", -1.0, _):
-            found = record("negative", last)
+            result = record("negative", last)
         case ("multiply" | "divide", _, -1.0):
-            found = record("negative", first)
+            result = record("negative", first)
         case ("power", _, 2.0):
-            found = first * first
+            result = first * first
         case ("power", _, 3.0):
-            found = first * first * first
+            result = first * first * first
         case ("where", float(), _, _):
-            found = operands[1] if first else last
+            result = operands[1] if first else last
         case ("negative", Symbol(operation="negative")):
-            found = first.operands[0]
+            result = first.operands[0]
         case ("multiply", float(), Symbol(operation="multiply", operands=(float() as own, other))):
-            found = record("multiply", first * own, other)
+            result = record("multiply", first * own, other)
         case ("add" | "subtract", _, Symbol(operation="negative")):
-            found = record("subtract" if name == "add" else "add", first, last.operands[0])
-    return found
+            result = record("subtract" if name == "add" else "add", first, last.operands[0])
+    return result
 
 
 @dataclass(frozen=True, eq=False)
 class Symbol(NDArrayOperatorsMixin):
-    """A number that is not known yet."""
+    """An unknown number: an input or the result of an operation."""
 
-    operation: str  # NumPy's name of the operation that gives it; "input" for what is given
-    # What that is of, symbols and floats; of an input its name and place.
-    operands: tuple[Operand, ...]
+    operation: str  # NumPy's name of the operation, or "input"
+    operands: tuple[Operand, ...]  # symbols and floats; name and index of an input
 
     __hash__, __eq__, __ne__ = object.__hash__, object.__eq__, object.__ne__
 
     @classmethod
     def known(cls, operation: str, operands: tuple[Operand, ...]) -> Symbol:
-        """Return the one symbol of an operation on operands, while anybody has it."""
-        own = [x if isinstance(x, Symbol) else str(x) for x in operands]
+        """Return the unique symbol of an operation on operands."""
+        keys = [x if isinstance(x, Symbol) else str(x) for x in operands]
         if operation in _COMMUTING:
-            own.sort(key=lambda x: (isinstance(x, str), id(x)))
-        key = (operation, *own)
-        found = _KNOWN.get(key)
-        if found is None:
-            found = _KNOWN[key] = cls(operation, operands)
-        return found
+            keys.sort(key=lambda x: (isinstance(x, str), id(x)))
+        key = (operation, *keys)
+        symbol = _SYMBOLS.get(key)
+        if symbol is None:
+            symbol = _SYMBOLS[key] = cls(operation, operands)
+        return symbol
 
     def __array_ufunc__(
         self, ufunc: np.ufunc, method: str, *inputs: Operand, **options: Any
     ) -> Operand:
-        """Record a NumPy function; in `x += …` the original symbol is unchanged."""
+        """Record a NumPy function; `x += …` does not change the original symbol."""
         if options.get("out", (None,))[0] is self:
             del options["out"]
         return _recorded(ufunc, method, inputs, options)
 
     def __getattr__(self, name: str) -> Callable[[], Operand]:
         """Return the method that NumPy calls for a function of an object array."""
-        if name in _UNARY or name in _MADE_OF:
+        if name in _UNARY or name in _COMPOSED:
             return lambda: record(name, self)
         raise AttributeError(name)
 
     def __repr__(self) -> str:
-        """In short: operands may be thousands."""
+        """Return a short form, as there may be thousands of operands."""
         return f"<{self.operation}>"
 
     def __bool__(self) -> bool:
@@ -180,17 +179,17 @@ class Symbol(NDArrayOperatorsMixin):
         )
 
 
-_KNOWN: WeakValueDictionary[tuple[Any, ...], Symbol] = WeakValueDictionary()
-"""Operation and operands -> its symbol."""
+_SYMBOLS: WeakValueDictionary[tuple[Any, ...], Symbol] = WeakValueDictionary()
+"""(Operation, operands) -> symbol."""
 
 
 def in_order(formulas: Iterable[Operand]) -> Iterator[Symbol]:
-    """Yield all symbols of formulas once, operands first, without recursion."""
+    """Yield each symbol of formulas once, operands first, without recursion."""
     pending, seen = [x for x in formulas if isinstance(x, Symbol)][::-1], set[Symbol]()
     while pending:
         symbol = pending[-1]
-        of = () if symbol.operation == "input" or symbol in seen else symbol.operands
-        waiting = [x for x in of if isinstance(x, Symbol) and x not in seen]
+        operands = () if symbol.operation == "input" or symbol in seen else symbol.operands
+        waiting = [x for x in operands if isinstance(x, Symbol) and x not in seen]
         pending += waiting
         if not waiting:
             pending.pop()
@@ -209,19 +208,19 @@ class Symbols(np.ndarray):
 
     @classmethod
     def inputs(cls, name: str, count: int) -> Symbols:
-        """Return (count,) inputs of a function: entries of an array of a name."""
+        """Return (count,) inputs of a function: the entries of a named array."""
         return cls.of([Symbol("input", (name, k)) for k in range(count)])
 
     def __array_ufunc__(
         self, ufunc: np.ufunc, method: str, *inputs: Operand, **options: Any
     ) -> Operand:
-        """Records a function of NumPy's, entry by entry."""
+        """Record a NumPy function entry by entry."""
         return _recorded(ufunc, method, inputs, options)
 
     def __array_function__(
         self, func: Callable[..., Any], types: Any, args: Any, kwargs: Any
     ) -> Any:
-        """Do as NumPy's other functions do; a choice is recorded."""
+        """Run other NumPy functions, but record `where`."""
         if func is np.where and len(args) == 3:
             return _entrywise("where", args)
         found = super().__array_function__(func, types, args, kwargs)
@@ -234,7 +233,7 @@ def _recorded(
     out = options.pop("out", None)
     if method == "__call__" and ufunc.signature is None:
         found = _entrywise(ufunc.__name__, inputs)
-    else:  # sums and products of matrices, which come back for their entries
+    else:  # reductions and matrix products, which call this again for their entries
         plain = [np.asarray(x, object) if isinstance(x, np.ndarray) else x for x in inputs]
         found = _as_symbols(getattr(ufunc, method)(*plain, **options))
     if out is None:
@@ -250,7 +249,7 @@ def _entrywise(name: str, inputs: Sequence[Operand]) -> Operand:
 
 
 def _boxed(x: Operand) -> Any:
-    """Return an operand in a plain array."""
+    """Return an operand in a plain object array."""
     box = np.empty((), object)
     if isinstance(x, Symbol):
         box[()] = x
@@ -265,12 +264,12 @@ def _as_symbols(found: Any) -> Any:
 
 
 def recorded_rows(effect: Effect, motion: RobotMotion) -> Mapping[str, Formulas]:
-    """Return columns (k,) of an effect in one sample of symbols by joint, as if it had settled."""
+    """Return joint -> steady-state columns (k,) of an effect for one sample of symbols."""
     try:
         found: Any = effect.formula_rows(motion)
         count = len(effect.parameters)
         return {joint: np.asarray(x, object).reshape(count) for joint, x in found.items()}
-    except Exception as error:  # whatever NumPy says of symbols
+    except Exception as error:  # NumPy may raise any type for symbols
         line = line_of(type(effect), "columns", "rows", "formula_rows")
         problem = error.problem if isinstance(error, ArgumentError) else str(error)
         raise ModelError(
@@ -281,36 +280,36 @@ def recorded_rows(effect: Effect, motion: RobotMotion) -> Mapping[str, Formulas]
         ) from error
 
 
-_DIGITS = 15  # of a rotation, whose zeros and ones come out with rounding errors
+_DIGITS = 15  # of rotations, to remove rounding errors of zeros and ones
 
 
 def joint_formulas(tree: KinematicTree, q: Formulas) -> Formulas:
-    """Return positions (nq of the tree of joints) as formulas of the robot's (nq)."""
+    """Return positions of the tree's joints as formulas of the robot's positions (nq)."""
     if (actuation := tree.actuation) is None:
         return q
     if actuation.constant is None:
         raise ModelError(
-            "Source code cannot have a closed loop, or a transmission with varying ratio.",
+            "Source code cannot contain a closed loop, or a transmission with varying ratio.",
             advice="Export the formula of the joints, and map it in your own code.",
         )
     return q @ actuation.constant.T + actuation.offset
 
 
-def _rooms(shape: Any, dtype: np.dtype[Any] | None = None) -> Any:
-    """Return room for symbols where compiled code has room for numbers."""
+def _empty_symbols(shape: Any, dtype: np.dtype[Any] | None = None) -> Any:
+    """Return an empty object array of symbols, in place of compiled code's arrays of numbers."""
     if dtype is None:
         return np.empty(shape, object)
     fields = [(name, object, dtype[name].shape) for name in dtype.names or ()]
     return np.recarray(shape, fields)
 
 
-_PLAIN = SimpleNamespace(empty=_rooms, cos=np.cos, sin=np.sin, sqrt=np.sqrt)
-_inverse_dynamics = interpreted(calc_inverse_dynamics, np=_PLAIN)
-_kinematics = interpreted(calc_kinematics, np=_PLAIN)
+_OBJECT_NUMPY = SimpleNamespace(empty=_empty_symbols, cos=np.cos, sin=np.sin, sqrt=np.sqrt)
+_inverse_dynamics = interpreted(calc_inverse_dynamics, np=_OBJECT_NUMPY)
+_kinematics = interpreted(calc_kinematics, np=_OBJECT_NUMPY)
 
 
 def _records(tree: KinematicTree) -> tuple[Any, Any]:
-    """Return the tree for code that is run by Python."""
+    """Return the tree's records for interpreted code."""
     mobilizers, dofs = tree.records
     plain = mobilizers.copy()
     plain["rotation"] = np.round(plain["rotation"], _DIGITS) + 0.0
@@ -320,7 +319,7 @@ def _records(tree: KinematicTree) -> tuple[Any, Any]:
 def inverse_dynamics_formula(
     tree: KinematicTree, q: Formulas, v: Formulas, vd: Formulas, phi: Array
 ) -> Formulas:
-    """Return the effort (nv,) of the bodies φ (nb, 10), at the actuators if there are any."""
+    """Return the effort (nv,) of bodies φ (nb, 10), at the actuators if there are any."""
     theta, J = joint_formulas(tree, q), _jacobian(tree)
     theta, rates, accelerations = (np.array([x], object) for x in (theta, J @ v, J @ vd))
     effort = np.zeros((1, len(J)), object)
@@ -330,24 +329,24 @@ def inverse_dynamics_formula(
 
 
 def _jacobian(tree: KinematicTree) -> Array:
-    """Return J (nv of the joints, nv) where it is constant."""
+    """Return the Jacobian (joints, nv), which must be constant."""
     J = None if tree.actuation is None else tree.actuation.constant
     return np.eye(tree.num_velocities) if J is None else J
 
 
 @dataclass(frozen=True, eq=False)
 class BodyFormulas(RobotBodies):
-    """The bodies of a robot in one configuration of symbols; `q` is (1, nq)."""
+    """The bodies of a robot in a symbolic configuration; `q` is (1, nq)."""
 
     def tree_samples(self, v: Array, vd: Array) -> tuple[Array, Array, Array, Array]:
-        """Positions, velocities and accelerations (1, ·) of the joints of the tree, and J."""
+        """Return positions, velocities and accelerations (1, ·) of the tree's joints, and J."""
         theta = joint_formulas(self.tree, Symbols.of(self.q)[0])
         J = _jacobian(self.tree)
         rates, accelerations = (Symbols.of([J @ x[0]]) for x in (v, vd))
         return theta[None], rates, accelerations, J[None]
 
     def kinematics(self, tree: KinematicTree) -> tuple[Array, Array, Array]:
-        """Return the pose and Jacobians of the one body of a tree, with velocities of joints."""
+        """Return the pose and Jacobians of a tree's only body, for velocities of the joints."""
         q = np.array([joint_formulas(self.tree, Symbols.of(self.q)[0])], object)
         poses = np.zeros((1, 1, 4, 4), object)
         angular, linear = np.zeros((2, 1, 1, 3, tree.num_velocities), object)

@@ -1,11 +1,11 @@
-"""Contacts of a robot with a free base: frames that touch the ground, and forces there.
+"""Ground contacts of a robot with a free base: frames that may touch, and forces there.
 
-Wrenches w that were measured at frames are efforts Σ Jᵀ w of the base and of joints. If none was
-measured, the log says which frames may touch the ground and when, and the fit does without their
-forces (`geodrake.identification.logs.contact_rows`).
+Wrenches w measured at frames add efforts Σ Jᵀ w to the base and the joints. Without wrenches, only
+the frames that may touch and the times are known, and the fit eliminates the unknown forces
+(`geodrake.identification.logs.contact_rows`).
 
-Forces and flags may belong to other frames than their names say, be in other axes, or be inverted.
-The weight and its centre reveal that for forces, and feet at rest for flags.
+Forces and flags may belong to other frames than their names state, have other axes, or be inverted.
+The robot's weight and centre of mass reveal this for forces, and feet at rest for flags.
 """
 
 from __future__ import annotations
@@ -33,33 +33,33 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.robot.joints import joints_of
 from geodrake.robot.shapes import collision_balls
 
-_POINTS = 3  # feet that a robot can stand on if they are points
+_POINTS = 3  # fewest point feet on which a robot can stand
 _NEAR = 0.02  # m over the ground, within which a frame may touch it
-_LOWEST = 5.0  # per cent of the lowest heights, which are taken for the ground's
-_DOUBT = 0.01  # probability of a contact, or of none, from which it counts
-_ODD = 0.01  # of contact flags, that most of those around them contradict
-_UNLIKE = 0.2  # of the weight, by which forces at feet may differ from it
-_NOTHING, _HALF = 0.02, 0.5  # of the samples in which feet touch
-_LESS = 0.35  # of the weight, by which what feet carry may be off
+_LOWEST = 5.0  # percentile of the lowest heights that defines the ground
+_DOUBT = 0.01  # probability from which a contact, or a missing contact, is possible
+_ODD = 0.01  # tolerated share of contact flags that contradict their neighbors
+_UNLIKE = 0.2  # tolerated difference of forces at the feet, as a share of the weight
+_NOTHING, _HALF = 0.02, 0.5  # shares of the samples
+_LESS = 0.35  # tolerated error of the mean force at the feet, as a share of the weight
 _HELD = (
     "If the robot is held or fixed to the world, omit --floating; otherwise log contacts or forces "
     "of everything that touches it."
 )
 _FEW = 5000  # samples whose forces are compared with the weight
 _FEW_POSES = 200
-_MISPLACED = 0.015  # of the weight, by which forces of other feet may seem to be off
-_TOGETHER = 32  # samples whose mean is looked at, without noise
-_FITS = 0.15  # of the weight, by which forces that are read rightly are off at most
-_ALIKE = 1.5  # times as far off as the best reading is a simpler one
-_ARM = 0.1  # m, by which forces make moments at least
-_FEW_FRAMES = 6  # of which all orders are tried
-_CLEARLY, _MOSTLY = 0.3, 0.8  # of the samples, by which and in which flags agree with feet
-_RIGHT = np.radians(3.0)  # by which a rotation by right angles may be off
+_MISPLACED = 0.015  # error from which forces may belong to other feet, as a share of the weight
+_TOGETHER = 32  # samples per mean, to reduce noise
+_FITS = 0.15  # largest error of correctly interpreted forces, as a share of the weight
+_ALIKE = 1.5  # a simpler interpretation may have this many times the least error
+_ARM = 0.1  # m, smallest lever arm of forces
+_FEW_FRAMES = 6  # most frames of which all orders are candidates
+_CLEARLY, _MOSTLY = 0.3, 0.8  # shares of samples: gain in agreement, and agreement
+_RIGHT = np.radians(3.0)  # tolerance of rotations by right angles
 
 
 @dataclass(frozen=True)
 class ContactFrame:
-    """A link that may touch the ground, by a ball or a point."""
+    """A link that may touch the ground with a ball or a point."""
 
     name: str
     body: str  # name of the body that the link L is welded to
@@ -69,7 +69,7 @@ class ContactFrame:
     radius: float  # radius of the ball, m
 
     def middle(self, bodies: RobotBodies) -> Array:
-        """Return where the center of the ball is (N, 3), in W, m."""
+        """Return the position (N, 3) of the center of the ball, in W, m."""
         motion = bodies.motion(self.body)
         return motion.position + motion.rotation @ self.center
 
@@ -83,7 +83,7 @@ def contact_jacobians(
 ) -> Array:
     """Return Jacobians (N, c, 3, nv), in W, of the lowest points of frames' balls.
 
-    Of soles, which moments act on too, they have the links' turning below, (N, c, 6, nv).
+    With `soles`, which also transmit moments, angular rows follow: (N, c, 6, nv).
     """
     count, axes = len(bodies.q), 6 if soles else 3
     found = np.zeros((count, len(frames), axes, bodies.tree.num_velocities))
@@ -99,10 +99,10 @@ def contact_jacobians(
 def _put_point_jacobian(
     own: tuple[Array, Array], arm: Array, dofs: NDArray[np.intp], out: Array, k: int
 ) -> None:
-    """Write the k-th Jacobian of all, of points that are at (N, 3) from a body's origin, in W.
+    """Write the k-th Jacobian, of points at (N, 3) from a body's origin, in W.
 
-    Those of the body's turning and of its origin are its `own` (N, 3, nv). Columns of velocities
-    other than `dofs`, which move it, stay.
+    `own` contains the Jacobians (N, 3, nv) of the body's rotation and of its origin. Only columns
+    of the velocities `dofs`, which move the body, are written.
     """
     angular, linear = own
     for n in range(len(arm)):
@@ -122,11 +122,11 @@ def upwards(gravity: Array) -> Array:
 
 
 _BALLS = WeakKeyDictionary[MultibodyPlant, Mapping[str, tuple[Array, float]]]()
-"""Collision spheres of links that were read before."""
+"""Cached collision spheres of links."""
 
 
 def contact_frames(model: RobotModel, names: Sequence[str]) -> tuple[ContactFrame, ...]:
-    """Return links by name, with the collision spheres that the model's file gives them."""
+    """Return links by name, with their collision spheres in the model file."""
     links = {
         member.name: (lump.name, member)
         for lump in lumped_bodies(model.plant)
@@ -151,19 +151,19 @@ def contact_frames(model: RobotModel, names: Sequence[str]) -> tuple[ContactFram
 
 
 def with_ground(log: JointLog, model: RobotModel) -> JointLog:
-    """Return a log with the efforts of measured wrenches, or with the frames that may touch."""
+    """Return the log with the efforts of measured wrenches, or with the frames that may touch."""
     heads = dict.fromkeys(name[:-2] for name in log.floating if name[-2] == ".")
-    lost = [each for each in heads if vectors(log.floating, each) is None]
-    if lost := [each for each in lost if not each.endswith("orientation")]:
-        words = f"{', '.join(lost)}: not used, as an axis is missing"
+    incomplete = [each for each in heads if vectors(log.floating, each) is None]
+    if incomplete := [each for each in incomplete if not each.endswith("orientation")]:
+        words = f"{', '.join(incomplete)}: not used, as an axis is missing"
         log = replace(log, notes=(*log.notes, words))
     is_whole, loaded = set(model.joints) <= set(log.joints), frames_of(log.floating, FORCE)
     if loaded and is_whole:
         return _with_wrenches(log, model, loaded)
     if set(model.joints) <= {*log.unmeasured, *model.base_joints}:
         raise LogError(
-            f"Log {log.name!r} has neither efforts of joints nor forces at feet: nothing says how "
-            "heavy the robot is.",
+            f"Log {log.name!r} has neither efforts of joints nor forces at feet, so nothing "
+            "determines the weight of the robot.",
             advice="Log <joint>.effort …, or <frame>.force.x, .y and .z at each foot.",
         )
     return _with_contacts(log, model, frames_of(log.floating, FLAG), is_whole=is_whole)
@@ -172,7 +172,7 @@ def with_ground(log: JointLog, model: RobotModel) -> JointLog:
 def _bodies(
     log: JointLog, model: RobotModel, *, most: int = 0
 ) -> tuple[NDArray[np.bool_], RobotBodies]:
-    """Return in which rows (N,) all positions are known, at most so many, and the bodies there."""
+    """Return a mask (N,) of rows with known positions, at most `most` if > 0, and their bodies."""
     q = log.position[:, [log.joints.index(joint) for joint in model.joints]]
     known = np.asarray(np.isfinite(q).all(axis=1))
     if most and (rows := np.flatnonzero(known)).size > most:
@@ -180,13 +180,13 @@ def _bodies(
     return known, RobotBodies(model.tree, model.positions(q[known]), model.total_phi)
 
 
-def _low_links(log: JointLog, model: RobotModel, told: Sequence[str]) -> tuple[str, ...]:
-    """Return ends of limbs that come near the ground, other than the frames in the log."""
+def _low_links(log: JointLog, model: RobotModel, logged: Sequence[str]) -> tuple[str, ...]:
+    """Return ends of limbs that come close to the ground, other than the frames in the log."""
     known, bodies = _bodies(log, model, most=_FEW_POSES)
     is_placed = vectors(log.floating, "base.position") is not None and known.any()
     if not (is_placed and model.tree.gravity.any()):
         return ()
-    named = contact_frames(model, told)
+    named = contact_frames(model, logged)
     others = {frame.body for frame in named}
     frames = [f for f in contact_frames(model, last_links(model)) if f.body not in others]
     ground = np.percentile(np.min([f.height(bodies) for f in named], axis=0), _LOWEST)
@@ -200,53 +200,53 @@ def _low_links(log: JointLog, model: RobotModel, told: Sequence[str]) -> tuple[s
 def _with_contacts(
     log: JointLog, model: RobotModel, flagged: Sequence[str], *, is_whole: bool
 ) -> JointLog:
-    """Return a log with the frames that may touch the ground, and notes."""
+    """Return the log with the frames that may touch the ground, and notes."""
     low = _low_links(log, model, flagged) if flagged and is_whole else ()
     names = (*flagged, *low) or last_links(model)
     frames, logged = contact_frames(model, names), _flags(log, names)
     flags, doubts = np.zeros_like(logged), list[str]()
     heights, touching = np.full((2, *flags.shape), np.nan)
     if is_whole and vectors(log.floating, "base.position") is not None:
-        heights, touching = _touching(log, model, frames, by_efforts=not flagged)
+        heights, touching = _contact_probabilities(log, model, frames, by_efforts=not flagged)
         flags |= ~(heights >= _NEAR)
     elif not flagged:
         flags[:] = True
     if flagged:
         count = len(flagged)
-        logged[:, :count], more = _settled(log, flagged, logged[:, :count], touching[:, :count])
-        doubts += [*more, *_check_held(log, logged.astype(float))]
+        logged[:, :count], more = _corrected(log, flagged, logged[:, :count], touching[:, :count])
+        doubts += [*more, *_check_airborne(log, logged.astype(float))]
         if low:
             doubts.append(
                 f"no contact flags of {', '.join(low)}: they count as touching near the ground"
             )
         odd = zip(names, odd_flags(log.time, logged).tolist(), strict=True)
-        if said := [f"{x:.0%} of those of {name}" for name, x in odd if x > _ODD]:
+        if wrong := [f"{x:.0%} of those of {name}" for name, x in odd if x > _ODD]:
             doubts.append(
-                f"contact flags are wrong for single samples: {', '.join(said)}; near each of "
+                f"contact flags are wrong for single samples: {', '.join(wrong)}; near each of "
                 "them the frame counts as touching"
             )
         flags |= widened(log.time, logged)
     elif np.isfinite(touching).any():
-        found = widened(log.time, np.nan_to_num(touching) > _DOUBT)
-        doubtful = ((found | flags) & ~(touching >= 1.0 - _DOUBT)).any(axis=1).mean()
-        flags |= found
+        may_touch = widened(log.time, np.nan_to_num(touching) > _DOUBT)
+        doubtful = ((may_touch | flags) & ~(touching >= 1.0 - _DOUBT)).any(axis=1).mean()
+        flags |= may_touch
         whole = np.isfinite(touching).all(axis=1)
-        doubts += _check_held(log, touching[whole])
+        doubts += _check_airborne(log, touching[whole])
         shares = zip(names, (touching > 0.5).mean(axis=0).tolist(), strict=True)
-        told = [f"{name} in {x:.0%}" for name, x in shares if x > _DOUBT]
+        frequent = [f"{name} in {x:.0%}" for name, x in shares if x > _DOUBT]
         doubts.append(
-            f"contacts by heights, speeds and efforts: {', '.join(told) or 'none'} of the "
-            f"samples; in {doubtful:.0%} of them one is in doubt, and its limb left out"
+            f"contacts by heights, speeds and efforts: {', '.join(frequent) or 'none'} of the "
+            f"samples; in {doubtful:.0%} of them one is uncertain, and its limb is left out"
         )
     contacts = ContactFlags(tuple(names), log.time, flags)
-    what = "forces and moments" if on_soles(contacts, frames) else "forces"
-    whence = "from the log" if flagged else "at the ends of the limbs"
-    words = f"unknown {what} at {', '.join(names)} ({whence}) are eliminated"
+    loads = "forces and moments" if on_soles(contacts, frames) else "forces"
+    source = "from the log" if flagged else "at the ends of the limbs"
+    words = f"unknown {loads} at {', '.join(names)} ({source}) are eliminated"
     return replace(log, contacts=contacts, notes=(*log.notes, *doubts, words))
 
 
 def _flags(log: JointLog, names: Sequence[str]) -> NDArray[np.bool_]:
-    """Return whether frames touch (N, c) by the log, or may touch as a cell is empty."""
+    """Return the contact flags (N, c) of a log; an empty cell counts as contact."""
     none = np.zeros(len(log))
     columns = [log.floating.get(f"{name}{FLAG}", none) for name in names]
     for name, values in zip(names, columns, strict=True):
@@ -254,24 +254,25 @@ def _flags(log: JointLog, names: Sequence[str]) -> NDArray[np.bool_]:
             raise LogError(
                 f"The contact of {name} in log {log.name!r} goes up to {most:.4g}, but it is "
                 "1 while the link touches the ground and 0 in the air.",
-                advice=f"Name per cent '{name}.contact [%]', and forces {name}.force.x to .z.",
+                advice=f"Name a column in per cent '{name}.contact [%]', and forces "
+                f"{name}.force.x to .z.",
             )
     return np.asarray(np.nan_to_num(np.stack(columns, -1), nan=1.0) > 0.5)
 
 
 def on_soles(contacts: ContactFlags, frames: Sequence[ContactFrame]) -> bool:
-    """Return whether frames are soles, as robots cannot stand on the points of two feet."""
+    """Return whether frames are soles: robots cannot stand on two point feet."""
     most = int(contacts.flags.sum(axis=1).max(initial=0))
     return most < _POINTS and not any(frame.radius for frame in frames)
 
 
-def _touching(
+def _contact_probabilities(
     log: JointLog, model: RobotModel, frames: Sequence[ContactFrame], *, by_efforts: bool
 ) -> tuple[Array, Array]:
-    """Return heights of frames over level ground (N, c), m, and how probably they touch it.
+    """Return heights of frames over level ground (N, c), m, and probabilities of contact.
 
-    Both are NaN where positions are unknown. What is in doubt counts as touching, which holds for
-    frames in the air as well: limbs without rows are all that it costs.
+    Both are NaN where positions are unknown. Uncertain frames count as touching: this is valid for
+    frames in the air too, and only costs the rows of their limbs.
     """
     known, bodies = _bodies(log, model)
     heights, probability = np.full((2, len(log), len(frames)), np.nan)
@@ -288,40 +289,42 @@ def _touching(
     return heights, probability
 
 
-def _settled(
+def _corrected(
     log: JointLog, names: Sequence[str], flags: NDArray[np.bool_], touching: Array
 ) -> tuple[NDArray[np.bool_], list[str]]:
-    """Return flags (N, c) that are not inverted, and notes; raise for those of other frames.
+    """Return corrected flags (N, c) and notes; raise if flags belong to other frames.
 
-    `touching` (N, c) are probabilities of contact by heights and speeds.
+    `touching` (N, c) are probabilities of contact from heights and speeds.
     """
     known = np.isfinite(touching).all(axis=1)
     if not known.any():
         return flags, []
-    own, seen = flags[known].astype(float), touching[known]
-    alike = (own.T @ seen + (1.0 - own).T @ (1.0 - seen)) / len(own)
-    given, inverted = float(np.trace(alike)), np.diagonal(alike) < 0.5 - _CLEARLY
-    aloft = 1.0 - own  # in which inverted ones rest
-    inverted &= ((aloft * seen).sum(axis=0) > 0.5 * aloft.sum(axis=0)) & own.any(axis=0)
+    flagged, contact = flags[known].astype(float), touching[known]
+    matches = (flagged.T @ contact + (1.0 - flagged).T @ (1.0 - contact)) / len(flagged)
+    given, inverted = float(np.trace(matches)), np.diagonal(matches) < 0.5 - _CLEARLY
+    aloft = 1.0 - flagged  # inverted flags: these samples are at rest
+    inverted &= ((aloft * contact).sum(axis=0) > 0.5 * aloft.sum(axis=0)) & flagged.any(axis=0)
     orders = [list(order) for order in _orders(len(names))]
-    sums = [float(alike[range(len(names)), order].sum()) for order in orders]
+    sums = [float(matches[range(len(names)), order].sum()) for order in orders]
     best, count = int(np.argmax(sums)), len(names)
-    mended = float(np.maximum(np.diagonal(alike), 1.0 - np.diagonal(alike)).sum())
-    if max(sums) > max(mended, given + _CLEARLY) and max(sums) > _MOSTLY * count:
+    corrected = float(np.maximum(np.diagonal(matches), 1.0 - np.diagonal(matches)).sum())
+    if max(sums) > max(corrected, given + _CLEARLY) and max(sums) > _MOSTLY * count:
         raise LogError(
             f"Contact flags in log {log.name!r} are those of feet that rest in {given / count:.0%} "
             f"of the samples, but in {max(sums) / count:.0%} {_order_words(names, orders[best])}.",
-            advice="Name each column after the link that it is of.",
+            advice="Name each column after its link.",
         )
-    if not inverted.any() or mended < _MOSTLY * count:
+    if not inverted.any() or corrected < _MOSTLY * count:
         return flags, []
-    said = ", ".join(name for name, odd in zip(names, inverted, strict=True) if odd)
-    words = f"contact flags of {said} are inverted, 1 while it moves and 0 while it rests: mended"
+    named = ", ".join(name for name, odd in zip(names, inverted, strict=True) if odd)
+    words = (
+        f"contact flags of {named} are inverted, 1 while it moves and 0 while it rests: corrected"
+    )
     return flags ^ inverted, [words]
 
 
-def _check_held(log: JointLog, probability: Array) -> tuple[str, ...]:
-    """Return a note if frames (N, c) hardly ever touch; raise if next to nothing ever does."""
+def _check_airborne(log: JointLog, probability: Array) -> tuple[str, ...]:
+    """Return a note if frames (N, c) rarely touch; raise if they almost never do."""
     share = float((1.0 - probability).prod(axis=1).mean())
     words = f"nothing touches the ground in {share:.0%} of the samples"
     if share > 1.0 - _NOTHING:
@@ -333,7 +336,7 @@ def _check_held(log: JointLog, probability: Array) -> tuple[str, ...]:
 
 
 def _with_wrenches(log: JointLog, model: RobotModel, names: Sequence[str]) -> JointLog:
-    """Return a log with Σ Jᵀ w of wrenches at links in its efforts, NaN if unknown, and notes."""
+    """Return the log with Σ Jᵀ w of wrenches added to its efforts, NaN if unknown, and notes."""
     known, bodies = _bodies(log, model)
     frames, is_base = contact_frames(model, names), np.isin(model.joints, model.base_joints)
     rates = smooth_rates(log, model) or np.zeros((2, len(log), len(model.joints)))
@@ -353,7 +356,7 @@ def _with_wrenches(log: JointLog, model: RobotModel, names: Sequence[str]) -> Jo
             )
         axes = zip("xyz", force.T, strict=True)
         if flat := [f"{frame.name}.force.{axis}" for axis, x in axes if not x.any()]:
-            notes.append(f"{', '.join(flat)}: zero throughout, as of sensors without that axis")
+            notes.append(f"{', '.join(flat)}: always zero, as if the sensor lacked that axis")
         bare += [frame.name] * (torque is None and count < _POINTS and not frame.radius)
         torque = np.zeros_like(force) if torque is None else torque
         motion = bodies.motion(frame.body)
@@ -367,14 +370,14 @@ def _with_wrenches(log: JointLog, model: RobotModel, names: Sequence[str]) -> Jo
     needed = model.effort(Motion(bodies.q[few], v[few], vd[few]))[:, is_base]
     notes += _check_wrenches(log, model, names, (J, wrenches, turns, needed))
     if low := _low_links(log, model, names):
-        notes.append(f"no forces at {', '.join(low)}, near the ground: what they carry is missing")
+        notes.append(f"no forces at {', '.join(low)}, near the ground: their load is missing")
     notes.append(
         f"wrenches at {', '.join(names)} are included in the efforts of the base and the joints"
     )
     ground, whole = np.zeros(log.effort.shape), np.full((len(log), len(model.joints)), np.nan)
     whole[known] = efforts
     ground[:, [log.joints.index(joint) for joint in model.joints]] = whole
-    of_base = np.isin(log.joints, model.base_joints)  # where it is all that is measured
+    of_base = np.isin(log.joints, model.base_joints)  # these have no other measured effort
     return replace(
         log,
         effort=log.effort + ground,
@@ -389,14 +392,14 @@ def _check_wrenches(
     names: Sequence[str],
     seen: tuple[Array, Array, Array, Array],
 ) -> tuple[str, ...]:
-    """Raise for wrenches that carry the robot if they are read otherwise, but not as they are.
+    """Raise for wrenches that carry the robot only in another interpretation.
 
     Forces that carry nothing are refused, too. A note reports those that carry much less or more
-    than the robot.
+    than the robot's weight.
 
     Args:
-        seen: Jacobians (S, F, 6, 6) for the base of F links in some samples, their wrenches
-            (S, F, 2, 3), R_WL (S, F, 3, 3), and what moves the base (S, 6).
+        seen: Base Jacobians (S, F, 6, 6) of F links in S samples, their wrenches (S, F, 2, 3), R_WL
+            (S, F, 3, 3), and the required efforts of the base (S, 6).
     """
     whole = np.isfinite(seen[1]).all(axis=(1, 2, 3))
     J, wrenches, turns, needed = (each[whole] for each in seen)
@@ -412,15 +415,15 @@ def _check_wrenches(
         return np.asarray(sums / np.diff(np.append(starts, len(J)))[:, None])
 
     def carried(turns: Array, wrenches: Array, J: Array = J) -> Array:
-        """Return mean efforts (B, 6) of wrenches in axes of W that are turned so."""
+        """Return mean efforts (B, 6) of wrenches in axes with the rotations `turns` to W."""
         in_world = np.einsum("sfij,sfaj->sfai", turns, wrenches).reshape(*J.shape[:2], 6)
         return means(np.einsum("sfij,sfi->sj", J, in_world))
 
-    def off(efforts: Array) -> float:
+    def error_of(efforts: Array) -> float:
         return float(np.median(np.linalg.norm((efforts - means(needed)) / scales, axis=1)))
 
     count, against = len(names), "as forces of the robot on the ground"
-    of_each = [  # of the wrench in the columns of the first link, at the second one
+    of_each = [  # [i][k]: the wrench in the columns of link i acts at link k
         [carried(turns[:, [k]], wrenches[:, [i]], J[:, [k]]) for k in range(count)]
         for i in range(count)
     ]
@@ -438,21 +441,20 @@ def _check_wrenches(
         **orders,
         f"if {axes_words(fitted, 'the links')}": carried(turns @ fitted.as_matrix(), wrenches),
     }
-    own = off(in_links)
-    offs = {words: off(efforts) for words, efforts in others.items()}
-    best = next(words for words in offs if offs[words] <= _ALIKE * min(offs.values()))
-    least = offs[best]
-    is_fitted, is_moved = best == next(reversed(offs)), best in orders
+    error = error_of(in_links)
+    errors = {words: error_of(efforts) for words, efforts in others.items()}
+    best = next(words for words in errors if errors[words] <= _ALIKE * min(errors.values()))
+    least = errors[best]
+    is_fitted, is_moved = best == next(reversed(errors)), best in orders
     wrong = _UNLIKE if is_fitted else _MISPLACED if is_moved else 0.25 * _UNLIKE
-    if own > wrong and least < min(_FITS, (0.5 if is_moved else 0.3) * own):
+    if error > wrong and least < min(_FITS, (0.5 if is_moved else 0.3) * error):
         raise LogError(
-            f"Forces at the feet in log {log.name!r} are {own:.0%} of the weight off what "
-            f"carries the robot in link axes, and {least:.0%} {best}.",
-            advice="Write forces of the ground on the robot, in the axes of the link after "
-            "which they are named.",
+            f"Forces at the feet in log {log.name!r} differ by {error:.0%} of the weight from what "
+            f"carries the robot in link axes, but only by {least:.0%} {best}.",
+            advice="Log forces of the ground on the robot, in the axes of the link in their name.",
         )
-    words = f"forces at the feet are {own:.0%} of the weight off what carries the robot"
-    doubts = (words,) if own > _UNLIKE else ()
+    words = f"forces at the feet differ by {error:.0%} of the weight from what carries the robot"
+    doubts = (words,) if error > _UNLIKE else ()
     share = float(in_links[:, :3].mean(axis=0) @ upwards_all) / size**2
     words = f"forces at the feet carry {round(100.0 * share)}% of the weight on average"
     if abs(share) < _NOTHING:
@@ -461,7 +463,7 @@ def _check_wrenches(
 
 
 def _fitted_axes(forces: Array, turns: Array, weight: Array) -> Rotation:
-    """Return the rotation of all links' axes with which forces (S, F, 3) carry a weight best."""
+    """Return the rotation of all links' axes with which forces (S, F, 3) best carry a weight."""
     rows = np.einsum("sfij,sfl->sijl", turns, forces).reshape(-1, 9)
     R = np.linalg.qr(np.column_stack([rows, np.tile(weight, len(forces))]), mode="r")
 
@@ -475,12 +477,12 @@ def _fitted_axes(forces: Array, turns: Array, weight: Array) -> Rotation:
 
 
 def _orders(count: int) -> Iterator[tuple[int, ...]]:
-    """Yield all orders of so many frames; only the own one of many."""
+    """Yield all orders of `count` frames; of many frames only the given order."""
     yield from permutations(range(count)) if count <= _FEW_FRAMES else [tuple(range(count))]
 
 
 def _order_words(names: Sequence[str], order: Sequence[int]) -> str:
-    """Return of which frames columns would be in another order, in words."""
+    """Return the meaning of columns in another order, in words; "" for the given order."""
     moved = [(names[k], names[at]) for k, at in enumerate(order) if k != at]
     said = [f"those of {name} are of {other}" for name, other in moved]
     return f"if {', '.join(said)}" if said else ""
@@ -498,7 +500,7 @@ def last_links(model: RobotModel) -> tuple[str, ...]:
 
 
 def axes_words(turn: Rotation, what: str) -> str:
-    """Return how axes are those of the log turned, in words."""
+    """Return a rotation of the log's axes, in words."""
     right = Rotation.create_group("O")
     off = (right.inv() * turn).magnitude()
     if off.min() < _RIGHT:
@@ -506,4 +508,4 @@ def axes_words(turn: Rotation, what: str) -> str:
         named = [f"{'-' * (-1 in row)}{'xyz'[[*map(abs, row)].index(1)]}" for row in signs]
         return f"x, y, z of {what} are, for example, {', '.join(named)} of the log"
     angles = ", ".join(f"{x:.0f}°" for x in turn.as_euler("ZYX", degrees=True))
-    return f"axes of {what} are those of the log turned by {angles} (yaw, pitch, roll)"
+    return f"axes of {what} are those of the log rotated by {angles} (yaw, pitch, roll)"

@@ -1,9 +1,8 @@
-"""Models with fixed joints, whose child bodies become part of the parents.
+"""Models with fixed joints, whose child bodies become part of their parents.
 
-Two bodies that no longer move against each other are one, φ = φ_P + X φ_B with X the change from
-the frame of B to that of P at the value at which the joint is held. What is known about the old
-parameters x, with the information Λ, is known about the new ones y = A x as the Schur complement
-of Λ: the least of xᵀ Λ x among all x with A x = y.
+A fixed joint merges its bodies, φ = φ_P + X φ_B, with X the change of frame from B to P at the
+fixed position. The information Λ on the old parameters x yields the information on the new ones
+y = A x as a Schur complement of Λ: the minimum of xᵀ Λ x subject to A x = y.
 """
 
 from __future__ import annotations
@@ -23,30 +22,30 @@ from geodrake.inertia.bodies import lumped_bodies
 from geodrake.inertia.kernels import calc_change_frame
 from geodrake.model.robot_model import RobotModel, from_loaded_plant, is_of_file
 from geodrake.robot.plant import load_plant
-from geodrake.robot.transmission.statements import Drive
+from geodrake.robot.transmission.schema import Drive
 
 
 @typed
 def holding(
     model: RobotModel, held: Mapping[str, float], *, why: str = "so that they do not move"
 ) -> RobotModel:
-    """Return the model with joints fixed, which are then no longer joints of the model.
+    """Return the model with joints fixed and removed from its joints.
 
-    Inertias and payloads of bodies that they moved are added to their parents. Other effects at
-    these joints and bodies are removed, with a note.
+    Inertias and payloads of their child bodies are added to the parents. Other effects at these
+    joints and bodies are removed, with a note.
 
     Args:
         held: Joint -> position at which it is fixed, rad or m. To fix a joint elsewhere later, load
             the model file again.
 
     Raises:
-        ModelError: A joint does not exist or cannot have that position, or no joint remains.
+        ModelError: A joint does not exist or cannot have its position, or no joint remains.
     """
     held = {joint: number(value, f"held[{joint!r}]") for joint, value in held.items()}
     _check_names(model, held)
     if not held:
         return model
-    places, drives = _at_joints(model, held)
+    places, drives = _fixed_plant_joints(model, held)
     loaded = load_plant(
         model.path, floating=model.floating, held={**model.held, **places}, given=model.given
     )
@@ -58,7 +57,7 @@ def holding(
         thin=loaded.thin,
         transmission=(*drives, *(Drive.of_loop(loop) for loop in loaded.loops if loop.actuators)),
     )
-    matrix, carriers = _lumped(model, bare)
+    matrix, carriers = _merged_bodies(model, bare)
     kept, lost = _effects_after(model, bare, matrix, carriers)
     if lost and model.information is None and is_of_file(model):
         stated = from_loaded_plant(loaded, floating=model.floating, transmission=drives).effects
@@ -69,7 +68,7 @@ def holding(
         effects=tuple(fitted for fitted, _ in kept),
     )
     names = ", ".join(f"{fitted.effect.name} of {fitted.effect.place}" for fitted in lost)
-    told = [f"Not used, as a joint or body that they act on is fixed: {names}."] if names else []
+    more = [f"Not used, as a joint or body that they act on is fixed: {names}."] if names else []
     information = model.information
     if information is not None:
         below = [np.zeros((0, len(information) - model.phi.size)), *(rows for _, rows in kept)]
@@ -83,7 +82,7 @@ def holding(
         fading_speed=None if fading is None else fading[order],
         effort_signals=tuple(s for s in model.effort_signals if s.joint in after.joints),
         motorless=tuple(joint for joint in model.motorless if joint in after.joints),
-        notes=(*model.notes, *held_notes(held, why), *told),
+        notes=(*model.notes, *held_notes(held, why), *more),
     )
 
 
@@ -118,36 +117,36 @@ def _check_names(model: RobotModel, held: Mapping[str, float]) -> None:
                 )
 
 
-def _at_joints(
+def _fixed_plant_joints(
     model: RobotModel, held: Mapping[str, float]
 ) -> tuple[dict[str, float], tuple[Drive, ...]]:
-    """Return where the plant's joints are held with the model's, and the drives that stay."""
-    places, stay = dict(held), []
+    """Return positions of the plant's joints for fixed model joints, and the remaining drives."""
+    places, remaining = dict(held), []
     for drive in model.transmission:
-        own = [name for name in drive.actuators if name in held]
-        if drive.is_loop:  # which is made anew
+        fixed = [name for name in drive.actuators if name in held]
+        if drive.is_loop:  # recreated from the plant
             continue
-        if not own:
-            stay.append(drive)
+        if not fixed:
+            remaining.append(drive)
             continue
         if free := [name for name in drive.actuators if name not in held]:
             raise ModelError(
-                f"Actuator {own[0]!r} cannot be fixed without {', '.join(free)}: they move "
+                f"Actuator {fixed[0]!r} cannot be fixed without {', '.join(free)}: they move "
                 f"{', '.join(drive.joints)} together.",
                 advice="Fix all of them, or none.",
             )
         q = np.array([[places.pop(name) for name in drive.actuators]])
         positions = drive.map.joint_positions(q)[0].tolist()
         places |= dict(zip(drive.joints, positions, strict=True))
-    return places, tuple(stay)
+    return places, tuple(remaining)
 
 
-def _lumped(before: RobotModel, after: RobotModel) -> tuple[Array, dict[str, int]]:
-    """Return how bodies of a model become bodies of the one with joints held.
+def _merged_bodies(before: RobotModel, after: RobotModel) -> tuple[Array, dict[str, int]]:
+    """Return how bodies of a model are merged by fixed joints.
 
     Returns:
-        (10 nb', 10 nb) what takes old inertial parameters to new ones; and old body -> index of the
-        new one that it is part of, −1 for one that stands still.
+        (10 nb', 10 nb) matrix from old to new inertial parameters; and old body -> index of the new
+        body that contains it, or −1 if it no longer moves.
     """
     old, new = lumped_bodies(before.plant), lumped_bodies(after.plant)
     places = {
@@ -168,9 +167,9 @@ def _lumped(before: RobotModel, after: RobotModel) -> tuple[Array, dict[str, int
 def _effects_after(
     before: RobotModel, after: RobotModel, matrix: Array, carriers: Mapping[str, int]
 ) -> tuple[list[tuple[FittedEffect, Array]], list[FittedEffect]]:
-    """Return effects of the model with joints held, and those that it cannot have.
+    """Return the effects of the model with fixed joints, and those that are lost.
 
-    Each comes with what takes all old parameters of effects to its own.
+    Each kept effect has a matrix from all old parameters of effects to its own.
     """
     blocks = matrix.reshape(-1, PARAMETERS_PER_BODY, len(before.bodies), PARAMETERS_PER_BODY)
     units = np.eye(sum(len(fitted.parameters) for fitted in before.effects))
@@ -199,7 +198,7 @@ def _effects_after(
 
 
 def schur_complement(information: Array, A: Array) -> Array:
-    """Return the (q, q) information on y = A x, A (q, p) of rank q, from Λ (p, p) ⪰ 0 on x."""
+    """Return the information (q, q) on y = A x, A (q, p) of rank q, from Λ (p, p) ⪰ 0 on x."""
     size = np.sqrt(np.maximum(np.diagonal(information), 0.0))
     scale = np.divide(1.0, size, out=np.ones_like(size), where=size > 0.0)  # parameters have units
     information = scale[:, None] * information * scale
@@ -207,5 +206,5 @@ def schur_complement(information: Array, A: Array) -> Array:
     along = basis[:, : len(A)] @ np.linalg.inv(triangle[: len(A)]).T  # x = along y + across z
     across = basis[:, len(A) :]
     mixed, free = across.T @ information @ along, across.T @ information @ across
-    found = along.T @ information @ along - mixed.T @ np.linalg.pinv(free, hermitian=True) @ mixed
-    return np.asarray(0.5 * (found + found.T))
+    result = along.T @ information @ along - mixed.T @ np.linalg.pinv(free, hermitian=True) @ mixed
+    return np.asarray(0.5 * (result + result.T))

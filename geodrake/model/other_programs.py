@@ -1,13 +1,13 @@
-"""Robots in other programs: their efforts by MuJoCo, Pinocchio and Drake, and closed loops.
+"""Efforts of a robot by MuJoCo, Pinocchio and Drake, and a check of closed loops by MuJoCo.
 
-Of velocities u of a joint of Drake's, in the world or the joint's frame, those of another program
-are T u, those of a turning body in the body. With its rotation R,
+A joint with velocities u in Drake, in the world or the joint's frame, has velocities T u in another
+program, with angular velocities in the body. With its rotation R,
 
-    ball           T = Rᵀ                    Drake's u = ω
-    free, MuJoCo   T = [0 1; Rᵀ 0] B         B u = (ω, v); theirs (v, ω), the latter in the body
-    free, Pinocchio  T = [0 Rᵀ; Rᵀ 0] B      both in the body, so that v̇ is less ω × v
+    ball             T = Rᵀ               u = ω
+    free, MuJoCo     T = [0 1; Rᵀ 0] B    B u = (ω, v); theirs are (v, ω) with ω in the body
+    free, Pinocchio  T = [0 Rᵀ; Rᵀ 0] B   both in the body, so that v̇ is reduced by ω × v
 
-and efforts Tᵀ times theirs. The six joints of a free base have u = (ṗ, rates of yaw, pitch, roll).
+and efforts are Tᵀ times theirs. A free base has u = (ṗ, rates of yaw, pitch and roll).
 """
 
 from __future__ import annotations
@@ -42,37 +42,37 @@ from geodrake.robot.joints import scoped, single_joints
 from geodrake.robot.plant import arrange_as
 from geodrake.robot.transmission import times
 
-_APART = 1e-4  # of the size, by which loops of rounded numbers may be open
+_APART = 1e-4  # tolerated gap of closed loops, relative to their size
 BUG = "This is a bug in geodrake; please report it with the file."
 
 _ENDS = ("parent", "child")
 
 Units = Sequence[tuple[Joint, ...]]
-"""Joints that move, the six of a free base as one."""
+"""Moving joints, the six of a free base as one."""
 
 Places = Mapping[str, float]
-"""Joint -> where it is held, rad or m."""
+"""Fixed joint -> its position, rad or m."""
 
 
 @dataclass(frozen=True, eq=False)
 class OtherProgram:
-    """Another program with the model that it read of a file."""
+    """Another program with its model of a file."""
 
     by: str
-    units: Units  # the plant's joints that it has
-    # Its positions, velocities and accelerations, held joints in their places.
+    units: Units  # the plant's joints in this program
+    # Default positions, velocities and accelerations in this program, with fixed joints.
     rest: tuple[Array, Array, Array]
-    # Of each of the joints, where it is in its positions and velocities.
+    # Slices of its positions and velocities for each unit.
     places: Sequence[tuple[slice, slice]]
-    # Makes of its positions, velocities and accelerations efforts.
+    # Efforts from its positions, velocities and accelerations.
     inverse_dynamics: Callable[[Array, Array, Array], Array]
-    # Whether velocities of a free body are in its axes, and quaternions x, y, z, w.
+    # Velocities of a free body are in its axes, and quaternions are x, y, z, w.
     in_body: bool = False
 
     def state(self, q: Array, v: Array, size: int) -> tuple[Array, Array, Array]:
-        """Return its positions, T and the bias of its accelerations, of a joint of the plant.
+        """Return the program's positions, T and the bias of accelerations for a joint.
 
-        That has 1, 3 or, of a free base, 6 positions and velocities.
+        A joint of the plant has 1 or 3 positions and velocities, a free base 6.
         """
         if size == len(q):
             return q, np.eye(size), np.zeros(size)
@@ -97,32 +97,32 @@ class OtherProgram:
         return np.array([np.cos(q[0]), np.sin(q[0])]), np.eye(1), np.zeros(1)
 
     def efforts(self, q: Array, v: Array, vd: Array) -> Array:
-        """Return efforts (N, nv of the plant) of the plant's motion (N, ·)."""
-        found = np.zeros_like(v)
+        """Return the plant's efforts (N, nv) for its motion (N, ·)."""
+        result = np.zeros_like(v)
         for k in range(len(q)):
             position, rate, acceleration = (x.copy() for x in self.rest)
-            turns = []
+            maps = []
             for unit, (at_q, at_v) in zip(self.units, self.places, strict=True):
-                there, own = part(unit)
-                placed, T, bias = self.state(q[k, there], v[k, own], len(position[at_q]))
-                position[at_q] = placed
-                rate[at_v], acceleration[at_v] = T @ v[k, own], T @ vd[k, own] + bias
-                turns.append((own, at_v, T))
+                positions, velocities = part(unit)
+                value, T, bias = self.state(q[k, positions], v[k, velocities], len(position[at_q]))
+                position[at_q] = value
+                rate[at_v], acceleration[at_v] = T @ v[k, velocities], T @ vd[k, velocities] + bias
+                maps.append((velocities, at_v, T))
             effort = self.inverse_dynamics(position, rate, acceleration)
-            for own, at_v, T in turns:
-                found[k, own] = T.T @ effort[at_v]
-        return found
+            for velocities, at_v, T in maps:
+                result[k, velocities] = T.T @ effort[at_v]
+        return result
 
     def efforts_of(
         self, coordinates: RobotCoordinates, states: tuple[Array, Array, Array]
     ) -> Array:
-        """Return efforts (N, nv) of a robot's motion (N, ·), at its own coordinates."""
+        """Return efforts (N, nv) for a robot's motion (N, ·), in its own coordinates."""
         *samples, J = coordinates.tree_samples(*states)
         return times(np.swapaxes(J, 1, 2), self.efforts(*samples))
 
 
 def part(unit: tuple[Joint, ...]) -> tuple[slice, slice]:
-    """Return where joints are in the positions and velocities of a plant."""
+    """Return the slices of joints in the positions and velocities of a plant."""
     first, last = unit[0], unit[-1]
     return (
         slice(first.position_start(), last.position_start() + last.num_positions()),
@@ -131,7 +131,7 @@ def part(unit: tuple[Joint, ...]) -> tuple[slice, slice]:
 
 
 def by_mujoco(theirs: Any, held: Places, units: Units) -> OtherProgram | str:
-    """Return MuJoCo with a compiled model whose constraints are off, or why it is of no use."""
+    """Return MuJoCo with a compiled model without constraints, or the reason it is unsuitable."""
     mujoco = load_mujoco()
     theirs.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
     sizes = {0: (7, 6), 1: (4, 3)}  # of free joints and balls
@@ -142,16 +142,16 @@ def by_mujoco(theirs: Any, held: Places, units: Units) -> OtherProgram | str:
         data.joint(name).qpos = place
     places = []
     for *others, joint in units:
-        at = numbers.get(joint.name(), -1)
+        index = numbers.get(joint.name(), -1)
         if others:
             body = theirs.body(joint.child_body().name())
-            at = int(body.jntadr[0]) if body.jntnum[0] == 1 else -1
-        if at < 0 or joint.num_positions() not in (1, 3):
+            index = int(body.jntadr[0]) if body.jntnum[0] == 1 else -1
+        if index < 0 or joint.num_positions() not in (1, 3):
             return "MuJoCo has other joints"
-        nq, nv = sizes.get(int(theirs.jnt_type[at]), (1, 1))
+        nq, nv = sizes.get(int(theirs.jnt_type[index]), (1, 1))
         if nv != len(others) + joint.num_velocities():
             return "MuJoCo has other joints"
-        start, first = int(theirs.jnt_qposadr[at]), int(theirs.jnt_dofadr[at])
+        start, first = int(theirs.jnt_qposadr[index]), int(theirs.jnt_dofadr[index])
         places.append((slice(start, start + nq), slice(first, first + nv)))
 
     def inverse_dynamics(q: Array, v: Array, vd: Array) -> Array:
@@ -168,9 +168,9 @@ def by_mujoco(theirs: Any, held: Places, units: Units) -> OtherProgram | str:
 def with_mujoco(
     model: Model, theirs: Any, held: Places, states: tuple[Array, Array, Array]
 ) -> tuple[str, Array, Array] | str:
-    """Return MuJoCo's name, its efforts (N, nv) with a compiled model, and those of a model.
+    """Return MuJoCo's name, its efforts (N, nv) and the model's, or the reason it is unsuitable.
 
-    Dry friction takes no part. If MuJoCo is of no use, that is why.
+    Dry friction is excluded.
     """
     found = by_mujoco(theirs, held, joint_units(model.plant))
     if isinstance(found, str):
@@ -181,7 +181,7 @@ def with_mujoco(
 
 
 def joint_units(plant: MultibodyPlant) -> list[tuple[Joint, ...]]:
-    """Return joints that move, the six of a free base as one."""
+    """Return the moving joints, the six of a free base as one."""
     bases = base_joints(plant)
     names = {joint.name() for base in bases for joint in base}
     others = [(joint,) for joint in moving_joints(plant) if joint.name() not in names]
@@ -194,10 +194,10 @@ def check_loops(text: MjcfText, plant: MultibodyPlant, held: Places, q: Array, v
     Positions (N, nq) and velocities (N, nv) are those of the plant.
     """
     m = text.compiled
-    data, names = load_mujoco().MjData(m), {m.joint(at).name for at in range(m.njnt)}
+    data, names = load_mujoco().MjData(m), {m.joint(index).name for index in range(m.njnt)}
     joints = [joint for joint in single_joints(plant) if joint.name() in names]
-    for at in range(m.neq):
-        data.eq_active[at] = at in text.closing
+    for index in range(m.neq):
+        data.eq_active[index] = index in text.closing
     closing = list(text.closing)
     places = np.concatenate([m.body_pos.ravel(), m.eq_data[closing, :6].ravel()])
     size = float(np.abs(places).max(initial=1e-3))
@@ -210,12 +210,12 @@ def check_loops(text: MjcfText, plant: MultibodyPlant, held: Places, q: Array, v
             data.joint(joint.name()).qvel = v[k, joint.velocity_start()]
         with quiet_mujoco():
             load_mujoco().mj_forward(m, data)
-        own = np.array(data.efc_type) == equality
-        apart = np.concatenate([data.efc_pos[own], data.efc_vel[own]])
-        if not np.abs(apart).max(initial=0.0) <= _APART * size:
+        is_equality = np.array(data.efc_type) == equality
+        gaps = np.concatenate([data.efc_pos[is_equality], data.efc_vel[is_equality]])
+        if not np.abs(gaps).max(initial=0.0) <= _APART * size:
             raise ModelError(
                 f"{text.path}: geodrake closes its loops differently from MuJoCo: the gap is "
-                f"up to {np.abs(apart).max():.3g} m or rad.",
+                f"up to {np.abs(gaps).max():.3g} m or rad.",
                 advice=BUG,
             )
 
@@ -230,7 +230,7 @@ def pinocchio_or_none() -> ModuleType | None:
 
 
 def by_pinocchio(model: Model, text: ModelText, held: Places, units: Units) -> OtherProgram | str:
-    """Return Pinocchio with the URDF of a model, or why it is of no use."""
+    """Return Pinocchio with the URDF of a model, or the reason it is unsuitable."""
     pinocchio = pinocchio_or_none()
     if pinocchio is None:
         return 'Pinocchio, which reads URDF, is not installed: pip install "geodrake[export]"'
@@ -238,24 +238,24 @@ def by_pinocchio(model: Model, text: ModelText, held: Places, units: Units) -> O
         theirs = _read_by_pinocchio(pinocchio, model, text)
     except ModelError:
         raise
-    except Exception as error:  # of any kind, by an extension module
+    except Exception as error:  # an extension module may raise any type
         return f"Pinocchio cannot read the file: {' '.join(str(error).split())[:200].rstrip('.')}"
     names = ["root_joint" if len(unit) > 1 else unit[-1].name() for unit in units]
     counts = [len(unit) - 1 + unit[-1].num_velocities() for unit in units]
     named = dict(zip(names, counts, strict=True))
     there = [name for name in (*named, *held) if theirs.existJointName(name)]
-    own = {name: theirs.joints[theirs.getJointId(name)] for name in there}
+    joints = {name: theirs.joints[theirs.getJointId(name)] for name in there}
     sizes = {**dict.fromkeys(held, 1), **named}
-    if any(name not in own or own[name].nv != nv or nv == 3 for name, nv in sizes.items()):
+    if any(name not in joints or joints[name].nv != nv or nv == 3 for name, nv in sizes.items()):
         return "Pinocchio has other joints"
     places = {
         name: (slice(j.idx_q, j.idx_q + j.nq), slice(j.idx_v, j.idx_v + j.nv))
-        for name, j in own.items()
+        for name, j in joints.items()
     }
     data = theirs.createData()
     position = pinocchio.neutral(theirs)
     for name, place in held.items():
-        joint = own[name]  # one without limits has its cosine and sine
+        joint = joints[name]  # joints without limits are represented by cosine and sine
         at = [place] if joint.nq == 1 else [np.cos(place), np.sin(place)]
         position[joint.idx_q : joint.idx_q + joint.nq] = at
     return OtherProgram(
@@ -269,7 +269,7 @@ def by_pinocchio(model: Model, text: ModelText, held: Places, units: Units) -> O
 
 
 def by_drake(model: Model) -> OtherProgram | str:
-    """Return Drake with the original file, which geodrake otherwise simplifies."""
+    """Return Drake with the original file, without geodrake's simplifications."""
     plant, units = MultibodyPlant(time_step=0.0), [(j,) for j in moving_joints(model.plant)]
     try:
         with drake_messages(), drake_errors(model.path):
@@ -301,13 +301,10 @@ def by_drake(model: Model) -> OtherProgram | str:
 
 
 def _read_by_pinocchio(pinocchio: ModuleType, model: Model, text: ModelText) -> Any:
-    """Return Pinocchio's model of a file, with gravity in the plant's direction.
-
-    That is all that matters of where it stands, and links may have names of joints.
-    """
+    """Return Pinocchio's model of a file, with gravity in the root's axes."""
     plant, data = model.plant, read_expanded(text.path, model.given)
     xml = parse_xml_bytes(data, text.path)
-    if b"<!ENTITY" in data:  # which Pinocchio's parser does not replace
+    if b"<!ENTITY" in data:  # Pinocchio's parser does not expand entities
         data = numbered_text(xml)[0].encode()
     scope, own = _root_of(xml, text).rsplit("::", 1)
     root, R = plant.world_body(), RotationMatrix()
@@ -323,7 +320,7 @@ def _read_by_pinocchio(pinocchio: ModuleType, model: Model, text: ModelText) -> 
 
 
 def _root_of(xml: Element, text: ModelText) -> str:
-    """Return the scoped name of the link of a file that no joint moves."""
+    """Return the scoped name of the root link of a file."""
     links = [link.get("name", "") for link in xml.findall("link")]
     ends = {kind: [e.get("link", "") for e in xml.findall(f"joint/{kind}")] for kind in _ENDS}
     if not set(links).issuperset(e for own in ends.values() for e in own):

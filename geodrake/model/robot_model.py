@@ -40,12 +40,12 @@ from geodrake.robot.regressor import body_regressor, inverse_dynamics
 from geodrake.robot.repairs import TOLERANCE, Repair
 from geodrake.robot.robot_instance import RobotInstance
 from geodrake.robot.transmission.loop import LoopTransmission
-from geodrake.robot.transmission.statements import Drive, Followers
+from geodrake.robot.transmission.schema import Drive, Followers
 
-_STATES, _TOLERANCE = 3, 1e-9  # at which MJCFs are compared, and what of the largest effort
+_STATES, _TOLERANCE = 3, 1e-9  # random states for the comparison of MJCFs; relative tolerance
 
 LARGEST_REGRESSOR = 10_000_000
-"""Numbers of a regressor in memory at once: fewer samples for robots of many joints."""
+"""Most entries of a regressor in memory at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,31 +56,28 @@ class RobotModel(Short):
         plant: Finalized MultibodyPlant of the rigid bodies alone, inertias as in its file, closed
             loops open; `create_context` has the model's.
         floating: Whether free roots float instead of being welded to the world.
-        phi: (nb, 10) inertial parameters, those of fitted payloads left out.
+        phi: (nb, 10) inertial parameters, without those of fitted payloads.
         information: (p, p) information matrix (inverse covariance) of the inertial parameters and
             then of all effects' parameters; None if the model was never fitted.
-        effort_noise: (nv,) RMS of the efforts that the fit left unexplained on held-out data, N·m
-            or N; None if the model was never fitted.
+        effort_noise: (nv,) RMS of the held-out effort residual of the fit, N·m or N; None if the
+            model was never fitted.
         fitted_to: Fingerprints of the logs that the model was fitted to.
-        bandwidths: Fingerprint of each of them -> bandwidths of efforts and of the motion, Hz, in
-            the last fit to it.
-        fading_speed: (nv,) speed below which dry friction fades, rad/s or m/s; 0, or None for all,
-            where it was not seen to.
-        held: Joint of the file that is held, and none of the model -> where, rad or m.
-        followers: Joint of the plant that is none of the model -> what it follows, both by their
-            scoped names.
-        transmission: What moves joints of the plant in their place, closed loops among it; joints
-            without a drive move by themselves. All that is the model's, q, v, efforts and effects,
-            is at the actuators.
-        effort_signals: Of joints whose logs have currents, voltages or commands in the place of
-            efforts, or efforts that motors are asked for, what makes efforts of them.
-        known_joints: Names of the joints that logs may have: the model's, those that are held, and
-            those that follow others.
-        motorless: Joints that have no motor, as logs said that the model was opened with.
-        repairs: Sentences on what of the file is not used as it stands: inertias that no body can
-            have, and what is left out.
-        left_out: Sentences on what of the file bears on efforts, and is no part of the model.
-        thin: Bodies of the file without volume, such as point masses, with what fits have instead.
+        bandwidths: Fingerprint of a log -> bandwidths of efforts and of the motion, Hz, in the last
+            fit to it.
+        fading_speed: (nv,) speed below which dry friction fades, rad/s or m/s; 0 where no fading
+            was observed, None if at no joint.
+        held: Joint of the file that is fixed -> its position, rad or m.
+        followers: Joint of the plant that follows another one -> its coupling, by scoped names.
+        transmission: Drives of joints, including closed loops; joints without a drive are their own
+            actuators. The model's q, v, efforts and effects are at the actuators.
+        effort_signals: Conversions to efforts, for joints whose logs have currents, voltages or
+            commands instead.
+        known_joints: Names of the joints that logs may have: the model's, fixed and following ones.
+        motorless: Joints without a motor, according to the logs with which the model was opened.
+        repairs: Sentences on elements of the file that were changed or ignored, such as unphysical
+            inertias.
+        left_out: Sentences on ignored elements of the file that affect efforts.
+        thin: Bodies of the file without volume, such as point masses, and their parameters in fits.
     """
 
     plant: MultibodyPlant
@@ -107,32 +104,32 @@ class RobotModel(Short):
 
     @cached_property
     def tree(self) -> KinematicTree:
-        """Return the plant's kinematics for the model's motion, read once."""
+        """Return the plant's kinematics for the model's motion."""
         moves = self.followers or self.transmission
         return self.joint_tree.driven(self.coordinates) if moves else self.joint_tree
 
     @cached_property
     def joint_tree(self) -> KinematicTree:
-        """Return the plant's kinematics for the motion of all of its joints."""
+        """Return the plant's kinematics for the motion of all its joints."""
         return KinematicTree.from_plant(self.plant)
 
     @cached_property
     def coordinates(self) -> RobotCoordinates:
-        """Return how all joints of the plant move; a ModelError refuses drives that do not fit."""
+        """Return the map to all joints of the plant; raise ModelError for unsuitable drives."""
         return RobotCoordinates.of(self.plant, self.followers, self.transmission)
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
-        """Names of the nv velocities: of joints, or of their actuators."""
+        """Return the names of the nv velocities: joints or their actuators."""
         return self.coordinates.names
 
     @cached_property
     def joints_behind(self) -> tuple[str, ...]:
-        """Return names of joints in loops or behind the transmission, which effects may act at."""
+        """Return names of joints in loops or behind the transmission, where effects may act."""
         return tuple(self.coordinates.behind)
 
     def plant_positions(self, q: Array) -> Array:
-        """Return (N, nq of the plant) positions, of those of the model (N, nq)."""
+        """Return the plant's positions for those of the model (N, nq)."""
         return self.coordinates.joint_positions(q)
 
     def driving(
@@ -142,15 +139,15 @@ class RobotModel(Short):
         log: str | None = None,
         temperatures: Temperatures | None = None,
     ) -> DrivenPlant | None:
-        """Return how a plant of the model moves, if that has other coordinates than the model.
+        """Return a plant's motion in the model's coordinates; None if they are the plant's own.
 
         Args:
             sign_width: (nv,) speeds below which dry friction fades, rad/s or m/s.
-            log: Name of the log that is simulated, in which the model's contacts act.
-            temperatures: Those of its joints, in its time.
+            log: Name of the simulated log, in which the model's contacts act.
+            temperatures: Temperatures of the joints during that log.
 
         Raises:
-            ModelError: An effect makes a joint soft.
+            ModelError: An effect makes a joint elastic.
         """
         if not (self.followers or self.transmission):
             return None
@@ -158,48 +155,45 @@ class RobotModel(Short):
 
     @cached_property
     def position_limits(self) -> tuple[Array, Array]:
-        """Lower and upper limits (nq,) of the positions, rad or m."""
+        """Return lower and upper limits (nq,) of the positions, rad or m."""
         plant = self.plant
         limits = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
         return self.coordinates.positions_between(*limits)
 
     @cached_property
     def velocity_limits(self) -> Array:
-        """Largest speeds (nv,), rad/s or m/s; infinite where there is no limit."""
+        """Return the largest speeds (nv,), rad/s or m/s; infinite without a limit."""
         lower, upper = self.plant.GetVelocityLowerLimits(), self.plant.GetVelocityUpperLimits()
         return self.coordinates.rates(np.minimum(upper, -lower), self.position_limits)
 
     @cached_property
     def acceleration_limits(self) -> Array:
-        """Largest accelerations (nv,), rad/s² or m/s²; infinite where there is no limit."""
+        """Return the largest accelerations (nv,), rad/s² or m/s²; infinite without a limit."""
         lower, upper = self.plant.GetAccelerationLowerLimits, self.plant.GetAccelerationUpperLimits
         return self.coordinates.rates(np.minimum(upper(), -lower()), self.position_limits)
 
     @cached_property
     def effort_limits(self) -> Array:
-        """Largest efforts (nv,) of the file, N·m or N; infinite where there is no limit."""
+        """Return the largest efforts (nv,) in the file, N·m or N; infinite without a limit."""
         return self.coordinates.effort_limits(effort_limits(self.plant), self.position_limits)
 
     @property
     def known_effort_limits(self) -> Array:
-        """Largest efforts (nv,), N·m or N: of the file, or smaller ones found in logs."""
+        """Return the largest efforts (nv,), N·m or N: of the file, or smaller ones from logs."""
         signals = (signal_of(self.effort_signals, joint) for joint in self.joints)
-        told = np.array([signal.limit if signal else np.inf for signal in signals])
+        of_logs = np.array([signal.limit if signal else np.inf for signal in signals])
         of_file = self.effort_limits
-        least = np.minimum(np.where(of_file > 0.0, of_file, np.inf), told)
-        return np.where(np.isfinite(told), least, of_file)
+        least = np.minimum(np.where(of_file > 0.0, of_file, np.inf), of_logs)
+        return np.where(np.isfinite(of_logs), least, of_file)
 
     @cached_property
     def bodies(self) -> tuple[str, ...]:
-        """Names of the nb bodies, bodies welded together counting as one."""
+        """Return the names of the nb bodies; bodies welded together count as one."""
         return self.tree.bodies
 
     @cached_property
     def load_bodies(self) -> tuple[str, ...]:
-        """Names of bodies that loads are put on.
-
-        These are bodies that carry no other, and trunks and palms, from which limbs branch.
-        """
+        """Return names of bodies that may carry loads: last ones, and those where limbs branch."""
         mobilizers = self.joint_tree.mobilizers
         limbs = [0] * len(mobilizers)
         for index in range(len(mobilizers) - 1, -1, -1):  # outboard first
@@ -208,33 +202,35 @@ class RobotModel(Short):
                 limbs[mobilizer.parent] += 1
         trunks = {joints[-1].child_body().name() for joints in base_joints(self.plant)}
         bodies = [
-            (self.bodies[m.body], n) for m, n in zip(mobilizers, limbs, strict=True) if m.body >= 0
+            (self.bodies[m.body], count)
+            for m, count in zip(mobilizers, limbs, strict=True)
+            if m.body >= 0
         ]
-        return tuple(name for name, n in bodies if n != 1 or name in trunks)
+        return tuple(name for name, count in bodies if count != 1 or name in trunks)
 
     @cached_property
     def joint_pairs(self) -> tuple[tuple[str, str], ...]:
-        """Pairs of single-degree joints of one type that follow each other along the tree."""
+        """Return pairs of consecutive single-degree joints of the same type along the tree."""
         mobilizers, pairs = self.joint_tree.mobilizers, []
         leaders = self.coordinates.leaders
         for mobilizer in mobilizers:
             if mobilizer.parent < 0:
                 continue
-            own = mobilizers[mobilizer.parent].velocities.start, mobilizer.velocities.start
-            both = (self.coordinates.standing.get(leaders.get(at, at)) for at in own)
-            pair = [at for at in dict.fromkeys(both) if at in self.single_places]
+            starts = mobilizers[mobilizer.parent].velocities.start, mobilizer.velocities.start
+            indices = (self.coordinates.standing.get(leaders.get(index, index)) for index in starts)
+            pair = [index for index in dict.fromkeys(indices) if index in self.single_places]
             if len(pair) == 2 and self._types[pair[0]] == self._types[pair[1]]:
                 pairs.append((self.joints[pair[0]], self.joints[pair[1]]))
         return tuple(pairs)
 
     @property
     def delays(self) -> Array:
-        """(nv,) seconds by which measured efforts lag, as far as the model knows."""
+        """Return the model's delays (nv,) of measured efforts, s."""
         return delays_of([fitted.effect for fitted in self.effects], self.joints)
 
     @cached_property
     def total_phi(self) -> Array:
-        """(nb, 10) inertial parameters, payloads included."""
+        """Return (nb, 10) inertial parameters, payloads included."""
         phi = self.phi.copy()
         for fitted in self.effects:
             if fitted.effect.role is Role.BODY:
@@ -243,7 +239,7 @@ class RobotModel(Short):
 
     @cached_property
     def with_volume(self) -> RobotModel:
-        """The model that fits start from: thin bodies have volume; itself if there are none."""
+        """Return the model from which fits start, with volume in thin bodies."""
         phi = self.phi.copy()
         for repair in self.thin:
             at = self.bodies.index(repair.body)
@@ -258,22 +254,22 @@ class RobotModel(Short):
 
     @cached_property
     def base_joints(self) -> tuple[str, ...]:
-        """The six joints of each free base, in the order of `geodrake.robot.arrangement`."""
+        """Return the six joints of each free base, in the order of `geodrake.robot.arrangement`."""
         bases = base_joints(self.plant)
         return tuple(joint.name() for joints in bases for joint in joints)
 
     @property
     def bodies_at_rest(self) -> RobotBodies:
-        """The bodies with what they hold, in no configuration."""
+        """Return the bodies, payloads included, without a configuration."""
         return RobotBodies(self.tree, np.zeros((0, self.tree.num_positions)), self.total_phi)
 
     def motion(
         self, motion: Motion, *, sign_width: ArrayLike = 0.0, load: Array | None = None
     ) -> RobotMotion:
-        """Return a motion as effects see it: by joint, with the rigid bodies' effort as load.
+        """Return a motion by joint, as effects use it, with the rigid bodies' effort as load.
 
         Args:
-            load: (N, nv) effort of the rigid bodies, if it is known already.
+            load: (N, nv) effort of the rigid bodies; computed if None.
         """
         samples = instance(motion, "motion", Motion).q, motion.v, motion.vd
         if load is not None:
@@ -298,17 +294,17 @@ class RobotModel(Short):
         return self.with_effort(seen)
 
     def with_effort(self, seen: RobotMotion) -> RobotMotion:
-        """Return a motion that gives the effort (N, nv) that the model needs there, N·m or N."""
+        """Return the motion with the model's effort (N, nv), N·m or N, computed on demand."""
         return replace(seen, effort=cache(lambda: self.unscaled_effort(seen)))
 
     def _by_velocity(self, q: Array) -> Array:
-        """Return (N, nv) positions by velocity, of q (N, nq); NaN for joints of several degrees."""
+        """Return positions (N, nv) by velocity for q (N, nq); NaN at joints of several degrees."""
         found = np.full((len(q), len(self.joints)), np.nan)
         found[:, self.single_places] = q[:, self.single_places]
         return found
 
     def effort(self, motion: Motion, *, sign_width: ArrayLike = 0.0) -> Array:
-        """Effort that N samples in Drake's order need, (N, nv), N·m or N; delays are not applied.
+        """Return the effort (N, nv) of N samples in Drake's order, N·m or N, without delays.
 
         Dry friction fades below the speed `sign_width`, rad/s or m/s, one for all or (nv,).
         """
@@ -332,13 +328,13 @@ class RobotModel(Short):
 
     @cached_property
     def _unscaled_effects(self) -> tuple[EffectColumns, Array]:
-        """All effects but payloads and scales, and their parameters."""
+        """Return all effects but payloads and scales, and their parameters."""
         some = [f for f in self.effects if f.effect.role not in (Role.BODY, Role.SCALE)]
         columns = EffectColumns(self.joints, tuple(fitted.effect for fitted in some))
         return columns, np.concatenate([np.zeros(0), *(fitted.parameters for fitted in some)])
 
     def positions(self, by_joint: Array) -> Array:
-        """Return (N, nq) positions in Drake's order from those of single-degree joints (N, nv)."""
+        """Return positions (N, nq) in Drake's order from those of single-degree joints (N, nv)."""
         by_joint = real_array(by_joint, "by_joint", ("N", len(self.joints)))
         if len(self.single_places) < len(self.joints):
             several = [n for i, n in enumerate(self.joints) if i not in self.single_places]
@@ -351,7 +347,7 @@ class RobotModel(Short):
 
     @cached_property
     def _types(self) -> dict[int, str]:
-        """Drake's names for the types of the joints, by where their velocities begin."""
+        """Return velocity index -> Drake's name of the joint's type."""
         standing, every = self.coordinates.standing, moving_joints(self.plant)
         starts = {int(joint.velocity_start()): joint.type_name() for joint in every}
         found = {standing[at]: kind for at, kind in starts.items() if at in standing}
@@ -362,24 +358,23 @@ class RobotModel(Short):
         return found
 
     def default_position(self, joint: str) -> float:
-        """Return where the model file puts a joint of one degree of freedom, rad or m."""
+        """Return the default position of a joint of one degree of freedom, rad or m."""
         q = self.plant.GetPositions(self.plant.CreateDefaultContext())
-        own = self.coordinates.nearest(q[None])
-        return float(own[0, self.joints.index(joint)])
+        return float(self.coordinates.nearest(q[None])[0, self.joints.index(joint)])
 
     def limits_of(self, joint: str) -> tuple[float, float]:
-        """Return the positions between which a joint of one degree of freedom stays, rad or m."""
+        """Return the position limits of a joint of one degree of freedom, rad or m."""
         (lower, upper), at = self.position_limits, self.joints.index(joint)
         return float(lower[at]), float(upper[at])
 
     @cached_property
     def single_joints(self) -> tuple[str, ...]:
-        """Names of the joints of one degree of freedom."""
+        """Return the names of the joints of one degree of freedom."""
         return tuple(self.joints[i] for i in self.single_places)
 
     @cached_property
     def sliding_joints(self) -> tuple[str, ...]:
-        """Names of the prismatic joints, whose positions are in m and efforts in N."""
+        """Return the names of the prismatic joints, with positions in m and efforts in N."""
         starts = self.single_places
         own = tuple(self.joints[i] for i in starts if self._types[i] == "prismatic")
         if not self.joints_behind:
@@ -392,7 +387,7 @@ class RobotModel(Short):
 
     @cached_property
     def single_places(self) -> list[int]:
-        """Return where the joints of one degree of freedom are in q and v."""
+        """Return the indices in q and v of the joints of one degree of freedom."""
         return self.coordinates.single_places
 
     def create_context(self) -> Context:
@@ -421,26 +416,25 @@ class RobotModel(Short):
             builder.Connect(controller.get_output_port(), robot.effort)
             builder.Connect(robot.state, controller.get_input_port())
 
-        The plant has the model's inertias by default, so any Context of the diagram does. Efforts
-        belong at the port `effort`, where effects see them, and not at the plant's own ports.
-        Delays shift `logged_effort`; a negative one, of efforts that are logged ahead, delays
-        those that act. Hidden states of effects start at zero
-        (`EffectForce.set_hidden_states`). Soft joints have motors and links: `state` is that of the
-        motors. Parameters are those of the Context (`RobotInDiagram.set_parameters`), and the
-        diagram can be cloned, converted to AutoDiffXd and linearized; see `EffectForce`.
+        Every Context of the diagram has the model's inertias by default. Connect efforts to the
+        port `effort`, not to the plant's own ports, which bypass the effects. Delays shift
+        `logged_effort`; a negative delay, of efforts logged ahead of time, delays the acting
+        efforts instead. Hidden states of effects start at zero (`EffectForce.set_hidden_states`).
+        Elastic joints have motors and links, and `state` is that of the motors. Parameters belong
+        to the Context (`RobotInDiagram.set_parameters`). The diagram can be cloned, converted to
+        AutoDiffXd and linearized; see `EffectForce`.
 
-        Behind a transmission, and where joints follow others, state and efforts are the model's:
-        those of actuators and leaders. Parameters are those that the model has, and soft joints
-        are refused.
+        With a transmission or following joints, state and efforts are those of actuators and
+        leaders, parameters are fixed, and elastic joints are refused.
 
         Args:
-            time_step: That of the plant, s; 0 for a continuous one.
-            scene_graph: A SceneGraph of the builder that is to know the robot's visual geometry,
-                or True for a new one; a MeshcatVisualizer may be added to it.
+            time_step: Time step of the plant, s; 0 for a continuous one.
+            scene_graph: A SceneGraph of the builder for the robot's visual geometry, or True for a
+                new one; a MeshcatVisualizer may be added to it.
             name: Name of the plant; several robots in a diagram need different ones.
-            sign_width: Speed below which dry friction fades, rad/s or m/s, at least; one for all
-                velocities or (nv,). See `EffectForce` for what it means for steps.
-            log: Name of the log that is simulated, in which the model's contacts act.
+            sign_width: Lower bound of the speed below which dry friction fades, rad/s or m/s; one
+                for all velocities or (nv,). See `EffectForce` for its effect on step sizes.
+            log: Name of the simulated log, in which the model's contacts act.
         """
         instance(builder, "builder", DiagramBuilder)
         if scene_graph is not None:
@@ -464,16 +458,16 @@ class RobotModel(Short):
             …
             robot.set_inertias(root_context)
 
-        As with `add_to_builder`, but the plant is there, with a table, objects and other robots,
-        and bodies that touch. Its inertias are parameters of a Context, so `set_inertias` belongs
-        before a simulation. Efforts are generalized forces: actuators of the robot stay free.
+        Unlike with `add_to_builder`, the plant exists already and may contain a table, objects,
+        other robots and contact. The model's inertias are set in a Context: call `set_inertias`
+        before a simulation. Efforts are generalized forces, so the robot's actuators stay free.
 
         Args:
-            robot: The robot in the plant, its joints and bodies named as in the model's file.
+            robot: The robot in the plant, with the joint and body names of the model's file.
 
         Raises:
-            ArgumentError: The robot is another one, its base leans otherwise than the model's, or
-                the plant has damping or rotor inertia at its joints, which are effects.
+            ArgumentError: The robot differs from the model's, its base is tilted relative to the
+                model's, or its joints have damping or rotor inertia, which are effects.
             ModelError: Joints of the model follow others, or are behind a transmission.
         """
         instance(builder, "builder", DiagramBuilder)
@@ -514,7 +508,7 @@ class RobotModel(Short):
 def from_loaded_plant(
     loaded: LoadedPlant, *, floating: bool, transmission: Sequence[Drive] = ()
 ) -> RobotModel:
-    """Return the model of a plant; damping, friction and rotor inertia of its file are effects."""
+    """Return the model of a plant, with damping, friction and rotor inertia as effects."""
     drives = tuple(d for d in instances(transmission, "transmission", Drive) if not d.is_loop)
     loops = tuple(Drive.of_loop(loop) for loop in loaded.loops if loop.actuators)
     for loop in loops:
@@ -524,7 +518,7 @@ def from_loaded_plant(
                 f"loop of {loaded.path.name}: {', '.join(loop.joints)}.",
                 advice="Log the joints of the loop, and remove this part of the transmission.",
             )
-    # Saved models of before have those of the file in their transmission.
+    # Older saved models list the file's followers in their transmission.
     tied = {joint.rpartition("::")[2] for joint in loaded.followers}
     of_file = [isinstance(d.statement, Followers) and tied.issuperset(d.joints[1:]) for d in drives]
     drives = tuple(drive for drive, again in zip(drives, of_file, strict=True) if not again)
@@ -567,33 +561,38 @@ def from_loaded_plant(
 
 
 def _check_against_mujoco(model: RobotModel, text: MjcfText, loaded: LoadedPlant) -> None:
-    """Raise if random efforts differ from MuJoCo's with the same file, except ignored elements.
+    """Raise if efforts in random states differ from MuJoCo's with the same file.
 
-    Dry friction, limits and contacts, which are soft in MuJoCo, take no part. Free bodies rest.
+    Ignored elements are excluded, and so are dry friction, limits and contacts, which are soft in
+    MuJoCo. Free bodies rest.
     """
     rng, m = np.random.default_rng(0), text.compiled
-    held = {joint.rpartition("::")[2]: place for joint, place in loaded.places.items()}
+    held = {joint.rpartition("::")[2]: position for joint, position in loaded.places.items()}
     if not {m.joint(k).name for k in range(m.njnt)}.issuperset(held):
-        return  # as a part of a free base is held
+        return  # part of a free base is fixed
     q = model.coordinates.inside(rng.uniform(-1.0, 1.0, (_STATES, len(model.joints))))
     v, vd = rng.uniform(-2.0, 2.0, (2, _STATES, len(model.joints)))
     states = q, v, vd
     check_loops(text, model.plant, held, *model.coordinates.tree_samples(*states)[:2])
     if text.path != model.path or (text.terms.set_aside and loaded.changes):
-        return  # of a body that cannot exist, say, whose repair is told of
-    found, what, off = with_mujoco(model, text.reference, held, states), "all joints", ""
-    if not isinstance(found, str):
-        _, theirs, ours = found
+        return  # a repaired body differs on purpose
+    comparison, place, difference = (
+        with_mujoco(model, text.reference, held, states),
+        "all joints",
+        "",
+    )
+    if not isinstance(comparison, str):
+        _, theirs, ours = comparison
         kept = [k for k, joint in enumerate(model.joints) if joint not in model.base_joints]
         errors = np.abs(ours - theirs)[:, kept].max(axis=0, initial=0.0)
         largest = float(np.abs(theirs).max(initial=0.0))
         if errors.max(initial=0.0) <= _TOLERANCE * max(largest, 1e-12):
             return
         joint = model.joints[kept[int(np.argmax(errors))]]
-        what = f"joint {joint}, or what it moves,"
-        off = f": efforts differ by up to {errors.max():.3g}, of {largest:.3g}"
+        place = f"joint {joint}, or what it moves,"
+        difference = f": efforts differ by up to {errors.max():.3g}, of {largest:.3g}"
     raise ModelError(
-        f"{model.path}: geodrake reads {what} differently from MuJoCo{off}.", advice=BUG
+        f"{model.path}: geodrake reads {place} differently from MuJoCo{difference}.", advice=BUG
     )
 
 
@@ -609,7 +608,7 @@ def read_again(model: RobotModel) -> RobotModel:
 
 
 def is_of_file(model: RobotModel) -> bool:
-    """Return whether a model has the effects that its file states, and no others."""
+    """Return whether a model has exactly the effects of its file."""
 
     def stated(model: RobotModel) -> list[tuple[Effect, list[float]]]:
         return [(fitted.effect, fitted.parameters.tolist()) for fitted in model.effects]

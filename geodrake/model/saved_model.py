@@ -38,7 +38,7 @@ from geodrake.robot.files import Given, read_description
 from geodrake.robot.files.named_robots import robot_file
 from geodrake.robot.joints import joint_names
 from geodrake.robot.plant import load_plant, scoped_joint_names
-from geodrake.robot.transmission.statements import (
+from geodrake.robot.transmission.schema import (
     NONE,
     OF_FILE,
     Drive,
@@ -51,14 +51,14 @@ from geodrake.robot.transmission.statements import (
 )
 
 T = TypeVar("T")
-_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # those of LibYAML, where it is
+_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # LibYAML's, if installed
 FORMAT = "geodrake model 1"
 _HEAD = re.compile(rb"^(?:\xef\xbb\xbf)?format: *['\"]?geodrake model\b", re.MULTILINE)
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 
 
 class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]
-    """Tables a line a key, lists of numbers in one."""
+    """YAML dumper that writes one key per line and lists of numbers in one line."""
 
 
 _Dumper.add_representer(
@@ -67,10 +67,10 @@ _Dumper.add_representer(
 
 
 class SavedEffect(Schema):
-    """One effect: name, place, shape and parameters; one of the user's own, its file and class."""
+    """Schema of an effect: name, place, shape and parameters, and source of a user-defined one."""
 
     name: str = ""
-    # Path of the Python file that defines it, relative to this one; empty for geodrake's.
+    # Path of the Python file that defines it, relative to the saved model; empty for geodrake's.
     file: str = ""
     class_name: str = ""
     where: list[str] = []
@@ -87,20 +87,20 @@ class SavedModel(Schema):
 
     Attributes:
         base_model: Path of the model file, relative to this one, so that both may move together.
-        base_absolute: Its absolute path when the model was saved, if only this file has moved.
-        base_sha256: Digest of the model file when the model was saved.
-        robot: Name of the robot, where the model file has several and one was chosen.
-        held: Joint that is held -> where, rad or m.
-        packages: Package of ROS -> its folder, relative to this file, for those that were given.
-        leading: Names of joints that are free in closed loops, before those that motors drive.
-        transmission: What moves joints in their place, if anything does.
+        base_absolute: Absolute path of the model file at saving, in case only this file moves.
+        base_sha256: Digest of the model file at saving.
+        robot: Name of the chosen robot, if the model file has several.
+        held: Fixed joint -> its position, rad or m.
+        packages: ROS package -> its folder, relative to this file, for those given by the user.
+        leading: Names of joints preferred as independent coordinates of closed loops.
+        transmission: Transmission between actuators and joints, if any.
         inertial_parameters: Body -> [m, hx, hy, hz, Ixx, Iyy, Izz, Ixy, Iyz, Izx].
-        effort_signals: What stands for efforts in logs, where these are not measured.
-        motorless: Joints that have no motor, as logs said.
-        effort_noise: Joint -> held-out RMS that the fit left, N·m or N.
+        effort_signals: Signals that replace efforts in logs.
+        motorless: Joints without a motor, according to logs.
+        effort_noise: Joint -> RMS of the held-out residual of the fit, N·m or N.
         fading_speed: Joint -> speed below which dry friction fades, rad/s or m/s.
         fitted_to: Fingerprints of the logs that the model was fitted to.
-        bandwidths: Fingerprint of each of them -> bandwidths of efforts and of the motion, Hz.
+        bandwidths: Fingerprint of a log -> bandwidths of efforts and of the motion, Hz.
         information: Information matrix of the inertial parameters, then of the effects'.
     """
 
@@ -148,13 +148,13 @@ def load_model(
         given: Robot of several, folders of ROS packages, arguments of a xacro file (a saved model
             has its own).
         transmission: Transmission between actuators and joints (a saved model has its own): a
-            file, its parts, `file` for that in the model file, or `none`. If None, the file beside
-            the model file, arm.transmission.yaml beside arm.urdf, if it exists.
+            file, its parts, `file` for that in the model file, or `none`. If None, the file next to
+            the model file, such as arm.transmission.yaml for arm.urdf, if it exists.
 
     Raises:
-        ModelError: The file cannot be read or does not describe a robot; the file that a saved
-            model is based on is gone or has other joints or bodies; a joint cannot be held; or the
-            transmission does not fit.
+        ModelError: The file cannot be read or does not describe a robot; the base file of a saved
+            model is missing or has other joints or bodies; a joint cannot be fixed; or the
+            transmission is unsuitable.
     """
     instances(extra, "extra", type)
     path, given, origin = robot_file(path, given or Given())
@@ -196,9 +196,9 @@ def _transmission(
 
 
 def _drives_of_file(path: Path, how: Given) -> tuple[Drive, ...]:
-    """Return the drives that a model file states, by names as the model has them.
+    """Return the drives in a model file, with the model's names of actuators and joints.
 
-    Those of actuators in several models of the file have the model before them, as joints do.
+    Ambiguous actuator names get the name of their model as a prefix, as joints do.
     """
     parts = read_description(path, how).motors()
     if not parts:
@@ -208,7 +208,7 @@ def _drives_of_file(path: Path, how: Given) -> tuple[Drive, ...]:
         )
     plant = load_plant(path, given=how).plant
     joints = dict(zip(scoped_joint_names(plant), joint_names(plant), strict=True))
-    if how.robot is not None:  # the others stand still
+    if how.robot is not None:  # the other robots are fixed
         parts = tuple(part for part in parts if not joints.keys().isdisjoint(part.joint_names()))
     short = {name: name.rpartition("::")[2] for part in parts for name in part.actuator_names()}
     counts = Counter(short.values())
@@ -233,10 +233,10 @@ def is_saved_model(path: Path) -> bool:
 
 
 def save_model(model: RobotModel, path: str | Path) -> None:
-    """Write a model into a YAML file atomically.
+    """Write a model to a YAML file atomically.
 
-    The base model's path is written relative to it, so that both can be moved together; it is also
-    looked for beside it, and where it was.
+    The path of the base model is relative to this file, so that both can be moved together. Loading
+    also searches next to this file and at the original absolute path.
     """
     path = file_path(path)
     write_whole(path, saved_text(model, path))
@@ -253,7 +253,7 @@ def saved_text(model: RobotModel, path: str | Path) -> str:
         problem, advice = f"the path of its file {base} is not UTF-8", "Rename it, or its folder."
     if problem:
         raise OutputError(f"Cannot save the model: {problem}.", advice=advice)
-    own = [drive for drive in model.transmission if not drive.is_loop]
+    drives = [drive for drive in model.transmission if not drive.is_loop]
     saved = SavedModel(
         base_model=os.path.relpath(base, folder),
         base_absolute=str(base),
@@ -266,7 +266,7 @@ def saved_text(model: RobotModel, path: str | Path) -> str:
             name: os.path.relpath(place, folder) for name, place in model.given.packages.items()
         },
         leading=list(model.given.leading),
-        transmission=stated_of(own) if own else None,
+        transmission=stated_of(drives) if drives else None,
         inertial_parameters={
             b: phi.tolist() for b, phi in zip(model.bodies, model.phi, strict=True)
         },
@@ -279,7 +279,7 @@ def saved_text(model: RobotModel, path: str | Path) -> str:
         bandwidths=dict(model.bandwidths),
         information=[] if model.information is None else model.information.tolist(),
     )
-    plain = to_builtins(saved, enc_hook=lambda value: value.item())  # of NumPy's numbers
+    plain = to_builtins(saved, enc_hook=lambda value: value.item())  # NumPy scalars
     stated = {name: value for name, value in plain.items() if value is not None}
     return str(yaml.dump(stated, Dumper=_Dumper, default_flow_style=None, sort_keys=False))
 
@@ -289,19 +289,19 @@ def _by_joint(model: RobotModel, values: NDArray[np.float64] | None) -> dict[str
 
 
 def _saved_effect(fitted: FittedEffect, folder: Path) -> SavedEffect:
-    effect, kind, own = fitted.effect, type(fitted.effect), dict[str, str]()
+    effect, kind, source = fitted.effect, type(fitted.effect), dict[str, str]()
     if not of_geodrake(kind):
         file = getattr(sys.modules.get(kind.__module__), "__file__", None)
         relative = "" if file is None else os.path.relpath(Path(file).resolve(), folder)
         file = relative if relative.isprintable() else ""
-        own = {"class_name": kind.__name__, "file": file}
+        source = {"class_name": kind.__name__, "file": file}
     return SavedEffect(
         name=effect.name,
         where=list(effect.where),
         shape={name: float(value) for name, value in effect.shape.items() if value is not None},
         parameters=fitted.parameters.tolist(),
         deviations=[] if fitted.deviations is None else fitted.deviations.tolist(),
-        **own,
+        **source,
     )
 
 
@@ -340,7 +340,7 @@ def _read(path: Path, extra: Sequence[type[Effect]], given: Given) -> RobotModel
 
 
 def _given_with(path: Path, saved: SavedModel, given: Given) -> Given:
-    """Return how to read a saved model's file: as saved, with packages where they are now."""
+    """Return the saved options for reading the base model, with current package folders."""
     robot, folder = saved.robot or None, path.resolve().parent
     if given.robot not in (None, robot) or given.xacro:
         what = "arguments of a xacro file" if given.xacro else f"robot {given.robot!r}"
@@ -355,7 +355,7 @@ def _given_with(path: Path, saved: SavedModel, given: Given) -> Given:
 
 
 def _check_effects(path: Path, saved: SavedModel, extra: Sequence[type[Effect]]) -> None:
-    """Raise for effects that are neither in the catalogue nor user-defined."""
+    """Raise for effects that are neither in the catalog nor in `extra`."""
     for effect in saved.effects:
         try:
             effect_class(effect.name, extra)
@@ -376,10 +376,10 @@ def _check_effects(path: Path, saved: SavedModel, extra: Sequence[type[Effect]])
 
 
 def _base_of_saved(path: Path, saved: SavedModel) -> Path:
-    """Return the model file that a saved model is based on, wherever both are now.
+    """Return the current path of the model file that a saved model is based on.
 
-    Both may have moved together, or into one folder, or the model file stayed where it was. Where
-    there are several files, it is the one that is as it was, by its digest.
+    Both files may have moved together or into one folder, or only the saved model moved. Of several
+    files, an unchanged one, by its digest, is preferred.
     """
     folder, relative = path.resolve().parent, saved.base_model
     places = [folder / relative, folder / Path(relative).name]
@@ -405,7 +405,7 @@ def _base_of_saved(path: Path, saved: SavedModel) -> Path:
 
 
 def _is_file(path: Path) -> bool:
-    """Return whether a file exists; invalid names are no error."""
+    """Return whether a file exists; false for invalid names."""
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -457,7 +457,7 @@ def _fitted_effect(
     model: RobotModel, saved: SavedEffect, extra: Sequence[type[Effect]]
 ) -> FittedEffect:
     where, kind = saved.where, effect_class(saved.name, extra)
-    if kind.places == "body_pair" and len(where) == 1:  # of files of before
+    if kind.places == "body_pair" and len(where) == 1:  # as in older files
         where = [*where, "world"]
     effect = make_effect(saved.name, where, saved.shape, extra)
     joints = (*model.joints, *model.joints_behind)
@@ -482,7 +482,7 @@ def _effort_signals(model: RobotModel, saved: Sequence[Schema]) -> tuple[EffortS
 
 
 def _check_known(field: str, names: Iterable[str], known: Sequence[str]) -> None:
-    """Raise for a name that is not one of those of the robot."""
+    """Raise for a name that the robot does not have."""
     for name in names:
         if name not in known:
             what = f"{field} has {name!r}, which the robot does not have."
@@ -502,7 +502,7 @@ def _of_joints(
 
 
 def _ordered(field: str, values: dict[str, T], names: Sequence[str]) -> dict[str, T]:
-    """Return the values in the order of some names; there must be exactly one for each."""
+    """Return the values in the order of names; raise unless there is exactly one for each."""
     _check_known(field, values, names)
     if missing := [name for name in names if name not in values]:
         what = f"{field} lacks {missing[0]!r}."
@@ -511,12 +511,11 @@ def _ordered(field: str, values: dict[str, T], names: Sequence[str]) -> dict[str
 
 
 def check_model(model: RobotModel) -> None:
-    """Raise for a model with impossible numbers.
+    """Raise for a model with invalid numbers.
 
-    Inertial parameters φ of every body need P(φ) ⪰ 0 and a mass, parameters of effects must lie on
-    the effect's manifold or its edge, deviations and noise must not be negative, bandwidths
-    positive, and the information matrix must be symmetric and positive semidefinite, with
-    something known of each parameter.
+    Every body needs P(φ) ⪰ 0 and a mass, parameters of effects must lie on the effect's manifold or
+    its boundary, deviations and noise must not be negative, bandwidths must be positive, and the
+    information matrix must be symmetric, positive semidefinite, and positive on the diagonal.
     """
     for body, phi in zip(model.bodies, model.phi, strict=True):
         check_body(f"inertial_parameters of {body!r}", phi)
@@ -549,7 +548,7 @@ def _check_information(information: NDArray[np.float64]) -> None:
             f"information has {diagonal[at]:g} at {at}, {at}: entries on the diagonal must "
             "be positive."
         )
-    # On a unit diagonal, so that units do not matter.
+    # Scaled to a unit diagonal, so that units do not matter.
     scale = np.sqrt(np.maximum(diagonal, 1.0 / LARGEST))
     scaled = information / np.outer(scale, scale)
     wrong = np.abs(scaled - scaled.T)

@@ -1,4 +1,4 @@
-"""Servos of joints: their gains, and the law by which they make efforts of errors."""
+"""Position servos of joints: gains and control law."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ from geodrake.model.robot_model import RobotModel
 def servos_of(model: RobotModel) -> tuple[EffortSignal | None, ...]:
     """Return the servo of each of a model's joints; None for other effort signals."""
     signals = (signal_of(model.effort_signals, joint) for joint in model.joints)
-    return tuple(each if each and each.kind == COMMAND else None for each in signals)
+    return tuple(signal if signal and signal.kind == COMMAND else None for signal in signals)
 
 
 def command_delays(model: RobotModel) -> Array:
-    """Return (n,) times by which commands act late, s; 0 at joints without a servo."""
+    """Return delays (n,) of commands, s; 0 at joints without a servo."""
     return np.array([servo.delay if servo else 0.0 for servo in servos_of(model)])
 
 
 class ServoError(NamedTuple):
-    """Differences that servos act upon, all (..., n)."""
+    """Inputs of servos, all (..., n)."""
 
     position: Array  # commanded less measured position, rad or m
-    velocity: Array  # the known share of the commanded velocity less the measured one
-    integral: Array  # integral of the error of position beyond the dead band, rad·s or m·s
-    feedforward: Array  # effort that is added, N·m or N
+    velocity: Array  # ρ times the commanded velocity, less the measured one
+    integral: Array  # integral of the position error beyond the dead band, rad·s or m·s
+    feedforward: Array  # N·m or N
 
 
 class ServoGains(NamedTuple):
-    """Gains of servos, all (n,), as in `PositionServo`; `limit` is infinite without a limit.
+    """Gains of servos, all (n,), as in `PositionServo`; `limit` may be infinite.
 
         τ = sat(kp e + kd ė + ki z + τ_ff),   e = dead(c − q),   ż = e,   ė = ρ ċ − v
 
-    where dead takes the dead band off an error, and sat keeps the limit.
+    with the dead band function dead and saturation at the limit, sat.
     """
 
     kp: Array
@@ -54,12 +54,12 @@ class ServoGains(NamedTuple):
         return np.maximum(np.minimum(self.unlimited(error), self.limit), -self.limit)
 
     def unlimited(self, error: ServoError) -> Array:
-        """Return what efforts (..., n) would be without limits, N·m or N."""
+        """Return the efforts (..., n) without limits, N·m or N."""
         pull = self.kp * beyond(error.position, self.dead_band) + self.kd * error.velocity
         return np.asarray(pull + self.ki * error.integral + error.feedforward)
 
     def integral_rate(self, error: ServoError) -> Array:
-        """Return the rates ż (..., n); 0 where the effort is at its limit and would go beyond."""
+        """Return the rates ż (..., n), with anti-windup: 0 if the effort would exceed its limit."""
         effort, e = self.unlimited(error), beyond(error.position, self.dead_band)
         wound_up = np.logical_or(
             np.logical_and(effort > self.limit, e > 0.0),
@@ -93,9 +93,9 @@ def servo_gains(model: RobotModel) -> ServoGains:
 
 
 def beyond(error: Array, band: Array | float) -> Array:
-    """Return errors less a dead band: e − b above b, e + b below −b, 0 between."""
+    """Return errors beyond a dead band: e − b above b, e + b below −b, 0 between."""
     return np.maximum(error - band, 0.0) + np.minimum(error + band, 0.0)
 
 
 calc_beyond = cast(Callable[[float, float], float], inlined(beyond))
-"""`beyond` of numbers, for compiled functions."""
+"""Scalar `beyond` for compiled functions."""

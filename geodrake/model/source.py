@@ -1,4 +1,4 @@
-"""A model's effort as a function without dependencies, in Python or C++, for a controller."""
+"""A model's effort as source code without dependencies, in Python or C++."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ from geodrake.model.robot_model import RobotModel
 _MOST_OPERATIONS = 12  # in a line
 
 Term = Callable[[str, tuple[str, ...]], str]
-"""Writes an operation on operands that are written already."""
+"""Returns an operation as text, from the texts of its operands."""
 
 
 def straight_line(
     results: Sequence[Operand], write: Term, number: Callable[[float], str]
 ) -> tuple[list[tuple[str, str]], list[str]]:
-    """Return names and expressions of statements in their order, and expressions of the results."""
+    """Return the (name, expression) pairs of assignments, and the expressions of the results."""
     symbols = [*in_order(results)]
     uses = Counter(x for x in (*results, *(x for s in symbols for x in s.operands)))
     written: dict[Operand, str] = {}
@@ -74,7 +74,7 @@ _INFIX = {
     "equal": "==",
     "not_equal": "!=",
 }
-_FUNCTIONS = {  # of C and of Python's math, where the name is not NumPy's
+_FUNCTIONS = {  # NumPy's name -> the name in C and in Python's math, if different
     "arcsin": "asin",
     "arccos": "acos",
     "arctan": "atan",
@@ -149,25 +149,24 @@ inline std::array<double, kJoints> effort(
 
 @dataclass(frozen=True)
 class Language:
-    """A programming language of formulas, and the parts of a file in it."""
+    """A programming language, with formats of the parts of a source file."""
 
     suffix: str
     template: str
-    comment: str  # mark of a line of a comment
-    statement: str  # A name and an expression
+    comment: str  # prefix of a comment line
+    statement: str  # format of a name and an expression
     result: str
     string: Callable[[str], str]
-    module: str  # what stands before the names of mathematical functions
-    # Operations that are written in a way of their own, as formats of their operands.
-    own: Mapping[str, str]
+    module: str  # prefix of mathematical functions
+    special: Mapping[str, str]  # operation -> format of its operands, if irregular
 
     def operation(self, name: str, operands: tuple[str, ...]) -> str:
-        """Return an operation, by NumPy's name, on operands that are written already.
+        """Return an operation, by NumPy's name, on the texts of its operands.
 
-        Those of an input are its name and place.
+        The operands of an input are its name and index.
         """
-        if name in self.own:
-            return self.own[name].format(*operands)
+        if name in self.special:
+            return self.special[name].format(*operands)
         if name == "input":
             return f"{operands[0]}[{operands[1]}]"
         if name in _INFIX:
@@ -177,10 +176,10 @@ class Language:
         return f"{self.module}{_FUNCTIONS.get(name, name)}({', '.join(operands)})"
 
     def number(self, value: float) -> str:
-        """Return a number with all its digits."""
+        """Return a number with all digits."""
         if not np.isfinite(value):
             raise ModelError(
-                f"The formula of the effort has {value:g} in it, which is not a number.",
+                f"The formula of the effort contains {value:g}, which is not a number.",
                 advice="Remove the effect that uses an unknown, such as the position of a "
                 "joint of several degrees of freedom.",
             )
@@ -246,14 +245,14 @@ def is_written(effect: Effect) -> bool:
 def _formulas(
     model: RobotModel, sign_width: ArrayLike
 ) -> tuple[list[Operand], list[str], list[str]]:
-    """Return efforts (nv) as formulas, the effects that they have, and those left out."""
+    """Return efforts (nv) as formulas, the included effects, and those left out."""
     nv = len(model.joints)
     q = Symbols.inputs("q", model.tree.num_positions)
     v, vd = Symbols.inputs("v", nv), Symbols.inputs("vd", nv)
     load = inverse_dynamics_formula(model.tree, q, v, vd, model.total_phi)
     by_joint = Symbols.of(np.full((1, nv), np.nan))  # for joints of several degrees
     by_joint[0, model.single_places] = q[model.single_places]
-    seen = RobotMotion(
+    motion = RobotMotion(
         model.joints,
         by_joint,
         v[None],
@@ -263,35 +262,35 @@ def _formulas(
         _no_columns,
         BodyFormulas(model.tree, q[None], model.total_phi),
     )
-    effort, scales = load.copy(), []
+    effort, gains = load.copy(), []
     included, left_out = [], []
     for fitted in model.effects:
-        effect, what = fitted.effect, _words(fitted)
+        effect, description = fitted.effect, _description(fitted)
         if effect.role in _NOT_INCLUDED:
-            left_out.append(f"{what}: {_NOT_INCLUDED[effect.role]}")
+            left_out.append(f"{description}: {_NOT_INCLUDED[effect.role]}")
             continue
         if effect.role is Role.SCALE:
-            scales.append(fitted)
+            gains.append(fitted)
         elif effect.role is not Role.BODY:
-            for joint, columns in recorded_rows(effect, seen).items():
-                at = seen.index(joint)
-                effort[at] = effort[at] + columns @ fitted.parameters.astype(object)
-        included.append(what)
+            for joint, columns in recorded_rows(effect, motion).items():
+                row = motion.index(joint)
+                effort[row] = effort[row] + columns @ fitted.parameters.astype(object)
+        included.append(description)
         if not is_written(effect):
             warm = "temperature" in effect.depends_on
             left_out.append(
-                f"the temperature of {what}: the reference is assumed"
+                f"the temperature of {description}: the reference is assumed"
                 if warm
-                else f"the history of {what}: a long motion before is assumed"
+                else f"the history of {description}: a long previous motion is assumed"
             )
     total = effort.copy()
-    for fitted in scales:
-        at = seen.index(fitted.effect.where[0])
-        total[at] = total[at] + float(fitted.parameters[0]) * effort[at]
+    for fitted in gains:
+        row = motion.index(fitted.effect.where[0])
+        total[row] = total[row] + float(fitted.parameters[0]) * effort[row]
     return total.tolist(), included, left_out
 
 
-def _words(fitted: FittedEffect) -> str:
+def _description(fitted: FittedEffect) -> str:
     effect = fitted.effect
     values, _ = effect.reported(fitted.parameters, np.full(len(fitted.parameters), np.nan))
     listed = ", ".join(f"{name} {value:.6g}" for name, value in values.items())
@@ -311,14 +310,14 @@ _LANGUAGES = {"python": PYTHON, "cpp": CPP}
 
 
 def python_source(model: RobotModel, *, sign_width: ArrayLike = 0.0) -> str:
-    """Return a Python module with a function effort(q, v, vd), which imports `math` only.
+    """Return a Python module with a function effort(q, v, vd) that imports only `math`.
 
-    The function has the rigid bodies, payloads and effects of the model. A comment lists effects
-    that depend on the history of the motion, which are not included.
+    The function includes the rigid bodies, payloads and effects of the model, except effects that
+    depend on the history of the motion, which a comment lists.
 
     Args:
-        sign_width: Speed below which dry friction fades, rad/s or m/s, at least; one for all
-            velocities or (nv,). At 0, the sign of a velocity jumps where the model's does.
+        sign_width: Lower bound of the speed below which dry friction fades, rad/s or m/s; one for
+            all velocities or (nv,). At 0, dry friction jumps where the model's does.
     """
     return effort_source(model, "python", sign_width=sign_width).text
 
@@ -334,41 +333,41 @@ def cpp_source(model: RobotModel, *, sign_width: ArrayLike = 0.0) -> str:
 
 @dataclass(frozen=True)
 class EffortSource:
-    """A file with a model's effort."""
+    """A source file with a model's effort."""
 
-    file_name: str  # its name, such as `arm_effort.py`
+    file_name: str  # such as `arm_effort.py`
     text: str
-    left_out: tuple[str, ...]  # the effects that it has not, or not as they are, with the reason
+    left_out: tuple[str, ...]  # effects that are missing or simplified, with the reason
 
 
 def effort_source(model: RobotModel, language: str, *, sign_width: ArrayLike = 0.0) -> EffortSource:
-    """Return a model's effort as a file in a language, "python" or "cpp"; see `python_source`."""
+    """Return a model's effort in a language, "python" or "cpp"; see `python_source`."""
     kind = _LANGUAGES[one_of(language, "language", _LANGUAGES)]
     formulas, included, left_out = _formulas(instance(model, "model", RobotModel), sign_width)
-    lines, efforts = straight_line(formulas, kind.operation, kind.number)
+    statements, efforts = straight_line(formulas, kind.operation, kind.number)
     paragraphs = [
         f"Effort that {quoted(model.path.name)} needs for a motion, written by geodrake.",
         f"Rigid bodies, payloads included, and: {'; '.join(included) or 'no effect'}.",
-        *(f"Not included: {one}." for one in left_out),
+        *(f"Not included: {reason}." for reason in left_out),
         *repair_comments(model),
     ]
-    words = [line for p in paragraphs for line in textwrap.wrap(printable(p), _WIDTH)]
-    # C++ goes on in the next line after a backslash.
-    comment = [kind.comment + line + ("." if line.endswith("\\") else "") for line in words]
+    lines = [line for p in paragraphs for line in textwrap.wrap(printable(p), _WIDTH)]
+    # A backslash at the end of a line would continue the comment in C++.
+    comment = [kind.comment + line + ("." if line.endswith("\\") else "") for line in lines]
     text = kind.template.format(
         comment="\n".join(comment),
         name=f"{_name(model)}_model",
         nq=model.tree.num_positions,
         nv=len(model.joints),
         joints="\n".join(f"    {kind.string(joint)}," for joint in model.joints),
-        statements="\n".join(kind.statement.format(name, _bare(x)) for name, x in lines),
-        results="\n".join(kind.result.format(_bare(x)) for x in efforts),
+        statements="\n".join(kind.statement.format(name, _unwrapped(x)) for name, x in statements),
+        results="\n".join(kind.result.format(_unwrapped(x)) for x in efforts),
     )
     return EffortSource(f"{_name(model)}_effort{kind.suffix}", text, tuple(left_out))
 
 
-def _bare(expression: str) -> str:
-    """Return an expression without brackets around all of it."""
+def _unwrapped(expression: str) -> str:
+    """Return an expression without its outermost parentheses."""
     depth = 0
     for place, letter in enumerate(expression):
         depth += (letter == "(") - (letter == ")")
@@ -378,6 +377,6 @@ def _bare(expression: str) -> str:
 
 
 def _name(model: RobotModel) -> str:
-    """Return an ASCII identifier for the robot, of its file's name."""
+    """Return an ASCII identifier for the robot, from its file name."""
     plain = "".join(c if c.isascii() else " " for c in model.path.name.partition(".")[0])
     return identifier(plain)

@@ -1,10 +1,10 @@
 """Effects from elements of a model file: joints, tendons, gravity compensation, a medium.
 
-Files state joints' terms at joints; effects act at actuators. Where one actuator moves a joint by a
-constant ratio J, damping, rotor inertia and stiffness are J² there, and dry friction |J|. Where
-several do, or the ratio changes, as in a closed loop, the effect stays at the joint, τ_q = Jᵀ τ_θ.
-A tendon's energy ½ k (Σ cᵢ qᵢ − L₀)² is that of a spring at each joint, and of a coupling of each
-two; damping and inertia likewise.
+Files state terms at joints, whereas effects act at actuators. With one actuator of constant ratio
+J, damping, rotor inertia and stiffness are multiplied by J², and dry friction by |J|. With several
+actuators or a varying ratio, as in a closed loop, the effect stays at the joint, τ_q = Jᵀ τ_θ. A
+tendon's energy ½ k (Σ cᵢ qᵢ − L₀)² is that of a spring at each joint and of a coupling of each
+pair; damping and inertia are split in the same way.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from geodrake.robot.joints import Following, joint_names
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.plant import LoadedPlant, scoped_joint_names
 
-_LEAST = 1e-100  # SI units: less counts as zero, as its square has no inverse
+_LEAST = 1e-100  # SI units; smaller values count as zero, as their squares underflow
 _WORDS: Mapping[type[Effect], str] = {
     Damping: "damping",
     DryFriction: "dry friction",
@@ -62,7 +62,7 @@ _WORDS: Mapping[type[Effect], str] = {
 
 
 class StatedEffects:
-    """Effects that a file states at coordinates, or joints, and at bodies; with notes."""
+    """Sums of the terms in a file as effects at coordinates, joints and bodies, with notes."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self.left_out, self.notes = list[str](), list[str]()
@@ -70,7 +70,7 @@ class StatedEffects:
         self._sums, self._springs = dict[Effect, Array](), dict[str, stated.Spring]()
 
     def add(self, effect: Effect, *values: float) -> None:
-        """Add the parameters of an effect to those that it has so far."""
+        """Add parameters to an effect."""
         if any(values):
             self._sums[effect] = self._sums.get(effect, 0.0) + np.array(values, float)
 
@@ -109,7 +109,7 @@ class StatedEffects:
             )
 
     def fitted(self) -> list[FittedEffect]:
-        """Return the effects with nonzero parameters, which notes list."""
+        """Return the effects with nonzero parameters, and add notes on them."""
         for name, spring in self._springs.items():
             preload, stiffness, *powers = spring.coefficients
             if stiffness >= 0.0 and not any(powers):  # a linear one that pulls back
@@ -124,46 +124,46 @@ class StatedEffects:
                 how = "is negligible and ignored"
             if values.any():
                 groups[words, how].append(FittedEffect(effect, values))
-        for (words, how), own in groups.items():
-            each = ((f.effect.place, *(f"{x:g}" for x in f.parameters if x)) for f in own)
-            self.notes.append(f"The {words} in the file ({', '.join(map(' '.join, each))}) {how}.")
+        for (words, how), items in groups.items():
+            names = ((f.effect.place, *(f"{x:g}" for x in f.parameters if x)) for f in items)
+            self.notes.append(f"The {words} in the file ({', '.join(map(' '.join, names))}) {how}.")
         kept = chain.from_iterable(groups.values())
         return [fitted for fitted in kept if np.abs(fitted.parameters).max() >= _LEAST]
 
     def _rank(self, effect: Effect) -> tuple[int, float, int]:
-        """Return where an effect is among others: by its kind, its power, its place."""
+        """Return an effect's sorting key: kind, power, place."""
         kind, power = list(_WORDS).index(type(effect)), effect.shape.get("exponent") or 0.0
         return kind, power, self._at.get(effect.where[0], len(self._at))
 
 
 def _places(loaded: LoadedPlant, coordinates: RobotCoordinates) -> dict[str, Following]:
-    """Return where each joint is, by its scoped name and, of several velocities, with a number."""
+    """Return the coupling of each joint by scoped name, with an index for several velocities."""
     joints = scoped_joint_names(loaded.plant)
     keys = (
-        joint if joints.count(joint) == 1 else f"{joint}[{joints[:at].count(joint)}]"
-        for at, joint in enumerate(joints)
+        joint if joints.count(joint) == 1 else f"{joint}[{joints[:index].count(joint)}]"
+        for index, joint in enumerate(joints)
     )
-    found = dict(zip(keys, coordinates.followed(joint_names(loaded.plant)), strict=True))
-    found |= {cut.scoped_name: Following(cut.name) for cut in loaded.closing}
-    return found | {joint: Following("", 0.0, at) for joint, at in loaded.places.items()}
+    places = dict(zip(keys, coordinates.followed(joint_names(loaded.plant)), strict=True))
+    places |= {cut.scoped_name: Following(cut.name) for cut in loaded.closing}
+    return places | {joint: Following("", 0.0, index) for joint, index in loaded.places.items()}
 
 
 def stated_effects(loaded: LoadedPlant, coordinates: RobotCoordinates) -> StatedEffects:
-    """Return the effects that a model file states, by coordinates of all of the plant's joints."""
-    found, terms = StatedEffects(coordinates.names), loaded.terms
+    """Return the effects in a model file, at the coordinates of all joints of the plant."""
+    effects, terms = StatedEffects(coordinates.names), loaded.terms
     places = _places(loaded, coordinates)
     for length in chain.from_iterable(each.each(places) for each in terms.lengths):
         if places.keys() >= length.shares.keys():
-            found.add_length(length.through(places))
+            effects.add_length(length.through(places))
         elif not places.keys().isdisjoint(length.shares):
-            what = f"Tendon {length.name} between several robots is ignored."
-            found.left_out.append(what)
+            note = f"Tendon {length.name} between several robots is ignored."
+            effects.left_out.append(note)
     for first, second, value in terms.coupled_inertia:
         if {first, second} <= places.keys():
             (i, a, _), (j, b, _) = places[first], places[second]
-            found.add_inertia(i, j, a * b * value * (2.0 if i == j and first != second else 1.0))
-    _add_of_bodies(found, loaded)
-    return found
+            effects.add_inertia(i, j, a * b * value * (2.0 if i == j and first != second else 1.0))
+    _add_of_bodies(effects, loaded)
+    return effects
 
 
 def _add_of_bodies(found: StatedEffects, loaded: LoadedPlant) -> None:
@@ -173,8 +173,8 @@ def _add_of_bodies(found: StatedEffects, loaded: LoadedPlant) -> None:
     weights = defaultdict[str, Array](lambda: np.zeros(4))
     for member in chain.from_iterable(body.members for body in lumped_bodies(plant)):
         share, link = terms.carried.get(member.scoped_name, 0.0), plant.get_body(member.index)
-        own = from_spatial_inertia(link.default_spatial_inertia())
-        mass, *moment = terms.set_aside.get(member.scoped_name, own)[:4]
+        parameters = from_spatial_inertia(link.default_spatial_inertia())
+        mass, *moment = terms.set_aside.get(member.scoped_name, parameters)[:4]
         if share and 0.0 < mass < np.inf:
             com = member.X_RB @ (np.array(moment) / mass)
             body = places[member.scoped_name][0]
@@ -206,10 +206,10 @@ def _add_of_bodies(found: StatedEffects, loaded: LoadedPlant) -> None:
 
 
 def _carriers(loaded: LoadedPlant, body: str) -> list[tuple[str, float]]:
-    """Return what carries the compensated weight of a body, with signs.
+    """Return the bodies that carry the compensated weight of a body, with signs.
 
-    Joints whose own motors do that bear it all the same: between any two bodies of the chain from
-    the world, what the inboard one carries, less what the outboard one does.
+    Joints with motors for gravity compensation still bear the weight. Each boundary between these
+    and other joints, along the chain from the world, has a carrier with the sign of the change.
     """
     acting = loaded.terms.acting
     if not acting:

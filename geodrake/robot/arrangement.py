@@ -1,13 +1,11 @@
-"""The moving part of a model file's plant: one robot, floating bodies, fixed and cut joints.
+"""The moving part of a model file's plant: one robot, floating bases, fixed and cut joints.
 
-Free roots get six joints to the world, which slide along x, y and z of it and then turn by yaw,
-pitch and roll, with massless frames between. So the pose of a base is six positions, whose rates
-are its velocities, and whatever holds for joints holds for it. At a pitch of ±90° yaw and roll are
-one.
+Free roots get six joints to the world, which slide along x, y and z and then turn by yaw, pitch and
+roll, with massless frames between. The pose of a base thus has six positions, whose rates are its
+velocities, like any joints. Yaw and roll are singular at a pitch of ±90°.
 
-SDF says of every joint which links it joins, whatever loops that makes. What stays is driven, as
-far as an effort limit tells, or near the base; of the others the last ones close the loops, and are
-taken out.
+Joints in SDF may form loops. Joints with an effort limit, which counts as a motor, and those close
+to the base stay in the tree; of the others, the last ones close the loops and are removed.
 """
 
 from __future__ import annotations
@@ -41,15 +39,15 @@ from geodrake.robot.joints import Tie, joints_of, scoped
 from geodrake.robot.stated import CLOSING, Closure, CutJoint, Gearbox
 
 COORDINATES = ("x", "y", "z", "yaw", "pitch", "roll")
-"""Last words of the names of a base's joints, from the world to the root."""
+"""Suffixes of the names of a base's joints, from the world to the root."""
 
 _AXES = (*np.eye(3), *np.eye(3)[::-1])
 
 
 def add_base_joints(plant: MultibodyPlant, root: RigidBody) -> None:
-    """Put six joints between the world and a root of a plant that is not finalized.
+    """Add six joints between the world and a root of a plant before finalization.
 
-    By default they are where the file has the root. Their names are the root's with the
+    Their default positions are the root's pose in the file. Their names are the root's with the
     coordinate, `trunk_x` … `trunk_roll`.
     """
     X_WB = plant.GetDefaultFloatingBaseBodyPose(root)
@@ -74,24 +72,24 @@ def add_base_joints(plant: MultibodyPlant, root: RigidBody) -> None:
 
 
 def base_joints(plant: MultibodyPlant) -> tuple[tuple[Joint, ...], ...]:
-    """Return the six joints of every free base of a plant, from the world to the root."""
-    found = defaultdict[int, list[Joint]](list)
+    """Return the six joints of each free base of a plant, from the world to the root."""
+    joints_of_base = defaultdict[int, list[Joint]](list)
     for joint in joints_of(plant):
         frames = [b for b in (joint.parent_body(), joint.child_body()) if is_base_frame(plant, b)]
         if frames:
-            found[int(frames[0].model_instance())].append(joint)
-    return tuple(tuple(joints) for joints in found.values())
+            joints_of_base[int(frames[0].model_instance())].append(joint)
+    return tuple(tuple(joints) for joints in joints_of_base.values())
 
 
 def open_loops(plant: MultibodyPlant) -> tuple[Closure, ...]:
-    """Take joints out of a plant that is not finalized, so that its bodies are trees."""
+    """Remove joints that close loops from a plant before finalization."""
     joints = joints_of(plant)
     if not _closing(plant, joints):
         return ()
     actuators, far = _actuators(plant), _steps(plant, joints)
 
     def rank(joint: Joint) -> tuple[int, float]:
-        """Return how gladly a joint closes a loop, and how far it is from the base."""
+        """Return a sorting key: joints to keep in the tree come first."""
         driven = _is_driven(actuators.get(int(joint.index()), []))
         kind = {WeldJoint: 0, RevoluteJoint: 2 - driven, PrismaticJoint: 2 - driven}
         return kind.get(type(joint), 3), sum(far[body] for body in ends_of(joint))
@@ -108,7 +106,7 @@ def open_loops(plant: MultibodyPlant) -> tuple[Closure, ...]:
 
 
 def _remove_joint(plant: MultibodyPlant, joint: Joint) -> None:
-    """Remove a joint from an unfinalized plant, with its actuators."""
+    """Remove a joint and its actuators from a plant before finalization."""
     for actuator in _actuators(plant).get(int(joint.index()), []):
         plant.RemoveJointActuator(actuator)
     plant.RemoveJoint(joint)
@@ -120,16 +118,16 @@ def ends_of(joint: Joint) -> tuple[int, int]:
 
 
 def _closing(plant: MultibodyPlant, joints: list[Joint]) -> list[Joint]:
-    """Return joints between bodies that those before them connect already."""
+    """Return joints between bodies that earlier joints already connect."""
     connected = DisjointSet(range(plant.num_bodies()))
     return [joint for joint in joints if not connected.merge(*ends_of(joint))]
 
 
 def _actuators(plant: MultibodyPlant) -> dict[int, list[JointActuator]]:
-    found = defaultdict[int, list[JointActuator]](list)
+    actuators = defaultdict[int, list[JointActuator]](list)
     for actuator in map(plant.get_joint_actuator, plant.GetJointActuatorIndices()):
-        found[int(actuator.joint().index())].append(actuator)
-    return found
+        actuators[int(actuator.joint().index())].append(actuator)
+    return actuators
 
 
 def _steps(plant: MultibodyPlant, joints: list[Joint]) -> NDArray[np.float64]:
@@ -146,7 +144,7 @@ def _is_driven(actuators: list[JointActuator]) -> bool:
     return any(np.isfinite(actuator.effort_limit()) for actuator in actuators)
 
 
-_KINDS = {"weld": "fixed", "ball_rpy": "ball"}  # by Drake's names, where those are others
+_KINDS = {"weld": "fixed", "ball_rpy": "ball"}  # Drake's name -> ours, if different
 
 
 def _opened(joint: Joint, name: str, actuators: list[JointActuator]) -> Closure:
@@ -175,7 +173,7 @@ def _opened(joint: Joint, name: str, actuators: list[JointActuator]) -> Closure:
 def geared(plant: MultibodyPlant, box: Gearbox) -> tuple[str, Tie] | None:
     """Return the joint that follows another one by a gearbox, and its tie; the slower one leads.
 
-    None unless one joint each turns its links about the third one, and about the axes of its own.
+    Return None unless a revolute joint connects each link to the reference, about the box's axis.
     """
     context, names, signs = plant.CreateDefaultContext(), list[str](), list[float]()
     plant.SetPositions(context, np.zeros(plant.num_positions()))
@@ -186,70 +184,67 @@ def geared(plant: MultibodyPlant, box: Gearbox) -> tuple[str, Tie] | None:
         if isinstance(joint, RevoluteJoint):
             by_ends[frozenset(ends)] = joint, ends[1]
     for link, (frame, axis) in zip(box.links, box.axes, strict=True):
-        scope, _, own = frame.rpartition("::")
+        scope, _, name = frame.rpartition("::")
         where, found = (
             plant.GetModelInstanceByName(scope),
             by_ends.get(frozenset((box.reference, link))),
         )
-        if found is None or not plant.HasFrameNamed(own, where):
+        if found is None or not plant.HasFrameNamed(name, where):
             return None
         joint, outer = found
         R_WF = joint.frame_on_parent().CalcRotationMatrixInWorld(context)
-        R_WA = plant.GetFrameByName(own, where).CalcRotationMatrixInWorld(context)
-        along = R_WF.multiply(joint.revolute_axis()) @ R_WA.multiply(axis / np.linalg.norm(axis))
-        if not abs(along) > 1.0 - _SAME:
+        R_WA = plant.GetFrameByName(name, where).CalcRotationMatrixInWorld(context)
+        cosine = R_WF.multiply(joint.revolute_axis()) @ R_WA.multiply(axis / np.linalg.norm(axis))
+        if not abs(cosine) > 1.0 - _SAME:
             return None
         names.append(scoped(joint))
-        signs.append(float(np.sign(along)) * (1.0 if outer == link else -1.0))
+        signs.append(float(np.sign(cosine)) * (1.0 if outer == link else -1.0))
     ratio = -box.ratio * signs[0] * signs[1]
     if abs(ratio) < 1.0:
         return names[0], Tie(names[1], (0.0, 1.0 / ratio))
     return names[1], Tie(names[0], (0.0, ratio))
 
 
-_SLACK = 1e-9  # rad or m, by which a held joint may be beyond its limits
-_SAME = 1e-6  # rad or m, by which a held joint may be off where it follows its leader
-_ASIDE = " stands"  # after the name of a joint of a robot that is not the one asked for
+_SLACK = 1e-9  # rad or m, tolerance of the limits of a fixed joint
+_SAME = 1e-6  # rad or m, tolerance of the position of a fixed follower
+_ASIDE = " stands"  # suffix of welded joints of other robots
 _WORLD = 0
 
 
 @dataclass(frozen=True)
 class Arrangement:
-    """The parts of a model file that move, and independently."""
+    """The moving and independent parts of a model file."""
 
-    floating: bool  # whether free roots float instead of being welded to the world
-    # Scoped names of joints that are held -> their poses X_FM.
+    floating: bool  # free roots float instead of being welded to the world
+    # Scoped name of a fixed joint -> its pose X_FM.
     held: Mapping[str, RigidTransform] = field(default_factory=dict)
-    # Scoped names of joints that are held -> where, rad or m.
+    # Scoped name of a fixed joint -> its position, rad or m.
     places: dict[str, float] = field(default_factory=dict)
-    # Scoped names of joints of other robots than the one asked for -> their poses X_FM.
+    # Scoped name of a joint of another robot than the chosen one -> its pose X_FM.
     aside: Mapping[str, RigidTransform] = field(default_factory=dict)
-    # Indices of that robot's bodies; None for all that there are.
-    robot: frozenset[int] | None = None
-    # Scoped name of a joint -> what it follows.
-    followers: Mapping[str, Tie] = field(default_factory=dict)
-    # Names, as users know them, of the robot's joints of one degree of freedom, held ones and
-    # followers included.
+    robot: frozenset[int] | None = None  # indices of the chosen robot's bodies; None for all
+    followers: Mapping[str, Tie] = field(default_factory=dict)  # by scoped names
+    # User-visible names of the joints of one degree of freedom, fixed ones and followers included.
     joints: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class OneRobot:
-    """A robot of a model file: bodies that joints connect, not by way of the world."""
+    """A robot of a model file: bodies that joints connect, not counting those to the world."""
 
-    name: str  # that of its model in the file, or of its first body where the model has several
+    name: str  # of its model in the file, or of its first body if the model has several robots
     bodies: frozenset[int]
     joints: tuple[str, ...]
 
 
 def robots_of(plant: MultibodyPlant) -> tuple[OneRobot, ...]:
-    """Return the robots of a plant: connected moving bodies, in order."""
+    """Return the robots of a plant, groups of connected moving bodies."""
     joints, group = joints_of(plant), DisjointSet(range(1, plant.num_bodies()))
     ends = list(map(ends_of, joints))
     for pair in ends:
         if _WORLD not in pair:
             group.merge(*pair)
-    found = dict[RigidBody, OneRobot]()  # by the first body
+    robots = dict[RigidBody, OneRobot]()  # by the first body
     for members in sorted(group.subsets(), key=min):
         moving = tuple(
             scoped(joint)
@@ -259,16 +254,16 @@ def robots_of(plant: MultibodyPlant) -> tuple[OneRobot, ...]:
         if moving:
             root = plant.get_body(BodyIndex(min(members)))
             model = plant.GetModelInstanceName(root.model_instance())
-            found[root] = OneRobot(model, frozenset(members), moving)
-    count = Counter(robot.name for robot in found.values())
+            robots[root] = OneRobot(model, frozenset(members), moving)
+    count = Counter(robot.name for robot in robots.values())
     return tuple(
         robot if count[robot.name] == 1 else replace(robot, name=root.name())
-        for root, robot in found.items()
+        for root, robot in robots.items()
     )
 
 
 def chosen_robot(plant: MultibodyPlant, name: str, path: object) -> OneRobot:
-    """Return the robot of a name."""
+    """Return the robot with a name."""
     robots = robots_of(plant)
     found = next((robot for robot in robots if robot.name == name), None)
     if found is None:
@@ -282,9 +277,9 @@ def chosen_robot(plant: MultibodyPlant, name: str, path: object) -> OneRobot:
 def checked_held(
     joints: Mapping[str, Joint], followers: Mapping[str, Tie], held: Mapping[str, float], path: Path
 ) -> dict[str, float]:
-    """Return scoped names of joints that are to be held, and of those that follow them -> where.
+    """Return scoped joint name -> position for joints to be fixed and their followers.
 
-    `joints`, of one degree of freedom, and `held`, rad or m, are by names as users know them.
+    `joints`, of one degree of freedom, and `held`, rad or m, have user-visible names.
     """
     names = {scoped(joint): name for name, joint in joints.items()}
     ties = {names[own]: tie for own, tie in followers.items()}
@@ -300,7 +295,7 @@ def checked_held(
             if leader not in held or not abs(tie.at(held[leader]) - value) <= _SAME:
                 raise ModelError(
                     f"Joint {name!r} cannot be fixed, as it follows {leader!r}.",
-                    advice=f"Hold {leader!r}.",
+                    advice=f"Fix {leader!r}.",
                 )
         joint = joints[name]
         low, high = joint.position_lower_limits()[0], joint.position_upper_limits()[0]
@@ -319,7 +314,7 @@ def poses_of(
 ) -> dict[str, RigidTransform]:
     """Return scoped joint name -> pose of the joint's frame M in its frame F.
 
-    Joints of one degree of freedom are at `places`, rad or m, the others as by default.
+    Joints of one degree of freedom are at `places`, rad or m, others at their defaults.
     """
     context, places = plant.CreateDefaultContext(), places or {}
     q, own = np.array(plant.GetPositions(context)), {scoped(j): j for j in moving_joints(plant)}
@@ -336,9 +331,9 @@ def poses_of(
 def weld_joints(
     plant: MultibodyPlant, poses: Mapping[str, RigidTransform], *, aside: bool = False
 ) -> None:
-    """Put welds of poses X_FM in the place of joints of the same name, in an unfinalized plant.
+    """Replace joints by welds with poses X_FM, by scoped name, in a plant before finalization.
 
-    Those of other robots than the one in question are `aside`, and get other names.
+    With `aside`, for joints of other robots than the chosen one, welds get another name.
     """
     for joint in moving_joints(plant):
         if scoped(joint) in poses:
@@ -349,12 +344,12 @@ def weld_joints(
 
 
 def welds_of(plant: MultibodyPlant, *, aside: bool = False) -> dict[str, RigidTransform]:
-    """Return scoped names of welded joints of a plant -> their poses X_FM; see `weld_joints`."""
+    """Return scoped name -> pose X_FM of welded joints of a plant; see `weld_joints`."""
     welds = {scoped(j): j.X_FM() for j in joints_of(plant) if isinstance(j, WeldJoint)}
     wanted = (name for name in welds if name.endswith(_ASIDE) is aside)
     return {name.removesuffix(_ASIDE): welds[name] for name in wanted}
 
 
 def moving_joints(plant: MultibodyPlant) -> list[Joint]:
-    """Return the joints of a plant that are no welds."""
+    """Return the joints of a plant that are not welds."""
     return [joint for joint in joints_of(plant) if joint.num_velocities()]

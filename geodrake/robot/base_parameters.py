@@ -1,11 +1,11 @@
-"""Base parameters: the combinations of inertial parameters that data of one kind identify.
+"""Base parameters: the identifiable combinations of inertial parameters.
 
-A regressor's columns are dependent for every motion, because joints restrict how bodies move:
+The columns of a regressor are linearly dependent for every motion, because joints constrain bodies:
 
     Y(q, v, v̇) = Y_B(q, v, v̇) B,   φ_B = B φ                 [Lee2019] Eqs. (4.2.14), (4.2.15)
 
-with fewer rows in B than columns. No representation B is better than another S B; the one here has
-the identity in the columns of some independent parameters, so that Y_B is those columns of Y.
+with fewer rows in B than columns. B is unique up to a factor S B. Here it is the identity in the
+columns of independent parameters, so Y_B consists of those columns of Y.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from geodrake.robot.regressor import checked_tree, inverse_dynamics_regressor
 
 Indices = NDArray[np.intp]
 
-_ROUNDING = 1e-17  # share of the greatest singular value that is none
-_OWN_SHARE = 1e-1  # of a column that others before it must not give, if it is to be independent
+_ROUNDING = 1e-17  # least tolerance of singular values
+_OWN_SHARE = 1e-1  # relative residual of an independent column after projection on earlier ones
 _KINDS = (np.array([0]), np.arange(1, 4), np.arange(4, PARAMETERS_PER_BODY))  # m, h, I
-_PREFERENCE = (*range(4, PARAMETERS_PER_BODY), 1, 2, 3, 0)  # what is kept: I, then h, then m
+_PREFERENCE = (*range(4, PARAMETERS_PER_BODY), 1, 2, 3, 0)  # of independent columns: I, h, m
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,9 +42,9 @@ class BaseParameters(Short):
 
     Attributes:
         matrix: (n_B, p) B, with φ_B = B φ; the identity in the columns `independent`.
-        independent: (n_B,) columns whose parameters name the combinations.
-        singular_values: (p,) singular values of the scaled regressor, for judging the rank.
-        tolerance: Share of the greatest one below which they counted as zero.
+        independent: (n_B,) independent columns, which name the combinations.
+        singular_values: (p,) singular values of the scaled regressor.
+        tolerance: Relative tolerance of singular values in the rank.
     """
 
     matrix: Array
@@ -54,21 +54,21 @@ class BaseParameters(Short):
 
     @property
     def rank(self) -> int:
-        """Number n_B of base parameters."""
+        """Return the number n_B of base parameters."""
         return len(self.independent)
 
     @property
     def unseen(self) -> tuple[int, ...]:
-        """Parameters that have no influence at all."""
+        """Return the indices of parameters without any influence."""
         return tuple(np.flatnonzero(~self.matrix.any(axis=0)).tolist())
 
     def regressor(self, regressor: ArrayLike) -> Array:
-        """Y_B (..., n_B) of a regressor Y (..., p) of the same kind: the independent columns."""
+        """Return the independent columns Y_B (..., n_B) of a regressor Y (..., p)."""
         regressor = real_array(regressor, "regressor", ("...", self.matrix.shape[1]))
         return regressor[..., self.independent]
 
     def values(self, phi: ArrayLike) -> Array:
-        """φ_B = B φ (n_B,) of parameters φ, (p,) or (nb, 10)."""
+        """Return φ_B = B φ (n_B,) for parameters φ, (p,) or (nb, 10)."""
         flat = real_array(phi, "phi").ravel()
         return np.asarray(self.matrix @ real_array(flat, "phi", (self.matrix.shape[1],)))
 
@@ -77,9 +77,9 @@ class BaseParameters(Short):
         return pushforward_metric(self.matrix, prior, extra=extra)
 
     def labels(self, bodies: Sequence[str], *, extra: Sequence[str] = ()) -> tuple[str, ...]:
-        """Return every combination in words, such as "Izz of column + Iyy of arm + 0.09 m of arm".
+        """Return each combination in words, such as "Izz of column + Iyy of arm + 0.09 m of arm".
 
-        Coefficients are in SI units and given with three digits.
+        Coefficients are in SI units, with three digits.
 
         Args:
             extra: Names of the parameters after those of the bodies.
@@ -99,16 +99,15 @@ def base_parameters(
 ) -> BaseParameters:
     """Return base parameters for the motions of a regressor.
 
-    Of motions that excite everything, these are the robot's own (`structural_base_parameters`); of
-    a measured motion, they are what it excites. Units of length and time are scaled out before
-    singular values are compared, so the result does not depend on them.
+    For fully exciting motions these are the robot's own (`structural_base_parameters`). Columns are
+    scaled before singular values are compared, so the result does not depend on units.
 
     Args:
-        regressor: (..., p) regressor, or its (p, p) triangular factor without the measurements;
-            ten columns a body, then the further ones.
-        extra: Number of further columns, such as those of friction; they are scaled one by one.
-        tolerance: Share of the greatest singular value below which one counts as zero. Rounding
-            reaches some 1e-14; a greater tolerance leaves out what a motion hardly excites.
+        regressor: (..., p) regressor, or its (p, p) triangular factor without the measurements; ten
+            columns per body, then the further ones.
+        extra: Number of further columns, such as those of friction; each is scaled separately.
+        tolerance: Relative tolerance of singular values. Rounding reaches about 1e-14; a larger
+            tolerance excludes combinations that the motion hardly excites.
     """
     rows = real_array(regressor, "regressor", ("...", "m", "p"))
     number(tolerance, "tolerance", lower=_ROUNDING, upper=1.0, strict=True)
@@ -141,7 +140,7 @@ def base_parameters(
 
 
 def structural_base_parameters(plant: MultibodyPlant | KinematicTree) -> BaseParameters:
-    """Return base parameters that efforts identify with the best of motions, from random ones."""
+    """Return the base parameters of a robot, from the efforts of random motions."""
     tree = checked_tree(plant)
     random, nv = np.random.default_rng(0), tree.num_velocities
     count = 3 * PARAMETERS_PER_BODY * len(tree.bodies) // max(nv, 1) + 10
@@ -153,15 +152,15 @@ def structural_base_parameters(plant: MultibodyPlant | KinematicTree) -> BasePar
 def pushforward_metric(
     matrix: ArrayLike, prior: ArrayLike, *, extra: ArrayLike | None = None
 ) -> Array:
-    """Metric H₀ = (B G₀⁻¹ Bᵀ)⁻¹ on base parameters, [Lee2019] Eq. (4.3.35).
+    """Return the metric H₀ = (B G₀⁻¹ Bᵀ)⁻¹ on base parameters, [Lee2019] Eq. (4.3.35).
 
-    G₀ is the pullback metric g(φ⁰) of (B.1.7), body by body. The length of dφ_B is that of the
-    shortest dφ with B dφ = dφ_B, so it depends neither on frames and units nor on B.
+    G₀ is the pullback metric g(φ⁰) of (B.1.7) of each body. The length of dφ_B is that of the
+    shortest dφ with B dφ = dφ_B, independent of frames, units and B.
 
     Args:
         matrix: (n_B, p) B.
         prior: (nb, 10) physical prior.
-        extra: (p − 10 nb,) metric of each further parameter: 1/(2 x²) for a positive one near x.
+        extra: (p − 10 nb,) metric of each further parameter, 1/(2 x²) for a positive one of size x.
     """
     B = real_array(matrix, "matrix", ("n", "p"))
     prior = real_array(prior, "prior", ("nb", PARAMETERS_PER_BODY))
@@ -177,8 +176,8 @@ def pushforward_metric(
             f"The prior of bodies {wrong} is not physical, or a further metric is not positive.",
             advice="The metric needs physically valid parameters.",
         )
-    # H₀⁻¹ = W Wᵀ with W = B G₀^(-½); g⁻¹ is twice the inverse of the Hessian. A QR of W keeps the
-    # digits that the product would lose.
+    # H₀⁻¹ = W Wᵀ with W = B G₀^(-½); g⁻¹ is twice the inverse of the Hessian. A QR factorization of
+    # W keeps digits that the product would lose.
     inverse = 2.0 * PhysicalInertia().inverse_metric_times(
         prior[:, None], np.eye(PARAMETERS_PER_BODY)
     )
@@ -196,10 +195,10 @@ def pushforward_metric(
 
 
 def _scales(factor: Array, bodies: int) -> Array:
-    """Return (p,) size of each column's kind: one for all masses, one for all h, one for all I.
+    """Return the scale (p,) of each column's kind: masses, first moments, or inertias.
 
-    With a_m, a_h, a_I the sizes of the three kinds, a_h² ~ a_m a_I in units; where one kind has
-    no influence (only rounding), the other two say how large it would be.
+    The scales have units with a_h² ~ a_m a_I. If one kind has no influence but rounding errors, the
+    other two yield its scale.
     """
     norms = np.linalg.norm(factor, axis=0)
     split = bodies * PARAMETERS_PER_BODY
@@ -218,10 +217,10 @@ def _scales(factor: Array, bodies: int) -> Array:
 
 
 def _independent(scaled: Array, rank: int, bodies: int, tolerance: float) -> Indices:
-    """Return (rank,) independent columns, by preference those of bodies near the base, I before m.
+    """Return (rank,) independent columns, preferring bodies close to the base, and I before m.
 
-    A column that the ones before it nearly give, by the chance of a frame, would lose digits: it
-    waits, and what is still missing at the end is taken in the order of size.
+    Columns that nearly depend on earlier ones would lose digits and are skipped. If columns are
+    missing at the end, a pivoted QR factorization adds them.
     """
     split = bodies * PARAMETERS_PER_BODY
     order = np.arange(split).reshape(-1, PARAMETERS_PER_BODY)[:, _PREFERENCE].ravel()
@@ -232,10 +231,10 @@ def _independent(scaled: Array, rank: int, bodies: int, tolerance: float) -> Ind
     basis = np.zeros((len(scaled), rank))
     kept: list[int] = []
     for column in order:
-        rest = _outside(basis, scaled[:, column])
-        size = np.linalg.norm(rest)
+        residual = _outside(basis, scaled[:, column])
+        size = np.linalg.norm(residual)
         if size > least[column] and len(kept) < rank:
-            basis[:, len(kept)] = rest / size
+            basis[:, len(kept)] = residual / size
             kept.append(int(column))
     if len(kept) < rank:
         kept += qr(_outside(basis, scaled), mode="r", pivoting=True)[1][: rank - len(kept)].tolist()
@@ -243,7 +242,7 @@ def _independent(scaled: Array, rank: int, bodies: int, tolerance: float) -> Ind
 
 
 def _outside(basis: Array, columns: Array) -> Array:
-    """Return the part of columns orthogonal to a basis; two passes are enough for rounding."""
+    """Return the part of columns orthogonal to a basis; a second pass removes rounding errors."""
     for _ in range(2):
         columns = columns - basis @ (basis.T @ columns)
     return columns

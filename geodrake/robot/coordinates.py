@@ -1,13 +1,13 @@
-"""Coordinates: how all positions and velocities of a plant's joints follow from those of a robot.
+"""Map from a robot's coordinates, those of its actuators, to all joints of its plant.
 
-Joints that a drive moves give their places to its actuators, the i-th joint to the i-th actuator,
-or a joint to the actuator of its name where all have such; other joints are their own actuators, a
-floating base among them. Joints that follow others are moved by the drives of those, in which a
-joint without one is its own actuator.
+The actuators of a drive replace its joints in the order of coordinates: an actuator replaces the
+joint of its name if all have one, and otherwise the i-th actuator replaces the i-th joint. Other
+joints, including those of a floating base, are their own actuators. Following joints are moved by
+the drives of their leaders.
 
-Limits of joints are limits of their actuators: boxes within which every joint keeps its own. Joints
-that each follow one actuator have exact ones. Where several actuators move a joint together, the
-box is one inside its limits, in which every actuator may go as far in proportion.
+Limits of actuators are a box in which all joints respect their limits. It is exact if each joint
+has one actuator. If several actuators move a joint together, it is a box inside the limits, scaled
+in proportion to the range of each actuator alone.
 """
 
 from __future__ import annotations
@@ -42,59 +42,59 @@ from geodrake.robot.transmission import (
     times,
 )
 from geodrake.robot.transmission.loop import LoopTransmission
-from geodrake.robot.transmission.statements import Drive, power_series
+from geodrake.robot.transmission.schema import Drive, power_series
 
 _STEP = 1e-4  # rad or m
-_FAR = 10.0  # rad or m, up to where limits are looked for where the map has none
+_FAR = 10.0  # rad or m, search range of limits for maps without a range
 _POINTS = 4001
 
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Where a drive's actuators are in the robot's q and v, and its joints in those of the tree."""
+    """Indices of a drive's actuators in the robot's coordinates, and of its joints in the tree."""
 
     drive: Drive
-    map: Transmission  # that of the drive, and then of the joints that follow its own
-    seats: Indices  # velocities of the tree in whose place the actuators are
+    map: Transmission  # to the joints of the drive, then to their followers
+    seats: Indices  # velocities of the tree that the actuators replace
     actuators: Indices
     joints: Indices
 
     @property
     def own(self) -> Indices:
-        """Where the drive's own joints are in the tree."""
+        """Return the indices of the drive's joints in the tree, without followers."""
         return self.joints[: len(self.drive.joints)]
 
 
 def _with_followers(drive: Drive, ties: Sequence[Tie], leaders: Sequence[int]) -> Transmission:
-    """Return the map of a drive, and then of joints that follow its joints at some numbers."""
+    """Return the map of a drive, extended by joints that follow its joints `leaders`."""
     if not ties:
         return drive.map
-    own = np.eye(len(drive.joints))
-    copies = LinearTransmission.of(np.vstack([own, own[list(leaders)]]))
+    unit = np.eye(len(drive.joints))
+    copies = LinearTransmission.of(np.vstack([unit, unit[list(leaders)]]))
     laws = [power_series([tie.coefficients]) for tie in ties]
-    whole = InSequence((drive.map, copies, SideBySide((LinearTransmission.of(own), *laws))))
+    whole = InSequence((drive.map, copies, SideBySide((LinearTransmission.of(unit), *laws))))
     if (J := whole.constant_jacobian) is None:
         return whole
     return LinearTransmission.of(J, whole.joint_positions(np.zeros((1, J.shape[1])))[0])
 
 
 class DrivenCoordinates(JointlyEvaluated):
-    """A map from a robot's positions that knows which of them are actuators of drives."""
+    """A map from a robot's coordinates, some of which are actuators of drives."""
 
     @property
     def constant(self) -> Array | None:
-        """J if all ratios are constant; else None."""
+        """Return J if all ratios are constant; None otherwise."""
         return None
 
     @property
     @abc.abstractmethod
     def driven(self) -> Indices:
-        """Velocities of the robot that are those of actuators of drives."""
+        """Return the robot's velocities that are actuators of drives."""
 
     def jacobian_rate_slope(self, q: Array, v: Array) -> Array:
-        """Return ∂(J̇ v)/∂q (N, nv of the tree, nv), by differences of J̇ along v.
+        """Return ∂(J̇ v)/∂q (N, joints, nv), by differences of J̇ along v.
 
-        J̇ v has all v twice, so that its slope is the rate of J̇ itself.
+        J̇ v is quadratic in v, so that its derivative is the rate of J̇.
         """
         speed = np.abs(v).max(axis=1, initial=0.0)[:, None]
         step = np.zeros_like(q)
@@ -103,39 +103,37 @@ class DrivenCoordinates(JointlyEvaluated):
         return np.asarray((ahead - behind) / (2.0 * _STEP) * speed[:, :, None])
 
     def bend(self, q: Array, products: Array) -> Array:
-        """Return (N, nq) Σ_ij ∂J_ij/∂q_l P_ij for P (N, nv of the tree, nv), at q (N, nq)."""
-        found = np.zeros_like(q)
-        for at in self.driven:
+        """Return Σ_ij ∂J_ij/∂q_l P_ij (N, nq) for P (N, joints, nv), at q (N, nq)."""
+        bend = np.zeros_like(q)
+        for index in self.driven:
             unit = np.zeros_like(q)
-            unit[:, at] = 1.0
-            # ∂J/∂q_l is the rate of J where only q_l moves, with speed one.
-            found[:, at] = (self.jacobian_rate(q, unit) * products).sum((1, 2))
-        return found
+            unit[:, index] = 1.0
+            # ∂J/∂q_l is the rate of J for unit speed of q_l alone.
+            bend[:, index] = (self.jacobian_rate(q, unit) * products).sum((1, 2))
+        return bend
 
 
 @dataclass(frozen=True, eq=False)
 class RobotCoordinates(DrivenCoordinates):
     """A map from a robot's q, v and v̇ to those of the tree of its plant.
 
-    Its joints have as many positions as velocities, so that both are in the same places.
+    Joints have as many positions as velocities, with the same indices.
     """
 
     names: tuple[str, ...]  # names of the robot's nv velocities
     places: tuple[Places, ...]
-    # (2, ·) where joints without a drive are in the robot's q and v, and in the tree's.
-    kept: Indices
+    kept: Indices  # (2, ·) indices of joints without a drive, in the robot and in the tree
     joints: tuple[str, ...]  # names of the tree's velocities
     single: frozenset[int]  # velocities of the tree's joints of one degree of freedom
-    # Velocity of each of the tree's joints that follow others -> that of its leader.
-    leaders: Mapping[int, int]
+    leaders: Mapping[int, int]  # velocity of a following joint in the tree -> that of its leader
 
     @classmethod
     def of(
         cls, plant: MultibodyPlant, followers: Mapping[str, Tie], drives: Sequence[Drive] = ()
     ) -> RobotCoordinates:
-        """Return the indices in a plant with drives, and joints that follow others.
+        """Return the coordinates of a plant with drives and following joints.
 
-        Those are by their scoped names, as are their leaders, which follow none.
+        `followers` has scoped names; leaders must be independent.
         """
         for joint in joints_of(plant):
             if joint.num_positions() != joint.num_velocities():
@@ -182,30 +180,30 @@ class RobotCoordinates(DrivenCoordinates):
 
     @property
     def size(self) -> int:
-        """Number of the tree's velocities."""
+        """Return the number of the tree's velocities."""
         return len(self.joints)
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Numbers of velocities of the tree, and of the robot."""
+        """Return the numbers of velocities of the tree and of the robot."""
         return self.size, len(self.names)
 
     @cached_property
     def constant(self) -> Array | None:
-        """J (nv of the tree, nv) if all ratios are constant; else None."""
+        """Return J (joints, nv) if all ratios are constant; None otherwise."""
         if any(place.map.constant_jacobian is None for place in self.places):
             return None
         return self._along(np.zeros((1, len(self.names))), None)[1][0]
 
     @cached_property
     def offset(self) -> Array:
-        """(nq of the tree,) positions where those of the robot are zero."""
+        """Return the tree's positions at zero positions of the robot."""
         return self._along(np.zeros((1, len(self.names))), None)[0][0]
 
     def along(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
-        """Return positions (N, nq of the tree) at those of the robot (N, nq), and J, J̇.
+        """Return the tree's positions at those of the robot (N, nq), J and J̇ (N, joints, nv).
 
-        Those are (N, nv of the tree, nv), with the tree's velocities J v; J̇ of rest without v.
+        The tree's velocities are J v; v is 0 if None.
         """
         if self.constant is None:
             return self._along(q, v)
@@ -227,11 +225,11 @@ class RobotCoordinates(DrivenCoordinates):
 
     @cached_property
     def driven(self) -> Indices:
-        """Velocities of the robot that are those of actuators of drives."""
+        """Return the robot's velocities that are actuators of drives."""
         return np.concatenate([np.zeros(0, np.intp), *(p.actuators for p in self.places)])
 
     def tree_samples(self, q: Array, v: Array, vd: Array) -> tuple[Array, Array, Array, Array]:
-        """Positions, velocities and accelerations of the tree, and J, along a motion (N, ·)."""
+        """Return positions, velocities and accelerations of the tree, and J, for a motion."""
         theta, J, rate = self.along(q, v)
         if self.constant is None:
             samples = theta, times(J, v), times(J, vd) + times(rate, v)
@@ -241,9 +239,9 @@ class RobotCoordinates(DrivenCoordinates):
         return theta, rates, accelerations, J
 
     def along_all(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
-        """Return what `along` does, and after it that of joints and actuators beyond the tree.
+        """Return the results of `along`, extended by joints and actuators beyond the tree.
 
-        Those close loops, or are actuators that other loops move; see `behind`.
+        These close loops, or are actuators that other loops move; see `behind`.
         """
         parts = [self.along(q, v)]
         for place, loop in self._loops:
@@ -264,12 +262,12 @@ class RobotCoordinates(DrivenCoordinates):
 
     @cached_property
     def _loops(self) -> list[tuple[Places, LoopTransmission]]:
-        """The loops with joints or actuators beyond the tree."""
+        """Return the loops with joints or actuators beyond the tree."""
         maps = ((place, place.drive.map) for place in self.places)
         return [(p, m) for p, m in maps if isinstance(m, LoopTransmission) and m.cut]
 
     def inside(self, q: Array) -> Array:
-        """Return positions (N, nq) of the robot with its actuators where their maps are known."""
+        """Return positions (N, nq) of the robot, with actuators in the domains of their maps."""
         q = q.copy()
         for place in self.places:
             low, high = place.drive.map.range
@@ -278,7 +276,7 @@ class RobotCoordinates(DrivenCoordinates):
         return q
 
     def nearest(self, theta: Array) -> Array:
-        """Return (N, nq) positions of the robot whose joints are nearest to the tree's (N, ·)."""
+        """Return the robot's positions (N, nq) with joints nearest to the tree's (N, ·)."""
         q = np.zeros((len(theta), len(self.names)))
         own, tree = self.kept
         q[:, own] = theta[:, tree]
@@ -293,44 +291,44 @@ class RobotCoordinates(DrivenCoordinates):
         return q
 
     def rates_of(self, q: Array, rates: Array) -> Array:
-        """Return velocities (nv,) of the robot at q (nq,), nearest to those (·,) of its joints."""
+        """Return the robot's velocities (nv,) at q (nq,) nearest to those of the tree's joints."""
         own = np.setdiff1d(np.arange(self.size), [*self.leaders])
         return np.asarray(np.linalg.pinv(self.jacobian(q[None])[0, own]) @ rates[own])
 
     @cached_property
     def single_places(self) -> list[int]:
-        """Where joints of one degree of freedom, and actuators, are in the robot's q and v."""
+        """Return the robot's indices of joints of one degree of freedom, and of actuators."""
         kept = (own for own, at in zip(*self.kept.tolist(), strict=True) if at in self.single)
         return sorted([*kept, *self.driven.tolist()])
 
     def moved_by(self, velocities: Sequence[int]) -> tuple[int, ...]:
-        """Return the robot's velocities that move some velocities of the tree."""
+        """Return the robot's velocities that affect any of some velocities of the tree."""
         return tuple(np.flatnonzero(self._moves[list(velocities)].any(axis=0)).tolist())
 
     def followed(self, joints: Sequence[str]) -> list[Following]:
-        """Return what each velocity of the tree follows by a constant ratio, by names.
+        """Return the coordinate that each velocity of the tree follows by a constant ratio.
 
-        One that follows several actuators, or by a ratio that changes, follows that of its joint.
+        With several actuators or a varying ratio, it is that of the joint itself.
         """
-        found = [Following(name) for name in joints]
+        following = [Following(name) for name in joints]
         for to, at in zip(*self.kept.tolist(), strict=True):
-            found[at] = Following(self.names[to])
+            following[at] = Following(self.names[to])
         for place in self.places:
             if (J := place.map.constant_jacobian) is not None:
-                still = place.map.joint_positions(np.zeros((1, J.shape[1])))[0]
-                for at, row, shift in zip(place.joints.tolist(), J, still.tolist(), strict=True):
+                offsets = place.map.joint_positions(np.zeros((1, J.shape[1])))[0]
+                for at, row, offset in zip(place.joints.tolist(), J, offsets.tolist(), strict=True):
                     if np.count_nonzero(row) == 1:
                         (i,) = np.flatnonzero(row)
                         name = self.names[place.actuators[i]]
-                        found[at] = Following(name, float(row[i]), shift)
-        return found
+                        following[at] = Following(name, float(row[i]), offset)
+        return following
 
     @cached_property
     def behind(self) -> dict[str, int]:
-        """Joint of a drive that is no actuator -> where it is in the tree's positions.
+        """Return joint of a drive that is not an actuator -> its index in `along_all`.
 
-        Joints that follow others by constant ratios are not among them. Those that close loops, and
-        actuators that follow others, come after them, as in `along_all`.
+        Followers with constant ratios are excluded. Joints that close loops, and dependent
+        actuators, come last.
         """
         beyond = [loop.joints[k] for _, loop in self._loops for k in loop.cut]
         tree = {
@@ -344,42 +342,42 @@ class RobotCoordinates(DrivenCoordinates):
 
     @cached_property
     def standing(self) -> dict[int, int]:
-        """Velocity of the tree -> the corresponding one of the robot."""
-        found = dict(zip(self.kept[1].tolist(), self.kept[0].tolist(), strict=True))
+        """Return velocity of the tree -> the corresponding one of the robot."""
+        velocities = dict(zip(self.kept[1].tolist(), self.kept[0].tolist(), strict=True))
         for place in self.places:
-            found |= dict(zip(place.seats.tolist(), place.actuators.tolist(), strict=True))
-        return found
+            velocities |= dict(zip(place.seats.tolist(), place.actuators.tolist(), strict=True))
+        return velocities
 
     def positions_between(self, lower: Array, upper: Array) -> tuple[Array, Array]:
-        """Least and greatest positions (nq,) of the robot, of those (nq of the tree,) of joints."""
+        """Return position limits (nq,) of the robot for those of the tree's joints."""
         low, high = np.full((2, len(self.names)), np.nan)
         own, tree = self.kept
         low[own], high[own] = lower[tree], upper[tree]
         for place in self.places:
             at, ends = place.actuators, (lower[place.joints], upper[place.joints])
-            low[at], high[at] = _positions(place.map, *ends)
+            low[at], high[at] = _position_limits(place.map, *ends)
         return low + 0.0, high + 0.0  # as NumPy takes -0.0 for less than 0.0
 
     def rates(self, limits: Array, within: tuple[Array, Array]) -> Array:
-        """Largest speeds or accelerations (nv,) of the robot, of those (nv of the tree,) of joints.
+        """Return the robot's largest speeds or accelerations (nv,) for those of the tree's joints.
 
-        `within` are its least and greatest positions (nq,).
+        `within` are the robot's position limits (nq,).
         """
-        return self._each(limits, within, lambda J, most: _box(np.abs(J).max(axis=0), most))
+        return self._limits(limits, within, lambda J, most: _box(np.abs(J).max(axis=0), most))
 
     def effort_limits(self, limits: Array, within: tuple[Array, Array]) -> Array:
-        """Return largest efforts (nv,) of the robot's actuators, of those of joints; see `rates`.
+        """Return the largest efforts (nv,) of actuators for those of joints; see `rates`.
 
-        Free joints of a closed loop have their own: a motor at another joint adds to what is
-        possible. Joints that follow others have no motors.
+        Free joints of a closed loop keep their own limits, as further motors only add efforts.
+        Following joints have no motors.
         """
-        found = self._each(limits, within, _efforts, of_drives=True)
+        efforts = self._limits(limits, within, _effort_limits, of_drives=True)
         for place in self.places:
             if place.drive.is_loop:
-                found[place.actuators] = limits[place.seats]
-        return found
+                efforts[place.actuators] = limits[place.seats]
+        return efforts
 
-    def _each(
+    def _limits(
         self,
         limits: Array,
         within: tuple[Array, Array],
@@ -387,28 +385,28 @@ class RobotCoordinates(DrivenCoordinates):
         *,
         of_drives: bool = False,
     ) -> Array:
-        """Return limits (nv,) of the robot, of those (nv of the tree,) of its joints.
+        """Return limits (nv,) of the robot for those of the tree's joints.
 
-        `of` makes those (n,) of a drive's actuators of its J (N, k, n) where they may be, and of
-        the limits (k,) of its joints; if not `of_drives`, those that follow are among them.
+        `of` returns the limits (n,) of a drive's actuators, from J (N, k, n) over their range and
+        the limits (k,) of its joints. Followers are included unless `of_drives`.
         """
-        found = np.full(len(self.names), np.inf)
+        result = np.full(len(self.names), np.inf)
         own, tree = self.kept
-        found[own] = limits[tree]
+        result[own] = limits[tree]
         for place in self.places:
             motion = place.drive.map if of_drives else place.map
             at, J, most = place.actuators, motion.constant_jacobian, limits[place.joints]
-            if J is None:  # where the actuators may be
+            if J is None:
                 low, high = (ends[at] for ends in within)
                 q = _grid(low, high) if len(low) == 1 else middle(low, high)[None]
-                found[at] = of(motion.jacobian(q), most[: motion.num_joints])
+                result[at] = of(motion.jacobian(q), most[: motion.num_joints])
             else:
-                found[at] = of(J[None], most[: motion.num_joints])
-        return found
+                result[at] = of(J[None], most[: motion.num_joints])
+        return result
 
     @cached_property
     def _moves(self) -> NDArray[np.bool_]:
-        """(nv of the tree, nv) which velocity of the robot can move which of the tree."""
+        """Return a mask (joints, nv): which velocities of the robot affect which of the tree."""
         moves = np.zeros(self.shape, bool)
         own, tree = self.kept
         moves[tree, own] = True
@@ -420,7 +418,7 @@ class RobotCoordinates(DrivenCoordinates):
 
 
 def seated_at(drive: Drive, joints: Sequence[int]) -> list[int]:
-    """Velocities of the tree, among those of a drive's joints, in whose place its actuators are."""
+    """Return the velocities of a drive's joints in the tree that its actuators replace."""
     at = dict(zip(drive.joints, joints, strict=True))
     if set(drive.actuators) <= set(drive.joints):
         return [at[name] for name in drive.actuators]
@@ -454,13 +452,13 @@ def _check(drives: Sequence[Drive], by_name: Mapping[str, int]) -> None:
 
 
 def middle(low: Array, high: Array) -> Array:
-    """Return (n,) positions in the middle of their ranges; 0 without a range."""
+    """Return the middle (n,) of ranges of positions; 0 without a range."""
     bounded = np.isfinite(low) & np.isfinite(high)
     return np.asarray(0.5 * (np.where(bounded, low, 0.0) + np.where(bounded, high, 0.0)))
 
 
-def _efforts(J: Array, most: Array) -> Array:
-    """Return largest efforts (n,) of actuators, of J (N, k, n) and the largest (k,) of joints."""
+def _effort_limits(J: Array, most: Array) -> Array:
+    """Return the largest efforts (n,) of actuators, for J (N, k, n) and those (k,) of joints."""
     if J.shape[1] == J.shape[2] > 1:
         return _box(np.abs(np.linalg.inv(J)).max(axis=0).T, most)
     J, shares = np.abs(J), np.full(J.shape, np.inf)
@@ -468,12 +466,12 @@ def _efforts(J: Array, most: Array) -> Array:
     return np.asarray(shares.min(axis=(0, 1)))
 
 
-def _positions(motion: Transmission, lower: Array, upper: Array) -> tuple[Array, Array]:
-    """Return the least and greatest positions (n,) of the actuators."""
+def _position_limits(motion: Transmission, lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Return the position limits (n,) of the actuators."""
     low, high = (ends.copy() for ends in motion.range)
     J = motion.constant_jacobian
     if J is None:
-        return _of_curve(motion, lower, upper) if len(low) == 1 else (low, high)
+        return _curve_limits(motion, lower, upper) if len(low) == 1 else (low, high)
     shift = motion.joint_positions(np.zeros((1, len(low))))[0]
     lower, upper = lower - shift, upper - shift
     if (np.count_nonzero(J, axis=1) <= 1).all():
@@ -492,7 +490,7 @@ def _positions(motion: Transmission, lower: Array, upper: Array) -> tuple[Array,
 
 
 def _box(A: Array, most: Array) -> Array:
-    """Return the box (n,) x ≥ 0 with A x ≤ most (k,), A ≥ 0: one share of each alone."""
+    """Return x (n,) ≥ 0 with A x ≤ most (k,), A ≥ 0, as one share of each component's maximum."""
     ratios = np.divide(most[:, None], A, out=np.full(A.shape, np.inf), where=A > 0.0)
     alone = ratios.min(axis=0, initial=np.inf)
     rows = np.isfinite(most) & (A[:, np.isfinite(alone)] > 0.0).any(axis=1)
@@ -501,16 +499,16 @@ def _box(A: Array, most: Array) -> Array:
     return np.asarray(np.where(np.isfinite(alone), share * alone, np.inf))
 
 
-def _of_curve(motion: Transmission, lower: Array, upper: Array) -> tuple[Array, Array]:
-    """Return the interval around an actuator's middle in which all joints keep their limits."""
+def _curve_limits(motion: Transmission, lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Return the interval around an actuator's middle in which all joints respect their limits."""
     low, high = motion.range
     grid = _grid(low, high)
     theta = motion.joint_positions(grid)
     inside = np.asarray(((theta >= lower) & (theta <= upper)).all(axis=1))
     if not inside.any():
         return low, high
-    there = np.flatnonzero(inside)
-    start = int(there[np.argmin(np.abs(grid[there, 0] - middle(low, high)[0]))])
+    candidates = np.flatnonzero(inside)
+    start = int(candidates[np.argmin(np.abs(grid[candidates, 0] - middle(low, high)[0]))])
     outside = np.flatnonzero(~inside)
     before, after = outside[outside < start], outside[outside > start]
     first = low if not len(before) else grid[before[-1] + 1]
@@ -519,6 +517,6 @@ def _of_curve(motion: Transmission, lower: Array, upper: Array) -> tuple[Array, 
 
 
 def _grid(low: Array, high: Array) -> Array:
-    """Return (N, 1) positions through the range of one actuator, its ends left out."""
+    """Return positions (N, 1) in the interior of one actuator's range."""
     ends = max(float(low[0]), -_FAR), min(float(high[0]), _FAR)
     return np.linspace(*ends, _POINTS + 2)[1:-1, None]

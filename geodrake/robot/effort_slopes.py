@@ -1,14 +1,14 @@
-"""Slopes of the needed effort with respect to the motion of every joint, for many samples at once.
+"""Derivatives of efforts with respect to the motion of every joint, for many samples at once.
 
-The derivatives of τ = M(q) v̇ + C(q, v) v − τ_g(q) with respect to q_j, v_j and v̇_j of a joint j of
-one degree of freedom. Every body's motion is a field of velocities V = (ω, u), x ↦ u + ω × x in the
-world, and one of accelerations A = (α, a), whose α and a are the rates of ω and u less gravity. So
-are the motion S_j = (s, t) of a unit speed of j, and cross products of two fields,
+They are those of τ = M(q) v̇ + C(q, v) v − τ_g(q) by q_j, v_j and v̇_j of a joint j with one degree
+of freedom. A body's motion has a velocity field V = (ω, u), x ↦ u + ω × x in the world, and an
+acceleration field A = (α, a), where α and a are the rates of ω and u less gravity. The motion
+S_j = (s, t) at unit speed of j is such a field, too, and so are cross products
 
     V × S = (ω × s, ω × t + u × s).
 
-Let P be the body inboard of j. Seen from the bodies outboard of j, which move along with q_j, the
-fields of each of them, V and A, change by
+Let P be the body inboard of j. Relative to the bodies outboard of j, which move with q_j, their
+fields V and A change by
 
     q_j:  ψ = V_P × S_j      and  A_P × S_j + ψ × (V − V_P),
     v_j:  S_j                and  2 ψ + S_j × V,
@@ -18,10 +18,10 @@ The rate of a body's momentum, a wrench W = (f, n) about the world's origin, thu
 
     q_j:  I ψ̇ + 2 B ψ with ψ̇ = A_P × S_j + V_P × ψ,   v_j:  2 (I ψ + B S_j),   v̇_j:  I S_j,
 
-I (s, t) being the momentum of the field, and B (s, t) the force s × p and moment (tr Q − Q) s, with
-the momentum p = ∫ v dm and Q = ∫ v xᵀ dm. I and B of all bodies outboard of a joint add up. The
-effort of a joint k is the power of their wrench along S_k. If k is inboard of j, their wrench also
-moves along with q_j.
+where I (s, t) is the momentum of the field, and B (s, t) has the force s × p and the moment
+(tr Q − Q) s, with the momentum p = ∫ v dm and Q = ∫ v xᵀ dm. I and B are sums over all bodies
+outboard of a joint. The effort of a joint k is the power of their wrench along S_k. If k is inboard
+of j, the wrench also moves with q_j.
 """
 
 from __future__ import annotations
@@ -68,12 +68,12 @@ from geodrake.robot.vectors import (
     vector,
 )
 
-_SECOND, _TURNING, _MOMENTUM, _FORCE, _MOMENT = 1, 4, 7, 8, 9  # rows of what bodies add up to
+_SECOND, _TURNING, _MOMENTUM, _FORCE, _MOMENT = 1, 4, 7, 8, 9  # rows of sums over bodies
 
 
 @dataclass(frozen=True, eq=False)
 class EffortSlopes:
-    """Derivatives [:, i, j] of the effort of velocity i; NaN for j of joints of several degrees."""
+    """Derivatives [:, i, j] of effort i; NaN if j belongs to a joint of several degrees."""
 
     position: Array  # (N, nv, nv) ∂τ_i/∂q_j
     velocity: Array  # (N, nv, nv) ∂τ_i/∂v_j
@@ -89,9 +89,9 @@ def effort_slopes(
     *,
     only_position: bool = False,
 ) -> EffortSlopes:
-    """Return the slopes of `geodrake.robot.regressor.inverse_dynamics`.
+    """Return the derivatives of `geodrake.robot.regressor.inverse_dynamics`.
 
-    If `only_position`, the others may be NaN, which takes half of the time.
+    With `only_position`, the others may be NaN, in half the time.
     """
     robot = checked_tree(plant)
     tree, samples, J = checked_samples(robot, q, v, vd)
@@ -100,27 +100,27 @@ def effort_slopes(
     kinds, slopes = 1 if only_position and J is None else 3, np.full((3, count, nv, nv), np.nan)
     slopes[:kinds] = 0.0
     calc_effort_slopes(tree.records, samples, phi, slopes[:kinds])
-    found = EffortSlopes(*np.swapaxes(slopes, 2, 3))  # one velocity's slopes are close together
+    result = EffortSlopes(*np.swapaxes(slopes, 2, 3))  # contiguous by velocity
     several = [m.velocities for m in tree.mobilizers if m.velocities.stop - m.velocities.start > 1]
-    columns = [at for own in several for at in range(own.start, own.stop)]
+    columns = [k for span in several for k in range(span.start, span.stop)]
     if J is not None and robot.actuation is not None:
         efforts = np.zeros((count, nv))
         calc_inverse_dynamics(tree.records, samples, phi, efforts)
-        found = _at_actuators(
-            found, robot.actuation, J, efforts, Motion(*(np.asarray(x, float) for x in (q, v, vd)))
+        result = _at_actuators(
+            result, robot.actuation, J, efforts, Motion(*(np.asarray(x, float) for x in (q, v, vd)))
         )
-        columns = [at for at in map(robot.actuation.standing.get, columns) if at is not None]
-    for slope in (found.position, found.velocity, found.acceleration):
+        columns = [k for k in map(robot.actuation.standing.get, columns) if k is not None]
+    for slope in (result.position, result.velocity, result.acceleration):
         slope[..., columns] = np.nan
-    return found
+    return result
 
 
 def _at_actuators(
     slopes: EffortSlopes, actuation: RobotCoordinates, J: Array, efforts: Array, motion: Motion
 ) -> EffortSlopes:
-    """Slopes of τ_q = Jᵀ τ_θ(T(q), J q̇, J q̈ + J̇ q̇) with q, q̇ and q̈ by the chain rule.
+    """Return the derivatives of τ_q = Jᵀ τ_θ(T(q), J q̇, J q̈ + J̇ q̇) by the chain rule.
 
-    With H the second derivatives of T, ∂(J w)/∂q = H w, which is J̇ where q̇ = w; so
+    With the second derivatives H of T, ∂(J w)/∂q = H w, which is J̇ for q̇ = w. Thus
 
         ∂θ̈/∂q̇ = 2 J̇,   ∂θ̇/∂q = J̇,   ∂θ̈/∂q = H q̈ + ∂(J̇ q̇)/∂q,   ∂(Jᵀ τ)/∂q = Hᵀ τ.
     """
@@ -144,7 +144,7 @@ def _at_actuators(
 
 @compiled
 def calc_effort_slopes(tree: TreeRecords, samples: Samples, phi: Array, out: Array) -> None:
-    """Add slopes of all bodies' efforts to (3, N, nv, nv), or the first, by whose q, v and v̇."""
+    """Add derivatives by q, v and v̇ of all bodies' efforts to (3, N, nv, nv), or by q to (1, …)."""
     mobilizers, _ = tree
     bodies, (_, v, _, _) = len(mobilizers), samples
     motions, poses, features = np.empty(bodies, MOTION), np.empty(bodies, POSE), np.empty(9)
@@ -205,9 +205,9 @@ def put_fields(
     fields: Array,
     lines: Array,
 ) -> None:
-    """Write ω, u, α and a of a body i to (m, 4, 3), and S, ψ and ψ̇ of its own velocities.
+    """Write ω, u, α and a of a body to (m, 4, 3), and S, ψ and ψ̇ of its joint.
 
-    The place is the motion and pose of the body; the sample has velocities, which of them, and i.
+    `place` is (motion, pose) of the body; `sample` is (velocities, sample index, body index).
     """
     (motion, pose), (v, n, i) = place, sample
     R, p, (first, number) = pose.R_WB, vector(pose.p_WoBo_W), mobilizer.velocities
@@ -243,7 +243,7 @@ def put_inertia(
     motion: tuple[Record, Record, Array],
     out: tuple[Array, Array, int],
 ) -> None:
-    """Write mass and h, ∫ x xᵀ dm, columns of Q, p, f and n (10, 3) of a body of φ (nb, 10)."""
+    """Write mass and h, ∫ x xᵀ dm, columns of Q, p, f and n (10, 3) for a body of φ (nb, 10)."""
     (own, pose, fields), (masses, sums, i) = motion, out
     masses[i], sums[i] = 0.0, 0.0
     if body < 0:
@@ -270,7 +270,7 @@ def put_inertia(
 
 @inlined
 def momentum_of(inertia: tuple[float, Array, int], s: Vector, t: Vector) -> tuple[Vector, Vector]:
-    """Return I (s, t): the force and moment that are the momentum of a field."""
+    """Return the linear and angular momentum I (s, t) of a field."""
     m, sums, i = inertia
     h, E = row(sums, i, 0), sums[i, _SECOND:_TURNING]
     moment = subtract(scale(E[0, 0] + E[1, 1] + E[2, 2], s), times(E, s))
@@ -290,7 +290,7 @@ def turning_of(inertia: tuple[float, Array, int], s: Vector, t: Vector) -> Vecto
 def wrench_changes(
     inertia: tuple[float, Array, int], lines: Array, k: int
 ) -> tuple[tuple[Vector, Vector], tuple[Vector, Vector]]:
-    """Return how the wrench changes by q and by v of a velocity, as joints inboard of it see it."""
+    """Return derivatives of the wrench by q and v of a velocity, for joints inboard of it."""
     _, sums, i = inertia
     s, t = row(lines, k, 0), row(lines, k, 1)
     ds, dt = row(lines, k, 2), row(lines, k, 3)

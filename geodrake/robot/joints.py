@@ -1,12 +1,12 @@
-"""Joints of plants: their names, and how they move, every supported type in one form.
+"""Joints of plants: names, couplings, and motions of all supported types in one form.
 
-A joint's motion subspace is constant in its frame F on the inboard side, so no joint has a bias
-acceleration of its own; a universal joint, for which this fails, is two joints with a massless
-frame between. Positions and velocities are Drake's.
+A joint's motion subspace is constant in its inboard frame F, so no joint has a bias acceleration of
+its own. A universal joint, for which this fails, is represented by two joints with a massless frame
+between. Positions and velocities are Drake's.
 
-A joint that follows another one, θ = r θ_leader + θ₀, as a gripper's fingers do, is no coordinate
-of the robot. Its bodies move with the leader's position, so the effort of the leader is that of
-both, τ_q = Jᵀ τ_θ ([Lee2019] Eq. (3.6.57)).
+A joint that follows another one, θ = r θ_leader + θ₀, such as a gripper's finger, is not a
+coordinate of the robot. The leader moves the bodies of both, so its effort is τ_q = Jᵀ τ_θ
+([Lee2019] Eq. (3.6.57)).
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ _X_AXIS, _Y_AXIS, _Z_AXIS = _IDENTITY
 
 
 class Features(IntEnum):
-    """The functions of a joint's positions that its rotation is linear in.
+    """Functions of a joint's positions in which its rotation is linear.
 
-    A constant; 1, cos and sin of an angle, the last position; the entries of Rz(yaw) Ry(pitch)
-    Rx(roll); the entries of the rotation of the quaternion w, x, y, z, normalized.
+    A constant; 1, cos and sin of the last position; the entries of Rz(yaw) Ry(pitch) Rx(roll); or
+    the entries of the rotation of the normalized quaternion w, x, y, z.
     """
 
     CONSTANT = 0
@@ -59,19 +59,19 @@ class Features(IntEnum):
 class FrameMotion:
     """Motion of a frame in another one, with a constant motion subspace in the inboard one.
 
-    For a joint, that is frame M in frame F; for a mobilizer, the frame of the outboard body B,
-    displaced to Mo, in the frame of the inboard body P.
+    For a joint, these are frame M in frame F. For a mobilizer, they are the frame of the outboard
+    body B, displaced to Mo, in the frame of the inboard body P.
     """
 
-    features: Features  # the f functions of the positions that the rotation is linear in
-    rotation: Array  # (9, f) matrix C with vec(R) = C features(q), row after row
+    features: Features  # f functions of the positions
+    rotation: Array  # (9, f) matrix C with vec(R) = C features(q), row by row
     translation: Array  # (3, nq_j) matrix T: the position of Mo is offset + T q, m
     angular: Array  # (3, nv_j) matrix S: the angular velocity is S v, rad/s
     linear: Array  # (3, nv_j) matrix S: the velocity of Mo is S v, m/s
     offset: Array = field(default_factory=lambda: np.zeros(3))  # (3,) position of Mo at q = 0, m
 
     def between(self, X_PF: RigidTransform, R_MB: Array) -> FrameMotion:
-        """Return the motion seen from P, of a frame B fixed to M and turned by R_MB (3, 3)."""
+        """Return the motion in P of a frame B fixed to M with the rotation R_MB (3, 3)."""
         R_PF = X_PF.rotation().matrix()
         return FrameMotion(
             features=self.features,
@@ -84,10 +84,10 @@ class FrameMotion:
 
 
 def joint_motions(joint: Joint, sign: float) -> list[FrameMotion]:
-    """Return one motion for most joints, two for a universal one; sign -1 swaps the frames F and M.
+    """Return the motion of a joint, or two motions for a universal one.
 
-    That is where frame M is on the inboard side. Only the joints about or along one axis can be
-    swapped (Drake refuses the others), and for them a swap is a change of the axis' sign.
+    The sign −1 swaps the frames F and M, if M is on the inboard side. Drake permits this only for
+    joints with one axis, for which it reverses the axis.
     """
     match joint:
         case RevoluteJoint():
@@ -121,11 +121,11 @@ def joint_motions(joint: Joint, sign: float) -> list[FrameMotion]:
 def axis_motion(
     axis: Array, *, translation: Array | None = None, angular: Array | None = None
 ) -> FrameMotion:
-    """Return the rotation about an axis (3,) by the last position, with a translation T q at T v.
+    """Return the rotation about an axis (3,) by the last position, with a translation T q.
 
     Args:
         translation: (3, nq) T; zero if None.
-        angular: (3, nv) what makes the angular velocity of v; the axis if None.
+        angular: (3, nv) matrix from v to the angular velocity; the axis if None.
     """
     angular = axis[:, None] if angular is None else angular
     translation = np.zeros_like(angular) if translation is None else translation
@@ -142,7 +142,7 @@ def slide_motion(axis: Array) -> FrameMotion:
 
 
 def _screw_axis(joint: ScrewJoint) -> Array:
-    """Return the axis of a screw, which Drake keeps to itself, from its motion at 1 rad/s."""
+    """Return the axis of a screw, which Drake does not expose, from its motion at 1 rad/s."""
     context = joint.GetParentPlant().CreateDefaultContext()
     joint.set_angular_velocity(context, 1.0)
     frame_F = joint.frame_on_parent()
@@ -151,7 +151,7 @@ def _screw_axis(joint: ScrewJoint) -> Array:
 
 
 def _floating_motion(rotation: Features, *, rotation_positions: int) -> FrameMotion:
-    """Free motion: q is the rotation's positions, then p_FoMo_F; v is w_FM_F, then v_FMo_F."""
+    """Return a free motion: q is the rotation, then p_FoMo_F; v is w_FM_F, then v_FMo_F."""
     translation = np.hstack([np.zeros((3, rotation_positions)), _IDENTITY])
     angular, linear = np.hstack([_IDENTITY, _ZERO]), np.hstack([_ZERO, _IDENTITY])
     return FrameMotion(rotation, np.eye(9), translation, angular, linear)
@@ -160,11 +160,11 @@ def _floating_motion(rotation: Features, *, rotation_positions: int) -> FrameMot
 Indices = NDArray[np.intp]
 
 _MOST = 1e12
-"""Ratio or offset beyond which no joint follows another."""
+"""Largest valid ratio or offset of a following joint."""
 
 
 def scoped(joint: Joint) -> str:
-    """Return the name of a joint with that of its model instance before it."""
+    """Return the name of a joint with its model instance as a prefix."""
     instance = joint.GetParentPlant().GetModelInstanceName(joint.model_instance())
     return f"{instance}::{joint.name()}"
 
@@ -182,10 +182,10 @@ def single_joints(plant: MultibodyPlant) -> list[Joint]:
 
 @typed
 def joint_names(plant: MultibodyPlant) -> tuple[str, ...]:
-    """Return names of the velocities (nv): the joint's, with a suffix where it has several.
+    """Return names of the velocities (nv): the joint's, with a suffix for each of several.
 
-    A name that several model instances use is preceded by its instance, `left_elbow`; also where
-    the joint is held in the others.
+    An ambiguous name has its model instance as a prefix, such as `left_elbow`, even if the joint is
+    fixed in the other instances.
     """
     names = plant.GetVelocityNames(add_model_instance_prefix=False, always_add_suffix=False)
     full = plant.GetVelocityNames(add_model_instance_prefix=True, always_add_suffix=False)
@@ -197,17 +197,17 @@ def joint_names(plant: MultibodyPlant) -> tuple[str, ...]:
 
 
 class Following(NamedTuple):
-    """That a position is ratio q + offset of another one; that of a held joint has ratio 0."""
+    """A position that is ratio q + offset of a coordinate q; ratio 0 for a fixed joint."""
 
-    of: Any  # name of a coordinate, or number of a velocity
+    of: Any  # name of a coordinate, or index of a velocity
     ratio: float = 1.0
     offset: float = 0.0
 
 
 class Tie(NamedTuple):
-    """That a joint θ of one degree of freedom follows another one, θ = Σ cₖ θ_leaderᵏ."""
+    """Coupling of a joint θ of one degree of freedom to another one, θ = Σ cₖ θ_leaderᵏ."""
 
-    leader: str  # scoped name of the joint that it follows
+    leader: str  # scoped name
     coefficients: tuple[float, ...]  # c₀, c₁, …
 
     @property
@@ -215,36 +215,36 @@ class Tie(NamedTuple):
         """Return whether the ratio is constant."""
         return not any(self.coefficients[2:])
 
-    def at(self, place: float) -> float:
-        """Return the position where the leader is at one."""
-        return float(Polynomial(self.coefficients)(place))
+    def at(self, position: float) -> float:
+        """Return the position for a position of the leader."""
+        return float(Polynomial(self.coefficients)(position))
 
-    def leader_at(self, place: float) -> float:
-        """Return the position of the leader nearest to 0 where the joint is at one, or NaN."""
-        roots = Polynomial([self.coefficients[0] - place, *self.coefficients[1:]]).roots()
+    def leader_at(self, position: float) -> float:
+        """Return the leader's position nearest to 0 for a position of the joint, or NaN."""
+        roots = Polynomial([self.coefficients[0] - position, *self.coefficients[1:]]).roots()
         return float(min(roots[np.isreal(roots)].real, key=abs, default=np.nan))
 
 
 def resolved(stated: Mapping[str, Tie], joints: Collection[str]) -> dict[str, Tie]:
-    """Return what joints follow, as independent leaders, without those that cannot follow.
+    """Return joint -> tie to an independent leader, without invalid ties.
 
     Names are scoped; `joints` are those of one degree of freedom.
     """
     known = {
-        own: tie
-        for own, tie in stated.items()
-        if {own, tie.leader} <= set(joints)
+        joint: tie
+        for joint, tie in stated.items()
+        if {joint, tie.leader} <= set(joints)
         and any(tie.coefficients[1:])
         and all(abs(c) <= _MOST for c in tie.coefficients)
     }
-    found = dict[str, Tie]()
-    for own, first in known.items():
-        tie, seen = first, {own}
+    result = dict[str, Tie]()
+    for joint, first in known.items():
+        tie, seen = first, {joint}
         while tie.leader in known and tie.leader not in seen:
             seen.add(tie.leader)
             inner = known[tie.leader]
             whole = Polynomial(tie.coefficients)(Polynomial(inner.coefficients))
             tie = Tie(inner.leader, tuple(whole.coef.tolist()))
         if tie.leader not in seen:
-            found[own] = tie
-    return found
+            result[joint] = tie
+    return result

@@ -1,4 +1,4 @@
-"""The kinematic tree of a plant, read once, as plain numbers for batched computations."""
+"""The kinematic tree of a plant, as plain numbers for batched computations."""
 
 from __future__ import annotations
 
@@ -25,20 +25,19 @@ _WORLD, _MASSLESS = -1, -2
 
 @dataclass(frozen=True)
 class KinematicTree(Short):
-    """A plant's mobilizers, every one after its parent, with the sizes and gravity.
+    """A plant's mobilizers, each after its parent, with sizes and gravity.
 
-    Bodies are those of `lumped_bodies`, each in the frame of its representative. Behind a
-    transmission, all that is computed of them goes through `joint_samples` and `actuator_rows`,
-    once in and once out:
+    Bodies are those of `lumped_bodies`, each in the frame of its representative. With a
+    transmission, computations map their inputs by `joint_samples` and their results by
+    `actuator_rows`:
 
         θ = T(q), θ̇ = J q̇, θ̈ = J q̈ + J̇ q̇, τ_q = Jᵀ τ_θ, Y_q = Jᵀ Y_θ    [Lee2019] Eq. (3.6.57)
 
     Attributes:
-        num_positions: nq, of the plant, or of the robot where its joints follow from others.
+        num_positions: nq of the robot, or of the plant without `actuation`.
         num_velocities: nv, likewise.
         gravity: (3,) gravity in the world frame, m/s².
-        actuation: How the joints' positions and velocities follow from the robot's; None where they
-            are its own.
+        actuation: Map from the robot's coordinates to the joints'; None for the identity.
     """
 
     mobilizers: tuple[Mobilizer, ...]
@@ -91,13 +90,13 @@ class KinematicTree(Short):
         )
 
     def driven(self, actuation: RobotCoordinates) -> KinematicTree:
-        """Return the same tree behind a transmission."""
+        """Return the tree with a transmission."""
         size = len(actuation.names)
         return replace(self, actuation=actuation, num_positions=size, num_velocities=size)
 
     @cached_property
     def joints(self) -> KinematicTree:
-        """The tree of the joints, without a transmission."""
+        """Return the tree without a transmission."""
         if self.actuation is None:
             return self
         size = self.actuation.size
@@ -106,12 +105,7 @@ class KinematicTree(Short):
     def joint_samples(
         self, q: Array, v: Array, vd: Array
     ) -> tuple[KinematicTree, Samples, Array | None]:
-        """Return the joints' tree, their motion, and J if there is one, without checking values.
-
-        Returns:
-            The tree; positions, velocities twice and accelerations of its joints; and, behind a
-            transmission, (N, nv of the tree, nv) J, with which `actuator_rows` leads back.
-        """
+        """Return the tree of the joints, their samples, and J (N, joints, nv) of a transmission."""
         J = None
         if self.actuation is not None:
             q, v, vd, J = self.actuation.tree_samples(q, v, vd)
@@ -119,15 +113,15 @@ class KinematicTree(Short):
         return self.joints, (q, v, v, vd), J
 
     def joint_positions(self, q: Array) -> Array:
-        """Return (N, ·) positions of the tree's joints, of positions (N, nq)."""
+        """Return positions (N, ·) of the tree's joints for the robot's positions (N, nq)."""
         return q if self.actuation is None else self.actuation.joint_positions(q)
 
     def inside(self, q: Array) -> Array:
-        """Return positions (N, nq), those of actuators moved to where their maps are known."""
+        """Return positions (N, nq), with actuators moved into the domains of their maps."""
         return q if self.actuation is None else self.actuation.inside(q)
 
     def moving_velocities(self, velocities: Sequence[int]) -> tuple[int, ...]:
-        """Return the robot's velocities that move some of the joints' velocities."""
+        """Return the robot's velocities that affect any of some joint velocities."""
         if self.actuation is None:
             return tuple(dict.fromkeys(velocities))  # a leader moves a body and its follower
         return self.actuation.moved_by(velocities)
@@ -137,7 +131,7 @@ class KinematicTree(Short):
         return jacobian if self.actuation is None else jacobian @ self.actuation.jacobian(q)
 
     def branch(self, body: int) -> KinematicTree:
-        """Return the same tree with only the mobilizers between the world and a body."""
+        """Return the tree with only the mobilizers between the world and a body."""
         index = next(i for i, mobilizer in enumerate(self.mobilizers) if mobilizer.body == body)
         path: list[Mobilizer] = []
         while index >= 0:
@@ -148,19 +142,19 @@ class KinematicTree(Short):
 
     @cached_property
     def records(self) -> TreeRecords:
-        """The tree for compiled code."""
+        """Return the tree for compiled code."""
         return records_of(self.mobilizers, self.gravity)
 
 
 def actuator_rows(J: Array | None, rows: Array) -> Array:
-    """Jᵀ Y (N, nv, p), of rows Y (N, nv of the tree, p) of the joints; Y itself without J."""
+    """Return Jᵀ Y (N, nv, p) for rows Y (N, joints, p); Y itself if J is None."""
     return rows if J is None else np.asarray(np.swapaxes(J, 1, 2) @ rows)
 
 
 _Edge = tuple[Joint, int, int, RigidTransform, RigidTransform, float]
-"""A joint, the bodies inboard and outboard of it, X_PF, X_MB, and −1 where its child is inboard.
+"""A joint, its inboard and outboard bodies, X_PF, X_MB, and a sign, −1 if the child is inboard.
 
-Frames between the joints of a free base have numbers from −2 down.
+Frames between the joints of a free base have indices from −2 down.
 """
 
 
@@ -174,8 +168,8 @@ def _edges(plant: MultibodyPlant, bodies: tuple[LumpedBody, ...]) -> Iterator[_E
     every = (plant.get_body(BodyIndex(i)) for i in range(plant.num_bodies()))
     frames = [body.index() for body in every if is_base_frame(plant, body)]
     places |= {body: (_MASSLESS - at, RigidTransform()) for at, body in enumerate(frames)}
-    for number, lump in enumerate(bodies):
-        places.update({member.index: (number, member.X_RB) for member in lump.members})
+    for index, lump in enumerate(bodies):
+        places.update({member.index: (index, member.X_RB) for member in lump.members})
 
     def place(frame: Frame) -> tuple[int, RigidTransform]:
         body, X_RB = places[frame.body().index()]

@@ -1,18 +1,18 @@
-"""Closed loops: joints that follow others as links which meet again have them.
+"""Closed kinematic loops, as transmissions from their free joints.
 
-A robot with closed loops is a tree of joints θ, and closures c(θ) = 0: points or frames of two of
-its bodies that are one. With J = ∂c/∂θ, some of the joints, q, are free, and the others follow,
+A robot with closed loops is a tree of joints θ with closures c(θ) = 0: points or frames of two
+bodies that coincide. With J = ∂c/∂θ, some joints q are free, and the others depend on them,
 
     θ̇ = G q̇,   J G = 0,   θ̈ = G q̈ + Ġ q̇,   J Ġ = −J̇ G,   τ_q = Gᵀ τ_θ        [Lee2019] Eq. (3.6.57)
 
-where rows of G of the free joints are those of the identity. Forces in closures do no work, so that
-none of them is in Gᵀ τ_θ. Thus a loop is a transmission from the free joints to all of its joints.
+where rows of G of the free joints are those of the identity. Forces in closures do no work, so they
+cancel in Gᵀ τ_θ. A loop is therefore a transmission from the free joints to all of its joints.
 
-Joints of a loop may have drives: then actuators are coordinates of the loop as well, and c(θ) has
-what couples the joints to them, or the smaller loops that do.
+If joints of a loop have drives, the actuators are coordinates of the loop, too, and c(θ) includes
+their coupling to the joints.
 
-The others' positions are found by Newton's method on the way from the posture of the file, or from
-the sample before, so that the loop stays put together as it is.
+Newton's method finds the dependent positions by continuation from the posture of the file, or from
+the previous sample, so that the assembly mode of the loop does not change.
 """
 
 from __future__ import annotations
@@ -47,22 +47,22 @@ from geodrake.robot.transmission.loop import (
     LoopRecords,
     LoopTransmission,
     in_loop,
-    miss,
-    no_loop,
-    put_together,
-    solved,
+    merged_loops,
+    residuals,
+    solve_loop,
+    uncoupled_records,
 )
-from geodrake.robot.transmission.statements import Drive
+from geodrake.robot.transmission.schema import Drive
 
-# Shares of the largest column, up to which one counts as a combination of others, and how far a
-# posture is left to see whether it is singular, rad or shares of the size: first for axes that are
-# parallel but for rounded numbers, then for postures that are nearly singular.
+# Relative tolerances of linearly dependent columns, and displacements to test whether a posture is
+# singular, rad or shares of the size: first for axes that are parallel up to rounding, then for
+# postures that are nearly singular.
 _FREE = (1e-3, 0.1), (1e-5, 0.02)
-_WELL = 0.1, 0.01, 0.0  # shares of itself that others leave of a column, in the order of trials
-_IDLE = 1e-9  # share of the largest column, of a joint that a loop does not see
-_CLOSED, _NEARLY = 1e-9, 1e-3  # shares of the size by which a loop misses, the latter by rounding
-_STILL = 1e-14  # rad or shares, by which the last iteration moves
-_MOST_ITERATIONS, _LONGEST = 100, 0.3  # on the way to the posture of the file; rad or shares
+_WELL = 0.1, 0.01, 0.0  # relative residuals of independent columns, in the order of trials
+_IDLE = 1e-9  # relative size of the column of a joint that does not affect a loop
+_CLOSED, _NEARLY = 1e-9, 1e-3  # residuals of a loop relative to its size; the latter by rounding
+_STILL = 1e-14  # rad or shares, step at convergence
+_MOST_ITERATIONS, _LONGEST = 100, 0.3  # to close a loop in the posture of the file; rad or shares
 _FARTHEST = 1e6  # m, of a closure from its body
 
 
@@ -70,19 +70,16 @@ _FARTHEST = 1e6  # m, of a closure from its body
 class LoopJoints:
     """Facts about joints in closed loops."""
 
-    # Scoped name of a joint -> what it follows.
-    followers: Mapping[str, Tie] = field(default_factory=dict)
+    followers: Mapping[str, Tie] = field(default_factory=dict)  # by scoped names
     driven: Collection[str] = ()
-    # Names of joints with springs, the stiffest first: where motors do not determine how a loop
-    # moves, these are free beside them, as they hardly move.
+    # Names of joints with springs, the stiffest first. They are free if motors do not determine the
+    # motion of a loop, as they hardly move.
     sprung: Sequence[str] = ()
-    first: Collection[str] = ()  # names of joints that are to be free before all others
-    # Joint -> where it is on the way to the loops' posture, rad or m; otherwise as the plant has
-    # it.
+    first: Collection[str] = ()  # names of preferred free joints
+    # Joint -> start of the search for the loops' posture, rad or m; by default the plant's.
     start: Mapping[str, float] = field(default_factory=dict)
-    drives: Sequence[Drive] = ()  # what moves joints that may be in loops
-    # Actuator of these drives -> where it is then.
-    placed: Mapping[str, float] = field(default_factory=dict)
+    drives: Sequence[Drive] = ()  # of joints that may be in loops
+    placed: Mapping[str, float] = field(default_factory=dict)  # actuator -> its position
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,13 +88,13 @@ class Loops:
 
     loops: tuple[LoopTransmission, ...] = ()
     left_out: tuple[str, ...] = ()
-    taken: tuple[str, ...] = ()  # scoped names of joints that follow others, and are among theirs
-    # Joint -> where it is held as loops and other constraints let it not move, rad or m.
+    taken: tuple[str, ...] = ()  # scoped names of following joints within loops
+    # Joint -> position at which constraints fix it, rad or m.
     held: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Return notes on them."""
+        """Return notes on the loops."""
         notes = [note for loop in self.loops for note in loop.notes]
         if held := ", ".join(f"{joint} at {place:.4g}" for joint, place in self.held.items()):
             notes.append(f"Fixed, as constraints of the file do not let them move: {held}.")
@@ -106,14 +103,14 @@ class Loops:
     def places(
         self, held: Mapping[str, float], path: object
     ) -> tuple[dict[str, float], dict[str, float]]:
-        """Joint -> position with some joints fixed, of joints in loops and of fixed ones."""
-        every, still = dict[str, float](), dict[str, float]()
+        """Return joint -> position with some joints fixed, of all joints and of immobile ones."""
+        positions, immobile = dict[str, float](), dict[str, float]()
         for loop in self.loops:
             posture = loop.posture(held, path)
-            every |= posture
+            positions |= posture
             if held.keys() >= set(loop.actuators):
-                still |= {joint: at for joint, at in posture.items() if joint not in held}
-        return every, still
+                immobile |= {joint: x for joint, x in posture.items() if joint not in held}
+        return positions, immobile
 
 
 def closed_loops(
@@ -121,13 +118,13 @@ def closed_loops(
 ) -> Loops:
     """Return the closed loops of a plant.
 
-    Of the joints of a loop those are free that are driven, and then those nearest to the base.
+    Driven joints of a loop are free, and then those closest to the base.
     """
     return _LoopFinder(plant, path, how).loops(closures) if closures else Loops()
 
 
 class _Link(NamedTuple):
-    """A loop closure with its frames, and the mobilizers on one side of it only."""
+    """A loop closure with its frames, and the mobilizers that move only one of its sides."""
 
     closure: Closure
     ends: list[tuple[int, RigidTransform]]
@@ -138,13 +135,13 @@ class _Shape(NamedTuple):
     """A loop without a choice of free joints."""
 
     records: LoopRecords
-    names: tuple[str, ...]  # of its k coordinates
+    names: tuple[str, ...]  # of the k coordinates
     slides: tuple[bool, ...]
-    places: Mapping[str, int]  # joints and actuators -> which of the coordinates is theirs
+    places: Mapping[str, int]  # joint or actuator -> index of its coordinate
 
 
 _Group = tuple[set[int], list[_Link], list[str], list[Drive]]
-"""Velocities, what closes their loops, those that follow others by scoped names, and drives."""
+"""Velocities, closures of their loops, scoped names of following joints, and drives."""
 
 
 class _LoopFinder:
@@ -164,7 +161,7 @@ class _LoopFinder:
         self.place = {at: how.start.get(self.names[at], float(q[at])) for at in self.at.values()}
         self.limits = {at: (float(lower[at]), float(upper[at])) for at in self.place}
         self.beyond = {at for at in self.place if not lower[at] <= stated[at] <= upper[at]}
-        # Scoped name of a body -> its mobilizer, -1 for what stands still, and its pose there.
+        # Scoped name of a body -> its mobilizer, -1 for the world, and its pose there.
         moving = {
             self.tree.bodies[m.body]: k for k, m in enumerate(self.tree.mobilizers) if m.body >= 0
         }
@@ -195,7 +192,7 @@ class _LoopFinder:
             new.append(({self.at[own], self.at[tie.leader]}, [], [own], []))
         for drive in self.how.drives:
             new.append(({self.names.index(joint) for joint in drive.joints}, [], [], [drive]))
-        for group in new:  # those that have velocities in common become one
+        for group in new:  # merge groups with common velocities
             together = [other for other in groups if not group[0].isdisjoint(other[0])]
             groups = [other for other in groups if group[0].isdisjoint(other[0])]
             every, own_links, ties, drives = zip(*together, group, strict=True)
@@ -237,11 +234,11 @@ class _LoopFinder:
         drives: Sequence[Drive],
     ) -> LoopTransmission:
         name = " and ".join(dict.fromkeys(link.closure.name for link in links))
-        made = self._shape(velocities, links, ties)
+        loop_shape = self._shape(velocities, links, ties)
         for drive in drives:
-            made = self._with_drive(made, drive)
-        shape, x = made.records, made.records.reference
-        joints, at = made.names, made.places
+            loop_shape = self._with_drive(loop_shape, drive)
+        shape, x = loop_shape.records, loop_shape.records.reference
+        joints, at = loop_shape.names, loop_shape.places
         tied = {self.names[self.at[own]] for own in ties}
         leading = [n for n in at if n not in tied]
         driven = tuple(n for n in leading if n in self.how.driven)
@@ -255,8 +252,9 @@ class _LoopFinder:
         if self.beyond.intersection(velocities) and not self.how.start:
             start = _closed_within(shape, x, limits)
         for least, nudge in _FREE:
-            x, gap = _closed(shape, start, _following(miss(shape, start)[1], order, least))
-            free, following = _free_and_following(shape, x, order, (least, nudge))
+            dependent = _dependent(residuals(shape, start)[1], order, least)
+            x, gap = _close_posture(shape, start, dependent)
+            free, following = _free_and_dependent(shape, x, order, (least, nudge))
             if free and gap <= _NEARLY:
                 break
         if not gap <= _NEARLY:
@@ -286,17 +284,17 @@ class _LoopFinder:
         return LoopTransmission(
             name,
             joints,
-            _chosen(shape, free, following, x),
+            _with_free_joints(shape, free, following, x),
             np.array(shown, np.int64),
             tuple(k for k in at.values() if k >= count),
-            made.slides,
+            loop_shape.slides,
             limits,
             driven,
             float(gap * shape.units[-1] * (gap > _CLOSED)),
         )
 
     def _shape(self, velocities: list[int], links: Sequence[_Link], ties: Sequence[str]) -> _Shape:
-        """Return a loop without drives, and without a choice of free joints."""
+        """Return a loop without drives and without a choice of free joints."""
         own, mobilizers = sorted({i for link in links for i in link.apart}), list[Mobilizer]()
         local = {-1: -1, **{i: at for at, i in enumerate(own)}}
         for i in own:
@@ -337,11 +335,11 @@ class _LoopFinder:
         return _Shape(records, tuple(names), tuple(slides), places)
 
     def _with_drive(self, made: _Shape, drive: Drive) -> _Shape:
-        """Return a loop with the actuators of a drive of its joints, or with its own loop."""
+        """Return a loop with the actuators of a drive of its joints, or with the drive's loop."""
         first, joints = len(made.names), [made.places[joint] for joint in drive.joints]
         start = np.array([[self.how.placed[name] for name in drive.actuators]])
         if isinstance(loop := drive.map, LoopTransmission):
-            (x,), _, _ = solved(loop.records, start)
+            (x,), _, _ = solve_loop(loop.records, start)
             own = loop.records._replace(reference=x)
             names, slides = loop.joints, loop.slides
             rows = np.zeros((len(joints), first + len(x), 2))
@@ -351,7 +349,7 @@ class _LoopFinder:
         elif (J := drive.map.constant_jacobian) is not None:
             names = drive.actuators
             slides = drive.slides or tuple(made.slides[at] for at in joints[: len(names)])
-            own = no_loop(start[0], slides, made.records.units[-1])
+            own = uncoupled_records(start[0], slides, made.records.units[-1])
             rows = np.zeros((len(joints), first + len(names), 2))
             offsets = drive.map.joint_positions(np.zeros(start.shape))[0]
             for row, at, ratios, offset in zip(rows, joints, J, offsets, strict=True):
@@ -359,20 +357,20 @@ class _LoopFinder:
             more = list(range(len(names)))
         else:
             raise ArgumentError(
-                "Legs that stand, and other closed loops, cannot have joints that follow actuators "
+                "Standing legs and other closed loops cannot have joints that follow actuators "
                 f"by a table or formula: {', '.join(drive.joints)} (of "
                 f"{', '.join(drive.actuators)}).",
                 advice="Use the positions and efforts of these joints, without that transmission.",
             )
         return _Shape(
-            put_together(made.records, own, rows),
+            merged_loops(made.records, own, rows),
             (*made.names, *names),
             (*made.slides, *slides),
             {**made.places, **{names[k]: first + k for k in more}},
         )
 
 
-def _chosen(
+def _with_free_joints(
     shape: LoopRecords, free: Collection[int], following: Collection[int], x: Array
 ) -> LoopRecords:
     """Return a loop with a choice of free joints, at a posture (k,)."""
@@ -380,60 +378,60 @@ def _chosen(
     return shape._replace(free=one, following=other, reference=x)
 
 
-def _closed(shape: LoopRecords, x: Array, following: Sequence[int]) -> tuple[Array, float]:
-    """Return the posture (k,) near another in which a loop closes, and the gap left."""
+def _close_posture(shape: LoopRecords, x: Array, following: Sequence[int]) -> tuple[Array, float]:
+    """Return the closed posture (k,) of a loop close to x, and the remaining residual."""
     x = x.copy()
     for _ in range(_MOST_ITERATIONS):
-        c, J = miss(shape, x)
+        c, J = residuals(shape, x)
         step = -np.linalg.lstsq(J[:, following], c)[0]
         largest = float(np.abs(step).max(initial=0.0))
         x[following] += shape.units[following] * step * min(1.0, _LONGEST / max(largest, 1e-300))
         if largest < _STILL:
             break
-    return x, float(np.abs(miss(shape, x)[0]).max(initial=0.0))
+    return x, float(np.abs(residuals(shape, x)[0]).max(initial=0.0))
 
 
 def _closed_within(shape: LoopRecords, x: Array, limits: Array) -> Array:
-    """Return a posture (k,) near another within limits (2, k) in which a loop nearly closes."""
+    """Return a nearly closed posture (k,) of a loop close to x, within limits (2, k)."""
     found = least_squares(
-        lambda y: miss(shape, y)[0],
+        lambda y: residuals(shape, y)[0],
         np.clip(x, *limits),
-        lambda y: miss(shape, y)[1] / shape.units[:-1],
+        lambda y: residuals(shape, y)[1] / shape.units[:-1],
         bounds=(limits[0] - _CLOSED, limits[1] + _CLOSED),
     )
     return np.asarray(found.x)
 
 
-def _free_and_following(
+def _free_and_dependent(
     shape: LoopRecords, x: Array, order: Sequence[Sequence[int]], tried: tuple[float, float]
 ) -> tuple[list[int] | None, list[int]]:
-    """Return independent and following joints at a posture (k,); None if singular.
+    """Return free joints, or None if singular, and dependent joints at a posture (k,).
 
-    Joints that the loop does not see, as a rod that turns about itself, are neither.
+    Joints that do not affect the loop, such as that of a rod about its own axis, are neither.
     """
-    (least, nudge), J = tried, miss(shape, x)[1]
-    following = _following(J, order, least)
+    (least, nudge), J = tried, residuals(shape, x)[1]
+    following = _dependent(J, order, least)
     others = [k for k in range(len(x)) if k not in following]
-    free, nearby = set[int](), _chosen(shape, others, following, x)
+    free, nearby = set[int](), _with_free_joints(shape, others, following, x)
     units = shape.units[others]
-    moved = np.abs(solved(nearby, x[others][None])[1][0] @ units / shape.units[:-1])
-    moved *= J[: len(J) - len(shape.couplings)].any(axis=0)  # gears may turn as far as they like
-    for sign in (0.0, 1.0, -1.0):  # whether it is the same there
+    moved = np.abs(solve_loop(nearby, x[others][None])[1][0] @ units / shape.units[:-1])
+    moved *= J[: len(J) - len(shape.couplings)].any(axis=0)  # gears may turn any number of times
+    for sign in (0.0, 1.0, -1.0):  # the result must be the same nearby
         q = x[others] + sign * nudge * units / max(1.0, moved.max(initial=0.0))
-        theta, _, (reached,) = solved(nearby, q[None])
-        J = miss(shape, theta[0])[1]
+        theta, _, (reached,) = solve_loop(nearby, q[None])
+        J = residuals(shape, theta[0])[1]
         free |= {k for k in others if np.abs(J[:, k]).max() > _IDLE * np.abs(J).max()}
-        if reached < 1.0 or len(_following(J, order, least)) != len(following):
+        if reached < 1.0 or len(_dependent(J, order, least)) != len(following):
             return None, following
     return sorted(free), following
 
 
-def _following(J: Array, order: Sequence[Sequence[int]], least: float) -> list[int]:
-    """Return joints whose columns of J (m, k) are a basis of them all.
+def _dependent(J: Array, order: Sequence[Sequence[int]], least: float) -> list[int]:
+    """Return joints whose columns of J (m, k) are a basis of its range, which become dependent.
 
-    Those of the last ranks follow if they can, in a rank the last ones that others leave most of.
+    Joints of the last ranks are preferred, and in a rank the last ones with large residuals.
     """
-    sizes, found, basis = np.linalg.norm(J, axis=0), list[int](), np.zeros((len(J), 0))
+    sizes, basis_joints, basis = np.linalg.norm(J, axis=0), list[int](), np.zeros((len(J), 0))
     least, before = least * float(sizes.max(initial=0.0)), set[int]()
     ranks = list[list[int]]()
     for rank in order:
@@ -441,18 +439,18 @@ def _following(J: Array, order: Sequence[Sequence[int]], least: float) -> list[i
         before |= set(rank)
     for rank, well in product(ranks, _WELL):
         for at in reversed(rank):
-            rest = J[:, at]
+            residual = J[:, at]
             for _ in range(2):
-                rest = rest - basis @ (basis.T @ rest)
-            left = float(np.linalg.norm(rest))
-            if at not in found and left > max(least, well * sizes[at]):
-                found.append(at)
-                basis = np.column_stack([basis, rest / left])
-    return sorted(found)
+                residual = residual - basis @ (basis.T @ residual)
+            size = float(np.linalg.norm(residual))
+            if at not in basis_joints and size > max(least, well * sizes[at]):
+                basis_joints.append(at)
+                basis = np.column_stack([basis, residual / size])
+    return sorted(basis_joints)
 
 
 def _size(mobilizers: Sequence[Mobilizer], closures: NDArray[np.void]) -> float:
-    """Return the length of the longest part of a loop, m; 1 where all of it is at one point."""
+    """Return the length of a loop's longest part, m; 1 if all parts are at one point."""
     at_base = [m.motion.offset for m in mobilizers if m.parent < 0]
     arms = [m.p_MoBo_B for m in mobilizers]
     arms += [m.motion.offset - (at_base[0] if m.parent < 0 else 0.0) for m in mobilizers]

@@ -1,8 +1,8 @@
 """Model files as plants of rigid bodies, and the parameters of such plants.
 
-A loaded plant has rigid-body dynamics only. Damping, dry friction and rotor inertia that the file
-states are read out (`LoadedPlant.terms`) and taken out of the plant, because they
-are effects of their own in geodrake; inertias that no body can have are repaired and reported.
+A loaded plant has rigid-body dynamics only. Damping, dry friction and rotor inertia in the file are
+moved from the plant to `LoadedPlant.terms`, because they are effects in geodrake. Unphysical
+inertias are repaired and reported.
 """
 
 from __future__ import annotations
@@ -55,21 +55,21 @@ from geodrake.robot.loops import LoopJoints, Loops, closed_loops
 from geodrake.robot.repairs import Repair, repair_inertias
 from geodrake.robot.stated import Closure, CutJoint, FileTerms, StatedLength
 from geodrake.robot.transmission.loop import LoopTransmission
-from geodrake.robot.transmission.statements import Gear
+from geodrake.robot.transmission.schema import Gear
 
 _WORLD = 0
-_LIMIT = "limit of "  # before the names of actuators that only have a limit of efforts
-_SAME = 1e-9  # of the largest of a body's parameters: what text and Drake may change
+_LIMIT = "limit of "  # prefix of actuators that only limit efforts
+_SAME = 1e-9  # tolerance of a body's parameters after writing, relative to the largest
 
 
 @dataclass(frozen=True, eq=False)
 class BuiltPlant:
-    """A plant of rigid bodies, and the elements that were left out."""
+    """A plant of rigid bodies, and the elements removed from it."""
 
     plant: MultibodyPlant
-    lengths: list[StatedLength]  # damping and reflected inertia of its joints
+    lengths: list[StatedLength]  # damping and reflected inertia of joints
     notes: tuple[str, ...]
-    opened: tuple[Closure, ...]  # joints that closed its loops
+    opened: tuple[Closure, ...]  # joints that closed loops
 
 
 @dataclass(frozen=True)
@@ -78,21 +78,21 @@ class LoadedPlant:
 
     plant: MultibodyPlant  # finalized, continuous in time, without damping, friction and rotors
     path: Path
-    repairs: tuple[Repair, ...]  # bodies whose inertia no body can have, with what they got instead
-    thin: tuple[Repair, ...]  # bodies without volume, which stay, with what fits have instead
-    changes: tuple[str, ...]  # sentences on inertias that are not those of the file, repairs first
-    notes: tuple[str, ...]  # sentences on what else of the file was read in a way worth knowing
-    terms: FileTerms  # what the file states beside rigid bodies, which the plant does not have
-    left_out: tuple[str, ...]  # sentences on what bears on efforts, and is in none of these
-    loops: tuple[LoopTransmission, ...]  # closed loops, whose joints are among the plant's own
+    repairs: tuple[Repair, ...]  # bodies with unphysical inertia, and the repaired inertia
+    thin: tuple[Repair, ...]  # unchanged bodies without volume, and their inertia in fits
+    changes: tuple[str, ...]  # sentences on changed inertias, repairs first
+    notes: tuple[str, ...]  # sentences on other interpretations of the file
+    terms: FileTerms  # elements of the file other than rigid bodies, which the plant lacks
+    left_out: tuple[str, ...]  # sentences on ignored elements that affect efforts
+    loops: tuple[LoopTransmission, ...]  # closed loops of the plant's joints
     closing: tuple[CutJoint, ...]  # joints that close loops and are not in the plant
-    held: Mapping[str, float]  # joint that does not move, though it does in the file -> where
-    places: Mapping[str, float]  # the same by scoped names, those that follow held ones included
+    held: Mapping[str, float]  # fixed joint -> position
+    places: Mapping[str, float]  # the same by scoped names, with followers of fixed joints
     given: Given
-    followers: Mapping[str, Tie]  # joint of the plant by its scoped name -> what it follows
-    joints: tuple[str, ...]  # all of one degree of freedom of the file, held ones and followers too
-    geared: tuple[str, ...]  # joints of which the file states motors that move otherwise
-    mjcf: MjcfText | None  # the text, where it is of an MJCF all of whose inertias are known
+    followers: Mapping[str, Tie]  # following joint of the plant, by scoped name -> its tie
+    joints: tuple[str, ...]  # joints of one degree of freedom in the file, fixed and following too
+    geared: tuple[str, ...]  # joints with motors in the file that move differently
+    mjcf: MjcfText | None  # the text of a single MJCF file with known inertias
 
 
 def load_plant(
@@ -104,21 +104,20 @@ def load_plant(
     phi: ArrayLike | None = None,
     into: MultibodyPlant | None = None,
 ) -> LoadedPlant:
-    """Read a robot from a model file, or of a name, as `geodrake.load_model` does.
+    """Read a robot from a model file or by name, as `geodrake.load_model` does.
 
-    Geometry does not matter and is not loaded, so meshes and packages may be missing. Closed
-    loops are open in the plant, and closed by `loops`; joints that follow others are `followers`.
+    Geometry is not loaded, so meshes and packages may be missing. Closed loops are open in the
+    plant, and described by `loops`; following joints are `followers`.
 
     Args:
         floating: Leave bodies free that the file does not attach to the world, on six joints each
-            (`geodrake.robot.arrangement`); otherwise each root is welded to the world where the
-            file puts it.
-        held: Joint of one degree of freedom -> where it is held, rad or m: it does not move, and
-            the bodies on both sides of it are one.
-        phi: (nb, 10) inertial parameters in place of the file's; the representative of each lumped
-            body has all of it.
-        into: An empty plant to load the robot into, which is finalized; by default a new one,
-            continuous in time.
+            (`geodrake.robot.arrangement`); otherwise weld each root to the world at its pose in the
+            file.
+        held: Joint of one degree of freedom -> position at which it is fixed, rad or m.
+        phi: (nb, 10) inertial parameters in place of the file's, assigned to the representative of
+            each lumped body.
+        into: An empty plant for the robot, which is finalized; by default a new one, continuous in
+            time.
     """
     given = Given() if given is None else instance(given, "given", Given)
     path, given, origin = robot_file(path, given)
@@ -142,33 +141,33 @@ def load_plant(
             _check_inertias(built.plant, phi, path)
     terms, plant = description.terms, built.plant
     terms = replace(terms, lengths=[*built.lengths, *terms.lengths])
-    apart = _ignored(description, arrangement)
-    others = plant.num_constraints() or plant.num_force_elements() > 1  # than gravity
-    left_out = ["Constraints and springs that only Drake reads are ignored."] if others else []
-    left_out += [*terms.left_out, *(terms.of_bases if floating else ()), *apart, *loops.left_out]
+    ignored = _ignored_ties(description, arrangement)
+    has_others = plant.num_constraints() or plant.num_force_elements() > 1  # besides gravity
+    left_out = ["Constraints and springs that only Drake reads are ignored."] if has_others else []
+    left_out += [*terms.left_out, *(terms.of_bases if floating else ()), *ignored, *loops.left_out]
     ties = {own: t for own, t in arrangement.followers.items() if own not in loops.taken}
     names = {scoped(joint): name for name, joint in _single_joints(plant).items()}
     pairs = ", ".join(f"{names[own]} follows {names[tie.leader]}" for own, tie in ties.items())
     follow = [f"{pairs}, and is not independent."] if pairs else []
     changes, thin = (tuple(r for r in repairs if r.is_thin is kind) for kind in (False, True))
     notes = [*origin, *terms.notes, *map(str, thin), *built.notes, *follow, *loops.notes]
-    lines = [message.partition("\n")[0].rpartition("warning: ")[2] for message in messages]
-    of_drake = [f"Drake: {line}" for line in lines if "inertia" in line or "mass" in line]
-    moving = {loop.joints[k] for loop in loops.loops for k in loop.cut}
-    cuts = (each.cut for each in [*terms.closures, *built.opened])
-    closing = tuple(cut for cut in cuts if cut is not None and cut.name in moving)
-    (text, *others), whole = description.texts, None
-    if isinstance(text, MjcfText) and text.reference is not None and not others:
+    first_lines = [message.partition("\n")[0].rpartition("warning: ")[2] for message in messages]
+    warnings = [f"Drake: {line}" for line in first_lines if "inertia" in line or "mass" in line]
+    moving_cuts = {loop.joints[k] for loop in loops.loops for k in loop.cut}
+    cut_joints = (each.cut for each in [*terms.closures, *built.opened])
+    closing = tuple(cut for cut in cut_joints if cut is not None and cut.name in moving_cuts)
+    (text, *has_others), whole = description.texts, None
+    if isinstance(text, MjcfText) and text.reference is not None and not has_others:
         whole = text
     return LoadedPlant(
         plant,
         path,
         changes,
         thin,
-        _once([*map(str, changes), *weightless, *terms.lost, *of_drake]),
-        _once(notes),
+        _unique([*map(str, changes), *weightless, *terms.lost, *warnings]),
+        _unique(notes),
         terms,
-        _once(left_out),
+        _unique(left_out),
         loops.loops,
         closing,
         held={**loops.held, **held},
@@ -176,16 +175,16 @@ def load_plant(
         given=given,
         followers=ties,
         joints=(*arrangement.joints, *(cut.name for cut in closing)),
-        # Gears of MJCF's actuators do not count: most scale efforts and are no gears.
+        # Gears of MJCF's actuators do not count, as most only scale efforts.
         geared=tuple(
-            names.get(x, _last(x)) for is_alike, x in _motors(description) if not is_alike
+            names.get(x, _short_name(x)) for is_alike, x in _motors(description) if not is_alike
         ),
         mjcf=whole,
     )
 
 
 def _moves(plant: MultibodyPlant) -> bool:
-    """Return whether all joints of a plant have inertia, so that efforts tell accelerations."""
+    """Return whether all joints of a plant have inertia, so that forward dynamics exist."""
     context, random = plant.CreateDefaultContext(), np.random.default_rng(0)
     plant.SetPositions(context, random.uniform(-1.0, 1.0, plant.num_positions()))
     M = plant.CalcMassMatrix(context)
@@ -193,14 +192,14 @@ def _moves(plant: MultibodyPlant) -> bool:
     return bool((size > 0.0).all() and np.linalg.eigvalsh(M / np.outer(size, size))[0] > _SAME)
 
 
-def _once(sentences: Iterable[str]) -> tuple[str, ...]:
+def _unique(sentences: Iterable[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(sentences))
 
 
 def _motors(description: ModelDescription) -> Iterator[tuple[bool, str]]:
-    """Yield whether a motor of the file moves as its joint does, and the joint's scoped name."""
+    """Yield whether a motor in the file moves like its joint, and the joint's scoped name."""
     for text in description.every:
-        with suppress(ModelError):  # which matters only where it is asked for
+        with suppress(ModelError):  # reported only if the user asks for the transmission
             for part in text.motors():
                 is_alike = isinstance(part, Gear) and (
                     text.kind == "xml" or (part.ratio, part.offset, part.rotor) == (1.0, 0.0, "")
@@ -232,7 +231,7 @@ def _draft(
     followers = resolved(terms.followers, names)
     arrangement = replace(arrangement, followers=followers, joints=tuple(joints))
     stated = dict(description.terms.fixed)
-    for own, tie in followers.items():  # which hold what they follow
+    for own, tie in followers.items():  # a fixed follower fixes its leader
         if own in stated:
             stated.setdefault(tie.leader, tie.leader_at(stated.pop(own)))
     fixed = {name: stated[scoped(j)] for name, j in joints.items() if scoped(j) in stated}
@@ -254,7 +253,7 @@ def _draft(
             advice = "Free at least one of them."
             if still:
                 what = f"No joint of {description.path} moves: constraints fix {', '.join(still)}."
-                advice = "Correct the constraints; one too many locks a linkage."
+                advice = "Correct the constraints; a redundant one may lock a linkage."
             raise ModelError(what, advice=advice)
         arrangement = replace(
             arrangement,
@@ -283,8 +282,8 @@ def _loops(
     for length in terms.lengths:
         (joint, share), *others = length.shares.items()
         if joint in single and not others:
-            own = share**2 * length.spring.coefficients[1]
-            stiffness[single[joint]] = stiffness.get(single[joint], 0.0) + own
+            value = share**2 * length.spring.coefficients[1]
+            stiffness[single[joint]] = stiffness.get(single[joint], 0.0) + value
     sprung = sorted((n for n, k in stiffness.items() if k > 0.0), key=lambda n: -stiffness[n])
     how = replace(how, followers=followers, driven=driven, sprung=sprung)
     found = closed_loops(plant, closures, path=description.path, how=how)
@@ -302,11 +301,11 @@ def _single_joints(plant: MultibodyPlant) -> dict[str, Joint]:
     return {names[joint.velocity_start()]: joint for joint in single_joints(plant)}
 
 
-def _ignored(description: ModelDescription, arrangement: Arrangement) -> list[str]:
+def _ignored_ties(description: ModelDescription, arrangement: Arrangement) -> list[str]:
     """Return notes on joints that cannot follow as the file requires."""
     still, stated = arrangement.held.keys(), description.terms.followers
     apart = [
-        f"{_last(own)} (of {_last(tie.leader)})"
+        f"{_short_name(own)} (of {_short_name(tie.leader)})"
         for own, tie in stated.items()
         if own not in {*arrangement.followers, *arrangement.aside}
         and not {own, tie.leader} <= still
@@ -316,7 +315,7 @@ def _ignored(description: ModelDescription, arrangement: Arrangement) -> list[st
     return [words] if apart else []
 
 
-def _last(name: str) -> str:
+def _short_name(name: str) -> str:
     return name.rpartition("::")[2]
 
 
@@ -361,7 +360,7 @@ def _build(
 
 
 def _write_inertias(description: ModelDescription, plant: MultibodyPlant, phi: ArrayLike) -> None:
-    """Write inertial parameters (nb, 10) into a description whose plant is known."""
+    """Write inertial parameters (nb, 10) of a plant into its description."""
     lumps = lumped_bodies(plant)
     phi = real_array(phi, "phi", (len(lumps), PARAMETERS_PER_BODY))
     for body, parameters in zip(lumps, phi, strict=True):
@@ -371,16 +370,16 @@ def _write_inertias(description: ModelDescription, plant: MultibodyPlant, phi: A
 
 
 def _check_inertias(plant: MultibodyPlant, phi: ArrayLike, path: Path) -> None:
-    """Raise if a plant's inertial parameters are not those that were written."""
-    there, wanted = inertial_parameters(plant), np.asarray(phi, float)
+    """Raise if a plant's inertial parameters differ from those written."""
+    actual, wanted = inertial_parameters(plant), np.asarray(phi, float)
     size = np.abs(wanted).max(axis=1)
-    wrong = np.flatnonzero(np.abs(there - wanted).max(axis=1) > _SAME * size)
+    wrong = np.flatnonzero(np.abs(actual - wanted).max(axis=1) > _SAME * size)
     if len(wrong):
         body = lumped_bodies(plant)[wrong[0]].name
         raise ModelError(
             f"A plant of {path} cannot have the inertial parameters of {body!r} by default: "
             f"they are {wanted[wrong[0]].tolist()}, but Drake makes them "
-            f"{there[wrong[0]].tolist()}.",
+            f"{actual[wrong[0]].tolist()}.",
             advice="Use the model's plant, and its create_context() in a simulation.",
         )
 
@@ -402,7 +401,7 @@ def _root_notes(plant: MultibodyPlant, arrangement: Arrangement) -> list[str]:
 
 
 def arrange_as(plant: MultibodyPlant, other: MultibodyPlant) -> None:
-    """Weld moving parts of a plant that is not finalized as in another one of the same file."""
+    """Weld parts of a plant before finalization as in another plant of the same file."""
     open_loops(plant)
     weld_joints(plant, welds_of(other))
     weld_joints(plant, welds_of(other, aside=True), aside=True)
@@ -419,7 +418,7 @@ def arrange_as(plant: MultibodyPlant, other: MultibodyPlant) -> None:
 def weld_roots(
     plant: MultibodyPlant, floats: Callable[[RigidBody], bool] = lambda body: False
 ) -> None:
-    """Weld free roots to the world where the file has them, or put them on six joints."""
+    """Weld free roots to the world at their poses in the file, or put them on six joints."""
     for body in free_roots(plant):
         if floats(body):
             add_base_joints(plant, body)
@@ -429,7 +428,7 @@ def weld_roots(
 
 
 def free_roots(plant: MultibodyPlant) -> list[RigidBody]:
-    """Return the root of each tree that no joint connects to the world."""
+    """Return the roots of all trees that no joint connects to the world."""
     trees, children = DisjointSet(range(plant.num_bodies())), set[int]()
     for parent, child in map(ends_of, joints_of(plant)):
         trees.merge(parent, child)
@@ -439,13 +438,13 @@ def free_roots(plant: MultibodyPlant) -> list[RigidBody]:
 
 
 def motor_joints(plant: MultibodyPlant) -> frozenset[str]:
-    """Return the joints that the model file gives an actuator or a transmission, by scoped name."""
+    """Return scoped names of the joints with an actuator or a transmission in the model file."""
     stated = (a for a in _actuators(plant) if not a.name().startswith(_LIMIT))
     return frozenset(scoped(actuator.joint()) for actuator in stated)
 
 
 def _limit_efforts(plant: MultibodyPlant, description: ModelDescription) -> None:
-    """Give the joints the effort limits that the file states without an actuator of Drake's."""
+    """Set the effort limits in the file that Drake does not read, adding actuators for them."""
     actuators = {int(a.joint().index()): a for a in _actuators(plant)}
     efforts, driven = description.terms.effort, {n for _, n in _motors(description)}
     for joint in joints_of(plant):
@@ -465,13 +464,10 @@ def _actuators(plant: MultibodyPlant) -> list[JointActuator]:
 
 
 def set_inertial_parameters(plant: MultibodyPlant, context: Context, phi: ArrayLike) -> None:
-    """Write inertial parameters into a plant's context.
+    """Write inertial parameters (nb, 10), as of `inertial_parameters`, into a plant's context.
 
-    The representative of each lumped body gets all of it; the links welded to it become massless.
-
-    Args:
-        phi: (nb, 10) parameters in the order and frames of `inertial_parameters`; they need not
-            be physical.
+    They need not be physical. The representative of each lumped body gets all of its inertia; links
+    welded to it become massless.
     """
     set_lump_inertias(plant, context, [body.members for body in lumped_bodies(plant)], phi)
 
@@ -488,7 +484,7 @@ def set_lump_inertias(
 
 
 def scoped_joint_names(plant: MultibodyPlant) -> tuple[str, ...]:
-    """Return names of the joints (nv) that velocities belong to, as `robot::joint`."""
+    """Return the joint of each velocity (nv), as `robot::joint`."""
     names = {
         joint.velocity_start() + k: scoped(joint)
         for joint in joints_of(plant)
@@ -499,7 +495,7 @@ def scoped_joint_names(plant: MultibodyPlant) -> tuple[str, ...]:
 
 @typed
 def effort_limits(plant: MultibodyPlant) -> Array:
-    """Largest efforts (nv,) of the plant's actuators, N·m or N; infinite where there is none."""
+    """Return the largest efforts (nv,) of the plant's actuators, N·m or N; infinite without."""
     limits = np.full(plant.num_velocities(), np.inf)
     for actuator in _actuators(plant):
         limits[actuator.joint().velocity_start()] = actuator.effort_limit()

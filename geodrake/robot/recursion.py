@@ -1,19 +1,19 @@
-"""The recursion behind efforts and their regressor: motion outwards, a closed form a body.
+"""Recursive computation of efforts and their regressor.
 
-From the world outwards it carries the motion of every body B, and the motion subspace of the
-velocities that move it, about Bo and expressed in B. For one velocity with the angular part s and
-the linear part t, the effort that B asks of it is
+From the world outwards, the recursion computes the motion of each body B, and the motion subspace
+of the velocities that move it, about Bo and expressed in B. The contribution of B to the effort of
+a velocity with the angular part s and the linear part t of the subspace is
 
     τ = t·f + s·n,   f = m a + α × h + u × (ω × h),
     n = I (α − ½ ω × u) + ½ (ω × I u + u × I ω) + h × a,
 
-with ω the angular velocity of B and u that of a reference motion v; the rates of the reference
-motion's velocities as B moves are α and a, the latter of Bo and less gravity. So the efforts are
-M v̇ + C(q, q̇) v − τ_g with Ṁ − 2 C skew symmetric ([Lee2019] Eq. (5.2.10)); where velocities are
+with the angular velocities ω of B and u of a reference motion v, and the rates α and a of the
+reference motion's velocities, the latter at Bo and less gravity. The efforts are thus
+M v̇ + C(q, q̇) v − τ_g with a skew-symmetric Ṁ − 2 C ([Lee2019] Eq. (5.2.10)). If velocities are
 rates of positions, C is the matrix of Christoffel symbols. Inverse dynamics has v = q̇ and u = ω.
 
-This is linear in (m, h, I): the ten factors are the regressor's block. Where φ is known, wrenches
-(f, n) are carried inwards instead, which asks for no subspace (Newton and Euler).
+This is linear in (m, h, I), and the ten factors are a block of the regressor. If φ is known, the
+wrenches (f, n) are propagated inwards instead (Newton–Euler), without subspaces.
 """
 
 from __future__ import annotations
@@ -47,15 +47,12 @@ from geodrake.robot.vectors import (
 )
 
 Samples = tuple[Array, Array, Array, Array]
-"""Positions q (N, nq), velocities q̇, reference velocities v and their rates v̇, each (N, nv).
-
-Of a motion itself, v is q̇.
-"""
+"""Positions q (N, nq), velocities q̇, reference velocities v (usually q̇) and rates v̇, (N, nv)."""
 
 Indices = NDArray[np.int64]
 Numbers = NDArray[np.float64] | NDArray[np.complex128]
 Record = Any
-"""One of an array of records: compiled code reads its fields by their names."""
+"""An entry of a structured array, whose fields compiled code reads by name."""
 
 Motion = tuple[Vector, Vector, Vector, Vector]
 """ω, u, α and a of a body B, in B."""
@@ -63,14 +60,13 @@ Motion = tuple[Vector, Vector, Vector, Vector]
 
 @dataclass(frozen=True)
 class Mobilizer:
-    """One joint of the tree and the body B that it moves; P is the body on its inboard side."""
+    """A joint of the tree and the body B that it moves relative to the inboard body P."""
 
     parent: int  # index of the inboard mobilizer in the tree, -1 for the world
     body: int  # index of B among the lumped bodies, negative for a massless frame within a joint
-    positions: slice  # where the mobilizer's positions are in q
-    velocities: slice  # where its velocities are in v
-    # Indices in v of all velocities that move B, the mobilizer's own ones last.
-    dofs: tuple[int, ...]
+    positions: slice  # in q
+    velocities: slice  # in v
+    dofs: tuple[int, ...]  # indices in v of all velocities that move B, the mobilizer's last
     motion: FrameMotion  # motion of the frame B, displaced to Mo, in P
     p_MoBo_B: Array  # noqa: N815
     gravity: bool  # whether gravity acts on B
@@ -80,9 +76,9 @@ MOBILIZER = np.dtype(
     [
         ("parent", np.int64),
         ("body", np.int64),
-        ("positions", np.int64, (2,)),  # the first one, and how many
+        ("positions", np.int64, (2,)),  # first index and count
         ("velocities", np.int64, (2,)),
-        ("count", np.int64),  # of the velocities that move the body
+        ("count", np.int64),  # number of velocities that move the body
         ("features", np.int64),
         ("rotation", float, (9, 9)),
         ("offset", float, (3,)),
@@ -90,7 +86,7 @@ MOBILIZER = np.dtype(
         ("angular", float, (3, 6)),
         ("linear", float, (3, 6)),
         ("p_MoBo_B", float, (3,)),
-        ("gravity", float, (3,)),  # acceleration by gravity in the world
+        ("gravity", float, (3,)),  # acceleration of gravity in the world
     ],
     align=True,
 )
@@ -107,23 +103,20 @@ MOTION = np.dtype(
     ],
     align=True,
 )
-"""Motion of a body B relative to P inboard at one sample, and ω, u, α and a of Bo, in B."""
+"""Pose of a body B in P at one sample, and ω, u, α and a of Bo, in B."""
 
 POSE = np.dtype([("R_WB", float, (3, 3)), ("p_WoBo_W", float, (3,))], align=True)
-"""Where a body is at one sample."""
+"""Pose of a body at one sample."""
 
 _CONSTANT, _ANGLE, _RPY = (int(f) for f in (Features.CONSTANT, Features.ANGLE, Features.RPY))
 
 
 TreeRecords = tuple[NDArray[np.void], Indices]
-"""A tree for compiled code: records (m,) of `MOBILIZER`; velocities (m, k) that move each body.
-
-Of the velocities, as many as the record counts.
-"""
+"""A tree for compiled code: records (m,) of `MOBILIZER`, and `dofs` (m, k), padded."""
 
 
 def records_of(mobilizers: Sequence[Mobilizer], gravity: Array) -> TreeRecords:
-    """Return mobilizers, each after its parent, for compiled code."""
+    """Return the records of mobilizers, each after its parent."""
     most = max((len(mobilizer.dofs) for mobilizer in mobilizers), default=0)
     dofs = np.zeros((len(mobilizers), most), np.int64)
     records = np.zeros(len(mobilizers), MOBILIZER)
@@ -143,7 +136,7 @@ def records_of(mobilizers: Sequence[Mobilizer], gravity: Array) -> TreeRecords:
 
 @inlined
 def features_of(mobilizer: Record, q: Numbers, n: int, out: Numbers) -> int:
-    """Write the functions of a joint's positions that its rotation is linear in; how many."""
+    """Write the features of a joint's positions; return their number."""
     kind = mobilizer.features
     first, number = mobilizer.positions
     if kind == _CONSTANT:
@@ -172,7 +165,7 @@ def features_of(mobilizer: Record, q: Numbers, n: int, out: Numbers) -> int:
 
 @inlined
 def pose(mobilizer: Record, q: Array, n: int, features: Array, out: Record) -> None:
-    """Return the rotation R_PB and the position of Mo in P at sample n; `features` is room (9,)."""
+    """Write R_PB and the position of Mo in P at sample n; `features` (9,) is a work array."""
     number = features_of(mobilizer, q, n, features)
     C, R = mobilizer.rotation, out.R_PB
     for j in range(3):
@@ -188,13 +181,13 @@ def pose(mobilizer: Record, q: Array, n: int, features: Array, out: Record) -> N
 
 @inlined
 def motion_of(motion: Record) -> Motion:
-    """ω, u, α and a of a body, read once: compiled code reads a record again after it writes."""
+    """Return ω, u, α and a of a body as values, so that compiled code reads the record once."""
     return vector(motion.w), vector(motion.u), vector(motion.wd), vector(motion.a)
 
 
 @inlined
 def inboard_motion(mobilizer: Record, motions: Record) -> Motion:
-    """ω, u, α and a of the body inboard of a joint; the world is accelerated against gravity."""
+    """Return ω, u, α and a of the inboard body; the world is accelerated against gravity."""
     if mobilizer.parent < 0:
         still = (0.0, 0.0, 0.0)
         return still, still, still, scale(-1.0, vector(mobilizer.gravity))
@@ -203,7 +196,7 @@ def inboard_motion(mobilizer: Record, motions: Record) -> Motion:
 
 @inlined
 def move(mobilizers: Record, samples: Samples, n: int, features: Array, motions: Record) -> None:
-    """Motion of all bodies at sample n, inboard before outboard."""
+    """Write the motion of all bodies at sample n, inboard before outboard."""
     q, qd, v, vd = samples
     for i in range(len(mobilizers)):
         mobilizer, motion = mobilizers[i], motions[i]
@@ -213,7 +206,7 @@ def move(mobilizers: Record, samples: Samples, n: int, features: Array, motions:
         turned = combination(mobilizer.angular, v, n, own)
         slid = combination(mobilizer.linear, v, n, own)
         slide = combination(mobilizer.linear, qd, n, own)
-        # Of B about Mo, in P; p grows by ω_P × p + slide.
+        # Motion of B about Mo, in P, with ṗ = ω_P × p + slide.
         w, u = add(w_P, combination(mobilizer.angular, qd, n, own)), add(u_P, turned)
         wd = add(add(wd_P, combination(mobilizer.angular, vd, n, own)), cross(w_P, turned))
         a = add(add(a_P, combination(mobilizer.linear, vd, n, own)), cross(wd_P, p))
@@ -229,24 +222,21 @@ def move(mobilizers: Record, samples: Samples, n: int, features: Array, motions:
 
 @inlined
 def carried(mobilizer: Record, motion: Record, s: Vector, t: Vector) -> tuple[Vector, Vector]:
-    """Return a motion (s, t) about Mo in P, as the same about Bo in B."""
+    """Return a motion (s, t) about Mo in P, expressed about Bo in B."""
     s, t = transposed_times(motion.R_PB, s), transposed_times(motion.R_PB, t)
     return s, add(t, cross(s, vector(mobilizer.p_MoBo_B)))
 
 
 @inlined
 def subspace_room(dofs: Indices) -> tuple[Array, Array]:
-    """Return room for the angular and linear parts (m, k, 3) of the motion subspaces."""
+    """Return work arrays for the angular and linear parts (m, k, 3) of the motion subspaces."""
     shape = len(dofs), dofs.shape[1], 3
     return np.empty(shape), np.empty(shape)
 
 
 @inlined
 def find_subspaces(mobilizers: Record, motions: Record, turn: Array, slide: Array) -> None:
-    """Write the angular and linear parts (m, k, 3) of the motion subspaces, once poses are known.
-
-    About Bo, in B.
-    """
+    """Write the angular and linear parts (m, k, 3) of the motion subspaces, about Bo, in B."""
     for i in range(len(mobilizers)):
         mobilizer, p = mobilizers[i], vector(motions[i].p_PMo)
         parent = mobilizer.parent
@@ -266,13 +256,13 @@ def find_subspaces(mobilizers: Record, motions: Record, turn: Array, slide: Arra
 def put_block(motion: Motion, s: Vector, t: Vector, out: Array, place: Any) -> None:
     """Write the ten factors of φ in the effort of a body at a velocity.
 
-    The place is that of the first of them in out (N, rows, columns).
+    `place` is the index of the first one in `out` (N, rows, columns).
     """
     (w, u, wd, a), (n, line, start) = motion, place
     # h: a × s + Bᵀ t with B = α× + u×ω×.
     h = add(cross(a, s), cross(t, wd))
     h = add(h, subtract(scale(dot(w, t), u), scale(dot(w, u), t)))
-    # I: s·(I α) + c·(I u) − ½ tr(I) c·u with c = s × ω, the same by I (ω × u).
+    # I: s·(I α) + c·(I u) − ½ tr(I) c·u with c = s × ω.
     c = cross(s, w)
     trace = 0.5 * dot(c, u)
     out[n, line, start] = dot(t, a)
@@ -287,9 +277,9 @@ def put_block(motion: Motion, s: Vector, t: Vector, out: Array, place: Any) -> N
 
 @compiled
 def calc_regressor(tree: TreeRecords, samples: Samples, which: tuple[int, int], out: Array) -> None:
-    """Write the regressor into zeros (N, rows, 10 nb); for one body into (N, rows, 10).
+    """Write the regressor into zeros (N, rows, 10 nb), or (N, rows, 10) for one body.
 
-    `which` is the first velocity with a row, and the body; −1 for all.
+    `which` is the velocity of the first row, and the body or −1 for all.
     """
     (mobilizers, dofs), (first, only) = tree, which
     motions, features = np.empty(len(mobilizers), MOTION), np.empty(9)
@@ -309,7 +299,7 @@ def calc_regressor(tree: TreeRecords, samples: Samples, which: tuple[int, int], 
 
 @inlined
 def wrench_of(phi: Array, b: int, motion: Record) -> tuple[Vector, Vector]:
-    """Return the force and moment about Bo that give body b of φ (nb, 10) its motion."""
+    """Return the force and the moment about Bo for the motion of body b of φ (nb, 10)."""
     w, u, wd, a = motion_of(motion)
     h = phi[b, 1], phi[b, 2], phi[b, 3]
     force = add(scale(phi[b, 0], a), add(cross(wd, h), cross(u, cross(w, h))))
@@ -320,7 +310,7 @@ def wrench_of(phi: Array, b: int, motion: Record) -> tuple[Vector, Vector]:
 
 @compiled
 def calc_inverse_dynamics(tree: TreeRecords, samples: Samples, phi: Array, out: Array) -> None:
-    """Add the efforts that a motion needs, N·m or N, for φ (nb, 10), to zeros (N, nv)."""
+    """Add the efforts of a motion for φ (nb, 10), N·m or N, to zeros (N, nv)."""
     mobilizers, _ = tree
     bodies = len(mobilizers)
     motions, features = np.empty(bodies, MOTION), np.empty(9)
@@ -353,7 +343,7 @@ def calc_inverse_dynamics(tree: TreeRecords, samples: Samples, phi: Array, out: 
 
 @inlined
 def put_pose(mobilizer: Record, motion: Record, world: Record, own: Record) -> None:
-    """Write R_WB and the position of Bo in W, from those of the body inboard."""
+    """Write R_WB and the position of Bo in W, from the pose of the inboard body."""
     place = add(vector(motion.p_PMo), times(motion.R_PB, vector(mobilizer.p_MoBo_B)))
     if mobilizer.parent < 0:
         for k in range(3):
@@ -371,7 +361,7 @@ def put_pose(mobilizer: Record, motion: Record, world: Record, own: Record) -> N
 def place_bodies(
     mobilizers: Record, sample: tuple[Array, int, Array], motions: Record, world: Record
 ) -> None:
-    """Write the joint motions and world poses of all bodies at one sample: q, its row, and room."""
+    """Write the poses of all bodies, relative and in the world; `sample` is q, row, work array."""
     q, n, features = sample
     for i in range(len(mobilizers)):
         pose(mobilizers[i], q, n, features, motions[i])
@@ -380,9 +370,9 @@ def place_bodies(
 
 @compiled
 def calc_places(tree: TreeRecords, q: Array, rotations: Array, lines: Array) -> None:
-    """Write R_WBᵀ (m, N, 3, 3) of bodies B, and what each velocity does to its own B.
+    """Write R_WBᵀ (m, N, 3, 3) of bodies B, and the motion of B by its own velocities.
 
-    That is B's ω and the velocity of Bo at unit speed, and p_WoBo, (nv, N, 3, 3), in W.
+    The latter has ω and the velocity of Bo at unit speed, and p_WoBo, (nv, N, 3, 3), in W.
     """
     mobilizers, _ = tree
     bodies = len(mobilizers)
@@ -410,7 +400,7 @@ def calc_kinematics(
 ) -> None:
     """Write poses X_WB (N, nb, 4, 4) of all bodies into zeros, and their Jacobians (N, nb, 3, nv).
 
-    Those are of ω and of the velocity of Bo, in W; none if they have no samples.
+    The Jacobians are those of ω and of the velocity of Bo, in W; empty arrays omit them.
     """
     mobilizers, dofs = tree
     bodies = len(mobilizers)

@@ -1,8 +1,7 @@
-"""Triangular factors: a least-squares problem of any length as one small matrix.
+"""Triangular factors, which reduce a long least-squares problem to a small matrix.
 
-R with RᵀR = AᵀA has the same residuals as A up to a constant, ‖A x − b‖² = ‖R [x; −1]‖² with
-R of [A b], and orthogonal transformations keep all digits that AᵀA would lose by squaring the
-condition number.
+The factor R of [A b], with RᵀR = [A b]ᵀ[A b], has the same residuals, ‖A x − b‖² = ‖R [x; −1]‖².
+Orthogonal transformations keep the digits that AᵀA would lose by squaring the condition number.
 """
 
 from __future__ import annotations
@@ -21,14 +20,9 @@ _PANEL = 16
 
 
 def triangular_factor(blocks: Iterable[ArrayLike]) -> Array:
-    """Return the factor of rows that arrive in blocks; memory does not grow with their number.
+    """Return the upper triangular R (p, p) with RᵀR = Σ AᵢᵀAᵢ for blocks Aᵢ (n_i, p) of rows.
 
-    Args:
-        blocks: Arrays (n_i, p); a factor of earlier rows is a block like any other.
-
-    Returns:
-        (p, p) upper triangular R with RᵀR = Σ AᵢᵀAᵢ. Signs on the diagonal are arbitrary, and with
-        fewer than p independent rows some of it is zero up to rounding.
+    A factor of earlier rows is a valid block. Signs on the diagonal are arbitrary.
     """
     factor: Array | None = None
     for number, block in enumerate(blocks):
@@ -53,7 +47,7 @@ def triangular_factor(blocks: Iterable[ArrayLike]) -> Array:
 
 
 def _with_rows(factor: Array, rows: Array) -> Array:
-    """Return the factor of [R; A], a cache-sized piece of A at a time; R stays in the cache."""
+    """Return the factor of [R; A], in pieces of A so that R stays in the cache."""
     if not factor.size:
         return factor
     for start in range(0, len(rows), _ROWS):

@@ -1,17 +1,16 @@
-"""The rigid-body regressor of inverse dynamics and of base wrenches, for many samples at once.
+"""Rigid-body regressors of inverse dynamics and of base wrenches, for many samples at once.
 
     M(q) v̇ + C(q, v) v − τ_g(q) = Y(q, v, v̇) φ                                 [Lee2019] Eq. (3.2.2)
 
-Effort is linear in the inertial parameters φ, and Y does not depend on them. It has a block of ten
-columns a body, in the parameters' order, and a row a velocity; a row is zero in the blocks of the
-bodies that its velocity does not move.
+Y has a row per velocity and ten columns per body, in the order of the parameters. A row is zero in
+the blocks of bodies that its velocity does not move.
 
-The external wrench on a robot is the rate of its momentum less gravity, whatever happens inside:
-joint friction, springs and elasticity do not enter. It is linear in the inertial parameters, too,
-and of a tree it identifies as many of their combinations as all efforts together ([Lee2019] Remark
-3.1). So a force plate, or a sensor below an arm's base, is enough to identify a robot. A wrench is
-(n, f): moment about the origin Po of a frame P, N·m, then force, N, both expressed in P; the wrench
-that the robot *needs* from outside, so that a robot at rest needs m g upwards.
+The external wrench on a robot is the rate of its momentum less gravity, independent of joint
+friction, springs and elasticity. It is linear in φ, too, and identifies as many combinations of a
+tree's parameters as all efforts together ([Lee2019] Remark 3.1). A force plate, or a sensor below
+an arm's base, is therefore enough to identify a robot. A wrench is (n, f), the moment about the
+origin Po of a frame P, N·m, then the force, N, both expressed in P. It is the wrench that the robot
+*needs*: at rest, m g upwards.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ from geodrake.robot.recursion import (
     calc_regressor,
 )
 
-_PIECE = 1 << 18  # numbers of a piece: two megabytes stay in a core's cache
+_PIECE = 1 << 18  # entries of a piece, two megabytes, for a core's cache
 
 
 def inverse_dynamics_regressor(
@@ -46,10 +45,10 @@ def inverse_dynamics_regressor(
 ) -> Array:
     """Return the regressor (N, nv, 10 nb) of the effort of a motion, without friction and damping.
 
-    `Y @ inertial_parameters(plant).ravel()` is M v̇ + C v − τ_g: what Drake's
-    `CalcInverseDynamics` gives with gravity as the only applied force. The plant is finalized, or
-    its tree where it is used many times; positions (N, nq), velocities and accelerations (N, nv)
-    are in Drake's order, and bodies in that of `geodrake.inertia.bodies.lumped_bodies`.
+    `Y @ inertial_parameters(plant).ravel()` is M v̇ + C v − τ_g, as Drake's `CalcInverseDynamics`
+    returns with gravity as the only applied force. The plant is finalized; pass its tree for many
+    calls. Positions (N, nq), velocities and accelerations (N, nv) are in Drake's order, bodies in
+    that of `geodrake.inertia.bodies.lumped_bodies`.
     """
     tree, samples, J = checked_samples(plant, q, v, vd)
     nv = tree.num_velocities if J is None else J.shape[2]
@@ -76,7 +75,7 @@ def body_regressor(
 def inverse_dynamics(
     plant: MultibodyPlant | KinematicTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike, phi: ArrayLike
 ) -> Array:
-    """Return efforts (N, nv) that a motion needs, Y φ of parameters φ (nb, 10), without Y."""
+    """Return the efforts Y φ (N, nv) of a motion for parameters φ (nb, 10), without forming Y."""
     tree, samples, J = checked_samples(plant, q, v, vd)
     phi = contiguous(real_array(phi, "phi", (len(tree.bodies), PARAMETERS_PER_BODY)))
     effort = np.zeros((len(samples[0]), tree.num_velocities))
@@ -87,10 +86,9 @@ def inverse_dynamics(
 def regressor_pieces(
     plant: MultibodyPlant | KinematicTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike
 ) -> Iterator[tuple[slice, Array]]:
-    """Yield the regressor in pieces that fit a core's cache, for long logs.
+    """Yield slices of samples and their Y (n, nv, 10 nb), in pieces that fit a core's cache.
 
-    Yields:
-        The samples, as a slice, and their Y (n, nv, 10 nb). The next piece overwrites the array.
+    Each piece overwrites the previous one.
     """
     yield from _pieces(*checked_samples(plant, q, v, vd))
 
@@ -103,7 +101,7 @@ def _pieces(
     room = np.zeros((min(most, len(samples[0])), tree.num_velocities, columns))
     for start in range(0, len(samples[0]), most):
         part = slice(start, min(start + most, len(samples[0])))
-        piece = room[: part.stop - start]  # what is zero in one piece is so in all
+        piece = room[: part.stop - start]  # the zeros are the same in all pieces
         q, qd, v, vd = (x[part] for x in samples)
         put_regressor(tree, (q, qd, v, vd), piece)
         yield part, piece if J is None else actuator_rows(J[part], piece)
@@ -127,12 +125,12 @@ def checked_samples(
 
 
 def checked_tree(plant: MultibodyPlant | KinematicTree) -> KinematicTree:
-    """Return the tree of a plant, or the tree that it is."""
+    """Return the tree of a plant; a tree is returned unchanged."""
     return plant if isinstance(plant, KinematicTree) else KinematicTree.from_plant(plant)
 
 
-_LEAST_FORCE = 1e-9  # of the largest number in a wrench
-_SKEWNESS = 1e-6  # of a rotation, beyond rounding
+_LEAST_FORCE = 1e-9  # relative to the largest entry of all wrenches
+_SKEWNESS = 1e-6  # tolerance of rotation matrices
 
 
 def base_wrench_regressor(
@@ -143,13 +141,13 @@ def base_wrench_regressor(
     *,
     X_WP: RigidTransform | ArrayLike | None = None,
 ) -> Array:
-    """Return the regressor (N, 6, 10 nb) of the wrench nx … fz that a motion needs from outside.
+    """Return the regressor (N, 6, 10 nb) of the external wrench nx … fz that a motion needs.
 
-    Of a robot with a floating base, these are the first six rows of inverse dynamics, without the
-    work for the others. Of a robot that is fixed to the world, they are its reaction.
+    For a robot with a floating base, these are the first six rows of inverse dynamics. For a robot
+    fixed to the world, this is the wrench of its support.
 
-    The wrench is about a frame P: one for all samples, such as a force plate's, or (N, 4, 4) for
-    one that moves, such as a base's (`body_poses`); the world if None.
+    The wrench is about a frame P: one for all samples, such as a force plate's; (N, 4, 4) for a
+    moving one, such as a base's (`body_poses`); the world if None.
     """
     tree, (q, v, _, vd), _ = checked_samples(plant, q, v, vd)
     resting = np.zeros((len(q), 6))
@@ -162,11 +160,11 @@ def base_wrench_regressor(
 
 
 def zero_moment_point(wrench: ArrayLike, *, height: float = 0.0) -> Array:
-    """Points (N, 2) of the plane z = height of P in which a wrench has no moment along the plane.
+    """Return points (N, 2) of the plane z = height of P without tangential moment.
 
-    On the sole of a foot or a force plate, that is the centre of pressure. Wrenches (N, 6) are
-    (n, f) about Po, with z of P normal to the ground. Points are NaN where nothing presses on the
-    plane (f_z ≤ 0), or where the wrench is NaN.
+    On the sole of a foot or a force plate, this is the centre of pressure. Wrenches (N, 6) are
+    (n, f) about Po, with z of P normal to the ground. Points are NaN without pressure (f_z ≤ 0), or
+    where the wrench is NaN.
     """
     wrench = real_array(wrench, "wrench", ("N", 6), finite=False)
     number(height, "height")
@@ -178,7 +176,7 @@ def zero_moment_point(wrench: ArrayLike, *, height: float = 0.0) -> Array:
 
 
 def body_poses(plant: MultibodyPlant | KinematicTree, q: ArrayLike) -> Array:
-    """Return poses X_WB (N, nb, 4, 4) of every lumped body at positions (N, nq)."""
+    """Return poses X_WB (N, nb, 4, 4) of the lumped bodies at positions (N, nq)."""
     tree = checked_tree(plant)
     q = contiguous(real_array(q, "q", ("N", tree.num_positions)))
     poses = np.zeros((len(q), len(tree.bodies), 4, 4))
@@ -188,29 +186,28 @@ def body_poses(plant: MultibodyPlant | KinematicTree, q: ArrayLike) -> Array:
 
 
 def on_a_free_world(tree: KinematicTree) -> KinematicTree:
-    """Return the tree on a movable world at rest; only its six velocities' efforts are used.
+    """Return the tree on a movable world at rest, with six velocities whose efforts are the wrench.
 
-    The virtual work of the robot's efforts on a rigid motion of everything is that of the wrench
-    about the world's origin.
+    The virtual work on a rigid motion of everything is that of the wrench about the world's origin.
     """
     own = slice(tree.num_velocities, tree.num_velocities + 6)
     dofs = tuple(range(own.start, own.stop))
     still, six = np.zeros((3, 0)), np.eye(6)
     motion = FrameMotion(Features.CONSTANT, np.eye(3).reshape(9, 1), still, six[:3], six[3:])
     mobilizers: list[Mobilizer] = []
-    place: list[int] = []
+    indices: list[int] = []
     for mobilizer in tree.mobilizers:
-        parent = place[mobilizer.parent] if mobilizer.parent >= 0 else len(mobilizers)
+        parent = indices[mobilizer.parent] if mobilizer.parent >= 0 else len(mobilizers)
         if mobilizer.parent < 0:  # one free world for each root, which has its own gravity
             free = Mobilizer(-1, -2, slice(0, 0), own, dofs, motion, np.zeros(3), mobilizer.gravity)
             mobilizers.append(free)
-        place.append(len(mobilizers))
+        indices.append(len(mobilizers))
         mobilizers.append(replace(mobilizer, parent=parent, dofs=dofs))
     return replace(tree, mobilizers=tuple(mobilizers), num_velocities=own.stop)
 
 
 def _poses(X: RigidTransform | ArrayLike, count: int) -> Array:
-    """Return a pose, or one for each sample, as homogeneous matrices."""
+    """Return a pose, or one per sample, as homogeneous matrices."""
     poses = real_array(X.GetAsMatrix4() if isinstance(X, RigidTransform) else X, "X_WP")
     if poses.shape not in ((4, 4), (count, 4, 4)):
         raise ArgumentError(
@@ -228,7 +225,7 @@ def _poses(X: RigidTransform | ArrayLike, count: int) -> Array:
 
 
 def wrench_map(X_WP: RigidTransform | ArrayLike, count: int) -> Array:
-    """Return (6, 6) or (count, 6, 6) maps of wrenches about Wo in W to the same about Po in P."""
+    """Return maps (6, 6) or (count, 6, 6) of wrenches about Wo in W to wrenches about Po in P."""
     X = _poses(X_WP, count)
     R_PW, p = np.swapaxes(X[..., :3, :3], -1, -2), X[..., :3, 3]
     full = np.zeros((*X.shape[:-2], 6, 6))

@@ -25,26 +25,26 @@ from geodrake.inertia.kernels import calc_change_frame
 from geodrake.robot.files import ModelDescription
 from geodrake.robot.joints import joints_of
 
-TOLERANCE = 1e-6  # of P's eigenvalues: a link of 1 m that is 1 mm thin
-ROUNDING = 1e-12  # of P's largest eigenvalue
-LEAST_MASS = 1e-12  # kg, up to which a mass counts as none
-LEAST_SIZE = 1e-15  # m, up to which a body counts as a point
-LEAST_LENGTH = 0.01  # m, least radius of gyration given to a body
+TOLERANCE = 1e-6  # ratio of P's eigenvalues, as of a link 1 m long and 1 mm thick
+ROUNDING = 1e-12  # relative to P's largest eigenvalue
+LEAST_MASS = 1e-12  # kg, largest negligible mass
+LEAST_SIZE = 1e-15  # m, largest size of a point
+LEAST_LENGTH = 0.01  # m, least radius of gyration of a repaired body
 LENGTH_PER_SIZE = 0.05  # the same, as a share of the body's size
-MASS_BETWEEN = 1e-12  # of a body between the joints of one body, as a share of the robot's
-SIZE_BETWEEN = 0.1  # m, its radius of gyration, with which MuJoCo takes it, too
-MASS_PER_TOTAL = 1e-3  # mass of all bodies without one, as a share of the robot's
+MASS_BETWEEN = 1e-12  # mass of a body between joints of one body, as a share of the robot's
+SIZE_BETWEEN = 0.1  # m, its radius of gyration, which MuJoCo accepts, too
+MASS_PER_TOTAL = 1e-3  # mass of all massless bodies together, as a share of the robot's
 
 
 @dataclass(frozen=True)
 class Repair:
-    """A body of a model file whose inertia was replaced, for all uses or for fits alone."""
+    """A body of a model file whose inertia was replaced, in general or only in fits."""
 
     body: str
-    problem: str  # what is wrong with the inertia of the file, to be read after the name
+    problem: str  # predicate of the body's name in a sentence
     before: Array  # (10,) inertial parameters of the file
     after: Array  # (10,) inertial parameters of the plant, or of the prior
-    is_thin: bool = False  # whether the plant has the file's, as a body without volume can exist
+    is_thin: bool = False  # the body has no volume, and the plant keeps the file's inertia
 
     def __str__(self) -> str:
         mass, _, inertia = to_mass_com_inertia(self.after)
@@ -59,10 +59,10 @@ class Repair:
 def repair_inertias(
     description: ModelDescription, plant: MultibodyPlant, *, keep_thin: bool = True
 ) -> tuple[tuple[Repair, ...], tuple[str, ...], bool]:
-    """Put usable inertias into a description, of which a plant was made without those set aside.
+    """Repair inertias of a description, whose plant lacks the inertias in `set_aside`.
 
-    Return the repairs, notes on welded links that were left out, and whether the text changed.
-    Bodies without volume, such as point masses, stay as they are if `keep_thin`.
+    Return the repairs, notes on ignored links, and whether the text changed. If `keep_thin`, bodies
+    without volume, such as point masses, are unchanged.
     """
     lumps, links = lumped_bodies(plant), stated_inertias(description, plant)
     stated = [_stated_parameters(links, body) for body in lumps]
@@ -70,7 +70,7 @@ def repair_inertias(
     if frames := _frames(plant, lumps, stated, shapeless):
         description.terms.between.update(m.scoped_name for body in frames for m in body.members)
         description.terms.notes.append(
-            f"Links without mass between joints at one point weigh nothing: "
+            "Links without mass between joints at one point weigh nothing: "
             f"{', '.join(body.name for body in frames)}."
         )
     usable = [np.where(_counts(phi)[:, None], phi, 0.0).sum(0) for phi in stated]
@@ -78,14 +78,14 @@ def repair_inertias(
         all(member.scoped_name in description.terms.between for member in body.members)
         for body in lumps
     ]
-    whole = [phi for phi, is_between in zip(usable, between, strict=True) if not is_between]
-    total, massless = sum(phi[0] for phi in whole), sum(not _counts(phi) for phi in whole)
+    regular = [phi for phi, is_between in zip(usable, between, strict=True) if not is_between]
+    total, massless = sum(phi[0] for phi in regular), sum(not _counts(phi) for phi in regular)
     spare_mass = float(MASS_PER_TOTAL * total / max(massless, 1)) if total > 0 else 1.0
     repairs, notes, changed = [], [], False
     for body, members, phi, is_between in zip(lumps, stated, usable, between, strict=True):
         after = phi
         if is_between:
-            mass = max(2.0 * LEAST_MASS, MASS_BETWEEN * sum(own[0] for own in usable))
+            mass = max(2.0 * LEAST_MASS, MASS_BETWEEN * sum(pairs[0] for pairs in usable))
             after = from_pseudo_inertia(mass * np.diag([*[SIZE_BETWEEN**2] * 3, 1.0]))
         elif not (is_physical(phi, tolerance=TOLERANCE) and _counts(phi)) or (
             # All of the mass is in one point, the body's origin.
@@ -98,8 +98,8 @@ def repair_inertias(
             repairs.append(Repair(body.name, problem, before, after, thin))
             after = phi if thin else after
         else:
-            own = zip(body.members, members, strict=True)
-            names = [m.name for m, x in own if x.any() and not _counts(x)]
+            pairs = zip(body.members, members, strict=True)
+            names = [m.name for m, x in pairs if x.any() and not _counts(x)]
             if names:
                 notes.append(f"{', '.join(names)}: no positive mass, so ignored.")
         scoped = {member.scoped_name for member in body.members}
@@ -116,9 +116,9 @@ def _frames(
     stated: Sequence[Array],
     shapeless: Container[str],
 ) -> list[LumpedBody]:
-    """Return bodies that are frames between joints at one point: without inertia and shape.
+    """Return bodies without inertia and shape that are frames between joints at one point.
 
-    Each carries one body, which has a mass, or is such a frame.
+    Each carries one body, which has a mass or is such a frame.
     """
     owner = {int(m.index): k for k, body in enumerate(lumps) for m in body.members}
     carried = dict[int, list[int]]()
@@ -133,17 +133,17 @@ def _frames(
         for body, phi in zip(lumps, stated, strict=True)
     ]
 
-    def ends(k: int) -> bool:
-        return heavy[k] or (empty[k] and len(on := carried.get(k, [])) == 1 and ends(on[0]))
+    def has_end(k: int) -> bool:
+        return heavy[k] or (empty[k] and len(on := carried.get(k, [])) == 1 and has_end(on[0]))
 
-    return [body for k, body in enumerate(lumps) if not heavy[k] and ends(k)]
+    return [body for k, body in enumerate(lumps) if not heavy[k] and has_end(k)]
 
 
 def nearest_physical(phi: Array, *, points: Array, spare_mass: float) -> Array:
-    """Return the smallest body (10,) that keeps mass and centre of mass of impossible φ (10,).
+    """Return a physical body (10,) with mass and centre of mass of an unphysical φ (10,).
 
-    The central second moments are raised to m ℓ² where they are less; a body without a mass
-    becomes a small ball of a spare mass, kg, amid its joints at points (k, 3), m.
+    Central second moments below m ℓ² are raised to it. A body without mass becomes a small ball of
+    the spare mass, kg, at the mean of its joints' points (k, 3), m.
     """
     mass, com = phi[0], points.mean(0)
     second_moment = np.zeros((3, 3))
@@ -170,13 +170,13 @@ def _counts(phi: Array) -> NDArray[np.bool_]:
 
 
 def stated_inertias(description: ModelDescription, plant: MultibodyPlant) -> dict[str, Array]:
-    """Return the inertias of links in a file (10,), physical or not, by scoped name."""
+    """Return scoped name -> inertia (10,) of links in a file, physical or not."""
     links = map(plant.get_body, map(BodyIndex, range(1, plant.num_bodies())))
-    found = {
+    inertias = {
         link.scoped_name().get_full(): from_spatial_inertia(link.default_spatial_inertia())
         for link in links
     }
-    return found | description.terms.set_aside
+    return inertias | description.terms.set_aside
 
 
 def _stated_parameters(links: Mapping[str, Array], body: LumpedBody) -> Array:
@@ -204,7 +204,7 @@ def _joint_points(plant: MultibodyPlant, body: LumpedBody) -> Array:
 
 
 def _is_thin(phi: Array) -> bool:
-    """Return whether parameters (10,) are of a body without volume, which Drake takes, too."""
+    """Return whether a body (10,) has no volume, but is valid in Drake."""
     possible = bool(_counts(phi)) and to_spatial_inertia(phi).IsPhysicallyValid()
     least = np.linalg.eigvalsh(pseudo_inertia(phi))[0] if possible else -np.inf
     return bool(least > -ROUNDING * np.trace(pseudo_inertia(phi)))
@@ -232,7 +232,7 @@ def _problem(phi: Array, *, thin: bool = False) -> str:
 
 
 def _write(description: ModelDescription, body: LumpedBody, phi: Array) -> None:
-    """Assign all of a body to its representative, and nothing to the links welded to it."""
+    """Assign a body's inertia to its representative, and zero to the links welded to it."""
     for k, member in enumerate(body.members):
         if not description.set_inertia(member.scoped_name, phi if k == 0 else None):
             raise ModelError(

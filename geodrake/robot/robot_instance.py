@@ -1,4 +1,4 @@
-"""A robot as one model instance of a larger plant: joints, ports, base."""
+"""A robot as a model instance of a larger plant: joints, ports, base."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.plant import set_lump_inertias
 from geodrake.robot.regressor import body_poses
 
-_SAME_GRAVITY = 1e-6  # m/s², between two files of one robot
+_SAME_GRAVITY = 1e-6  # m/s²
 _SAME_ROTATION = 1e-6
 _WELD_ALIKE = (
     "Weld both bases alike: load the model from a Drake directives file that welds the "
@@ -42,9 +42,9 @@ class RobotPorts:
     """Ports of a robot for its controller.
 
     Attributes:
-        joints: Names of the n joints, whose order all ports have.
+        joints: Names of the n joints, in the order of all ports.
         state: Output (2 n): positions, then velocities.
-        acceleration: Output (n): accelerations; None where there are none.
+        acceleration: Output (n): accelerations, if available.
         effort: Input (n) for efforts, N·m or N.
     """
 
@@ -60,13 +60,13 @@ class RobotInstance:
 
         RobotInstance(plant, "arm")
 
-    Beside it, the plant may hold tables, objects that float and other robots.
+    The plant may also contain tables, free objects and other robots.
 
     Attributes:
         name: Name of the model instance; None for all joints of the plant.
 
     Raises:
-        ArgumentError: The plant has no model instance of this name, or none of its joints moves.
+        ArgumentError: The plant has no such model instance, or it has no moving joint.
         ModelError: The plant is not finalized.
     """
 
@@ -91,23 +91,23 @@ class RobotInstance:
 
     @property
     def _which(self) -> tuple[ModelInstanceIndex, ...]:
-        """The model instance, if it is one, as the plant's methods take it."""
+        """Return the model instance, if any, as an argument of the plant's methods."""
         return () if self.name is None else (self.plant.GetModelInstanceByName(self.name),)
 
     @cached_property
     def velocities(self) -> NDArray[np.intp]:
-        """(n,) places of the robot's velocities in v of the plant, in Drake's order."""
+        """Return the indices (n,) of the robot's velocities in the plant's v."""
         starts = [j.velocity_start() + k for j in self._moving for k in range(j.num_velocities())]
         return np.array(starts, int)
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
-        """Names of the robot's velocities, without its own name before them."""
+        """Return the names of the robot's velocities, without its name as a prefix."""
         return tuple(self.velocity_names[k] for k in self.velocities)
 
     @cached_property
     def velocity_names(self) -> tuple[str, ...]:
-        """Names of all velocities of the plant, those of the robot without its name before them."""
+        """Return the names of the plant's velocities, the robot's without its name as a prefix."""
         names = joint_names(self.plant)
         if self.name is None:
             return names
@@ -119,14 +119,14 @@ class RobotInstance:
 
     @cached_property
     def body_names(self) -> Mapping[str, str]:
-        """Body name in the whole plant -> name in the robot."""
+        """Return body name in the plant -> name in the robot."""
         names = body_names(self.plant)
         own = [i for which in self._which for i in self.plant.GetBodyIndices(which)]
         short = {names[int(index)]: self.plant.get_body(index).name() for index in own}
         return {name: short.get(name, name) for name in names}
 
     def positions(self, joints: Sequence[str] | None = None) -> NDArray[np.intp]:
-        """Return (n,) indices in the plant's q of joints in some order, or of all in Drake's."""
+        """Return indices (n,) in the plant's q of joints, by default all in Drake's order."""
         places = {}
         for joint in self._moving:
             if joint.num_velocities() != 1 or joint.num_positions() != 1:
@@ -139,7 +139,7 @@ class RobotInstance:
         return np.array([places[joint] for joint in joints or self.joints], int)
 
     def order(self, joints: Sequence[str]) -> NDArray[np.intp]:
-        """Return (n,) the indices of joints in the robot's order."""
+        """Return the indices (n,) of joints in the robot's order."""
         if sorted(joints) != sorted(self.joints):
             more = "" if self.name else ", or name the robot's: RobotInstance(plant, name)"
             raise ArgumentError(
@@ -154,8 +154,7 @@ class RobotInstance:
     def ports(self, builder: DiagramBuilder, joints: Sequence[str]) -> RobotPorts:
         """Return the robot's ports, with joints in a given order.
 
-        Efforts go to the actuators of the robot; to generalized forces of its joints if it has no
-        actuators.
+        Efforts are connected to the robot's actuators, or to generalized forces if it has none.
         """
         order, plant, which = self.order(joints), self.plant, self._which
         if self._actuators:
@@ -174,22 +173,19 @@ class RobotInstance:
         )
 
     def state_port(self, builder: DiagramBuilder, joints: Sequence[str]) -> OutputPort:
-        """Return an output (2 n) of positions and then velocities of the robot's joints."""
+        """Return an output (2 n) of positions, then velocities of the robot's joints."""
         at_v = self.plant.num_positions() + self.velocities[self.order(joints)]
         places = np.concatenate([self.positions(joints), at_v])
         return selected(builder, self.plant.get_state_output_port(), places)
 
     def to_plant(self, joints: Sequence[str]) -> Array:
-        """Return the matrix (nv, n) that puts efforts at joints to the plant's velocities."""
+        """Return the matrix (nv, n) from efforts at joints to the plant's generalized forces."""
         matrix = np.zeros((self.plant.num_velocities(), len(joints)))
         matrix[self.velocities[self.order(joints)], np.arange(len(joints))] = 1.0
         return matrix
 
     def set_state(self, context: Context, joints: Sequence[str], state: ArrayLike) -> None:
-        """Put the robot somewhere in a Context of its plant; all else stays.
-
-        The state (2 n,) is positions and then velocities of all joints in order.
-        """
+        """Set the robot's positions, then velocities (2 n,) in a Context of its plant."""
         check_context(self.plant, context)
         joints = instances(joints, "joints", str)
         order = self.order(joints)
@@ -200,43 +196,43 @@ class RobotInstance:
         self.plant.SetPositionsAndVelocities(context, np.concatenate([q, v]))
 
     def set_inertial_parameters(self, context: Context, phi: ArrayLike) -> None:
-        """Give the robot's bodies inertial parameters (nb, 10) in a Context of its plant.
+        """Set the inertial parameters (nb, 10) of the robot's bodies in a Context of its plant.
 
-        Their order is that of `lumped_bodies` of a plant of its own. What other model instances
-        weld to a body, as a gripper, stays beside them.
+        Their order is that of `lumped_bodies` in a plant of the robot alone. Links of other model
+        instances that are welded to a body, such as a gripper, keep their inertias.
         """
         check_context(self.plant, context)
         bodies, lumps = self.plant.get_body, lumped_bodies(self.plant)
-        every = not self._which
-        own = (
-            [m for m in x.members if every or bodies(m.index).model_instance() in self._which]
+        is_whole = not self._which
+        groups = (
+            [m for m in x.members if is_whole or bodies(m.index).model_instance() in self._which]
             for x in lumps
         )
-        set_lump_inertias(self.plant, context, [members for members in own if members], phi)
+        set_lump_inertias(self.plant, context, [members for members in groups if members], phi)
 
     def plant_parameters(self, phi: ArrayLike) -> Array:
-        """Return the plant's parameters (nb, 10) with those of the robot replaced."""
+        """Return the plant's parameters (nb, 10) with new ones of the robot."""
         context = self.plant.CreateDefaultContext()
         self.set_inertial_parameters(context, phi)
         return inertial_parameters(self.plant, context)
 
     @property
     def stated_terms(self) -> tuple[str, ...]:
-        """Damping and rotor inertia that the plant itself has at the robot's joints."""
+        """Return which of damping and rotor inertia the plant has at the robot's joints."""
         rotors = [actuator.default_reflected_inertia() for actuator in self._actuators]
         damping = [np.any(joint.default_damping_vector()) for joint in self._moving]
-        found = {"Damping": damping, "rotor inertia": rotors}
-        return tuple(name for name, values in found.items() if any(values))
+        terms = {"Damping": damping, "rotor inertia": rotors}
+        return tuple(name for name, values in terms.items() if any(values))
 
     @property
     def springs(self) -> list[tuple[str, float, float]]:
-        """Springs that the plant itself has at the robot's joints: joint, stiffness, and rest.
+        """Return joint, stiffness and rest position of springs in the plant at the robot's joints.
 
-        Drake does not let them be removed.
+        Drake cannot remove them.
         """
         names = {joint.index(): self._name(joint) for joint in self._moving}
         count = self.plant.num_force_elements()
-        found = list[tuple[str, float, float]]()
+        springs_of_robot = list[tuple[str, float, float]]()
         for spring in map(self.plant.get_force_element, map(ForceElementIndex, range(count))):
             match spring:
                 case RevoluteSpring():
@@ -246,16 +242,16 @@ class RobotInstance:
                 case _:
                     continue
             if spring.joint().index() in names:
-                found.append((names[spring.joint().index()], *numbers))
-        return found
+                springs_of_robot.append((names[spring.joint().index()], *numbers))
+        return springs_of_robot
 
     def check_base(
         self, tree: KinematicTree, joints: Sequence[str], *, turned: bool = False
     ) -> None:
-        """Check that gravity acts on the robot's base as in a model of the robot.
+        """Raise unless gravity acts on the robot's base as in a model of the robot.
 
-        A base may stand anywhere and be turned about the vertical, as efforts are then the same;
-        not so where `turned`, as a turn matters to what acts in world axes.
+        Efforts do not depend on the base's position and rotation about the vertical. With `turned`,
+        the orientation must be the same, for effects in world axes.
         """
         plant = self.plant
         self.order(joints)
@@ -279,21 +275,21 @@ class RobotInstance:
                     advice="Weld the base, or use a model of all moving bodies.",
                 )
             R_WB = outer[0].EvalPoseInWorld(context).rotation().matrix()
-            falls = plant.is_gravity_enabled(outer[0].model_instance())
-            there_R_WB = poses[mobilizer.body, :3, :3]
-            here = R_WB.T @ plant.gravity_field().gravity_vector() * falls
-            there = there_R_WB.T @ tree.gravity * mobilizer.gravity
-            if turned and np.abs(R_WB - there_R_WB).max() > _SAME_ROTATION:
+            has_gravity = plant.is_gravity_enabled(outer[0].model_instance())
+            model_R_WB = poses[mobilizer.body, :3, :3]
+            here = R_WB.T @ plant.gravity_field().gravity_vector() * has_gravity
+            expected = model_R_WB.T @ tree.gravity * mobilizer.gravity
+            if turned and np.abs(R_WB - model_R_WB).max() > _SAME_ROTATION:
                 raise ArgumentError(
-                    f"The base of {self._words} has another orientation than the model's, "
-                    "which has an effect in world axes.",
+                    f"The base of {self._words} has another orientation than the model's, and the "
+                    "model has an effect in world axes.",
                     advice=_WELD_ALIKE,
                 )
-            if not np.allclose(here, there, rtol=0.0, atol=_SAME_GRAVITY):
+            if not np.allclose(here, expected, rtol=0.0, atol=_SAME_GRAVITY):
                 raise ArgumentError(
                     f"The base of {self._words} has another inclination than the model's: at "
                     f"zero, gravity on {outer[0].name()} is {np.round(here, 3).tolist()} "
-                    f"m/s² in the plant and {np.round(there, 3).tolist()} m/s² in the model.",
+                    f"m/s² in the plant and {np.round(expected, 3).tolist()} m/s² in the model.",
                     advice=_WELD_ALIKE,
                 )
 
@@ -306,7 +302,7 @@ class RobotInstance:
 
     @cached_property
     def _moving(self) -> list[Joint]:
-        """Joints that move, in the order of their velocities."""
+        """Return the moving joints, in the order of their velocities."""
         joints = map(self.plant.get_joint, self.plant.GetJointIndices(*self._which))
         moving = [joint for joint in joints if joint.num_velocities()]
         return sorted(moving, key=lambda joint: int(joint.velocity_start()))
@@ -317,7 +313,7 @@ class RobotInstance:
         return list(map(self.plant.get_joint_actuator, indices))
 
     def _to_actuators(self, joints: Sequence[str]) -> Array:
-        """Return (n, n) matrix that puts efforts at joints to the robot's actuators."""
+        """Return the matrix (n, n) from efforts at joints to the robot's actuators."""
         at = [joints.index(self._name(actuator.joint())) for actuator in self._actuators]
         without = [joint for k, joint in enumerate(joints) if k not in at]
         if without or len(at) != len(joints):
@@ -331,9 +327,9 @@ class RobotInstance:
 
 @typed
 def take_out_stated(plant: MultibodyPlant, name: str) -> None:
-    """Remove damping and rotor inertia of a robot, which become effects of a model.
+    """Remove damping and rotor inertia of a robot, which are effects of a model.
 
-    Springs at its joints stay, and a model that is added to the plant takes them into account.
+    Springs at its joints stay; a model added to the plant takes them into account.
     """
     if plant.is_finalized() or not plant.HasModelInstanceNamed(name):
         raise ArgumentError(
@@ -352,14 +348,14 @@ def take_out_stated(plant: MultibodyPlant, name: str) -> None:
 def add_generalized_force(
     builder: DiagramBuilder, plant: MultibodyPlant, force: OutputPort
 ) -> None:
-    """Add a generalized force (nv), N·m or N, to those that act on a plant."""
+    """Add a generalized force (nv), N·m or N, to the forces on a plant."""
     port = plant.get_applied_generalized_force_input_port()
     if builder.IsConnectedOrExported(port):
         place = (plant, port.get_index())
         if place not in builder.connection_map():
             raise ArgumentError(
                 "The generalized forces of the plant are exported as an input of the diagram.",
-                advice="Add what belongs to robots before ExportInput, and sum forces in an Adder.",
+                advice="Add robots before ExportInput, and sum forces in an Adder.",
             )
         system, index = builder.connection_map()[place]
         other = system.get_output_port(index)

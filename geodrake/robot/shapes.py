@@ -1,6 +1,6 @@
-"""Shapes of a robot's links in its file, with notes.
+"""Shapes of a robot's links, read from its file.
 
-STL and COLLADA files, which Drake does not read, become Wavefront text, which it does.
+STL and COLLADA files, which Drake does not read, are converted to Wavefront text.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ from geodrake.robot.files.description import (
     drake_messages,
     read_description,
 )
-from geodrake.robot.files.given import Given
 from geodrake.robot.files.includes import Includes
+from geodrake.robot.files.load_options import Given
 from geodrake.robot.files.mjcf_source import CompiledMjcf, load_mujoco, pose_of
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import LARGEST_FILE, parse_xml_bytes
@@ -62,10 +62,10 @@ from geodrake.robot.stated import WORLD_LINK
 
 Faces = NDArray[np.int64]
 Surface = tuple[Array, Faces]
-"""(n, 3) vertices, m, and (m, 3) numbers of the corners of triangles."""
+"""Vertices (n, 3), m, and triangles (m, 3) as indices of vertices."""
 
 MOST_TRIANGLES = 6000
-"""Triangles of a mesh that are drawn at most: a page is to stay small."""
+"""Most triangles of a drawn mesh, to limit the size of pages."""
 
 _HEADER, _COUNT, _FACET = 80, 4, 50  # bytes of a binary STL file
 _VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
@@ -78,14 +78,14 @@ _NAMED = {
 _NAME = re.compile(r"(?!data:)[^\0]{1,200}")
 _MATERIALS = re.compile(rb"<bind_material.*?</bind_material>", re.DOTALL)
 _ERROR = re.compile(r"^\w+Error: ")
-_SMOOTH = 0.8  # cosine of the angle between a face's normal and the mean, up to which it is smooth
+_SMOOTH = 0.8  # least cosine between the normal of a face and the mean at a smooth vertex
 _GRIDS = (256, 180, 128, 90, 64, 45, 32, 22, 16)  # cells along the longest side
 
 
 def regular_mesh(path: Path) -> Path:
-    """Return a mesh file, once it is clear that it and the files that it names end.
+    """Return a mesh file after checking it and the files that it names, which Drake opens.
 
-    Drake opens those, materials and textures; what is not there does no harm.
+    They must be regular files of limited size, or missing.
     """
     waiting, seen = [path], set[Path]()
     while waiting:
@@ -104,12 +104,12 @@ def regular_mesh(path: Path) -> Path:
 
 
 def wavefront(path: Path) -> str:
-    """Return a mesh file as Wavefront's text, of `MOST_TRIANGLES` at most."""
+    """Return a mesh file as Wavefront text with at most `MOST_TRIANGLES`."""
     try:
         surface = READERS[path.suffix.lower()](path)
     except GeodrakeError:
         raise
-    except Exception as error:  # whatever collada says of a file
+    except Exception as error:  # collada raises many types
         raise _unreadable(path, _ERROR.sub("", str(error))) from error
     if not len(surface[1]):
         raise _unreadable(path, "it has no triangles")
@@ -117,7 +117,7 @@ def wavefront(path: Path) -> str:
 
 
 def wavefront_text(surface: Surface) -> str:
-    """Return a surface as Wavefront's text, of `MOST_TRIANGLES` at most."""
+    """Return a surface as Wavefront text with at most `MOST_TRIANGLES`."""
     vertices, faces = simplified(surface)
     normals, of_corners = _normals(vertices, faces)
     corners = 1 + np.stack([faces, of_corners], -1).reshape(-1, 6)
@@ -133,9 +133,9 @@ def _unreadable(path: Path, reason: str) -> ModelError:
 
 
 def _normals(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
-    """Normals, and (m, 3) numbers of those at corners: the mean around a vertex where it is smooth.
+    """Return normals, and the indices (m, 3) of normals at corners.
 
-    At an edge, where a face's normal is far from the mean, the corner has that of its face.
+    Corners at smooth vertices have the mean normal of the vertex, others that of their face.
     """
     a, b, c = (vertices[corner] for corner in faces.T)
     across = np.cross(b - a, c - a)
@@ -153,7 +153,7 @@ def _normals(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
 
 
 def simplified(surface: Surface) -> Surface:
-    """Return a surface of few triangles: vertices in one cell of a grid become one of them."""
+    """Return a surface with at most `MOST_TRIANGLES`, by merging vertices in cells of a grid."""
     vertices, faces = surface
     if not len(faces):
         raise ModelError("A mesh has no triangles.")
@@ -170,7 +170,7 @@ def simplified(surface: Surface) -> Surface:
 
 
 def _merged(vertices: Array, faces: Faces, number: Faces) -> Surface:
-    """Keep the most central vertex of each number; triangles that collapse are left out."""
+    """Merge vertices of the same number into the most central one, without collapsed triangles."""
     count = np.bincount(number)
     means = np.stack([np.bincount(number, axis) / count for axis in vertices.T], -1)
     far = np.linalg.norm(vertices - means[number], axis=1)
@@ -183,7 +183,7 @@ def _merged(vertices: Array, faces: Faces, number: Faces) -> Surface:
 
 
 def stl_vertices(path: Path) -> Array:
-    """Return (3 n, 3) vertices of an STL file's n triangles, binary or text, in its unit."""
+    """Return the vertices (3 n, 3) of n triangles in a binary or text STL file, in its unit."""
     data = read_regular(path, "mesh", ModelError, empty=True)
     start = _HEADER + _COUNT
     count = int.from_bytes(data[_HEADER:start], "little")
@@ -196,7 +196,7 @@ def stl_vertices(path: Path) -> Array:
         except ValueError as error:
             raise _unreadable(path, str(error)) from error
     if not len(vertices) or len(vertices) % 3 or not np.isfinite(vertices).all():
-        raise _unreadable(path, "it has no triangles, or not whole ones")
+        raise _unreadable(path, "it has no triangles, or incomplete ones")
     return vertices
 
 
@@ -206,21 +206,23 @@ def _stl(path: Path) -> Surface:
 
 
 def _collada(path: Path) -> Surface:
-    import collada  # which takes long, and few need
+    import collada  # slow to import, and rarely needed
 
     data = read_regular(path, "mesh", ModelError, largest=LARGEST_FILE)
-    ignored = [collada.common.DaeError]  # of what is no mesh, lights say
+    ignored = [collada.common.DaeError]  # errors of other elements, such as lights
     document = collada.Collada(io.BytesIO(_MATERIALS.sub(b"", data)), ignore=ignored)
     parts = [(np.zeros((0, 3)), np.zeros((0, 3), int))]
     for geometry in chain.from_iterable(s.objects("geometry") for s in document.scenes):
         for primitive in geometry.primitives():
             is_cut = isinstance(primitive, collada.polylist.BoundPolylist)
             part = primitive.triangleset() if is_cut else primitive
-            is_surface = isinstance(part, collada.triangleset.BoundTriangleSet)  # and no lines
+            is_surface = isinstance(part, collada.triangleset.BoundTriangleSet)  # not lines
             if is_surface and part.vertex_index is not None:
                 parts.append((part.vertex, part.vertex_index))
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
-    faces = np.concatenate([own + at for (_, own), at in zip(parts, starts, strict=False)])
+    faces = np.concatenate(
+        [triangles + start for (_, triangles), start in zip(parts, starts, strict=False)]
+    )
     if document.errors and not len(faces):
         raise document.errors[0]
     vertices = np.concatenate([vertices for vertices, _ in parts])
@@ -231,12 +233,12 @@ def _collada(path: Path) -> Surface:
 
 
 READERS: dict[str, Callable[[Path], Surface]] = {".stl": _stl, ".dae": _collada}
-"""Suffix -> reads a surface."""
+"""Suffix -> reader of a surface."""
 
 
-_LAST_GROUP = 2  # of geoms that MuJoCo shows unasked
+_LAST_GROUP = 2  # of geoms that MuJoCo shows by default
 _WIDE, _DEEP = 100.0, 1.0
-"""Sides of the box below a plane, m: Drake has no distances of half-spaces to most shapes."""
+"""Width and depth of the box for a plane, m: Drake lacks most distances to half-spaces."""
 SHAPES_ADVICE = (
     "Pass the shapes of links as `links`, and ignore those of the file (use_file=False)."
 )
@@ -255,18 +257,17 @@ class LinkShape:
 class MjcfGeom(LinkShape):
     """A geom of a body."""
 
-    name: str  # its name, or its number
-    shown: bool  # whether MuJoCo shows its group unasked
+    name: str  # or index
+    shown: bool  # MuJoCo shows its group by default
     collides: bool
 
 
 def mjcf_geoms(
     path: Path, given: Given, *, hulls: bool = False
 ) -> tuple[Mapping[str, tuple[MjcfGeom, ...]], tuple[str, ...]] | None:
-    """Return the geoms of each body by its scoped name, and sentences on meshes that are lost.
+    """Return scoped body name -> geoms of an MJCF, and notes on missing meshes; or else None.
 
-    Of other files, that is None. For collisions and not for pictures, meshes are convex hulls of
-    all of their points, and what the file puts into the world is there, planes included.
+    With `hulls`, for collisions, meshes are convex hulls, and geoms of the world are included.
     """
     if path.suffix.lower() in (".yaml", ".yml"):
         return None
@@ -282,26 +283,26 @@ def mjcf_geoms(
             advice=SHAPES_ADVICE,
         )
     m, plane = source.model, load_mujoco().mjtGeom.mjGEOM_PLANE
-    found = dict[str, list[MjcfGeom]]()
-    for at in range(m.ngeom):
-        shape, body = _shape(m, at, hulls), int(m.geom_bodyid[at])
+    geoms_of = dict[str, list[MjcfGeom]]()
+    for index in range(m.ngeom):
+        shape, body = _shape(m, index, hulls), int(m.geom_bodyid[index])
         if shape is None or not (body or hulls):
-            continue  # the ground is no part of the robot
-        X_BG, material = pose_of(m.geom_pos[at], m.geom_quat[at]), int(m.geom_matid[at])
-        if int(m.geom_type[at]) == plane:
+            continue  # the ground is not part of the robot
+        X_BG, material = pose_of(m.geom_pos[index], m.geom_quat[index]), int(m.geom_matid[index])
+        if int(m.geom_type[index]) == plane:
             X_BG = X_BG @ RigidTransform([0.0, 0.0, -0.5 * _DEEP])
-        color = m.geom_rgba[at] if material < 0 else m.mat_rgba[material]
+        color = m.geom_rgba[index] if material < 0 else m.mat_rgba[material]
         geom = MjcfGeom(
             shape,
             X_BG,
             Rgba(*np.clip(color, 0.0, 1.0)),
-            m.geom(at).name or str(at),
-            bool(m.geom_group[at] <= _LAST_GROUP),
-            bool(m.geom_contype[at] or m.geom_conaffinity[at]),
+            m.geom(index).name or str(index),
+            bool(m.geom_group[index] <= _LAST_GROUP),
+            bool(m.geom_contype[index] or m.geom_conaffinity[index]),
         )
         link = f"{scope}::{m.body(body).name}" if body else WORLD_LINK
-        found.setdefault(link, []).append(geom)
-    return {link: tuple(geoms) for link, geoms in found.items()}, tuple(source.lost)
+        geoms_of.setdefault(link, []).append(geom)
+    return {link: tuple(geoms) for link, geoms in geoms_of.items()}, tuple(source.lost)
 
 
 def _shape(m: Any, at: int, hulls: bool) -> Shape | None:
@@ -330,28 +331,28 @@ def _shape(m: Any, at: int, hulls: bool) -> Shape | None:
 
 
 def collision_balls(path: Path, given: Given) -> Mapping[str, tuple[Array, float]]:
-    """Return the ball of links that collide by one, by scoped name: its center and radius, m.
+    """Return scoped link name -> center and radius, m, of its only collision sphere.
 
-    Links may have other shapes, too. A file whose collision geometry nobody can read gives none.
+    Links may have other shapes, too. A file with unreadable collision geometry yields none.
     """
-    found = dict[str, list[tuple[RigidTransform, Shape]]]()
+    shapes_of = dict[str, list[tuple[RigidTransform, Shape]]]()
     with suppress(ModelError), drake_messages(), drake_errors(path):
         if (of_mjcf := mjcf_geoms(path, given)) is not None:
             for link, geoms in of_mjcf[0].items():
-                found[link] = [(g.X_BG, g.shape) for g in geoms if g.collides]
+                shapes_of[link] = [(g.X_BG, g.shape) for g in geoms if g.collides]
         else:
-            plant, scene = scene_of(path, given, _leave_balls)
+            plant, scene = scene_of(path, given, _keep_spheres)
             see = scene.model_inspector()
             for link, own in geometries_of(plant, scene, Role.kProximity):
-                found[link] = [(see.GetPoseInFrame(id), see.GetShape(id)) for id in own]
+                shapes_of[link] = [(see.GetPoseInFrame(id), see.GetShape(id)) for id in own]
     balls = {
         link: [(X.translation(), shape.radius()) for X, shape in own if isinstance(shape, Sphere)]
-        for link, own in found.items()
+        for link, own in shapes_of.items()
     }
     return {link: own[0] for link, own in balls.items() if len(own) == 1}
 
 
-def _leave_balls(root: Element, _: Where) -> None:
+def _keep_spheres(root: Element, _: Where) -> None:
     drop(root, "visual")
     for link in root.iter("link"):
         for shape in link.findall("collision"):
@@ -368,15 +369,15 @@ class RobotShapes:
     """The shapes of a robot's links."""
 
     links: Mapping[str, tuple[LinkShape, ...]]
-    notes: tuple[str, ...] = ()  # what could not be shown as the file has it, in words
+    notes: tuple[str, ...] = ()  # on shapes that are not shown
 
 
 def robot_shapes(path: Path, given: Given) -> RobotShapes:
     """Return the visual shapes of a model's file, or collision shapes of links without any.
 
-    STL and COLLADA meshes are read too. A file whose shapes nobody can read gives none, and a note.
+    STL and COLLADA meshes are read, too. A file with unreadable shapes yields none and a note.
     """
-    lost = dict[str, str]()  # mesh, as the file names it -> why it cannot be used
+    lost = dict[str, str]()  # mesh name in the file -> reason
     try:
         with drake_messages(), TemporaryDirectory() as folder, drake_errors(path):
             links, notes = _read(path, given, Path(folder), lost)
@@ -396,20 +397,17 @@ def robot_shapes(path: Path, given: Given) -> RobotShapes:
 def add_visuals(
     plant: MultibodyPlant, scene_graph: SceneGraph, path: Path, given: Given
 ) -> tuple[str, ...]:
-    """Add the shapes of its file to a plant's bodies, and return what cannot be shown.
-
-    Nothing collides.
-    """
-    found = robot_shapes(path, given)
+    """Add the shapes in a file to a plant's bodies, without collisions; return notes."""
+    shapes = robot_shapes(path, given)
     for k in map(BodyIndex, range(plant.num_bodies())):
         name = plant.get_body(k).scoped_name().get_full()
-        for number, shown in enumerate(found.links.get(name, ())):
+        for number, shown in enumerate(shapes.links.get(name, ())):
             geometry = GeometryInstance(shown.X_BG, shown.shape, f"{name}_{number}")
             geometry.set_illustration_properties(MakePhongIllustrationProperties(shown.color.rgba))
             frame = plant.GetBodyFrameIdOrThrow(k)
             scene_graph.RegisterGeometry(plant.get_source_id(), frame, geometry)
-    if found.links or found.notes:
-        return found.notes
+    if shapes.links or shapes.notes:
+        return shapes.notes
     return (f"{path.name} has no visual geometry.",)
 
 
@@ -417,18 +415,18 @@ def _read(
     path: Path, given: Given, folder: Path, lost: dict[str, str]
 ) -> tuple[dict[str, tuple[LinkShape, ...]], tuple[str, ...]]:
     found, links = mjcf_geoms(path, given), dict[str, tuple[LinkShape, ...]]()
-    if found is not None:  # those that MuJoCo shows, or all
+    if found is not None:  # of each body those that MuJoCo shows, or all
         geoms, notes = found
         return {k: tuple(g for g in own if g.shown) or own for k, own in geoms.items()}, notes
     plant, scene = scene_of(path, given, lambda root, where: _prepare(root, where, folder, lost))
     inspector = scene.model_inspector()
-    for role in (Role.kProximity, Role.kIllustration):  # of links that have both, the latter
+    for role in (Role.kProximity, Role.kIllustration):  # the latter takes precedence
         for link, own in geometries_of(plant, scene, role):
             shapes = []
             for geometry in own:
                 shape = inspector.GetShape(geometry)
                 if isinstance(shape, HalfSpace):
-                    continue  # the ground is no part of the robot
+                    continue  # the ground is not part of the robot
                 properties = inspector.GetProperties(geometry, role)
                 color = properties.GetPropertyOrDefault("phong", "diffuse", GRAY)
                 pose = inspector.GetPoseInFrame(geometry)
@@ -443,7 +441,7 @@ def scene_of(
 ) -> tuple[MultibodyPlant, SceneGraph]:
     """Return a plant of a file with the geometry of its links.
 
-    Before, geometry of URDFs and SDFs is prepared such that Drake reads it (`move_meshes`).
+    `prepare` modifies the geometry of URDFs and SDFs before Drake reads it (`move_meshes`).
     """
     plant, scene = AddMultibodyPlantSceneGraph(DiagramBuilder(), 1e-3)
 
@@ -456,7 +454,7 @@ def scene_of(
 
 
 def move_meshes(element: Element, moved: Callable[[str], Path]) -> None:
-    """Replace the mesh files that a part of a URDF or SDF names."""
+    """Replace the mesh files named in an element of a URDF or SDF."""
     for mesh in element.iter("mesh"):
         uri = mesh.find("uri")
         name = mesh.get("filename", "") if uri is None else uri.text or ""
@@ -478,7 +476,7 @@ def geometries_of(
 
 
 def _prepare(root: Element, where: Where, folder: Path, lost: dict[str, str]) -> None:
-    """Leave one kind of shape for each link, and of meshes those that are there, readable."""
+    """Keep one kind of shape for each link, with readable meshes only."""
     for link in root.iter("link"):
         for kind in ("visual", "collision"):
             for shape in link.findall(kind):
@@ -494,7 +492,7 @@ def _prepare(root: Element, where: Where, folder: Path, lost: dict[str, str]) ->
 
 
 def _is_readable(shape: Element, where: Where, folder: Path, lost: dict[str, str]) -> bool:
-    """Return whether a shape can be shown; where its mesh is, is then written as Drake takes it."""
+    """Return whether a shape can be shown, after replacing its mesh file by a readable one."""
 
     def shown(name: str) -> Path:
         try:
@@ -503,7 +501,7 @@ def _is_readable(shape: Element, where: Where, folder: Path, lost: dict[str, str
                 text, found = wavefront(found), folder / f"{len(list(folder.iterdir()))}.obj"
                 found.write_text(text, encoding="utf-8")
             elif found.suffix.lower() not in _DRAKE_READS:
-                raise ModelError(f"MeshCat shows no {found.suffix or 'such'} files")
+                raise ModelError(f"MeshCat cannot show {found.suffix or 'such'} files")
             else:
                 regular_mesh(found)
         except ModelError as error:
@@ -518,7 +516,7 @@ def _is_readable(shape: Element, where: Where, folder: Path, lost: dict[str, str
 
 
 def _in_memory(shape: Shape, folder: Path) -> Shape:
-    """Return the shape, which needs no file of the folder any more."""
+    """Return the shape with its mesh in memory if it is a file of the folder."""
     if isinstance(shape, Mesh) and shape.source().is_path():
         path = Path(shape.source().path())
         if path.parent == folder.resolve():

@@ -20,10 +20,10 @@ WORLD = "world"
 """Name of the world among bodies."""
 
 WORLD_LINK = "WorldModelInstance::world"
-"""Drake's scoped name of it among links."""
+"""Drake's scoped name of the world."""
 
 _MOST_VELOCITIES = 6  # of a joint
-_ROUNDING = 1e-14  # of what two springs have, where they have nothing together
+_ROUNDING = 1e-14  # relative size of a sum of coefficients that counts as zero
 
 
 @dataclass(frozen=True)
@@ -39,21 +39,21 @@ class Spring:
         return cls(center, (preload, stiffness, 0.0, 0.0))
 
     def about(self, center: float) -> Spring:
-        """Return the same spring, written about another position."""
+        """Return the same spring with another center."""
         moved = Polynomial(self.coefficients)(Polynomial([center - self.center, 1.0]))
         return Spring(center, _four(moved.coef))
 
     def through(self, ratio: float, offset: float) -> Spring:
-        """Return it for a leader q of the joint, which is at ratio q + offset."""
+        """Return the spring in terms of a leader q of the joint, at ratio q + offset."""
         powers = ratio ** np.arange(1, 5)
         return Spring((self.center - offset) / ratio, _four(powers * self.coefficients))
 
     def __add__(self, other: Spring) -> Spring:
-        """Return both together: of two linear springs, one about where they are at rest."""
-        own, more = self.coefficients[1], other.coefficients[1]
-        center = self.center if own or not more else other.center
-        if own + more and own and more:
-            center = (own * self.center + more * other.center) / (own + more)
+        """Return the sum of two springs; linear ones are centered at their common rest."""
+        first, second = self.coefficients[1], other.coefficients[1]
+        center = self.center if first or not second else other.center
+        if first + second and first and second:
+            center = (first * self.center + second * other.center) / (first + second)
         parts = (self.about(center).coefficients, other.about(center).coefficients)
         total, size = np.sum(parts, axis=0), np.abs(parts).sum(axis=0)
         return Spring(center, _four(np.where(np.abs(total) > _ROUNDING * size, total, 0.0)))
@@ -69,27 +69,26 @@ _NO_SPRING = Spring.linear(0.0)
 
 @dataclass(frozen=True)
 class StatedLength:
-    """Forces along a length L = Σ cᵢ qᵢ over joints, as of one joint, a fixed tendon or a motor.
+    """Forces along a length L = Σ cᵢ qᵢ over joints, such as a joint, a fixed tendon or a motor.
 
     effort of joint i = cᵢ (spring(L) + d₁ L̇ + d₂ |L̇| L̇ + d₃ L̇³ + F sgn L̇ + I L̈).
     """
 
-    # Joint -> cᵢ; of one that moves by several velocities, all of them alike, or `joint[k]` for
-    # one of them.
+    # Joint -> cᵢ, for all velocities of a joint, or `joint[k]` for one of several.
     shares: Mapping[str, float]
     spring: Spring = _NO_SPRING
     damping: tuple[float, float, float] = (0.0, 0.0, 0.0)  # d₁, d₂, d₃
     friction: float = 0.0  # F
     armature: float = 0.0  # I
-    name: str = ""  # that of a tendon
+    name: str = ""  # of a tendon
 
     def each(self, joints: Collection[str]) -> list[StatedLength]:
-        """Return it for each velocity of a joint that has several."""
+        """Return one length per velocity for a joint with several."""
         (joint, share), *others = self.shares.items()
         several = [f"{joint}[{k}]" for k in range(_MOST_VELOCITIES) if f"{joint}[{k}]" in joints]
         if others or not several:
             return [self]
-        return [replace(self, shares={own: share}) for own in several]
+        return [replace(self, shares={name: share}) for name in several]
 
     def through(self, places: Mapping[str, Following]) -> StatedLength:
         """Return the length over the leaders of its joints."""
@@ -104,7 +103,7 @@ class StatedLength:
 
 CUT = ("revolute", "continuous", "prismatic")
 CLOSING = (*CUT, "ball", "fixed")
-"""Kinds of joints that may close a loop, the first ones with a position."""
+"""Kinds of joints that may close a loop; those in `CUT` have a position."""
 
 
 @dataclass(frozen=True)
@@ -113,28 +112,28 @@ class CutJoint:
 
     name: str
     scoped_name: str
-    axis: Array  # (3,) its axis in the first frame of its closure
+    axis: Array  # (3,) in the first frame of the closure
     slides: bool
-    driven: bool  # whether a motor with a limit drives it
+    driven: bool  # by a motor with a limit
 
     @classmethod
     def of(cls, name: str, axis: Array, kind: str, driven: bool = False) -> CutJoint:
-        """Return that of a scoped name, along an axis (3,) of any length, of a kind in `CUT`."""
+        """Return the joint with a scoped name, an axis (3,) of any length, and a kind in `CUT`."""
         size, short = float(np.linalg.norm(axis)), name.rpartition("::")[2]
         return cls(short, name, axis / (size or np.nan), kind == "prismatic", driven)
 
 
 @dataclass(frozen=True)
 class Closure:
-    """Two frames of a robot's bodies that are one, or whose origins are."""
+    """Two frames of a robot's bodies that coincide, or whose origins do."""
 
-    name: str  # what closes the loop, in words
+    name: str  # description
     bodies: tuple[str, str]  # scoped names of the bodies, or `WORLD`
-    poses: tuple[RigidTransform, RigidTransform]  # poses of the frames in them
-    turns: bool  # whether the frames turn together; else only the origins are one
+    poses: tuple[RigidTransform, RigidTransform]  # of the frames in the bodies
+    turns: bool  # the frames rotate together; otherwise only the origins coincide
     cut: CutJoint | None = None
-    # Of a ball about the second frame's origin that rolls on the world's x-y plane, m, and where
-    # the frames are one at first; 0 where nothing rolls.
+    # Radius of a ball around the second frame's origin that rolls on the world's x-y plane, m; the
+    # frames coincide initially. 0 without rolling.
     radius: float = 0.0
 
     @classmethod
@@ -145,23 +144,22 @@ class Closure:
         bodies: tuple[str, str],
         poses: tuple[RigidTransform, RigidTransform],
     ) -> Closure:
-        """Return that by a joint of a kind in `CLOSING`; the frames are one where it is at 0."""
+        """Return the closure by a joint of a kind in `CLOSING`; the frames coincide at 0."""
         cut = joint if kind in CUT else None
         return cls(f"the joint {joint.name}", bodies, poses, kind != "ball", cut)
 
 
 @dataclass(frozen=True)
 class InMedium:
-    """A body in a medium, as the box with its inertia, or an ellipsoid."""
+    """A body in a medium, as its inertia's box or as an ellipsoid."""
 
-    body: str  # scoped name of the body
-    size: Array  # (3,) edges, or semi-axes, m
-    X_BP: RigidTransform  # pose of the middle and the axes in the body
+    body: str  # scoped name
+    size: Array  # (3,) edges of the box, or semi-axes, m
+    X_BP: RigidTransform  # pose of center and axes in the body
     density: float  # of the medium, kg/m³
     viscosity: float  # of the medium, Pa·s
-    wind: Array  # (3,) its velocity in the world, m/s
-    # (11,) of an ellipsoid, as `EllipsoidDrag` has them; none of a box.
-    coefficients: tuple[float, ...] = ()
+    wind: Array  # (3,) velocity of the medium in the world, m/s
+    coefficients: tuple[float, ...] = ()  # (11,) as in `EllipsoidDrag`; empty for a box
 
 
 @dataclass(frozen=True)
@@ -179,8 +177,8 @@ class StatedStrut:
 class StatedBall:
     """A spring of a ball joint."""
 
-    bodies: tuple[str, str]  # scoped names of the body that the joint moves, and of the other one
-    rest: RotationMatrix  # of the first one in the second, where it is at rest
+    bodies: tuple[str, str]  # scoped names of the child body and the parent body
+    rest: RotationMatrix  # of the first body in the second, at rest
     stiffness: float  # N·m/rad
 
 
@@ -188,7 +186,7 @@ class StatedBall:
 class Gearbox:
     """Two links that turn at a constant ratio about a third one, θ₂ = −ratio θ₁ (SDF)."""
 
-    name: str  # with its place in the file
+    name: str  # with its location in the file
     reference: str  # scoped name of the third link
     links: tuple[str, str]
     axes: tuple[tuple[str, Array], tuple[str, Array]]  # scoped name of a frame, and (3,) in it
@@ -199,78 +197,76 @@ class Gearbox:
 class FileTerms:
     """Terms of model files other than rigid bodies, by scoped names, SI units."""
 
-    # Sentences on what was taken otherwise than it is stated.
-    notes: list[str] = field(default_factory=list)
-    # Sentences on what bears on efforts, and is nowhere here.
+    notes: list[str] = field(default_factory=list)  # sentences on changed interpretations
+    # Sentences on ignored elements that affect efforts.
     left_out: list[str] = field(default_factory=list)
-    # Sentences on what bears on efforts of a free base alone, and is nowhere here.
+    # Sentences on ignored elements that affect only efforts of a free base.
     of_bases: list[str] = field(default_factory=list)
-    lost: list[str] = field(default_factory=list)  # sentences on inertias that nothing tells
+    lost: list[str] = field(default_factory=list)  # sentences on unknown inertias
     gravity: Array | None = None  # (3,) acceleration of gravity, m/s²; None for Drake's
-    # Link -> (10,) inertial parameters in the file, where the plant has others.
+    # Link -> (10,) inertial parameters in the file, if the plant has others.
     set_aside: dict[str, Array] = field(default_factory=dict)
-    # What joints, fixed tendons and motors have.
+    # Terms of joints, fixed tendons and motors.
     lengths: list[StatedLength] = field(default_factory=list)
-    # Joint -> where the file has it by default, rad or m; otherwise at 0.
-    start: dict[str, float] = field(default_factory=dict)
-    # Link -> where a joint of six degrees has it by default.
+    start: dict[str, float] = field(default_factory=dict)  # joint -> default position, rad or m
+    # Link -> default pose of its joint of six degrees of freedom.
     floating: dict[str, RigidTransform] = field(default_factory=dict)
-    # Joint -> where a constraint holds it, rad or m.
+    # Joint -> position at which a constraint fixes it, rad or m.
     fixed: dict[str, float] = field(default_factory=dict)
-    effort: dict[str, float] = field(default_factory=dict)  # joint -> its largest effort, N or N·m
+    effort: dict[str, float] = field(default_factory=dict)  # joint -> largest effort, N or N·m
     driven: set[str] = field(default_factory=set)
-    # Two joints, or one twice, and what tendons over several joints are there in the mass matrix.
+    # Two joints, or one twice, and the entry of the mass matrix by tendons over several joints.
     coupled_inertia: list[tuple[str, str, float]] = field(default_factory=list)
-    # Link -> which share of its weight something else carries.
+    # Link -> compensated share of its weight.
     carried: dict[str, float] = field(default_factory=dict)
-    # Joints whose own motors carry it, so that they bear all of the weight.
+    # Joints whose own motors compensate the weight, so that they bear all of it.
     acting: set[str] = field(default_factory=set)
     in_medium: list[InMedium] = field(default_factory=list)
     struts: list[StatedStrut] = field(default_factory=list)
     balls: list[StatedBall] = field(default_factory=list)
     gearboxes: list[Gearbox] = field(default_factory=list)
-    followers: dict[str, Tie] = field(default_factory=dict)  # joint -> what it follows
+    followers: dict[str, Tie] = field(default_factory=dict)
     closures: list[Closure] = field(default_factory=list)
-    # Bodies between several joints of one, which weigh nothing.
+    # Massless bodies between several joints of one body.
     between: set[str] = field(default_factory=set)
-    static: set[str] = field(default_factory=set)  # models of SDF whose joints do not move
+    static: set[str] = field(default_factory=set)  # SDF models whose joints do not move
 
     @classmethod
     def joined(cls, parts: Sequence[FileTerms]) -> FileTerms:
-        """Return the combination of several files."""
-        found = cls()
+        """Return the combined terms of several files."""
+        combined = cls()
         for part in parts:
             for name in (each.name for each in fields(cls)):
-                own, more = getattr(found, name), getattr(part, name)
+                own, others = getattr(combined, name), getattr(part, name)
                 if isinstance(own, dict):
-                    setattr(found, name, own | more | own)  # in order, the first one's values
+                    setattr(combined, name, own | others | own)  # keeps order and earlier values
                 elif isinstance(own, list):
-                    own += more
+                    own += others
                 elif isinstance(own, set):
-                    own |= more
+                    own |= others
         gravities = [(0.0, 0.0, -9.81) if p.gravity is None else tuple(p.gravity) for p in parts]
         if len(several := set(gravities)) > 1:
             each = ", ".join(" ".join(f"{x:g}" for x in gravity) for gravity in several)
-            found.left_out.append(
+            combined.left_out.append(
                 f"The models have several gravities ({each}); only one of them is used."
             )
         stated = [part.gravity for part in parts if part.gravity is not None]
-        found.gravity = stated[-1] if stated else None
-        names = Counter(closure.cut.name for closure in found.closures if closure.cut)
-        for k, closure in enumerate(found.closures):
+        combined.gravity = stated[-1] if stated else None
+        names = Counter(closure.cut.name for closure in combined.closures if closure.cut)
+        for k, closure in enumerate(combined.closures):
             if (cut := closure.cut) is not None and names[cut.name] > 1:  # of several robots
                 own = replace(cut, name=cut.scoped_name.replace("::", "_"))
-                found.closures[k] = replace(closure, name=f"the joint {own.name}", cut=own)
-        return found
+                combined.closures[k] = replace(closure, name=f"the joint {own.name}", cut=own)
+        return combined
 
 
 def places_of_links(plant: MultibodyPlant) -> dict[str, tuple[str, RigidTransform]]:
-    """Return scoped names of links -> the body that each is a part of, or `WORLD`, and its pose."""
+    """Return scoped link name -> its lumped body, or `WORLD`, and the link's pose there."""
     context = plant.CreateDefaultContext()
-    found = {
+    places = {
         body.scoped_name().get_full(): (WORLD, plant.EvalBodyPoseInWorld(context, body))
         for body in plant.GetBodiesWeldedTo(plant.world_body())
     }
     for body in lumped_bodies(plant):
-        found |= {member.scoped_name: (body.name, member.X_RB) for member in body.members}
-    return found
+        places |= {member.scoped_name: (body.name, member.X_RB) for member in body.members}
+    return places

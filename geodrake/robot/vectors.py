@@ -1,4 +1,4 @@
-"""Vectors of three numbers for compiled loops: tuples, which stay in registers."""
+"""Vectors of three numbers for compiled loops, as tuples, which stay in registers."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def subtract(x: Vector, y: Vector) -> Vector:
 
 @inlined
 def scale(factor: float, x: Vector) -> Vector:
-    """Return a number times x."""
+    """Return a scalar times x."""
     return factor * x[0], factor * x[1], factor * x[2]
 
 
@@ -72,7 +72,7 @@ def cross(x: Vector, y: Vector) -> Vector:
 
 @inlined
 def times(R: Array, x: Vector) -> Vector:
-    """Return R x of a matrix (3, 3)."""
+    """Return R x for a matrix (3, 3)."""
     return (
         R[0, 0] * x[0] + R[0, 1] * x[1] + R[0, 2] * x[2],
         R[1, 0] * x[0] + R[1, 1] * x[1] + R[1, 2] * x[2],
@@ -82,7 +82,7 @@ def times(R: Array, x: Vector) -> Vector:
 
 @inlined
 def transposed_times(R: Array, x: Vector) -> Vector:
-    """Return Rᵀ x of a matrix (3, 3)."""
+    """Return Rᵀ x for a matrix (3, 3)."""
     return (
         R[0, 0] * x[0] + R[1, 0] * x[1] + R[2, 0] * x[2],
         R[0, 1] * x[0] + R[1, 1] * x[1] + R[2, 1] * x[2],
@@ -92,9 +92,9 @@ def transposed_times(R: Array, x: Vector) -> Vector:
 
 @inlined
 def combination(columns: Array, factors: Array, n: int, span: Any) -> Vector:
-    """Return Σ_k columns[:, k] factors[n, first + k] of arrays (3, m) and (N, ·).
+    """Return Σ_k columns[:, k] factors[n, first + k] for arrays (3, m) and (N, ·).
 
-    The span has the first of the factors, and how many there are.
+    The span is (first, count).
     """
     x = y = z = 0.0
     for k in range(span[1]):
@@ -107,7 +107,7 @@ def combination(columns: Array, factors: Array, n: int, span: Any) -> Vector:
 
 @inlined
 def inertia_times(phi: Array, b: int, x: Vector) -> Vector:
-    """I x of body b of φ (nb, 10): m, h, Ixx, Iyy, Izz, Ixy, Iyz, Izx."""
+    """Return I x for body b of φ (nb, 10): m, h, Ixx, Iyy, Izz, Ixy, Iyz, Izx."""
     return (
         phi[b, 4] * x[0] + phi[b, 7] * x[1] + phi[b, 9] * x[2],
         phi[b, 7] * x[0] + phi[b, 5] * x[1] + phi[b, 8] * x[2],

@@ -42,7 +42,7 @@ from geodrake.report.explaining import motion_values
 from geodrake.report.json_output import record
 from geodrake.report.views import numbers_of
 from geodrake.robot import gears
-from geodrake.robot.transmission.statements import Drive
+from geodrake.robot.transmission.schema import Drive
 
 pytest.importorskip("pinocchio")
 

@@ -24,7 +24,7 @@ from geodrake.logs.motion import Motion
 from geodrake.model import load_model
 from geodrake.report import AdaptationView
 from geodrake.robot import RobotInstance, RobotPorts, gears, take_out_stated
-from geodrake.robot.transmission.statements import Drive
+from geodrake.robot.transmission.schema import Drive
 
 ACTING = [
     (effects.ViscousFriction("shoulder"), [0.4]),

@@ -31,7 +31,7 @@ from geodrake.excitation.problem import make_problem
 from geodrake.excitation.starts import at_rest
 from geodrake.logs import Motion
 from geodrake.model import load_model
-from geodrake.robot.transmission.statements import (
+from geodrake.robot.transmission.schema import (
     Coupled,
     FourBarLinkage,
     Gear,

@@ -568,7 +568,7 @@ BY_FEET, BY_SPIN = [*MISREAD][:6], [*MISREAD][1:3] + [*MISREAD][6:9]
         *(("does not turn", words) for words in BY_SPIN),
         *(("no foot|feet on", words) for words in BY_FEET),
         *(("no foot|feet on the", words) for words in BY_FEET if "mm" not in words),
-        ("does not feel", [*MISREAD][-1]),
+        ("does not measure", [*MISREAD][-1]),
     ],
 )
 def test_poses_that_are_meant_otherwise_are_refused(model, maker, planted, by, words):
@@ -594,9 +594,9 @@ def test_poses_of_markers_that_are_mounted_otherwise_are_mended(model, planted):
     columns = _other_pose(planted, SAME, turn)
     columns |= {name: columns[name] + x for name, x in zip(PLACE, offset.T, strict=True)}
     found = with_base(replace(planted, floating=planted.floating | columns), model)
-    assert any("what was tracked is not the root" in note for note in found.notes)
+    assert any("the tracked body is not the root" in note for note in found.notes)
     plain = with_base(planted, model)
-    assert not any("what was tracked" in note for note in plain.notes)
+    assert not any("tracked body" in note for note in plain.notes)
     np.testing.assert_allclose(found.position, plain.position, atol=2e-3)
 
 
@@ -681,7 +681,7 @@ def test_thrust_at_the_trunk_of_a_robot_that_flies_is_read(model, maker):
         return with_base(replace(log, floating=bare | own), model)
 
     notes = read(**{w: maker.R.inv().apply(each) for w, each in in_world.items()}).notes
-    assert not any("near the ground" in note or "off what carries" in note for note in notes)
+    assert not any("near the ground" in note or "from what carries" in note for note in notes)
     with pytest.raises(LogError, match="in world axes"):
         read(**in_world)
 
@@ -751,7 +751,7 @@ def test_forces_in_other_axes_are_refused(model, maker):
     mounted = Rotation.from_euler("ZYX", [30.0, -20.0, 10.0], degrees=True).inv()
     found = []
     for turn, words in (
-        (mounted.as_matrix(), r"turned by (.*)° \(yaw"),
+        (mounted.as_matrix(), r"rotated by (.*)° \(yaw"),
         (-np.eye(3), "(robot on)"),
     ):
         changes = {}

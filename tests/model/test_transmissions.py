@@ -36,7 +36,7 @@ from geodrake.robot.transmission import (
     gears,
     rolling_joint,
 )
-from geodrake.robot.transmission.statements import Drive, FourBarLinkage, LinearActuator
+from geodrake.robot.transmission.schema import Drive, FourBarLinkage, LinearActuator
 
 STEP = 1e-5
 J = np.array([[-1 / 8, 0, 0], [0, 0.5, 0.5], [0, 0.4, -0.4]])

@@ -13,7 +13,7 @@ from geodrake.errors import ModelError
 from geodrake.logs.motion import Motion
 from geodrake.model import check_dynamics
 from geodrake.robot.files import mjcf_source
-from geodrake.robot.files.given import Given
+from geodrake.robot.files.load_options import Given
 from geodrake.robot.shapes import mjcf_geoms, robot_shapes
 
 HEAD = '<mujoco model="r">{head}<worldbody>{world}</worldbody>{tail}</mujoco>'

@@ -12,7 +12,7 @@ from geodrake import load_model
 from geodrake.errors import ModelError
 from geodrake.excitation.collisions import CollisionWorld, corners_of, solids_of_file
 from geodrake.report.meshcat_scene import replay_page
-from geodrake.robot.files.given import Given
+from geodrake.robot.files.load_options import Given
 from geodrake.robot.shapes import MOST_TRIANGLES, regular_mesh, robot_shapes, wavefront
 
 CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 2) for z in (0, 3)], float)

@@ -358,7 +358,7 @@ def test_springs_of_drake_are_those_of_its_force_elements(tmp_path, text):
 @pytest.mark.parametrize(
     ("tag", "stated", "words"),
     [
-        ("revolute_spring", AT_JOINT | {"joint": "k"}, "names 'k', which is no joint"),
+        ("revolute_spring", AT_JOINT | {"joint": "k"}, "names 'k', which is not a joint of"),
         ("revolute_spring", AT_JOINT | {"stiffness": "nan"}, "has no numbers as stiffness"),
         ("linear_spring_damper", {"body_A": "base", "body_B": "q", **STRUT}, "but base and q"),
         ("linear_spring_damper", {"body_A": "base", "body_B": "l1"}, "has no numbers as p_AP"),
@@ -378,7 +378,7 @@ def test_where_gazebo_puts_a_model_counts_for_its_weight(tmp_path):
     np.testing.assert_allclose(held(model), held(twin), rtol=1e-12)
     assert not np.allclose(held(model), held(load(tmp_path, URDF)), rtol=0.02)
     load(tmp_path, URDF, robot=place)
-    assert any("the robot stands as <pose> 0 0 1 0.3 -0.2 0.5" in note for note in model.notes)
+    assert any("the robot is placed by <pose> 0 0 1 0.3 -0.2 0.5" in note for note in model.notes)
     assert check_dynamics(model, samples=3).holds
     (said,) = load(tmp_path, URDF, robot=on_joint + place).left_out
     assert "<pose> 0 0 1 0.3 -0.2 0.5 of <gazebo> is ignored" in said

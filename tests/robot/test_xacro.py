@@ -8,7 +8,7 @@ import yaml
 
 from geodrake.errors import ModelError
 from geodrake.robot.files import xacro_file
-from geodrake.robot.files.given import Given
+from geodrake.robot.files.load_options import Given
 from geodrake.robot.files.xacro_file import read_expanded
 
 xacro = pytest.importorskip("xacro")

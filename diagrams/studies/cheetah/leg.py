@@ -25,7 +25,7 @@ from geodrake.logs import Motion
 from geodrake.model import RobotModel, load_model
 from geodrake.robot import LinearTransmission, inverse_dynamics_regressor
 from geodrake.robot.reduction import triangular_factor
-from geodrake.robot.transmission.statements import Drive
+from geodrake.robot.transmission.schema import Drive
 
 JOINTS = ("hip_roll", "hip_pitch", "knee")
 # Hip, thigh and shank about their origins, as identified on the robot.

@@ -1,12 +1,12 @@
-"""Effects in a Drake simulation: their force law on a plant, and accelerations.
+"""Effects in a Drake simulation: forces on a plant, with elastic joints and backlash.
 
-Between the motors and the links of a plant there may be springs and dead bands. The rotor of a
-geared joint spins about its axis only, as in Spong's model of a flexible joint:
+Motors and links of a plant may be coupled by springs and dead bands. As in Spong's model of a
+flexible joint, the rotor spins about its axis only:
 
     M(q) q̈ + C q̇ − τ_g = τ,    B θ̈ + f(θ, θ̇) = u − τ,    τ = torque(θ − q, θ̇ − q̇)
 
 M. W. Spong, "Modeling and Control of Elastic Joint Robots", ASME J. Dyn. Sys., Meas., Control
-109(4), 1987. A dead band has sides that are stiff springs with strong dampers, which only push.
+109(4), 1987. The sides of a dead band are stiff springs with strong dampers, which only push.
 """
 
 from __future__ import annotations
@@ -46,21 +46,21 @@ from geodrake.model.simulation.terms import Parameters, PlantMotion, PlantState,
 from geodrake.robot.robot_instance import RobotInstance, add_generalized_force, selected
 
 LEAST_MOTOR = 0.01
-"""Share of the link's inertia that a motor has at least, as without one it could not be moved."""
+"""Least inertia of a motor, as a share of its link's; without inertia it could not be simulated."""
 
-_SIDE_DAMPING = 0.7  # of the sides of a dead band, at which links stay rather than bounce
-_SIDE_GIVE = 0.1  # of half a dead band: by how much its sides yield to the usual load
-_LEAST_YIELD = 1e-5  # rad or m, of which little is seen; stiffer sides only cost time
-_USUAL_ACCELERATION = 10.0  # rad/s² or m/s², of the link, whose effort beside the weight that is
-_RAMP = 0.1  # of that yield, over which the sides' damping comes on
-_POSTURES = 32  # in which the weight of a link is looked for
+_SIDE_DAMPING = 0.7  # damping ratio of the sides of a dead band, so that links do not bounce
+_SIDE_GIVE = 0.1  # deflection of the sides under the usual load, as a share of half the band
+_LEAST_YIELD = 1e-5  # rad or m, least such deflection; stiffer sides only cost time
+_USUAL_ACCELERATION = 10.0  # rad/s² or m/s² of the link, for the usual load in addition to weight
+_RAMP = 0.1  # share of that deflection over which the sides' damping increases
+_POSTURES = 32  # random postures to find the largest weight
 
 
 @inlined
 def calc_coupling(
     held: tuple[float, float, float, float], lag: float, rate: float
 ) -> tuple[float, float, float]:
-    """Return the torque of a `Coupling`, N·m or N, and by how much lag and rate change it."""
+    """Return the torque of a `Coupling`, N·m or N, and its derivatives by lag and rate."""
     stiffness, play, damping, ramp = held
     side = 1.0 if lag > 0.0 else -1.0
     over = side * lag - play
@@ -74,15 +74,15 @@ def calc_coupling(
 
 @dataclass(frozen=True)
 class Coupling:
-    """Spring and damper, or gap, between a motor and its link."""
+    """Spring and damper, or dead band, between a motor and its link."""
 
     stiffness: float  # beyond the dead band, N·m/rad or N/m
     play: float  # half width of the dead band, rad or m; 0 for none
     damping: float  # N·m·s/rad or N·s/m
-    ramp: float  # way beyond the dead band over which the damping comes on, rad or m
+    ramp: float  # depth beyond the dead band over which the damping increases, rad or m
 
     def torque(self, lag: float, rate: float) -> float:
-        """Return the torque on the link, N·m or N, of the motor's position less its, and a rate."""
+        """Return the torque on the link, N·m or N, for a lag of the link and its rate."""
         held = self.stiffness, self.play, self.damping, self.ramp
         return float(calc_coupling(held, lag, rate)[0])
 
@@ -93,41 +93,40 @@ class Coupling:
 
 @dataclass(frozen=True, eq=False)
 class SoftJoints:
-    """The m joints of a plant whose links are not where their motors are."""
+    """The m elastic joints of a plant, whose links deflect from their motors."""
 
     names: tuple[str, ...]
-    velocities: NDArray[np.intp]  # (m,) their velocities
-    positions: NDArray[np.intp]  # (m,) their positions
-    # Of each, what gives way, and where its parameters are among those of all effects.
+    velocities: NDArray[np.intp]  # (m,) indices of their velocities
+    positions: NDArray[np.intp]  # (m,) indices of their positions
+    # For each joint its deflection effects, and their parameters among those of all effects.
     effects: tuple[tuple[tuple[DeflectionEffect, slice], ...], ...]
     link_inertia: Array  # (m,) 1 / (M⁻¹)_jj in the default posture, kg·m² or kg
-    motor_inertia: Array  # (m,) that of the motors, kg·m² or kg
-    usual_load: Array  # (m,) efforts that sides of dead bands are made for, N·m or N
-    damping: float  # of springs that do not say it, as a share of the critical one
+    motor_inertia: Array  # (m,) kg·m² or kg
+    usual_load: Array  # (m,) efforts that determine the stiffness of dead bands' sides, N·m or N
+    damping: float  # default damping ratio of springs
 
     def __len__(self) -> int:
-        """Return their number."""
+        """Return the number of joints."""
         return len(self.names)
 
     def couplings(self, mu: Array) -> list[Coupling]:
         """Return the couplings of motors and links for the parameters (k,) of all effects.
 
-        Springs have the damping 2 ζ √(k I), with I the inertia of motor and link against each
-        other. Sides of a dead band without a spring yield by a tenth of half the band, and at least
-        by 10 µrad (µm), to the usual load: the largest weight, and what moves the link at
-        10 rad/s² (m/s²).
+        Springs have the damping 2 ζ √(k I) with the reduced inertia I of motor and link. Sides of a
+        dead band without a spring deflect by a tenth of half the band, but at least 10 µrad (µm),
+        under the usual load: the largest weight plus an acceleration of 10 rad/s² (m/s²).
         """
         return self.held_by([_give_of((e, mu[at]) for e, at in each) for each in self.effects])
 
     def held_by(self, gives: Sequence[Give]) -> list[Coupling]:
-        """Return the couplings of one kind between motors and links, for (m,) joints."""
+        """Return the couplings between motors and links for (m,) deflection laws."""
         against = 1.0 / (1.0 / self.link_inertia + 1.0 / self.motor_inertia)
         found = []
         for i, (give, inertia) in enumerate(zip(gives, against.tolist(), strict=True)):
             if not give:
                 raise ArgumentError(
                     f"Joint {self.names[i]!r} was made elastic, and cannot become rigid: its "
-                    "link would be one with the motor.",
+                    "link would be locked to the motor.",
                     advice="Give it a small compliance, or build the diagram without the effect.",
                 )
             yields = max(_SIDE_GIVE * give.play, _LEAST_YIELD)
@@ -150,10 +149,10 @@ def _give_of(effects: Iterable[tuple[DeflectionEffect, Array]]) -> Give:
     return sum((effect.give(values) for effect, values in effects), start=Give())
 
 
-def giving(
+def elastic_joints(
     effects: Sequence[Effect], mu: Array, parts: Sequence[slice]
 ) -> dict[str, list[tuple[DeflectionEffect, slice]]]:
-    """Return joint -> elastic effect, and the indices of its parameters in μ (k,)."""
+    """Return joint -> its deflection effects and their slices of μ (k,), for elastic joints."""
     found: dict[str, list[tuple[DeflectionEffect, slice]]] = {}
     for effect, place in zip(effects, parts, strict=True):
         if isinstance(effect, DeflectionEffect):
@@ -161,10 +160,10 @@ def giving(
     return {j: each for j, each in found.items() if _give_of((e, mu[at]) for e, at in each)}
 
 
-def links_of(motion: PlantMotion, phi: Array) -> tuple[Array, Array]:
-    """Return the link inertias 1 / (M⁻¹)_jj (nv,) at single joints, and usual loads.
+def link_loads(motion: PlantMotion, phi: Array) -> tuple[Array, Array]:
+    """Return the link inertias 1 / (M⁻¹)_jj (nv,), and the usual loads (nv,), N·m or N.
 
-    Those are the largest weights that are found, and what moves links as usual (nv,), N·m or N.
+    A usual load is the largest weight in random postures plus the effort of a usual acceleration.
     """
     plant, rng, still = motion.plant, np.random.default_rng(0), np.zeros(len(motion.joints))
     q = plant.GetPositions(plant.CreateDefaultContext())
@@ -181,39 +180,39 @@ def links_of(motion: PlantMotion, phi: Array) -> tuple[Array, Array]:
 
 
 _LOAD_ITERATIONS, _WHOLE_STEPS, _LOAD_TOLERANCE = 200, 20, 1e-10
-_LOAD_CHANGE = 1e-7  # of loads, N·m or N, and of 1, for slopes
+_LOAD_CHANGE = 1e-7  # step of loads for finite differences, absolute plus relative, N·m or N
 _LAG_ITERATIONS = 100
 _LAG_TOLERANCE = 1e-12
 
 EffectWithValues = FittedEffect | tuple[Effect, ArrayLike]
-"""An effect with its linear parameters μ, as a model has it or as a pair."""
+"""An effect with its linear parameters μ, fitted or as a pair."""
 
 
 class Response(NamedTuple):
     """Response of effects at a state."""
 
-    effort: Array  # (nv,) effort that they need: taken away from the plant, N·m or N
-    motor_acceleration: Array  # (m,) accelerations of the motors of soft joints
-    acceleration: Array  # (nv,) those of links, where they are known
+    effort: Array  # (nv,) effort of the effects, subtracted from the plant's, N·m or N
+    motor_acceleration: Array  # (m,) accelerations of the motors of elastic joints
+    acceleration: Array  # (nv,) accelerations of links; empty if not computed
 
 
 class ForceLaw:
-    """Forces of effects on a plant, and accelerations of motors with elastic joints.
+    """Forces of effects on a plant, and accelerations of motors of elastic joints.
 
-    Without soft joints all effects see the plant's motion. With them, what acts at motors
-    (`Effect.at_motor`) sees the motion of the motors, and what acts at bodies that of the links.
+    Without elastic joints all effects depend on the plant's motion. Otherwise effects at motors
+    (`Effect.at_motor`) depend on the motion of the motors, and effects at bodies on the links'.
 
     Attributes:
         phi: (nb, 10) inertial parameters of the plant.
-        parts: Where the parameters of each effect are.
-        states: Effect -> where its hidden states are among all of them.
-        motors: Effects at motors, or all where no joint is soft.
-        links: Effects at bodies, where joints are soft.
-        soft: Joints whose links are not where their motors are.
-        soft_unit: (nv, m) from soft joints to velocities.
-        of_motors: (nv, nv + m) from (q̈, θ̈) to accelerations of all motors.
-        of_links: (nv, nv + m) to those of all links.
-        added_inertia: (m,) what motors of soft joints get to have the least inertia, kg·m² or kg.
+        parts: Slices of the parameters of each effect.
+        states: Effect -> slice of its hidden states.
+        motors: Effects at motors; all effects if no joint is elastic.
+        links: Effects at bodies; none if no joint is elastic.
+        soft: Elastic joints.
+        soft_unit: (nv, m) matrix from elastic joints to velocities.
+        of_motors: (nv, nv + m) matrix from (q̈, θ̈) to accelerations of all motors.
+        of_links: (nv, nv + m) matrix from (q̈, θ̈) to accelerations of all links.
+        added_inertia: (m,) inertia added to motors below the least inertia, kg·m² or kg.
     """
 
     def __init__(
@@ -234,7 +233,7 @@ class ForceLaw:
         self._check(known_phi=phi is not None)
         places = _parts([effect.state_count for effect in self.effects])
         self.states = {e: at for e, at in zip(self.effects, places, strict=True) if e.state_count}
-        soft = giving(self.effects, self.mu, self.parts)
+        soft = elastic_joints(self.effects, self.mu, self.parts)
         self.motors = self._terms(lambda effect: not soft or effect.at_motor)
         self.links = self._terms(lambda effect: bool(soft) and not effect.at_motor)
         nv = len(plant.joints)
@@ -250,14 +249,14 @@ class ForceLaw:
             self.soft = self._softened(soft, at, damping)
 
     def _check(self, *, known_phi: bool) -> None:
-        """Raise for effects that are not forces, or do not fit the plant."""
+        """Raise for effects that are not forces or do not apply to the plant."""
         still = self.plant.trial(*np.zeros((3, 1, len(self.plant.joints))))
         for effect in self.effects:
             if effect.role is Role.DELAY:
                 raise ArgumentError(
                     "A delay is not a force.",
                     advice="Use geodrake.control.DelayedEffort, or RobotModel.add_to_builder, "
-                    "which does.",
+                    "which includes delays.",
                 )
             if effect.role is Role.BODY and known_phi:
                 raise ArgumentError(
@@ -271,7 +270,7 @@ class ForceLaw:
                 rows_of(effect, still)
 
     def _terms(self, belongs: Callable[[Effect], bool]) -> Terms:
-        """Return the effects that are forces."""
+        """Return the effects that are forces and satisfy a condition."""
         chosen = [
             i
             for i, effect in enumerate(self.effects)
@@ -288,19 +287,19 @@ class ForceLaw:
         at: NDArray[np.intp],
         damping: float,
     ) -> SoftJoints:
-        """Return the elastic joints at some velocities; their motors may need more inertia."""
+        """Return the elastic joints, and set the added inertia of their motors and its notes."""
         plant = self.plant
         for joint, place in zip(soft, plant.positions[at], strict=True):
             if place < 0:
                 raise ArgumentError(
                     f"{joint} is elastic, but belongs to a joint of several degrees of freedom."
                 )
-        links, loads = links_of(plant, self.phi)
+        links, loads = link_loads(plant, self.phi)
         q = plant.plant.GetPositions(plant.plant.CreateDefaultContext())
         still = PlantState(q, np.zeros(len(links)), 0.0, np.zeros(self.state_count))
         rotors = self.motors.added_mass(still, 0.0 * links, (self.mu, self.phi))
-        own, least = np.diag(rotors)[at], LEAST_MOTOR * links[at]
-        self.added_inertia = np.maximum(least - own, 0.0)
+        rotor, least = np.diag(rotors)[at], LEAST_MOTOR * links[at]
+        self.added_inertia = np.maximum(least - rotor, 0.0)
         self.notes = tuple(
             f"The motor of {joint} is assumed to have {mass:.3g} {plant.inertia_units[k]}, "
             f"{100 * LEAST_MOTOR:g} % of its link's, as the model has a smaller rotor."
@@ -308,22 +307,22 @@ class ForceLaw:
             if added
         )
         chosen, places = tuple(map(tuple, soft.values())), plant.positions[at]
-        inertias = links[at], own + self.added_inertia
+        inertias = links[at], rotor + self.added_inertia
         return SoftJoints(tuple(soft), at, places, chosen, *inertias, loads[at], damping)
 
     @property
     def state_count(self) -> int:
-        """Number h of hidden states of all effects."""
+        """Return the number h of hidden states of all effects."""
         return sum(effect.state_count for effect in self.effects)
 
     @cached_property
     def timed(self) -> bool:
-        """Return whether the time must be known."""
+        """Return whether forces depend on time."""
         return "time" in self.motors.needs | self.links.needs
 
     @cached_property
     def implicit(self) -> bool:
-        """Return whether accelerations must be known."""
+        """Return whether forces require accelerations."""
         turning = "vd" in self.motors.needs | self.links.needs
         return self.plant.driven or bool(self.soft) or self._loaded or turning
 
@@ -333,11 +332,11 @@ class ForceLaw:
 
     @cached_property
     def coupled(self) -> bool:
-        """Return whether the applied effort must be known."""
+        """Return whether forces depend on the applied effort."""
         return self.implicit or any(effect.role is Role.SCALE for effect in self.effects)
 
     def applied(self, u: Array, mu: Array) -> Array:
-        """Return efforts (nv,) that act where u (nv,) are commanded or measured, by μ (k,)."""
+        """Return the acting efforts (nv,) for commanded or measured u (nv,) and parameters μ."""
         acting = u.copy()
         for effect, part in zip(self.effects, self.parts, strict=True):
             if effect.role is Role.SCALE:
@@ -346,7 +345,7 @@ class ForceLaw:
         return acting
 
     def at_motors(self, state: PlantState) -> PlantState:
-        """Return a state as measured, with positions and velocities of motors."""
+        """Return the state with positions and velocities of the motors, as encoders measure."""
         if not self.soft:
             return state
         q, v = state.q.copy(), state.v.copy()
@@ -355,10 +354,10 @@ class ForceLaw:
         return replace(state, q=q, v=v)
 
     def response(self, state: PlantState, u: Array, parameters: Parameters) -> Response:
-        """Return the efforts of effects, and accelerations of elastic joints' motors, at u (nv,).
+        """Return the efforts of effects, and the accelerations of elastic joints, at u (nv,).
 
-        With x = (q̈, θ̈ of the soft joints), q̈ = L x of the links, and A x the accelerations of all
-        motors, rigid or soft, the equations of motion are linear in x:
+        With x = (q̈, θ̈ of the elastic joints), link accelerations q̈ = L x, and accelerations A x of
+        all motors, the equations of motion are linear in x:
 
             Aᵀ (B A x + f_m − u) + Lᵀ (M L x + h + M_l L x + f_l) = (L − A)ᵀ τ.
         """
@@ -386,8 +385,8 @@ class ForceLaw:
                 rigid = (1.0 - unit.sum(1)) * (f_m + B @ (A @ x))
                 effort = f_l + M_l @ x[:nv] + rigid + unit.sum(1) * u - at_soft
                 return Response(effort, x[nv:], x[:nv])
-            # Newton's step, as friction of a joint depends on the load there; shorter ones at last,
-            # where whole ones go to and fro between loads of either sign.
+            # Newton step for load-dependent friction, damped at last because full steps may
+            # oscillate between loads of opposite signs.
             change = _LOAD_CHANGE * (1.0 + np.abs(load))
             by_m = (self.motors.effort(motor, load + change, parameters) - f_m) / change
             by_l = (self.links.effort(state, load + change, parameters) - f_l) / change
@@ -402,9 +401,9 @@ class ForceLaw:
         )
 
     def lags(self, q: Array, v: Array, vd: Array, parameters: Parameters) -> Array:
-        """Return positions (m,) of motors less those of links that follow a motion of the motors.
+        """Return the lags (m,) of links behind a motion of the motors.
 
-        To all orders in the compliance, but as if the lags had no rates.
+        The result is exact in the compliance, but neglects rates of the lags.
         """
         lag, couplings = np.zeros(len(self.soft)), self.soft.couplings(parameters[0])
         hidden, zero, links = np.zeros(self.state_count), np.zeros(len(v)), self.links
@@ -430,7 +429,7 @@ class ForceLaw:
 
 
 def admissible(effect: Effect, values: ArrayLike) -> Array:
-    """Return linear parameters (k,) that the effect can have."""
+    """Return valid linear parameters (k,) of an effect; raise for others."""
     fitted = FittedEffect(effect, real_array(values, f"parameters of {effect.name}").copy())
     try:
         check_effect(fitted)
@@ -446,7 +445,7 @@ def _parts(sizes: list[int]) -> tuple[slice, ...]:
 
 
 def _fitted(given: EffectWithValues) -> FittedEffect:
-    """Return an effect with parameters that it can have."""
+    """Return an effect with valid parameters; raise for others."""
     pair = (given.effect, given.parameters) if isinstance(given, FittedEffect) else given
     if len(pair) != 2 or not isinstance(pair[0], Effect):
         raise ArgumentError(f"effects must be pairs of an Effect and its μ; got {given!r}.")
@@ -458,7 +457,7 @@ _PARAMETERS, _PHI = 0, 1
 
 @differenced
 class EffectForce(LeafSystem):
-    """The force law of effects, for a MultibodyPlant to be simulated with them.
+    """The forces of effects, for simulating a MultibodyPlant with them.
 
     .. pydrake_system::
 
@@ -470,72 +469,72 @@ class EffectForce(LeafSystem):
         - generalized_force
         - motor_state
 
-    An effect adds to the effort that a motion needs, so it takes its effort away from the plant:
+    An effect adds to the effort of a motion, so its effort is subtracted from the plant's:
 
         generalized_force = −Σ_e Y_e(q, v, v̇, τ_model) μ_e
 
-    which belongs at `plant.get_applied_generalized_force_input_port()`; see `AddToBuilder`. A wrong
-    gain (`EffortScale`) turns the effort u that is commanded, or measured, into u / (1 + ε).
+    which must be connected to `plant.get_applied_generalized_force_input_port()`; see
+    `AddToBuilder`. A wrong gain (`EffortScale`) converts the commanded or measured effort u into
+    u / (1 + ε).
 
-    Effects of v̇ (rotor inertia, payload) are f(q, v) + M_e(q, v) v̇ with the v̇ that the plant has
-    with them, (M + M_e) v̇ = u − C v + τ_g + … − f: the plant moves exactly as if its mass matrix
-    were M + M_e. Friction that depends on the load τ_model, the effort that the rigid bodies need,
-    is found by fixed-point iteration. Both need u, the `applied_effort` (nv) of controllers at the
-    joints, zero if the port is not connected; forces that reach the plant otherwise, as by contact,
-    are not known here. Where no effect depends on v̇ or load, the port is not read.
+    Effects of v̇ (rotor inertia, payload) are f(q, v) + M_e(q, v) v̇, where v̇ solves
+    (M + M_e) v̇ = u − C v + τ_g + … − f: the plant moves exactly as if its mass matrix were M + M_e.
+    Friction that depends on the load τ_model, the effort of the rigid bodies, is computed
+    iteratively. Both depend on u, the `applied_effort` (nv) of controllers at the joints, zero if
+    the port is not connected; other forces on the plant, such as contact, are unknown here. The
+    port is not evaluated if no effect depends on v̇ or load.
 
-    Hidden states (`Hysteresis`) are continuous states, zero at first (`set_hidden_states`). Joints
-    that are elastic or have play (`DeflectionEffect`) are two bodies: the plant's joint is the
-    link; the motor's position, less that of the link, and its velocity are continuous states, zero
-    at first (`set_motors`), with the spring of the effect between them, or its dead band (see
+    Hidden states (`Hysteresis`) are continuous states, initially zero (`set_hidden_states`). Joints
+    with compliance or play (`DeflectionEffect`) have two bodies. The plant's joint is the link. The
+    motor's position relative to the link and its velocity are continuous states, initially zero
+    (`set_motors`), coupled by the effect's spring or dead band (see
     `geodrake.model.simulation.effect_force`). Efforts, friction and rotor inertia act at the motor;
-    gravity, payloads and contacts at the link. `motor_state` (nq + nv), which encoders measure, is
-    the plant's state with the motors in the place of the links; it is there with soft joints alone.
-    A motor has at least 1 % of its link's inertia; `notes` says where that is more than the
-    model's. Explicit integrators need steps below some 1.7 / ω, with ω = √(k (1/B + 1/M)) the
-    frequency at which motor and link swing against each other; stiff ones are for "radau3" or
-    "implicit_euler" (`ResetIntegratorFromFlags`). Plants with time steps take the torque of the
-    spring as it was when the step began, and need steps far below 1 / ω.
+    gravity, payloads and contacts at the link. The port `motor_state` (nq + nv) exists only with
+    elastic joints. It is the plant's state with motors in place of links, as encoders measure it.
+    A motor has at least 1 % of its link's inertia; `notes` lists joints where the model's is less.
+    Explicit integrators need steps below about 1.7 / ω, with the frequency ω = √(k (1/B + 1/M)) of
+    motor against link; for stiff joints use "radau3" or "implicit_euler"
+    (`ResetIntegratorFromFlags`). Plants with time steps apply the spring's torque from the
+    beginning of the step, and need steps far below 1 / ω.
 
-    Effects of the time since a log began (`FrictionDrift`, `Contact`) take the Context's, and
-    contacts that were found in a log act only where that log is simulated. Friction that varies
-    with the temperature takes that of `temperatures`.
+    Effects of the time since a log began (`FrictionDrift`, `Contact`) use the Context's time, and
+    contacts from a log act only if that log is simulated. Temperature-dependent friction uses
+    `temperatures`.
 
-    Numeric parameters of the Context are all μ (`set_effect_parameters`), and the inertial
-    parameters that the plant is taken to have (`set_inertial_parameters`), which matter to effects
-    of v̇, load and bodies. No system sees another one's Context: who changes the plant's inertias
-    there must change them here, too, as `RobotInDiagram.set_parameters` does. All else of the plant
-    is as by default. In a plant that holds more than the robot (`RobotInstance`), state, efforts
-    and forces are those of the whole plant, with zeros where the robot has no part in them.
+    Numeric parameters of the Context are all μ (`set_effect_parameters`) and the inertial
+    parameters of the plant (`set_inertial_parameters`), on which effects of v̇, load and bodies
+    depend. A system cannot read another one's Context, so changes of the plant's inertias must be
+    repeated here, as `RobotInDiagram.set_parameters` does. All other properties of the plant have
+    their defaults. In a plant with more than the robot (`RobotInstance`), state, efforts and forces
+    are those of the whole plant, with zeros for everything else.
 
-    The system can be cloned, and converted to AutoDiffXd: derivatives with state, efforts, time and
-    parameters are central differences, exact to some 1e-9, and a diagram may be linearized.
+    The system can be cloned, converted to AutoDiffXd, and linearized. Derivatives with respect to
+    state, efforts, time and parameters are central differences, with errors of about 1e-9.
 
-    Dry friction makes a simulation stiff. Its sgn v is tanh(v / sign_width), so F acts near rest
-    like a damper F / sign_width, and a joint that it holds creeps at less than sign_width. Explicit
-    integrators, and plants with time steps, need steps below 2 · sign_width · inertia / F, rotor
-    inertia included: 1 ms for 0.1 kg·m² and 2 N·m, but tens of µs for a wrist of bare links without
-    rotors. There, use "implicit_euler", or widen sign_width.
+    Dry friction makes a simulation stiff. Its sgn v is tanh(v / sign_width), so friction F acts
+    near rest like a damper F / sign_width, and a stuck joint creeps at less than sign_width.
+    Explicit integrators and plants with time steps need steps below 2 · sign_width · inertia / F,
+    rotor inertia included: 1 ms for 0.1 kg·m² and 2 N·m, but tens of µs for a wrist without rotor
+    inertia. In such a case use "implicit_euler", or increase sign_width.
 
     Args:
-        plant: A finalized plant, with the joints and bodies that the effects name; or one robot in
-            it: then nothing else feels them; or one that moves with a model of other coordinates
-            (`RobotModel.driving`): efforts and `motor_state` are the model's then.
+        plant: A finalized plant with the joints and bodies of the effects; or one robot in it, so
+            that effects act on nothing else; or a plant that moves with a model of other
+            coordinates (`RobotModel.driving`), whose efforts and `motor_state` are the model's.
         effects: Effects with their linear parameters μ, SI, such as those of a model; or pairs.
-        sign_width: Speed below which dry friction fades, rad/s or m/s (`RobotModel.sign_widths`
-            has those of a fitted model); one, or (nv,), of a robot in a plant (n,).
-        phi: (nb, 10) inertial parameters of the simulated plant, where its Context has others
-            than the default ones; such as `model.total_phi`, whose payloads then are no effects.
-        log: Name of the log that is simulated; None for none.
-        temperatures: Those of the joints, in the time of the Context; without, each joint has that
-            to which its friction belongs.
-        spring_damping: Damping of elastic joints that have none of their own, as a share of the
-            critical one.
+        sign_width: Speed below which dry friction fades, rad/s or m/s (see
+            `RobotModel.sign_widths`); one, or (nv,), or (n,) for a robot in a plant.
+        phi: (nb, 10) inertial parameters of the simulated plant if they differ from its defaults,
+            such as `model.total_phi`; payloads must then not be among the effects.
+        log: Name of the simulated log, if any.
+        temperatures: Temperatures of the joints over the Context's time; by default the reference
+            temperatures of their friction.
+        spring_damping: Default damping ratio of elastic joints.
 
     Raises:
-        ArgumentError: An effect does not fit the plant, parameters are not on the manifold
-            of their effect, as negative friction is not, or a payload is among the effects
-            although `phi` is given.
+        ArgumentError: An effect does not apply to the plant, parameters are outside the manifold of
+            their effect, such as negative friction, or a payload is among the effects although
+            `phi` is given.
     """
 
     def __init__(
@@ -573,7 +572,7 @@ class EffectForce(LeafSystem):
         producer = ValueProducer(
             allocate=lambda: AbstractValue.Make(object()), calc=self._calc_response
         )
-        # Both force and rates of the motors need it.
+        # Cached, as both the force and the rates of the motors depend on it.
         self._response = self.DeclareCacheEntry("response", producer, moved)
         self.DeclareVectorOutputPort(
             "generalized_force",
@@ -593,12 +592,12 @@ class EffectForce(LeafSystem):
 
     @property
     def soft_joints(self) -> tuple[str, ...]:
-        """Return the joints whose motors have their own state."""
+        """Return the elastic joints, whose motors have their own state."""
         return self.law.soft.names
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Return the assumptions."""
+        """Return notes on assumptions."""
         return self.law.notes
 
     def effect_parameters(self, context: Context, effect: Effect) -> Array:
@@ -606,25 +605,22 @@ class EffectForce(LeafSystem):
         return self._parameters(context)[self._part(effect)]
 
     def set_effect_parameters(self, context: Context, values: Mapping[Effect, ArrayLike]) -> None:
-        """Changes linear parameters μ (k,), SI, of effects in a Context; others keep theirs."""
+        """Set linear parameters μ (k,), SI, of effects in a Context; others keep theirs."""
         check_context(self, context)
         mu = self._parameters(context)
         for effect, given in values.items():
             mu[self._part(effect)] = admissible(effect, given)
-        self.law.soft.couplings(mu)  # do all of them still give way?
+        self.law.soft.couplings(mu)  # raises if an elastic joint would become rigid
         context.get_mutable_numeric_parameter(_PARAMETERS).SetFromVector(mu)
 
     def set_inertial_parameters(self, context: Context, phi: ArrayLike) -> None:
-        """Set the plant's inertial parameters (nb, 10) in a Context.
-
-        They are those that `set_inertial_parameters` writes into the plant's.
-        """
+        """Set the plant's inertial parameters (nb, 10) in a Context of this system."""
         check_context(self, context)
         phi = real_array(phi, "phi", self.law.phi.shape)
         context.get_mutable_numeric_parameter(_PHI).SetFromVector(phi.ravel())
 
     def set_hidden_states(self, context: Context, states: Mapping[Effect, ArrayLike]) -> None:
-        """Set hidden states (s,), such as `Effect.states_along` leaves; others keep theirs."""
+        """Set hidden states (s,), such as those of `Effect.states_along`; others keep theirs."""
         check_context(self, context)
         whole = np.array(context.get_continuous_state_vector().CopyToVector())
         for effect, values in states.items():
@@ -637,7 +633,7 @@ class EffectForce(LeafSystem):
         context.SetContinuousState(whole)
 
     def set_motors(self, context: Context, lag: ArrayLike, speed: ArrayLike) -> None:
-        """Set where the motors of `soft_joints` are, by lags and speeds (m,).
+        """Set lags and speeds (m,) of the motors of `soft_joints`.
 
         A lag is the position of a motor less that of its link, rad or m.
         """
@@ -649,15 +645,15 @@ class EffectForce(LeafSystem):
         context.SetContinuousState(whole)
 
     def couplings(self, context: Context) -> list[Coupling]:
-        """Return spring and damper of each soft joint, by the parameters of a Context."""
+        """Return spring and damper of each elastic joint in a Context."""
         return self.law.soft.couplings(self._parameters(context))
 
     def lags(
         self, context: Context, q: ArrayLike, v: ArrayLike, vd: ArrayLike | None = None
     ) -> Array:
-        """Return positions (m,) of the motors of soft joints less those of links that follow them.
+        """Return the lags (m,) of links behind a motion of the motors of elastic joints.
 
-        Positions (nq,), velocities (nv,) and accelerations are those of the motors; parameters
+        Positions (nq,), velocities (nv,) and accelerations are those of the motors. Parameters are
         those of the Context.
         """
         check_context(self, context)
@@ -667,10 +663,9 @@ class EffectForce(LeafSystem):
         return self.law.lags(q, v, vd, self._values(context))
 
     def deflect(self, root: Context) -> None:
-        """Take the plant's state for that of the motors, and put links where a load has them.
+        """Reinterpret the plant's state as that of the motors, and deflect links accordingly.
 
-        That is the load of a steady motion; their velocities are those of the motors. Without soft
-        joints nothing changes.
+        The deflection is that of a steady motion, so links have the velocities of the motors.
         """
         soft, plant = self.law.soft, self.law.plant.plant
         if not soft:
@@ -683,10 +678,7 @@ class EffectForce(LeafSystem):
         plant.SetPositions(context, q)
 
     def state_port(self, builder: DiagramBuilder, joints: Sequence[str]) -> OutputPort:
-        """Return an output (2 n) of measured positions and then velocities of all joints in order.
-
-        Each has one degree of freedom.
-        """
+        """Return an output (2 n) of measured positions, then velocities, of single joints."""
         robot = self.law.plant.robot
         if not self.law.soft:
             return robot.state_port(builder, joints)
@@ -695,7 +687,7 @@ class EffectForce(LeafSystem):
         return selected(builder, self.GetOutputPort("motor_state"), places)
 
     def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
-        """Rates of hidden states, and of the motors of soft joints, per second."""
+        """Calculate rates of hidden states and of the motors of elastic joints, per second."""
         if not derivatives.size():
             return
         state, law = self._plant_state(context), self.law
@@ -759,11 +751,10 @@ class EffectForce(LeafSystem):
     ) -> EffectForce:
         """Add the system and connect it to a plant's state and generalized force ports.
 
-        `RobotModel.add_to_builder` does this with a plant that has the model's inertias.
-
-        `applied_effort` is left to be connected. Generalized forces that act on the plant already
-        stay. Where joints are soft, what is measured is the port `motor_state`. The plant was added
-        to the builder; options are those of the constructor.
+        The plant must be in the builder; options are those of the constructor. Existing generalized
+        forces stay connected, and `applied_effort` stays open. With elastic joints, encoders
+        measure the port `motor_state`. `RobotModel.add_to_builder` does all this with the model's
+        inertias.
         """
         instance(builder, "builder", DiagramBuilder)
         system = builder.AddSystem(EffectForce(plant, effects, **options))

@@ -1,4 +1,4 @@
-"""A fitted model in a Drake diagram: plant, effects and delays, each once."""
+"""A fitted model in a Drake diagram: plant, effects and delays."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _MOST_SAMPLES = 1_000_000
 
 @differenced
 class DelayedEffort(LeafSystem):
-    """Passes efforts on with a delay, as a drive or a bus does.
+    """Delays efforts, as a drive or a bus does.
 
     .. pydrake_system::
 
@@ -48,9 +48,9 @@ class DelayedEffort(LeafSystem):
         output_ports:
         - delayed_effort
 
-    delayed_effort(t) = effort(t − δ), with a delay of its own for every effort. The input is
-    sampled every `period` and interpolated linearly, so the output is continuous. Before t = δ it
-    is the first sample.
+    delayed_effort(t) = effort(t − δ), with one delay per effort. The input is sampled every
+    `period` and interpolated linearly, so the output is continuous. Before t = δ it is the first
+    sample.
 
     The system can be cloned, and converted to AutoDiffXd.
 
@@ -58,7 +58,7 @@ class DelayedEffort(LeafSystem):
     """
 
     def __init__(self, delays: ArrayLike, *, period: float = 1e-3) -> None:
-        """Construct the system of delays (n,), s, each zero or at least a sampling period, s."""
+        """Construct the system with delays (n,), s, each zero or at least one sampling period."""
         LeafSystem.__init__(self, converter=self._converter)
         delays = np.atleast_1d(real_array(delays, "delays")).copy()
         positive(period, "period")
@@ -109,7 +109,7 @@ class DelayedEffort(LeafSystem):
 
     def _calc_delayed(self, context: Context, output: BasicVector) -> None:
         last, history = self._history(context)
-        age = np.zeros(self._size)  # without a sample yet, as all are alike
+        age = np.zeros(self._size)  # arbitrary before the first sample
         if last > -np.inf:
             age = (self._delays + last - context.get_time()) / self._period
         place = (self._samples - 1 - age).clip(0, self._samples - 1)
@@ -121,10 +121,10 @@ class DelayedEffort(LeafSystem):
         output.SetFromVector(delayed)
 
 
-_PERIOD = 1e-3  # of sampling efforts that are delayed, s, where delays are no shorter
+_PERIOD = 1e-3  # longest sampling period of delayed efforts, s
 
 FORCES = (Role.FORCE, Role.SCALE, Role.EPISODE, Role.DEFLECTION)
-"""Effects that `EffectForce` carries; payloads are among the plant's inertias."""
+"""Roles of effects in `EffectForce`; payloads are part of the plant's inertias."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,18 +133,17 @@ class RobotInDiagram:
 
     Attributes:
         robot: The robot in its plant. The default inertias are the model's, payloads included; in a
-            plant that holds more, `set_inertias` makes them so.
-        scene_graph: The SceneGraph that the plant is a source of, if any.
-        effect_force: What acts on the plant beside rigid bodies, if anything.
+            plant with other objects, call `set_inertias`.
+        scene_graph: The SceneGraph of the plant, if any.
+        effect_force: The system of the model's effects, if any.
         total_phi: (nb, 10) the model's inertial parameters, payloads included.
-        effort: Input (nv) for the efforts at the joints, N·m or N, zero if it is not connected;
-            in units of the logs that the model was fitted to, wrong gains included.
-        state: Output (nq + nv): positions and velocities as encoders measure them, which are those
-            of the motors where joints are soft; `plant` has those of the links.
-        logged_effort: Output (nv): the efforts as a log has them beside the state, late by the
-            model's delays.
-        notes: What cannot be shown, and what was assumed.
-        driving: How the plant moves with the model, if their coordinates differ.
+        effort: Input (nv) for the efforts at the joints, N·m or N, zero if not connected, in the
+            scale of the logs that the model was fitted to, wrong gains included.
+        state: Output (nq + nv): positions and velocities measured by encoders, which are those of
+            the motors of elastic joints; `plant` has those of the links.
+        logged_effort: Output (nv): efforts in a log, with the model's delays.
+        notes: Assumptions, and elements that cannot be drawn.
+        driving: The plant's motion in the model's coordinates, if they differ from its own.
     """
 
     robot: RobotInstance
@@ -160,23 +159,23 @@ class RobotInDiagram:
 
     @property
     def plant(self) -> MultibodyPlant:
-        """The plant that the robot is in."""
+        """Return the plant of the robot."""
         return self.robot.plant
 
     def ports(self) -> RobotPorts:
-        """Return the ports where `add_adaptive_loop` meets the robot."""
+        """Return the robot's ports for `add_adaptive_loop`."""
         return RobotPorts(self.joints, self.state, None, self.effort)
 
     def set_inertias(self, root: Context) -> None:
-        """Give the robot the model's inertial parameters, payloads included."""
-        if self.driving is None:  # else the plant has them by default
+        """Set the robot's inertial parameters to the model's, payloads included."""
+        if self.driving is None:  # otherwise the plant's default inertias are the model's
             self.set_parameters(root, phi=self.total_phi)
 
     def set_state(self, root: Context, q: ArrayLike, v: ArrayLike | None = None) -> None:
-        """Set the initial state of the robot, as measured, in the whole diagram's Context.
+        """Set the robot's measured initial state in the Context of the whole diagram.
 
-        Positions (nq,) are in Drake's order, of the robot alone; it rests without velocities (nv,).
-        Links of soft joints are where a steady load has them.
+        Positions (nq,) of the robot are in Drake's order; velocities (nv,) are 0 by default. Links
+        of elastic joints are deflected by the static load.
         """
         plant, driving, nv = self.plant, self.driving, len(self.joints)
         nq = plant.num_positions() if driving is None else driving.sizes[0]
@@ -199,11 +198,11 @@ class RobotInDiagram:
         phi: ArrayLike | None = None,
         effects: Mapping[Effect, ArrayLike] | None = None,
     ) -> None:
-        """Changes parameters in a Context, for plant and effects alike.
+        """Set parameters of plant and effects in a Context.
 
         Args:
-            phi: (nb, 10) inertial parameters, payloads included; None for those that it has.
-            effects: Effect of `effect_force` -> (k,) its parameters, SI; others keep theirs.
+            phi: (nb, 10) inertial parameters, payloads included; unchanged if None.
+            effects: Effect of `effect_force` -> its parameters (k,), SI; others keep theirs.
         """
         force = self.effect_force
         if self.driving is not None:
@@ -274,16 +273,16 @@ def make_act(
     """Connect a model's effects and delays with a robot in a plant of the builder."""
     plant, joints, phi = robot.plant, model.joints, model.total_phi
     if stated := robot.stated_terms:
-        of = "the plant" if robot.name is None else repr(robot.name)
+        owner = "the plant" if robot.name is None else repr(robot.name)
         raise ArgumentError(
-            f"{', '.join(stated)} of {of} would count twice, in the plant and as "
+            f"{', '.join(stated)} of {owner} would count twice, in the plant and as "
             "effects of the model.",
             advice="Call geodrake.robot.take_out_stated(plant, name) before plant.Finalize().",
         )
-    told = builder.AddNamedSystem(f"{name}_effort", PassThrough(np.zeros(len(joints))))
-    effort, asked = told.get_input_port(), told.get_output_port()
-    logged = late(builder, f"{name}_logged_effort", asked, model.delays)
-    acting = late(builder, f"{name}_acting_effort", asked, -model.delays)
+    source = builder.AddNamedSystem(f"{name}_effort", PassThrough(np.zeros(len(joints))))
+    effort, commanded = source.get_input_port(), source.get_output_port()
+    logged = late(builder, f"{name}_logged_effort", commanded, model.delays)
+    acting = late(builder, f"{name}_acting_effort", commanded, -model.delays)
     state = plant.get_state_output_port()
     if robot.name is not None:
         state = robot.state_port(builder, joints)
@@ -294,15 +293,15 @@ def make_act(
     if driving is None:
         add_generalized_force(builder, plant, acting)
     forces = [fitted for fitted in model.effects if fitted.effect.role in FORCES]
-    forces += (  # which the model has among its effects, if it has them
+    forces += (  # cancel springs of the plant, as they are effects of the model
         FittedEffect(Polynomial(joint, rest), np.array([0.0, -stiffness, 0.0, 0.0]))
         for joint, stiffness, rest in robot.springs
     )
     force, notes = None, tuple[str, ...]()
     if forces or driving is not None:
-        own = None if robot.name is None else robot.plant_parameters(phi)
+        plant_phi = None if robot.name is None else robot.plant_parameters(phi)
         force = EffectForce.AddToBuilder(
-            builder, driving or robot, forces, sign_width=sign_width, phi=own, log=log
+            builder, driving or robot, forces, sign_width=sign_width, phi=plant_phi, log=log
         )
         force.set_name(f"{name}_effects")
         builder.Connect(acting, force.GetInputPort("applied_effort"))
@@ -316,7 +315,7 @@ def make_act(
 
 
 def late(builder: DiagramBuilder, name: str, effort: OutputPort, delays: Array) -> OutputPort:
-    """Return an effort (nv,) delayed by the positive delays (nv,), s."""
+    """Return an effort (nv,), delayed where delays (nv,), s, are positive."""
     delays = np.maximum(delays, 0.0)
     if not delays.any():
         return effort

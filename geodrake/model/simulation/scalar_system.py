@@ -1,4 +1,4 @@
-"""Systems of floats that Drake converts to AutoDiffXd: their derivatives are differences."""
+"""LeafSystems of floats that convert to AutoDiffXd by finite differences."""
 
 from __future__ import annotations
 
@@ -20,66 +20,66 @@ from geodrake.inertia import Array
 Scalars = NDArray[Any]
 """An array of floats, or of AutoDiffXd."""
 
-_STEP = 3e-5  # a thirtieth of what signs of friction are smoothed over, or less
-_SHARE = 1e-3  # of a parameter, which is moved by less where it is small
+_STEP = 3e-5  # at most a thirtieth of the width over which friction's sign is smoothed
+_SHARE = 1e-3  # relative step of small parameters
 _LEAST_STEP = 1e-9
 
 
 def scalars(values: Any, scalar: type) -> Scalars:
-    """Return an array of a scalar type, of entries of that type or floats."""
+    """Return an array of a scalar type from entries of that type or floats."""
     if scalar is float:
         return np.asarray(values, float)
     array = np.asarray(values, object)
     flat = [x if isinstance(x, scalar) else scalar(x) for x in array.ravel()]
-    found = np.empty(len(flat), object)
-    found[:] = flat
-    return found.reshape(array.shape)
+    result = np.empty(len(flat), object)
+    result[:] = flat
+    return result.reshape(array.shape)
 
 
 def by_differences(
     function: Callable[[Array], Array], x: Scalars, parameters: slice = slice(0)
 ) -> Scalars:
-    """Return a function of floats, from (n,) to (m,), at AutoDiffXd, its slopes by differences.
+    """Evaluate a function of floats, from (n,) to (m,), at AutoDiffXd by finite differences.
 
-    They are of fourth order, exact to about 1e-9 of what they are differences of. A step of
-    parameters is a small share of them: of a compliance, by which forces are divided, too.
+    Differences are central, of fourth order, with relative errors of about 1e-9. Steps of small
+    parameters are relative, because forces may be divided by them, as by a compliance.
     """
     whole = scalars(x, AutoDiffXd)
     value, slopes = ExtractValue(whole).ravel(), ExtractGradient(whole)
-    found = np.asarray(function(value), float)
-    changes = np.zeros((len(found), slopes.shape[1]))
-    known = np.isfinite(found)  # what is not has no slopes
+    result = np.asarray(function(value), float)
+    changes = np.zeros((len(result), slopes.shape[1]))
+    known = np.isfinite(result)  # others have no derivatives
     steps = _STEP * (1.0 + np.abs(value))
-    own = np.abs(value[parameters])
-    steps[parameters] = np.where(own > 0, np.clip(_SHARE * own, _LEAST_STEP, _STEP), _STEP)
+    size = np.abs(value[parameters])
+    steps[parameters] = np.where(size > 0, np.clip(_SHARE * size, _LEAST_STEP, _STEP), _STEP)
     for k, direction in enumerate(slopes.T):
         moved = np.flatnonzero(direction)
         if len(moved):
             h = (steps[moved] / np.abs(direction[moved])).min()
             for share, weight in ((1.0, 8.0), (2.0, -1.0)):
                 for sign in (1.0, -1.0):
-                    there = value.copy()
-                    there[moved] += sign * share * h * direction[moved]
-                    changes[known, k] += sign * weight * np.asarray(function(there), float)[known]
+                    point = value.copy()
+                    point[moved] += sign * share * h * direction[moved]
+                    changes[known, k] += sign * weight * np.asarray(function(point), float)[known]
             changes[known, k] /= 12.0 * h
-    return InitializeAutoDiff(found, changes).ravel()
+    return InitializeAutoDiff(result, changes).ravel()
 
 
 System = TypeVar("System", bound=type)
 _ONE_AT_A_TIME = RLock()
 
 
-def differenced(made: System) -> System:
+def differenced(leaf: System) -> System:
     """Make a LeafSystem class clonable, and convertible to AutoDiffXd.
 
-    A clone is made of the arguments of the constructor. AutoDiffXd has derivatives with inputs,
-    states, numeric parameters and time, by differences: exact to some 1e-9, where the
-    system is smooth. There is no conversion to Expression.
+    A clone is constructed with the same arguments. Derivatives with respect to inputs, states,
+    numeric parameters and time are finite differences, with errors of about 1e-9 where the system
+    is smooth. There is no conversion to Expression.
 
-    The class, or its base, gives its converter to LeafSystem: `LeafSystem.__init__(self,
-    converter=self._converter)`. Its state is continuous and discrete, not abstract.
+    The class, or its base, must pass its converter on: `LeafSystem.__init__(self,
+    converter=self._converter)`. It must have no abstract state.
     """
-    kind: Any = made
+    kind: Any = leaf
     init = kind.__init__
 
     def construct(self: Any, *args: Any, converter: Any = None, **options: Any) -> None:
@@ -93,26 +93,26 @@ def differenced(made: System) -> System:
 
     def clone(self: Any) -> Any:
         """Return a system like this one."""
-        made = type(self)(self)
-        made.set_name(self.get_name())
-        return made
+        leaf = type(self)(self)
+        leaf.set_name(self.get_name())
+        return leaf
 
     kind._construct, kind._construct_copy, kind.Clone = construct, construct_copy, clone
 
     def other() -> type:
         own = {name: vars(_Differenced)[name] for name in ("_construct", "_construct_copy")}
-        return type(made.__name__, (_Differenced, LeafSystem_[AutoDiffXd]), {**own, "Clone": clone})
+        return type(leaf.__name__, (_Differenced, LeafSystem_[AutoDiffXd]), {**own, "Clone": clone})
 
     def make_template() -> None:
-        del kind.__init__  # as Drake gives the class a constructor
-        scope, types = sys.modules[made.__module__], [float, AutoDiffXd]
-        template = TemplateSystem(f"{made.__name__}_", types, scope=scope)
+        del kind.__init__  # Drake adds a constructor
+        scope, types = sys.modules[leaf.__module__], [float, AutoDiffXd]
+        template = TemplateSystem(f"{leaf.__name__}_", types, scope=scope)
         template.add_instantiation((float,), kind, skip_rename=True)
         template.add_instantiations(lambda _: other(), [(AutoDiffXd,)])
         functools.update_wrapper(kind.__init__, init)
 
-    # For each instantiation pydrake looks through the whole call stack, which takes long in
-    # notebooks and while modules import one another. That of a new thread is short.
+    # pydrake inspects the whole call stack for each instantiation, which is slow in notebooks and
+    # during imports. The stack of a new thread is short.
     @functools.wraps(init)
     def begin(system: Any, *args: Any, **options: Any) -> None:
         with _ONE_AT_A_TIME:
@@ -122,11 +122,11 @@ def differenced(made: System) -> System:
         kind.__init__(system, *args, **options)
 
     kind.__init__ = begin
-    return made
+    return leaf
 
 
 class _Differenced:
-    """A system of AutoDiffXd whose values are those of one of floats."""
+    """A system of AutoDiffXd that evaluates one of floats."""
 
     def _construct(self: Any, *args: Any, converter: Any = None, **options: Any) -> None:
         raise TypeError("Construct the system with floats, and convert it: system.ToAutoDiffXd().")
@@ -167,7 +167,7 @@ class _Differenced:
         out.SetFromVector(self._values(context, function, through))
 
     def DoCalcTimeDerivatives(self: Any, context: Any, derivatives: Any) -> None:
-        """Rates of the continuous states, per second."""
+        """Calculate the rates of the continuous states, per second."""
         if derivatives.size():
             rates = self._values(
                 context, lambda inner: self._source.EvalTimeDerivatives(inner).CopyToVector()
@@ -194,7 +194,7 @@ class _Differenced:
     ) -> Scalars:
         """Return the values (n,) of a function of the source's Context, with derivatives.
 
-        Inputs are the indices of those that matter; all if None.
+        `inputs` are the indices of relevant input ports; all if None.
         """
         chosen = range(self.num_input_ports()) if inputs is None else inputs
         known = [i for i in chosen if self.get_input_port(i).HasValue(context)]

@@ -1,4 +1,4 @@
-"""The motion of a plant as effects see it, and their efforts."""
+"""Motion of a plant as the input of effects, and the efforts of effects."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ from geodrake.robot.robot_instance import RobotInstance
 
 
 class PlantMotion:
-    """Constants of a plant, its dynamics, and the motion that effects depend on.
+    """Constants and dynamics of a plant, and the motion for effects.
 
     Attributes:
         robot: The robot in the plant; effects act on nothing else.
-        positions: (nv,) where the position of each velocity is in q; −1 for joints of several
-            degrees of freedom.
+        positions: (nv,) index in q of each velocity's position; −1 for joints of several degrees of
+            freedom.
         direction: The smoothed sign of velocities (nv,).
         phi: (nb, 10) inertial parameters of the plant's default Context.
-        inertia_units: (nv,) units of what resists the acceleration of each velocity.
-        temperatures: Those of the joints, if any are known.
-        driven: Whether the plant moves with a model of other coordinates, which effects see.
+        inertia_units: (nv,) units of inertia.
+        temperatures: Temperatures of the joints, if known.
+        driven: The effects use a model's coordinates, which differ from the plant's.
     """
 
     driven = False
@@ -51,14 +51,14 @@ class PlantMotion:
         log: int = 0,
         temperatures: Temperatures | None = None,
     ) -> None:
-        """Read a plant; see `EffectForce`. The log's number is that of `RobotMotion`."""
+        """Read a plant; see `EffectForce`, and `RobotMotion` for the log's number."""
         robot = plant if isinstance(plant, RobotInstance) else RobotInstance(plant)
         self.robot, self.plant, self._log = robot, (plant := robot.plant), log
         self.phi, self.temperatures = inertial_parameters(plant), temperatures
         self._phi = np.zeros(0)
         self.joints = robot.velocity_names
         width = one_or_each(sign_width, "sign_width", len(robot.joints))
-        self._sign_width = np.ones(len(self.joints))  # that of other robots does not matter
+        self._sign_width = np.ones(len(self.joints))  # arbitrary at other robots
         self._sign_width[robot.velocities] = width
         self._others = np.delete(np.arange(len(self.joints)), robot.velocities)
         self.direction = smoothed_sign(self._sign_width)
@@ -66,9 +66,9 @@ class PlantMotion:
         starts = [int(joint.velocity_start()) for joint in single]
         self._find_places(starts, [int(joint.position_start()) for joint in single])
         self.inertia_units = ["kg·m²"] * len(self.joints)
-        for joint, at in zip(single, starts, strict=True):
+        for joint, index in zip(single, starts, strict=True):
             if joint.type_name() == "prismatic":
-                self.inertia_units[at] = "kg"
+                self.inertia_units[index] = "kg"
 
     @cached_property
     def _context(self) -> Context:
@@ -76,7 +76,7 @@ class PlantMotion:
 
     @cached_property
     def _bodies(self) -> dict[str, tuple[int, Member]]:
-        """Name of each link -> the body that it is a part of, and how."""
+        """Return link name -> index of its lumped body, and the member."""
         return {
             self.robot.body_names[member.name]: (i, member)
             for i, body in enumerate(lumped_bodies(self.plant))
@@ -84,7 +84,7 @@ class PlantMotion:
         }
 
     def _find_places(self, velocities: list[int], positions: list[int]) -> None:
-        """Notes where joints of one degree of freedom are."""
+        """Set the position indices of joints of one degree of freedom."""
         self.positions = np.full(len(self.joints), -1)
         self.positions[velocities] = positions
         several = np.flatnonzero(self.positions < 0)
@@ -92,11 +92,11 @@ class PlantMotion:
 
     @property
     def sizes(self) -> tuple[int, int]:
-        """Return how many positions and velocities effects see."""
+        """Return the numbers of positions and velocities of effects."""
         return self.plant.num_positions(), len(self.joints)
 
     def split(self, state: Array) -> tuple[Array, Array]:
-        """Return the q and v that effects see, of a state of the plant."""
+        """Return q and v of effects for a state of the plant."""
         nq = self.plant.num_positions()
         return state[:nq], state[nq:]
 
@@ -107,12 +107,12 @@ class PlantMotion:
         return replace(tree, bodies=tuple(self.robot.body_names[name] for name in tree.bodies))
 
     def own(self, effort: Any) -> Any:
-        """Return efforts (..., nv) without those that would act on other robots and on objects."""
+        """Set efforts (..., nv) on other robots and objects to zero, and return them."""
         effort[..., self._others] = 0.0
         return effort
 
     def trial(self, v: Array, vd: Array, load: Array) -> RobotMotion:
-        """Return the robot in some configurations, with v, v̇ and loads (N, nv), for tests."""
+        """Return a motion in random configurations with v, v̇ and loads (N, nv), for probing."""
         still = self.plant.GetPositionsAndVelocities(self.plant.CreateDefaultContext())
         q, single = np.tile(self.split(still)[0], (len(v), 1)), self.positions[self.positions >= 0]
         q[:, single] = np.random.default_rng(0).normal(size=(len(v), len(single)))
@@ -121,7 +121,7 @@ class PlantMotion:
     def seen(
         self, q: Array, rates: tuple[Array, Array, Array], phi: Array, **known: Any
     ) -> RobotMotion:
-        """Return a motion as effects see it."""
+        """Return the motion of effects."""
         regressor = cache(lambda: inverse_dynamics_regressor(self.tree, q, *rates[:2]))
 
         def columns(name: str) -> Array:
@@ -133,18 +133,18 @@ class PlantMotion:
         return RobotMotion(self.joints, *own, log=self._log, **known)
 
     def of_joints(self, q: Array) -> Array:
-        """Return the position belonging to each velocity, NaN for joints of several degrees."""
-        found = q.take(self.positions, axis=-1)
+        """Return the position of each velocity, NaN for joints of several degrees of freedom."""
+        positions = q.take(self.positions, axis=-1)
         if self._several is not None:
-            found[..., self._several] = np.nan
-        return found
+            positions[..., self._several] = np.nan
+        return positions
 
     def moving_force(self, state: Array, acceleration: Array) -> Array:
-        """Return the additional force of a driven plant that makes it move as its model."""
+        """Return the additional force that makes a driven plant move like its model."""
         raise NotImplementedError
 
     def dynamics(self, q: Array, v: Array, phi: Array) -> tuple[Array, Array, Array]:
-        """Return M, C v − τ of all force elements, and C v − τ_g alone, at q (nq,) and v (nv,)."""
+        """Return M, C v − τ with all force elements, and C v − τ_g, at q (nq,) and v (nv,)."""
         plant, context = self.plant, self._context
         if not np.array_equal(self._phi, phi):
             set_inertial_parameters(plant, context, phi)
@@ -158,7 +158,7 @@ class PlantMotion:
         return plant.CalcMassMatrix(context), drift, rigid_drift
 
     def _in_lump(self, name: str) -> tuple[int, Array]:
-        """Return the lump of a body, and (10, 10) from the body's parameters to the lump's."""
+        """Return the lumped body of a link, and the matrix (10, 10) from the link's parameters."""
         if name not in self._bodies:
             raise ArgumentError(
                 f"There is no moving body {name!r}.",
@@ -181,7 +181,7 @@ class PlantState:
     v: Array  # (nv,) their velocities
     time: float  # time since the log began, s
     hidden: Array  # (h,) hidden states of effects
-    # (m,) positions of the motors of soft joints less those of their links, rad or m.
+    # (m,) positions of the motors of elastic joints less those of their links, rad or m.
     lag: Array = field(default_factory=lambda: np.zeros(0))
     speed: Array = field(default_factory=lambda: np.zeros(0))  # (m,) velocities of these motors
 
@@ -192,33 +192,33 @@ class Terms:
 
     plant: PlantMotion
     effects: tuple[Effect, ...]
-    places: NDArray[np.intp]  # (k,) where their parameters are among those of all effects
-    hidden: dict[Effect, slice]  # effect -> where its hidden states are among those of all effects
+    places: NDArray[np.intp]  # (k,) indices of their parameters among those of all effects
+    hidden: dict[Effect, slice]  # effect -> its hidden states among those of all effects
 
     @cached_property
     def columns(self) -> EffectColumns:
-        """Return their columns."""
+        """Return the columns of the effects."""
         return EffectColumns(self.plant.joints, self.effects, self.plant.trial)
 
     @cached_property
     def needs(self) -> frozenset[str]:
-        """Return what they depend on; the time also where the temperatures matter."""
+        """Return the dependencies of the effects, with time if temperatures are used."""
         return self.columns.depends_on | ({"time"} if self._warmth is not None else set())
 
     @cached_property
     def _warmth(self) -> Temperatures | None:
-        """Return the temperatures of the joints, if they matter and are known."""
+        """Return the temperatures of the joints, if known and used by an effect."""
         return self.plant.temperatures if "temperature" in self.columns.depends_on else None
 
     def effort(self, at: PlantState, load: Array, parameters: Parameters) -> Array:
-        """Return the effort (nv,) without acceleration, under a load (nv,)."""
+        """Return the effort (nv,) at zero acceleration, under a load (nv,)."""
         if not self.effects:
             return np.zeros(len(at.v))
         columns = self.columns.at(self._motion(at, load), partial(self._seen, at, parameters))
         return self.plant.own(columns @ parameters[0][self.places])
 
     def added_mass(self, at: PlantState, load: Array, parameters: Parameters) -> Array:
-        """Return (nv, nv) their contribution to the mass matrix, under a load (nv,)."""
+        """Return the contribution (nv, nv) to the mass matrix, under a load (nv,)."""
         if "vd" not in self.needs:
             return np.zeros((len(at.v), len(at.v)))
         own = self._motion(at, load), parameters[0][self.places]
@@ -227,7 +227,7 @@ class Terms:
         ).T
 
     def state_rates(self, at: PlantState, parameters: Parameters) -> Array:
-        """Return rates of all hidden states (h,), zero where the effect is not one of these."""
+        """Return rates of all hidden states (h,), zero for those of other effects."""
         rates, rest = np.zeros(len(at.hidden)), np.zeros(len(at.v))
         motion = self._seen(at, parameters, self._motion(at, rest))
         for effect, place in self.hidden.items():
@@ -239,7 +239,7 @@ class Terms:
         return JointMotion(q, at.v, np.zeros(len(at.v)), load, sign_v)
 
     def _seen(self, at: PlantState, parameters: Parameters, motion: JointMotion) -> RobotMotion:
-        """Return a sample, or one for each of several accelerations, with the robot's bodies."""
+        """Return one sample of the robot for each acceleration, with its bodies."""
         vd = np.atleast_2d(motion.vd)
         rates = np.broadcast_to(motion.v, vd.shape), vd, np.broadcast_to(motion.load, vd.shape)
         known: dict[str, Any] = {"states": {e: at.hidden[None, s] for e, s in self.hidden.items()}}
@@ -252,13 +252,13 @@ class Terms:
 
 
 Model = Any
-"""A `RobotModel`, which imports this module."""
+"""A `RobotModel`, whose module imports this one."""
 
-_RETURN = 50.0  # rate at which joints come back to where their actuators have them, 1/s
+_RETURN = 50.0  # rate at which joints return to the positions of their actuators, 1/s
 
 
 class DrivenPlant(PlantMotion):
-    """A plant that moves with a model of other coordinates, whose q, v and efforts are meant."""
+    """A plant that moves like a model with other coordinates; effects use the model's."""
 
     driven = True
 
@@ -270,7 +270,7 @@ class DrivenPlant(PlantMotion):
         log: str | None,
         temperatures: Temperatures | None,
     ) -> None:
-        """Raise for elastic effects; see `RobotModel.driving`."""
+        """Read a plant, and raise for elastic effects; see `RobotModel.driving`."""
         for effect in (fitted.effect for fitted in model.effects):
             if effect.role is Role.DEFLECTION:
                 raise ModelError(
@@ -287,30 +287,31 @@ class DrivenPlant(PlantMotion):
 
     @property
     def sizes(self) -> tuple[int, int]:
-        """Return how many positions and velocities the model has."""
+        """Return the model's numbers of positions and velocities."""
         return self.model.tree.num_positions, len(self.joints)
 
     def split(self, state: Array) -> tuple[Array, Array]:
-        """Return q and v of the model, of a state of the plant."""
-        nq, ways = self.plant.num_positions(), self.model.coordinates
-        (q,) = ways.nearest(state[None, :nq])
-        return q, ways.rates_of(q, state[nq:])
+        """Return the model's q and v for a state of the plant."""
+        nq, coordinates = self.plant.num_positions(), self.model.coordinates
+        (q,) = coordinates.nearest(state[None, :nq])
+        return q, coordinates.rates_of(q, state[nq:])
 
     def joined(self, q: Array, v: Array) -> Array:
-        """Return the state of the plant of q and v of the model."""
-        ways = self.model.coordinates
-        return np.concatenate([ways.joint_positions(q[None])[0], ways.jacobian(q[None])[0] @ v])
+        """Return the state of the plant for the model's q and v."""
+        coordinates = self.model.coordinates
+        theta, J = coordinates.joint_positions(q[None])[0], coordinates.jacobian(q[None])[0]
+        return np.concatenate([theta, J @ v])
 
     def moving_force(self, state: Array, acceleration: Array) -> Array:
-        """Return the force (nv of the plant,) for the model's motion with given accelerations."""
+        """Return the plant's force for the model's motion with given accelerations."""
         q, v = self.split(state)
-        ways, nq = self.model.coordinates, self.plant.num_positions()
-        J, rate = ways.jacobian(q[None])[0], ways.jacobian_rate(q[None], v[None])[0]
+        coordinates, nq = self.model.coordinates, self.plant.num_positions()
+        J, rate = coordinates.jacobian(q[None])[0], coordinates.jacobian_rate(q[None], v[None])[0]
         wanted = J @ acceleration + rate @ v
         if len(v) < len(wanted):
-            apart = state - self.joined(q, v)
-            off = self.plant.MapQDotToVelocity(self._context, apart[:nq])
-            wanted -= 2.0 * _RETURN * apart[nq:] + _RETURN**2 * off
+            deviation = state - self.joined(q, v)
+            offset = self.plant.MapQDotToVelocity(self._context, deviation[:nq])
+            wanted -= 2.0 * _RETURN * deviation[nq:] + _RETURN**2 * offset
         sample = state[None, :nq], state[None, nq:], wanted[None]
         return inverse_dynamics(self.model.joint_tree, *sample, self.phi)[0]
 

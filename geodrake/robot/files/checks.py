@@ -1,6 +1,6 @@
-"""Read and write numbers of model files.
+"""Reading, writing and checking of numbers in model files.
 
-Those that Drake misreads, such as 1,5, and those so large that Drake ends the process are refused.
+Numbers that Drake misreads, such as 1,5, or that are so large that Drake aborts are refused.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def is_off(text: str) -> bool:
 
 
 def number(parent: Element, tag: str, attribute: str = "") -> float:
-    """Return the number in a child's attribute, or text; 0 where it is left out, NaN if invalid."""
+    """Return the number in a child's attribute or text; 0 if missing, NaN if invalid."""
     child = parent.find(tag)
     if child is None:
         return 0.0
@@ -81,13 +81,13 @@ def rotation(values: Array) -> Array:
 
 
 def inertial_parameters_of(mass: float, com: Array, R: Array, inertia: Array) -> Array:
-    """Parameters (10,) of a central inertia (3, 3) that is expressed in a frame turned by R."""
-    with np.errstate(over="ignore", invalid="ignore"):  # what is no number stays none
+    """Return parameters (10,) for a central inertia (3, 3) in axes with the rotation R."""
+    with np.errstate(over="ignore", invalid="ignore"):  # NaN stays NaN
         return calc_from_mass_com_inertia(np.asarray(mass, float), com, R @ inertia @ R.T)
 
 
 def tensor_words(inertia: Array) -> dict[str, str]:
-    """Return the six entries of an inertia matrix by their name in `TENSOR`."""
+    """Return name in `TENSOR` -> entry of an inertia matrix, as text."""
     return dict(zip(TENSOR, words(inertia[UPPER]).split(), strict=True))
 
 
@@ -97,21 +97,21 @@ def words(values: Array | float) -> str:
 
 
 LARGEST = 1e12
-"""In SI units, larger than any value of a robot except limits."""
+"""Largest valid number in SI units, except for limits."""
 
 _NUMBER = re.compile(r"[-+]?((\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|inf)")
 
 
 @dataclass(frozen=True)
 class Numbers:
-    """Requirements on numbers in a place."""
+    """Requirements on the numbers of an attribute or text."""
 
-    counts: range = range(1, 2)  # how many; none at all is left to Drake
+    counts: range = range(1, 2)  # valid counts; Drake checks empty texts
     least: float = -LARGEST
     most: float = LARGEST
 
     def problem(self, text: str) -> str:
-        """Return what is wrong with a text; "" if nothing."""
+        """Return the problem of a text, or ""."""
         words = text.split()
         wrong = [word for word in words if not _NUMBER.fullmatch(word)]
         if wrong:
@@ -128,10 +128,7 @@ class Numbers:
 
 
 Numeric = Mapping[str, Mapping[str, Numbers | None]]
-"""Tag -> attribute -> numbers, or None for any word.
-
-The attribute "" is the text, the tag "" stands for all.
-"""
+"""Tag, "" for all -> attribute, "" for the text -> numbers, or None for any word."""
 
 _ONE, _VECTOR, _FOUR, _SIX = (Numbers(range(count, count + 1)) for count in (1, 3, 4, 6))
 _POSITIVE = Numbers(least=0.0)
@@ -159,7 +156,7 @@ SDF_NUMBERS: Numeric = {
     "xyz": {"": _VECTOR},
     "lower": {"": _LIMIT},
     "upper": {"": _LIMIT},
-    "effort": {"": _LIMIT},  # below zero stands for none
+    "effort": {"": _LIMIT},  # negative for none
     "velocity": {"": _LIMIT},
     "damping": {"": _POSITIVE},
     "friction": {"": _POSITIVE},
@@ -189,7 +186,7 @@ MJCF_NUMBERS: Numeric = {
 def check_numbers(root: Element, numeric: Numeric, path: Path) -> None:
     """Raise for text that is not a number, wrong counts, and numbers out of bounds.
 
-    Those of an `inertial` are left to the repair of inertias.
+    The repair of inertias handles those of an `inertial`.
     """
     inside = {each for inertial in root.iter("inertial") for each in inertial.iter()}
     for element in (each for each in root.iter() if each not in inside):
@@ -203,9 +200,9 @@ def check_numbers(root: Element, numeric: Numeric, path: Path) -> None:
 
 
 def check_link(link: Element, phi: Array | None, path: Path) -> None:
-    """Raise for a name that Drake takes for a link of another model, and impossibly large inertias.
+    """Raise for a name that Drake would attribute to another model, and too large inertias (10,).
 
-    Those (10,) that are not finite pass.
+    Inertias that are not finite are accepted.
     """
     name, largest = link.get("name", ""), 0.0 if phi is None else np.abs(phi).max()
     if "::" in name:
@@ -235,7 +232,7 @@ def check_limits(root: Element, path: Path) -> None:
 
 
 def check_poses(plant: MultibodyPlant, path: Path) -> None:
-    """Raise for poses of joints that are not numbers, or impossibly large."""
+    """Raise for poses of joints that are not finite or too large."""
     for joint in (plant.get_joint(index) for index in plant.GetJointIndices()):
         frames = (joint.frame_on_parent(), joint.frame_on_child())
         poses = [frame.GetFixedPoseInBodyFrame() for frame in frames]
@@ -245,7 +242,7 @@ def check_poses(plant: MultibodyPlant, path: Path) -> None:
             if not np.all(np.abs(pose.GetAsMatrix34()) <= LARGEST):
                 raise ModelError(
                     f"{path} puts the joint {joint.name()!r} {pose.translation().tolist()} m away, "
-                    f"turned by {pose.rotation().matrix().ravel().tolist()}.",
+                    f"rotated by {pose.rotation().matrix().ravel().tolist()}.",
                     advice="Correct the pose there.",
                 )
     if not np.isfinite(plant.GetDefaultPositions()).all():

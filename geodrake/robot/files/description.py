@@ -1,9 +1,9 @@
 """A model file of any format, ready to be added to a plant.
 
-Drake refuses some files that describe a robot well enough for its dynamics (a mesh that is not
-there, a mimic joint that mimics nothing), and silently puts a 1 kg ball in the place of an inertia
-it finds impossible. So geometry and loop closures are taken out of the text first, and inertias
-that no body can have are set aside, for `geodrake.robot.plant` to repair.
+Drake refuses some files that are sufficient for dynamics (with a missing mesh, or a mimic joint
+without a leader), and silently replaces inertias it finds unphysical by a 1 kg ball. Therefore
+geometry and loop closures are removed from the text first, and unphysical inertias are set aside
+for `geodrake.robot.plant` to repair.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from geodrake.boundary.yaml_text import yaml_text
 from geodrake.errors import GeodrakeError, ModelError
 from geodrake.inertia import Array
 from geodrake.robot.files.checks import drop
-from geodrake.robot.files.given import Given
 from geodrake.robot.files.includes import Includes, add_packages, named_packages
+from geodrake.robot.files.load_options import Given
 from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.model_edits import DRAKES_SPRINGS
 from geodrake.robot.files.texts import (
@@ -54,34 +54,32 @@ from geodrake.robot.files.xml_text import (
     parse_xml_bytes,
 )
 from geodrake.robot.stated import FileTerms
-from geodrake.robot.transmission.statements import Coupled, Gear, renamed
+from geodrake.robot.transmission.schema import Coupled, Gear, renamed
 
 Where = Callable[[str], Path]
 """Mesh references of URDF or SDF -> files, or a ModelError if not found."""
 
-_MOST_LINKS = 2000  # as the time grows with their square, to 3 s
+_MOST_LINKS = 2000  # the time is quadratic, 3 s for these
 _LINE = re.compile(r"\S*?/(\d+)\.\w+:(\d+): ")
 
 
 @dataclass(frozen=True)
 class ModelDescription:
-    """A model file: one simplified text, or directives that put several together."""
+    """A model file: one simplified text, or directives that combine several."""
 
     path: Path
-    # The simplified texts; one for each `add_model` of the directives, in their order.
-    texts: tuple[ModelText, ...]
-    # The flattened directives, or None for a URDF, SDF or MJCF file.
-    directives: ModelDirectives | None = None
+    texts: tuple[ModelText, ...]  # simplified; one for each `add_model` of the directives, in order
+    directives: ModelDirectives | None = None  # flattened; None for a URDF, SDF or MJCF file
     given: Given = field(default_factory=Given)
 
     @cached_property
     def every(self) -> list[ModelText]:
-        """The texts, and those of files that they include."""
+        """Return the texts, and those of included files."""
         return [each for text in self.texts for each in text.every()]
 
     @cached_property
     def terms(self) -> FileTerms:
-        """Terms of the files that their texts lack; without gravity if no link has it."""
+        """Return the terms removed from the texts; without gravity if no link has it."""
         terms = FileTerms.joined([text.terms for text in self.every])
         heavy, carried = {n for text in self.every for n in text.heavy}, terms.carried
         if heavy and heavy <= carried.keys() and {*carried.values()} == {1.0} and not terms.acting:
@@ -89,15 +87,15 @@ class ModelDescription:
         return terms
 
     def motors(self) -> tuple[Gear | Coupled, ...]:
-        """Return what the texts state of motors behind transmissions, by scoped names."""
-        found = list[Gear | Coupled]()
+        """Return the transmissions of motors in the files, with scoped names."""
+        parts = list[Gear | Coupled]()
         for text in self.every:
             scoped = f"{text.scope}::{{}}".format
-            found += (renamed(part, scoped, scoped) for part in text.motors())
-        return tuple(found)
+            parts += (renamed(part, scoped, scoped) for part in text.motors())
+        return tuple(parts)
 
     def add_every_package(self, packages: PackageMap) -> None:
-        """Make packages known, geometry's too; folders above the file by their own names."""
+        """Register all packages, geometry's included, and folders above the file by name."""
         files = {self.path, *(text.path for text in self.every)}
         texts = (read_expanded(file, self.given).decode(errors="replace") for file in files)
         names = {name for text in texts for name in named_packages(text)}
@@ -107,7 +105,7 @@ class ModelDescription:
                 packages.Add(folder.name, str(folder))
 
     def set_inertia(self, link: str, phi: Array | None) -> bool:
-        """Give a link inertial parameters (10,), or none; False if no text has the link."""
+        """Set inertial parameters (10,) of a link, or none; return whether a text has the link."""
         return any(text.set_inertia(link, phi) for text in self.every)
 
     def add_to(
@@ -117,9 +115,9 @@ class ModelDescription:
         simplified: bool = True,
         prepare: Callable[[Element, Where], None] = lambda root, where: None,
     ) -> None:
-        """Add the models to a plant, simplified as their texts are, or as in their files.
+        """Add the models to a plant, simplified or as in their files.
 
-        Then URDFs and SDFs are first prepared, and what Drake raises is left to the caller.
+        In the latter case `prepare` modifies URDFs and SDFs first, and Drake's errors propagate.
         """
         parser, places = Parser(plant), list[list[str]]()
         if not simplified:
@@ -131,13 +129,13 @@ class ModelDescription:
                 if simplified or text.kind != "xml":
                     root = text.root
                     if not simplified:
-                        root = self._as_it_stands(text)
+                        root = self._original_root(text)
                         prepare(root, partial(_file_of, parser.package_map(), text.path))
                     text.link_includes(root, files)
                     lines, where = numbered_text(root)
                     files[text].write_text(lines, encoding="utf-8")
                     places.append(where)
-                else:  # whose meshes are beside it
+                else:  # its meshes are beside it
                     files[text] = text.path
                     places.append([])
             if self.directives is None:
@@ -155,11 +153,11 @@ class ModelDescription:
             if self.terms.gravity is not None:
                 plant.mutable_gravity_field().set_gravity_vector(self.terms.gravity)
 
-    def _as_it_stands(self, text: ModelText) -> Element:
-        """Return the root of a text's file, without what keeps Drake from reading it."""
+    def _original_root(self, text: ModelText) -> Element:
+        """Return the root of a text's file, without elements that Drake refuses."""
         root = parse_xml_bytes(read_expanded(text.path, self.given), text.path)
         Includes(text.path, self.given.packages).drop_absent(root)
-        # Beside springs, Drake lets no joint be taken out; it includes nothing of which it warns.
+        # Drake cannot remove joints of plants with springs, and rejects included files on warnings.
         drop(root, "spring_stiffness", "mimic", *DRAKES_SPRINGS)
         drop_friction(root)
         for model in root.iter("model"):
@@ -169,7 +167,7 @@ class ModelDescription:
 
 
 def _file_of(packages: PackageMap, path: Path, place: str) -> Path:
-    """Return where a mesh that a file names is, as Drake does not know where a text is from."""
+    """Return the path of a mesh named in a file, as Drake does not know the text's origin."""
     url = place if "://" in place else f"file://{path.resolve().parent / place}"
     try:
         return Path(packages.ResolveUrl(url))
@@ -184,22 +182,22 @@ def read_description(path: Path, given: Given | None = None) -> ModelDescription
     regular_file(path, "model file", ModelError, largest=LARGEST_FILE)
     given = given or Given()
     if path.suffix.lower() in (".yaml", ".yml"):
-        found = _read_directives(path, given)
+        description = _read_directives(path, given)
     else:
-        found = ModelDescription(path, (read_model_text(path, given),), given=given)
-    files = (text.path for text in found.texts)
+        description = ModelDescription(path, (read_model_text(path, given),), given=given)
+    files = (text.path for text in description.texts)
     if given.xacro and not any(is_xacro(file) for file in files):
         raise ModelError(
             f"{path} is not a xacro file, so argument {next(iter(given.xacro))!r} cannot be used.",
             advice="Omit it.",
         )
-    count = sum(len(text.links) for text in found.every)
+    count = sum(len(text.links) for text in description.every)
     if count > _MOST_LINKS:
         raise ModelError(
             f"{path} has {count} links; geodrake reads up to {_MOST_LINKS}.",
             advice="Remove links that do not move with the robot.",
         )
-    return found
+    return description
 
 
 def read_model_text(path: Path, given: Given, scope: str | None = None) -> ModelText:
@@ -210,7 +208,7 @@ def read_model_text(path: Path, given: Given, scope: str | None = None) -> Model
 def model_text_of(
     data: bytes, path: Path, given: Given | None = None, scope: str | None = None
 ) -> ModelText:
-    """Read and simplify what is, or will be, in a file; its root element decides what it is."""
+    """Read and simplify the contents of a file; the root element determines the format."""
     root = parse_xml_bytes(data, path)
     kinds: dict[str, type[ModelText]] = {"robot": UrdfText, "sdf": SdfText, "mujoco": MjcfText}
     if root.tag not in kinds:
@@ -239,10 +237,10 @@ def _read_directives(path: Path, given: Given) -> ModelDescription:
 def _load_directives(
     path: Path, includes: Includes, chain: tuple[Path, ...]
 ) -> tuple[ModelDirectives, list[Path]]:
-    """Return directives of a file that do not add themselves, and the files of all their models.
+    """Return the directives of a file, without circular ones, and the files of all their models.
 
-    Paths are from the folder of the file that they are in. The packages that they name are known to
-    `includes` afterwards.
+    Paths are relative to the folder of their file. Packages that they name are registered in
+    `includes`.
     """
     files, parts = list[Path](), list[ModelDirective]()
     with drake_errors(path):
@@ -270,13 +268,13 @@ def drake_errors(
     how: str = "",
     advice: str = f"Correct the file there. {SUPPORTED_FORMATS}",
 ) -> Iterator[None]:
-    """Turn what Drake raises about a model file into a `ModelError` with Drake's first words.
+    """Convert Drake's exceptions about a model file to a `ModelError` with their first line.
 
-    Drake ends a program that breaks its preconditions, which is SystemExit in Python.
+    A violated precondition in Drake is a SystemExit in Python.
 
     Args:
-        places: For each text that Drake reads in its place, where each line of the text is from.
-        how: How Drake should read it, to be read after its name.
+        places: For each text that Drake reads instead, the location of each of its lines.
+        how: Suffix of the file's name in the message.
     """
     try:
         yield
@@ -285,9 +283,9 @@ def drake_errors(
     except (Exception, SystemExit) as error:
         line = str(error).strip().partition("\n")[0]
         reason = line.rpartition("error: ")[2].removeprefix("ERROR: ")[:300].rstrip(".")
-        place, found = "", _LINE.match(line)
-        if found:
-            text, at = int(found[1] or 0), int(found[2]) - 1
+        place, match = "", _LINE.match(line)
+        if match:
+            text, at = int(match[1] or 0), int(match[2]) - 1
             place = places[text][at] if text < len(places) and at < len(places[text]) else ""
         raise ModelError(
             f"Drake cannot read {place or path}{how}: {reason}.", advice=advice
@@ -296,7 +294,7 @@ def drake_errors(
 
 @contextmanager
 def drake_messages() -> Iterator[list[str]]:
-    """Collect what Drake logs, which would otherwise be printed."""
+    """Collect Drake's log messages, which would otherwise be printed."""
     messages: list[str] = []
 
     def collect(record: logging.LogRecord) -> bool:

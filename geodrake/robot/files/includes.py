@@ -1,6 +1,6 @@
-"""References of model files: ROS packages and includes.
+"""References in model files: ROS packages and includes.
 
-Includes are followed before Drake, which would never end in a circle.
+Includes are resolved before Drake, which would not terminate on circular ones.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from geodrake.robot.files.xml_text import (
 )
 
 _SCENERY = re.compile(r"(?<![a-z])(sun|ground|light|plane)+s?(?![a-z])", re.I)
-_DEEPEST = 30  # files that include each other in a row
+_DEEPEST = 30  # nested includes
 
 
 class Includes:
     """Resolves the includes of a model file.
 
     Args:
-        folders: Package -> folder, which come before those that are found.
-        chain: Files that led to the file, itself the last; none for the first one.
+        folders: Package -> folder, which takes precedence over search.
+        chain: Files that led to the file, itself the last; empty for the first one.
 
     Attributes:
-        packages: The packages that were named on the way.
-        absent: Sentences on suns and grounds that a world includes, and that lead nowhere.
-        missing: Sentences on what else it includes, and leads nowhere: perhaps a part of a robot.
+        packages: Packages named in resolved URLs.
+        absent: Sentences on missing scenery of a world, such as a ground.
+        missing: Sentences on other missing includes, possibly parts of a robot.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class Includes:
         self.absent, self.missing = list[str](), list[str]()
 
     def resolve(self, url: str, folder: Path) -> Path:
-        """Return where a URL, or a path relative to a folder, leads; a file need not be there."""
+        """Return the path of a URL, or of a path relative to a folder; it need not exist."""
         scheme, _, rest = url.rpartition("://")
         if not scheme:
             return folder / rest
@@ -66,12 +66,12 @@ class Includes:
         )
 
     def checked(self, file: Path) -> Path:
-        """Return a file that can be read."""
+        """Return a file after checking that it can be read."""
         what = f"file that {self.path} includes,"
         return regular_file(file, what, ModelError, largest=LARGEST_FILE)
 
     def enter(self, chain: tuple[Path, ...], file: Path) -> tuple[Path, ...]:
-        """Return the files that led to a file, and the file."""
+        """Return the chain extended by a file; raise for circular includes."""
         file = self.checked(file).resolve()
         if file in chain:
             names = " → ".join(path.name for path in (*chain[chain.index(file) :], file))
@@ -81,9 +81,9 @@ class Includes:
         return (*chain, file)
 
     def model_of(self, include: Element) -> tuple[Path, tuple[Path, ...]]:
-        """Return the file of an SDF's include, and the files that led to it, itself the last.
+        """Return the file of an SDF include, and its chain.
 
-        Of a model with several files it is that of the latest version of SDF.
+        Of several files of a model, it is that of the latest SDF version.
         """
         url = include.findtext("uri", "").strip()
         files = _models_of(self.resolve(url, self.path.parent), "://" in url)
@@ -102,22 +102,22 @@ class Includes:
                 except ModelError:
                     world.remove(include)
                     parts = [part for part in url.split("/") if part and not part.isdecimal()]
-                    scenery = _SCENERY.search(parts[-1]) if parts else None  # before its version
+                    scenery = _SCENERY.search(parts[-1]) if parts else None
                     where = place_of(include, self.path)
-                    said = self.absent if scenery else self.missing
-                    said.append(f"{where}: {url} is not found, and is omitted from the world.")
+                    notes = self.absent if scenery else self.missing
+                    notes.append(f"{where}: {url} is not found, and is omitted from the world.")
 
     def insert_elements(self, root: Element, chain: tuple[Path, ...] = ()) -> None:
-        """Replace an MJCF's includes with the contents of the files that they name.
+        """Replace an MJCF's includes by the contents of their files.
 
-        Paths are relative to the folder of the model file, or if nothing is there, of their own.
+        Paths are relative to the folder of the model file, or else to that of their own file.
         """
         chain = chain or (self.path.resolve(),)
         for parent in list(root.iter()):
             for include in parent.findall("include"):
                 name = include.get("file", "")
                 file, beside = self.path.parent / name, chain[-1].parent / name
-                with suppress(OSError):  # of a name that is too long
+                with suppress(OSError):  # for a name that is too long
                     file = beside if beside.exists() and not file.exists() else file
                 below = self.enter(chain, file)
                 included = parse_xml(file)
@@ -136,23 +136,23 @@ def _models_of(place: Path, by_url: bool) -> list[Path]:
     try:
         if not place.is_dir():
             return [place]
-    except OSError:  # of a name that is too long, which whoever opens it tells of
+    except OSError:  # for a name that is too long, reported on opening
         return [place]
     config = place / "model.config"
     if not by_url or not config.exists():
         return [place / "model.sdf"]
     stated = [place / str(sdf.text).strip() for sdf in parse_xml(config).iter("sdf")]
-    return [file for file in stated if file.is_file()] or stated  # one for each version of SDF
+    return [file for file in stated if file.is_file()] or stated  # one per SDF version
 
 
 def _version(root: Element) -> tuple[int, ...]:
-    """Return the version of SDF that a file has."""
+    """Return the SDF version of a file."""
     return tuple(int(word) for word in re.findall(r"\d{1,9}", root.get("version", "")))
 
 
 _URL = re.compile(r"(?:package|model)://([^/\n\"'<>]+)")
 _LARGEST_MANIFEST = 1_000_000  # bytes
-_MOST_FOLDERS = 20_000  # looked through below one entry of ROS_PACKAGE_PATH
+_MOST_FOLDERS = 20_000  # searched below one entry of ROS_PACKAGE_PATH
 _GAZEBO_PATHS = ("GZ_SIM_RESOURCE_PATH", "SDF_PATH", "GAZEBO_MODEL_PATH")
 PACKAGE_ADVICE = (
     "Packages are searched by package.xml or model.config in and beside folders above the model, "
@@ -163,7 +163,7 @@ _MARKERS = frozenset({"AMENT_IGNORE", "CATKIN_IGNORE", "COLCON_IGNORE"})
 
 
 def named_packages(text: str) -> set[str]:
-    """Return names of the packages that URLs in a text lead to."""
+    """Return names of the packages in URLs of a text."""
     return set(_URL.findall(text))
 
 
@@ -175,8 +175,8 @@ def add_packages(
 ) -> None:
     """Register packages: given ones, those around a file, and those on ROS's paths.
 
-    Only those that are asked for are looked up: a manifest that cannot be read does no harm to
-    models that do not need it. One without a manifest may be a folder above the file by its name.
+    Only the named packages are searched, so unreadable manifests of others do no harm. A folder
+    above the file with the package's name needs no manifest.
     """
     for name, folder in (folders or {}).items():
         if not packages.Contains(name):
@@ -195,7 +195,7 @@ def add_packages(
 
 
 def folder_of_package(name: str, path: Path, folders: Mapping[str, Path]) -> Path:
-    """Return the folder of a package that a file names."""
+    """Return the folder of a package named in a file."""
     packages = PackageMap()
     add_packages(packages, path, [name], folders)
     if not packages.Contains(name):
@@ -206,7 +206,7 @@ def folder_of_package(name: str, path: Path, folders: Mapping[str, Path]) -> Pat
 
 
 def _around(path: Path, names: Iterable[str]) -> Iterator[Path]:
-    """Yield folders that may be packages or Gazebo's models of some names, the nearest first."""
+    """Yield folders that may be packages or Gazebo models of some names, the nearest first."""
     for parent in path.resolve().parents:
         yield parent
         yield from (parent / inner / name for inner in ("", "models") for name in names)

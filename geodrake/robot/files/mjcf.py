@@ -1,13 +1,13 @@
-"""MJCF as compiled by MuJoCo: a plain tree that Drake reads alike, and terms beside rigid bodies.
+"""MJCF as compiled by MuJoCo: a plain tree for Drake, and terms other than rigid bodies.
 
-What is not taken is said with its value, and taken out of the copy of the compiled model that the
-robot is compared with (`geodrake.model.other_programs`).
-MuJoCo's forces are (its modeling and XML reference, joint, tendon and option)
+Ignored properties are noted with their values, and removed from the copy of the compiled model with
+which the robot is compared (`geodrake.model.other_programs`). MuJoCo's forces are (see its modeling
+and XML reference: joint, tendon and option)
 
     spring   −(q − q₀) (k + k₁ (q − q₀) + k₂ (q − q₀)²)      damper   −v (d + d₁ |v| + d₂ v²)
 
-and those of a fixed tendon the same in its length Σ cᵢ qᵢ, so that one of a single joint is a
-spring there. Contacts and limits of joints are no part of any model.
+and for a fixed tendon the same in its length Σ cᵢ qᵢ, which for a single joint is a spring there.
+Contacts and limits of joints are not part of models.
 """
 
 from __future__ import annotations
@@ -60,9 +60,9 @@ from geodrake.robot.stated import (
     StatedLength,
     StatedStrut,
 )
-from geodrake.robot.transmission.statements import Coupled, Gear
+from geodrake.robot.transmission.schema import Coupled, Gear
 
-_LEAST_INERTIA = 1e-15  # kg·m², as MuJoCo has it
+_LEAST_INERTIA = 1e-15  # kg·m², as in MuJoCo
 _KINDS = {
     **dict.fromkeys(("stiffness", "stiffnesspoly", "springyield"), "springs"),
     **dict.fromkeys(("damping", "dampingpoly"), "dampers"),
@@ -75,14 +75,14 @@ _OF_BALLS = "damping", "frictionloss", "armature"
 
 
 def fixed_tendon(m: Any, at: int) -> dict[int, float]:
-    """Return joint -> coefficient of a fixed tendon; nothing for a spatial one."""
-    found = dict[int, float]()
+    """Return joint -> coefficient of a fixed tendon; empty for a spatial one."""
+    coefficients = dict[int, float]()
     for k in range(m.tendon_adr[at], m.tendon_adr[at] + m.tendon_num[at]):
         if int(m.wrap_type[k]) != load_mujoco().mjtWrap.mjWRAP_JOINT:
             return {}
         joint = int(m.wrap_objid[k])
-        found[joint] = found.get(joint, 0.0) + float(m.wrap_prm[k])
-    return found
+        coefficients[joint] = coefficients.get(joint, 0.0) + float(m.wrap_prm[k])
+    return coefficients
 
 
 def actuator_shares(m: Any, at: int) -> dict[int, float]:
@@ -97,10 +97,10 @@ def actuator_shares(m: Any, at: int) -> dict[int, float]:
 
 
 class MjcfTerms:
-    """Terms of a compiled MJCF, by names in a model; `reference` and `closing` as in `MjcfText`."""
+    """Terms of a compiled MJCF by scoped names; see `MjcfText` for `reference` and `closing`."""
 
     def __init__(self, source: CompiledMjcf, scope: str) -> None:
-        """Take all that is stated out of a compiled file."""
+        """Read the terms of a compiled file."""
         self.mujoco, self.m, self.scope = load_mujoco(), source.model, scope
         self.source = source
         self.reference, self.closing = copy.copy(source.model), list[int]()
@@ -120,26 +120,26 @@ class MjcfTerms:
         self._take_tendons()
         self._take_actuators()
         if self.springs or self.dampers:
-            self._take_gravcomp()  # without both, MuJoCo has no passive forces at all
+            self._take_gravcomp()  # with both disabled, MuJoCo has no passive forces at all
             self._take_medium()
         if not self._disabled(off.mjDSBL_EQUALITY, off.mjDSBL_CONSTRAINT):
             self._take_equalities()
         if count := int((~np.asarray(self.m.flex_rigid, bool)).sum()):
-            self._leave(f"<flex> of {count} deformable bodies: their elasticity")
+            self._ignore(f"<flex> of {count} deformable bodies: their elasticity")
         self.found.notes += source.said
         self.reference.opt.disableflags |= int(off.mjDSBL_CONSTRAINT)
 
     def _disabled(self, *flags: Any) -> bool:
         return any(self.m.opt.disableflags & int(flag) for flag in flags)
 
-    def _leave(self, what: str, kind: str = "", at: int = 0, *, of_base: bool = False) -> None:
-        """Note that something is left out, and where it is in the file."""
+    def _ignore(self, what: str, kind: str = "", at: int = 0, *, of_base: bool = False) -> None:
+        """Add a note that something is ignored, with its location in the file."""
         said = self.found.of_bases if of_base else self.found.left_out
         where = self._where(kind, at)
         said.append(f"{where}: {what} is ignored." if where else f"{what} is ignored.")
 
     def _where(self, kind: str, at: int) -> str:
-        """Return the file and line of an element, of one without a name by its number."""
+        """Return the file and line of an element, by name or else by index."""
         elements, name = self.source.groups.get(kind, ()), ""
         if kind == "body":
             elements, name = list(self.source.elements.values()), self._name("BODY", at)
@@ -162,7 +162,7 @@ class MjcfTerms:
         return f"{self.scope}::{self._name('BODY', at)}"
 
     def _add(self, shares: Mapping[int, float], **stated: Any) -> None:
-        """Add terms along a length of joints, each with its share."""
+        """Add terms along a length, a linear combination of joints."""
         named = {self._joint(joint): share for joint, share in shares.items()}
         self.found.lengths.append(StatedLength(named, **stated))
 
@@ -202,7 +202,7 @@ class MjcfTerms:
                     self.found.notes.append(f"{what}, not about its own as in MuJoCo.")
                 if int(m.body_jntnum[m.jnt_bodyid[joint]]) == 1:
                     self._take_ball(joint, has)
-            self._leave_rest("joint", joint, has, where, of_base=count == _FREE)
+            self._ignore_rest("joint", joint, has, where, of_base=count == _FREE)
 
     def _take_ball(self, joint: int, has: dict[str, Array]) -> None:
         """Read the spring of the only joint of a body, a ball."""
@@ -227,15 +227,12 @@ class MjcfTerms:
             has = self._numbers(where)
             self._take_along(name, fixed_tendon(m, at), has, length)
             self._take_strut(at, has, length)
-            self._leave_rest("tendon", at, has, where)
+            self._ignore_rest("tendon", at, has, where)
 
     def _take_along(
         self, name: str, shares: dict[int, float], has: dict[str, Array], length: float | None
     ) -> None:
-        """Read all effects along a length Σ c q from its values, given L₀.
-
-        What is taken is zero in `has` afterwards.
-        """
+        """Read all effects along a length Σ c q with rest length L₀, and set them to 0 in `has`."""
         shares = {joint: share for joint, share in shares.items() if share}
         if not shares or any(self._velocities(joint) > 1 for joint in shares):
             return
@@ -248,7 +245,7 @@ class MjcfTerms:
         pairs = combinations_with_replacement(shares, 2) if inertia and not single else ()
         for one, other in pairs:
             chains = [set(chain_to_world(self.m, int(self.m.jnt_bodyid[j]))) for j in (one, other)]
-            if chains[0] <= chains[1] or chains[1] <= chains[0]:  # others MuJoCo has not
+            if chains[0] <= chains[1] or chains[1] <= chains[0]:  # MuJoCo omits other entries
                 own = self._joint(one), self._joint(other), inertia * shares[one] * shares[other]
                 self.found.coupled_inertia.append(own)
         self._add(
@@ -261,7 +258,7 @@ class MjcfTerms:
         )
 
     def _take_strut(self, at: int, has: dict[str, Array], length: float | None) -> None:
-        """Read spring and damper of a tendon over sites whose length changes between only two."""
+        """Read spring and damper of a tendon over sites with only one part of variable length."""
         m, data = self.m, self.mujoco.MjData(self.m)
         parts = self._parts(at)
         moving = [part for part in parts if len(set(m.body_weldid[m.site_bodyid[part[0]]])) > 1]
@@ -284,24 +281,24 @@ class MjcfTerms:
         self.found.struts.append(strut)
 
     def _parts(self, at: int) -> list[tuple[list[int], float]]:
-        """Return each two sites in a row of a tendon over sites and pulleys, and what they count.
+        """Return consecutive pairs of sites of a tendon over sites and pulleys, with weights.
 
-        Nothing of a tendon that touches anything else.
+        The result is empty for a tendon over anything else.
         """
         m, kinds, first = self.m, self.mujoco.mjtWrap, int(self.m.tendon_adr[at])
-        found, share, last = list[tuple[list[int], float]](), 1.0, -1
+        parts, share, last = list[tuple[list[int], float]](), 1.0, -1
         for k in range(first, first + int(m.tendon_num[at])):
-            kind, own = int(m.wrap_type[k]), int(m.wrap_objid[k])
+            kind, site = int(m.wrap_type[k]), int(m.wrap_objid[k])
             if kind == kinds.mjWRAP_PULLEY:
                 share, last = 1.0 / float(m.wrap_prm[k]), -1
                 continue
             if kind != kinds.mjWRAP_SITE:
                 return []
-            found += [([last, own], share)] if last >= 0 else []
-            last = own
-        return found
+            parts += [([last, site], share)] if last >= 0 else []
+            last = site
+        return parts
 
-    def _leave_rest(
+    def _ignore_rest(
         self,
         kind: str,
         at: int,
@@ -310,20 +307,20 @@ class MjcfTerms:
         *,
         of_base: bool = False,
     ) -> None:
-        """Note what remains of an element, and remove it from the reference."""
+        """Add a note on remaining values of an element, and remove them from the reference."""
         words = {key: " ".join(f"{x:g}" for x in value) for key, value in has.items()}
         parts = [f"{key} {words[key]}" for key, value in has.items() if value.any()]
         if parts:
             what = self._name(kind.upper(), at).removeprefix(f"{kind} ")
             with_what = f"{kind.capitalize()} {what} with {', '.join(parts)}"
-            self._leave(with_what, kind, at, of_base=of_base)
+            self._ignore(with_what, kind, at, of_base=of_base)
         for key, value in has.items():
             if value.any() and key != "frictionloss":
                 table, rows = where(key)
                 getattr(self.reference, table)[rows] = 0.0
 
     def _take_actuators(self) -> None:
-        """Limits of efforts, and the armature and damping that motors add to joints."""
+        """Read effort limits, and armature and damping of motors."""
         m, on_tendon = self.m, self.mujoco.mjtTrn.mjTRN_TENDON
         for at in range(len(m.actuator_trntype)):
             name, shares = self._name("ACTUATOR", at), actuator_shares(m, at)
@@ -333,14 +330,14 @@ class MjcfTerms:
             if shares and int(m.actuator_trntype[at]) != on_tendon:
                 ((on, gear),) = shares.items()
                 self._limit_of_motor(at, on, gear)
-                more = [gear**2 * c for c in _pop(has, "dampingpoly")]  # not gear³, as of tendons
+                more = [gear**2 * c for c in _pop(has, "dampingpoly")]  # gear³ for tendons
                 self._add({on: 1.0}, damping=_three([0.0, *more]))
             self._take_along(name, shares, has, None)
-            self._leave_rest("actuator", at, has, where)
+            self._ignore_rest("actuator", at, has, where)
             self._note_motor(at, name)
 
     def _note_motor(self, at: int, name: str) -> None:
-        """Note cogging and friction inside of a motor, which MuJoCo has in the effort itself."""
+        """Add a note on cogging and friction of a motor, which MuJoCo includes in its effort."""
         kind = getattr(self.mujoco.mjtBias, "mjBIAS_DCMOTOR", None)  # from version 4 on
         if kind is not None and int(self.m.actuator_biastype[at]) == int(kind):
             inside = zip(("cogging", "friction"), self.m.actuator_biasprm[at][[0, 3]], strict=True)
@@ -367,16 +364,16 @@ class MjcfTerms:
             self._limit(joint, min(abs(gear) * float(np.abs(each).max()) for each in ranges))
 
     def _take_gravcomp(self) -> None:
-        """Compensation of the weight of all moving bodies alike is less gravity."""
+        """Read gravity compensation; a uniform one is reduced gravity."""
         m = self.m
         gravity = np.asarray(self.found.gravity)
-        if not np.any(m.body_gravcomp > 0.0) or not gravity.any():  # as MuJoCo counts
+        if not np.any(m.body_gravcomp > 0.0) or not gravity.any():  # as in MuJoCo
             return
         moving = [b for b in range(m.nbody) if m.body_weldid[b] and m.body_mass[b] > 0.0]
         shares = m.body_gravcomp[moving]
         by_motors = np.asarray(m.jnt_actgravcomp).astype(bool)
         if by_motors.all():
-            return  # as MuJoCo counts it among the efforts of the actuators
+            return  # MuJoCo includes it in the efforts of the actuators
         if len(shares) and np.ptp(shares) == 0.0 and not by_motors.any():
             self.found.gravity = gravity * (1.0 - float(shares[0]))
             self.found.notes.append(
@@ -418,11 +415,11 @@ class MjcfTerms:
     ) -> None:
         density, viscosity = medium.tolist()
         wind, name = np.array(self.m.opt.wind), self._body(body)
-        own = InMedium(name, size, X_BP, density, viscosity, wind, tuple(coefficients))
-        self.found.in_medium.append(own)
+        term = InMedium(name, size, X_BP, density, viscosity, wind, tuple(coefficients))
+        self.found.in_medium.append(term)
 
     def _semi_axes(self, geom: int) -> Array:
-        """Return the semi-axes (3,) of the ellipsoid that a geom counts as, m."""
+        """Return the semi-axes (3,) of the equivalent ellipsoid of a geom, m."""
         kinds, kind = self.mujoco.mjtGeom, int(self.m.geom_type[geom])
         a, b, c = self.m.geom_size[geom].tolist()
         sizes = {
@@ -455,7 +452,7 @@ class MjcfTerms:
                 (kind in ("connect", "weld") and self._close(at, f"<{kind}> of {what}"))
                 or (kind == "tendon" and self._follow_tendon(first, second, data[:5]))
             ):
-                self._leave(
+                self._ignore(
                     f"<equality>: the constraint <{kind}> of {what}, which closes a loop or "
                     "holds something (the robot is read as an open tree),",
                     "equality",
@@ -464,28 +461,28 @@ class MjcfTerms:
                 )
 
     def _holds_base(self, at: int) -> bool:
-        """Return whether a weld holds a free base, which matters where that is left free."""
+        """Return whether a weld fixes a free base."""
         ends = [body for body, _ in closed_frames(self.m, at)]
         moved = [each for each in ends if each and self.m.body_mocapid[each] < 0]
         return len(moved) == 1 and self._free_root(moved[0]) == moved[0]
 
     def _close(self, at: int, name: str) -> bool:
-        """Return whether a constraint of points or frames closes a loop of the robot.
+        """Add the closure by a constraint; return whether it is within one robot.
 
-        It does not where it holds what is free: a body on a table, say.
+        It is not if it holds something free, such as a body on a table.
         """
         m, ends = self.m, closed_frames(self.m, at)
         if len({self._free_root(body) for body, _ in ends}) > 1:
             return False
         one, two = (self._body(body) if body else WORLD for body, _ in ends)
         welds = int(m.eq_type[at]) == self.mujoco.mjtEq.mjEQ_WELD
-        turns = bool(welds and m.eq_data[at][10] != 0.0)  # the scale of the torque
+        turns = bool(welds and m.eq_data[at][10] != 0.0)  # scale of the torque
         self.found.closures.append(Closure(name, (one, two), (ends[0][1], ends[1][1]), turns))
         self.closing.append(at)
         return True
 
     def _free_root(self, body: int) -> int:
-        """Return the free body, or one that is moved from outside, at or above one; else 0."""
+        """Return a body or its ancestor that is free or a mocap body; otherwise 0."""
         m, free = self.m, self.mujoco.mjtJoint.mjJNT_FREE
         for each in chain_to_world(m, body):
             joints = range(m.body_jntadr[each], m.body_jntadr[each] + m.body_jntnum[each])
@@ -495,7 +492,7 @@ class MjcfTerms:
         return 0
 
     def _follow_tendon(self, first: int, second: int, data: Array) -> bool:
-        """Return whether L − L₀ = a₀ + a₁ (M − M₀) of fixed tendons has a joint follow another."""
+        """Add a tie for L − L₀ = a₀ + a₁ (M − M₀) of fixed tendons; return whether it is one."""
         m = self.m
         shares = fixed_tendon(m, first)
         length = float(m.tendon_length0[first]) + float(data[0])
@@ -509,7 +506,7 @@ class MjcfTerms:
         several = any(self._velocities(joint) > 1 for joint in shares)
         if len(shares) != 2 or np.any(data[2:]) or several:
             return False
-        # A joint that a motor drives leads; otherwise the first.
+        # A driven joint leads; otherwise the first.
         on_what, motors = self.mujoco.mjtTrn, zip(m.actuator_trnid, m.actuator_trntype, strict=True)
         at_joints = (on_what.mjTRN_JOINT, on_what.mjTRN_JOINTINPARENT)
         driven = {int(on[0]) for on, kind in motors if int(kind) in at_joints}
@@ -517,9 +514,9 @@ class MjcfTerms:
         return self._tie(own, leader, length / shares[own], -shares[leader] / shares[own])
 
     def _tie(self, own: int, leader: int, *coefficients: float) -> bool:
-        """Have a joint follow another one, or if the ratio is constant that one the first.
+        """Let a joint follow another one, or vice versa if the ratio is constant.
 
-        False if both follow something already, or each other.
+        Return False if both follow a joint already, or each other.
         """
         ways = [(own, leader, coefficients)]
         if len(coefficients) == 2 and coefficients[1]:
@@ -527,7 +524,7 @@ class MjcfTerms:
         for first, second, each in ways:
             name, end = self._joint(first), self._joint(second)
             ties = self.found.followers
-            while end in ties:  # which lead nowhere back
+            while end in ties:  # ties have no cycles
                 end = ties[end].leader
             if name not in ties and end != name:
                 ties[name] = Tie(self._joint(second), each)
@@ -535,7 +532,7 @@ class MjcfTerms:
         return False
 
     def _follow(self, at: int, first: int, second: int, data: Array) -> None:
-        """Take that Y − y₀ = p(x − x₀), y₀ and x₀ at the file's own pose."""
+        """Add the tie Y − y₀ = p(x − x₀), with y₀ and x₀ in the pose of the file."""
         starts = [float(self.m.qpos0[self.m.jnt_qposadr[j]]) for j in (first, second)]
         if not data[1:].any():
             self.found.fixed[self._joint(first)] = starts[0] + float(data[0])
@@ -547,7 +544,7 @@ class MjcfTerms:
         moved[0] += starts[0]
         if not self._tie(first, second, *moved.tolist()):
             name = self._name("JOINT", first)
-            self._leave(
+            self._ignore(
                 f"<equality>: the constraint <joint> of {name} and "
                 f"{self._name('JOINT', second)}, as {name} already follows or leads a joint,",
                 "equality",
@@ -556,7 +553,7 @@ class MjcfTerms:
 
 
 def _rows_of(thing: str, at: int) -> Callable[[str], tuple[str, slice]]:
-    """Return in which table, and in which rows of it, a tendon or an actuator has a kind."""
+    """Return a function from a property of a tendon or an actuator to its table and rows."""
     return lambda key: (f"{thing}_{key}", slice(at, at + 1))
 
 
@@ -567,7 +564,7 @@ def _row(m: Any, name: str, rows: slice) -> Array:
 
 
 def _pop(has: dict[str, Array], key: str) -> list[float]:
-    """Return the numbers of a kind, which are zero afterwards."""
+    """Return the numbers of a property, and set them to zero."""
     values, has[key] = has[key], np.zeros_like(has[key])
     return [float(value) for value in values]
 
@@ -578,17 +575,17 @@ def _three(values: Sequence[float]) -> tuple[float, float, float]:
 
 
 class MjcfText(ModelText):
-    """A MuJoCo model, as MuJoCo compiles it.
+    """A MuJoCo model as compiled by MuJoCo.
 
-    The text is one plain tree of bodies, each with its inertia and joints, which has no geometry.
+    The text is a plain tree of bodies with inertias and joints, without geometry.
 
     Attributes:
-        compiled: MuJoCo's model of all of the file.
-        reference: MuJoCo's model without what is left out, which robots are compared with; None
-            where inertias are lost.
-        closing: Numbers of MuJoCo's constraints that close loops.
+        compiled: MuJoCo's model of the whole file.
+        reference: MuJoCo's model without ignored properties, for comparison; None if inertias are
+            unknown.
+        closing: Indices of MuJoCo's constraints that close loops.
         degrees: Whether angles in the file are in degrees, as by default.
-        timestep: Step of the simulation, s; MuJoCo's own where the file states none that can be.
+        timestep: Time step of the simulation, s; MuJoCo's default if the file has no valid one.
         actuator_defaults: Whether actuators without a class have defaults other than MuJoCo's.
     """
 
@@ -633,10 +630,10 @@ class MjcfText(ModelText):
 
 
 def plain_tree(source: CompiledMjcf, name: str) -> Element:
-    """Return the root element of bodies with inertias and joints, and motors.
+    """Return the root element of a tree of bodies with inertias and joints, and motors.
 
-    Angles are in radians. Positions are MuJoCo's: a joint that the file draws at `ref` has the
-    pose of its body turned back by that.
+    Angles are in radians. Positions are MuJoCo's: if the file's pose has a joint at `ref`, the pose
+    of its body is moved back by that.
     """
     root, m = Element("mujoco", model=name), source.model
     SubElement(root, "compiler", angle="radian")
@@ -646,7 +643,7 @@ def plain_tree(source: CompiledMjcf, name: str) -> Element:
     load_mujoco().mj_kinematics(m, data)
     poses, axes = data.xmat.reshape(-1, 3, 3), data.ximat.reshape(-1, 3, 3)
     inertias = (axes * m.body_inertia[:, None]) @ axes.swapaxes(1, 2)  # in the world
-    for at in np.flatnonzero(m.body_mass == 0.0).tolist():  # what <compiler boundinertia> gives
+    for at in np.flatnonzero(m.body_mass == 0.0).tolist():  # inertia by <compiler boundinertia>
         welded = int(m.body_weldid[at])
         massless[welded] = massless.get(welded, 0.0) + inertias[at]
     for at in range(1, m.nbody):
@@ -684,12 +681,12 @@ def _body(parent: Element, name: str, X: RigidTransform, like: Element | None) -
     """Add a body of the compiled file to its parent."""
     turn = words(X.rotation().ToQuaternion().wxyz())
     stated = {"name": name, "pos": words(X.translation()), "quat": turn}
-    made = Element("body", stated)
+    body = Element("body", stated)
     if isinstance(like, LocatedElement):
-        made = located = LocatedElement("body", stated)
+        body = located = LocatedElement("body", stated)
         located.path, located.line = like.path, like.line
-    parent.append(made)
-    return made
+    parent.append(body)
+    return body
 
 
 def _kind(m: Any, joint: int) -> str:
@@ -706,13 +703,13 @@ def _write_joint(body: Element, m: Any, joint: int) -> None:
     if kind != "ball":
         stated |= {"axis": words(m.jnt_axis[joint])}
         if m.jnt_limited[joint] and np.isfinite(m.jnt_range[joint]).any():
-            ends = np.clip(m.jnt_range[joint], -LARGEST, LARGEST)  # Drake reads no infinity
+            ends = np.clip(m.jnt_range[joint], -LARGEST, LARGEST)  # Drake cannot read infinity
             stated |= {"range": words(ends), "limited": "true"}
     SubElement(body, "joint", stated)
 
 
 def _back(m: Any, joint: int) -> RigidTransform:
-    """Return the rotation of a body from its drawn pose to its joint's zero."""
+    """Return the motion of a body from its pose in the file to its joint's zero."""
     kind, ref = _kind(m, joint), float(m.qpos0[m.jnt_qposadr[joint]])
     if kind not in ("hinge", "slide") or not ref:
         return RigidTransform()
@@ -724,7 +721,7 @@ def _back(m: Any, joint: int) -> RigidTransform:
 
 
 def _motors(m: Any, path: Path) -> tuple[Gear | Coupled, ...]:
-    """Return the transmissions of actuators: gears, q = γ θ, and fixed tendons, q = γ Σ cᵢ θᵢ."""
+    """Return the transmissions of actuators: gears, q = γ θ, or fixed tendons, q = γ Σ cᵢ θᵢ."""
     gears, pulled = list[Gear](), dict[str, dict[str, float]]()
     for at in range(len(m.actuator_trntype)):
         if not (shares := {m.joint(j).name: x for j, x in actuator_shares(m, at).items()}):
@@ -742,7 +739,7 @@ def _motors(m: Any, path: Path) -> tuple[Gear | Coupled, ...]:
 
 
 def _coupled(pulled: Mapping[str, Mapping[str, float]], path: Path) -> Iterator[Coupled]:
-    """Groups of joints that tendons move together, θ = C⁻¹ q of q = C θ."""
+    """Yield groups of joints that tendons move together, θ = C⁻¹ q for q = C θ."""
     left = dict(pulled)
     while left:
         group, joints = [next(iter(left))], set(left[next(iter(left))])

@@ -1,11 +1,11 @@
 """MJCF compiled by MuJoCo, which defines the format.
 
-MuJoCo gets texts and bytes that geodrake has read, under keys of their own, so that it opens no
-file itself: includes are put in their places, and meshes and attached models are named anew.
+MuJoCo opens no file itself. geodrake reads all files and passes them under keys: includes are
+inserted, and meshes and attached models are renamed.
 
-Ball joints of closed loops become three hinges, as a loop's joints have one coordinate. The last
-one turns about the way to the point at which the loop is closed: a rod with balls at both ends
-turns about itself, which moves nothing else.
+Ball joints of closed loops become three hinges, because a loop's joints need one coordinate each.
+The last hinge points to the closing point of the loop: a rod with balls at both ends turns about
+its own axis without moving anything else.
 """
 
 from __future__ import annotations
@@ -34,35 +34,35 @@ from geodrake.robot.files.xml_text import LARGEST_FILE, numbered_text, parse_xml
 _NO_DYNAMICS = (
     *("sensor", "keyframe", "visual", "statistic", "custom", "contact", "camera", "light"),
     *("skin", "texture", "layer"),
-    "size",  # which would ask for memory
+    "size",  # would allocate memory
 )
 _OF_ACTUATORS = {
     *("name", "class", "group", "ctrlrange", "forcerange", "ctrllimited", "forcelimited", "gear"),
     *("joint", "jointinparent", "tendon", "site", "refsite", "cranksite", "slidersite"),
     *("cranklength", "body", "armature", "damping", "lengthrange"),
 }
-"""Attributes of an actuator with a plugin that others have, too."""
+"""Attributes that actuators with a plugin share with others."""
 
 _FOLDERS = ("meshdir", "assetdir", "texturedir", "strippath")
 _MESHES = (".obj", ".stl", ".msh")
-_MOST_MADE = 20_000  # things that one element makes, with those around it
-_DEEPEST, _MOST_MODELS = 30, 300  # models attached to models, and of all of them
-_OF_BALLS = ("armature", "frictionloss", "damping")  # that each hinge has, which is about the same
+_MOST_MADE = 20_000  # copies or bodies made by one element and its ancestors
+_DEEPEST, _MOST_MODELS = 30, 300  # nesting and number of attached models
+_OF_BALLS = ("armature", "frictionloss", "damping")  # copied to each hinge, as an approximation
 _SUFFIXES = ("_1", "_2", "_spin")
 
-_ONE_AT_A_TIME = threading.RLock()  # as where warnings go is one place of the whole process
+_ONE_AT_A_TIME = threading.RLock()  # the handler of warnings is global
 _COUNT = re.compile(r"[-+]?\d{1,20}(\.\d*)?")
 _LINE = re.compile(r",? *line (\d+)")
 
 
 def load_mujoco() -> Any:
-    """Return MuJoCo, which takes a moment to import."""
+    """Return MuJoCo, imported on demand as it is slow to import."""
     return importlib.import_module("mujoco")
 
 
 @contextmanager
 def quiet_mujoco() -> Iterator[list[str]]:
-    """Collect MuJoCo's warnings, which it would print, and write into a file where it runs."""
+    """Collect MuJoCo's warnings, which it would otherwise print and write to a file."""
     mujoco, said = load_mujoco(), list[str]()
     with _ONE_AT_A_TIME:
         before = mujoco.get_mju_user_warning()
@@ -81,23 +81,23 @@ class CompiledMjcf:
 
     Attributes:
         model: MuJoCo's model.
-        elements: Names of bodies -> their elements in the file; without those made by MuJoCo.
+        elements: Body name -> element in the file, without bodies made by MuJoCo.
         groups: Tendons, actuators, equalities and joints of the file itself, in order.
         said: MuJoCo's warnings.
-        notes: Sentences on ball joints that are three hinges.
-        left_out: Sentences on what such joints are without, and on plugins.
-        unknown: Names of bodies whose inertia follows from meshes that are not there alone.
-        lost: Sentences on meshes that are not there.
-        touching: Names of bodies of whose meshes that are not there some touch others.
+        notes: Sentences on ball joints that became three hinges.
+        left_out: Sentences on ignored properties of such joints, and on plugins.
+        unknown: Names of bodies whose inertia depends only on missing meshes.
+        lost: Sentences on missing meshes.
+        touching: Names of bodies with missing meshes for collisions.
     """
 
     def __init__(self, root: Element, path: Path, *, geoms: bool = False) -> None:
-        """Compile a file; with geoms that have no part in inertias, for pictures and collisions."""
+        """Compile a file; with `geoms`, keep geoms that do not affect inertias, too."""
         self.path, self.geoms = path, geoms
         self.models, self.meshes = dict[str, bytes](), dict[str, Path]()
         self.notes, self.left_out, self.lost = list[str](), list[str](), list[str]()
         self.unknown, self.touching, self.wrapped = set[str](), list[str](), set[str]()
-        self._angles = set[tuple[str, str]]()  # how each of the models writes them
+        self._angles = set[tuple[str, str]]()  # conventions of the models
         fuses = any(each.get("fusestatic") == "true" for each in root.findall("compiler"))
         self._prepare(root, path, "", (path.resolve(),))
         if fuses and len(self._angles) > 1:
@@ -119,7 +119,7 @@ class CompiledMjcf:
             spec.compiler.usethread = False
             spec.compiler.LRopt.mode = int(load_mujoco().mjtLRMode.mjLRMODE_NONE)  # of muscles
             free = unused({joint.name for joint in spec.joints})
-            for body in spec.bodies:  # whose joints MuJoCo may have made
+            for body in spec.bodies:  # MuJoCo may have made joints
                 for i, joint in enumerate(body.joints):
                     joint.name = joint.name or free(f"{body.name}_joint_{i}")
             if not geoms:
@@ -129,7 +129,7 @@ class CompiledMjcf:
             if self._split_balls(spec):
                 self.model = spec.compile()
         m = self.model
-        m.opt.enableflags = 0  # with invdiscrete, efforts would be those of a step
+        m.opt.enableflags = 0  # with invdiscrete, efforts would be those of a time step
         tables = m.body_mass, m.body_ipos, m.body_inertia, m.body_iquat, m.body_pos, m.body_quat
         for at in range(m.nbody):
             if not all(np.isfinite(table[at]).all() for table in tables):
@@ -171,7 +171,7 @@ class CompiledMjcf:
         return _bodies_of(root, path, sizes)
 
     def _take_plugins(self, root: Element) -> None:
-        """Remove plugins, with a note on those that are used; those of actuators are motors."""
+        """Remove plugins, with notes on those in use; actuators with plugins become motors."""
         drop(root, "extension")
         for plugin in [plugin for group in root.findall("actuator") for plugin in group]:
             if plugin.tag == "plugin":
@@ -207,7 +207,7 @@ class CompiledMjcf:
         return size
 
     def _name_mesh(self, element: Element, path: Path, folders: Sequence[str]) -> None:
-        """Names a mesh's file by a key, and the mesh itself as MuJoCo would."""
+        """Replace a mesh's file by a key, and name the mesh as MuJoCo would."""
         place, strip = Path(element.get("file", "")), folders[1] == "true"
         place = Path(place.name) if strip else place
         if element.tag == "mesh":
@@ -217,15 +217,15 @@ class CompiledMjcf:
         element.set("file", key)
 
     def _drop_idle_geoms(self, spec: Any) -> None:
-        """Drop geoms that have no part in inertias or media, whose meshes need not be there."""
+        """Drop geoms that do not affect inertias or media, as their meshes may be missing."""
         always = load_mujoco().mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
         if any(geom.fluid_ellipsoid for geom in spec.geoms):
             return
         for body in spec.bodies:
-            compiler = getattr(body, "compiler", spec.compiler)  # that of its own file, if known
+            compiler = getattr(body, "compiler", spec.compiler)  # of the body's file, if known
             stated = body.explicitinertial and compiler.inertiafromgeom != always
             for geom in list(body.geoms) if stated or body.name == "world" else ():
-                if not geom.name.endswith(tuple(self.wrapped)):  # after a prefix, where attached
+                if not geom.name.endswith(tuple(self.wrapped)):  # attached ones have a prefix
                     spec.delete(geom)
 
     def _take_meshes(self, spec: Any) -> None:
@@ -247,12 +247,12 @@ class CompiledMjcf:
 
     @contextmanager
     def _refusals(self, places: Sequence[str]) -> Iterator[None]:
-        """Convert MuJoCo's exceptions to a `ModelError` with its words, the file and the line."""
+        """Convert MuJoCo's exceptions to a `ModelError` with its message, file and line."""
         try:
             yield
         except (ModelError, OSError, MemoryError):
             raise
-        except Exception as error:  # ValueError, and FatalError of MuJoCo's own
+        except Exception as error:  # ValueError, or MuJoCo's FatalError
             words = " ".join(str(error).split())[:400]
             found = _LINE.findall(words)
             at = int(found[-1]) - 1 if found else -1
@@ -264,7 +264,7 @@ class CompiledMjcf:
             raise _wrong(what) from error
 
     def _take_out(self, spec: Any, absent: dict[str, Path]) -> None:
-        """Remove missing meshes and their geoms, with notes on inertias, and on shapes if shown."""
+        """Remove missing meshes and their geoms, with notes on inertias and shown shapes."""
         always = load_mujoco().mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
         by_geoms, heavy, seen = spec.compiler.inertiafromgeom == always, list[str](), list[str]()
         low, high = spec.compiler.inertiagrouprange
@@ -337,17 +337,17 @@ def _wrong(words: str) -> ModelError:
 
 
 def _take_folders(root: Element) -> tuple[str, str]:
-    """Return the folder of meshes, and whether names of files keep theirs; settles the rest."""
-    found = dict.fromkeys(_FOLDERS, "")
+    """Remove settings of folders and simplifications; return the mesh folder and `strippath`."""
+    settings = dict.fromkeys(_FOLDERS, "")
     for compiler in root.findall("compiler"):
         for key in _FOLDERS:
-            found[key] = compiler.attrib.pop(key, found[key])
-        # Bodies keep their names and frames, whatever makes a simulation faster.
+            settings[key] = compiler.attrib.pop(key, settings[key])
+        # Simplifications for speed would change names and frames of bodies.
         for key in ("fusestatic", "alignfree", "discardvisual", "usethread"):
             compiler.attrib.pop(key, None)
         if not compiler.attrib:
             root.remove(compiler)
-    return found["meshdir"] or found["assetdir"], found["strippath"]
+    return settings["meshdir"] or settings["assetdir"], settings["strippath"]
 
 
 def _name_bodies(root: Element, prefix: str) -> None:
@@ -367,7 +367,7 @@ def _name_bodies(root: Element, prefix: str) -> None:
 
 
 def own_frames(body: Element) -> Iterator[Element]:
-    """Yield the frames and replicates of a body, those in frames included."""
+    """Yield the frames and replicates of a body, including nested ones."""
     for child in body:
         if child.tag in ("frame", "replicate"):
             yield child
@@ -375,7 +375,7 @@ def own_frames(body: Element) -> Iterator[Element]:
 
 
 def own_joints(body: Element) -> Iterator[Element]:
-    """Yield the joints of a body, those in frames included."""
+    """Yield the joints of a body, including those in frames."""
     for child in body:
         if child.tag == "joint":
             yield child
@@ -396,13 +396,13 @@ def unused(taken: set[str | None]) -> Callable[[str], str]:
 
 
 def _bodies_of(root: Element, path: Path, sizes: Mapping[str, float]) -> float:
-    """Return the number of bodies that MuJoCo makes of a file; raise if it is too large.
+    """Return the number of bodies after replication and attachment; raise if it is too large.
 
-    Models that may be attached have `sizes`.
+    `sizes` has the numbers of bodies of models that may be attached.
     """
-    found, total = [(root, 1.0)], 0.0  # elements, and how many are made of what is around each
-    while found:
-        element, made = found.pop()
+    pending, total = [(root, 1.0)], 0.0  # elements and their numbers of copies
+    while pending:
+        element, made = pending.pop()
         for word in element.get("count", "").split():
             made *= abs(float(word)) if _COUNT.fullmatch(word) else 1.0
         if element.tag in ("body", "attach"):
@@ -412,14 +412,14 @@ def _bodies_of(root: Element, path: Path, sizes: Mapping[str, float]) -> float:
             what = f"with <{element.tag}> there are {total:.0f} bodies"
         if max(made, total) > _MOST_MADE:
             raise wrong_at(element, path, f"{what}; geodrake reads up to {_MOST_MADE}.")
-        found += [(child, made) for child in element]
+        pending += [(child, made) for child in element]
     return total
 
 
 def _balls(m: Any) -> dict[int, Array]:
-    """Number of a ball joint of a closed loop -> axis in its body to where the loop is closed."""
+    """Return index of a ball joint in a closed loop -> axis to the closing point, in its body."""
     mujoco = load_mujoco()
-    data, found = mujoco.MjData(m), dict[int, Array]()
+    data, axes = mujoco.MjData(m), dict[int, Array]()
     mujoco.mj_kinematics(m, data)
     connect, weld = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
     off = mujoco.mjtDisableBit.mjDSBL_EQUALITY, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
@@ -435,18 +435,18 @@ def _balls(m: Any) -> dict[int, Array]:
             if m.body_jntnum[body] == 1 and int(m.jnt_type[joint]) == mujoco.mjtJoint.mjJNT_BALL:
                 arm = data.xmat[body].reshape(3, 3).T @ (end - data.xanchor[joint])
                 size = float(np.linalg.norm(arm))
-                found[joint] = arm / size if size > 0.0 else np.array([0.0, 0.0, 1.0])
-    return found
+                axes[joint] = arm / size if size > 0.0 else np.array([0.0, 0.0, 1.0])
+    return axes
 
 
 def closed_frames(m: Any, at: int) -> list[tuple[int, RigidTransform]]:
-    """Return the two bodies of a <connect> or <weld>, and the poses in them of what is one."""
+    """Return the two bodies of a <connect> or <weld>, and the coincident frames in them."""
     mujoco, data = load_mujoco(), m.eq_data[at]
     ends = [int(m.eq_obj1id[at]), int(m.eq_obj2id[at])]
     if int(m.eq_objtype[at]) == mujoco.mjtObj.mjOBJ_SITE:
         poses = [pose_of(m.site_pos[each], m.site_quat[each]) for each in ends]
         ends = [int(m.site_bodyid[each]) for each in ends]
-    elif int(m.eq_type[at]) == mujoco.mjtEq.mjEQ_WELD:  # whose second point stands first
+    elif int(m.eq_type[at]) == mujoco.mjtEq.mjEQ_WELD:  # the second point comes first
         poses = [pose_of(data[3:6], data[6:10]), RigidTransform(data[:3])]
     else:
         poses = [RigidTransform(data[:3]), RigidTransform(data[3:6])]
@@ -454,13 +454,13 @@ def closed_frames(m: Any, at: int) -> list[tuple[int, RigidTransform]]:
 
 
 def pose_of(position: Array, quaternion: Array) -> RigidTransform:
-    """Return the pose of a position (3,), m, and a quaternion w, x, y, z (4,)."""
+    """Return the pose with a position (3,), m, and a quaternion w, x, y, z (4,)."""
     turn = RotationMatrix(Quaternion(np.array(quaternion, float)))
     return RigidTransform(turn, np.array(position))
 
 
 def chain_to_world(m: Any, body: int) -> Iterator[int]:
-    """Yield a body of a compiled model and those that it hangs from, without the world."""
+    """Yield a body of a compiled model and its ancestors, without the world."""
     while body:
         yield body
         body = int(m.body_parentid[body])

@@ -1,8 +1,7 @@
 """Edits of numbers in a URDF, SDF or MJCF file, whose other text is unchanged.
 
-A parsed and rewritten file loses comments, attribute order and white space. So elements know where
-they stand in the bytes of their file (`LocatedElement`), and just the bytes of what is other than
-it was are replaced.
+Rewriting a parsed file would lose comments, attribute order and white space. Therefore elements
+have their byte ranges in the file (`LocatedElement`), and only changed bytes are replaced.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from geodrake.robot.files.xml_text import (
 )
 
 Change = Mapping[str, float]
-"""damping, friction, armature, stiffness and rest of a joint, those that change, SI."""
+"""New values of damping, friction, armature, stiffness and rest of a joint, SI."""
 
 _DRAKE = "http://drake.mit.edu"
 _SDF_TAGS = {
@@ -59,11 +58,11 @@ MOTORS = (
 _PASSIVE: Mapping[str, tuple[str, ...]] = {
     "option": ("density", "viscosity", "wind"),
     "body": ("gravcomp",),
-    "joint": ("springdamper",),  # which would replace stiffness and damping
+    "joint": ("springdamper",),  # would replace stiffness and damping
     **dict.fromkeys(_TENDONS, ("stiffness", "damping", "armature", "frictionloss")),
     **dict.fromkeys(MOTORS, ("armature", "damping")),
 }
-"""Tag of an MJCF -> attributes of forces that are no joint's own."""
+"""Tag of an MJCF -> attributes of forces other than those of single joints."""
 _MJCF_ASSETS = {"mesh": "meshdir", "hfield": "meshdir", "skin": "meshdir", "texture": "texturedir"}
 _MJCF_FILES = ("file", "fileright", "fileleft", "fileup", "filedown", "fileback")
 
@@ -73,14 +72,14 @@ DRAKES_SPRINGS: Mapping[str, str | None] = {
     "drake:prismatic_spring": "nominal_position",
     "drake:linear_spring_damper": None,
 }
-"""Tag of a spring -> where that of a joint is at rest; None for one between two points."""
+"""Tag of a spring -> key of its rest position; None for a spring between two points."""
 
 
 class EditedFile:
     """A URDF, SDF or MJCF with changed elements and otherwise unchanged text."""
 
     def __init__(self, data: bytes, path: Path) -> None:
-        """Parse the text of a file, whose path names it in messages, and a model without a name."""
+        """Parse the text of a file; the path is for messages, and names a model without a name."""
         self._data, self.path, self.root = data, path, parse_xml_bytes(data, path)
         if self.root.tag not in _FORMATS:
             raise ModelError(
@@ -101,10 +100,10 @@ class EditedFile:
         return dict(self._format.links(self.root, self.path))
 
     def set_inertias(self, inertias: Mapping[str, Array]) -> None:
-        """Change inertial parameters (10,), of mass above zero, of links by their scoped names.
+        """Change inertial parameters (10,), with positive mass, of links by scoped name.
 
-        Numbers inside of `inertial` elements change, and what those lack is added; orientations of
-        inertial frames stay, but in MJCF, where a full inertia has none, and is in no <frame>.
+        Numbers in `inertial` elements change, and missing elements are added. Orientations of
+        inertial frames stay, except in MJCF, where a full inertia has none and is not in a <frame>.
         """
         there = self.links
         check_in_itself(inertias, there, self.path)
@@ -115,7 +114,7 @@ class EditedFile:
             self._format.put_inertia(there[name], phi)
 
     def set_joint_numbers(self, changes: Mapping[str, Change]) -> None:
-        """Change numbers of joints by their scoped names."""
+        """Change numbers of joints by scoped name."""
         changes = {name: change for name, change in changes.items() if change}
         there = dict(self._format.joints(self.root, self.path))
         check_in_itself(changes, there, self.path)
@@ -123,15 +122,15 @@ class EditedFile:
             self._format.put_numbers(self.root, there[name], change)
 
     def drop_mass_settings(self) -> bool:
-        """Remove settings with which MuJoCo changes masses; return whether there were any."""
+        """Remove settings by which MuJoCo changes masses; return whether there were any."""
         compilers = self.root.findall("compiler") if self.root.tag == "mujoco" else []
         found = [c.attrib.pop(key, None) for c in compilers for key in _OF_MASSES]
         return any(value is not None for value in found)
 
     def drop_passive_forces(self) -> bool:
-        """Remove tendons, motors, media and gravity compensation from an MJCF, if any.
+        """Remove forces of tendons, motors, media and gravity compensation from an MJCF.
 
-        Joints that state powers of springs keep none of them, and those of dampers the first.
+        Polynomial springs of joints are removed, too, and polynomial dampers become linear.
         """
         found = False
         for element in self.root.iter() if self.root.tag == "mujoco" else ():
@@ -155,10 +154,7 @@ class EditedFile:
     def add_sections(
         self, sections: Mapping[str, Sequence[Element]], joints: Iterable[str]
     ) -> None:
-        """Add sections to an MJCF, after all others; nameless joints in them get names.
-
-        Sections are tags with their elements; empty ones are left out.
-        """
+        """Add nonempty sections, tag -> elements, at the end of an MJCF, and name `joints`."""
         every = _mjcf_joints(self.root, self.path)
         there = {name.rpartition("::")[2]: own for name, own in every}
         check_in_itself(joints, there, self.path)
@@ -169,7 +165,7 @@ class EditedFile:
                 SubElement(self.root, tag).extend(elements)
 
     def move_references(self, folder: Path) -> bool:
-        """Have relative paths lead from a folder to where they led; return whether any differ."""
+        """Make relative paths relative to another folder; return whether any changed."""
         base, there, found = self.path.resolve().parent, Path(os.path.realpath(folder)), False
         for element, attribute in _references(self.root):
             named = element.attrib[attribute] if attribute else (element.text or "").strip()
@@ -186,22 +182,22 @@ class EditedFile:
         return found
 
     def add_comments(self, sentences: Sequence[str]) -> None:
-        """Put comments before all else."""
+        """Add comments at the beginning."""
         self.root[:0] = [Comment(comment_words(sentence)) for sentence in sentences]
 
 
 def put_inertia(root: Element, link: Element, phi: Array) -> None:
-    """Write inertial parameters (10,) into a link of a URDF, SDF or MJCF with a root element."""
+    """Write inertial parameters (10,) into a link of a URDF, SDF or MJCF."""
     _FORMATS[root.tag].put_inertia(link, phi)
 
 
 def put_numbers(root: Element, joint: Element, change: Change) -> None:
-    """Write numbers into a joint of a URDF, SDF or MJCF with a root element."""
+    """Write numbers into a joint of a URDF, SDF or MJCF."""
     _FORMATS[root.tag].put_numbers(root, joint, change)
 
 
 def _references(root: Element) -> Iterator[tuple[Element, str]]:
-    """Yield elements that name files, with the attribute that does; "" for their text."""
+    """Yield elements that name files, with the attribute, or "" for their text."""
     settings = root.findall("compiler") if root.tag == "mujoco" else []
     kinds = ("assetdir", "meshdir", "texturedir")
     folders = {name for each in settings for name in kinds if name in each.attrib}
@@ -220,7 +216,7 @@ def _references(root: Element) -> Iterator[tuple[Element, str]]:
 
 
 def sdf_models(parent: Element, scope: str = "", first: str = "") -> Iterator[tuple[str, Element]]:
-    """Yield models within models and worlds, with their scoped names; of a file's, `first`."""
+    """Yield scoped names and elements of all models; `first` replaces the name of a top model."""
     for model in [*parent.findall("model"), *parent.findall("world/model")]:
         own = model.get("name", "")
         name = f"{scope}::{own}" if scope else first or own
@@ -229,9 +225,9 @@ def sdf_models(parent: Element, scope: str = "", first: str = "") -> Iterator[tu
 
 
 def sdf_joints(root: Element, first: str = "") -> Iterator[tuple[str, str, Element]]:
-    """Yield joints, with the scoped names that an SDF has for them, and those that Drake has.
+    """Yield joints with their scoped names in SDF and in Drake.
 
-    Drake counts a joint among those of the model whose link is its child.
+    In Drake, a joint belongs to the model of its child link.
     """
     for scope, model in sdf_models(root, first=first):
         for joint in model.findall("joint"):
@@ -240,7 +236,7 @@ def sdf_joints(root: Element, first: str = "") -> Iterator[tuple[str, str, Eleme
 
 
 def _home(scope: str, model: Element, frame: str) -> str:
-    """Return the scoped name of the model whose link a frame is, or is attached to."""
+    """Return the scoped name of the model that owns the link of a frame."""
     own, tried, models = dict(_parts(model)), set[str](), ("model", "robot")
     while frame not in tried:
         tried.add(frame)
@@ -259,7 +255,7 @@ def _home(scope: str, model: Element, frame: str) -> str:
 
 
 def _parts(model: Element) -> Iterator[tuple[str, Element]]:
-    """Yield names and elements in a model, included models in the place of their includes."""
+    """Yield names and elements in a model, with included models in place of includes."""
     for part in model:
         inside = part.model if isinstance(part, LocatedElement) else None
         if inside is None:
@@ -271,7 +267,7 @@ def _parts(model: Element) -> Iterator[tuple[str, Element]]:
 
 
 def merges(include: Element) -> bool:
-    """Return whether an include puts the parts of its model among those around it."""
+    """Return whether an include merges the parts of its model into the surrounding model."""
     return include.get("merge", "").strip().lower() in ("true", "1")
 
 
@@ -285,12 +281,12 @@ def sdf_pose(pose: Element) -> tuple[Array, Array]:
 
 
 def child_of(parent: Element, tag: str, *, new: bool = False) -> Element:
-    """Return the child of a tag, or a new one before those of the file."""
-    found = None if new else parent.find(tag)
-    if found is None:
-        found = Element(tag)
-        parent.insert(sum(not isinstance(each, LocatedElement) for each in parent), found)
-    return found
+    """Return the child with a tag, or a new one before those of the file."""
+    child = None if new else parent.find(tag)
+    if child is None:
+        child = Element(tag)
+        parent.insert(sum(not isinstance(each, LocatedElement) for each in parent), child)
+    return child
 
 
 _Named = Iterator[tuple[str, Element]]
@@ -315,7 +311,7 @@ def _sdf_joints(root: Element, _: Path) -> _Named:
 
 
 def _mjcf_links(root: Element, path: Path) -> _Named:
-    """Return bodies, nameless ones as geodrake calls them."""
+    """Yield bodies, with geodrake's names for nameless ones."""
     scope = root.get("model") or path.stem
     numbered = {id(body): k for k, body in enumerate(root.iter("body"))}
     for world in root.findall("worldbody"):
@@ -383,7 +379,7 @@ def _put_urdf_numbers(root: Element, joint: Element, change: Change) -> None:
 
 
 def _put_springs(root: Element, joint: str, stiffness: float, rest: float) -> None:
-    """Write a joint's spring where Gazebo or Drake states one, and 0 where others are."""
+    """Write a joint's spring into the first one of Gazebo or Drake, and 0 into others."""
     for spring, keys in stated_springs(root, joint):
         for key, value in zip(keys, (stiffness, rest), strict=True):
             stated = child_of(spring, key)
@@ -396,8 +392,8 @@ def _put_springs(root: Element, joint: str, stiffness: float, rest: float) -> No
 
 
 def stated_springs(root: Element, joint: str) -> list[tuple[Element, tuple[str, str]]]:
-    """Return springs that Gazebo or Drake states at a joint, with tags of stiffness and rest."""
-    found = list[tuple[Element, tuple[str, str]]]()
+    """Return springs of Gazebo or Drake at a joint, with tags of stiffness and rest."""
+    springs = list[tuple[Element, tuple[str, str]]]()
     for each in root.iter():
         keys, name = ("springStiffness", "springReference"), each.get("reference")
         if rest := DRAKES_SPRINGS.get(each.tag):
@@ -405,21 +401,21 @@ def stated_springs(root: Element, joint: str) -> list[tuple[Element, tuple[str, 
         elif each.tag != "gazebo" or each.find(keys[0]) is None:
             continue
         if name == joint:
-            found.append((each, keys))
-    return found
+            springs.append((each, keys))
+    return springs
 
 
 def of_drake(element: Element, key: str) -> str:
-    """Return what an element of Drake's own says in its child of a key."""
-    found = element.find(f"{element.tag}_{key}")
-    words = () if found is None else (found.get("name"), found.get("value"), found.text)
+    """Return the value of a child of one of Drake's elements, by key."""
+    child = element.find(f"{element.tag}_{key}")
+    words = () if child is None else (child.get("name"), child.get("value"), child.text)
     return next((word.strip() for word in words if word and word.strip()), "")
 
 
 def _put_rotor(root: Element, joint: str, armature: float) -> None:
-    """Write Drake's rotor inertia; with the gear ratio of the file, where it states one."""
+    """Write Drake's rotor inertia, with the gear ratio of the file, if any."""
     root.attrib.setdefault("xmlns:drake", _DRAKE)
-    actuators = [  # in transmissions of the type that Drake reads
+    actuators = [  # in transmissions that Drake reads
         actuator
         for transmission in root.findall("transmission")
         if any("SimpleTransmission" in (e.text or "") for e in transmission.findall("type"))
@@ -488,7 +484,7 @@ _FORMATS: Mapping[str, _Format] = {
     "sdf": _Format(_sdf_links, _sdf_joints, _put_sdf_inertia, _put_sdf_numbers),
     "mujoco": _Format(_mjcf_links, _mjcf_joints, _put_mjcf_inertia, _put_mjcf_numbers),
 }
-"""Root element -> its format."""
+"""Root element -> format."""
 
 
 _SPACE = re.compile(rb"\s*?(\r?\n[ \t]*)(?=\S)")
@@ -499,9 +495,9 @@ _START = re.compile(rb"(<[^\s/>]+)((?:" + _ATTRIBUTE.pattern + rb")*)\s*(/?>)")
 
 
 def edited(data: bytes, path: Path, root: Element) -> bytes:
-    """Return the bytes of a file with changed attributes and texts, and elements added or removed.
+    """Return the bytes of a file with changed attributes, texts, and added or removed elements.
 
-    New ones are before or after all others; those that are removed have none within them.
+    New elements must come before or after all others; removed ones must have no children.
     """
     if data[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\x00" in data[:4]:
         raise ModelError(
@@ -525,9 +521,9 @@ def _edits_of(
     element: Element, old: LocatedElement, data: bytes
 ) -> Iterator[tuple[int, int, bytes]]:
     """Yield the byte ranges of a changed element and their replacements."""
-    own, was = (element.text or "").strip(), (old.text or "").strip()
+    new_text, previous = (element.text or "").strip(), (old.text or "").strip()
     children = list(element)
-    if element.attrib == old.attrib and own == was and len(children) == len(old):
+    if element.attrib == old.attrib and new_text == previous and len(children) == len(old):
         return
     start = _START.match(data, old.start)
     if start is None:
@@ -536,20 +532,20 @@ def _edits_of(
             advice="Write it where the entity is used.",
         )
     yield *start.span(2), _attributes(element.attrib, old.attrib, start[2])
-    there = [k for k, each in enumerate(children) if isinstance(each, LocatedElement)]
-    first, last = (there[0], there[-1]) if there else (len(children), len(children))
+    located = [k for k, each in enumerate(children) if isinstance(each, LocatedElement)]
+    first, last = (located[0], located[-1]) if located else (len(children), len(children))
     inside = start.end()
     if start[6] == b"/>":
-        if own or children:
-            lines = [escape(own), *(line.strip() for each in children for line in _lines(each))]
+        if new_text or children:
+            lines = [escape(new_text), *(x.strip() for each in children for x in _lines(each))]
             yield *start.span(6), f">{''.join(lines)}</{old.tag}>".encode()
         return
-    if own != was:
-        low, high, text = inside, old.end, was.encode()
-        if text and data[low:high].count(text) == 1:  # white space and comments around it stay
+    if new_text != previous:
+        low, high, text = inside, old.end, previous.encode()
+        if text and data[low:high].count(text) == 1:  # keep white space and comments around it
             low = data.index(text, low)
             high = low + len(text)
-        yield low, high, escape(own).encode()
+        yield low, high, escape(new_text).encode()
     space = _SPACE.match(data, inside)
     before = space[1].decode() if space else ""
     if before and data.startswith(b"</", space.end() if space else 0):
@@ -562,7 +558,7 @@ def _edits_of(
 
 
 def _attributes(new: Mapping[str, str], old: Mapping[str, str], text: bytes) -> bytes:
-    """Return the text of attributes, of which those change that are other than they were."""
+    """Return the text of attributes, changed only where values differ."""
 
     def written(match: re.Match[bytes]) -> bytes:
         key = match[2].decode()
@@ -579,26 +575,26 @@ def _written(space: bytes, key: str, word: str) -> bytes:
 
 
 def _indented(elements: Sequence[Element], before: str) -> bytes:
-    """Return the text of new elements, each line after the same white space."""
+    """Return the text of new elements, each line with the same indentation."""
     lines = [line for each in elements for line in _lines(each)]
     return "".join(before + line if before else line.strip() for line in lines).encode()
 
 
 def _lines(element: Element) -> list[str]:
-    """Return lines of a new element, indented by two spaces within it."""
-    made = deepcopy(element)
+    """Return the lines of a new element, indented by two spaces."""
+    indented = deepcopy(element)
     if any(len(child) or child.attrib for child in element):
-        indent(made)
-    return tostring(made, encoding="unicode").replace(" />", "/>").splitlines()
+        indent(indented)
+    return tostring(indented, encoding="unicode").replace(" />", "/>").splitlines()
 
 
 def comment_words(sentence: str) -> str:
-    """Return a sentence as an XML comment may have it, which has no two hyphens in a row."""
+    """Return a sentence for an XML comment, without consecutive hyphens."""
     return f" {re.sub('-(?=-)', '- ', printable(sentence))} "
 
 
 def check_in_itself(names: Iterable[str], there: Container[str], path: Path) -> None:
-    """Raise for elements of included files."""
+    """Raise for names of elements in included files."""
     missing = sorted(name for name in names if name not in there)
     if missing:
         raise ModelError(

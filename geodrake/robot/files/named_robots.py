@@ -1,7 +1,7 @@
-"""Robots by their names: the URDF, xacro or MJCF that the package robot_descriptions has of each.
+"""Model files of named robots from the package robot_descriptions.
 
-That package clones a robot's repository into its cache when the robot is first asked for
-(`~/.cache/robot_descriptions`, or `ROBOT_DESCRIPTIONS_CACHE`), and reads it there from then on.
+The package clones a robot's repository into its cache at first use
+(`~/.cache/robot_descriptions`, or `ROBOT_DESCRIPTIONS_CACHE`).
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from geodrake.boundary.arguments import file_path
 from geodrake.boundary.escaping import printable
 from geodrake.boundary.input_files import read_regular
 from geodrake.errors import ModelError
-from geodrake.robot.files.given import Given
 from geodrake.robot.files.includes import named_packages, package_name, packages_below
+from geodrake.robot.files.load_options import Given
 from geodrake.robot.files.xml_text import LARGEST_FILE
 
-_WORD = re.compile(r"[A-Za-z]\w*(-\w+)*", re.ASCII)  # no path, and no file with a suffix
+_WORD = re.compile(r"[A-Za-z]\w*(-\w+)*", re.ASCII)  # neither a path nor a file with a suffix
 _FOUND = re.compile(r"\$\(find ([^()\s]+)\)")
 _END = "_description"
 
 
 class RobotFile(NamedTuple):
-    """A model file, how it is read, and notes on its source."""
+    """A model file, options for reading it, and notes on its source."""
 
     path: Path
     given: Given
@@ -39,8 +39,8 @@ def robot_file(path: str | os.PathLike[str], given: Given) -> RobotFile:
     """Return the file of a named robot, downloaded if necessary; paths are unchanged.
 
     Args:
-        path: A model file; where there is none, a word without folder and suffix is a name.
-        given: How it is to be read; its packages and arguments of xacro come before the robot's.
+        path: A model file, or else a name, which has neither folder nor suffix.
+        given: Options whose packages and xacro arguments take precedence over the robot's.
     """
     path = whole_if_folder(path, file_path(path))
     if not _is_name(path):
@@ -48,7 +48,7 @@ def robot_file(path: str | os.PathLike[str], given: Given) -> RobotFile:
     module, *others = _descriptions(path)
     try:
         robot: Any = importlib.import_module(f"robot_descriptions.{module}")
-    except Exception as error:  # of git, of the network, of the disk
+    except Exception as error:  # by git, the network or the disk
         words = " ".join(str(getattr(error, "stderr", "") or error).split())
         reason = printable(words.removeprefix("stderr: ").strip("'"))[:300].rstrip(".")
         url, folder = _repository(module)
@@ -59,8 +59,10 @@ def robot_file(path: str | os.PathLike[str], given: Given) -> RobotFile:
     plain = getattr(robot, "URDF_PATH", None) or getattr(robot, "MJCF_PATH", None)
     file = Path(plain or robot.XACRO_PATH)
     xacro = {} if plain else {k: str(v) for k, v in getattr(robot, "XACRO_ARGS", {}).items()}
-    own = {name: Path(place) for name, place in getattr(robot, "XACRO_PACKAGE_PATHS", {}).items()}
-    packages = {**_packages(file, Path(robot.REPOSITORY_PATH)), **own, **given.packages}
+    stated = {
+        name: Path(place) for name, place in getattr(robot, "XACRO_PACKAGE_PATHS", {}).items()
+    }
+    packages = {**_packages(file, Path(robot.REPOSITORY_PATH)), **stated, **given.packages}
     notes = [f"{path} is {module} of robot_descriptions: {file}."]
     notes += [f"The MJCF of {path} is {other}; the URDF is used." for other in others]
     given = replace(given, xacro={**xacro, **given.xacro}, packages=packages)
@@ -68,7 +70,7 @@ def robot_file(path: str | os.PathLike[str], given: Given) -> RobotFile:
 
 
 def planned_download(path: Path) -> str:
-    """Return a sentence on what `robot_file` will download, or ""."""
+    """Return a sentence on the download by `robot_file`, or ""."""
     if not _is_name(path):
         return ""
     url, folder = _repository(_descriptions(path)[0])
@@ -77,12 +79,12 @@ def planned_download(path: Path) -> str:
         if git.Repo(folder).head.is_valid():
             return ""
     except git.exc.GitError:
-        pass  # there is no repository yet
+        pass  # no repository yet
     return f"Downloading {url} to {folder} (only once)."
 
 
 def whole_if_folder(written: str | os.PathLike[str], path: Path) -> Path:
-    """Return a path, made absolute if written as ./ur5e, which `Path` would make a name."""
+    """Return a path, made absolute if written as ./ur5e, which `Path` would turn into a name."""
     return path.absolute() if _is_name(path) and os.fspath(written) != str(path) else path
 
 
@@ -111,7 +113,7 @@ def _descriptions(path: Path) -> list[str]:
 
 
 def _repository(module: str) -> tuple[str, Path]:
-    """Return the URL of a robot's repository, and where robot_descriptions keeps it."""
+    """Return the URL of a robot's repository and its folder in the cache."""
     package: Any = importlib.import_module("robot_descriptions._repositories")
     known: Any = importlib.import_module("robot_descriptions").DESCRIPTIONS
     repository = package.REPOSITORIES[known[module].repository]
@@ -122,18 +124,18 @@ def _repository(module: str) -> tuple[str, Path]:
 
 
 def _packages(file: Path, repository: Path) -> dict[str, Path]:
-    """Return the folders of a repository that are packages which a file names.
+    """Return package name -> folder of a repository, for packages named in a file.
 
-    A package is a folder with a manifest of that name, or else one that is called so.
+    A package is a folder with a manifest of that name, or else a folder of that name.
     """
     text = read_regular(file, "model file", ModelError, largest=LARGEST_FILE).decode("latin-1")
     above = [each for each in file.parents if each.is_relative_to(repository)]
-    found = dict[str, Path]()
+    packages = dict[str, Path]()
     for name in sorted(named_packages(text) | set(_FOUND.findall(text))):
         below = (each / name for each in above if (each / name).is_dir())
         places = [*above, *below, *packages_below(repository)]
-        stated = [each for each in places if package_name(each) == name]
-        called = [each for each in places if each.name == name]
-        if stated or called:
-            found[name] = (*stated, *called)[0]
-    return found
+        with_manifest = [each for each in places if package_name(each) == name]
+        with_name = [each for each in places if each.name == name]
+        if with_manifest or with_name:
+            packages[name] = (*with_manifest, *with_name)[0]
+    return packages

@@ -1,8 +1,8 @@
 """Robot descriptions as texts that Drake accepts: common parts of formats, URDF and SDF.
 
-What URDFs state of motors behind transmissions counts only where it is asked for, as most logs of
-robots with such files are of joints all the same. The transmissions are those of ros_control, whose
-formulas are (reductions n_a of actuators and n_j of joints, offsets θ₀):
+Transmissions in URDFs are used only on request, because most logs of such robots are at the joints
+nevertheless. They are those of ros_control (reductions n_a of actuators and n_j of joints, offsets
+θ₀):
 
     Simple:        θ = q / (n_a n_j) + θ₀
     Differential:  θ₁ = (q₁/n_a1 + q₂/n_a2) / (2 n_j1) + θ₀₁,  θ₂ the same with a difference
@@ -63,7 +63,7 @@ from geodrake.robot.stated import (
     StatedLength,
     StatedStrut,
 )
-from geodrake.robot.transmission.statements import Coupled, Gear
+from geodrake.robot.transmission.schema import Coupled, Gear
 
 URDF_UNREAD: Mapping[str, Collection[str]] = {
     "gazebo": (
@@ -79,27 +79,27 @@ SDF_UNREAD: Mapping[str, Collection[str]] = {
     "inertial": ("fluid_added_mass",),
     "model": ("enable_wind",),
 }
-"""Tag -> tags of its children, or of theirs, that bear on efforts unless they are zero."""
+"""Tag -> tags of descendants that affect efforts unless they are zero."""
 
 _CHANGED = {"dynamics": ("friction", "spring_stiffness")}
-"""The same in what an include changes of its model, which is left to Drake."""
+"""The same in changes of an included model, which Drake applies."""
 
 URDF_ATTRIBUTES: Mapping[str, Collection[str]] = {
     "origin": ("quat_xyzw",),
     "option": ("gravity", "density", "viscosity"),
     "compiler": ("settotalmass", "boundmass", "boundinertia"),
 }
-"""Tag of a URDF, or of MuJoCo's elements in one -> attributes that bear on efforts."""
+"""Tag of a URDF, or of MuJoCo's elements in one -> attributes that affect efforts."""
 
 _FOREIGN = (
     *("physics", "scene", "light", "atmosphere", "magnetic_field", "wind", "audio", "gui"),
     *("spherical_coordinates", "state", "actor", "population", "road", "projector"),
     *("gripper", "battery", "particle_emitter", "initial_position"),
 )
-"""Tags of SDF without effect on dynamics, of which Drake refuses what it does not know."""
+"""Tags of SDF without effect on dynamics; Drake refuses those unknown to it."""
 
 DYNAMICS_READ = frozenset({"damping", "friction"})
-"""Attributes of <dynamics> in a URDF that are read; others are a simulator's own."""
+"""Attributes of <dynamics> in a URDF that are read; others are specific to a simulator."""
 
 _FORCES = re.compile(
     r"buoyan|lift.?drag|hydrodyn|wind(?!ow)|spring|apply.?(link.?)?(force|wrench)|thruster|"
@@ -109,9 +109,9 @@ _FORCES = re.compile(
 
 
 def unread(root: Element, table: Mapping[str, Collection[str]], path: Path) -> Iterator[str]:
-    """Yield a sentence on each element that bears on efforts and is not read.
+    """Yield a sentence on each element that affects efforts and is not read.
 
-    There is one on all elements with the same attributes.
+    Elements with the same attributes share a sentence.
     """
     alike = dict[str, list[Element]]()
     for element in root.iter():
@@ -120,7 +120,7 @@ def unread(root: Element, table: Mapping[str, Collection[str]], path: Path) -> I
         where = place_of(element, path)
         if element.tag == "plugin":
             file, name = element.get("filename", "").strip(), element.get("name", "").strip()
-            name = name if "::" in name or not file else file  # others name it as they like
+            name = name if "::" in name or not file else file  # other names are arbitrary
             if _FORCES.search(f"{file} {name}"):
                 yield f"{where}: the plugin {name} is ignored."
         ignored = set(URDF_ATTRIBUTES.get(element.tag, ()))
@@ -158,12 +158,12 @@ class ModelText(abc.ABC):
     """A robot description as text that Drake accepts.
 
     Attributes:
-        numeric: Numbers of the format and what they may be.
-        terms: What the file states that is not in the text.
+        numeric: Requirements on the numbers of the format.
+        terms: Terms of the file that were removed from the text.
         inside: Elements that include other files, and the texts of those.
-        shapeless: Scoped names of links of a URDF that nobody sees or touches.
-        folders: Package -> folder, which come before those that are found.
-        chain: Files that led to this one by includes, itself the last; none for the first one.
+        shapeless: Scoped names of links of a URDF without geometry.
+        folders: Package -> folder, which takes precedence over search.
+        chain: Files that led to this one by includes, itself the last; empty for the first one.
     """
 
     kind: ClassVar[str]
@@ -182,7 +182,7 @@ class ModelText(abc.ABC):
         self.inside = list[tuple[Element, ModelText]]()
         self.shapeless = set[str]()
         self._links: dict[str, Element] = {}
-        # Scoped names of joints that are fixed, and of those of several degrees of freedom.
+        # Scoped names of fixed joints, and of joints of several degrees of freedom.
         self._still, self._several = set[str](), set[str]()
         self._read()
         check_numbers(self.root, self.numeric, path)
@@ -197,17 +197,17 @@ class ModelText(abc.ABC):
 
     @property
     def links(self) -> tuple[str, ...]:
-        """Scoped names of the links."""
+        """Return the scoped names of the links."""
         return tuple(self._links)
 
     def every(self) -> Iterator[ModelText]:
-        """Yield the text, and those that it includes, with theirs."""
+        """Yield the text and all included ones."""
         yield self
         for _, text in self.inside:
             yield from text.every()
 
     def link_includes(self, root: Element, files: Mapping[ModelText, Path]) -> None:
-        """Have includes below a root of the text's file name other files in place of theirs."""
+        """Replace the file names of includes below a root of the text's file."""
         there = {e.start: e for e in root.iter("include") if isinstance(e, LocatedElement)}
         for include, text in self.inside:
             if isinstance(include, LocatedElement):
@@ -215,26 +215,26 @@ class ModelText(abc.ABC):
 
     @property
     def heavy(self) -> set[str]:
-        """Scoped names of links with an inertia."""
+        """Return the scoped names of links with an inertia."""
         stated = {name for name, link in self._links.items() if link.find("inertial") is not None}
         return stated | {name for name, phi in self.terms.set_aside.items() if phi[0]}
 
     def included(self, links: Container[str]) -> dict[str, Path]:
-        """Return which of some links are in files that the file includes, and in which."""
+        """Return link -> included file, for those links that are in one."""
         every = {name: link for text in self.every() for name, link in text._links.items()}
         found = {name.rpartition("::")[2]: e for name, e in every.items() if name in links}
         elements = {n: e for n, e in found.items() if isinstance(e, LocatedElement)}
         return {n: Path(e.path) for n, e in elements.items() if Path(e.path) != self.path}
 
     def stated_inertia(self, link: str) -> Array | None:
-        """Inertial parameters (10,) of a link in the file, physical or not; else None."""
+        """Return the inertial parameters (10,) of a link in the file, physical or not, or None."""
         if link in self.terms.set_aside or link not in self._links:
             return self.terms.set_aside.get(link)
         return self._stated(self._links[link])
 
     def _stated(self, link: Element) -> Array | None:
         inertial = link.find("inertial")
-        if inertial is None or inertial.get("auto") in _TRUE:  # the latter of SDF
+        if inertial is None or inertial.get("auto") in _TRUE:  # the latter in SDF
             return None
         return self._inertia(inertial)
 
@@ -243,20 +243,20 @@ class ModelText(abc.ABC):
         return ()
 
     def set_inertia(self, link: str, phi: Array | None) -> bool:
-        """Set the inertial parameters (10,) of a link; False if the link is not in the text."""
+        """Set the inertial parameters (10,) of a link, or none; return whether the text has it."""
         if link not in self._links:
             return False
         element = self._links[link]
-        for inertial in element.findall("inertial"):  # not of the bodies below it in MJCF
+        for inertial in element.findall("inertial"):  # not those of child bodies in MJCF
             element.remove(inertial)
         if phi is not None:
             put_inertia(self.root, element, phi)
-        elif self.kind == "sdf":  # where a link without an inertia has one of 1 kg
+        elif self.kind == "sdf":  # a link without an inertia would have 1 kg
             put_inertia(self.root, element, np.zeros(10))
         return True
 
     def _take_balls(self, scope: str, model: Element) -> None:
-        """Take Drake's constraints of points that are one, which close loops, out of a model."""
+        """Move Drake's ball constraints, which close loops, from a model to the closures."""
         for ball in model.findall(_BALL):
             model.remove(ball)
             first, second = (of_drake(ball, key) for key in ("body_A", "body_B"))
@@ -269,7 +269,7 @@ class ModelText(abc.ABC):
             self.terms.closures.append(Closure(name, bodies, (at, other), False))
 
     def _take_drakes_springs(self, scope: str, model: Element) -> None:
-        """Take Drake's springs of joints, and between points of two links, out of a model."""
+        """Move Drake's springs, of joints or between two points, from a model to the terms."""
         joints = {e.get("name", ""): e.get("type") for e in model if e.tag in _JOINTS}
         known = {name for text in self.every() for name in text.links}
         for spring in [each for each in model if each.tag in DRAKES_SPRINGS]:
@@ -295,7 +295,7 @@ class ModelText(abc.ABC):
                 continue
             name = of_drake(spring, "joint")
             if joints.get(name) not in CUT:
-                what = f"<{spring.tag}> names {name!r}, which is no joint that it can be at."
+                what = f"<{spring.tag}> names {name!r}, which is not a joint of a suitable type."
                 raise wrong_at(spring, self.path, what)
             own = Spring.linear(float(value("stiffness")[0]), float(value(rest)[0]))
             self.terms.lengths.append(StatedLength({f"{scope}::{name}": 1.0}, own))
@@ -308,7 +308,7 @@ class ModelText(abc.ABC):
         drop(self.root, *tags)
 
     def _take_axes(self, names: Sequence[str], joint: Element, *, damping: bool) -> None:
-        """Take friction and springs of each axis of a joint of SDF, and perhaps damping."""
+        """Move friction, springs and optionally damping of an SDF joint's axes to the terms."""
         axes = [axis for tag in ("axis", "axis2") for axis in joint.findall(tag)]
         for name, axis in zip(names, axes, strict=False):
             damps = (number(axis, "dynamics/damping") if damping else 0.0, 0.0, 0.0)
@@ -319,7 +319,7 @@ class ModelText(abc.ABC):
                 drop(dynamics, *_SPRING, *(["damping"] if damping else []))
 
     def _take_spring(self, joint: str, parent: Element, *tags: str) -> None:
-        """Take the spring of a joint, by its scoped name, of the tags of stiffness and rest."""
+        """Move the spring of a joint to the terms; `tags` are those of stiffness and rest."""
         if joint in self._several:
             self.terms.left_out += unread(parent, {parent.tag: tags[:1]}, self.path)
             return
@@ -333,7 +333,7 @@ class ModelText(abc.ABC):
         self.terms.lengths.append(StatedLength({joint: 1.0}, Spring.linear(*values)))
 
     def _take_gearbox(self, scope: str, joint: Element, model_frame: str = "__model__") -> None:
-        """Read an SDF joint at which two links turn at a constant ratio about a third one."""
+        """Read an SDF gearbox, by which two links turn at a constant ratio about a third one."""
         name = f"{place_of(joint, self.path)}: <joint> {joint.get('name')} of the type gearbox"
         tags, ratio = ("gearbox_reference_body", "parent", "child"), number(joint, "gearbox_ratio")
         ends = [joint.findtext(tag, "").strip() for tag in tags]
@@ -358,7 +358,7 @@ class ModelText(abc.ABC):
             self.terms.left_out.append(f"{name} is ignored.")
 
     def _take_mimic(self, name: str, scope: str, joint: Element) -> None:
-        """Read the leader of a following joint, by its scoped name."""
+        """Move the mimic of a joint, by scoped name, to the followers."""
         for mimic in [e for e in joint.iter() if e.tag in ("mimic", "drake:mimic")]:
             stated = {each.tag: each.text or "" for each in mimic} | mimic.attrib
             self._follow(name, f"{scope}::{mimic.get('joint')}", stated)
@@ -367,7 +367,7 @@ class ModelText(abc.ABC):
     def _take_more_mimics(
         self, scope: str, plugins: Sequence[Element], joints: Sequence[Element] = ()
     ) -> None:
-        """Read leaders of joints without one of their own, of Gazebo's plugins and ros2_control."""
+        """Read further leaders of joints from Gazebo's plugins and ros2_control."""
         already = set(self.terms.followers)
         found = [{each.tag: each.text or "" for each in plugin} for plugin in plugins]
         for joint in joints:
@@ -380,7 +380,7 @@ class ModelText(abc.ABC):
                 self._follow(f"{scope}::{own}", f"{scope}::{leader}", stated)
 
     def _follow(self, name: str, leader: str, stated: Mapping[str, str]) -> None:
-        """Have a joint follow another one; fixed where that never moves."""
+        """Let a joint follow another one; it is fixed if the leader is."""
         if name in self._still:
             return
         ratio, offset, start = (
@@ -395,15 +395,15 @@ class ModelText(abc.ABC):
 
     @abc.abstractmethod
     def _read(self) -> None:
-        """Read the attributes, and remove elements that Drake must not see."""
+        """Read the file into the attributes, and remove elements that Drake must not read."""
 
     @abc.abstractmethod
     def _inertia(self, inertial: Element) -> Array:
-        """Return the inertial parameters (10,) that an <inertial> states."""
+        """Return the inertial parameters (10,) of an <inertial>."""
 
 
 def drop_friction(root: Element) -> None:
-    """Remove dry friction from a URDF, of which Drake warns, so that it includes no such file."""
+    """Remove dry friction from a URDF: Drake warns of it, and then rejects included files."""
     for dynamics in root.iter("dynamics"):
         dynamics.attrib.pop("friction", None)
 
@@ -426,7 +426,7 @@ class SdfText(ModelText):
         self._take_gravity()
         self._fix_static()
         for joint in self.root.iter("joint"):
-            if joint.get("type") == "revolute2":  # which moves as a universal joint does
+            if joint.get("type") == "revolute2":  # moves like a universal joint
                 joint.set("type", "universal")
         models = list(sdf_models(self.root, first=self.scope or ""))
         plugins = {name: model.findall("plugin") for name, model in models}
@@ -469,7 +469,7 @@ class SdfText(ModelText):
         terms.carried = dict.fromkeys(off, 1.0)
 
     def _take_includes(self) -> list[str]:
-        """Read included files; return sentences on those that are not there."""
+        """Read included files; return sentences on missing ones."""
         includes = Includes(self.path, self.folders, self.chain)
         includes.drop_absent(self.root)
         self.terms.notes += includes.absent
@@ -495,7 +495,7 @@ class SdfText(ModelText):
             self._several |= text._several
             if isinstance(include, LocatedElement):
                 include.model = model
-            for change in include.iter("experimental:params"):  # which Drake makes
+            for change in include.iter("experimental:params"):  # applied by Drake
                 drop(change, "collision")
                 self.terms.left_out += unread(change, _CHANGED, self.path)
         return [*includes.missing, *includes.absent]
@@ -509,7 +509,7 @@ class SdfText(ModelText):
                 self.terms.static.add(model.get("name", ""))
 
     def _take_gravity(self) -> None:
-        places = ("world/physics/gravity", "world/gravity")  # that of older versions first
+        places = ("world/physics/gravity", "world/gravity")  # older versions first
         for stated in [each for place in places for each in self.root.findall(place)]:
             words = stated.text or ""
             vector = numbers(words, 3)
@@ -519,7 +519,7 @@ class SdfText(ModelText):
             if words.strip():
                 self.terms.gravity = vector
         for inner in (each for _, text in self.inside for each in text.every()):
-            if inner.terms.gravity is None:  # as it stands in the same world
+            if inner.terms.gravity is None:  # they share the world
                 inner.terms.gravity = self.terms.gravity
 
     def _inertia(self, inertial: Element) -> Array:
@@ -560,7 +560,7 @@ class UrdfText(ModelText):
             if not any(element.tag.startswith("drake:") for element in transmission.iter()):
                 root.remove(transmission)
             for kind in transmission.findall("type"):
-                if not (kind.text or "").strip():  # which would end Drake, and the process with it
+                if not (kind.text or "").strip():  # would abort Drake, and the process with it
                     transmission.remove(kind)
         self.scope = scope = self.scope or root.get("name") or self.path.stem
         self._take_balls(scope, root)
@@ -587,9 +587,9 @@ class UrdfText(ModelText):
             terms.effort[name] = number(joint, "limit", "effort")
             limit = {} if (stated := joint.find("limit")) is None else stated.attrib
             if terms.effort[name] == 0.0:
-                limit.pop("effort", None)  # with 0, Drake ignores the rotor, too
+                limit.pop("effort", None)  # with 0, Drake would ignore the rotor, too
             for key in [key for key, word in limit.items() if word.strip(" +-") == "inf"]:
-                del limit[key]  # as Drake means it, but does not read it
+                del limit[key]  # Drake's default, but Drake cannot read the word
             dynamics = joint.find("dynamics")
             if dynamics is not None and joint.get("type") == "planar":
                 words = dynamics.get("damping", "").split()
@@ -599,11 +599,11 @@ class UrdfText(ModelText):
 
     def _chain(self, link: str) -> list[Element]:
         """Return the joints from the root to a link."""
-        found, joint = list[Element](), self._holding.get(link)
-        while joint is not None and joint not in found:
-            found.insert(0, joint)
+        chain, joint = list[Element](), self._holding.get(link)
+        while joint is not None and joint not in chain:
+            chain.insert(0, joint)
             joint = self._holding.get(_end(joint, "parent"))
-        return found
+        return chain
 
     def _pose(self, link: str) -> Array:
         """Return the pose (4, 4) of a link in its root, with all joints at zero."""
@@ -613,7 +613,7 @@ class UrdfText(ModelText):
         return X
 
     def _take_floating(self, scope: str, joints: list[Element]) -> None:
-        """Read floating joints, which Drake ignores; their parents must not move."""
+        """Read floating joints, which Drake ignores; raise if a parent moves."""
         for joint in (each for each in joints if each.get("type") == "floating"):
             inner = self._chain(_end(joint, "parent"))
             if any(each.get("type") not in ("fixed", "floating") for each in inner):
@@ -624,7 +624,7 @@ class UrdfText(ModelText):
                 self.terms.floating[f"{scope}::{link}"] = RigidTransform(X)
 
     def _take_pose(self, scope: str, elements: list[Element]) -> None:
-        """Read where Gazebo puts the model, and with it the links that no joint holds."""
+        """Read Gazebo's pose of the model, which applies to links without a parent joint."""
         of_model = (element for element in elements if not element.get("reference"))
         pose = next((each for e in of_model for each in e.findall("pose")), None)
         if pose is None or is_off(pose.text or ""):
@@ -633,17 +633,17 @@ class UrdfText(ModelText):
         where = place_of(pose, self.path)
         roots = [e.get("name", "") for e in self.root.findall("link")]
         roots = [link for link in roots if link not in self._holding]
-        held = "world" in roots or self.chain  # by what includes the file, if any
+        held = "world" in roots or self.chain  # an including file sets the pose
         if held or pose.get("relative_to") or not np.isfinite(X).all():
-            if not np.array_equal(X[:3, 2], [0.0, 0.0, 1.0]):  # else it weighs the same there
+            if not np.array_equal(X[:3, 2], [0.0, 0.0, 1.0]):  # otherwise efforts are the same
                 self.terms.left_out.append(f"{where}: <pose> {words} of <gazebo> is ignored.")
             return
         placed = {f"{scope}::{link}": RigidTransform() for link in roots} | self.terms.floating
         self.terms.floating |= {link: RigidTransform(X) @ own for link, own in placed.items()}
-        self.terms.notes.append(f"{where}: the robot stands as <pose> {words} of <gazebo> has it.")
+        self.terms.notes.append(f"{where}: the robot is placed by <pose> {words} of <gazebo>.")
 
     def _take_gazebo_joints(self, scope: str, elements: list[Element]) -> None:
-        """Read SDF's joints in <gazebo>, which close loops, or hold the base."""
+        """Read SDF joints in <gazebo>, which close loops or fix the base."""
         for joint in [joint for element in elements for joint in element.findall("joint")]:
             name, kind = joint.get("name", ""), joint.get("type", "")
             parent, child = (joint.findtext(tag, "").strip() for tag in ("parent", "child"))
@@ -671,7 +671,7 @@ class UrdfText(ModelText):
                 self._take_axes([cut.scoped_name], joint, damping=True)
 
     def _take_loop_joints(self, scope: str) -> None:
-        """Read joints between two links that both have a joint already, as Drake once did."""
+        """Read joints that close loops, in a format of older versions of Drake."""
         for joint in self.root.findall("loop_joint"):
             self.root.remove(joint)
             name, kind = joint.get("name", ""), joint.get("type") or "continuous"
@@ -681,10 +681,10 @@ class UrdfText(ModelText):
             turn = numbers("1 0 0" if axis is None else axis.get("xyz", ""), 3)
             if not self._close(scope, CutJoint.of(f"{scope}::{name}", turn, kind), kind, ends):
                 what = f"<loop_joint> {name} of the type {kind} does not join two links"
-                raise wrong_at(joint, self.path, f"{what}, or has what is no number.")
+                raise wrong_at(joint, self.path, f"{what}, or has an invalid number.")
 
     def _close(self, scope: str, cut: CutJoint, kind: str, ends: Mapping[str, Array]) -> bool:
-        """Add what a joint of a kind closes between poses (4, 4) in links; False if it cannot."""
+        """Add the closure by a joint at poses (4, 4) in two links; return whether it is valid."""
         links = [f"{scope}::{name}" for name in ends]
         known = kind in CLOSING and len(links) == 2 and self._links.keys() >= {*links}
         if not known or not np.isfinite([*np.ravel([*ends.values()]), *cut.axis]).all():
@@ -694,7 +694,7 @@ class UrdfText(ModelText):
         return True
 
     def _take_gazebo(self, scope: str, elements: list[Element], joints: set[str | None]) -> None:
-        """Take springs of joints, and links without gravity."""
+        """Read springs of joints, and links without gravity."""
         off = list[str]()
         for element in elements:
             name = f"{scope}::{element.get('reference')}"
@@ -724,14 +724,14 @@ class UrdfText(ModelText):
 
 
 def _joined(elements: Sequence[Element]) -> list[Element]:
-    """Return one <gazebo> for each reference, with the children of all, as Gazebo joins them."""
-    found = dict[str | None, Element]()
+    """Return one <gazebo> per reference, merged as in Gazebo."""
+    by_reference = dict[str | None, Element]()
     for element in elements:
         for child in element:
             child.text = child.get("value") or child.text
-        if (first := found.setdefault(element.get("reference"), element)) is not element:
+        if (first := by_reference.setdefault(element.get("reference"), element)) is not element:
             first.extend(element)
-    return list(found.values())
+    return list(by_reference.values())
 
 
 def _end(joint: Element, tag: str) -> str:
@@ -752,7 +752,7 @@ def _origin(element: Element) -> tuple[Array, Array]:
 
 
 def _at(element: Element) -> tuple[Array, Array]:
-    """Return the position (3,), and roll, pitch and yaw that an element states."""
+    """Return the position (3,), and roll, pitch and yaw of an element."""
     return numbers(element.get("xyz", ""), 3), numbers(element.get("rpy", ""), 3)
 
 
@@ -775,8 +775,8 @@ def _motors(element: Element, path: Path) -> Iterator[Gear | Coupled]:
     shifts = [_value(e, what, ("offset",), 0.0) for e in joints]
     (j1, *j2), (a1, *a2) = names
     if kind == "SimpleTransmission":
-        own = _value(element, what)  # of older files
-        yield Gear(a1, j1, na[0] * nj[0] * own, shifts[0])
+        reduction = _value(element, what)  # in older files
+        yield Gear(a1, j1, na[0] * nj[0] * reduction, shifts[0])
         return
     if kind == "DifferentialTransmission":
         first = {a1: 0.5 / (nj[0] * na[0]), a2[0]: 0.5 / (nj[0] * na[1])}
@@ -796,7 +796,7 @@ def _role(element: Element) -> str:
 def _value(
     element: Element, what: str, tags: Sequence[str] = _REDUCTIONS, default: float = 1.0
 ) -> float:
-    """Return the number in the first of some children that is there, by default the reduction."""
+    """Return the number in the first existing child of some tags, by default the reduction."""
     text = next((t for tag in tags if (t := element.findtext(tag)) is not None), None)
     value = default if text is None else float(numbers(text.strip() or "none", 1)[0])
     if not np.isfinite(value):

@@ -1,8 +1,8 @@
 """Expansion of xacro files with the package xacro.
 
-Their expressions are Python's, without its builtins but those that xacro gives. Whoever reaches a
-class or a frame by the attributes of a value reaches all of Python, so the names of such are
-refused, unless the user trusts the file. What expressions of any file make has a largest size.
+Expressions in xacro are Python with a few builtins. Attributes of values that lead to a class or a
+frame would give access to all of Python, so they are refused unless the user trusts the file. The
+results of all expressions have a size limit.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ import yaml  # type: ignore[import-untyped]
 from geodrake.boundary.escaping import one_line
 from geodrake.boundary.input_files import read_regular
 from geodrake.errors import GeodrakeError, ModelError
-from geodrake.robot.files.given import Expanded, Given
 from geodrake.robot.files.includes import folder_of_package
+from geodrake.robot.files.load_options import Expanded, Given
 from geodrake.robot.files.xml_text import LARGEST_FILE
 
 _TAG = re.compile(rb"<xacro:\w")
 _COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 _NO_ARGUMENT = re.compile(r"Undefined substitution argument (\S+)")
-_MOST_CALLS = 10_000  # of macros, which may call each other ever more often
-_MOST_FILES = 500  # read for one, as files may include each other ever more often
-_MOST_ITEMS = 1_000_000  # of a list, a text or a range that an expression makes
-_MOST_BITS = 100_000  # of a whole number that it makes
+_MOST_CALLS = 10_000  # of macros, whose number may grow exponentially
+_MOST_FILES = 500  # read per file, as includes may grow exponentially
+_MOST_ITEMS = 1_000_000  # in a list, text or range made by an expression
+_MOST_BITS = 100_000  # of an integer made by an expression
 _CLASS = re.compile(r"<class '[\w.]+'>:? ?")
 _ONE_AT_A_TIME = RLock()
 _INNER = (
@@ -51,25 +51,24 @@ _INNER = (
     types.TracebackType,
 )
 _REFUSED = {name for kind in _INNER for name in dir(kind) if "_" in name} | {"mro"}
-_REFUSED |= {"format", "format_map"}  # which reach the attributes of values
-_WITHHELD = ("type", "vars")  # which give classes, and what they are made of
+_REFUSED |= {"format", "format_map"}  # give access to attributes of values
+_WITHHELD = ("type", "vars")  # give access to classes and their contents
 
 
 class RefusedError(BaseException):
-    """Raised for forbidden expressions; not an Exception, as xacro catches and wraps those."""
+    """A forbidden expression; not an Exception, as xacro catches and wraps those."""
 
 
 def is_xacro(path: Path) -> bool:
-    """Return whether a model file is called `.xacro`, or has elements of xacro."""
+    """Return whether a model file has the suffix `.xacro` or elements of xacro."""
     data = read_regular(path, "model file", ModelError, largest=LARGEST_FILE)
     return path.suffix == ".xacro" or _TAG.search(_COMMENT.sub(b"", data)) is not None
 
 
 def read_expanded(path: Path, given: Given) -> bytes:
-    """Return the bytes of a model file, those that it expands to where it is a xacro file.
+    """Return the bytes of a model file, expanded if it is a xacro file.
 
-    They are kept in `given`, and taken from there while the file, and those that it reads, are the
-    same.
+    Expansions are cached in `given` while the file and all files that it reads are unchanged.
     """
     if not is_xacro(path):
         return read_regular(path, "model file", ModelError, largest=LARGEST_FILE)
@@ -99,12 +98,12 @@ def _expanded(path: Path, given: Given, read: dict[Path, bytes | None]) -> bytes
             )
         place = Path(name).absolute()
         read[place] = _digest(place)
-        place.stat()  # a file may be one that need not be there
+        place.stat()  # raises for a missing file, which xacro may accept
         what = f"file that {path} includes,"
         data = read_regular(place, what, ModelError, largest=LARGEST_FILE, empty=True)
         return io.TextIOWrapper(io.BytesIO(data), "utf-8")
 
-    with _own_xacro() as xacro, redirect_stderr(io.StringIO()):
+    with _private_xacro() as xacro, redirect_stderr(io.StringIO()):
         xacro.open = opened
         own = xacro.substitution_args
         own._eval_find = own._eval_dict["find"] = lambda name: str(
@@ -122,13 +121,13 @@ def _expanded(path: Path, given: Given, read: dict[Path, bytes | None]) -> bytes
             ) from error
         except Exception as error:
             inner: Any = error
-            while getattr(inner, "exc", None) is not None:  # which xacro wraps
+            while getattr(inner, "exc", None) is not None:  # unwrap xacro's exception
                 inner = inner.exc
             if isinstance(inner, GeodrakeError):
                 raise inner from error
             words = _words(inner) or _CLASS.sub("", str(error)) or type(inner).__name__
             half = len(words) // 2
-            words = words[:half] if words[:half] == words[half + 1 :] else words  # said twice
+            words = words[:half] if words[:half] == words[half + 1 :] else words  # duplicated
             files = [file for file in xacro.filestack or () if file != str(path)]
             words = one_line(Exception(words + (f" (in {files[-1]})" if files else "")))
             missing = _NO_ARGUMENT.search(words)
@@ -150,8 +149,8 @@ def _digest(file: Path) -> bytes | None:
 
 
 @contextmanager
-def _own_xacro() -> Iterator[Any]:
-    """Import a private copy of xacro, whose evaluation can be changed."""
+def _private_xacro() -> Iterator[Any]:
+    """Import a private copy of xacro, whose evaluation can be modified."""
 
     def taken_out() -> dict[str, types.ModuleType]:
         names = [name for name in sys.modules if name.partition(".")[0] == "xacro"]
@@ -171,10 +170,9 @@ def _own_xacro() -> Iterator[Any]:
 
 
 class _Limited(ast.NodeTransformer):
-    """Evaluates expressions with limited run time and memory.
+    """Expressions with limited run time and memory, and in untrusted files without internals.
 
-    Those of files that nobody trusts must not ask for names of what Python is made of. `functions`
-    do as Python does, as long as that is not too large.
+    `functions` replace operations of Python and limit the size of results.
     """
 
     def __init__(self, path: Path, trusted: bool) -> None:
@@ -185,7 +183,7 @@ class _Limited(ast.NodeTransformer):
         }
 
     def text(self, text: str) -> str:
-        """Return an expression with the functions in the place of operations."""
+        """Return an expression with functions in place of operations."""
         try:
             tree = ast.parse(text.strip(), "<expression>", mode="eval")
         except SyntaxError as error:
@@ -198,7 +196,7 @@ class _Limited(ast.NodeTransformer):
         return ast.unparse(self.visit(tree))
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
-        """Put a function in the place of an operation."""
+        """Replace an operation by a function."""
         self.generic_visit(node)
         name = type(node.op).__name__
         if name not in self.functions:
@@ -237,7 +235,7 @@ class _Limited(ast.NodeTransformer):
 
 
 def _limit(xacro: Any, limited: _Limited) -> None:
-    """Make xacro evaluate limited expressions; unless trusted, of values only, and few macros."""
+    """Make xacro evaluate limited expressions, and restrict untrusted files further."""
     if not hasattr(xacro, "safe_eval"):
         raise ModelError(
             "The installed xacro is older than 2.1, and evaluates arbitrary expressions.",

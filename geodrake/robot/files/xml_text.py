@@ -1,4 +1,4 @@
-"""XML as Drake reads it: prefixes are plain text."""
+"""XML parsing as in Drake, with prefixes as plain text, and with line numbers."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ _MOST_ATTRIBUTES = 100  # of one element; Drake's time grows with their square
 
 
 class LocatedElement(Element):
-    """An element that knows where it was read."""
+    """An element with its location in a file."""
 
     path: Path
-    line: int  # the line of the file, from one
-    start: int  # where its start tag begins, in bytes from the start of the file
-    end: int  # where its end tag begins
-    model: Element | None = None  # the model that it stands for, if it is an include of SDF
+    line: int  # from one
+    start: int  # of the start tag, in bytes from the start of the file
+    end: int  # of the end tag
+    model: Element | None = None  # the included model, for an include of SDF
 
 
 def place_of(element: Element, path: Path | str = "") -> str:
-    """Return the file and line where an element was read; a path if that is not known."""
+    """Return the file and line of an element, or else a path."""
     if isinstance(element, LocatedElement):
         return f"{element.path}, line {element.line}"
     return str(path)
 
 
 def wrong_at(element: Element, path: Path, what: str) -> ModelError:
-    """Return an error with the file, the place of an element, and what is wrong."""
+    """Return an error with the location of an element and a problem."""
     return ModelError(f"{place_of(element, path)}: {what}", advice="Correct the file there.")
 
 
@@ -48,16 +48,16 @@ def parse_xml(path: Path) -> Element:
 
 def parse_xml_bytes(data: bytes, path: Path) -> Element:
     """Return the root element of the text of a file."""
-    # Without namespaces, unlike ElementTree.parse: Drake wants its prefix `drake:` kept as it is,
-    # and many files use prefixes that they do not declare.
+    # ElementTree.parse would resolve namespaces, but Drake requires its prefix `drake:`, and many
+    # files use undeclared prefixes.
     try:
         root = _read(data, path)
-    except (expat.ExpatError, ValueError, LookupError) as error:  # the last two of encodings
+    except (expat.ExpatError, ValueError, LookupError) as error:  # the last two for encodings
         raise ModelError(
             f"{path} is not a robot description: it is not valid XML ({error}).",
             advice=f"{SUPPORTED_FORMATS} A model comes before its logs.",
         ) from error
-    prefixes = [  # that a program gave to Drake's namespace when it wrote the file
+    prefixes = [  # other prefixes of Drake's namespace, from generated files
         key.removeprefix("xmlns:")
         for key, value in root.attrib.items()
         if key.startswith("xmlns:") and key != "xmlns:drake" and "drake.mit.edu" in value
@@ -71,14 +71,14 @@ def parse_xml_bytes(data: bytes, path: Path) -> Element:
 
 
 def _read(data: bytes, path: Path) -> Element:
-    """Return the root of elements that know their line numbers, within size limits."""
+    """Return the root of located elements, within size limits."""
     parser, depth, count = expat.ParserCreate(), 0, 0
 
     def element(tag: str, attributes: dict[str, str]) -> Element:
-        made = LocatedElement(tag, attributes)
-        made.path, made.line = path, parser.CurrentLineNumber
-        made.start = parser.CurrentByteIndex
-        return made
+        located = LocatedElement(tag, attributes)
+        located.path, located.line = path, parser.CurrentLineNumber
+        located.start = parser.CurrentByteIndex
+        return located
 
     builder = TreeBuilder(element_factory=element)
 
@@ -111,7 +111,7 @@ def _read(data: bytes, path: Path) -> Element:
 
 
 def numbered_text(root: Element) -> tuple[str, list[str]]:
-    """Return a description as text, and for each of its lines where that was read (`place_of`)."""
+    """Return a description as text, and the location (`place_of`) of each of its lines."""
     lines, places = list[str](), list[str]()
     for line, element in _lines(root):
         lines.append(line)
@@ -120,7 +120,7 @@ def numbered_text(root: Element) -> tuple[str, list[str]]:
 
 
 def _lines(root: Element) -> Iterator[tuple[str, Element]]:
-    """Yield lines of text with the element that each is of; depth first, without recursion."""
+    """Yield lines of text with their elements, depth first, without recursion."""
     waiting: list[tuple[Element, bool]] = [(root, True)]
     while waiting:
         element, opens = waiting.pop()

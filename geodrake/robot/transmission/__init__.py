@@ -1,12 +1,12 @@
-"""Transmissions: how the joints θ of a tree follow from fewer, or other, actuator coordinates q.
+"""Transmissions: maps from actuator coordinates q to the joints θ of a tree.
 
     θ = T(q),   θ̇ = J q̇,   θ̈ = J q̈ + J̇ q̇,   τ_q = Jᵀ τ_θ,   Y_q = Jᵀ Y_θ     [Lee2019] Eq. (3.6.57)
 
-The tree has a joint for everything that turns: a geared rotor is a body of its own, on a joint that
-turns N times as fast as the one it drives; the two bodies of a rolling joint each turn by half;
-two motors of a wrist move its joints together. Its regressor Y_θ, for joint coordinates, then
-becomes the regressor Y_q of what is measured, with all gyroscopic and inertial coupling of the
-rotors. Friction and inertia *on the actuator's side* are effects in q, q̇, q̈ as they stand.
+The tree has a joint for each rotating body. A geared rotor is a body on a joint that turns N times
+as fast as the driven one, the two bodies of a rolling joint turn by half each, and two motors of a
+wrist move its joints together. The tree's regressor Y_θ then becomes the regressor Y_q of measured
+efforts, with all gyroscopic and inertial coupling of the rotors. Friction and inertia *on the
+actuator's side* are effects in q, q̇ and q̈.
 """
 
 from __future__ import annotations
@@ -26,51 +26,51 @@ from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
 
-_STEP = 2e-3  # rad or m: fourth order differences err by about 1e-12
+_STEP = 2e-3  # rad or m; fourth-order differences have errors of about 1e-12
 _MOST_ITERATIONS = 50
 
 
 class Transmission(abc.ABC):
     """A smooth map from n actuator coordinates to k joint positions, for many samples at once.
 
-    One of your own, a linkage or a cam, defines `shape`, `joint_positions` and `jacobian`.
+    A user-defined one, such as a cam, defines `shape`, `joint_positions` and `jacobian`.
     """
 
     @property
     @abc.abstractmethod
     def shape(self) -> tuple[int, int]:
-        """Numbers (k, n) of joint positions θ and of actuator coordinates q."""
+        """Return the numbers (k, n) of joint positions θ and actuator coordinates q."""
 
     @property
     def num_joints(self) -> int:
-        """Number k of joint positions θ."""
+        """Return the number k of joint positions θ."""
         return self.shape[0]
 
     @property
     def num_actuators(self) -> int:
-        """Number n of actuator coordinates q."""
+        """Return the number n of actuator coordinates q."""
         return self.shape[1]
 
     @abc.abstractmethod
     def joint_positions(self, q: Array) -> Array:
-        """θ = T(q), (N, k), of q (N, n)."""
+        """Return θ = T(q), (N, k), for q (N, n)."""
 
     @abc.abstractmethod
     def jacobian(self, q: Array) -> Array:
-        """J = ∂T/∂q, (N, k, n), of q (N, n)."""
+        """Return J = ∂T/∂q, (N, k, n), for q (N, n)."""
 
     @property
     def range(self) -> tuple[Array, Array]:
-        """Least and greatest positions (n,) of the actuators where the map is known."""
+        """Return the limits (n,) of the actuator positions where the map is defined."""
         most = np.full(self.num_actuators, np.inf)
         return -most, most
 
     def inside(self, q: Array) -> Array:
-        """Actuator coordinates (N, n) moved to where the map is known; themselves by default."""
+        """Return actuator coordinates (N, n) moved into the domain of the map."""
         return q
 
     def jacobian_rate(self, q: Array, v: Array) -> Array:
-        """J̇ (N, k, n) at q (N, n) and q̇ = v (N, n); fourth order differences unless overridden."""
+        """Return J̇ (N, k, n) at q and v (N, n), by fourth-order differences unless overridden."""
         speed = np.abs(v).max(axis=1, initial=0.0)[:, None]
         step = _STEP * v / np.where(speed > 0, speed, 1.0)
         near = self.jacobian(q + step) - self.jacobian(q - step)
@@ -78,17 +78,17 @@ class Transmission(abc.ABC):
         return (8 * near - far) / (12 * _STEP) * speed[:, :, None]
 
     def along(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
-        """θ (N, k), J and J̇ (N, k, n) along a motion of the actuators; J̇ of rest without v."""
+        """Return θ (N, k), J and J̇ (N, k, n) for a motion of the actuators; v is 0 if None."""
         rate = np.zeros((len(q), *self.shape)) if v is None else self.jacobian_rate(q, v)
         return self.joint_positions(q), self.jacobian(q), rate
 
     @property
     def constant_jacobian(self) -> Array | None:
-        """J (k, n) if it is constant; None if it depends on q."""
+        """Return J (k, n) if it is constant; None if it depends on q."""
         return None
 
     def joint_motion(self, motion: Motion) -> Motion:
-        """Return the joints' motion, of a motion of the actuators."""
+        """Return the joints' motion for a motion of the actuators."""
         instance(motion, "motion", Motion)
         sizes: Sizes = {}
         q, v, vd = (
@@ -100,7 +100,7 @@ class Transmission(abc.ABC):
         return Motion(self.joint_positions(q), times(J, v), acceleration, motion.time)
 
     def regressor(self, q: ArrayLike, regressor: ArrayLike) -> Array:
-        """Y_q = Jᵀ Y_θ (N, n, p), of the tree's regressor (N, k, p) at `joint_motion`'s samples."""
+        """Return Y_q = Jᵀ Y_θ (N, n, p) from the tree's regressor (N, k, p) for `joint_motion`."""
         sizes: Sizes = {}
         q = self._q(q, sizes)
         rows = real_array(regressor, "regressor", ("N", self.num_joints, "p"), sizes)
@@ -111,9 +111,9 @@ class Transmission(abc.ABC):
         return real_array(q, "q", ("N", self.num_actuators), sizes)
 
     def actuator_positions(self, theta: Array, *, start: ArrayLike = 0.0) -> Array:
-        """Return q (N, n) with T(q) = θ (N, k), by Gauss-Newton on all samples together.
+        """Return q (N, n) with T(q) = θ (N, k), by the Gauss–Newton method.
 
-        A start (n,) or (N, n) near the solution chooses one of several.
+        The start (n,) or (N, n) selects one of several solutions.
         """
         theta = real_array(theta, "theta", ("N", self.num_joints))
         q, wanted = real_array(start, "start"), (len(theta), self.num_actuators)
@@ -139,22 +139,22 @@ class Transmission(abc.ABC):
 
 
 class JointlyEvaluated(Transmission):
-    """A transmission that defines `along`, of which all else is a part."""
+    """A transmission that defines `along`, which all other methods use."""
 
     @abc.abstractmethod
     def along(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
-        """θ (N, k), J and J̇ (N, k, n) along a motion of the actuators; J̇ of rest without v."""
+        """Return θ (N, k), J and J̇ (N, k, n) for a motion of the actuators; v is 0 if None."""
 
     def joint_positions(self, q: Array) -> Array:
-        """θ = T(q)."""
+        """Return θ = T(q)."""
         return self.along(q)[0]
 
     def jacobian(self, q: Array) -> Array:
-        """J."""
+        """Return J."""
         return self.along(q)[1]
 
     def jacobian_rate(self, q: Array, v: Array) -> Array:
-        """J̇."""
+        """Return J̇."""
         return self.along(q, instance(v, "v", np.ndarray))[2]
 
 
@@ -165,7 +165,7 @@ def times(matrices: Array, vectors: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class LinearTransmission(JointlyEvaluated, Short):
-    """θ = J q + θ₀ with a constant J, of `of` or `from_ratios`: gears, belts, coupled wrists.
+    """θ = J q + θ₀ with a constant J, such as gears, belts and coupled wrists.
 
     Attributes:
         matrix: (k, n) J.
@@ -188,7 +188,7 @@ class LinearTransmission(JointlyEvaluated, Short):
 
     @classmethod
     def of(cls, matrix: ArrayLike, offset: ArrayLike = 0.0) -> LinearTransmission:
-        """Return the transmission of J (k, n) and θ₀ (k,) or one number for all, rad or m."""
+        """Return the transmission with J (k, n) and θ₀, (k,) or a scalar, rad or m."""
         J, shift = real_array(matrix, "matrix", ("k", "n")), real_array(offset, "offset")
         return cls(J, np.full(len(J), shift) if shift.ndim == 0 else shift)
 
@@ -199,12 +199,12 @@ class LinearTransmission(JointlyEvaluated, Short):
         actuators: Sequence[str],
         ratios: Mapping[str, Mapping[str, float]],
     ) -> LinearTransmission:
-        """By name: `{"knee": {"knee": 1.0}, "knee_rotor": {"knee": 10.6}}`.
+        """Return the transmission with ratios by name.
 
         Args:
             joints: Names of the tree's k velocities, such as `geodrake.robot.joint_names(plant)`.
-            ratios: Joint -> actuator -> how far the joint turns when the actuator turns by one.
-                Joints that are not named do not move.
+            ratios: Joint -> actuator -> ∂θ/∂q, 0 for missing names, such as
+                `{"knee": {"knee": 1.0}, "knee_rotor": {"knee": 10.6}}`.
         """
         joints, actuators = instances(joints, "joints", str), instances(actuators, "actuators", str)
         J = np.zeros((len(joints), len(actuators)))
@@ -219,16 +219,16 @@ class LinearTransmission(JointlyEvaluated, Short):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """That of J."""
+        """Return the shape of J."""
         return self.matrix.shape[0], self.matrix.shape[1]
 
     @property
     def constant_jacobian(self) -> Array:
-        """J."""
+        """Return J."""
         return self.matrix
 
     def along(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
-        """θ = J q + θ₀, J, the same for all samples, and J̇ = 0."""
+        """Return θ = J q + θ₀, the constant J, and J̇ = 0."""
         sizes: Sizes = {}
         q = self._q(q, sizes)
         if v is not None:
@@ -238,7 +238,7 @@ class LinearTransmission(JointlyEvaluated, Short):
 
 
 def gears(ratios: ArrayLike) -> LinearTransmission:
-    """Joints θ_i = q_i / N_i of motors that turn N_i times as fast; a negative N_i reverses."""
+    """Return θ_i = q_i / N_i for motors that turn N_i times as fast; a negative N_i reverses."""
     N = real_array(ratios, "ratios", ("n",))
     if not N.all():
         raise ArgumentError(f"Gear ratios must not be zero; got {N.tolist()}.")
@@ -246,10 +246,10 @@ def gears(ratios: ArrayLike) -> LinearTransmission:
 
 
 def rolling_joint(share: float = 0.5) -> LinearTransmission:
-    """Two parallel joints that one coordinate turns: θ = (s q, (1 − s) q), with s from 0 to 1.
+    """Return θ = (s q, (1 − s) q) for two parallel joints and one coordinate, with s from 0 to 1.
 
-    Two bodies that roll on each other, with the radii r₁ and r₂ around the axes of the tree, turn
-    by angles in the ratio r₂ : r₁, so that s = r₂ / (r₁ + r₂); with equal ones, by half each.
+    Two bodies that roll on each other, with radii r₁ and r₂ around the axes of the tree, turn in
+    the ratio r₂ : r₁, so s = r₂ / (r₁ + r₂).
     """
     number(share, "share", lower=0.0, upper=1.0)
     return LinearTransmission.of([[share], [1.0 - share]])
@@ -257,7 +257,7 @@ def rolling_joint(share: float = 0.5) -> LinearTransmission:
 
 @dataclass(frozen=True)
 class SideBySide(JointlyEvaluated):
-    """Several transmissions that do not share actuators or joints, in their order."""
+    """Several transmissions without shared actuators or joints, stacked in order."""
 
     parts: tuple[Transmission, ...]
 
@@ -268,17 +268,17 @@ class SideBySide(JointlyEvaluated):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Sums over the parts."""
+        """Return the sums over the parts."""
         return sum(p.num_joints for p in self.parts), sum(p.num_actuators for p in self.parts)
 
     @property
     def constant_jacobian(self) -> Array | None:
-        """The parts' Jacobians as blocks, where all are constant."""
+        """Return the parts' Jacobians as blocks if all are constant."""
         given = [p.constant_jacobian for p in self.parts if p.constant_jacobian is not None]
         return np.asarray(block_diag(*given)) if len(given) == len(self.parts) else None
 
     def along(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
-        """Return positions of the parts, one after another, and J and J̇ of them as blocks."""
+        """Return the parts' positions in order, and J and J̇ as blocks."""
         rates = [None] * len(self.parts) if v is None else self._split(v)
         inputs = zip(self.parts, self._split(q), rates, strict=True)
         theta, J, rate = zip(*(part.along(x, xd) for part, x, xd in inputs), strict=True)
@@ -286,12 +286,12 @@ class SideBySide(JointlyEvaluated):
 
     @property
     def range(self) -> tuple[Array, Array]:
-        """Return the parts' own."""
+        """Return the values of all parts."""
         low, high = zip(*(part.range for part in self.parts), strict=True)
         return np.concatenate(low), np.concatenate(high)
 
     def inside(self, q: Array) -> Array:
-        """Return the parts' own."""
+        """Return the values of all parts."""
         inputs = zip(self.parts, self._split(q), strict=True)
         return np.hstack([part.inside(x) for part, x in inputs])
 
@@ -311,10 +311,10 @@ class SideBySide(JointlyEvaluated):
 
 @dataclass(frozen=True)
 class InSequence(JointlyEvaluated):
-    """One transmission after another, from the actuators to the joints: θ = T_last(…T_first(q)).
+    """A composition of transmissions, from the actuators to the joints: θ = T_last(…T_first(q)).
 
     Attributes:
-        stages: The transmissions, the actuators' one first.
+        stages: The transmissions, starting at the actuators.
     """
 
     stages: tuple[Transmission, ...]
@@ -332,21 +332,21 @@ class InSequence(JointlyEvaluated):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Joints of the last stage, and actuators of the first."""
+        """Return the numbers of joints of the last stage and actuators of the first."""
         return self.stages[-1].num_joints, self.stages[0].num_actuators
 
     @property
     def range(self) -> tuple[Array, Array]:
-        """Return that of the first stage."""
+        """Return the limits of the first stage."""
         return self.stages[0].range
 
     def inside(self, q: Array) -> Array:
-        """Return the interval where the first stage is known."""
+        """Return coordinates moved into the domain of the first stage."""
         return self.stages[0].inside(q)
 
     @property
     def constant_jacobian(self) -> Array | None:
-        """The product of the stages' Jacobians, where all are constant."""
+        """Return the product of the stages' Jacobians if all are constant."""
         product: Array = np.eye(self.num_actuators)
         for stage in self.stages:
             if (J := stage.constant_jacobian) is None:
@@ -355,9 +355,9 @@ class InSequence(JointlyEvaluated):
         return product
 
     def along(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
-        """θ, J = J₂ J₁ and J̇ = J̇₂ J₁ + J₂ J̇₁, stage by stage."""
+        """Return θ, J = J₂ J₁ and J̇ = J̇₂ J₁ + J₂ J̇₁, stage by stage."""
         theta, J, rate = self.stages[0].along(q, v)
         for stage in self.stages[1:]:
-            theta, own, own_rate = stage.along(theta, None if v is None else times(J, v))
-            J, rate = own @ J, own_rate @ J + own @ rate
+            theta, outer, outer_rate = stage.along(theta, None if v is None else times(J, v))
+            J, rate = outer @ J, outer_rate @ J + outer @ rate
         return theta, J, rate

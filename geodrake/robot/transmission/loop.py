@@ -1,12 +1,12 @@
 """Closed loops as transmissions, from the free joints to all; see `geodrake.robot.loops`.
 
-What closures miss by, c(θ), is in shares of the size of the loop, and rad. Joints that follow solve
-J θ̇ = 0 with the free ones' θ̇ in the sense of least squares, as closures may say more than is
-needed: those of a flat linkage also hold it in its plane.
+Closures have residuals c(θ), relative to the size of the loop, and in rad. Dependent joints solve
+J θ̇ = 0 for given θ̇ of the free ones in the least-squares sense, because closures may be redundant:
+those of a planar linkage also constrain it to its plane.
 
-A ball of radius r that rolls on the ground without slip has its center at r θ × z from where it was
-when its frame had not turned, with the rotation vector θ. That is exact while it turns about one
-axis; about several, what it slips is of second order in θ.
+A ball of radius r that rolls on the ground without slip has its center displaced by r θ × z, with
+the rotation vector θ of its frame. This is exact for rotation about one axis; otherwise the slip is
+of second order in θ.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from geodrake.robot.vectors import Vector, add, column, cross, dot, scale, times
 
 Indices = NDArray[np.int64]
 
-_LONGEST, _SHORTEST = 0.25, 1e-6  # steps on the way to a posture, rad or shares of the size
+_LONGEST, _SHORTEST = 0.25, 1e-6  # steps towards a posture, rad or shares of the size
 _MOST_STEPS, _MOST_ITERATIONS = 400, 15
-_STILL = 1e-12  # rad or share of the size, by which the last iteration moves
-_STEP = 2e-3  # rad or share of the size: differences err by about 1e-12
-_SLACK = 1e-3  # the same, by which a step may miss beside half of itself
+_STILL = 1e-12  # rad or share of the size, step at convergence
+_STEP = 2e-3  # rad or share of the size; differences have errors of about 1e-12
+_SLACK = 1e-3  # rad or share of the size, tolerated correction in addition to half a step
 
 CLOSURE = np.dtype(
     [
-        ("bodies", np.int64, (2,)),  # -1 of what stands still
+        ("bodies", np.int64, (2,)),  # -1 for the world
         ("rotations", float, (2, 3, 3)),
         ("positions", float, (2, 3)),
         ("turns", np.int64),
@@ -47,19 +47,19 @@ CLOSURE = np.dtype(
     ],
     align=True,
 )
-"""A closure for compiled code: the bodies that it joins, and its frames in them."""
+"""A closure for compiled code: its two bodies, and its frames in them."""
 
 
 class LoopRecords(NamedTuple):
     """A loop of k joints for compiled code."""
 
-    tree: TreeRecords  # its mobilizers, whose bodies have their numbers
+    tree: TreeRecords  # mobilizers, with bodies of the same indices
     closures: NDArray[np.void]
     couplings: Array  # (·, k, ·) coefficients of polynomials in each joint whose sums are zero
-    free: Indices  # numbers of the n joints that are free
-    following: Indices  # numbers of those that follow
-    reference: Array  # (k,) the posture of the file
-    # (k + 1,) how far joints go that move as far as a radian, and the size of the loop, m.
+    free: Indices  # indices of the n free joints
+    following: Indices  # indices of the dependent joints
+    reference: Array  # (k,) posture of the file
+    # (k + 1,) scale of each joint, 1 rad or the loop's size in m, and that size.
     units: Array
 
 
@@ -70,72 +70,68 @@ def in_loop(
     motion: FrameMotion,
     p_MoBo_B: ArrayLike = (0.0, 0.0, 0.0),
 ) -> Mobilizer:
-    """Return the next mobilizer of a loop, at the number of one of those before, and of a joint."""
+    """Return the next mobilizer of a loop, for the indices of its parent and of its joint."""
     inner = before[parent].dofs if parent >= 0 else ()
-    at, place = slice(joint, joint + 1), np.asarray(p_MoBo_B, float)
-    return Mobilizer(parent, len(before), at, at, (*inner, joint), motion, place, False)
+    dof, offset = slice(joint, joint + 1), np.asarray(p_MoBo_B, float)
+    return Mobilizer(parent, len(before), dof, dof, (*inner, joint), motion, offset, False)
 
 
-def no_loop(x: Array, slides: Sequence[bool], size: float) -> LoopRecords:
-    """Return coordinates at (k,) that no loop couples, beside one of a size, m."""
-    none, units = np.zeros(0, np.int64), [*(size if slide else 1.0 for slide in slides), size]
+def uncoupled_records(x: Array, slides: Sequence[bool], size: float) -> LoopRecords:
+    """Return records of uncoupled coordinates at x (k,), scaled for a loop of a size, m."""
+    empty, units = np.zeros(0, np.int64), [*(size if slide else 1.0 for slide in slides), size]
     tree, couplings = records_of((), np.zeros(3)), np.zeros((0, len(x), 1))
-    return LoopRecords(tree, np.zeros(0, CLOSURE), couplings, none, none, x, np.array(units))
+    return LoopRecords(tree, np.zeros(0, CLOSURE), couplings, empty, empty, x, np.array(units))
 
 
-def put_together(one: LoopRecords, other: LoopRecords, rows: Array) -> LoopRecords:
-    """Return two loops as one, with the coordinates of both and more couplings (·, k, ·) of these.
-
-    It has no choice of free joints.
-    """
-    (mine, inner), (theirs, outer) = one.tree, other.tree
-    bodies, count = len(mine), len(one.reference)
-    mobilizers = np.zeros(bodies + len(theirs), mine.dtype)
-    mobilizers[:bodies], mobilizers[bodies:] = mine, theirs
+def merged_loops(left: LoopRecords, right: LoopRecords, rows: Array) -> LoopRecords:
+    """Return two loops merged into one, with further couplings (·, k, ·), without free joints."""
+    (inner, inner_dofs), (outer, outer_dofs) = left.tree, right.tree
+    bodies, count = len(inner), len(left.reference)
+    mobilizers = np.concatenate([inner, outer])
     added = mobilizers[bodies:]
     added["parent"] += np.where(added["parent"] < 0, 0, bodies)
     added["body"] += bodies
     for name in ("positions", "velocities"):
         added[name][:, 0] += count
-    dofs = np.zeros((len(mobilizers), max(inner.shape[1], outer.shape[1])), np.int64)
-    dofs[:bodies, : inner.shape[1]], dofs[bodies:, : outer.shape[1]] = inner, outer + count
-    closures = np.zeros(len(one.closures) + len(other.closures), CLOSURE)
-    closures[: len(one.closures)], closures[len(one.closures) :] = one.closures, other.closures
-    joined = closures[len(one.closures) :]["bodies"]
+    dofs = np.zeros((len(mobilizers), max(inner_dofs.shape[1], outer_dofs.shape[1])), np.int64)
+    dofs[:bodies, : inner_dofs.shape[1]] = inner_dofs
+    dofs[bodies:, : outer_dofs.shape[1]] = outer_dofs + count
+    closures = np.concatenate([left.closures, right.closures])
+    joined = closures[len(left.closures) :]["bodies"]
     joined += np.where(joined < 0, 0, bodies)
-    parts, start = (one.couplings, other.couplings, rows), 0
+    parts, start = (left.couplings, right.couplings, rows), 0
     couplings = np.zeros((sum(map(len, parts)), rows.shape[1], max(x.shape[2] for x in parts)))
     for part, first in zip(parts, (0, count, 0), strict=True):
         stop, powers = start + len(part), part.shape[2]
         couplings[start:stop, first : first + part.shape[1], :powers] = part
         start = stop
-    size = max(one.units[-1], other.units[-1])
-    return one._replace(
+    size = max(left.units[-1], right.units[-1])
+    return left._replace(
         tree=(mobilizers, dofs),
         closures=closures,
         couplings=couplings,
-        reference=np.concatenate([one.reference, other.reference]),
-        units=np.array([*one.units[:-1], *other.units[:-1], size]),
+        reference=np.concatenate([left.reference, right.reference]),
+        units=np.array([*left.units[:-1], *right.units[:-1], size]),
     )
 
 
 @inlined
 def _copy(x: Array, out: Array) -> None:
-    # (Arrays that are assigned check their shapes, which takes seconds to compile.)
+    # Assignment of whole arrays would check their shapes, which takes seconds to compile.
     for j in range(len(x)):
         out[j] = x[j]
 
 
 @inlined
 def _axis(closure: Record, side: int, k: int, X: Array) -> Vector:
-    """Return the k-th axis of a closure's frame in the world, of poses (nb, 4, 4)."""
+    """Return the k-th axis of a closure's frame in the world, for poses (nb, 4, 4)."""
     axis, at = column(closure.rotations[side], k), closure.bodies[side]
     return axis if at < 0 else times(X[at], axis)
 
 
 @inlined
 def _turned(closure: Record, X: Array) -> tuple[Vector, float]:
-    """Return the rotation vector θ between a closure's frames in W, and b of the rate of θ."""
+    """Return the rotation vector θ between a closure's frames in W, and b for `_turning`."""
     turn, trace = (0.0, 0.0, 0.0), 0.0
     for k in range(3):
         one, other = _axis(closure, 0, k, X), _axis(closure, 1, k, X)
@@ -155,8 +151,8 @@ def _turning(turn: Vector, b: float, spin: Vector) -> Vector:
 
 
 @compiled
-def _find_misses(loop: Any, x: Array, room: Any, c: Array, J: Array) -> None:
-    """Write by how much closures miss, (m,), and J (m, k), at x (1, k)."""
+def _calc_residuals(loop: Any, x: Array, room: Any, c: Array, J: Array) -> None:
+    """Write the residuals c (m,) of closures and their Jacobian J (m, k) at x (1, k)."""
     closures, size, first = loop.closures, loop.units[-1], 0
     poses, angular, linear = room
     c[:], J[:], poses[:], angular[:], linear[:] = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -198,7 +194,7 @@ def _find_misses(loop: Any, x: Array, room: Any, c: Array, J: Array) -> None:
 
 @inlined
 def _add_couplings(couplings: Array, x: Array, first: int, c: Array, J: Array) -> None:
-    """Add sums of polynomials in the joints, and their slopes."""
+    """Add sums of polynomials in the joints, and their derivatives."""
     for row in range(len(couplings)):
         for k in range(J.shape[1]):
             power, slope = 1.0, 0.0
@@ -209,8 +205,8 @@ def _add_couplings(couplings: Array, x: Array, first: int, c: Array, J: Array) -
 
 
 @compiled
-def _find_rates(loop: Any, motion: Any, rooms: Any, rate: Array) -> None:
-    """Write J̇ (m, k) at x (k,) and ẋ (k,), by differences of J of the fourth order."""
+def _calc_rates(loop: Any, motion: Any, rooms: Any, rate: Array) -> None:
+    """Write J̇ (m, k) at x (k,) and ẋ (k,), by fourth-order differences of J."""
     (at, xd), (room, _, c, J, x), speed = motion, rooms, 0.0
     rate[:] = 0.0
     for j in range(len(xd)):
@@ -219,15 +215,15 @@ def _find_rates(loop: Any, motion: Any, rooms: Any, rate: Array) -> None:
         if speed > 0.0:
             for j in range(len(xd)):
                 x[0, j] = at[j] + steps * _STEP / speed * xd[j]
-            _find_misses(loop, x, room, c, J)
+            _calc_residuals(loop, x, room, c, J)
             for i in range(len(c)):
                 for j in range(len(xd)):
                     rate[i, j] += weight * speed / (12.0 * _STEP) * J[i, j]
 
 
 @inlined
-def _taken_out(A: Array, j: int, B: Array, k: int) -> float:
-    """Return how much of column j of A, of length one, column k of B has, and take it out there."""
+def _project_out(A: Array, j: int, B: Array, k: int) -> float:
+    """Subtract from column k of B its projection on the unit column j of A; return the factor."""
     along = 0.0
     for i in range(len(A)):
         along += A[i, j] * B[i, k]
@@ -238,7 +234,7 @@ def _taken_out(A: Array, j: int, B: Array, k: int) -> float:
 
 @inlined
 def _solve_least(A: Array, B: Array, T: Array, X: Array) -> None:
-    """Write X (d, ·) with the least |A X − B|, by modified Gram–Schmidt; A and B are used up."""
+    """Write X (d, ·) with the least |A X − B|, by modified Gram–Schmidt; overwrites A and B."""
     m, d = A.shape
     for j in range(d):
         square = 0.0
@@ -248,9 +244,9 @@ def _solve_least(A: Array, B: Array, T: Array, X: Array) -> None:
         for i in range(m):
             A[i, j] /= T[j, j]
         for k in range(j + 1, d):
-            T[j, k] = _taken_out(A, j, A, k)
+            T[j, k] = _project_out(A, j, A, k)
         for k in range(B.shape[1]):
-            X[j, k] = _taken_out(A, j, B, k)
+            X[j, k] = _project_out(A, j, B, k)
     for j in range(d - 1, -1, -1):
         for k in range(B.shape[1]):
             for i in range(j + 1, d):
@@ -259,8 +255,8 @@ def _solve_least(A: Array, B: Array, T: Array, X: Array) -> None:
 
 
 @compiled
-def _follow(loop: Any, J: Array, B: Array, rooms: Any, out: Array) -> None:
-    """Write the followers' rows of the solution of J out = B from the other joints' rows."""
+def _solve_dependent(loop: Any, J: Array, B: Array, rooms: Any, out: Array) -> None:
+    """Write the rows of dependent joints that solve J out = B, from those of the free joints."""
     free, following = loop.free, loop.following
     A, rest, T, X = rooms
     for i in range(len(J)):
@@ -278,8 +274,8 @@ def _follow(loop: Any, J: Array, B: Array, rooms: Any, out: Array) -> None:
 
 
 @inlined
-def _rooms(loop: Any) -> Any:
-    """Work arrays for kinematics and `_follow`, for c (m,), J (m, k) and a posture (1, k)."""
+def _work_arrays(loop: Any) -> Any:
+    """Return work arrays for kinematics and solution, c (m,), J (m, k), and a posture (1, k)."""
     (mobilizers, _), closures, k = loop.tree, loop.closures, len(loop.reference)
     m, width, d = len(loop.couplings), max(len(loop.free), 1), len(loop.following)
     for e in range(len(closures)):
@@ -292,18 +288,18 @@ def _rooms(loop: Any) -> Any:
 
 @compiled
 def _close(loop: Any, rooms: Any, most: float) -> bool:
-    """Close the loop near the posture in the last room by Newton's method, if that is near it.
+    """Close the loop by Newton's method from the posture in the last room; return success.
 
-    Its joints move by `most` at most, rad or shares of the size.
+    The joints may move by at most `most`, rad or shares of the size.
     """
     units, (room, solving, c, J, x) = loop.units, rooms
-    step, miss, moved = np.zeros((J.shape[1], 1)), np.empty((len(c), 1)), 0.0
+    step, target, moved = np.zeros((J.shape[1], 1)), np.empty((len(c), 1)), 0.0
     for _ in range(_MOST_ITERATIONS):
-        _find_misses(loop, x, room, c, J)
+        _calc_residuals(loop, x, room, c, J)
         for i in range(len(c)):
-            miss[i, 0] = -c[i]
+            target[i, 0] = -c[i]
         step[:] = 0.0
-        _follow(loop, J, miss, solving, step)
+        _solve_dependent(loop, J, target, solving, step)
         last = 0.0
         for j in range(len(step)):
             x[0, j] += step[j, 0]
@@ -315,21 +311,20 @@ def _close(loop: Any, rooms: Any, most: float) -> bool:
 
 
 @compiled
-def _go(loop: Any, wanted: Array, x: Array, rooms: Any) -> float:
-    """Take the posture x (k,) to where the free joints are as wanted (n,).
+def _move_to(loop: Any, wanted: Array, x: Array, rooms: Any) -> float:
+    """Move the posture x (k,) to the wanted positions (n,) of the free joints; return the progress.
 
-    Each step goes along the tangent, and then to where the loop is closed; where that is far, the
-    step is shorter.
+    Each step follows the tangent, and then closes the loop; if that fails, it is shortened.
     """
     free, units, (room, solving, c, J, trial) = loop.free, loop.units, rooms
     none, move = np.zeros((len(c), 1)), np.zeros((len(x), 1))
     done, longest = 0.0, _LONGEST
     for _ in range(_MOST_STEPS):
         _copy(x, trial[0])
-        _find_misses(loop, trial, room, c, J)
+        _calc_residuals(loop, trial, room, c, J)
         for f in range(len(free)):
             move[free[f], 0] = wanted[f] - x[free[f]]
-        _follow(loop, J, none, solving, move)
+        _solve_dependent(loop, J, none, solving, move)
         length = 0.0
         for j in range(len(x)):
             length = max(length, abs(move[j, 0]) / units[j])
@@ -354,40 +349,40 @@ def _go(loop: Any, wanted: Array, x: Array, rooms: Any) -> float:
 
 @compiled
 def calc_loop(loop: LoopRecords, wanted: Array, theta: Array, G: Array, reached: Array) -> None:
-    """Write postures θ (N, k) of a loop with its free joints where wanted (N, n), and G (N, k, n).
+    """Write postures θ (N, k) of a loop for wanted positions (N, n) of the free joints, and G.
 
-    `reached` (N,) gets the share of the way from the posture of the file that was possible: 1 where
-    the loop closes at what is wanted.
+    `reached` (N,) gets the progress from the posture of the file: 1 if the loop closes at the
+    wanted positions.
     """
-    free, reference, rooms = loop.free, loop.reference, _rooms(loop)
+    free, reference, rooms = loop.free, loop.reference, _work_arrays(loop)
     room, solving, c, J, x = rooms
     none = np.zeros((len(c), max(len(free), 1)))
     for i in range(len(wanted)):
         done, near, far = 0.0, 0.0, 0.0
         before = theta[i - 1] if i > 0 and reached[i - 1] == 1.0 else reference
-        for f in range(len(free)):  # in rad or shares of the size
+        for f in range(len(free)):
             unit, at = loop.units[free[f]], free[f]
             near = max(near, abs(wanted[i, f] - before[at]) / unit)
             far = max(far, abs(wanted[i, f] - reference[at]) / unit)
         if near < far:
             _copy(before, theta[i])
-            done = _go(loop, wanted[i], theta[i], rooms)
+            done = _move_to(loop, wanted[i], theta[i], rooms)
         if done < 1.0:
             _copy(reference, theta[i])
-            done = _go(loop, wanted[i], theta[i], rooms)
+            done = _move_to(loop, wanted[i], theta[i], rooms)
         reached[i] = done
         _copy(theta[i], x[0])
-        _find_misses(loop, x, room, c, J)
+        _calc_residuals(loop, x, room, c, J)
         G[i] = 0.0
         for f in range(len(free)):
             G[i, free[f], f] = 1.0
-        _follow(loop, J, none, solving, G[i])
+        _solve_dependent(loop, J, none, solving, G[i])
 
 
 @compiled
 def calc_loop_rates(loop: LoopRecords, theta: Array, G: Array, v: Array, out: Array) -> None:
-    """Write Ġ into zeros (N, k, n), at positions θ (N, k) with G, of velocities v (N, n)."""
-    rooms = _rooms(loop)
+    """Write Ġ into zeros (N, k, n), at positions θ (N, k) with G, for velocities v (N, n)."""
+    rooms = _work_arrays(loop)
     room, solving, c, J, x = rooms
     (m, k), n = J.shape, v.shape[1]
     rate, xd, B = np.empty((m, k)), np.empty(k), np.empty((m, n))
@@ -396,35 +391,35 @@ def calc_loop_rates(loop: LoopRecords, theta: Array, G: Array, v: Array, out: Ar
             xd[j] = 0.0
             for f in range(n):
                 xd[j] += G[i, j, f] * v[i, f]
-        _find_rates(loop, (theta[i], xd), rooms, rate)
+        _calc_rates(loop, (theta[i], xd), rooms, rate)
         _copy(theta[i], x[0])
-        _find_misses(loop, x, room, c, J)
+        _calc_residuals(loop, x, room, c, J)
         for j in range(m):
             for f in range(n):
                 B[j, f] = 0.0
                 for a in range(k):
                     B[j, f] -= rate[j, a] * G[i, a, f]
-        _follow(loop, J, B, solving, out[i])
+        _solve_dependent(loop, J, B, solving, out[i])
 
 
-_FAR = 10.0  # rad or sizes of the loop, up to where ends of its motion are looked for
-_OFF_THE_END = 1e-3  # of the way to an end, where the loop still moves
-_SAME = 1e-3  # rad or shares, by which a joint may be held beside where the loop has it
-_CORNERS = 4  # free joints, of whose ranges all corners are tried
-_SMALLER, _MOST_TRIALS = 0.8, 15  # ranges of several free joints
+_FAR = 10.0  # rad or sizes of the loop, search range for ends of its motion
+_OFF_THE_END = 1e-3  # relative margin to an end, where the loop still moves
+_SAME = 1e-3  # rad or m, tolerance of fixed positions
+_CORNERS = 4  # most free joints of which all corners of ranges are checked
+_SMALLER, _MOST_TRIALS = 0.8, 15  # to shrink ranges of several free joints
 
 
-def miss(loop: LoopRecords, x: Array) -> tuple[Array, Array]:
-    """Return by how much closures miss (m,) at x (k,), and their slopes (m, k) in joints' units."""
+def residuals(loop: LoopRecords, x: Array) -> tuple[Array, Array]:
+    """Return the residuals (m,) of closures at x (k,), and their scaled Jacobian (m, k)."""
     rows = len(loop.couplings) + sum(6 if turns else 3 for turns in loop.closures["turns"])
     c, J, shape = np.zeros(rows), np.zeros((rows, len(x))), (1, len(loop.tree[0]))
     room = np.zeros((*shape, 4, 4)), *np.zeros((2, *shape, 3, len(x)))
-    _find_misses(loop, contiguous(x[None]), room, c, J)
+    _calc_residuals(loop, contiguous(x[None]), room, c, J)
     return c, J * loop.units[:-1]
 
 
-def solved(loop: LoopRecords, q: Array) -> tuple[Array, Array, Array]:
-    """Positions (N, k) of all joints, G (N, k, n), and the share of the way there (N,)."""
+def solve_loop(loop: LoopRecords, q: Array) -> tuple[Array, Array, Array]:
+    """Return positions (N, k) of all joints, G (N, k, n), and the progress (N,) of `calc_loop`."""
     q = contiguous(q)
     theta = np.empty((len(q), len(loop.reference)))
     G, reached = np.empty((*theta.shape, len(loop.free))), np.empty(len(q))
@@ -434,99 +429,100 @@ def solved(loop: LoopRecords, q: Array) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class LoopTransmission(JointlyEvaluated, Short):
-    """How all joints of a closed loop, or of several that share some, follow from the free ones."""
+    """The map from the free joints of a closed loop, or of coupled loops, to all joints."""
 
-    name: str  # what closes the loop, in words
-    joints: tuple[str, ...]  # names of its k joints; the last ones may be cut
+    name: str  # description of the closure
+    joints: tuple[str, ...]  # names of the k joints; the last ones may be cut
     records: LoopRecords  # the loop for compiled code
-    shown: Indices  # numbers of the joints that it moves in the tree
-    cut: tuple[int, ...]  # numbers of the joints that close the loop and are not in the tree
-    slides: tuple[bool, ...]  # of each joint, whether it slides
-    limits: Array  # least and greatest positions of all its joints by their own limits, (2, k)
-    motors: tuple[str, ...]  # names of its joints that motors drive, as far as the file tells
-    gap: float  # by how much it misses at the posture of the file, m or rad
+    shown: Indices  # indices of the joints in the tree
+    cut: tuple[int, ...]  # indices of the joints that close the loop and are not in the tree
+    slides: tuple[bool, ...]  # prismatic joints
+    limits: Array  # (2, k) position limits of the joints
+    motors: tuple[str, ...]  # names of the joints with motors, according to the file
+    gap: float  # residual in the posture of the file, m or rad
 
     @property
     def free(self) -> Indices:
-        """Numbers of the free joints."""
+        """Return the indices of the free joints."""
         return self.records.free
 
     @property
     def reference(self) -> Array:
-        """(k,) the posture of the file, in which the loop is closed."""
+        """Return the posture (k,) of the file, in which the loop is closed."""
         return self.records.reference
 
     @property
     def actuators(self) -> tuple[str, ...]:
-        """Names of the free joints."""
-        return tuple(self.joints[at] for at in self.free)
+        """Return the names of the free joints."""
+        return tuple(self.joints[k] for k in self.free)
 
     @property
     def driven(self) -> tuple[str, ...]:
-        """Names of joints that follow, though motors drive them, too."""
+        """Return the names of dependent joints with motors."""
         following = (self.joints[k] for k in self.records.following)
         return tuple(name for name in following if name in self.motors)
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Numbers of joints that it moves in the tree, and of free ones."""
+        """Return the numbers of joints in the tree and of free ones."""
         return len(self.shown), len(self.free)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Return how its joints move, in words."""
+        """Return notes on the joints of the loop."""
         free = self.actuators
         others = [self.joints[k] for k in (*self.shown, *self.cut) if self.joints[k] not in free]
         follow = f"{', '.join(others)} follow{'s' if len(others) == 1 else ''} {', '.join(free)}"
-        told = [f"In the closed loop of {self.name}, {follow if free else 'nothing moves'}."]
+        notes = [f"In the closed loop of {self.name}, {follow if free else 'nothing moves'}."]
         if passive := [name for name in free if self.motors and name not in self.motors]:
-            where = f"{passive[0]} of that loop is passive and independent."
-            if passive[1:]:
-                where = f"{', '.join(passive)} of that loop are passive and independent."
-            told.append(f"No motor of the file determines where {where}")
-        if further := self.driven:
-            told.append(
+            verb = "are" if passive[1:] else "is"
+            notes.append(
+                f"{', '.join(passive)} of that loop {verb} passive and independent, as no motor of "
+                "the file moves the loop there."
+            )
+        if driven := self.driven:
+            notes.append(
                 "The loop has more motors than degrees of freedom: efforts of "
-                f"{', '.join(further)} act at {', '.join(free)}, so logs need them too."
+                f"{', '.join(driven)} act at {', '.join(free)}, so logs need them too."
             )
         if self.gap:
-            told.append(f"That loop has a gap of {self.gap:.2g} m in the posture of the file.")
-        return tuple(told)
+            notes.append(f"That loop has a gap of {self.gap:.2g} m in the posture of the file.")
+        return tuple(notes)
 
     def posture(self, held: Mapping[str, float], path: object) -> dict[str, float]:
-        """Joint -> position with some joints fixed."""
+        """Return joint -> position with some joints fixed."""
         names = self.joints
         q = np.array([held.get(names[at], self.reference[at]) for at in self.free])
-        theta, _, reached = solved(self.records, q[None])
-        places = dict(zip(names, theta[0].tolist(), strict=True))
-        far = {n: x for n, x in held.items() if n in names and abs(places[n] - x) > _SAME}
-        if reached[0] < 1.0 or far:
+        theta, _, reached = solve_loop(self.records, q[None])
+        positions = dict(zip(names, theta[0].tolist(), strict=True))
+        violated = {n: x for n, x in held.items() if n in names and abs(positions[n] - x) > _SAME}
+        if reached[0] < 1.0 or violated:
             where = ", ".join(f"{name} at {held[name]:g}" for name in names if name in held)
-            closes = {name: f"{places[name]:.6g}" for name in far}
+            closes = {name: f"{positions[name]:.6g}" for name in violated}
             raise ModelError(
                 f"{path}: the closed loop of {self.name} does not close with {where}.",
                 advice=f"Fix {', '.join(f'{n} at {x}' for n, x in closes.items())}."
                 if reached[0] == 1.0
                 else "Fix its joints elsewhere.",
             )
-        return {names[at]: places[names[at]] for at in self.shown}
+        return {names[at]: positions[names[at]] for at in self.shown}
 
     def along(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
-        """θ = T(q), J and J̇ along a motion, by one solution."""
+        """Return θ = T(q), J and J̇ for a motion."""
         theta, G, rate = self.of_all(q, v)
         return theta[:, self.shown], G[:, self.shown], rate[:, self.shown]
 
     def of_all(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
-        """Return positions (N, k) of all k joints by Newton's method, G and Ġ (N, k, n)."""
+        """Return positions (N, k) of all joints by Newton's method, G and Ġ (N, k, n)."""
         q = self._q(q)
-        theta, G, reached = solved(self.records, q)
+        theta, G, reached = solve_loop(self.records, q)
         if (open_ := reached < 1.0).any():
             at = int(np.argmax(open_))
             there = self.reference[self.free]
             end = there + reached[at] * (q[at] - there)
             raise ArgumentError(
                 f"The closed loop of {self.name} does not close at "
-                f"{_places(self.actuators, q[at])}: coming from the posture of the file, it "
+                f"{_places(self.actuators, q[at])}: starting from the posture of the file, it "
                 f"ends at {_places(self.actuators, end)}.",
                 advice="Check its lengths and zero positions, and that the log is of this robot.",
             )
@@ -536,29 +532,29 @@ class LoopTransmission(JointlyEvaluated, Short):
         return theta, G, rate
 
     def actuator_positions(self, theta: Array, *, start: ArrayLike = 0.0) -> Array:
-        """Return Q (N, n) of the independent joints, whatever the others', if they are shown."""
+        """Return positions (N, n) of the free joints, read from θ if all are in the tree."""
         if not np.isin(self.free, self.shown).all():
             return super().actuator_positions(theta, start=start)
         return np.array(theta[:, np.searchsorted(self.shown, self.free)])
 
     def inside(self, q: Array) -> Array:
-        """Return positions moved towards the posture of the file to where the loop closes."""
-        share, there = solved(self.records, q)[2], self.reference[self.free]
+        """Return positions moved towards the posture of the file until the loop closes."""
+        share, there = solve_loop(self.records, q)[2], self.reference[self.free]
         moved = there + (1.0 - _OFF_THE_END) * share[:, None] * (q - there)
         return np.where((share < 1.0)[:, None], moved, q)
 
     @cached_property
     def range(self) -> tuple[Array, Array]:
-        """Least and greatest positions (n,) of the free joints between which the loop closes.
+        """Return limits (n,) of the free joints between which the loop closes.
 
-        Of several free joints, the others keep their limits there, too.
+        With several free joints, the dependent joints respect their limits there, too.
         """
         (lower, upper), there = self.limits[:, self.free], self.reference[self.free]
         units = self.records.units[self.free]
         ends = [np.maximum(lower, there - _FAR * units), np.minimum(upper, there + _FAR * units)]
         for k, (end, own) in enumerate(zip(ends, (lower, upper), strict=True)):
             q = there + np.diag(end - there)  # one joint at a time
-            share = solved(self.records, q)[2]
+            share = solve_loop(self.records, q)[2]
             stops = there + (1.0 - _OFF_THE_END) * share * (end - there)
             ends[k] = np.where(share < 1.0, stops, own)
         if 1 < len(there) <= _CORNERS:
@@ -567,7 +563,7 @@ class LoopTransmission(JointlyEvaluated, Short):
             for _ in range(_MOST_TRIALS):
                 near = [np.clip(end, there - _FAR * units, there + _FAR * units) for end in ends]
                 corners = np.array(list(product(*zip(*near, strict=True))))
-                theta, _, share = solved(self.records, corners)
+                theta, _, share = solve_loop(self.records, corners)
                 within = (theta >= least - _SAME) & (theta <= most + _SAME)
                 if (share == 1.0).all() and within.all():
                     break
@@ -588,14 +584,14 @@ def linkage(
     free: int,
     size: float,
 ) -> LoopTransmission:
-    """Return how the last of three joints of a flat linkage follows another one.
+    """Return the map from one joint of a planar linkage with three joints to the last one.
 
     Args:
-        joints: Name, number of the joint inboard of it, −1 for the ground, and motion of each.
-        ends: Two joints, and where on the x axes of what they move the points are that are one, m.
-        reference: (3,) a posture in which the linkage is closed.
-        free: Number of the joint that the actuator moves.
-        size: Of the linkage, m.
+        joints: Name, index of the inboard joint or −1 for the ground, and motion of each joint.
+        ends: Two joints, and the position on their outboard bodies' x axes of the closing point, m.
+        reference: (3,) posture in which the linkage is closed.
+        free: Index of the actuated joint.
+        size: Size of the linkage, m.
     """
     mobilizers, closures = list[Mobilizer](), np.zeros(1, CLOSURE)
     for at, (_, parent, motion) in enumerate(joints):

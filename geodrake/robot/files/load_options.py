@@ -17,21 +17,20 @@ _NAME = re.compile(r"[^\s/:=]+")
 class Expanded(NamedTuple):
     """Result of expanding a xacro file."""
 
-    read: Mapping[Path, bytes | None]  # files that it reads, itself among them -> their checksums
+    read: Mapping[Path, bytes | None]  # file that was read, itself included -> checksum
     data: bytes
 
 
 @dataclass(frozen=True)
 class Given:
-    """How a model file is read.
+    """Options for reading a model file.
 
     Attributes:
-        robot: Name of the robot, where the file has several; None for all that it has.
-        packages: Package of ROS -> its folder, before those that are found.
-        trust_xacro: Whether a xacro file may evaluate any expression, as those may that the user or
-            a friend has written.
-        leading: Names of joints that are free in closed loops, before those that motors drive.
-        expansions: What xacro files were expanded to; see `read_expanded`.
+        robot: Name of one robot if the file has several; None for all.
+        packages: ROS package -> its folder, which takes precedence over search.
+        trust_xacro: Let xacro files evaluate any expression; only for files from trusted authors.
+        leading: Names of joints preferred as independent coordinates of closed loops.
+        expansions: Expanded xacro files; see `read_expanded`.
     """
 
     robot: str | None = None
@@ -71,22 +70,22 @@ class Given:
         *,
         trust_xacro: bool = False,
     ) -> Given:
-        """From `NAME=FOLDER` and `NAME:=VALUE`, as people write them."""
+        """Return options from `NAME=FOLDER` and `NAME:=VALUE`."""
         folders = _pairs(packages, "=", "--package", "ur_description=~/ws/src/ur_description")
         values = _pairs(xacro, ":=", "--xacro-arg", "ur_type:=ur10e")
-        there = {name: Path(folder).expanduser() for name, folder in folders.items()}
-        return cls(robot, there, values, trust_xacro)
+        paths = {name: Path(folder).expanduser() for name, folder in folders.items()}
+        return cls(robot, paths, values, trust_xacro)
 
 
 def _pairs(given: Sequence[str], sign: str, option: str, example: str) -> dict[str, str]:
-    found: dict[str, str] = {}
+    values: dict[str, str] = {}
     for text in given:
         name, found_sign, value = text.partition(sign)
-        if not found_sign or not _NAME.fullmatch(name) or name in found:
-            twice = f"{name!r} occurs twice" if name in found else "which cannot be parsed"
+        if not found_sign or not _NAME.fullmatch(name) or name in values:
+            twice = f"{name!r} occurs twice" if name in values else "which cannot be parsed"
             raise ArgumentError(
-                f"{option} has {text!r}, {'and ' if name in found else ''}{twice}.",
+                f"{option} has {text!r}, {'and ' if name in values else ''}{twice}.",
                 advice=f"Write {option} {example}.",
             )
-        found[name] = value
-    return found
+        values[name] = value
+    return values

@@ -1,4 +1,4 @@
-"""Transmission files, as YAML beside the model file.
+"""Transmission files: YAML files beside the model file.
 
     gears:
     - {actuator: motor_1, joint: joint_1, ratio: 100}
@@ -7,9 +7,8 @@
         joint_5: {motor_5: 0.02}
         joint_6: {motor_5: 0.01, motor_6: 0.01}
 
-`Stated` is their schema. Every part names actuators, which are columns of logs, and joints of the
-model file. Joints that no part names are their own actuators. Of parts of one actuator and one
-joint,
+`Stated` is their schema. Each part names actuators, which are columns of logs, and joints of the
+model file. All other joints are their own actuators. A part with one actuator and one joint is
 
     θ = f(q),   J = f′(q),   J̇ = f″(q) q̇                             [Lee2019] Eq. (3.6.57)
 """
@@ -44,42 +43,42 @@ from geodrake.robot.transmission import (
 from geodrake.robot.transmission.loop import LoopTransmission, linkage
 
 Kind = Literal["", "revolute", "prismatic"]
-"""How an actuator moves: as the joint does if empty."""
+"""Type of an actuator; that of the joint if empty."""
 
 Law = Callable[[Array, int], Array]
-"""f, f′ or f″ (N,) at q (N,), by the order 0, 1 or 2."""
+"""Returns f, f′ or f″ (N,) at q (N,) for the order 0, 1 or 2."""
 
 _SLIDES: dict[str, bool | None] = {"": None, "revolute": False, "prismatic": True}
-_ACTUATOR, _JOINT = ("actuator", "leader"), ("leader", "joint", "rotor")  # fields of their names
-_LEAST_POINTS = 3  # of a table, whose spline has curvature
+_ACTUATOR, _JOINT = ("actuator", "leader"), ("leader", "joint", "rotor")  # fields with names
+_LEAST_POINTS = 3  # of a table
 _EVERYWHERE = -np.inf, np.inf
 _AXES = np.eye(3)
 _TURN = axis_motion(_AXES[2])
 
 
 def _at(motion: FrameMotion, x: float, angle: float = 0.0) -> FrameMotion:
-    """Return a motion at a place on the x axis, m, turned about z by an angle, rad."""
+    """Return a motion displaced along x, m, and rotated about z by an angle, rad."""
     return motion.between(RigidTransform(RotationMatrix.MakeZRotation(angle), [x, 0.0, 0.0]), _AXES)
 
 
 @dataclass(frozen=True, eq=False)
 class Curves(JointlyEvaluated, Short):
-    """θ_i = f_i(q) of one actuator and k joints."""
+    """θ_i = f_i(q) for one actuator and k joints."""
 
     laws: tuple[Law, ...]  # f_i and their derivatives
-    ends: tuple[float, float] = _EVERYWHERE  # between which q they are known
+    ends: tuple[float, float] = _EVERYWHERE  # limits of q
 
     @property
     def shape(self) -> tuple[int, int]:
-        """As many joints as laws, and one actuator."""
+        """Return the number of laws, and one actuator."""
         return len(self.laws), 1
 
     def along(self, q: Array, v: Array | None = None) -> tuple[Array, Array, Array]:
-        """θ = f(q), J = f′(q) and J̇ = f″(q) q̇, of q and q̇ (N, 1)."""
-        own, rate = self._q(q)[:, 0], np.zeros((len(q), len(self.laws)))
+        """Return θ = f(q), J = f′(q) and J̇ = f″(q) q̇ for q and q̇ (N, 1)."""
+        x, rate = self._q(q)[:, 0], np.zeros((len(q), len(self.laws)))
         if v is not None:
-            rate = self._of(own, 2) * real_array(v, "v", ("N", 1))
-        return self._of(own, 0), self._of(own, 1)[:, :, None], rate[:, :, None]
+            rate = self._of(x, 2) * real_array(v, "v", ("N", 1))
+        return self._of(x, 0), self._of(x, 1)[:, :, None], rate[:, :, None]
 
     def _of(self, q: Array, order: int) -> Array:
         return np.stack([law(q, order) for law in self.laws], axis=1)
@@ -94,7 +93,7 @@ class Statement(Schema):
     """One part of a transmission file."""
 
     def actuator_names(self) -> tuple[str, ...]:
-        """Return the names of the actuators: here of the one."""
+        """Return the names of the actuators."""
         return tuple(filter(None, (getattr(self, field, "") for field in _ACTUATOR)))
 
     def joint_names(self) -> tuple[str, ...]:
@@ -107,7 +106,7 @@ class Statement(Schema):
         raise NotImplementedError
 
     def slides(self) -> bool | None:
-        """Return whether the actuators are prismatic; None if they are of the joints' kind."""
+        """Return whether the actuators are prismatic; None if like the joints."""
         return _SLIDES[getattr(self, "kind", "")]
 
 
@@ -115,12 +114,12 @@ class Gear(Statement):
     """A gear, belt or screw: θ = q / ratio + offset.
 
     Attributes:
-        ratio: Turns of the motor for one of the joint; negative where they turn against each other;
-            for a screw, rad of the motor for one m.
-        offset: θ where q = 0, rad or m.
-        rotor: Joint of the model file that the rotor turns on, which turns as the motor does.
-        side: `motor` where the log has the motor's position and effort, `joint` where it has the
-            joint's, and the ratio says only how the rotor turns.
+        ratio: Turns of the motor per turn of the joint, negative for opposite directions; for a
+            screw, rad of the motor per m.
+        offset: θ at q = 0, rad or m.
+        rotor: Joint of the rotor in the model file, which turns like the motor.
+        side: `motor` if logs have the motor's position and effort; `joint` if they have the
+            joint's, so that the ratio affects only the rotor.
     """
 
     actuator: str
@@ -132,7 +131,7 @@ class Gear(Statement):
     kind: Kind = ""
 
     def transmission(self) -> Transmission:
-        """Return θ = q / N + θ₀, and N (θ − θ₀) of the rotor."""
+        """Return θ = q / N + θ₀, and N (θ − θ₀) for the rotor."""
         if not self.ratio:
             raise ArgumentError("ratio must not be 0.")
         turn = [1.0 / self.ratio, 1.0] if self.side == "motor" else [1.0, self.ratio]
@@ -144,15 +143,15 @@ class Coupled(Statement):
     """Joints that several actuators move together: a wrist, a differential, belts over joints.
 
     Attributes:
-        joints: Joint -> actuator -> how far the joint moves when the actuator moves by one.
-        offsets: Joint -> θ where all actuators are at zero, rad or m; 0 if absent.
+        joints: Joint -> actuator -> ∂θ/∂q.
+        offsets: Joint -> θ with all actuators at zero, rad or m; 0 if missing.
     """
 
     joints: dict[str, dict[str, float]]
     offsets: dict[str, float] = {}
 
     def actuator_names(self) -> tuple[str, ...]:
-        """Return all that are named, in the order in which they are."""
+        """Return the names of the actuators, in the order of the file."""
         return tuple(dict.fromkeys(name for terms in self.joints.values() for name in terms))
 
     def transmission(self) -> Transmission:
@@ -168,11 +167,11 @@ class Coupled(Statement):
 
 
 Names = Callable[[str], str]
-"""Another name of an actuator or a joint."""
+"""Maps a name of an actuator or a joint to another one."""
 
 
 def renamed(part: Gear | Coupled, actuator_of: Names, joint_of: Names) -> Gear | Coupled:
-    """Return the same part with other names of its actuators and joints."""
+    """Return the part with other names of its actuators and joints."""
     if isinstance(part, Gear):
         return replace(part, actuator=actuator_of(part.actuator), joint=joint_of(part.joint))
     joints = {
@@ -195,19 +194,19 @@ class RollingJoint(Statement):
 
 
 class Followers(Statement):
-    """Joints that follow polynomials of a leader's position, which moves by itself."""
+    """Joints that follow polynomials of an independent leader's position."""
 
-    leader: str  # the joint that leads, whose name the actuator has
-    # Joint that follows -> coefficients of its polynomial, the constant first.
+    leader: str  # joint that is also the actuator
+    # Following joint -> coefficients of its polynomial, the constant first.
     joints: dict[str, list[float]]
 
     def transmission(self) -> Transmission:
-        """Return θ = q, and the polynomials of q."""
+        """Return θ = q and the polynomials of q."""
         return power_series([[0.0, 1.0], *self.joints.values()])
 
 
 def polynomial(coefficients: Array) -> Law:
-    """Return f = c₀ + c₁ q + c₂ q² + … of c (m,), as MuJoCo's `polycoef` has it."""
+    """Return f = c₀ + c₁ q + c₂ q² + … for c (m,), as MuJoCo's `polycoef`."""
     c = real_array(coefficients, "coefficients", ("m",))
     if not c[1:].any():
         raise ArgumentError(f"coefficients need a nonzero one besides c₀; got {c}.")
@@ -215,10 +214,10 @@ def polynomial(coefficients: Array) -> Law:
 
 
 def power_series(laws: Sequence[Sequence[float]]) -> Transmission:
-    """Return polynomials of one actuator; a linear transmission where all ratios are constant."""
-    made = Curves(tuple(polynomial(np.array(c, float)) for c in laws))
+    """Return polynomials of one actuator, as a linear transmission if all ratios are constant."""
+    curves = Curves(tuple(polynomial(np.array(c, float)) for c in laws))
     if any(any(c[2:]) for c in laws):
-        return made
+        return curves
     return LinearTransmission.of([[c[1]] for c in laws], [c[0] for c in laws])
 
 
@@ -227,14 +226,14 @@ def _of_polynomial(c: Array, q: Array, order: int) -> Array:
 
 
 def _along(spline: CubicSpline, q: Array, order: int) -> Array:
-    """Return a spline, or its derivative, with linear extrapolation."""
+    """Return a spline or its derivative, with linear extrapolation."""
     inside = np.clip(q, spline.x[0], spline.x[-1])
-    found = spline(inside, order)
-    return np.asarray(found if order else found + spline(inside, 1) * (q - inside))
+    value = spline(inside, order)
+    return np.asarray(value if order else value + spline(inside, 1) * (q - inside))
 
 
 class OneJoint(Statement):
-    """One actuator and one joint."""
+    """A part with one actuator and one joint."""
 
     actuator: str
     joint: str
@@ -251,7 +250,7 @@ class Polynomial(OneJoint):
 
 
 class PositionTable(OneJoint):
-    """θ between pairs, rad or m, by a cubic spline, and straight on beyond its ends."""
+    """θ interpolated by a cubic spline, rad or m, with linear extrapolation."""
 
     actuator_positions: list[float]
     joint_positions: list[float]
@@ -274,20 +273,19 @@ class FourBarLinkage(OneJoint):
     """A four-bar linkage: q turns the crank, and the rocker turns the joint.
 
     Crank and rocker turn about parallel axes on the ground link, and the coupler joins their ends.
-    Their angles are counted from the line from the crank's pivot to the rocker's.
+    Angles are measured from the line from the crank's pivot to the rocker's.
     """
 
     ground: float  # distance of the two pivots, m; only ratios of the four lengths matter
     crank: float
     coupler: float
     rocker: float
-    crank_angle: float = 0.0  # angle of the crank where q = 0, rad
-    rocker_angle: float = 0.0  # angle of the rocker where θ = 0, rad
-    # Whether coupler and ground link cross: the other way to put the bars together.
-    crossed: bool = False
+    crank_angle: float = 0.0  # angle of the crank at q = 0, rad
+    rocker_angle: float = 0.0  # angle of the rocker at θ = 0, rad
+    crossed: bool = False  # the other assembly mode, in which coupler and ground link cross
 
     def transmission(self) -> Transmission:
-        """Return the closed loop of crank, coupler and rocker, put together as it is at q = 0."""
+        """Return the closed loop of crank, coupler and rocker, assembled at q = 0."""
         lengths = {key: getattr(self, key) for key in ("ground", "crank", "coupler", "rocker")}
         for name, length in lengths.items():
             number(length, name, lower=0.0, strict=True)
@@ -320,20 +318,20 @@ class FourBarLinkage(OneJoint):
 
 
 class LinearActuator(OneJoint):
-    """A cylinder, ball screw or cable across a joint: its length turns the joint.
+    """A cylinder, ball screw or cable across a joint, whose length turns the joint.
 
-    Two sides of a triangle, from the joint's axis to the ends of the cylinder, enclose an angle
-    γ with L² = a² + b² − 2 a b cos γ.
+    The joint's axis and the ends of the cylinder form a triangle with the angle γ at the joint,
+    L² = a² + b² − 2 a b cos γ.
     """
 
-    base: float  # a, distance of the joint's axis from the end on its inboard side, m
-    lever: float  # b, distance of the joint's axis from the end on its outboard side, m
-    length: float = 0.0  # L where q = 0, m
-    angle: float = 0.0  # γ where θ = 0, rad, between 0 and π
-    reversed: bool = False  # whether θ falls as the cylinder grows
+    base: float  # a, distance from the joint's axis to the inboard end, m
+    lever: float  # b, distance from the joint's axis to the outboard end, m
+    length: float = 0.0  # L at q = 0, m
+    angle: float = 0.0  # γ at θ = 0, rad, from 0 to π
+    reversed: bool = False  # θ decreases as the cylinder extends
 
     def transmission(self) -> Transmission:
-        """Return the closed loop of base, cylinder and lever, in which γ is from 0 to π."""
+        """Return the closed loop of base, cylinder and lever, with γ from 0 to π."""
         for name in ("base", "lever"):
             number(getattr(self, name), name, lower=0.0, strict=True)
         number(self.length, "length", lower=0.0)
@@ -358,7 +356,7 @@ class LinearActuator(OneJoint):
 
 
 class Stated(Schema):
-    """A transmission file: lists of parts by their kinds."""
+    """Schema of a transmission file: lists of parts by kind."""
 
     gears: list[Gear] = []
     coupled: list[Coupled] = []
@@ -370,7 +368,7 @@ class Stated(Schema):
     linear_actuators: list[LinearActuator] = []
 
     def parts(self) -> Iterator[tuple[str, Statement]]:
-        """Yield every part, with where it is, such as `gears[0]`."""
+        """Yield each part with its location, such as `gears[0]`."""
         for name in self.__struct_fields__:
             for k, part in enumerate(getattr(self, name)):
                 yield f"{name}[{k}]", part
@@ -384,17 +382,13 @@ class Stated(Schema):
 
 @dataclass(frozen=True, eq=False)
 class Drive(Short):
-    """Actuators, the joints that they move together, and how.
+    """A transmission with the names of its actuators and joints."""
 
-    Each slides, with positions in m and efforts in N, as `slides` says, or as the joint in whose
-    place it is. One of functions of your own has no statement, which is saved.
-    """
-
-    actuators: tuple[str, ...]  # names of the n actuators, as logs have them
-    joints: tuple[str, ...]  # names of the k joints of the model file, n ≤ k
+    actuators: tuple[str, ...]  # names of the n actuators in logs
+    joints: tuple[str, ...]  # names of the k joints in the model file, n ≤ k
     map: Transmission  # θ = T(q) from the actuators to the joints
-    slides: tuple[bool, ...] | None = None
-    statement: Statement | None = None
+    slides: tuple[bool, ...] | None = None  # prismatic actuators (m, N); None if like the joints
+    statement: Statement | None = None  # for saving; None for user-defined functions and loops
 
     def __post_init__(self) -> None:
         instance(self.map, "map", Transmission)
@@ -410,37 +404,37 @@ class Drive(Short):
 
     @property
     def is_loop(self) -> bool:
-        """Whether it is a closed loop of the model file."""
+        """Return whether this is a closed loop of the model file."""
         return isinstance(self.map, LoopTransmission) and self.statement is None
 
     @classmethod
     def of_joint(cls, joint: str) -> Drive:
-        """Return a joint that moves by itself as a drive."""
+        """Return the drive of an independent joint."""
         return cls((joint,), (joint,), LinearTransmission.of([[1.0]]))
 
     @classmethod
     def of_loop(cls, loop: LoopTransmission) -> Drive:
         """Return a closed loop as a drive."""
-        names = tuple(loop.joints[at] for at in loop.shown)
+        names = tuple(loop.joints[k] for k in loop.shown)
         return cls(loop.actuators, names, loop)
 
     @classmethod
     def of(cls, statement: Statement) -> Drive:
-        """Return the drive that a part of a transmission file states."""
-        made, slides = statement.transmission(), statement.slides()
-        if isinstance(made, LoopTransmission):
-            (slides,) = (made.slides[at] for at in made.free)
+        """Return the drive of a part of a transmission file."""
+        transmission, slides = statement.transmission(), statement.slides()
+        if isinstance(transmission, LoopTransmission):
+            (slides,) = (transmission.slides[k] for k in transmission.free)
         return cls(
             statement.actuator_names(),
             statement.joint_names(),
-            made,
+            transmission,
             None if slides is None else (slides,) * len(statement.actuator_names()),
             statement=statement,
         )
 
 
 NONE, OF_FILE = "none", "file"
-"""Values other than a transmission file: none, or that in the model file."""
+"""Values in place of a transmission file: none, or the transmission in the model file."""
 
 _SUFFIX = ".transmission.yaml"
 _MODEL_SUFFIXES = (".xacro", ".urdf", ".sdf", ".xml", ".mjcf", ".yaml", ".yml", ".world")
@@ -475,7 +469,7 @@ def read_transmission(path: str | Path) -> tuple[Drive, ...]:
 
 
 def drives_of(parts: Iterable[tuple[str, Statement]]) -> tuple[Drive, ...]:
-    """Return the drives of parts, each with its place, such as `gears[0]`."""
+    """Return the drives of parts with locations, such as `gears[0]`."""
     drives = []
     for place, part in parts:
         for what, names in (("actuator", part.actuator_names()), ("joint", part.joint_names())):
@@ -489,7 +483,7 @@ def drives_of(parts: Iterable[tuple[str, Statement]]) -> tuple[Drive, ...]:
 
 
 def stated_of(drives: Sequence[Drive]) -> Stated:
-    """Return the data of drives for saving."""
+    """Return drives as data for saving."""
     stated = Stated()
     for drive in drives:
         if drive.statement is None:
