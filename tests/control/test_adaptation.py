@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from adaptive_loops import CONTROL, MANIFOLD, MODEL, TRUTH, perturbed, run
+from adaptive_loops import CONTROL, MODEL, TRUTH, perturbed, run
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from random_points import CONSTRAINED, HULL, PRODUCT, random_inertia, random_point
@@ -34,7 +34,7 @@ from geodrake.control.adaptation import (
 from geodrake.effects import CoulombFriction, EffortOffset, FittedEffect, Payload, ViscousFriction
 from geodrake.errors import ArgumentError, ConvergenceError
 from geodrake.inertia import is_physical, pseudo_inertia
-from geodrake.manifolds import PhysicalInertia, Polyhedron, Positive, Product, bregman_projection
+from geodrake.manifolds import PhysicalInertia, Positive, Product, bregman_projection
 
 SIZE = PRODUCT.dimension
 BODIES = Product((PhysicalInertia(), PhysicalInertia(), Positive(2)))
@@ -298,23 +298,6 @@ def test_it_is_natural_adaptation_on_the_submanifold(seed, size):
     assert law.parameter_error(TRUTH, p) == own.parameter_error(TRUTH[BODY], p[BODY])
     rows = rng.normal(size=(2, len(p)))
     assert law.calc_reach(p, rows) == own.calc_reach(p[BODY], rows[:, BODY])
-
-
-@some
-@given(st.integers(0, 2**31))
-def test_it_is_the_whole_law_projected_onto_what_may_vary(seed):
-    """[Lee2019] Eq. (5.4.57) with every held parameter as a limit, whatever is held."""
-    rng = np.random.default_rng(seed)
-    p, b = perturbed(0.2, seed), rng.normal(size=len(TRUTH))
-    whole = natural_adaptation(MANIFOLD, 0.5)
-    for held in (~BODY, rng.random(len(p)) < 0.5):
-        free, g, expected = ~held, MANIFOLD.metric(p), np.zeros(len(p))
-        expected[free] = -np.linalg.solve(g[np.ix_(free, free)], b[free]) / 0.5  # by Lagrange
-        limits = Polyhedron(np.eye(len(p))[held], p[held], p[held])
-        found = ProjectedLaw(whole, limits).rate(p, b)
-        np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-7 * np.abs(expected).max())
-        if np.array_equal(free, BODY):
-            np.testing.assert_allclose(partial().rate(p, b), expected, rtol=1e-7, atol=1e-9)
 
 
 def test_a_load_is_learned_while_the_rest_stays():

@@ -55,7 +55,6 @@ from geodrake.control import (
 )
 from geodrake.control.adaptation import adapted_parameters
 from geodrake.control.adaptation.outer_laws import limited
-from geodrake.control.online_estimation import FilteredRegressor
 from geodrake.control.systems.safeguards import Watch
 from geodrake.effects import FittedEffect
 from geodrake.errors import ArgumentError
@@ -137,38 +136,6 @@ def test_filtered_computed_torque_with_a_sensor_of_a_third_of_the_rate():
     assert V[-1] < 0.97 * V[0]
 
 
-def test_actuation_is_the_formula_of_the_source():
-    """u against [Lee2019] Eq. (5.2.10) and Remark 5.1 from Drake's own mass matrix and bias."""
-    rng = np.random.default_rng(0)
-    q, qd, q_d, v_d, a_d = rng.normal(size=(5, 2))
-    plant = pendulum_plant(damping=0.0)
-    context = plant.CreateDefaultContext()
-    plant.SetPositions(context, q)
-    M = plant.CalcMassMatrix(context)
-    gravity = -plant.CalcGravityGeneralizedForces(context)
-    damping = np.array([0.3, 0.3])
-
-    def bias(velocity):
-        plant.SetVelocities(context, velocity)
-        return plant.CalcBiasTerm(context)
-
-    def coriolis(v):  # C(q, q̇) v is bilinear and symmetric for Christoffel symbols
-        return 0.25 * (bias(qd + v) - bias(qd - v))
-
-    for name, gains in GAINS.items():
-        system = passive(parameters=TRUTH, gains=gains, time_step=0.0)
-        states = {"estimated_state": [*q, *qd], "desired_state": [*q_d, *v_d]}
-        own = fixed(system, **states, desired_acceleration=a_d)
-        rate = np.asarray(gains.rate)
-        v, a = v_d - rate * (q - q_d), a_d - rate * (qd - v_d)
-        r = qd - v
-        K_r = gains.rate * (M @ r) if name == "varying" else np.array(gains.damping) * r
-        expected = M @ a + coriolis(v) + gravity + damping * v - K_r
-        np.testing.assert_allclose(
-            system.GetOutputPort("actuation").Eval(own), expected, rtol=1e-9, atol=1e-9
-        )
-
-
 # The life of a Drake system
 
 
@@ -238,32 +205,6 @@ def test_an_exact_sensor_of_efforts_says_what_the_controller_knows():
     )
     np.testing.assert_allclose(measured, own, rtol=1e-9)
     assert np.abs(own[-1] - WRONG).max() > 1e-6
-
-
-def test_a_step_is_by_the_sum_of_both_covectors():
-    """Against the pure functions, from the second sample on, where there are filtered rows."""
-    error = PredictionError([0.3, 0.2], bandwidth=30.0, tolerance=[0.01, 0.02])
-    guards = Safeguards(drift=np.inf, dead_zone=0.0)  # states are random
-    p = perturbed(0.2)
-    system = predicting(error, law=natural(0.7), parameters=p, safeguards=guards)
-    filtered = FilteredRegressor(CONTROL, STEP, 30.0, held_effort=True)
-    memory, held, context = filtered.start(), np.zeros(2), None
-    rng = np.random.default_rng(0)
-    for _ in range(3):
-        q, qd, q_d, v_d, a_d = rng.normal(size=(5, 2))
-        context = told(system, [*q, *qd], [*q_d, *v_d], a_d, context)
-        v, a = v_d - 10.0 * (q - q_d), a_d - 10.0 * (qd - v_d)
-        sample = CONTROL.at(q, qd, v, a - 10.0 * (qd - v))
-        memory = filtered.advanced(memory, q, qd, held)
-        Y, u = filtered.rows(memory)
-        wrong = Y @ p - u
-        believed = np.sign(wrong) * np.maximum(np.abs(wrong) - [0.01, 0.02], 0.0)
-        W = np.diag([0.3, 0.2])
-        b = Y.T @ W @ believed
-        pulls = MANIFOLD.inverse_metric_times(p, Y)
-        b = b / (1.0 + STEP * np.trace(W @ (pulls @ Y.T)) / 0.7) + sample.covector(qd - v)
-        held, p = sample.effort(p), natural(0.7).step(p, b, STEP)
-        np.testing.assert_allclose(system.parameters(context), p, rtol=1e-9, atol=1e-12)
 
 
 def test_what_is_remembered_is_not_undone():
@@ -336,17 +277,6 @@ def test_the_dead_zone_keeps_noise_from_moving_the_estimate():
         check(logs)
         moved.append(np.abs(logs["parameters"][-1] - TRUTH).max())
     assert moved[1] == 0.0 < moved[0]
-
-
-@pytest.mark.parametrize(("kind", "factor"), [("fixed", 0.1), ("varying", 10.0)])
-def test_a_start_with_ten_times_wrong_masses(kind, factor):
-    start = TRUTH.copy()
-    start[: CONTROL.num_inertial] *= factor
-    _, logs = run(controller(kind, parameters=start), 1.5)
-    check(logs)
-    error = tracking_error(logs)
-    assert error.max() < 0.7
-    assert error[-20:].max() < min(0.5, max(0.05, 0.8 * error.max()))
 
 
 Exponential = own_effect("exponential", columns=lambda self, j: [np.cumsum(np.exp(j.v))])

@@ -13,11 +13,9 @@ from adaptive_loops import (
     MODEL,
     MODELS,
     TRUTH,
-    SlowSensor,
     check_estimates,
     computed,
     faulty,
-    fixed,
     nothing,
     passive,
     pendulum_plant,
@@ -205,16 +203,6 @@ def test_logs_that_cannot_be_played():
         LogSource(replace(short, **{name: getattr(short, name)[:1] for name in QUANTITIES}))
 
 
-def test_a_sensor_that_is_slower_than_the_estimator():
-    """States that only repeat say nothing; what is learned is that of the new ones."""
-    sensor = SlowSensor(4, 4 * STEP)
-    _, p, _, _ = estimated(recorded(2.0), start=perturbed(0.3), sensor=sensor)
-    check_estimates({"parameters": p})
-    # (The effort is later than the held state by up to a sample of the sensor.)
-    assert np.diff(MANIFOLD.divergence(TRUTH, p)).max() < 1e-3
-    assert unexplained(p[-1]) < 0.3 * unexplained(p[0])
-
-
 # The comparison
 
 
@@ -243,22 +231,6 @@ def test_the_residual_is_what_the_model_lacks():
     expected = np.interp(np.arange(len(residual)) * 0.02 - 1 / 60, log.time - 3.0, friction)
     assert np.abs(residual[20:50, 0] - expected[20:50]).max() < 0.02
     assert np.abs(residual[:, 1]).max() < 1e-3
-
-
-def test_the_residual_of_one_instant():
-    system = ModelResidual(CONTROL)
-    q, v, a, u = np.random.default_rng(0).normal(size=(4, 2))
-    context = fixed(system, estimated_state=[*q, *v], acceleration=a, effort=u)
-    residual, valid = system.GetOutputPort("residual"), system.GetOutputPort("valid")
-    for p in (TRUTH, 2 * TRUTH):
-        expected = u - CONTROL.at(q, v, v, a).effort(p)
-        np.testing.assert_allclose(residual.Eval(context), expected)
-        fixed(system, context, parameters=2 * TRUTH)
-    assert valid.Eval(context) == 1.0
-    for broken in (np.nan, np.inf, 1e200):
-        fixed(system, context, estimated_state=[0.0, 0.0, broken, 0.0])
-        assert valid.Eval(context) == 0.0
-        np.testing.assert_array_equal(residual.Eval(context), 0.0)
 
 
 # What every system says of its ports

@@ -294,17 +294,6 @@ def without_efforts(log, *joints):
     return replace(log, effort=effort)
 
 
-def test_the_true_servos_move_the_model_as_the_robot(arm):
-    log, model = arm
-    silent = without_efforts(log, "a", "b")
-    rollout = roll_out(model, [silent], most=2, commands=True)
-    assert rollout.broken == 0 and len(rollout.windows) == 2
-    assert rollout.relative < 0.002
-    for joint in rollout.joints:
-        assert joint.rms == pytest.approx(joint.relative * joint.moved)
-        assert joint.moved > 0.05
-
-
 def test_servos_at_motors_behind_gears(arm):
     """Motors that turn N times as fast need stiffness and damping over N²."""
     log, model = arm
@@ -332,15 +321,6 @@ def test_joints_without_a_servo_get_their_efforts(arm):
     light = replace(log, effort=log.effort * [1.0, 0.5])
     half = roll_out(mixed, [without_efforts(light, "a")], **brief, commands=True)
     assert half.joints[1].relative > 0.1
-
-
-def test_the_loop_is_closed(arm):
-    """A push that the model lacks drives an open loop away, and a servo holds against it."""
-    log, model = arm
-    heavier = replace(model, phi=1.3 * model.phi)
-    closed = roll_out(heavier, [log], most=2, horizon=1.0, commands=True)
-    opened = roll_out(heavier, [log], most=2, horizon=1.0)
-    assert closed.relative < 0.5 * opened.relative
 
 
 def test_reports_say_what_the_model_was_under(arm):

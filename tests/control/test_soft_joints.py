@@ -141,40 +141,6 @@ def test_an_effect_that_does_not_say_how_is_refused(pendulum):
         EffectForce(pendulum.plant, [(Sagging("hinge"), [1e-3])])
 
 
-def test_a_link_is_thrown_from_side_to_side(pendulum):
-    """The same sides and motors, written out for scipy."""
-    gap, size, rate = 0.02, 3.0, 14.0
-    terms = having(pendulum, ROTOR, FRICTION, (effects.Backlash("hinge", gap), 1.0)).effects
-    builder = DiagramBuilder()
-    plant = builder.AddSystem(load_model(pendulum.path).plant)
-    force = EffectForce.AddToBuilder(builder, plant, terms)
-    effort = builder.AddSystem(Sine([size], [rate], [0.0])).get_output_port(0)
-    builder.Connect(effort, force.GetInputPort("applied_effort"))
-    add_generalized_force(builder, plant, effort)
-    log = LogVectorOutput(force.GetOutputPort("motor_state"), builder, 0.02)
-    simulator = Simulator(builder.Build())
-    ResetIntegratorFromFlags(simulator, "runge_kutta5", 1e-2)
-    simulator.get_mutable_integrator().set_target_accuracy(1e-6)
-    simulator.AdvanceTo(0.8)
-    found = log.FindLog(simulator.get_context())
-    (side,) = force.law.soft.couplings(force.law.mu)
-
-    def rates(t, x):
-        motor, speed, link, v = x
-        over, away = abs(motor - link) - gap, np.sign(motor - link)
-        push = side.stiffness * over + side.damping * away * (speed - v) * min(over / side.ramp, 1)
-        torque = away * max(push, 0.0) if over > 0 else 0.0
-        accelerated = (size * np.sin(rate * t) - FRICTION * speed - torque) / ROTOR
-        return [speed, accelerated, v, (torque - WEIGHT * np.sin(link)) / INERTIA]
-
-    time = found.sample_times()
-    x = solve_ivp(rates, time[[0, -1]], np.zeros(4), "LSODA", time, rtol=1e-8, atol=1e-10).y
-    np.testing.assert_allclose(found.data()[0], x[0], atol=1e-4)
-    lag = x[0] - x[2]
-    assert lag.max() > gap
-    assert lag.min() < -gap
-
-
 KP, DAMPING, DRY, ARMATURE, FACTOR = 60.0, 2.0, 0.3, 0.01, 0.25
 MASS, PULL = 0.05 + 2.0 * 0.4**2, 2.0 * 0.4 * 9.81  # of the pendulum, kg·m² and N·m
 WIDTH = 2e-3  # rad/s
@@ -257,27 +223,6 @@ def test_an_arm_has_one_acceleration():
         np.testing.assert_allclose(
             whole.effort(motion, sign_width=WIDTH)[0], push, atol=1e-4 * np.abs(push).max()
         )
-
-
-@pytest.mark.parametrize(("largest", "seconds"), [(1e-2, 1.0), (1e-4, 0.1)])
-def test_energy_falls(model, largest, seconds):
-    """Of two that swing free, by steps however short."""
-    builder = DiagramBuilder()
-    added = replace(model, effort_signals=()).add_to_builder(builder, sign_width=WIDTH)
-    simulator = Simulator(builder.Build())
-    root = simulator.get_mutable_context()
-    added.set_state(root, [2.5], [6.0])
-    context = added.plant.GetMyContextFromRoot(root)
-    simulator.get_mutable_integrator().set_maximum_step_size(largest)
-    energy = []
-    for instant in np.linspace(0.0, seconds, 101):
-        simulator.AdvanceTo(instant)
-        v = added.plant.GetVelocities(context)
-        whole = added.plant.EvalKineticEnergy(context) + 0.5 * ARMATURE * v @ v
-        energy.append(whole + added.plant.EvalPotentialEnergy(context))
-    energy = np.array(energy)
-    assert (np.diff(energy) < 1e-6).all()
-    assert energy[-1] < energy[0] - 5.0 * seconds
 
 
 def test_a_gear_that_locks_is_refused():

@@ -12,25 +12,17 @@ from excitation_robots import arm as chain
 from measurements import DATA, REFERENCE
 from pendulum_logs import PENDULUM, body_effort
 from pinocchio_logs import effort_log
-from scipy.optimize import minimize
-from scipy.spatial.transform import Rotation
 
 from diagrams.benchmarks.column_errors import DURATION, WrongLog, make_log
-from diagrams.benchmarks.simulated.engines import make_engine, robot_file
+from diagrams.benchmarks.simulated.engines import robot_file
 from geodrake import load_model
 from geodrake.cli.command import unchecked_words
 from geodrake.control.export_proof.joints import exported_joints
-from geodrake.diagnosis import Beliefs, check_columns, compare, corrected, with_motor_limits
+from geodrake.diagnosis import check_columns, compare, corrected, with_motor_limits
 from geodrake.diagnosis.columns import ColumnFinding
-from geodrake.diagnosis.columns.assignment import Assignment
-from geodrake.diagnosis.columns.design import JointDesign
-from geodrake.diagnosis.columns.evidence import ColumnModel
-from geodrake.diagnosis.columns.gaussian import JointEquations, most_probable
 from geodrake.diagnosis.columns.kinds import words_of
-from geodrake.diagnosis.columns.samples import column_samples
 from geodrake.effects import FittedEffect, JointElasticity
 from geodrake.errors import ArgumentError
-from geodrake.identification.logs.case import prepared_as_measured
 from geodrake.logs import JointLog, read_log
 from geodrake.model import EffortSignal, save_model
 from geodrake.model.effort_signal import MotorLimit
@@ -168,24 +160,6 @@ def test_a_gain_is_told_where_its_fit_has_converged(gain=0.29):
     (found,) = check_columns(model, [log])
     assert (found.kind, found.joints) == ("effort_gain", (model.joints[j],))
     assert found.values[0] == pytest.approx(gain, rel=0.1)
-
-
-def test_designs_of_a_leaning_base_are_efforts_under_its_gravity(pendulum, right):
-    """Those of an engine whose gravity is turned the other way."""
-    samples = column_samples(pendulum, *prepared_as_measured(pendulum, [right]))
-    model, named = ColumnModel(samples, Beliefs()), Assignment.as_named(2)
-    turned = np.zeros((2, len(model.mean)))
-    turned[:, model.tilt] = [0.1, -0.2], [0.0, 0.05]
-    leaning = model.moved(model.moved(named, turned[0]), turned[1])
-    twice = Rotation.from_rotvec([0.0, -0.05, 0.0]) * Rotation.from_rotvec([-0.1, 0.2, 0.0])
-    engine = make_engine("pinocchio", robot_file("double_pendulum"))
-    for assignment, gravity in ((named, [0, 0, -9.81]), (leaning, twice.apply([0, 0, -9.81]))):
-        engine.set_gravity(np.array(gravity))
-        efforts, phi = engine.efforts(*samples.motion(assignment)), pendulum.phi.ravel()
-        for j, design in enumerate(model.designs(assignment)):
-            own = design.columns < phi.size
-            found = design.X[:, : len(own)][:, own] @ phi[design.columns[own]]
-            np.testing.assert_allclose(found, efforts[design.rows, j], atol=1e-9)
 
 
 def test_two_mistakes_are_found_one_after_the_other(pendulum, right):
@@ -388,41 +362,3 @@ def test_limits_stand_beside_gains_and_among_none():
 def test_units_are_named_before_gains(kind, values, option):
     _, advice = words_of(kind, ["shoulder", "elbow"], values, all_joints=True)
     assert option in advice and ("--units" in option or "--units" not in advice)
-
-
-_SHARED, _OWN, _ROWS = 6, 2, 300
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_fits_with_unknown_gains_end_at_a_minimum(seed: int) -> None:
-    """Two joints share bodies that matter little beside their friction; their gains are unknown."""
-    random = np.random.default_rng(seed)
-    count = _SHARED + 2 * _OWN + 2
-    truth = np.concatenate([1.0 + 0.3 * random.normal(size=_SHARED), random.normal(size=2 * _OWN)])
-    gains = count - 2 + np.arange(2)
-    joints, sizes = [], np.repeat([0.02, 1.0], [_SHARED, _OWN])
-    for j, error in enumerate((0.6, -0.6)):
-        own = _SHARED + _OWN * j + np.arange(_OWN)
-        columns = random.normal(size=(_ROWS, _SHARED + _OWN)) * sizes
-        signal = np.exp(error) * columns @ truth[[*range(_SHARED), *own]]
-        signal += 0.01 * np.std(signal) * random.normal(size=_ROWS)
-        X = np.column_stack([columns, np.zeros(_ROWS), signal])
-        at = np.array([*range(_SHARED), *own, gains[j]])
-        effort, known = np.eye(X.shape[1])[[-1, -2]]
-        design = JointDesign(own, np.arange(_ROWS), 0, X, X.T @ X)
-        joints.append(JointEquations(design, at, np.arange(_SHARED + _OWN), effort, known))
-    mean = np.concatenate([np.ones(_SHARED), np.zeros(2 * _OWN + 2)])
-    spread = np.concatenate([np.full(_SHARED, 0.3), np.full(2 * _OWN, 10.0), np.full(2, 1.0)])
-    information, worth = np.diag(spread**-2.0), np.full(2, float(_ROWS))
-    prior = mean, information, np.full(count, -np.inf)
-    found = most_probable(joints, worth, prior, start=mean, gains=gains)
-
-    def cost(x: np.ndarray) -> float:
-        errors = [np.mean(np.subtract(*joint.needed(x)) ** 2) for joint in joints]
-        return float((x - mean) @ information @ (x - mean) + worth @ np.log(errors))
-
-    bounds = [(-0.7, 0.7) if i in gains else (None, None) for i in range(count)]
-    best = minimize(cost, found.x, bounds=bounds)
-    assert cost(found.x) < best.fun + 0.1
-    errors = [np.mean(np.subtract(*joint.needed(found.x)) ** 2) for joint in joints]
-    np.testing.assert_allclose(found.mse, errors, rtol=1e-6)

@@ -6,7 +6,6 @@ import json
 import numpy as np
 import pinocchio as pin
 import pytest
-from effect_motions import hand_robot, random_motion
 from pinocchio_logs import MODELS, effort_log
 from pydrake.multibody.tree import default_model_instance
 from pydrake.systems.framework import DiagramBuilder
@@ -16,13 +15,11 @@ from geodrake import load_model
 from geodrake.boundary.interrupts import StopSearch
 from geodrake.diagnosis import add, compare, explain
 from geodrake.diagnosis.search import Search
-from geodrake.effects import Contact, FittedEffect, TemporaryPayload
+from geodrake.effects import FittedEffect, TemporaryPayload
 from geodrake.effects.robot_motion import log_number
 from geodrake.errors import ArgumentError
-from geodrake.identification.logs.bandwidth import prepare_for_model
 from geodrake.identification.logs.case import open_case
 from geodrake.inertia import from_mass_com_inertia
-from geodrake.logs.folds import assign_folds, validation_blocks
 from geodrake.model import save_model
 from geodrake.model.export import export_model
 from geodrake.report import Units
@@ -54,54 +51,6 @@ def pushed(joint, point, force, window, *, turning=False, rise=0.015):
         return effort
 
     return hidden
-
-
-class TestColumns:
-    @pytest.mark.parametrize("turning", [0, 1])
-    def test_forces_do_work_at_their_point(self, turning):
-        """Columns times velocities are the power of each force and moment."""
-        motion, (plant, *_) = random_motion(), hand_robot()
-        contact = Contact("hand", -1.0, 1.0, 1e-3, 0, 0.1, -0.2, 0.3, turning)
-        columns = contact.regressor(motion)
-        context, body = plant.CreateDefaultContext(), plant.GetBodyByName("hand")
-        for i in range(5):
-            plant.SetPositions(context, motion.bodies.q[i])
-            plant.SetVelocities(context, motion.v[i])
-            V = plant.EvalBodySpatialVelocityInWorld(context, body)
-            X_WB = plant.EvalBodyPoseInWorld(context, body)
-            at_point = V.Shift(X_WB.rotation() @ np.array([0.1, -0.2, 0.3]))
-            R = X_WB.rotation().matrix() if turning else np.eye(3)
-            expected = np.concatenate([R.T @ at_point.translational(), R.T @ at_point.rotational()])
-            np.testing.assert_allclose(columns[i].T @ motion.v[i], expected, atol=1e-12)
-
-
-def owner(folds):
-    """Filtered sample -> number of the fold that it is in."""
-    return {
-        sample: k
-        for k, fold in enumerate(folds)
-        for block in fold.blocks
-        for sample in range(block.start, block.stop)
-    }
-
-
-def test_windows_are_dealt_out_to_two_folds():
-    trajectories, _ = prepare_for_model(PENDULUM, [effort_log("double_pendulum", 1).log])
-    folds, low_pass = validation_blocks(trajectories), trajectories[0].filter
-    offset = float(trajectories[0].segments[0][:1].time[0]) + low_pass.halfwidth * low_pass.period
-    before, slack = owner(folds), low_pass.output_period
-    time = {sample: offset + slack * sample for sample in before}
-    # Within a block; all of some; in two that overlap.
-    for windows in [[(8.0, 9.5)], [(2.0, 12.0)], [(5.9, 8.3), (4.7, 6.3)]]:
-        dealt = assign_folds(folds, trajectories, [(0, *each) for each in windows], pieces=4)
-        start, end = min(low for low, _ in windows), max(high for _, high in windows)
-        after = owner(dealt)
-        changed = {sample for sample in before if before[sample] != after[sample]}
-        assert before.keys() == after.keys()
-        assert all(start - slack < time[sample] < end + slack for sample in changed)
-        within = [sample for sample in before if start <= time[sample] < end]
-        assert 0.3 < len(changed) / len(within) < 0.7
-        assert all(list(f.blocks) == sorted(f.blocks, key=lambda b: b.start) for f in dealt)
 
 
 def found_in(hidden, seed, **options):
@@ -178,27 +127,6 @@ class TestDiagnosis:
         found = found_in(lambda seen: push(seen) + 2.0 * seen.v, 4)
         assert len(climbed) == 2 and found.is_interrupted
         assert "viscous_friction" in {step.effect for step in found.steps}
-
-    @pytest.mark.parametrize(("is_pushed", "climbs"), [(True, 2), (False, 1)])
-    def test_only_contacts_that_explain_something_are_searched_with(
-        self, is_pushed, climbs, monkeypatch
-    ):
-        window, climbed = (5.0, 6.0), []
-        push = pushed(2, POINT, np.array([2.0, 0.0, 0.0]) * is_pushed, window)
-        made = effort_log("double_pendulum", 4, lambda seen: push(seen) + 2.0 * seen.v)
-        contact = Contact(LINK, *window, 0.015, log_number(made.log.name), *POINT)
-        climb = Search._climb_by_common_first
-
-        def counted(search):
-            climbed.append(search)
-            climb(search)
-
-        monkeypatch.setattr(Search, "_climb_by_common_first", counted)
-        monkeypatch.setattr("geodrake.diagnosis.search.find_episodes", lambda *_: (contact,))
-        found = explain(PENDULUM, [made.log])
-        effects = {step.effect for step in found.steps}
-        assert effects == ({"viscous_friction", "contact"} if is_pushed else {"viscous_friction"})
-        assert len(climbed) == climbs
 
 
 pytest.importorskip("pinocchio")

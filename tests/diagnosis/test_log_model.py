@@ -27,13 +27,11 @@ from geodrake.diagnosis.findings import (
     without_finding,
 )
 from geodrake.diagnosis.log_model import Choice, LogModel
-from geodrake.diagnosis.moves import neighbours
 from geodrake.diagnosis.neighbourhood import Neighbourhood
-from geodrake.diagnosis.normal_kernels import calc_distance, calc_noise_changes, calc_physical_share
+from geodrake.diagnosis.normal_kernels import calc_distance, calc_noise_changes
 from geodrake.diagnosis.notes import left_out_notes, unnamed_notes
 from geodrake.diagnosis.posterior import Posterior
-from geodrake.diagnosis.refinements import fitted_delays
-from geodrake.diagnosis.search import Search, searched
+from geodrake.diagnosis.search import searched
 from geodrake.diagnosis.terms import odds_against
 from geodrake.effects import (
     CoulombFriction,
@@ -70,13 +68,10 @@ BODIES = 10 * len(PENDULUM.bodies)
 SHARES = np.ones(2)
 
 
-def random_problem(dry=0.4, ball=0.0, folds=1):
+def random_problem(ball=0.0):
     """Random rows of two joints, as a dataset, and as columns by effect and efforts.
 
-    Args:
-        dry: Friction of the elbow.
-        ball: How often the lower link carries a ball.
-        folds: Among which the rows are dealt out.
+    The lower link carries a ball so many times.
     """
     rng = np.random.default_rng(5)
     bodies = rng.normal(size=(2, ROWS, BODIES))
@@ -87,21 +82,19 @@ def random_problem(dry=0.4, ball=0.0, folds=1):
             own[effect][1 - JOINTS.index(effect.where[0])] = 0.0
     effort = bodies @ PENDULUM.phi.ravel() + rng.normal(size=(2, ROWS))
     effort += ball * own[PAYLOAD] @ BALL
-    effort += 0.5 * own[OFFSETS[0]][:, :, 0] + dry * own[RUBBING][:, :, 0]
+    effort += 0.5 * own[OFFSETS[0]][:, :, 0] + 0.4 * own[RUBBING][:, :, 0]
     joints = []
     for j in range(2):
         columns = [bodies[j], *(own[e][j] for e in EFFECTS if e is not PAYLOAD)]
         columns = np.column_stack(columns)
         (felt,) = columns.any(axis=0).nonzero()
         rows = np.column_stack([columns[:, felt], effort[j]])
-        n, width = np.full(folds, ROWS // folds), len(felt)
-        peaks, none = np.abs(rows[:, :-1]).max(0), np.zeros((folds, width))
-        of_folds = effort[j].reshape(folds, -1)
-        sums = np.stack([of_folds.sum(1), np.square(of_folds).sum(1)], 1)
-        factors = rows.reshape(folds, ROWS // folds, -1)
-        joints.append(JointData(felt, factors, n, ((),) * folds, none, n, sums, peaks))
+        n, peaks = np.array([ROWS]), np.abs(rows[:, :-1]).max(0)
+        sums = np.array([[effort[j].sum(), np.square(effort[j]).sum()]])
+        none = np.zeros((1, len(felt)))
+        joints.append(JointData(felt, rows[None], n, ((),), none, n, sums, peaks))
     dataset = Dataset(
-        JOINTS, PENDULUM.bodies, EFFECTS, np.zeros((1, 2)), tuple(map(str, range(folds))), ("log",),
+        JOINTS, PENDULUM.bodies, EFFECTS, np.zeros((1, 2)), ("0",), ("log",),
         tuple(joints), effort.std(1), np.full(2, 0.1), 5.0, np.zeros(2),
         BALL, GAINS,
     )  # fmt: skip
@@ -141,21 +134,6 @@ def dense_evidence(problem, fit, terms):
     covariance += np.diag(np.repeat(1.0 / fit.weights, ROWS))
     expected = A @ means
     return 2.0 * multivariate_normal(expected, covariance).logpdf(effort.ravel())
-
-
-def test_folds_are_predicted_by_fits_to_the_others():
-    """By gains and effects, too: as a dense computation of the most probable parameters does."""
-    problem = random_problem(folds=4)
-    fit = settled(problem[0], OFFSETS[0], RUBBING)
-    (A, known, means), effort = dense(problem, fit.terms), problem[3].ravel()
-    fold = np.tile(np.repeat(np.arange(4), ROWS // 4), 2)
-    weights = np.repeat(fit.weights, ROWS)
-    found = problem[0].held_out(fit)
-    for k in range(4):
-        rest = np.where(fold == k, 0.0, weights)[:, None] * A
-        x = np.linalg.solve(A.T @ rest + known, rest.T @ effort + known @ means)
-        squares = np.square(np.where(fold == k, effort - A @ x, 0.0))
-        np.testing.assert_allclose(found.sse[k], squares.reshape(2, ROWS).sum(1), rtol=1e-4)
 
 
 def prior_odds(model, fit):
@@ -204,23 +182,6 @@ def test_gains_and_losses_are_differences_of_evidence(problem):
             assert gain == pytest.approx(after - now, abs=1e-3)
 
 
-@pytest.mark.parametrize("gone", [(), (RUBBING,)])
-def test_promises_are_gains_with_the_noise_that_is_left(gone):
-    """Of effects that only together leave little, both promise what they bring."""
-    problem = random_problem(dry=6.0)
-    model, before = problem[0], settled(problem[0], *gone)
-    by_effect = {term.effect: term for term in model.terms}
-    package = (by_effect[RUBBING], by_effect[OFFSETS[1]])
-    around = Neighbourhood(model, before)
-    dropped = around.dropped([by_effect[e] for e in gone]) if gone else None
-    (promise,), (gain,) = (each([package], dropped) for each in (around.promises, around.gains))
-    after = settled(model, RUBBING, OFFSETS[1])
-    true = after.score - before.score - prior_odds(model, after) + prior_odds(model, before)
-    lost = dropped.loss if gone else 0.0
-    assert promise + lost == pytest.approx(true, abs=0.15 * abs(true) + 1.0)
-    assert gone or gain < 0.6 * true
-
-
 def test_bodies_that_cannot_be_are_as_improbable_as_they_are():
     """A body of less than no mass, of which the prior has one in so many."""
     could, cannot = random_problem(ball=1.0), random_problem(ball=-1.0)
@@ -233,14 +194,6 @@ def test_bodies_that_cannot_be_are_as_improbable_as_they_are():
         costs.append(own - none)
     assert costs[0] == pytest.approx(0.0, abs=0.1)
     assert costs[1] < 2.0 * np.log(0.01)
-
-
-def test_what_leaves_white_noise_is_a_neighbour_however_few_samples_residuals_count_for():
-    model = random_problem(dry=4.0)[0]
-    (term,) = [term for term in model.terms if term.effect == RUBBING]
-    fit = model.unbounded(Choice((), WIDTH, (0, 0)), np.full(2, 0.02))
-    assert (term,) not in [each.terms for each in neighbours(model, fit, most=0)]
-    assert (term,) in [each.terms for each in neighbours(model, fit, most=0, further=1)]
 
 
 # What a search ends with.
@@ -316,25 +269,6 @@ def test_bodies_are_as_far_from_the_file_as_they_are(distance=0.2):
     assert np.exp(np.mean(np.log(found))) == pytest.approx(distance, rel=0.5)
 
 
-def test_a_delay_costs_its_odds_only_where_it_is_one(problem):
-    """Columns at a delay of 10 ms that was found, and at none, as the file says."""
-    model, found = problem[0], np.array([0.0, 0.01])
-    data = [
-        replace(each, factors=each.factors[:, :, [*range(each.factors.shape[2]), -1]])
-        for each in model.dataset.data
-    ]
-    dataset = replace(model.dataset, delays=np.array([[0.0, 0.0], [0.0, -0.01]]), data=tuple(data))
-    late = replace(PENDULUM, effects=tuple(fitted_delays(found, JOINTS)))
-    timed = LogModel(late, dataset, EFFECTS, BELIEFS, (1, 1), file_delays=np.zeros(2))
-    odds = [
-        timed.odds_against(Choice((), WIDTH, delay)) for delay in [(1, 1), (0, 1), (0, 0), (1, 0)]
-    ]
-    assert odds[0] == odds[1] == model.odds_against(Choice((), WIDTH, (0, 0)))
-    assert odds[2] == odds[3] > odds[0] + 2.0 * np.log(BELIEFS.delays)
-    assert not timed.are_apart((1, 1), (0, 1))
-    assert timed.are_apart((1, 1), (0, 0))
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_the_nearest_body_that_can_exist(seed):
     """By a precision; a semidefinite program says the same."""
@@ -351,21 +285,6 @@ def test_the_nearest_body_that_can_exist(seed):
     assert least > 0.0
     found = calc_distance(mean, inside, precision, np.ascontiguousarray(basis))
     assert least <= found <= least + 0.5
-
-
-def test_bodies_that_can_exist_are_those_of_positive_eigenvalues():
-    """Not those of numbers that are none, nor of a negative mass alone."""
-    rng, basis = np.random.default_rng(2), pseudo_inertia_basis()
-    body = from_mass_com_inertia(1.0, np.array([0.02, 0.0, 0.05]), 4e-3 * np.eye(3))
-    drawn = body * (1.0 + 0.5 * rng.normal(size=(400, 10)))
-    exist = np.linalg.eigvalsh(np.tensordot(drawn, basis, 1)).min(axis=1) > 0.0
-    assert 20 < exist.sum() < 380
-    flat = np.ascontiguousarray(basis.reshape(10, -1))
-    assert calc_physical_share(drawn, flat) == exist.mean()
-    odd = np.array(
-        [np.full(10, np.nan), -np.eye(10)[0], np.where(np.arange(10) == 1, np.nan, body)]
-    )
-    assert calc_physical_share(odd, flat) == 0.0
 
 
 def test_any_number_of_joints_with_a_kind_is_as_likely_as_another(problem):
@@ -388,21 +307,6 @@ def everywhere(model, n):
     ]
 
 
-def test_friction_that_differs_by_direction_at_a_joint_is_friction_there():
-    """Beside friction of other joints, it is as unlikely as friction here and what is more."""
-    log = effort_log("double_pendulum", 2, lambda seen: 0.0, share=0.01).log
-    terms = Search(open_case(PENDULUM, [log], candidates=True)).model.terms
-    here, there = ({t.name: t for t in terms if t.where == (j,)} for j in PENDULUM.joints)
-    more, kinds = here["asymmetric_friction"], ("coulomb_friction", "viscous_friction")
-    alone = 2.0 * np.log(len(PENDULUM.joints) ** 2 * Beliefs().rarer)
-    assert odds_against([more]) == pytest.approx(alone)
-    others, both = (
-        [there[kind] for kind in kinds],
-        [t[kind] for kind in kinds for t in (here, there)],
-    )
-    assert odds_against([more, *others]) == pytest.approx(odds_against(both) + alone)
-
-
 def test_noise_at_other_instants_is_no_evidence_of_a_delay():
     """Sums of squares fall by what noise says of a delay, not by when it is sampled."""
     rng, low_pass = np.random.default_rng(8), design_filter(0.005, 8.3)
@@ -422,22 +326,6 @@ def test_noise_at_other_instants_is_no_evidence_of_a_delay():
     assert np.min(raw, axis=0)[0] < lost[0] - 8.0 * spread[0]
     assert (np.min(left, axis=0) > lost - 4.0 * spread - 0.1).all()
     assert (np.array(left) >= raw).all()
-
-
-def test_the_less_noise_there_is_the_more_rows_reverse(problem):
-    """Dry friction of the size of the efforts, for the share of time, is compared with the noise.
-
-    Beside a reversal a filter makes the share of time less than none.
-    """
-    model = random_problem()[0]
-    model._unsure = {"elbow": 0}
-    share = np.array([0.0, -0.05, 0.02, 0.035, 0.2])
-    rows = SimpleNamespace(A=share[:, None], b=share)
-    for noise, turns in [(0.0, 1), (0.9, 1), (0.04, 2), (1e-5, 3)]:
-        floor = noise * model.dataset.effort_std
-        model.dataset = replace(model.dataset, noise_floor=floor)
-        assert model.reverses(1, rows).sum() == turns
-        assert not model.reverses(0, rows).any()
 
 
 PENDULUM_FILE = MODELS / "double_pendulum.urdf"

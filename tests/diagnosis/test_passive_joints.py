@@ -12,8 +12,6 @@ from geodrake.diagnosis import add, compare, explain
 from geodrake.effects import CoulombFriction, ViscousFriction
 from geodrake.errors import ArgumentError, LogError
 from geodrake.identification import IdentificationSettings, identify_model
-from geodrake.identification.logs.case import open_case
-from geodrake.identification.logs.log_fits import LogFits, log_unknowns
 from geodrake.logs import JointLog, Reading, read_log, write_log
 from geodrake.logs.files import read_mapping
 from geodrake.model.logged_joints import reading_for
@@ -123,32 +121,6 @@ def test_identify_fits_bodies_beside_a_joint_without_a_motor(files, regularizer)
     assert known["coulomb_friction"] == pytest.approx(0.3, rel=0.1)
     assert found.model.motorless == ("shoulder",)
     assert found.after.nrms < 0.1 * found.before.nrms
-
-
-def test_the_likelihood_of_what_has_no_motor_is_exact_at_the_solution(files):
-    """‖Ax − b‖² − 2 n log m has the slopes of its rows there, and noise shrinks no body."""
-    model, logs = files(mass=1.2)
-    case = open_case(model, logs, candidates=False)
-    unknowns = log_unknowns(case.dataset, model)
-    x = unknowns.mean * np.random.default_rng(1).uniform(0.8, 1.2, len(unknowns.mean))
-    fits = LogFits(case.dataset, unknowns, np.array([3.0, 2.0]), near=x, power=np.array([40.0, 0]))
-    bare = replace(fits, power=np.zeros(2))
-
-    def slopes(of, h=1e-6):
-        moved = [(x + h * e, x - h * e) for e in np.diag(np.abs(x) + 0.01)]
-        return np.array([(of(a) - of(b)) / (2 * h) for a, b in moved])
-
-    def cost(fits, x):
-        A, b = fits.data()
-        return np.sum((A @ x - b) ** 2)
-
-    def exact(x):
-        inertia = case.dataset.inertias(unknowns.columns, x)[0]
-        return cost(bare, x) - 2 * 40.0 * np.log(inertia)
-
-    expected = slopes(exact)
-    assert slopes(lambda y: cost(fits, y)) == pytest.approx(expected, rel=1e-5, abs=1e-4)
-    assert np.abs(expected - slopes(lambda y: cost(bare, y))).max() > 1.0
 
 
 def test_positions_beyond_the_limits_of_a_file_are_noted(files, tmp_path):

@@ -172,12 +172,6 @@ class TestShapes:
         assert steps["stribeck_friction"]["excess"] == pytest.approx(0.3, rel=0.1)
         assert found.verdict == "explained"
 
-    def test_a_curve_comes_after_the_friction_that_it_refines(self):
-        """Though alone it would take more of the error away."""
-        law = at_elbow(lambda q, v, vd: np.tanh(v / 0.02) * (0.1 + 0.5 * np.exp(-(v**2))))
-        found = explained(pendulum_log(4, law))
-        assert [step.effect for step in found.steps] == ["coulomb_friction", "stribeck_friction"]
-
     def test_a_power_that_is_nearly_viscous_friction_is_told_beside_it(self):
         found = explained(pendulum_log(9, at_elbow(power(1.1))))
         steps = {step.effect: step for step in found.steps}
@@ -335,18 +329,6 @@ def test_order_is_found(order, seed):
     assert peak.resolution == pytest.approx(2 * np.pi / np.ptp(q), rel=0.05)
 
 
-@pytest.mark.parametrize("offset", [0.0, 5.0])
-def test_share_is_that_of_the_waves(offset):
-    """Beside an offset, which is no wave."""
-    rng = np.random.default_rng(4)
-    q, v = motion(rng)
-    wave, noise = np.cos(20.0 * q), rng.normal(size=len(q))
-    power = [np.square(LOW_PASS.apply(part)).mean() for part in (wave, noise)]
-    peak = peak_of(q, v, wave + noise + offset)
-    assert peak.share == pytest.approx(power[0] / sum(power), abs=0.07)
-    assert peak.order == pytest.approx(20.0, abs=0.25 * peak.resolution)
-
-
 @pytest.mark.parametrize(("colour", "most"), [(0.0, 0.01), (0.99, 0.06)])
 def test_noise_rarely_looks_like_waves(colour, most):
     """The threshold is 0.001; what is left is for the held-out evidence to refuse."""
@@ -357,10 +339,3 @@ def test_noise_rarely_looks_like_waves(colour, most):
         noise = lfilter([1.0], [1.0, -colour], rng.normal(size=len(q)))
         alarms.append(alarm(peak_of(q, v, noise)))
     assert np.mean(np.array(alarms) < 1e-3) <= most
-
-
-def test_motions_that_show_nothing():
-    still, q = np.zeros(500), np.linspace(0.0, 200.0, 500)  # so fast that no wave passes the filter
-    way = {"effective": 10.0, "gain": LOW_PASS.response, "bandwidth": WAVES_BELOW}
-    assert highest_peak((still, still), still, **way) is None
-    assert highest_peak((1e-3 * q, q + 1.0), q, **way) is None

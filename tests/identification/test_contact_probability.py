@@ -83,13 +83,6 @@ def test_probabilities_are_right_and_mean_what_they_say(known):
     assert truth[~sure].mean() < found[~sure].mean() + 0.15  # a lift in doubt is a touch
 
 
-def test_nothing_known_is_in_doubt():
-    truth = steps(np.random.default_rng(0), 500)
-    none = {"heights": False, "speeds": False, "forces": False}
-    found = touching_probability(signs(truth, np.random.default_rng(1), **none))
-    np.testing.assert_allclose(found, 0.5, atol=1e-6)
-
-
 @pytest.fixture(scope="module")
 def on_steps(tmp_path_factory):
     """A quadruped that sways with two of its feet on a step, and what it measures."""

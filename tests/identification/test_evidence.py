@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from scipy.stats import wilcoxon
 
 from geodrake.identification.logs.evidence import (
     effective_samples,
@@ -11,7 +10,6 @@ from geodrake.identification.logs.evidence import (
     fold_agreement,
     tie_probability,
 )
-from geodrake.identification.logs.model_errors import ErrorTable, JointError
 
 
 def autoregressive(rng, n, rho):
@@ -19,17 +17,6 @@ def autoregressive(rng, n, rho):
     drive = np.sqrt(1 - rho**2) * rng.normal(size=n)
     drive[0] = rng.normal()
     return lfilter([1.0], [1.0, -rho], drive)
-
-
-def test_effective_samples_of_blocks_of_all_lengths():
-    """By the sum itself: n / (1 + 2 Σ ρ) up to the first ρ below 0.02."""
-    rng = np.random.default_rng(8)
-    blocks = [autoregressive(rng, n, 0.8) for n in (400, *[7] * 30, 1)]
-    products = [sum(b[: len(b) - k] @ b[k:] for b in blocks if k < len(b)) for k in range(400)]
-    correlation = np.array(products[1:]) / products[0]
-    last = int(np.argmax(correlation < 0.02))
-    expected = sum(map(len, blocks)) / (1.0 + 2.0 * correlation[:last].sum())
-    assert effective_samples(blocks) == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize("parameters", [1, 10])
@@ -75,16 +62,6 @@ def test_ties_of_equals_are_evenly_spread(folds):
         assert np.mean(p < level) == pytest.approx(level, abs=4 * spread + step)
 
 
-@pytest.mark.parametrize("folds", [5, 10])
-def test_ties_are_those_of_the_signed_rank_test(folds):
-    rng = np.random.default_rng(12)
-    for shift in (0.0, 0.05, 0.2):
-        a = rng.uniform(1.0, 2.0, folds)
-        b = a + np.sign(rng.normal(shift, 0.1, folds)) * rng.uniform(0.05, 0.5, folds)
-        expected = wilcoxon(b - a, alternative="greater", method="exact").pvalue
-        assert tie_probability(a, b) == pytest.approx(expected)
-
-
 @pytest.mark.parametrize(
     ("after", "agreement"),
     [
@@ -110,20 +87,3 @@ def test_folds_without_errors_agree_to_nothing():
     before = np.array([1.0, 1.0, 0.0])
     assert fold_agreement(before, np.array([0.5, 0.5, 0.0])) == 1.0
     assert fold_agreement(np.zeros(2), np.zeros(2)) == 0.0
-
-
-@pytest.mark.parametrize(
-    ("over_floor", "is_noise"),
-    [
-        ([1.2] * 7, True),
-        ([1.3] * 7, False),
-        ([1.0] * 6 + [1.5], True),
-        ([1.0] * 6 + [2.0], False),  # 1.2 times on the whole
-    ],
-)
-def test_noise_of_other_joints_covers_nothing_up(over_floor, is_noise):
-    """Seven joints with the same noise, in units of their own efforts."""
-    sizes = np.geomspace(0.1, 100.0, 7)
-    joints = zip("abcdefg", sizes, over_floor, strict=True)
-    table = ErrorTable(tuple(JointError(j, f * 0.01 * s, s, 0.01 * s) for j, s, f in joints))
-    assert table.is_noise == is_noise

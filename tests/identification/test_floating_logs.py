@@ -534,8 +534,6 @@ def _changed(names, change):
     return columns
 
 
-PLACE, CONTACTS = [f"base.position.{axis}" for axis in "xyz"], [f"{foot}.contact" for foot in FEET]
-TURN = [f"base.orientation.{axis}" for axis in "wxyz"]
 SPIN, FELT = (
     [f"imu.{name}.{axis}" for axis in "xyz"] for name in ("angular_velocity", "linear_acceleration")
 )

@@ -18,7 +18,6 @@ from geodrake.effects import (
     CoulombFriction,
     CoupledFriction,
     EffortOffset,
-    EffortScale,
     JointSpring,
     ViscousFriction,
 )
@@ -152,44 +151,7 @@ def test_bodies_stay_physical(dataset):
     np.testing.assert_allclose(kept.held_out.rms, found.rms, rtol=1e-6)
 
 
-def test_a_prior_that_a_likelihood_pulls_out_of_all_bodies_is_one_to_fit(dataset):
-    """As that of a joint without a motor does: what the file says gives the scale."""
-    unknowns = model_unknowns(dataset, MODEL, spread=3.0)
-    pulled = replace(unknowns, pull=-100.0 * unknowns.information @ unknowns.mean)
-    problem = fit_problem(dataset, pulled, WEIGHTS)
-    assert not is_physical(problem.prior_mean.reshape(-1, 10)).any()
-    assert is_physical(solve_with_fallback(problem).x.reshape(-1, 10)).all()
-
-
-def test_bound_is_kept(dataset):
-    """Friction of the wrong sign is what such data would like: it stays at zero."""
-    unknowns = with_effects(dataset, model_unknowns(dataset, MODEL), *EFFECTS[:4])
-    unknowns = replace(unknowns, mean=-unknowns.mean)
-    negated = negative(dataset)
-    cv = CrossValidation(negated, unknowns, WEIGHTS, physical=False)
-    spans = [unknowns.span(effect).start for effect in EFFECTS[:4]]
-    np.testing.assert_array_equal(cv.held_out.x[:, spans], 0.0)
-    np.testing.assert_allclose(cv.held_out.sse, ridge_errors(negated, unknowns), rtol=1e-5)
-
-
 WEIGHT = KnownPayload("lower_link", 1.0, (0.05, 0.0, -0.2))
-
-
-def test_released_effect_is_forgotten_and_the_rest_is_not(dataset):
-    unknowns = with_effects(dataset, model_unknowns(dataset, MODEL), *EFFECTS[:3])
-    size = len(unknowns.columns)
-    root = np.random.default_rng(3).normal(size=(2 * size, size))
-    known = replace(unknowns, information=root.T @ root)
-    weak = np.array([[1e-6]])
-    released = known.released(EFFECTS[1], weak)
-    span = known.span(EFFECTS[1])
-    rest = np.delete(np.arange(len(known.columns)), span)
-    before, after = (np.linalg.inv(u.information) for u in (known, released))
-    np.testing.assert_allclose(
-        after[np.ix_(rest, rest)], before[np.ix_(rest, rest)], rtol=1e-6, atol=1e-9
-    )
-    np.testing.assert_array_equal(released.information[span, span], weak)
-    np.testing.assert_array_equal(released.information[span, rest], 0.0)
 
 
 def weight_effort(q, v, vd, load):
@@ -257,15 +219,6 @@ def test_gains_that_a_model_took_in_act_on_what_has_changed_since():
     added = slice(-2, None)
     moved = (other.result.x - one.result.x)[added] / 0.01
     np.testing.assert_allclose(one.gain_shifts.sum(axis=0)[added], moved, rtol=0.02)
-
-
-def test_a_gain_that_is_fitted_moves_nothing_else():
-    logs = [pendulum_log(1, seconds=20.0), carrying_log(2)]
-    data = reduced(MODEL, logs, (EffortScale("elbow"),))
-    unknowns = with_effects(data, model_unknowns(data, MODEL), EffortScale("elbow"))
-    shoulder, elbow = fit_model(MODEL, data, unknowns, WEIGHTS).gain_shifts
-    assert shoulder.any()
-    assert not elbow.any()
 
 
 def test_what_is_unexplained_moves_a_parameter_by_two_deviations_at_most(dataset):

@@ -1,7 +1,5 @@
 """Point masses and geodesic least squares, against other solvers."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -21,11 +19,9 @@ from geodrake.identification import (
 )
 from geodrake.identification.coordinates import SYMMETRIC_BASIS
 from geodrake.identification.geodesic_least_squares import project, spectral
-from geodrake.inertia import Ellipsoid, from_pseudo_inertia, is_physical, pseudo_inertia
+from geodrake.inertia import Ellipsoid, is_physical, pseudo_inertia
 from geodrake.inertia.parameters import dual
 from geodrake.inertia.positive_definite import distance
-from geodrake.model import load_description
-from geodrake.robot import inverse_dynamics_regressor
 
 POINTS = PointMasses.of_bodies(PRIOR, [40, 25])
 TURNED = [np.eye(3), np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])]
@@ -34,24 +30,6 @@ KINDS = [PointMassEuclidean, PointMassKL]
 
 def data(seed, *, rows=15, extra=0, noise=0.1):
     return random_data(seed, PRIOR, rows=rows, extra=extra, noise=noise, scale=(0.6, 1.5))
-
-
-def test_points_have_the_bodies_parameters():
-    np.testing.assert_allclose(POINTS.parameters(), PRIOR, rtol=1e-12, atol=1e-14)
-    # R is the sum of point masses as the definition of P has it.
-    mu = np.random.default_rng(0).uniform(0.0, 1.0, 65)
-    phi = POINTS.parameters(mu)
-    for body, places, part in zip(phi, POINTS.positions, np.split(mu, [40]), strict=True):
-        homogeneous = np.column_stack([places, np.ones(len(places))])
-        expected = np.einsum("n,ni,nj->ij", part, homogeneous, homogeneous)
-        np.testing.assert_allclose(pseudo_inertia(body), expected, rtol=1e-12, atol=1e-15)
-    # They fill the uniform ellipsoid, whose semi-axes are √(5 λ(Σᶜ)/m), and little beyond.
-    com = PRIOR[0, 1:4] / PRIOR[0, 0]
-    spread = pseudo_inertia(PRIOR[0])[:3, :3] / PRIOR[0, 0] - np.outer(com, com)
-    radius = np.linalg.norm(
-        np.linalg.solve(np.linalg.cholesky(spread), (POINTS.positions[0] - com).T), axis=0
-    ) / np.sqrt(5.0)
-    assert radius.max() < 1.15 and radius.min() < 0.5
 
 
 def test_euclidean_masses_are_those_of_nonnegative_least_squares():
@@ -195,17 +173,6 @@ def test_projections_are_on_the_plane_and_geodesics_meet_it_at_right_angles(seed
         assert cosine == pytest.approx(1.0, abs=1e-6)
 
 
-def test_rows_without_a_projection_are_found():
-    """One body and its mass: within a factor e, masses up to m e exist, and none below zero."""
-    phi = PRIOR[:1]
-    A = np.repeat(np.eye(10)[:1], 5, axis=0)
-    b = 4.0 * np.array([1e-6, 1.0, np.e * 0.999, np.e * 1.001, -0.1])
-    found = project(np.linalg.cholesky(pseudo_inertia(phi)), covectors(A), b)
-    assert found.exists.tolist() == [True, True, True, False, False]
-    assert (found.rates[~found.exists] == 0).all()
-    assert found.half_squared_distances[0] == pytest.approx(0.5 * np.log(1e-6) ** 2)
-
-
 def test_both_methods_find_the_same_minimum():
     A, b = noisy_data(2)
     newton = geodesic_least_squares(A, b, PRIOR, gamma=300.0, tolerance=1e-6)
@@ -239,39 +206,6 @@ def test_the_cost_is_the_source_one_and_stationary():
         ]
         assert min(ends) > result.cost
         assert abs(ends[1] - ends[0]) / 2e-4 < 1e-3 * result.cost
-
-
-@pytest.mark.parametrize(("gamma", "seed", "most"), [(1.0, 0, 1.5), (10.0, 2, 4.0)])
-def test_an_arm_from_few_samples(gamma, seed, most):
-    """Rows of all joints in random motion, little noise, and a prior that is off."""
-    model = load_description(Path(__file__).parents[2] / "models" / "arm6.urdf")
-    rng = np.random.default_rng(seed)
-    q, v, a = rng.normal(size=(3, 10, len(model.joints)))
-    Y = inverse_dynamics_regressor(model.plant, q, v, a)
-    effort = Y @ model.phi.ravel()
-    sigma = 0.02 * effort.std(0)
-    b = (effort + sigma * rng.normal(size=effort.shape)).ravel()
-    G = np.eye(4) + 0.1 * rng.normal(size=(len(model.phi), 4, 4))
-    prior = from_pseudo_inertia(G @ pseudo_inertia(model.phi) @ G.transpose(0, 2, 1))
-    A = Y.reshape(-1, model.phi.size)
-    result = geodesic_least_squares(A, b, prior, gamma=gamma, sigma=np.tile(sigma, 10))
-    assert is_physical(result.phi).all()
-    assert result.distance <= 1e-6
-    assert result.curvature > 0
-    assert len(result.rejected) < 0.1 * len(b)
-    assert result.residual < most * len(b)
-    assert result.iterations < 100
-
-
-@pytest.mark.parametrize(("noise", "gamma"), [(1e-1, 1e5), (1e-5, 10.0), (1e-9, 1e-3)])
-def test_it_ends_where_rounding_hides_the_rest(noise, gamma):
-    """However small the cost is, a tolerance that cannot be reached is no error."""
-    rng = np.random.default_rng(10)
-    A = rng.normal(size=(30, 20))
-    b = A @ PRIOR.ravel() + noise * rng.normal(size=30)
-    found = geodesic_least_squares(A, b, PRIOR, gamma=gamma, tolerance=1e-300)
-    assert found.distance < 1e-10
-    assert found.iterations < 20
 
 
 def test_outliers_are_rejected_and_do_no_harm():

@@ -13,7 +13,6 @@ UR = tuple(
 )
 PANDA = tuple(f"panda_joint{k}" for k in range(1, 8))
 FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
-IIWA = tuple(f"iiwa_joint_{k}" for k in range(1, 8))
 
 
 def joints_of(names, joints):
@@ -103,28 +102,6 @@ def test_columns_called_as_joints_are_positions_but_those_of_accelerations():
     assert [m.column for m in as_positions(names, ["elbow"])] == names[:3]
 
 
-@pytest.mark.parametrize(
-    ("names", "joints"),
-    [
-        ([f"actual_q_{k}" for k in range(6)], UR),
-        ([f"pos_{joint.removesuffix('_joint')}" for joint in UR], UR),
-        ([f"q[{k}]" for k in range(7)], PANDA),
-        ([f"joint{k}.position" for k in range(1, 8)], PANDA),
-        ([f"axisQMsr_LBR_iiwa_7_R800_1[{k}]" for k in range(7)], IIWA),
-        ([f"AIPos.A{k}" for k in range(1, 8)], IIWA),
-        (["position"], ("axis",)),
-        (
-            [f"pos_{axis}" for axis in "SLURBT"],
-            tuple(f"joint_{k}_{a}" for k, a in enumerate("slurbt")),
-        ),
-        (["wrist_1_pos", "wrist_2_pos"], ("left_wrist_1", "left_wrist_2")),
-    ],
-)
-def test_joints_in_the_models_order(names, joints):
-    found, _ = joints_of(names, joints)
-    assert tuple(found[name] for name in names) == joints
-
-
 @pytest.mark.parametrize("first", [0, 1])
 def test_fewer_columns_than_joints_only_by_their_numbers(first):
     names = [f"q{k + first}" for k in range(7)]
@@ -134,33 +111,45 @@ def test_fewer_columns_than_joints_only_by_their_numbers(first):
     assert not set(UR).intersection(found.values())
 
 
+FORMS = [
+    ("actual_q_0 actual_q_1", "shoulder_pan_joint elbow_joint"),
+    ("pos_shoulder_pan pos_elbow", "shoulder_pan_joint elbow_joint"),
+    ("q[0] q[1]", "panda_joint1 panda_joint2"),
+    ("joint1.position joint2.position", "panda_joint1 panda_joint2"),
+    ("axisQMsr_LBR_iiwa_7_R800_1[0] axisQMsr_LBR_iiwa_7_R800_1[1]", "iiwa_joint_1 iiwa_joint_2"),
+    ("AIPos.A1 AIPos.A2", "iiwa_joint_1 iiwa_joint_2"),
+    ("position", "axis"),
+    (
+        "pos_S pos_L pos_U pos_R pos_B pos_T",
+        "joint_0_s joint_1_l joint_2_u joint_3_r joint_4_b joint_5_t",
+    ),
+    ("wrist_1_pos wrist_2_pos", "left_wrist_1 left_wrist_2"),
+]
+"""Columns, and the joints of a model that they are of."""
+GROUPS = [
+    ("lift elbow wrist_0 wrist_1 wrist_2", "lift elbow wrist_1 wrist_2 wrist_3"),
+    ("pan lift elbow wrist0 wrist1 wrist2", " ".join(UR)),
+    ("a0 a1 b0 b1 c0 c1", "leg_a_1 leg_a_2 leg_b_1 leg_b_2 leg_c_1 leg_c_2"),
+    ("leg0_j0 leg0_j1 leg1_j0 leg1_j1", "leg_1_j1 leg_1_j2 leg_2_j1 leg_2_j2"),
+    ("leg1_j0 leg1_j1 leg2_j0 leg2_j1", "leg_1_j1 leg_1_j2 leg_2_j1 leg_2_j2"),
+    (
+        "left_0 left_1 right_0 right_1 torso",
+        "left_arm_1 left_arm_2 right_arm_1 right_arm_2 torso",
+    ),
+    ("f1_near f1_far f2_near f2_far", "finger_1_near finger_1_far finger_2_near finger_2_far"),
+    ("arm_0 arm_1 hand_0 hand_1", "arm_joint1 arm_joint2 hand_joint1 hand_joint2"),
+]
+"""The same of groups of joints that are counted from 0."""
+
+
 @pytest.mark.parametrize(
     ("columns", "joints"),
-    [
-        ("lift elbow wrist_0 wrist_1 wrist_2", "lift elbow wrist_1 wrist_2 wrist_3"),
-        ("pan lift elbow wrist0 wrist1 wrist2", " ".join(UR)),
-        ("a0 a1 b0 b1 c0 c1", "leg_a_1 leg_a_2 leg_b_1 leg_b_2 leg_c_1 leg_c_2"),
-        (
-            "leg0_j0 leg0_j1 leg1_j0 leg1_j1",
-            "leg_1_j1 leg_1_j2 leg_2_j1 leg_2_j2",
-        ),
-        (
-            "leg1_j0 leg1_j1 leg2_j0 leg2_j1",
-            "leg_1_j1 leg_1_j2 leg_2_j1 leg_2_j2",
-        ),
-        (
-            "left_0 left_1 right_0 right_1 torso",
-            "left_arm_1 left_arm_2 right_arm_1 right_arm_2 torso",
-        ),
-        ("f1_near f1_far f2_near f2_far", "finger_1_near finger_1_far finger_2_near finger_2_far"),
-        ("arm_0 arm_1 hand_0 hand_1", "arm_joint1 arm_joint2 hand_joint1 hand_joint2"),
-    ],
+    [*FORMS, *((" ".join(f"{n}_pos" for n in a.split()), b) for a, b in GROUPS)],
 )
-def test_groups_of_joints_count_from_0(columns, joints):
-    names = [f"{name}_{what}" for name in columns.split() for what in ("pos", "torque")]
+def test_columns_are_of_the_joints_of_a_model(columns, joints):
+    names = columns.split()
     found, _ = joints_of(names, tuple(joints.split()))
-    expected = [joint for joint in joints.split() for _ in range(2)]
-    assert [found[name] for name in names] == expected
+    assert [found[name] for name in names] == joints.split()
 
 
 def test_a_prefix_with_a_number_and_a_joint_that_the_model_lacks():

@@ -298,28 +298,6 @@ def test_efforts_of_a_controller_are_its_output_if_none_are_measured(tmp_path, l
     assert "the controller's output is used" in " ".join(read.notes)
 
 
-def test_channels_of_an_lcm_log(tmp_path, log):
-    lcm = pytest.importorskip("lcm")
-    from drake import lcmt_jaco_status, lcmt_panda_status
-
-    path = tmp_path / "two.lcmlog"
-    events = lcm.EventLog(str(path), "w")
-    for k in range(len(log)):
-        for kind, channel in ((lcmt_panda_status, "PANDA"), (lcmt_jaco_status, "JACO")):
-            status = foreign_logs.blank(kind, len(log.joints))
-            status.joint_position = log.position[k].tolist()
-            status.joint_torque = log.effort[k].tolist()
-            events.write_event(10_000 * k, channel, status.encode())
-    events.close()
-    named = r"PANDA \(lcmt_panda_status, 2 joints with position, velocity, effort\).*JACO"
-    with pytest.raises(LogError, match=f"2 topics .*{named}"):
-        read_log(path)
-    read = read_log(path, joints=JOINTS, reading=Reading(topic="JACO"))
-    assert np.array_equal(read.effort, log.effort)
-    assert np.allclose(read.time, log.time)
-    assert "messages of JACO have no stamps" in " ".join(read.notes)
-
-
 @pytest.mark.parametrize("points", [("reference", "feedback"), ("desired", "actual", "error")])
 def test_what_a_controller_asked_for_where_nobody_measures_efforts(tmp_path, log, points):
     told = replace(log, command=log.position + 0.01 * log.effort)
@@ -399,14 +377,11 @@ def said(log):
     return " ".join(log.notes)
 
 
-@pytest.mark.parametrize("efforts", [None, np.nan])
-def test_commands_of_a_controller_without_names_or_stamps(tmp_path, sent, efforts):
+def test_commands_of_a_controller_without_names_or_stamps(tmp_path, sent):
     """In an order that is not the model's: the joint is that whose positions follow."""
-    empty = None if efforts is None else np.full(sent.position.shape, efforts)
     told = numbers(sent, (1, 0), late=0.001)
-    path = bag(
-        tmp_path, joint_states=states(sent, efforts=empty), position_controller__commands=told
-    )
+    empty = states(sent, efforts=np.full(sent.position.shape, np.nan))
+    path = bag(tmp_path, joint_states=empty, position_controller__commands=told)
     read = read_log(path, joints=JOINTS)
     assert np.isnan(read.command[0]).all()  # as no command was there yet
     assert np.abs(read.command - motion(read.time - 0.001))[1:].max() < 1e-4

@@ -586,11 +586,6 @@ def frame_with(form, warmth):
     return frame
 
 
-def test_names_of_other_loggers():
-    log = log_of_frame(frame_with("Temp_J (°C)", WARMTH), joints=JOINTS)
-    np.testing.assert_array_equal(log.temperature, WARMTH)
-
-
 @pytest.mark.parametrize("unit", ["[°F]", "[degF]"])
 def test_degrees_of_fahrenheit_are_read(unit):
     other = 1.8 * WARMTH + 32.0

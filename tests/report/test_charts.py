@@ -34,16 +34,12 @@ from geodrake.report.error_charts import (
     AFTER,
     BEFORE,
     MEASURED,
-    candidate_bars,
     effort_chart,
     joint_bars,
     residual_chart,
-    step_bars,
-    step_joint_bars,
     worst_joints,
 )
 from geodrake.report.figures import chart_figure
-from geodrake.report.numbers import number
 from geodrake.report.style import figure_bytes
 
 UNITS = Units()
@@ -167,22 +163,6 @@ def test_errors_that_are_none_have_bars_of_nothing():
         assert bars.rows[0].text(last) == text
 
 
-def test_steps_fall_and_candidates_are_as_long_as_their_errors():
-    joints = joint_names(2)
-    found, shown = explanation(joints, [friction(joints)]), diagnosis(joints)
-    bars = step_bars(found, joints)
-    assert bars.rows[0].label == "the model as it stands"
-    assert bars.rows[-1].label == "+ Coulomb friction, joint_0 and joint_1"
-    texts = [row.text(value) for row in bars.rows for value in row.bars.values()]
-    assert texts[0] == number(found.start.nrms)
-    assert texts[2:] == [number(step.error_after) for step in found.steps]
-    assert len(step_joint_bars(found).rows[0].bars) == 1 + len(found.steps)
-    bars = candidate_bars(shown, joints)
-    lengths = np.array([bars.end(value) for row in bars.rows for value in row.bars.values()])
-    left = np.array([candidate.error_after for candidate in shown.candidates])
-    np.testing.assert_allclose(lengths / lengths[0], left / left[0])
-
-
 def test_figures_have_the_axes_they_should():
     joints = joint_names(3)
     figures = figures_of(page_of(explanation(joints), ABOUT))
@@ -192,16 +172,6 @@ def test_figures_have_the_axes_they_should():
     labels = [label.get_text() for label in figures["steps"].axes[0].get_yticklabels()]
     assert labels[-1] == "+ Coulomb friction, all 3 joints"
     assert len(figures_of(page_of(diagnosis(joints), ABOUT))["candidates"].axes[0].patches) == 3
-
-
-def test_of_many_joints_the_worst_are_drawn():
-    many = comparison(joint_names(30), 1.0)
-    bars = joint_bars(many.errors)
-    assert len(bars.rows) == 8 and bars.note == "The 8 joints of largest nrms, of 30."
-    figure = chart_figure(effort_chart({BEFORE: many}, UNITS))
-    assert len(figure.axes) == 16 and "8 of 30" in figure.get_supxlabel()
-    titles = {ax.get_title(loc="left") for ax in figure.axes} - {""}
-    assert titles == set(worst_joints(many.errors))
 
 
 def test_gaps_stay_gaps_and_logs_keep_their_own_time():
@@ -216,16 +186,6 @@ def test_gaps_stay_gaps_and_logs_keep_their_own_time():
     figure_bytes(figure)
     labels = [label.get_text() for label in figure.axes[-1].get_xticklabels()]
     assert labels == ["0", "2", "4", "6", "8", "2", "4"]
-
-
-def test_a_block_without_motion_is_left_out():
-    one = comparison(("elbow",), 1.0)
-    first, *others = one.series
-    empty = dataclasses.replace(first, **{f: getattr(first, f)[:0] for f in FIELDS})
-    chart = effort_chart({BEFORE: dataclasses.replace(one, series=(empty, *others))}, UNITS)
-    (panel,) = chart.panels
-    assert np.isfinite(panel.plots[0].curves[MEASURED]).sum() == 40 * len(others)
-    figure_bytes(chart_figure(chart))
 
 
 def test_figures_are_saved(tmp_path):
