@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from typing import Any
@@ -50,7 +51,7 @@ def excitation_page(result: ExcitationResult, about: About) -> Page:
     units = Units.of(result.objective.target.model)
     starts = [
         cells(
-            *(each.seed, each.status, each.random_value, each.value, each.evaluations),
+            *(each.seed, _status(each.status), each.random_value, each.value, each.evaluations),
             f"{each.seconds:.1f}",
         )
         for each in result.outcomes
@@ -85,6 +86,12 @@ def excitation_page(result: ExcitationResult, about: About) -> Page:
         footer="Made by geodrake. Limits also hold between samples; the information is that of "
         "the samples with the requested noise.",
     )
+
+
+def _status(status: str) -> str:
+    """Return a solver's status in words, such as `iteration limit` for Drake's kIterationLimit."""
+    words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", status.removeprefix("k"))
+    return words.lower() if status.startswith("k") else status
 
 
 def _motion_words(result: ExcitationResult) -> str:
@@ -375,15 +382,15 @@ def identifiability_page(found: LogIdentifiability, about: About) -> Page:
 def identifiable_sentences(found: LogIdentifiability) -> list[str]:
     """Return what is identifiable from logs, and what a better model would identify.
 
-    For example `9 of 12 directions are identifiable to within 10 %; hand in full.`
+    For example `9 of 12 directions are identifiable to within 10 %, all of hand.`
     """
     most = percent(found.identifiable.threshold**0.5)
     words = f"{found.count} of {found.possible} directions are identifiable to within {most}"
     seen = [body for body in found.bodies if body.possible >= _HALF]
     full = [body.name for body in seen if body.share > _FULL]
     none = [body.name for body in seen if body.share < _HARDLY]
-    words += f"; {listed(full)} in full" if full else ""
-    words += f"; {listed(none)} hardly" if none else ""
+    words += f", all of {listed(full)}" if full else ""
+    words += f", hardly any of {listed(none)}" if none else ""
     sentences = [f"{words}."]
     if unknown := [entry.label for entry in found.effects if not entry.is_identifiable]:
         sentences.append(f"Not identifiable: {listed(unknown)}.")
