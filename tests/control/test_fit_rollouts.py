@@ -66,7 +66,7 @@ def files(pendulum, tmp_path_factory):
     folder = tmp_path_factory.mktemp("command")
     save_model(springy(pendulum, 0.8), folder / "soft.yaml")
     save_model(having(pendulum, ROTOR, FRICTION), folder / "stiff.yaml")
-    write_log(swung(0, seconds=6.0), folder / "log.csv")
+    write_log(swung(0, seconds=4.5), folder / "log.csv")
     return folder
 
 
@@ -147,7 +147,7 @@ def servoed(model, share, *servos):
 
 def test_a_spring_under_commands_is_found(pendulum):
     servo = dataclasses.replace(PD, integral=200.0, limit=6.5)
-    log = followed(0, servo, noise=1e-4, seconds=5.0)
+    log = followed(0, servo, noise=1e-4, seconds=3.5)
     assert not np.isfinite(log.effort).any()
     found = fit_rollouts(servoed(pendulum, 2.0, servo), [log], most=4, commands=True)
     before, after = found.held_out

@@ -23,7 +23,7 @@ SIZES = np.array([0.5, 0.3, 0.2, 0.12, 0.1, 0.05])
 
 
 @cache
-def moved(text, seed, motors=("crank",), gains=(60.0,), size=1.0, seconds=12.0):
+def moved(text, seed, motors=("crank",), gains=(60.0,), size=1.0, seconds=8.0):
     """MuJoCo's model, and rows of time, efforts at the motors and positions of all joints.
 
     Its constraints are stiff.
@@ -45,7 +45,7 @@ def moved(text, seed, motors=("crank",), gains=(60.0,), size=1.0, seconds=12.0):
     return m, np.array(rows)
 
 
-def simulated(text, seconds=12.0, seed=0, noise=0.002, joints=("crank",)):
+def simulated(text, seconds=8.0, seed=0, noise=0.002, joints=("crank",)):
     """Time, positions (N, n) of joints and efforts (N,) at the crank with noise."""
     m, rows = moved(text, seed)
     time, effort, *places = rows[: int(seconds * RATE)].T
@@ -177,7 +177,7 @@ def test_a_log_beyond_the_loop_says_where(tmp_path):
 
 def test_springs_of_a_leg_are_joints_without_a_motor(tmp_path):
     motors, springs, text = ("hip", "knee", "crank"), ("shin", "heel"), leg()
-    m, rows = moved(text, 0, motors, (800.0, 400.0, 80.0), 0.4, 8.0)
+    m, rows = moved(text, 0, motors, (800.0, 400.0, 80.0), 0.4)
     efforts = rows[:, 1:4] + 0.02 * np.random.default_rng(0).normal(size=(len(rows), 3))
     places = [4 + m.joint(name).qposadr[0] for name in (*motors, *springs)]
     rows = np.column_stack([rows[:, 0], efforts, rows[:, places]])

@@ -131,10 +131,10 @@ def test_an_offset_that_each_log_has_anew_varies_with_the_log():
 def test_nothing_is_drafted_of_noise_or_of_what_follows_the_clock():
     """A swing at one joint, and a drift at the other."""
     model, recording = load_model(MODELS / "double_pendulum.urdf"), ("double_pendulum", 101)
-    draft = draft_effects(model, [effort_log(*recording, duration=12.0).log])[1]
+    draft = draft_effects(model, [effort_log(*recording, duration=8.0).log])[1]
     assert draft.effects == draft.correlates == ()
     assert draft.before.nrms == draft.after.nrms
-    log = effort_log(*recording, colour=0.8, duration=16.0).log
+    log = effort_log(*recording, colour=0.8, duration=12.0).log
     assert draft_effects(model, [log])[1].effects == ()
     swing = 0.6 * np.sin(2 * np.pi * 1.37 * log.time)
     moved = log.effort + np.stack([swing, 2.0 * (log.time / 24.0) ** 2], 1)

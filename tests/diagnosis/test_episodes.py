@@ -33,6 +33,7 @@ pytest.importorskip("pinocchio")
 ARM = load_model(MODELS / "arm6.urdf")
 PENDULUM = load_model(MODELS / "double_pendulum.urdf")
 LINK, POINT = "lower_link", (0.0, 0.0, -0.3)
+BRIEF = {"off": 0.2, "duration": 16.0, "rate": 125.0}
 
 
 def pushed(joint, point, force, window, *, turning=False, rise=0.015):
@@ -70,7 +71,7 @@ class TestDiagnosis:
     def test_a_force_that_turns_with_its_body(self, tmp_path):
         """As that of a jet or a tool: its components along the body's axes are constant."""
         force = np.array([3.0, 0.0, -1.5])
-        found = found_in(pushed(2, POINT, force, (8.0, 11.0), turning=True), 1, off=0.2)
+        found = found_in(pushed(2, POINT, force, (8.0, 11.0), turning=True), 1, **BRIEF)
         (step,) = found.steps
         assert (step.effect, step.where, found.verdict) == ("contact", (LINK,), "explained")
         ((place, values),) = step.parameters.items()

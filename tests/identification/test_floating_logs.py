@@ -1,6 +1,7 @@
 """Logs of a robot on its feet, made by Pinocchio."""
 
 import re
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -480,9 +481,9 @@ def test_bad_poses_are_refused(model, maker):
         with_base(maker.log(wrenches=False, **{"tail.contact": np.ones(count)}), model)
 
 
-def _on_feet(lift: float) -> JointLog:
+def _on_feet(maker: Maker, lift: float) -> JointLog:
     """Return the log of a dog that sways, without an IMU, on feet that rest, or lift by turns."""
-    dog, sway = FreeRobot(quadruped(), JOINTS), Maker()
+    dog, sway = FreeRobot(quadruped(), JOINTS), deepcopy(maker)
     now = np.append(np.zeros(6), sway.joints[0].mean(axis=0))
     dog.efforts(now, 0.0 * now, 0.0 * now)
     places = np.array([dog.pose(foot)[1] for foot in FEET])
@@ -505,8 +506,8 @@ def _on_feet(lift: float) -> JointLog:
 
 
 @pytest.fixture(scope="module")
-def planted():
-    return _on_feet(0.0)
+def planted(maker):
+    return _on_feet(maker, 0.0)
 
 
 PLACE, CONTACTS = [f"base.position.{axis}" for axis in "xyz"], [f"{foot}.contact" for foot in FEET]
@@ -638,8 +639,8 @@ def test_orientations_in_other_forms_are_read(tmp_path, model, planted, words, f
     )
 
 
-def test_flags_of_other_feet_and_inverted_ones_are_told(model):
-    log = _on_feet(0.1)
+def test_flags_of_other_feet_and_inverted_ones_are_told(model, maker):
+    log = _on_feet(maker, 0.1)
     own = [log.floating[name] for name in CONTACTS]
     expected = with_base(log, model).contacts.flags
     for order, words in (
@@ -764,9 +765,9 @@ def test_forces_in_other_axes_are_refused(model, maker):
     with_base(log, model)
 
 
-def test_robots_that_are_held_are_refused(model):
+def test_robots_that_are_held_are_refused(model, maker):
     """Their base rests, and no foot carries it: by flags, by forces, and by nothing logged."""
-    held = Maker()
+    held = deepcopy(maker)
     for motion in (held.place, held.angles):
         motion[:] = motion[:1] * [[[1.0]], [[0.0]], [[0.0]]]
         motion[0] = motion[0, 0]
