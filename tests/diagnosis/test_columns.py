@@ -355,8 +355,8 @@ def test_limits_stand_beside_gains_and_among_none():
     [
         ("effort_unit", (1e-3,) * 2, "--units effort=Nmm."),
         ("position_alone_unit", (np.pi / 180,) * 2, "--units position=deg."),
-        ("effort_gains", (2.5e-4, 2e-3), "--units effort=Nmm. Otherwise correct it by --gain"),
-        ("effort_gains", (2.5, 7.0), "Correct it by --gain"),
+        ("effort_gains", (2.5e-4, 2e-3), "--units effort=Nmm. Otherwise correct it with --gain"),
+        ("effort_gains", (2.5, 7.0), "Correct it with --gain"),
     ],
 )
 def test_units_are_named_before_gains(kind, values, option):

@@ -18,7 +18,7 @@ _UNSURE = 5.0  # factor by which effects that the model lacks may change a gain
 _GEARED = 5.0  # larger gains of all joints are gear ratios or motor constants
 _BY_MAPPING = "`geodrake log --write-mapping FILE.yaml` writes a mapping that corrects it"
 _BY_SWAP = f"{_BY_MAPPING}; or rename the columns."
-_BY_MODEL = "Log the efforts before that, or use a model without it."
+_BY_MODEL = "Log the efforts before the subtraction, or use a model without that term."
 
 
 @dataclass(frozen=True)
@@ -33,12 +33,12 @@ class Kind:
 
 
 def _gain(words: str, factors: tuple[float, ...] = ()) -> Kind:
-    return Kind(words, "Correct it by {gains}.", ("gain",), ("effort",), factors)
+    return Kind(words, "Correct it with {gains}.", ("gain",), ("effort",), factors)
 
 
 def _position(words: str, changes: tuple[str, ...], columns: tuple[str, ...]) -> Kind:
     factors = (-1.0,) if words.endswith("sign") else (DEGREE, 1.0 / DEGREE)
-    advice = f"{_BY_MAPPING}, or by `{{entry}}`."
+    advice = f"{_BY_MAPPING}, with `{{entry}}`."
     return Kind(words, advice, changes, columns, factors)
 
 

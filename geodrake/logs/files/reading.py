@@ -364,7 +364,7 @@ def propose(
 
 
 _HEAD = """\
-# How geodrake is to read {name!r}: edit this, and give it by --mapping.
+# How geodrake is to read {name!r}: edit this, and pass it with --mapping.
 # Columns are given by name, or by number from 1 on. Its columns are:
 {columns}
 # Units: {units}.
