@@ -1,4 +1,4 @@
-"""Identification: fits of physical parameters to data, near a prior."""
+"""Identification: fits of physical parameters to data, close to a prior."""
 
 from geodrake.identification.comparison import RegularizerComparison, compare_regularizers
 from geodrake.identification.conic_fit import solve_fit

@@ -30,7 +30,7 @@ from geodrake.identification.solvers import (
     Accuracies,
     check_solver,
     run_solver,
-    solved_apart,
+    solve_in_subprocess,
 )
 from geodrake.inertia import Array
 from geodrake.robot.reduction import triangular_factor
@@ -231,7 +231,7 @@ def solve_fit(problem: FitProblem, *, solver: str = SOLVER, shortcuts: bool = Tr
     if closed_form is not None:
         return closed_form
     check_residual_bound(problem)
-    x, weight, _ = solved_apart(partial(conic_solution, problem, solver, None), solver)
+    x, weight, _ = solve_in_subprocess(partial(conic_solution, problem, solver, None), solver)
     return fit_result(problem, x, weight, solver, begin)
 
 
@@ -278,7 +278,8 @@ def certified(
         solver=SOLVER, gap=np.inf, cost=size, violation=violation, scope=scope
     )
     try:
-        x, weight, accuracy = solved_apart(partial(conic_solution, problem, SOLVER, fit.x), SOLVER)
+        solve = partial(conic_solution, problem, SOLVER, fit.x)
+        x, weight, accuracy = solve_in_subprocess(solve, SOLVER)
         minimum, solver_violation = program.evaluated(x)
     except (IdentificationError, ConvergenceError) as error:
         return replace(fit, certificate=replace(certificate, failure=error.problem))

@@ -65,13 +65,13 @@ class Certificate:
         """The certificate in a sentence."""
         if self.failure:
             return f"{self.solver} could not certify the fit: {self.failure}"
-        least = "a local minimum" if self.scope == "local" else "the least"
-        near = f"its cost is within {self.relative_gap:.0e} of {least}"
+        minimum = "a local minimum" if self.scope == "local" else "the minimum"
+        cost = f"its cost is within {self.relative_gap:.0e} of {minimum}"
         if not self.holds:
-            kept = f"constraints hold to {self.violation:.0e}"
-            return f"the fit is not certified by {self.solver}: {near}, and {kept}"
+            violation = f"constraints hold to {self.violation:.0e}"
+            return f"the fit is not certified by {self.solver}: {cost}, and {violation}"
         how = "that of" if self.replaced else "certified by"
-        return f"the fit is {how} {self.solver}: {near}, with valid bodies and bounds"
+        return f"the fit is {how} {self.solver}: {cost}, with valid bodies and bounds"
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ _NAMED, _MOST_PARTS = 4, 3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LeastSquaresResult:
-    """A solution of ‖A x − b‖²_{Σ⁻¹} → min."""
+    """Solution of an unconstrained least-squares problem."""
 
     x: Array  # (p,) parameters, not necessarily physical
     residual: float  # squared residual

@@ -38,8 +38,8 @@ from geodrake.identification.coordinates import (
     svec,
 )
 from geodrake.identification.fit import FitResult, fit_result
-from geodrake.identification.problem import FitProblem, check_residual_bound, out_of_reach
-from geodrake.identification.solvers import CONTRADICTION, OTHER_CAUSE, no_parameters
+from geodrake.identification.problem import FitProblem, check_residual_bound, unreachable_bound
+from geodrake.identification.solvers import CONTRADICTION, OTHER_CAUSE, solver_error
 from geodrake.inertia import Array, is_physical
 from geodrake.robot.reduction import triangular_factor
 
@@ -87,7 +87,7 @@ def solve_newton(problem: FitProblem) -> FitResult:
     begin = time.perf_counter()
     check_residual_bound(instance(problem, "problem", FitProblem))
     program = NewtonProgram.of(problem)
-    solution, weight = bounded(program, lambda trial, _: minimize(trial))
+    solution, weight = solve_with_bound(program, lambda trial, _: minimize(trial))
     return fit_result(problem, program.parameters(solution.z), weight, "newton", begin)
 
 
@@ -264,7 +264,7 @@ Program = TypeVar("Program", bound=NewtonProgram)
 Minimum = TypeVar("Minimum", bound=Solution)
 
 
-def bounded(
+def solve_with_bound(
     program: Program,
     solve: Callable[[Program, Minimum | None], Minimum],
     guess: float | None = None,
@@ -314,7 +314,7 @@ def bounded(
     if abs(excess - wanted) <= _NEARLY * bound:
         return minimum, weight
     if u == low and error_here > 0.0:
-        raise out_of_reach(bound, program.floor + excess)
+        raise unreachable_bound(bound, program.floor + excess)
     raise IdentificationError(
         f"No weight of the prior has the residual {bound:.10g}; the closest was "
         f"{program.floor + excess:.10g}.",
@@ -351,7 +351,7 @@ def minimize(program: NewtonProgram) -> Iterate:
         missed = np.append(h - G @ last.z, np.abs(E @ last.z - e)).max(initial=0.0)
         contradict = missed > 1e-7 * (1.0 + np.abs(last.z).max(initial=0.0))
         why = CONTRADICTION if contradict else OTHER_CAUSE
-        raise no_parameters("newton", why, violation=float(missed))
+        raise solver_error("newton", why, violation=float(missed))
     gap, current = best
     point = current.at
     if gap <= _QUADRATIC * gamma:

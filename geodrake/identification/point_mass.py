@@ -29,10 +29,10 @@ from geodrake.identification.problem import (
     FitProblem,
     LinearConstraints,
     check_residual_bound,
-    out_of_reach,
+    unreachable_bound,
 )
 from geodrake.identification.regularizer import Regularizer, Solver
-from geodrake.identification.solvers import ROUGHLY, Accuracies, run_solver, solved_apart
+from geodrake.identification.solvers import ROUGHLY, Accuracies, run_solver, solve_in_subprocess
 from geodrake.inertia import (
     PARAMETERS_PER_BODY,
     Array,
@@ -223,12 +223,12 @@ class PointMassRegularizer(Regularizer):
         check_residual_bound(problem)
         transform, inner, floor = self._of_masses(problem)
         try:
-            v, weight = solved_apart(partial(self._solved, inner, solver, gamma), solver)
+            v, weight = solve_in_subprocess(partial(self._solved, inner, solver, gamma), solver)
         except IdentificationError as failure:
             if (bound := problem.residual_bound) is not None:
                 free = solve_fit(replace(inner, residual_bound=None), solver=solver)
                 if bound < (least := floor + free.residual):
-                    raise out_of_reach(bound, least) from failure
+                    raise unreachable_bound(bound, least) from failure
             raise
         x = np.clip(transform @ v, problem.lower, problem.upper)
         masses = v[: len(self.points.prior)] * self.points.prior

@@ -211,7 +211,7 @@ def check_residual_bound(problem: FitProblem) -> None:
         return
     minimum = least_residual(problem.factor[:, :-1], problem.factor[:, -1])
     if not bound > minimum:
-        raise out_of_reach(bound, minimum, "any parameters")
+        raise unreachable_bound(bound, minimum, "any parameters")
 
 
 def least_residual(A: Array, b: Array) -> float:
@@ -221,7 +221,7 @@ def least_residual(A: Array, b: Array) -> float:
     return float(np.square(scaled @ np.linalg.lstsq(scaled, b)[0] - b).sum())
 
 
-def out_of_reach(
+def unreachable_bound(
     bound: float, minimum: float, who: str = "physical bodies inside all constraints"
 ) -> ArgumentError:
     """Return the error of a residual bound below the minimum."""

@@ -24,7 +24,7 @@ from geodrake.errors import ArgumentError, GeodrakeError, IdentificationError
 from geodrake.identification.conic_fit import certified, uncertified
 from geodrake.identification.coordinates import SYMMETRIC_BASIS, Rows, svec
 from geodrake.identification.fit import SAME_COST, FitResult, LocalMinima, fit_result
-from geodrake.identification.newton import NewtonProgram, bounded
+from geodrake.identification.newton import NewtonProgram, solve_with_bound
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.regularizer import Entropic, Pullback, Regularizer, Solver
 from geodrake.inertia import Array, riemannian_distance
@@ -97,7 +97,7 @@ class Riemannian(Regularizer):
         def solve(trial: RiemannianProgram, previous: LocalMinimum | None) -> LocalMinimum:
             return trial.minimum(first if previous is None else previous.z)
 
-        best, weight = bounded(program, solve, guess=convex.prior_weight)
+        best, weight = solve_with_bound(program, solve, guess=convex.prior_weight)
         found: dict[str, LocalMinimum | None] = {"entropic": best}
         weighted, free = program.weighted(weight), replace(problem, residual_bound=None)
 
@@ -123,7 +123,7 @@ class Riemannian(Regularizer):
         minima = program.compared(found, lowest if better else best)
         if better:
             first = lowest.z
-            best, weight = bounded(program, solve, guess=weight)
+            best, weight = solve_with_bound(program, solve, guess=weight)
         x = np.clip(program.coordinates.parameters(best.z), problem.lower, problem.upper)
         fit = fit_result(program.coordinates.problem, x, weight, "newton", begin)
         fit = replace(fit, information=program.information(best.hessian), minima=minima)

@@ -159,7 +159,7 @@ def check_solver(solver: str) -> None:
         )
 
 
-def solved_apart(solve: Callable[[Accuracies], T], solver: str) -> T:
+def solve_in_subprocess(solve: Callable[[Accuracies], T], solver: str) -> T:
     """Return the result of `solve` with the given accuracies, in a subprocess.
 
     If rounding leaves no significant digit of a step, Clarabel panics on NaN and ends its process.
@@ -178,7 +178,7 @@ def solved_apart(solve: Callable[[Accuracies], T], solver: str) -> T:
             ) from None
         except LostProcessError as error:
             lost = str(error)
-    raise no_parameters(solver, OTHER_CAUSE, f": its process {lost}", status=lost)
+    raise solver_error(solver, OTHER_CAUSE, f": its process {lost}", status=lost)
 
 
 def run_solver(
@@ -186,8 +186,8 @@ def run_solver(
 ) -> tuple[MathematicalProgramResult, float]:
     """Return the solution of a program, and a bound of Clarabel's duality gap in units of the cost.
 
-    It runs in this process; `solved_apart` protects against crashes. The IdentificationError of a
-    failed solver has the `status` in its evidence.
+    It runs in this process; `solve_in_subprocess` protects against crashes. The IdentificationError
+    of a failed solver has the `status` in its evidence.
     """
     check_solver(solver)
     engine = SOLVERS[solver]()
@@ -212,10 +212,10 @@ def run_solver(
         if status != SolutionResult.kSolverSpecificError:
             break
     why = _CAUSES.get(status, OTHER_CAUSE)
-    raise no_parameters(solver, why, f" ({status.name})", status=status.name)
+    raise solver_error(solver, why, f" ({status.name})", status=status.name)
 
 
-def no_parameters(
+def solver_error(
     solver: str, why: tuple[str, str], how: str = "", **evidence: Any
 ) -> IdentificationError:
     """Return the error of a solver without a solution, with a likely cause and advice."""

@@ -25,7 +25,7 @@ from geodrake.identification.conic_fit import build_fit, certified
 from geodrake.identification.coordinates import SYMMETRIC_BASIS
 from geodrake.identification.newton import solve_newton
 from geodrake.identification.riemannian import half_squared_logs, log_derivatives
-from geodrake.identification.solvers import LostProcessError, in_subprocess, solved_apart
+from geodrake.identification.solvers import LostProcessError, in_subprocess, solve_in_subprocess
 from geodrake.inertia import from_mass_com_inertia, is_physical
 
 
@@ -145,7 +145,7 @@ def test_no_fit_is_certified_without_a_solution_of_the_program(monkeypatch):
     def fails(*_):
         raise IdentificationError("No digits are left.")
 
-    monkeypatch.setattr(conic_fit, "solved_apart", fails)
+    monkeypatch.setattr(conic_fit, "solve_in_subprocess", fails)
     told = certified(problem, fit)
     assert told.x is fit.x and np.isinf(told.certificate.gap) and not told.certificate.holds
     assert told.certificate.violation < 1e-9 and "could not certify" in told.notes[-1]
@@ -228,9 +228,9 @@ def test_a_solver_that_dies_is_asked_for_less_once():
             os.abort()
         return len(accuracies)
 
-    assert solved_apart(die_first, "clarabel") == 1
+    assert solve_in_subprocess(die_first, "clarabel") == 1
     with pytest.raises(IdentificationError, match="its process ended with signal SIGABRT"):
-        solved_apart(lambda _: os.abort(), "clarabel")
+        solve_in_subprocess(lambda _: os.abort(), "clarabel")
 
 
 def test_an_answer_comes_whatever_handlers_the_caller_has():

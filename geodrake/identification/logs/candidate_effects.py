@@ -115,10 +115,11 @@ def _effects_behind(model: RobotModel, segments: Sequence[Segment]) -> Iterator[
 
 def _acts_behind(effect: type[Effect]) -> bool:
     """Return whether an effect is friction or a spring, which joints without motors have too."""
-    passive = issubclass(effect, JointEffect) and effect.rows is JointEffect.rows
-    passive = passive and effect.role is Role.FORCE
-    passive = passive and not (effect.turning_only or effect.of_motor)
-    return passive and of_geodrake(effect) and effect.depends_on in ({"q"}, {"v"})
+    if not issubclass(effect, JointEffect) or effect.rows is not JointEffect.rows:
+        return False
+    if effect.role is not Role.FORCE or effect.turning_only or effect.of_motor:
+        return False
+    return of_geodrake(effect) and effect.depends_on in ({"q"}, {"v"})
 
 
 def _speeds_behind(model: RobotModel, segments: Sequence[Segment]) -> dict[str, float]:

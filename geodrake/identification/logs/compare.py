@@ -19,7 +19,7 @@ from geodrake.model.robot_model import RobotModel
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_LEAST_SAMPLES = 8
+_LEAST_SAMPLES, _MOST = 8, 6  # samples of a circumstance, and joints
 _NOTABLE = 1.3
 """A circumstance is reported if the RMS is so many times larger there than elsewhere."""
 
@@ -62,24 +62,22 @@ def comparison(
     blocks, errors = series(dataset, unknowns, held_out), error_table(dataset, held_out)
     return Comparison(
         errors,
-        where_it_fails(blocks, errors, sliding=case.model.sliding_joints),
+        error_conditions(blocks, errors, sliding=case.model.sliding_joints),
         blocks,
         case.notes,
         case.first,
     )
 
 
-def where_it_fails(
+def error_conditions(
     all_blocks: Sequence[Series],
     errors: ErrorTable,
     *,
     sliding: Collection[str] = (),
-    most: int = 6,
 ) -> tuple[Failing, ...]:
-    """Return the circumstance in which each joint's errors are concentrated, worst joints first.
+    """Return the circumstances in which the worst joints' errors are concentrated.
 
-    Joints are sorted by their nrms; at most `most` are returned. `sliding` joints have units of m
-    and N.
+    Joints are sorted by their nrms. `sliding` joints have units of m and N.
     """
     worst = []
     for error in errors.joints:
@@ -94,7 +92,7 @@ def where_it_fails(
         if notable:
             worst.append((error.nrms, max(notable, key=lambda c: c.share - c.time)))
     worst.sort(key=lambda entry: -entry[0])
-    return tuple(case for _, case in worst[:most])
+    return tuple(case for _, case in worst[:_MOST])
 
 
 def _circumstances(

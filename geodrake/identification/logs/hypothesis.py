@@ -281,10 +281,10 @@ def _have_converged(weights: Array, previous: Array) -> bool:
     return bool(np.all(np.abs(np.log(weights / previous)) < _SETTLED))
 
 
-def first_hypothesis(dataset: Dataset, unknowns: Unknowns, *, delay: Delay = 0) -> Hypothesis:
+def first_hypothesis(dataset: Dataset, unknowns: Unknowns) -> Hypothesis:
     """Return the model with its parameters refitted within their prior."""
     weights = _FIRST_SHARE / dataset.effort_std**2
-    cv = CrossValidation(dataset, unknowns, weights, delay=delay)
+    cv = CrossValidation(dataset, unknowns, weights)
     effective = np.asarray(_FIRST_SHARE * dataset.rows, float)
     first = Hypothesis(dataset, unknowns, weights, cv.delay, 1.0, cv, effective)
     return reweight(first, iterations=3)

@@ -182,17 +182,16 @@ def fit_problem(
     weights: Array,
     *,
     without: int | None = None,
-    delay: Delay = 0,
     factors: Sequence[Array] | None = None,
 ) -> FitProblem:
     """Return the convex program of a fit of the unknowns to all folds, or to all but one.
 
-    `weights` (nv,) are those of the joints' squared residuals, `delay` is the index of the effort
-    column, and `factors` are those of `fold_factors`, if already computed.
+    `weights` (nv,) are those of the joints' squared residuals, and `factors` those of
+    `fold_factors`, if already computed.
     """
     kept = [fold for fold in range(len(dataset.folds)) if fold != without]
     if factors is None:
-        factors = fold_factors(dataset, unknowns.columns, weights, delay=delay)
+        factors = fold_factors(dataset, unknowns.columns, weights)
     triangle = triangular_factor([factors[fold] for fold in kept])
     lower, upper = unknowns.scalar_bounds
     bodies = unknowns.inertia_blocks if np.any(unknowns.pull) else ()  # may become unphysical

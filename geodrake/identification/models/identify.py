@@ -87,7 +87,7 @@ def model_notes(model: RobotModel, bodies: Sequence[BodyChange]) -> list[str]:
     notes = []
     if not any("friction" in fitted.effect.name for fitted in model.effects):
         notes.append(
-            "the model has no friction, which inertias then approximate: fit some "
+            "the model has no friction, so that inertias absorb it: fit some "
             f"(--effects {','.join(USUAL)}), or let geodrake explain find it"
         )
     distant = [
@@ -97,9 +97,9 @@ def model_notes(model: RobotModel, bodies: Sequence[BodyChange]) -> list[str]:
     ]
     if distant:
         notes.append(
-            f"masses far from the prior ({', '.join(distant)}): unless the prior is that wrong, "
-            "the model lacks an effect that inertias approximate, which geodrake diagnose "
-            "looks for; a larger gamma keeps them closer"
+            f"masses far from the prior ({', '.join(distant)}): unless the prior is wrong, the "
+            "model lacks an effect that inertias absorb; geodrake diagnose looks for it, and a "
+            "larger gamma keeps the masses closer"
         )
     return [*notes, *common_factor_notes(bodies)]
 
@@ -244,7 +244,7 @@ def _sweep_notes(gamma: float | None, sweep: Sequence[GammaScore]) -> list[str]:
     return [
         f"gamma {best.gamma:.3g} would lower the held-out nrms to {best.nrms:.3f}, but with "
         "inertias further from the prior than model files usually are: the model probably "
-        "lacks an effect, which geodrake diagnose looks for"
+        "lacks an effect; geodrake diagnose looks for it"
     ]
 
 
