@@ -33,7 +33,7 @@ from geodrake.report import style
 
 MODELS = Path(__file__).parents[1] / "models"
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-VERSION = 3
+VERSION = 2
 """Of what a draw is; one more when kept draws of older versions must not be used."""
 JOBS = min(2, os.cpu_count() or 1)
 

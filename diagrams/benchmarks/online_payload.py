@@ -1,12 +1,14 @@
 """A payload found while a UR10e moves, by the online estimator on public measurements.
 
 The logs of the arm without and with something at its wrist are played; they are no part of the
-project, and without them the script says where they go. The arm is learned from the first log
-(`identify_model`, with friction by load). Then its bodies and friction are kept by large weights,
-and a payload is estimated, from the blind guess of [Lee2019] §5.5.2 (1 kg, a sphere of 0.1 m), by
-exact projections on the log with one. There `geodrake explain` finds 3.08 ± 0.03 kg, offline. A
-filtered effort is believed to three times the RMS error of the arm's own log. Samples at which a
-joint stands are left out.
+project, and without them the script says where they go. The arm is learned from the first log in
+one of two ways: offline (`identify_model`, with friction by load), or online, by the estimator,
+from the model file and guesses of friction. Then its bodies and friction are kept by large
+weights, and a payload is estimated, from the blind guess of [Lee2019] §5.5.2 (1 kg, a sphere of
+0.1 m), on logs without one and on the log with one. There `geodrake explain` finds 3.08 ± 0.03 kg,
+offline. A filtered effort is believed to three times the RMS error of the arm's own log, or, while
+it is learned, to a tenth of its standard deviation. Samples at which a joint stands are left out.
+The payload is estimated by exact projections and by nudges, an online arm by nudges.
 
     python -m diagrams.benchmarks.online_payload --json online.json
 """
@@ -24,7 +26,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 
-from diagrams.harness import first_samples, script_parser, show, write
+from diagrams.harness import first_samples, run_draws, script_parser, show, write
 from diagrams.public_data import add_folder_option, require
 from geodrake.control import (
     BregmanProjectionEstimator,
@@ -59,6 +61,11 @@ class Streamed:
     residual: Array  # (N, nv) filtered efforts − their prediction, N·m, before each update
     used: NDArray[np.bool_]  # (N,) whether the robot moved in all joints
     seconds: float
+
+    def rms(self, start: float = 0.0) -> Array:
+        """Return (nv,) RMS of the residual of used samples after a share of the log."""
+        part = self.used & (self.time >= start * self.time[-1])
+        return np.sqrt(np.mean(self.residual[part] ** 2, axis=0))
 
 
 def stream(
@@ -103,15 +110,27 @@ def stream(
     )
 
 
-LEARNED, CHANGED = "ur10e_free_a", "ur10e_changed"
+LEARNED, FREE, CHANGED = "ur10e_free_a", ("ur10e_free_b", "ur10e_free_c"), "ur10e_changed"
 OFFLINE_MASS = 3.08  # kg, by `geodrake explain`
 PERIOD = 0.01  # s
 GUESS = from_mass_com_inertia(1.0, np.zeros(3), 0.4 * 0.1**2 * np.eye(3))
+METHODS = {"projection": 1.0, "nudge": 0.2}
+"""Share of the way to the slabs of a sample that is gone."""
 BELIEVED = 3.0  # tolerance over the RMS error of the log without payload
-KNOWN = 1e6  # weight of what is known
+SHARE = 0.1  # tolerance over the standard deviation of the effort, while the arm is learned
+KNOWN, HEAVY = 1e6, 10.0  # weights of what is known, and of bodies over friction
 SETTLED = 5.0  # s after the first used sample
 CLOSE = 0.2  # of the mass
 LARGE = 1e9  # N·m
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One way to learn the arm."""
+
+    way: str
+    shared: str
+    end: float | None  # how much of every log, s; None for all
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,53 +144,72 @@ class Arm:
     share: float  # that over the standard deviation of the effort, pooled
 
 
-def found_payload(shared: Path, end: float | None) -> dict[str, Any]:
-    """Return what is found of the payload, in some seconds of its log; nothing is random."""
-    arm = learn(shared, end)
+def run_draw(draw: Draw) -> list[dict[str, Any]]:
+    """Return rows of the logs; nothing is random."""
+    arm = learn(draw)
+    weights = {"payload": 1.0}
     manifold = parameter_manifold(
-        arm.model, body_weight=KNOWN, effect_weight=KNOWN, weights={"payload": 1.0}
+        arm.model, body_weight=KNOWN, effect_weight=KNOWN, weights=weights
     )
-    update = SampleUpdate(manifold, BELIEVED * arm.error)
-    log = read(shared, CHANGED, end)
-    found = stream(log, arm.control, update, arm.start, period=PERIOD)
-    return {"log": CHANGED, "learned": arm.share, **numbers(found)}
+    rows = []
+    for name in (*FREE, CHANGED) if draw.end is None else (FREE[0], CHANGED):
+        log = read(draw, name)
+        for method, relaxation in METHODS.items():
+            update = SampleUpdate(
+                manifold, BELIEVED * arm.error, method=method, relaxation=relaxation
+            )
+            found = stream(log, arm.control, update, arm.start, period=PERIOD)
+            row = {"way": draw.way, "log": name, "method": method, "learned": arm.share}
+            rows.append({**row, **numbers(found)})
+    return rows
 
 
-def learn(shared: Path, end: float | None) -> Arm:
+def learn(draw: Draw) -> Arm:
     """Return the arm, from the log without payload."""
-    kinds = (CoulombFriction, ViscousFriction, RotorInertia, LoadDependentFriction)
-    model = load_model(shared / "reference" / "ur10e.urdf")
-    effects = [kind(joint) for kind in kinds for joint in model.joints]
-    raw = read(shared, LEARNED, end, moving=False)
-    model = identify_model(
-        model, [raw], IdentificationSettings(compare=False), effects=effects
-    ).model
-    fitted = [replace(one, parameters=np.maximum(one.parameters, 1e-6)) for one in model.effects]
+    model = load_model(Path(draw.shared) / "reference" / "ur10e.urdf")
+    log = read(draw, LEARNED)
+    if draw.way == "offline":
+        kinds = (CoulombFriction, ViscousFriction, RotorInertia, LoadDependentFriction)
+        raw = read(draw, LEARNED, moving=False)
+        effects = [kind(joint) for kind in kinds for joint in model.joints]
+        settings = IdentificationSettings(compare=False)
+        model = identify_model(model, [raw], settings, effects=effects).model
+        fitted = [
+            replace(one, parameters=np.maximum(one.parameters, 1e-6)) for one in model.effects
+        ]
+    else:
+        guesses = ((CoulombFriction, 1.0), (ViscousFriction, 1.0), (RotorInertia, 0.1))
+        fitted = [
+            FittedEffect(kind(joint), np.array([value]))
+            for kind, value in guesses
+            for joint in model.joints
+        ]
     last = FittedEffect(Payload(model.bodies[-1]), GUESS)
     model = replace(model, effects=(*fitted, last), information=None)
     control = ControlModel.of(model)
-    log = read(shared, LEARNED, end)
     deviation = np.nanstd(log.select(control.joints).effort, axis=0)
-    # The payload is kept out, at next to nothing, and nothing is learned by so large a tolerance.
+    # Nothing is fixed yet: the payload is kept out, at next to nothing.
     start = np.concatenate([control.prior[: -len(GUESS)], 1e-9 * GUESS])
-    manifold = parameter_manifold(model, weights={"payload": KNOWN})
-    update = SampleUpdate(manifold, LARGE * deviation, method="nudge")
+    manifold = parameter_manifold(model, body_weight=HEAVY, weights={"payload": KNOWN})
+    tolerance = (SHARE if draw.way == "online" else LARGE) * deviation
+    # (No model of a whole arm is right to the tolerance: the nudge averages.)
+    update = SampleUpdate(manifold, tolerance, method="nudge", relaxation=METHODS["nudge"])
     found = stream(log, control, update, start, period=PERIOD)
-    error = np.sqrt(np.mean(found.residual[found.used] ** 2, axis=0))
+    error = found.rms(2 / 3 if draw.way == "online" else 0.0)
     known = found.parameters[-1, : -len(GUESS)]
     share = float(np.sqrt(np.mean((error / deviation) ** 2)))
     return Arm(model, control, np.concatenate([known, GUESS]), error, share)
 
 
-def read(shared: Path, name: str, end: float | None, *, moving: bool = True) -> JointLog:
+def read(draw: Draw, name: str, *, moving: bool = True) -> JointLog:
     """Return the first seconds of a log, as it is streamed.
 
     A standing joint holds whatever effort dry friction takes; no model predicts it. So efforts are
     missing while one stands, if the log is to be of a `moving` robot.
     """
-    log = read_log(shared / "data" / f"{name}.csv")
-    if end is not None:
-        log = first_samples(log, int(np.searchsorted(log.time - log.time[0], end)))
+    log = read_log(Path(draw.shared) / "data" / f"{name}.csv")
+    if draw.end is not None:
+        log = first_samples(log, int(np.searchsorted(log.time - log.time[0], draw.end)))
     effort = log.effort.copy()
     effort[moving & (np.abs(log.velocity) < STANDING).any(axis=1)] = np.nan
     return replace(log, effort=effort)
@@ -192,6 +230,8 @@ def numbers(found: Streamed) -> dict[str, Any]:
         "low": float(low),
         "high": float(high),
         "reached": float(reached[0]) - first if reached.size else None,
+        "close": float(near[late].mean()),
+        "center": [float(x) for x in np.median(phi[late, 1:4] / phi[late, :1], axis=0)],
         "least_eigenvalue": float(eigenvalues.min()),
         "rate": len(found.time) / found.seconds,
     }
@@ -199,12 +239,14 @@ def numbers(found: Streamed) -> dict[str, Any]:
 
 def main() -> None:
     """Run the study from the command line."""
-    parser = script_parser(__doc__)
+    parser = script_parser(__doc__, draws=True)
     add_folder_option(parser)
     options = parser.parse_args()
-    logs = (f"data/{name}.csv" for name in (LEARNED, CHANGED))
+    logs = (f"data/{name}.csv" for name in (LEARNED, *FREE, CHANGED))
     require(parser, options.shared, "reference/ur10e.urdf", *logs)
-    rows = [found_payload(options.shared, 12.0 if options.quick else None)]
+    end = 12.0 if options.quick else None
+    draws = [Draw(way, str(options.shared), end) for way in ("offline", "online")]
+    rows = [row for own in run_draws(parser, options, run_draw, draws) for row in own]
     show("Mass of the payload in kg, times in s", rows)
     write(options, {"rows": rows})
 

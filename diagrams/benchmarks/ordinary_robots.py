@@ -45,7 +45,7 @@ from diagrams.benchmarks.simulated.scoring import (
     explained,
     is_clean,
     is_sure_and_wrong,
-    median,
+    quantiles,
     share,
     tell_draws,
 )
@@ -258,6 +258,7 @@ def lines_of(rows: Sequence[Row]) -> list[Line]:
     tools = [row for row in ordinary if row["mass"]]
     found = [row for row in tools if "found_mass" in row]
     seconds = [row["seconds"] for row in ordinary if not row["failed"]]
+    said = [row for row in found if row["calibrated"]]
     widths = [row["mass_half_width"] for row in found]
     return [
         share("ordinary: everything named", [not row["missing"] for row in ordinary], 0.95),
@@ -270,8 +271,11 @@ def lines_of(rows: Sequence[Row]) -> list[Line]:
             0.9,
             highest=0.98,
         ),
-        median("half width of a tool's mass, median", widths, 0.15),
-        median("seconds of CPU, median", seconds, 5.0),
+        share("… of calibrated efforts", [row["mass_inside"] for row in said]),
+        *quantiles("half width of a tool's mass", widths, 0.15),
+        *quantiles("… calibrated", [row["mass_half_width"] for row in said], 0.15),
+        *quantiles("error of a tool's mass", [row["mass_error"] for row in found]),
+        *quantiles("seconds of CPU", seconds, 5.0),
         share(
             "no catalogue has it: a wrong name at > 0.9",
             [is_sure_and_wrong(row) for row in outside],

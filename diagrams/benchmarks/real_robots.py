@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,7 @@ import numpy as np
 from diagrams.harness import script_parser, show, show_values, write
 from diagrams.public_data import add_folder_option, require
 from geodrake import load_model, save_model
-from geodrake.diagnosis import Explanation, Step, add, compare, explain
+from geodrake.diagnosis import Candidate, Explanation, Step, add, compare, diagnose, explain
 from geodrake.logs.files import Reading, read_log
 from geodrake.logs.files.reading import ColumnMapping, MappedColumn
 from geodrake.logs.motion import JointLog
@@ -75,6 +77,10 @@ STUDIES = (
     Study("double pendulum", "double_pendulum.urdf", PENDULUM),
 )
 QUICK = (Study("double pendulum", "double_pendulum.urdf", PENDULUM[:2]),)
+DAYS = "ur10e.urdf", tuple(f"ur10e_free_{day}.csv" for day in "abcd")
+"""A robot on several days, on which nothing was changed."""
+QUICK_DAYS = "double_pendulum.urdf", PENDULUM[:3]
+QUICK_PAIRS = (PENDULUM[0:3:2],)
 MEASUREMENTS = (
     *(f"reference/{name}.urdf" for name in ("ur10e", "tx40", "emps_70kg", "lwr4", "kr300")),
     *(f"data/{log}" for study in STUDIES[:-1] for log in study.logs),
@@ -98,6 +104,40 @@ def run(study: Study, *, shared: Path, saved: Path) -> Explanation:
     explanation = explain(model, study.read(model, shared), blocks=study.blocks)
     save_model(explanation.model, saved / f"{study.name}.yaml")
     return explanation
+
+
+def named_afterwards(study: Study, *, shared: Path, saved: Path) -> list[str]:
+    """Return what `diagnose` names on the logs of a study with the model that `run` saved."""
+    model = load_model(saved / f"{study.name}.yaml")
+    found = diagnose(model, study.read(model, shared), blocks=study.blocks)
+    return [placed(each) for each in found.candidates]
+
+
+def placed(found: Candidate | Step) -> str:
+    """Return an effect and where it was found."""
+    return f"{found.effect} at {', '.join(found.where)}" if found.where else found.effect
+
+
+def pairs_of_days(
+    model: str, logs: Sequence[str], shared: Path, pairs: Sequence[Sequence[str]] | None = None
+) -> list[dict[str, Any]]:
+    """Return steps on each log with the model of another, and the nrms of the rest with them."""
+    paths, file = {log: shared / "data" / log for log in logs}, model_file(model, shared)
+    pairs = pairs or tuple(permutations(logs, 2))
+    fits = {
+        log: explain(load_model(file), [paths[log]]).model for log in {pair[0] for pair in pairs}
+    }
+    rows = []
+    for fit, test in pairs:
+        found = explain(fits[fit], [paths[test]])
+        third = {
+            log: [compare(m, [paths[log]]).errors.nrms for m in (fits[fit], found.model)]
+            for log in logs
+            if found.steps and log not in (fit, test)
+        }
+        steps = [placed(step) for step in found.steps]
+        rows.append({"fit": fit, "test": test, "steps": steps, "third": third})
+    return rows
 
 
 def left_out(
@@ -167,19 +207,36 @@ def main() -> None:
     parser = script_parser(__doc__, "only the double pendulum, some runs")
     add_folder_option(parser)
     options = parser.parse_args()
-    rows, elsewhere = [], {}
+    rows, elsewhere, named = [], {}, {}
     require(parser, options.shared, *(MEASUREMENTS[-1:] if options.quick else MEASUREMENTS))
     with tempfile.TemporaryDirectory() as saved:
         for study in QUICK if options.quick else STUDIES:
             begin = time.perf_counter()
             explanation = run(study, shared=options.shared, saved=Path(saved))
             rows += rows_of(study, explanation, time.perf_counter() - begin)
+            named[study.name] = named_afterwards(study, shared=options.shared, saved=Path(saved))
             if study.name in ELSEWHERE:
                 elsewhere[study.name] = dict(left_out(study, explanation, options.shared))
+    if options.quick:
+        days = pairs_of_days(*QUICK_DAYS, options.shared, QUICK_PAIRS)
+    else:
+        days = pairs_of_days(*DAYS, options.shared)
     show("Steps of all studies", [{**row, "where": ", ".join(row["where"])} for row in rows])
     for name, errors in elsewhere.items():
         show_values(f"{name}: nrms of logs that took no part, without an effect", errors)
-    write(options, {"rows": rows, "left_out": elsewhere})
+    after = {name: "; ".join(effects) or "nothing" for name, effects in named.items()}
+    show_values("Named by diagnose afterwards", after)
+    lines = [
+        {"fit": pair["fit"], "test": pair["test"], "steps": ", ".join(pair["steps"]) or "no step"}
+        | {
+            log: " → ".join(f"{nrms:.4f}" for nrms in errors)
+            for log, errors in pair["third"].items()
+        }
+        for pair in days
+    ]
+    show("Steps on another day, and nrms of further ones before and after", lines)
+    told = {"rows": rows, "left_out": elsewhere, "named_afterwards": named, "days": days}
+    write(options, told)
 
 
 if __name__ == "__main__":

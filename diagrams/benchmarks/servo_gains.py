@@ -8,8 +8,10 @@ values are off, and how long it takes.
 
     python -m diagrams.benchmarks.servo_gains --json servo_gains.json
 
-With `--backlash`, links have play of 0.1 to 1 degree against their motors, by MuJoCo alone; with
-`--hobby`, logs are of 50 rows a second, and of encoders with 4096 steps a turn.
+With `--integral`, the same servos have an integral, too; with `--limited`, they are at the limit of
+their torque, which the model file states, for part of each log. With `--backlash`, links have play
+of 0.1 to 1 degree against their motors, by MuJoCo alone; with `--hobby`, logs are of 50 rows a
+second, and of encoders with 4096 steps a turn.
 """
 
 from __future__ import annotations
@@ -44,6 +46,7 @@ PENDULUM = "pendulum"
 _EVERY = 0.004  # s, between rows of a log
 _SETTLED = 1.0  # s, after which a log begins
 _NOISE = 1e-5  # rad
+_LIMIT = 0.75  # of the largest torque
 _SLOW, _COUNTS = 0.02, 4096  # s between rows, and steps of an encoder in a turn, of a hobby arm
 _SHAKES = 3  # sines of each joint's command that are faster than its motion
 
@@ -58,6 +61,8 @@ class ServoDraw:
     number: int
     seed: int
     duration: float = 40.0
+    integral: bool = False
+    limited: bool = False  # whether their torques have limits, which the model file states
     backlash: bool = False  # whether links have play
     hobby: bool = False  # whether logs are slow, and of encoders with few steps
 
@@ -93,7 +98,9 @@ def make_servo_log(draw: ServoDraw) -> ServoLog:
 
     Stiffness makes a servo follow within 15 to 40 rad/s of bandwidth; damping is 0.4 to 1 of what
     is critical. Friction is 5 to 30 % of the efforts' deviation, the armature 10 to 50 % of the
-    inertia that the joint moves, and the delay 0 to 12 ms.
+    inertia that the joint moves, the delay 0 to 12 ms, and the integral, if there is one, has a
+    time kp / ki of 0.3 to 2 s. A limit is three quarters of the largest torque that the servo gives
+    without.
     """
     words = f"{draw.robot} {draw.engine} {draw.knows_rate}"
     rng = np.random.default_rng([draw.seed, draw.number, number_of(words)])
@@ -121,7 +128,12 @@ def make_servo_log(draw: ServoDraw) -> ServoLog:
         play=np.deg2rad(10.0 ** rng.uniform(-1.0, 0.0, n)) if draw.backlash else np.zeros(n),
     )
     command = command + _shaking(time, n, rng)
+    if draw.integral:
+        servos = replace(servos, integral=stiffness / rng.uniform(0.3, 2.0, n))
     q, _, torques = simulated(draw.engine, file.text, servos, command)
+    if draw.limited:
+        servos = replace(servos, limit=_LIMIT * np.abs(torques).max(axis=0))
+        q, _, torques = simulated(draw.engine, file.text, servos, command)
     every = _SLOW if draw.hobby else _EVERY
     rows = slice(round(_SETTLED / STEP), None, round(every / STEP))
     measured = (q + _NOISE * rng.normal(size=q.shape))[rows]
@@ -175,6 +187,10 @@ _SIDES = 2.0  # standard deviations of an interval
 def score_servo(draw: ServoDraw) -> dict[str, Any]:
     """Return a row of the table."""
     made, model = make_servo_log(draw), servo_file(draw.robot).model
+    if draw.limited:
+        limits = map(repr, made.servos.limit.tolist())
+        stated = dict(zip(made.log.joints, limits, strict=True))
+        model = servo_file(draw.robot).changed(f"{draw.robot}_limited", effort=stated).model
     began = time.process_time()
     found = explain(model, [made.log])
     seconds = time.process_time() - began
@@ -185,6 +201,8 @@ def score_servo(draw: ServoDraw) -> dict[str, Any]:
         "samples": len(made.log),
         "seconds": seconds,
         "verdict": found.verdict,
+        "at limit": np.mean(np.abs(made.torques) >= made.servos.limit, axis=0).tolist(),
+        "limits found": [bool(np.isfinite(s.limit)) for s in found.model.effort_signals],
         "steps": [[step.effect, list(step.where)] for step in found.steps],
         "extra": sorted({s.effect for s in found.steps} - {*HIDDEN, "effort_delay", *own}),
         "play named": [j for s in found.steps if s.effect in own for j in s.where],
@@ -282,14 +300,17 @@ def _motion(made: ServoLog, model: RobotModel, found: Explanation) -> dict[str, 
 
 
 def _gains(made: ServoLog, model: RobotModel) -> list[dict[str, Any]]:
-    """Return stiffness and damping, beside the truth."""
+    """Return stiffness, damping, and the integral where there or found one, beside the truth."""
     rows, servos, within = [], made.servos, _damping(model.effort_signals)
     for signal in model.effort_signals:
         at, joint = made.log.joints.index(signal.joint), signal.joint
         damps = np.hypot(signal.damping_deviation, signal.uncertainty * signal.damping)
+        sums = np.hypot(signal.integral_deviation, signal.uncertainty * signal.integral)
         gains = [("kp", signal.gain, signal.deviation, servos.stiffness)]
         if servos.knows_rate or joint in within:
             gains.append(("kd", signal.damping, float(damps), servos.damping))
+        if servos.integral[at] or signal.integral:
+            gains.append(("ki", signal.integral, float(sums), servos.integral))
         rows += [_row(what, joint, x, spread, float(true[at])) for what, x, spread, true in gains]
     return rows
 
@@ -363,10 +384,12 @@ def main() -> None:
     """Run from the command line."""
     parser = script_parser(__doc__, draws=True)
     parser.add_argument("--logs", type=positive_number, default=40, help="(%(default)s)")
+    parser.add_argument("--integral", action="store_true", help="servos have an integral")
+    parser.add_argument("--limited", action="store_true", help="torques have a limit")
     parser.add_argument("--backlash", action="store_true", help="links have play")
     parser.add_argument("--hobby", action="store_true", help="50 Hz, and encoders of few steps")
     options = parser.parse_args()
-    kinds = {name: getattr(options, name) for name in ("backlash", "hobby")}
+    kinds = {name: getattr(options, name) for name in ("integral", "limited", "backlash", "hobby")}
     draws = servo_draws(options.logs, options.seed, **kinds)
     if options.quick:
         first = ServoDraw("double_pendulum", "mujoco", False, 0, options.seed, duration=6.0)

@@ -63,6 +63,7 @@ from geodrake.excitation.starts import possible_postures, random_guess
 from geodrake.identification.logs.unknowns import pullback_information
 from geodrake.logs import JointLog, Motion
 from geodrake.model import RobotModel
+from geodrake.report.words import effect_label
 
 Reference = Callable[[Array], Moved]
 """Position, velocity and acceleration (N, n) at instants (N,)."""
@@ -361,6 +362,23 @@ def summary(case: int, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     return result
 
 
+def tell(rows: Sequence[dict[str, Any]]) -> None:
+    """Print the table."""
+    lines = [
+        {
+            "robot has": effect_label(row["truth"]),
+            "taken for": effect_label(row["rival"]),
+            **{name: value for name, value in row.items() if name not in ("truth", "rival")},
+        }
+        for row in rows
+    ]
+    show("Effects told apart, and by how many deviations they differ", lines)
+    for log in ("random", "designed"):
+        count = sum(row[log]["told"] for row in rows)
+        total = sum(row["ambiguous"] for row in rows)
+        print(f"The {log} motions distinguish {count} of {total} ambiguous pairs.")
+
+
 def main() -> None:
     """Run the study from the command line."""
     parser = script_parser(__doc__, draws=True)
@@ -371,7 +389,7 @@ def main() -> None:
         plan = Plan((0,), options.wanted or 1, 3, 5, options.seed)
     draws = draws_of(plan, parser, options)
     rows = [summary(case, draws) for case in plan.cases]
-    show("Effects told apart, and by how many deviations they differ", rows)
+    tell(rows)
     write(options, {"plan": plan, "rows": rows, "draws": draws})
 
 

@@ -59,13 +59,24 @@ class RobotFile:
     name: str
     text: str  # the URDF
 
-    def holding(self, name: str, held: Sequence[str]) -> RobotFile:
-        """Return a file whose joints of some names do not move."""
+    def changed(self, name: str, **attributes: Mapping[str, str]) -> RobotFile:
+        """Return a file whose joints of some names have another type, or limit of effort.
+
+        Args:
+            name: The new file's name.
+            attributes: `type` or `effort` -> joint -> its value.
+        """
         root = ET.fromstring(self.text)
         for joint in root.iter("joint"):
-            if joint.get("name") in held:
-                joint.set("type", "fixed")
+            for key, values in attributes.items():
+                place = joint if key == "type" else joint.find("limit")
+                if place is not None and joint.get("name") in values:
+                    place.set(key, values[joint.get("name", "")])
         return RobotFile(name, ET.tostring(root, encoding="unicode"))
+
+    def holding(self, name: str, held: Sequence[str]) -> RobotFile:
+        """Return a file whose joints of some names do not move."""
+        return self.changed(name, type=dict.fromkeys(held, "fixed"))
 
     @cached_property
     def model(self) -> RobotModel:

@@ -207,6 +207,17 @@ def median(figure: str, values: Sequence[float], bar: float | None = None) -> Li
     return Line(figure, bar, True, value, float(ranked[low]), float(ranked[high]), n)
 
 
+def quantiles(figure: str, values: Sequence[float], bar: float | None = None) -> list[Line]:
+    """Return the median, which the bar is for, and what nine of ten are below."""
+    if not values:
+        return [Line(f"{figure}, median", bar, True), Line(f"{figure}, 90 %", None, True)]
+    ends = min(values), max(values)
+    return [
+        Line(f"{figure}, {name}", most, True, float(np.quantile(values, at)), *ends, len(values))
+        for name, at, most in (("median", 0.5, bar), ("90 %", 0.9, None))
+    ]
+
+
 BINS = ((0.5, 0.7), (0.7, 0.9), (0.9, 0.99), (0.99, 1.0))
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 
 import mujoco
@@ -24,7 +25,7 @@ from diagrams.benchmarks.simulated.engines import (
     congruent,
     pseudo,
 )
-from diagrams.benchmarks.simulated.motions import make_motion
+from diagrams.benchmarks.simulated.motions import SLOW, make_motion
 
 COLOURED = "coloured"
 DRY, WET, ROTOR, HELD = "coulomb_friction", "viscous_friction", "rotor_inertia", "payload"
@@ -161,6 +162,9 @@ class Truth:
     needs_known_inertia: bool = False
     alone: bool = False  # whether it is left out of pairs
     reverses: bool = False  # whether it shows only at a joint whose load changes its sign
+    # Of an effect of no catalogue, what a correlate is to name: pairs of a joint (its own, the
+    # other, any) and one of its signals, "position" or "speed"; or the time.
+    follows: tuple[tuple[str, str], ...] = ()
     in_space: bool = False  # whether a planar robot does not feel it
 
     def found(self, site: Site, size: float) -> dict[str, float]:
@@ -252,6 +256,13 @@ def _warming(own: Signals, other: Signals, rng: Generator) -> Array:
     return left * (smooth_sign(own.v) + 0.7 * own.v)
 
 
+@of_joint
+def _running_in(own: Signals, other: Signals, rng: Generator) -> Array:
+    """Return friction that falls as 1 / (1 + t / T)³, to nothing."""
+    left = (1.0 + own.time / rng.uniform(5.0, 10.0)) ** -3
+    return left * (smooth_sign(own.v) + 0.7 * own.v)
+
+
 def _late(seen: Seen, site: Site, size: float) -> Array:
     """Return efforts by interpolation between those of earlier samples."""
     columns = [np.interp(seen.time - size, seen.time, u) for u in seen.load.T]
@@ -318,16 +329,20 @@ def _drag(seen: Seen, site: Site, size: float) -> Array:
     return size * np.einsum("nij,ni->nj", J, v * np.linalg.norm(v, axis=1)[:, None])
 
 
-def _push(seen: Seen, site: Site, size: float) -> Array:
-    """Return a push at a point of a body during a few seconds, as of leaning on something soft."""
+def _push(seen: Seen, site: Site, size: float, *, turning: bool = False) -> Array:
+    """Return a push at a point of a body during a few seconds, as of leaning on something soft.
+
+    That of a jet or a tool turns with the body.
+    """
     rng = site.rng
     point, direction = rng.uniform(-0.1, 0.1, 3), rng.normal(size=3)
     direction /= np.linalg.norm(direction)
     begin, length = rng.uniform(0.2, 0.7), rng.uniform(2.0, 4.0)
-    J, _ = seen.engine.frames(site.joint, point, seen.q)
+    J, R = seen.engine.frames(site.joint, point, seen.q)
     s = np.clip((seen.time - begin * seen.time[-1]) / length, 0.0, 1.0)
     push = np.minimum(1.0, 4.0 * np.sin(np.pi * s))
-    return size * push[:, None] * np.einsum("nij,i->nj", J[:, :3], direction)
+    along = R @ direction if turning else np.broadcast_to(direction, (len(J), 3))
+    return size * push[:, None] * np.einsum("nij,ni->nj", J[:, :3], along)
 
 
 def _soft_gear(seen: Seen, site: Site, size: float) -> Array:
@@ -435,6 +450,8 @@ TRUTHS = {truth.name: truth for truth in _CATALOGUE}
 
 # Effects of no catalogue
 
+OWN, OTHER, ANY, TIME = "own", "other", "any", "time"
+
 
 @of_joint
 def _end_stop(own: Signals, other: Signals, rng: Generator) -> Array:
@@ -472,15 +489,21 @@ _damper = of_joint(lambda own, other, rng: (other.q - other.q.mean()) * own.v)
 
 _WHEEL = "spinning wheel in a link"
 OUTSIDE = {
-    name: Truth(name, LINK if name == _WHEEL else JOINT, law, in_space=name == _WHEEL)
-    for name, law in (
-        ("brake that another joint's position tightens", _brake),
-        ("spring past an angle", _end_stop),
-        ("friction of a neighbour's speed", _neighbour),
-        ("oscillation in time", _clock),
-        (_WHEEL, _wheel),
-        ("hose on the sum of two angles", _hose),
-        ("damper that another joint opens", _damper),
+    name: Truth(
+        name,
+        LINK if name == _WHEEL else JOINT,
+        law,
+        follows=(follows,),
+        in_space=name == _WHEEL,
+    )
+    for name, law, follows in (
+        ("brake that another joint's position tightens", _brake, (OTHER, "position")),
+        ("spring past an angle", _end_stop, (OWN, "position")),
+        ("friction of a neighbour's speed", _neighbour, (OTHER, "speed")),
+        ("oscillation in time", _clock, (TIME, TIME)),
+        (_WHEEL, _wheel, (ANY, "speed")),
+        ("hose on the sum of two angles", _hose, (OTHER, "position")),
+        ("damper that another joint opens", _damper, (OTHER, "position")),
     )
 }
 """Those that one joint shows in one log, by name."""
@@ -615,6 +638,19 @@ OF_ALL_MOTIONS = {
 """Those that are sized by all motions of a robot, by name."""
 
 
+HARD: Mapping[str, tuple[Truth, Mapping[str, object]]] = {
+    "wrench that turns with its body": (Truth("contact", BODY, partial(_push, turning=True)), {}),
+    "friction that fades to nothing": (
+        Truth("friction_drift", JOINT, _running_in, companions=(DRY, WET)),
+        {},
+    ),
+    "delay in slow motion, coloured noise": (TRUTHS[LATE], {"motion": SLOW, "colour": COLOURED}),
+    "tilt": (TRUTHS["gravity_tilt"], {}),
+}
+"""Kinds that other engines' logs showed to be hard, each with what of the draws is given."""
+
+
 def truth_of(name: str) -> Truth:
     """Return what is hidden by a name of any of the tables."""
-    return {**TRUTHS, **OUTSIDE, **OF_ALL_MOTIONS}[name]
+    hard = {kind: truth for kind, (truth, _) in HARD.items()}
+    return {**TRUTHS, **OUTSIDE, **OF_ALL_MOTIONS, **hard}[name]
