@@ -8,7 +8,7 @@ from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, Ini
 from pydrake.multibody.tree import SpatialInertia, UnitInertia, default_model_instance
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import FirstOrderTaylorApproximation, Sine
+from pydrake.systems.primitives import Sine
 
 from geodrake import effects
 from geodrake.control import DelayedEffort, EffectForce
@@ -84,33 +84,6 @@ class TestExactDynamics:
 
 
 class TestSystem:
-    def test_users_effect_that_says_nothing_of_time(self):
-        """It is given the time as the catalogue's effects are that declare it."""
-
-        class Fading(effects.JointEffect):
-            name = "fading"
-            parameters = (effects.Parameter("size", "N·m"),)
-
-            def columns(self, joint):
-                raise NotImplementedError
-
-            def rows(self, motion):
-                joint = motion.joint("joint2")
-                left = 0.0 if motion.time is None else np.exp(-motion.time / 2.0)
-                column = left * joint.v + 1e-12 * (joint.vd + joint.load)
-                return {"joint2": column[:, None]}
-
-        system = EffectForce(arm(), [(Fading("joint2"), [0.5])])
-        state = [0.1, 0.2, 0.3, 0.4, -0.5, 0.6]
-        context = fixed(system, state=state, applied_effort=np.zeros(3))
-        for time in (0.0, 1.0, 7.0):
-            context.SetTime(time)
-            np.testing.assert_allclose(
-                system.get_output_port().Eval(context),
-                [0.0, 0.25 * np.exp(-time / 2.0), 0.0],
-                atol=1e-9,
-            )
-
     @pytest.mark.parametrize(
         ("effect", "mu", "message"),
         [
@@ -172,11 +145,6 @@ def context_at(diagram, effort=EFFORT):
     return context
 
 
-def rates(diagram, context, state):
-    context.SetContinuousState(state)
-    return diagram.EvalTimeDerivatives(context).CopyToVector()
-
-
 def slopes(function, x, h=1e-6):
     return np.stack([(function(x + e) - function(x - e)) / (2 * h) for e in h * np.eye(len(x))], 1)
 
@@ -208,23 +176,6 @@ MANY = [
     (effects.EffortScale("joint3"), [0.2]),
     (effects.Payload("link2"), from_spatial_inertia(LINK)),
 ]
-PLAY = [(effects.Backlash("joint1", 0.1), [0.5]), (effects.RotorInertia("joint1"), [0.2])]
-
-
-@pytest.mark.parametrize("terms", [MANY, SPRING, PLAY], ids=["many", "spring", "play"])
-def test_linear_dynamics_are_those_of_differences(terms):
-    diagram, _ = diagram_with(terms)
-    context = context_at(diagram)
-    start = context.get_continuous_state_vector().CopyToVector()
-    linear = FirstOrderTaylorApproximation(diagram, context)
-    expected = slopes(lambda x: rates(diagram, context, x), start)
-    scale = np.abs(expected).max()
-    np.testing.assert_allclose(linear.A(), expected, atol=1e-7 * scale, rtol=1e-6)
-
-    def of_effort(u):
-        return rates(diagram, context_at(diagram, u), start)
-
-    np.testing.assert_allclose(linear.B(), slopes(of_effort, EFFORT), atol=1e-6 * scale)
 
 
 @pytest.mark.parametrize("terms", [MANY, SPRING], ids=["many", "spring"])

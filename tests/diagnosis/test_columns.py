@@ -25,7 +25,6 @@ from geodrake.effects import FittedEffect, JointElasticity
 from geodrake.errors import ArgumentError
 from geodrake.logs import JointLog, read_log
 from geodrake.model import EffortSignal, save_model
-from geodrake.model.effort_signal import MotorLimit
 from geodrake.model.signal_efforts import in_efforts
 from geodrake.report import Units
 from geodrake.report.explaining import gains_section, limits_section
@@ -245,23 +244,6 @@ def test_columns_of_a_robot_with_soft_joints_are_checked():
 
 def made(mistake):
     return make_log(WrongLog(mistake, "double_pendulum", "mujoco", "fast", 0, 3, 8.0))
-
-
-class TestLimit:
-    def test_is_that_of_a_motor_on_a_voltage(self):
-        """Of which no more than 24 V acts, as the law of direct-current motors has it."""
-        rng = np.random.default_rng(0)
-        kt, ke, resistance, ratio, most = 0.05, 0.04, 0.8, 30.0, 24.0
-        v, voltage = rng.uniform(-15.0, 15.0, 200), rng.uniform(-60.0, 60.0, 200)
-        asked, given = (
-            ratio * kt * (np.clip(voltage, -own, own) - ratio * ke * v) / resistance
-            for own in (np.inf, most)
-        )
-        limit = MotorLimit(ratio * kt * most / resistance, most / (ratio * ke))
-        np.testing.assert_allclose(limit.given(asked, v), given, atol=1e-9)
-        share, square = limit.beyond(asked, v)
-        assert share == np.mean(np.abs(voltage) > most)
-        assert square * share == pytest.approx(np.mean((asked - given) ** 2))
 
 
 @pytest.mark.parametrize("mistake", ["limit of a motor", "limit that falls with speed"])

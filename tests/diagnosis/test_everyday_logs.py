@@ -14,10 +14,8 @@ from scipy.special import erf
 from geodrake import load_model
 from geodrake.diagnosis import add, check_columns, compare, explain
 from geodrake.diagnosis.refinements import common_delay
-from geodrake.diagnosis.search import searched
 from geodrake.fleet import digest_logs
 from geodrake.identification.logs.bandwidth import prepare_for_model
-from geodrake.identification.logs.case import open_case
 from geodrake.logs import JointLog, write_log
 from geodrake.report import page_of
 
@@ -251,20 +249,6 @@ def test_efforts_that_are_late_by_a_tenth_of_a_sample_are_not():
     """No log is more synchronous than that, as its signals are read one after the other."""
     found = explain(load_model(MODELS / "double_pendulum.urdf"), [sampled_late(1)])
     assert {step.effect for step in found.steps} == {"rotor_inertia"}
-
-
-@pytest.mark.parametrize("seed", [0, 1])
-def test_noise_of_accelerations_that_a_found_rotor_carries_is_noise(seed):
-    """The file's light bodies carry a part of it; the rest would count as a model error."""
-    rng = np.random.default_rng(seed)
-    log = pendulum_log(seed, lambda q, v, vd, load: np.array([0.6, 0.2]) * vd, noise=(3e-3, 2e-3))
-    noisy = replace(log, position=log.position + 3e-4 * rng.normal(size=log.position.shape))
-    case = open_case(MODEL, [noisy], candidates=True, bandwidth=8.0)
-    found = searched(case)
-    left = np.sqrt(found.fit.variance)
-    assert {term.name for term in found.fit.terms} == {"rotor_inertia"}
-    assert np.all(left > 2.0 * case.dataset.noise_floor)
-    np.testing.assert_allclose(found.model.dataset.noise_floor, left, rtol=0.15)
 
 
 def test_a_common_delay_is_that_of_the_joints_that_know_it_best():

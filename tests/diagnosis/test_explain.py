@@ -156,21 +156,6 @@ def test_fitted_model_predicts_new_motions_and_needs_nothing_more(fitted):
     assert found.end == found.start and found.model is fitted
 
 
-def test_delay_is_found_between_the_samples(logs):
-    late = [
-        replace(
-            log,
-            effort=np.stack([np.interp(log.time - 0.0123, log.time, u) for u in log.effort.T], 1),
-        )
-        for log in logs
-    ]
-    found = explain(MODEL, late, bandwidth=BANDWIDTH)
-    assert places(found) == {**WHERE, "effort_delay": ()}
-    np.testing.assert_allclose(found.model.delays, 0.0123, atol=0.001)
-    step = next(step for step in found.steps if step.effect == "effort_delay")
-    assert step.parameters["all joints"]["delay"] == found.model.delays[0]
-
-
 def test_something_that_no_effect_explains_is_said_to_be_left():
     """Loud coloured disturbances belong to no motion: the verdict must not be that it is noise."""
     log = pendulum_log(80)

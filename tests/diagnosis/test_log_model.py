@@ -2,7 +2,6 @@
 
 import sys
 from dataclasses import replace
-from math import comb
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +10,7 @@ import pytest
 from pendulum_logs import JOINTS, friction, pendulum_log
 from pinocchio_logs import MODELS, effort_log
 from pydrake.solvers import ClarabelSolver, MathematicalProgram
-from scipy.linalg import block_diag, expm
+from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
 from geodrake import load_model
@@ -32,7 +31,6 @@ from geodrake.diagnosis.normal_kernels import calc_distance, calc_noise_changes
 from geodrake.diagnosis.notes import left_out_notes, unnamed_notes
 from geodrake.diagnosis.posterior import Posterior
 from geodrake.diagnosis.search import searched
-from geodrake.diagnosis.terms import odds_against
 from geodrake.effects import (
     CoulombFriction,
     EffortOffset,
@@ -68,11 +66,8 @@ BODIES = 10 * len(PENDULUM.bodies)
 SHARES = np.ones(2)
 
 
-def random_problem(ball=0.0):
-    """Random rows of two joints, as a dataset, and as columns by effect and efforts.
-
-    The lower link carries a ball so many times.
-    """
+def random_problem():
+    """Random rows of two joints, as a dataset, and as columns by effect and efforts."""
     rng = np.random.default_rng(5)
     bodies = rng.normal(size=(2, ROWS, BODIES))
     own = {effect: rng.normal(size=(2, ROWS, len(effect.parameters))) for effect in EFFECTS}
@@ -81,7 +76,6 @@ def random_problem(ball=0.0):
         if effect.places == "joint":
             own[effect][1 - JOINTS.index(effect.where[0])] = 0.0
     effort = bodies @ PENDULUM.phi.ravel() + rng.normal(size=(2, ROWS))
-    effort += ball * own[PAYLOAD] @ BALL
     effort += 0.5 * own[OFFSETS[0]][:, :, 0] + 0.4 * own[RUBBING][:, :, 0]
     joints = []
     for j in range(2):
@@ -182,20 +176,6 @@ def test_gains_and_losses_are_differences_of_evidence(problem):
             assert gain == pytest.approx(after - now, abs=1e-3)
 
 
-def test_bodies_that_cannot_be_are_as_improbable_as_they_are():
-    """A body of less than no mass, of which the prior has one in so many."""
-    could, cannot = random_problem(ball=1.0), random_problem(ball=-1.0)
-    costs = []
-    for each in (could, cannot):
-        fit = settled(each[0], PAYLOAD)
-        own = fit.score - prior_odds(each[0], fit) - dense_evidence(each, fit, fit.terms)
-        bare = settled(each[0])
-        none = bare.score - prior_odds(each[0], bare) - dense_evidence(each, bare, bare.terms)
-        costs.append(own - none)
-    assert costs[0] == pytest.approx(0.0, abs=0.1)
-    assert costs[1] < 2.0 * np.log(0.01)
-
-
 # What a search ends with.
 
 
@@ -241,34 +221,6 @@ def test_speeds_below_the_noise_of_velocities_say_nothing_of_friction_there():
 # How far bodies are from the file, and gains of efforts.
 
 
-def lighter(distance, seed):
-    """Efforts of bodies that are so far from those of the file, in the geometric metric."""
-
-    def hidden(seen):
-        rng = np.random.default_rng(seed)
-        model = pin.Model(seen.model)
-        for k in range(1, model.njoints):
-            pseudo = model.inertias[k].toPseudoInertia().toMatrix()
-            S = distance * rng.normal(size=(4, 4))
-            root, way = np.linalg.cholesky(pseudo), 0.5 * (S + S.T)
-            changed = root @ expm(way) @ root.T
-            model.inertias[k] = pin.PseudoInertia.FromMatrix(changed).toInertia()
-        return seen.more(model)
-
-    return hidden
-
-
-def test_bodies_are_as_far_from_the_file_as_they_are(distance=0.2):
-    """Between the widths that are searched, by logs of pendulums of other bodies."""
-    found = []
-    for seed in (1, 2, 3):
-        hidden = lighter(distance, seed)
-        log = effort_log("double_pendulum", seed, hidden, duration=16.0, rate=100.0).log
-        end = searched(open_case(PENDULUM, [log], candidates=True))
-        found.append(end.model.likely_priors(end.fit)[0])
-    assert np.exp(np.mean(np.log(found))) == pytest.approx(distance, rel=0.5)
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_the_nearest_body_that_can_exist(seed):
     """By a precision; a semidefinite program says the same."""
@@ -285,26 +237,6 @@ def test_the_nearest_body_that_can_exist(seed):
     assert least > 0.0
     found = calc_distance(mean, inside, precision, np.ascontiguousarray(basis))
     assert least <= found <= least + 0.5
-
-
-def test_any_number_of_joints_with_a_kind_is_as_likely_as_another(problem):
-    """Of n joints, so that what most have is more likely than not at those that are left.
-
-    What any joint may have is as likely to be there as to be nowhere.
-    """
-    kinds = everywhere(problem[0], 7)
-    sets = [comb(7, k) * np.exp(-0.5 * odds_against(kinds[0][:k])) for k in range(1, 8)]
-    np.testing.assert_allclose(sets, 1.0 / 7.0)
-
-
-def everywhere(model, n):
-    """Return friction at each of n joints, of two kinds."""
-    own = next(t for t in model.terms if t.name == "coulomb_friction")
-    free = replace(own.price, first=0.0, joints=n)
-    return [
-        [replace(own, name=name, price=replace(free, name=name, joint=str(k))) for k in range(n)]
-        for name in ("coulomb_friction", "viscous_friction")
-    ]
 
 
 def test_noise_at_other_instants_is_no_evidence_of_a_delay():

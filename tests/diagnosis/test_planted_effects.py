@@ -13,8 +13,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from chain_logs import chain_log
-from excitation_robots import arm
 
 pytest.importorskip("pinocchio")
 
@@ -475,20 +473,6 @@ def test_effort_commands_that_act_late_are_a_negative_delay():
     assert step.effect == "effort_delay"
     (values,) = step.parameters.values()
     np.testing.assert_allclose(list(values.values()), -0.012, atol=1e-3)
-
-
-def test_a_rotor_that_turns_with_two_joints_of_a_chain(sense=-1):
-    """Its inertia is that of both joints, and couples them: Jᵀ I J of v₁ ± v₃."""
-    chain, apart = arm(joints="RRRR"), ("joint_1", "joint_3")
-    slope = np.array([0.0, 1.0, 0.0, sense])
-    log = chain_log(chain, 1, lambda q, v, vd, load: np.outer(0.1 * vd @ slope, slope))
-    factors = np.exp(0.2 * np.random.default_rng(0).normal(size=(4, 1)))
-    wrong = dataclasses.replace(chain, phi=factors * chain.phi)
-    steps = {s.effect: s for s in explain(wrong, [log], bandwidth=6.0).steps}
-    assert steps.keys() == {"rotor_inertia", "coupled_rotor_inertia"}
-    assert all(step.where == apart for step in steps.values())
-    (values,) = steps["coupled_rotor_inertia"].parameters.values()
-    assert values["inertia"] == pytest.approx(sense * 0.1, rel=0.05)
 
 
 NOTHING = [

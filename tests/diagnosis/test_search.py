@@ -9,14 +9,10 @@ from chain_logs import chain_log
 from excitation_robots import arm
 from own_code import own_effect
 from pendulum_logs import JOINTS, PENDULUM, friction, pendulum_log
-from scipy.signal import lfilter
-from scipy.stats import chi2
 
 from geodrake import load_model
 from geodrake.diagnosis import add, diagnose, explain
-from geodrake.diagnosis.coupled import coupled_joints, other_pairs
-from geodrake.diagnosis.position_spectrum import highest_peak
-from geodrake.diagnosis.residuals import full_motion, joint_residuals
+from geodrake.diagnosis.coupled import other_pairs
 from geodrake.effects import (
     CoulombFriction,
     EffortOffset,
@@ -25,11 +21,6 @@ from geodrake.effects import (
     Shape,
 )
 from geodrake.errors import ArgumentError
-from geodrake.identification.logs.case import open_case
-from geodrake.identification.logs.evidence import effective_samples
-from geodrake.identification.logs.hypothesis import first_hypothesis
-from geodrake.identification.logs.model_fit import model_unknowns
-from geodrake.logs.filtering import design_filter
 
 MODEL = load_model(PENDULUM)
 BANDWIDTH = 6.0
@@ -44,10 +35,6 @@ def knowing(*effects, model=MODEL):
 def at_elbow(law):
     """A hidden effort at the elbow: a law of its position, velocity and acceleration."""
     return lambda q, v, vd, load: np.stack([np.zeros(len(q)), law(q[:, 1], v[:, 1], vd[:, 1])], 1)
-
-
-def power(exponent):
-    return lambda q, v, vd: 0.2 * np.sign(v) * np.abs(v) ** exponent
 
 
 def diagnosed(log, model=MODEL, **options):
@@ -174,12 +161,6 @@ class TestShapes:
         assert steps["stribeck_friction"]["excess"] == pytest.approx(0.3, rel=0.1)
         assert found.verdict == "explained"
 
-    def test_a_power_that_is_nearly_viscous_friction_is_told_beside_it(self):
-        found = explained(pendulum_log(9, at_elbow(power(1.1)), seconds=24.0))
-        steps = {step.effect: step for step in found.steps}
-        assert steps.keys() == {"viscous_friction", "nonlinear_viscous_friction"}
-        assert steps["nonlinear_viscous_friction"].parameters["elbow"]["exponent"] >= 1.25
-
     @pytest.mark.parametrize("speed", [0.1, 0.2, 3.0])  # 0.02 rad/s pass within a sample
     def test_a_shape_between_those_of_the_grid_or_at_its_edge(self, speed):
         law = at_elbow(lambda q, v, vd: np.sign(v) * (0.3 + 0.8 * np.exp(-np.abs(v) / speed)))
@@ -231,12 +212,6 @@ class TestCandidates:
         assert (first.effect, first.where) == ("coupled_friction", ("joint_0", "joint_2"))
         assert apart == [first]
 
-    def test_not_at_one_joint_alone(self):
-        """Friction that follows another joint's speed too, but is not felt there."""
-        belt = shared(1, 3, 1, lambda w, _: 0.3 * sign(w))
-        _, apart = diagnosed_arm(lambda *motion: belt(*motion) * np.eye(4)[3])
-        assert apart == []
-
     def test_not_friction_of_both_joints(self):
         def hidden(q, v, vd, load):
             return [0.0, 0.5, 0.0, 0.3] * sign(v) * (1.0 + 1.5 * np.exp(-np.abs(v) / 0.1))
@@ -244,26 +219,6 @@ class TestCandidates:
         (first, *_), apart = diagnosed_arm(hidden)
         assert set(first.where) == set(SECOND_AND_LAST)
         assert apart == []
-
-
-def test_chance_is_as_small_as_told(colour=0.8):
-    """Noise in the place of residuals: as many false alarms at most as are admitted."""
-    case = open_case(CHAIN, [chain_log(CHAIN, 4)], candidates=False, bandwidth=6.0)
-    hypothesis = first_hypothesis(case.dataset, model_unknowns(case.dataset, CHAIN))
-    joints, motion = joint_residuals(case, hypothesis), full_motion(case)
-    rng, least = np.random.default_rng(5), []
-    for _ in range(100):
-        noise = [lfilter([1.0], [1.0, -colour], rng.normal(size=len(j.v))) for j in joints]
-        looked_at = [
-            replace(joint, residual=own, effective=effective_samples([own]))
-            for joint, own in zip(joints, noise, strict=True)
-        ]
-        by_name = dict.fromkeys(NAMES, 1.0)
-        for proposal in coupled_joints(case, looked_at, motion):
-            name = proposal.effects[0].name
-            by_name[name] = min(by_name[name], proposal.alarm)
-        least.append(list(by_name.values()))
-    assert np.all(np.mean(np.array(least) < 0.1, axis=0) <= 0.1)
 
 
 def test_pairs_are_of_one_type_and_do_not_follow_each_other():
@@ -287,57 +242,3 @@ def test_a_pair_is_added_by_name():
     assert values["viscous"] == pytest.approx(0.3, rel=0.05)
     with pytest.raises(ArgumentError, match="cannot be added at joint_3"):
         add("coupled_friction", CHAIN, [log], where=["joint_3"], **way)
-
-
-PERIOD, WAVES_BELOW = 0.004, 12.0
-LOW_PASS = design_filter(PERIOD, WAVES_BELOW)
-
-
-def motion(rng, seconds=40.0, reach=1.2):
-    """Positions and velocities of a smooth random motion, at the log's rate."""
-    time = np.arange(0.0, seconds, PERIOD)[:, None]
-    rate = 2 * np.pi * rng.uniform(0.05, 0.6, 6)
-    phase, size = rng.uniform(0, 2 * np.pi, 6), rng.uniform(0.3, 1.0, 6)
-    angle = rate * time + phase
-    q, v = (size * np.sin(angle)).sum(1), (size * rate * np.cos(angle)).sum(1)
-    return reach * q / np.abs(q).max(), reach * v / np.abs(q).max()
-
-
-def peak_of(q, v, effort):
-    """The peak of an effort that was logged along a motion."""
-    at = LOW_PASS.output_indices(len(q))
-    residual = LOW_PASS.apply(effort)
-    return highest_peak(
-        (q[at], v[at]),
-        residual,
-        effective=effective_samples([residual]),
-        gain=LOW_PASS.response,
-        bandwidth=LOW_PASS.bandwidth,
-    )
-
-
-def alarm(peak):
-    return peak.tried * chi2.sf(peak.height, 2)
-
-
-@pytest.mark.parametrize(("order", "seed"), [(9.0, 1), (16.5, 2), (60.0, 3), (101.3, 1)])
-def test_order_is_found(order, seed):
-    rng = np.random.default_rng(seed)
-    q, v = motion(rng)
-    effort = 0.5 * np.cos(order * q + 1.0) + 0.6 * rng.normal(size=len(q))
-    peak = peak_of(q, v, effort)
-    assert alarm(peak) < 1e-6
-    assert peak.order == pytest.approx(order, abs=0.25 * peak.resolution)
-    assert peak.resolution == pytest.approx(2 * np.pi / np.ptp(q), rel=0.05)
-
-
-@pytest.mark.parametrize(("colour", "most"), [(0.0, 0.01), (0.99, 0.06)])
-def test_noise_rarely_looks_like_waves(colour, most):
-    """The threshold is 0.001; what is left is for the held-out evidence to refuse."""
-    alarms = []
-    for seed in range(150):
-        rng = np.random.default_rng(seed)
-        q, v = motion(rng, seconds=20.0)
-        noise = lfilter([1.0], [1.0, -colour], rng.normal(size=len(q)))
-        alarms.append(alarm(peak_of(q, v, noise)))
-    assert np.mean(np.array(alarms) < 1e-3) <= most
