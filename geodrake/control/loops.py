@@ -1,4 +1,4 @@
-"""Whole closed loops, with the names of their ports."""
+"""Closed loops of a robot and an adaptive controller."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from geodrake.robot.robot_instance import RobotInstance, RobotPorts
 
 @dataclass(frozen=True, eq=False)
 class AdaptiveLoop:
-    """Systems that `add_adaptive_loop` added, by name.
+    """Systems and ports added by `add_adaptive_loop`.
 
     Attributes:
-        robot: The robot in its plant; None if the loop was given the ports of a robot elsewhere.
-        effect_force: What acts on the plant beside rigid bodies, if anything.
-        state: Positions and velocities of the robot, in the order of the controller's joints; of
-            the motors where effects make joints soft.
-        measured_state: What the controller sees of them.
-        logs: Sinks of "state", "desired_state", "actuation", "parameters" and, where the truth is
-            known, "lyapunov"; none if nothing is logged.
+        robot: The robot in its plant; None if only the robot's ports were given.
+        effect_force: Forces of the effects on the plant, if any.
+        state: Positions and velocities of the robot in the order of the controller's joints; those
+            of the motors for soft joints.
+        measured_state: The state as measured by the controller.
+        logs: Sinks of "state", "desired_state", "actuation", "parameters" and, if the truth is
+            known, "lyapunov"; empty without logging.
     """
 
     robot: RobotInstance | None
@@ -55,7 +55,7 @@ class AdaptiveLoop:
 
     @property
     def plant(self) -> MultibodyPlant:
-        """The plant that the robot is in."""
+        """The plant that contains the robot."""
         return self._robot.plant
 
     @property
@@ -74,7 +74,7 @@ class AdaptiveLoop:
         return context
 
     def set_start(self, root: Context) -> None:
-        """Put the robot where its motion starts, and nothing else."""
+        """Set the robot's state to the start of the motion."""
         robot, joints = self._robot, self.controller.control.joints
         source = self.desired_state.get_system()
         desired = self.desired_state.Eval(source.GetMyContextFromRoot(root))
@@ -83,10 +83,10 @@ class AdaptiveLoop:
             self.effect_force.deflect(root)
 
     def simulated(self, diagram: Diagram, duration: float) -> tuple[Array, dict[str, Array]]:
-        """Simulate some seconds from the start of the motion.
+        """Simulate a duration, s, from the start of the motion.
 
         Returns:
-            Times (N,), and what was logged (N, ·) by name.
+            Times (N,), and logged signals (N, ·) by name.
         """
         simulator = Simulator(diagram, self.context(diagram))
         simulator.Initialize()
@@ -94,14 +94,14 @@ class AdaptiveLoop:
         return self.logged(simulator.get_context())
 
     def logged(self, context: Context) -> tuple[Array, dict[str, Array]]:
-        """Return times (N,) and what was logged until now (N, ·), by the Context of the diagram."""
+        """Return times (N,) and signals (N, ·) logged so far, given the diagram's Context."""
         if not self.logs:
             raise ArgumentError(
                 "The loop does not log.", advice="Pass log_period to add_adaptive_loop."
             )
-        found = {name: sink.FindLog(context) for name, sink in self.logs.items()}
-        time = np.array(next(iter(found.values())).sample_times())
-        return time, {name: np.array(log.data().T) for name, log in found.items()}
+        logs = {name: sink.FindLog(context) for name, sink in self.logs.items()}
+        time = np.array(next(iter(logs.values())).sample_times())
+        return time, {name: np.array(log.data().T) for name, log in logs.items()}
 
 
 def add_adaptive_loop(
@@ -119,23 +119,24 @@ def add_adaptive_loop(
 
     Args:
         plant: A finalized plant of one robot, continuous or discrete; `RobotInstance(plant, name)`
-            where it holds more than the robot; or the ports of a robot that is elsewhere. There is
-            an actuator at every joint, or none at all: efforts are generalized forces then.
-        controller: What is to control it; added to the builder. Its joints may be in another order.
+            if the plant contains more; or the ports of a robot elsewhere. Either every joint has an
+            actuator or none has; without actuators, efforts are generalized forces.
+        controller: The controller, added to the builder. Its joints may be in another order.
         motion: (n) positions over time, twice differentiable, in the order of the controller.
         effects: Effects and their linear parameters μ that act on the robot, see `EffectForce`.
         sign_width: Speed below which dry friction fades on the robot, rad/s or m/s.
-        log_period: Period of the logs, s; None for none.
-        sensor: What the controller sees the robot through, such as noise: a system with one input
-            and one output for positions and velocities; added to the builder. Nothing if None.
+        log_period: Period of the logs, s; None for no logs.
+        sensor: System between the robot's state and the controller, such as noise, with one input
+            and one output for positions and velocities; added to the builder. None for exact
+            measurements.
 
     Raises:
         ArgumentError: Robot, controller and motion do not fit together, only some joints have an
-            actuator, or the base of the robot leans otherwise than that of the controller's model.
+            actuator, or the robot's base is oriented differently from that of the model.
     """
     instance(builder, "builder", DiagramBuilder)
     if log_period is not None:
-        positive(log_period, "log_period")  # a negative one would end the process
+        positive(log_period, "log_period")  # Drake aborts on a negative period
     joints = instance(controller, "controller", AdaptiveController).control.joints
     instance(motion, "motion", Trajectory)
     if motion.rows() != len(joints) or motion.cols() != 1:
@@ -145,7 +146,7 @@ def add_adaptive_loop(
     instance(effects, "effects", Sequence)
     robot: RobotInstance | None = None
     if isinstance(plant, RobotPorts):
-        ports = _given_ports(plant, joints, effects)
+        ports = _checked_ports(plant, joints, effects)
     else:
         robot = plant if isinstance(plant, RobotInstance) else RobotInstance(plant)
         check_base(robot, controller)
@@ -164,7 +165,7 @@ def add_adaptive_loop(
             "The controller needs accelerations, which the robot's ports do not provide.",
             advice="Adapt with PredictionError(…, alone=True), which does not need them.",
         )
-    for name, source in sources.items():  # efforts are measured exactly
+    for name, source in sources.items():
         if controller.HasInputPort(name):
             builder.Connect(source, controller.GetInputPort(name))
     builder.Connect(actuation, ports.effort)
@@ -196,10 +197,10 @@ def add_adaptive_loop(
 
 
 def check_base(robot: RobotInstance, controller: AdaptiveController) -> None:
-    """Check that a robot is the controller's, and that its base leans as that of its model.
+    """Check that a robot matches a controller's model, including the orientation of its base.
 
-    A controller whose model has an effect of the whole robot may know by it that the base leans,
-    and is believed.
+    The orientation is not checked if the model has an effect of the whole robot, which may describe
+    a tilted base.
     """
     control = controller.control
     if control.tree.actuation is not None and control.tree.actuation.places:
@@ -214,7 +215,7 @@ def check_base(robot: RobotInstance, controller: AdaptiveController) -> None:
         robot.check_base(control.tree, control.joints)
 
 
-def _given_ports(
+def _checked_ports(
     ports: RobotPorts, joints: Sequence[str], effects: Sequence[EffectWithValues]
 ) -> RobotPorts:
     if ports.joints != tuple(joints):

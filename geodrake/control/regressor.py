@@ -1,10 +1,10 @@
-"""Regressors for control: one sample at a time, a thousand times a second.
+"""Regressors for control, evaluated sample by sample at rates of about 1 kHz.
 
     M(q, p) a + C(q, q̇, p) v + g(q, p) + effects(v, a, p) = Y(q, q̇, v, a) p  [Lee2019] (5.2.10)
 
-`ControlModel.of(model)` reads a robot model once; `ControlModel.at(q, qd, v, a)` gives a
-`ControlSample` for which Y p, Yᵀ r and the mass matrix are a few array operations. Parameters are
-one vector p = [φ, μ]: inertial parameters, ten a body, and then the effects' parameters.
+`ControlModel.of(model)` reads a robot model once; `ControlModel.at(q, qd, v, a)` returns a
+`ControlSample`, which computes Y p, Yᵀ r and the mass matrix in a few array operations. The
+parameters are one vector p = [φ, μ]: inertial parameters, ten per body, then those of the effects.
 """
 
 from __future__ import annotations
@@ -21,7 +21,13 @@ from geodrake.compiling import compiled, contiguous, inlined
 from geodrake.control.rigid_bodies import RigidSample, calc_momentum_regressors
 from geodrake.effects import Effect, JointMotion, RobotMotion, Role
 from geodrake.effects.body_motion import RobotBodies
-from geodrake.effects.effect_columns import EffectColumns, Indices, Seen, Trial, put_signals
+from geodrake.effects.effect_columns import (
+    EffectColumns,
+    Indices,
+    ToRobotMotion,
+    Trial,
+    put_signals,
+)
 from geodrake.effects.robot_motion import smoothed_sign
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
@@ -33,16 +39,16 @@ from geodrake.robot.recursion import TreeRecords, calc_regressor
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ControlModel:
-    """Constants of a robot, for the regressor of every sample.
+    """Constant data of a robot, for the regressors of its samples.
 
-    Parameters are one vector p = [φ, μ]: φ of the nb bodies, ten each, and μ of the effects.
+    The parameters are one vector p = [φ, μ]: φ of the nb bodies, ten each, and μ of the effects.
 
     Attributes:
         effects: The effects, in the order of their parameters.
         prior: (p,) parameters of the robot model.
-        measured_friction: Whether effects see the measured velocity q̇ instead of the reference v.
+        measured_friction: Whether effects use the measured velocity q̇ instead of the reference v.
         single_joints: Whether every joint has one degree of freedom, so that q̇ is the rate of q.
-        floats: Whether nothing fixes the robot to the world.
+        floats: Whether the base is floating.
     """
 
     tree: KinematicTree
@@ -70,16 +76,15 @@ class ControlModel:
         sign_width: ArrayLike = 1e-2,
         measured_friction: bool = False,
     ) -> ControlModel:
-        """Read a robot model once.
+        """Read a robot model.
 
         Args:
-            model: The robot. Delays of efforts are not part of the regressor; friction that has a
-                memory has slipped far, and friction that drifts has settled.
-            sign_width: Least speed below which dry friction fades, rad/s or m/s; one for all
-                velocities or (nv,).
-            measured_friction: Whether effects see q̇ instead of the reference velocity v. The
-                source has v, [Lee2019] Eq. (5.2.10), which has less noise and needs friction to
-                grow with speed; q̇ is for friction that does not, such as Stribeck friction.
+            model: The robot. Effort delays are ignored; hysteresis and drifting friction have their
+                steady state.
+            sign_width: Minimum speed below which dry friction fades, rad/s or m/s; scalar or (nv,).
+            measured_friction: Whether effects use q̇ instead of the reference velocity v. [Lee2019]
+                Eq. (5.2.10) uses v, which has less noise but requires friction to grow with speed.
+                Use q̇ for other friction, such as Stribeck friction.
         """
         model = instance(model, "model", RobotModel).with_volume
         joints, bodies = model.joints, model.bodies
@@ -89,7 +94,7 @@ class ControlModel:
         turning = tuple(effect for effect in effects if effect.role is not Role.BODY)
         trial = _trial(model, sign_width)
         columns = EffectColumns(joints, effects, trial)
-        columns.fit_rows(trial(*np.zeros((3, 1, len(joints)))))  # do they fit the robot?
+        columns.fit_rows(trial(*np.zeros((3, 1, len(joints)))))  # raises if they do not fit
         values = [model.phi.ravel(), *(fitted.parameters for fitted in model.effects)]
         return cls(
             tree=model.tree,
@@ -105,16 +110,16 @@ class ControlModel:
             _sign_width=sign_width,
             _direction=smoothed_sign(sign_width),
             _single=single,
-            _payloads=tuple((bodies.index(name), part) for name, part in _placed(model, Role.BODY)),
+            _payloads=tuple((bodies.index(name), part) for name, part in _parts(model, Role.BODY)),
             _scales=tuple(
-                (joints.index(name), part.start) for name, part in _placed(model, Role.SCALE)
+                (joints.index(name), part.start) for name, part in _parts(model, Role.SCALE)
             ),
             _total_phi=model.total_phi,
         )
 
     @property
     def num_inertial(self) -> int:
-        """Number 10 nb of inertial parameters, which come first."""
+        """Number 10 nb of inertial parameters."""
         return PARAMETERS_PER_BODY * len(self.bodies)
 
     def phi(self, parameters: Array) -> Array:
@@ -122,20 +127,19 @@ class ControlModel:
         return parameters[: self.num_inertial].reshape(-1, PARAMETERS_PER_BODY)
 
     def effect_parameters(self, effect: int) -> slice:
-        """Return where the parameters of one of `effects` are in the vector."""
+        """Return the slice of the parameters of an effect, given by index."""
         counts = [len(e.parameters) for e in self.effects[: effect + 1]]
         return slice(self.num_inertial + sum(counts[:-1]), self.num_inertial + sum(counts))
 
     def at(self, q: Array, qd: Array, v: Array, a: Array) -> ControlSample:
-        """Return the Slotine–Li regressor Y(q, q̇, v, a) at one sample, ready to be multiplied.
+        """Return the Slotine–Li regressor Y(q, q̇, v, a) at one sample.
 
         Y p = M(q) a + C(q, q̇) v − τ_g(q) + effects at v and a, with Ṁ − 2 C skew symmetric. With
-        v = q̇ and a = v̇ it is the regressor of inverse dynamics and of computed torque. Values are
-        not checked: whatever is not finite comes out as such.
+        v = q̇ and a = v̇ it is the regressor of inverse dynamics and of computed torque. Inputs are
+        not checked; non-finite values propagate.
 
-        The load of load-dependent friction is that of the robot model with its payloads, so that
-        the columns do not depend on the estimate. For the same reason a scale of efforts is one of
-        the model's efforts.
+        Load-dependent friction and effort scales use the efforts of the robot model with its
+        payloads, so that the columns do not depend on the estimate.
 
         Args:
             q: (nq,) positions in Drake's order.
@@ -146,43 +150,42 @@ class ControlModel:
         return ControlSample(self, (q, qd, v, a))
 
     @cached_property
-    def plain(self) -> Plain | None:
-        """The robot for compiled loops; None where effects need more than their joint's signals."""
+    def plain(self) -> PlainRobot | None:
+        """The robot for compiled loops; None if effects need more than their joint's signals."""
         if self._scales or self.tree.actuation is not None or not self._columns.only_signals:
             return None
         return self.tree.records, self._columns.signals, self._sign_width
 
 
-Plain = tuple[TreeRecords, tuple[Indices, Indices, Indices], Array]
-"""A robot for compiled loops: its tree, `EffectColumns.signals` of its effects, and the speeds
-(nv,) below which dry friction fades."""
+PlainRobot = tuple[TreeRecords, tuple[Indices, Indices, Indices], Array]
+"""A robot for compiled loops: tree, `EffectColumns.signals`, and sign widths (nv,)."""
 
 
 @compiled
 def calc_plain_regressor(
-    plain: Plain, motion: tuple[Array, Array, Array, Array], friction_v: Array, Y: Array
+    plain: PlainRobot, motion: tuple[Array, Array, Array, Array], friction_v: Array, Y: Array
 ) -> None:
-    """Write the regressor at q, q̇, v, a into zeros (nv, p), with friction at some velocities."""
+    """Write the regressor at q, q̇, v, a into zeros (nv, p), with friction at `friction_v`."""
     (tree, signals, width), (q, qd, v, a) = plain, motion
     samples = q.reshape((1, -1)), qd.reshape((1, -1)), v.reshape((1, -1)), a.reshape((1, -1))
-    whole = int(np.int64(0)), int(np.int64(-1))  # literals are another type, compiled once more
-    calc_regressor(tree, samples, whole, Y.reshape((1, *Y.shape)))
+    full_range = int(np.int64(0)), int(np.int64(-1))  # literals would compile a second version
+    calc_regressor(tree, samples, full_range, Y.reshape((1, *Y.shape)))
     effects = Y[:, Y.shape[1] - len(signals[0]) :]
     put_signals((friction_v, a, signs(friction_v, width)), signals, 1.0, effects)
 
 
 @compiled
-def calc_plain_momentum(plain: Plain, q: Array, qd: Array, both: Array) -> None:
+def calc_plain_momentum(plain: PlainRobot, q: Array, qd: Array, regressors: Array) -> None:
     """Write the momentum regressors at q and q̇ into zeros (2, nv, p)."""
     tree, signals, width = plain
-    q_row, qd_row, still = q.reshape((1, -1)), qd.reshape((1, -1)), np.zeros(len(qd))
-    momentum, drift = both[0], both[1]
+    q_row, qd_row, zero = q.reshape((1, -1)), qd.reshape((1, -1)), np.zeros(len(qd))
+    momentum, drift = regressors[0], regressors[1]
     samples = q_row, qd_row, qd_row, qd_row
     shape = 1, *drift.shape
     calc_momentum_regressors(tree, samples, momentum.reshape(shape), drift.reshape(shape))
     first = drift.shape[1] - len(signals[0])
-    put_signals((qd, still, signs(qd, width)), signals, -1.0, drift[:, first:])
-    put_signals((still, qd, still), signals, 1.0, momentum[:, first:])
+    put_signals((qd, zero, signs(qd, width)), signals, -1.0, drift[:, first:])
+    put_signals((zero, qd, zero), signals, 1.0, momentum[:, first:])
 
 
 @inlined
@@ -195,32 +198,32 @@ def signs(v: Array, width: Array) -> Array:
 
 
 def checked_control(control: ControlModel) -> ControlModel:
-    """Return a `ControlModel`, or what gives regressors as one does."""
+    """Return a `ControlModel` or an object with its interface; raise otherwise."""
     if not all(hasattr(control, name) for name in ("at", "joints", "prior", "single_joints")):
         raise ArgumentError(f"control must be a ControlModel; it is {control!r}.")
     return control
 
 
-def _placed(model: RobotModel, role: Role) -> list[tuple[str, slice]]:
-    """Return where effects of a role are, and their places in the parameter vector."""
-    found, start = [], model.phi.size
+def _parts(model: RobotModel, role: Role) -> list[tuple[str, slice]]:
+    """Return the places of effects with a role, and the slices of their parameters."""
+    parts, start = [], model.phi.size
     for fitted in model.effects:
         part = slice(start, start + len(fitted.effect.parameters))
         start = part.stop
         if fitted.effect.role is role:
-            found.append((fitted.effect.where[0], part))
-    return found
+            parts.append((fitted.effect.where[0], part))
+    return parts
 
 
 def _trial(model: RobotModel, sign_width: Array) -> Trial:
-    """Return the robot in some configurations, for trials of users' effects."""
+    """Return a function to the robot's motion in random configurations."""
 
-    def seen(v: Array, vd: Array, load: Array) -> RobotMotion:
+    def to_motion(v: Array, vd: Array, load: Array) -> RobotMotion:
         q = np.random.default_rng(0).normal(size=(len(v), model.tree.num_positions))
         q = model.tree.inside(q)
         return model.motion(Motion(q, v, vd), sign_width=sign_width, load=load)
 
-    return seen
+    return to_motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,21 +235,22 @@ class ControlSample:
 
     @cached_property
     def rigid(self) -> RigidSample:
-        """The bodies."""
+        """The rigid bodies."""
         return RigidSample.at(self.model.tree, *self._motion)
 
     @cached_property
     def regressor(self) -> Array:
-        """Y (nv, p); formed once, which at one sample costs no more than a product without it."""
+        """Y (nv, p), formed once. At one sample this costs no more than a product without Y."""
         model, (q, qd, v, a) = self.model, self._motion
-        seen = qd if model.measured_friction else v
+        friction_v = qd if model.measured_friction else v
         if model.plain is not None:
             Y = np.zeros((len(qd), len(model.prior)))
             motion = contiguous(q), contiguous(qd), contiguous(v), contiguous(a)
-            calc_plain_regressor(model.plain, motion, contiguous(seen), Y)
+            calc_plain_regressor(model.plain, motion, contiguous(friction_v), Y)
             return Y
         Y = self.rigid.regressor(len(model.prior))
-        Y[:, model.num_inertial :] = model._columns.at(self._joints(a, seen), self._seen(None))
+        joints, to_robot_motion = self._joints(a, friction_v), self._to_robot_motion(None)
+        Y[:, model.num_inertial :] = model._columns.at(joints, to_robot_motion)
         return self._scaled(Y)
 
     def effort(self, parameters: Array) -> Array:
@@ -258,10 +262,9 @@ class ControlSample:
         return r @ self.regressor
 
     def mass_matrix(self, parameters: Array) -> Array:
-        """Return M (nv, nv) of parameters (p,): with payloads, rotor inertias and the like.
+        """Return M (nv, nv) for parameters (p,), including payloads and rotor inertias.
 
-        Left out are body effects of your own that have inertia, and what is in proportion to other
-        efforts: load-dependent friction and scales.
+        User-defined body effects with inertia, load-dependent friction and scales are not included.
         """
         phi = self.model.phi(parameters)
         if self.model._payloads:
@@ -271,38 +274,43 @@ class ControlSample:
         M = self.rigid.mass_matrix(phi)
         if self.model._turning:
             motion = self._joints(self._motion[3], self._motion[1])
-            seen, mu = self._seen(np.zeros((len(M), phi.size))), parameters[phi.size :]
-            M += self.model._columns.added_mass(motion, mu, seen)
+            to_robot_motion = self._to_robot_motion(np.zeros((len(M), phi.size)))
+            M += self.model._columns.added_mass(motion, parameters[phi.size :], to_robot_motion)
         return M
 
     @cached_property
     def momentum_regressors(self) -> Array:
-        """(Y_p, Y_c) (2, nv, p): effort = d/dt (Y_p p) − Y_c p along a motion; they need q̇ only.
+        """(Y_p, Y_c) (2, nv, p) with effort = d/dt (Y_p p) − Y_c p along a motion, from q and q̇.
 
         Y_p p = M q̇ and Y_c p = Cᵀ q̇ + τ_g − effects at q̇. Filtering both sides of this equation
         gives a filtered regressor of inverse dynamics without accelerations: for the low-pass
         filter λ / (s + λ), it is λ (Y_p − [Y_p]) − [Y_c] with [·] filtered.
 
-        The inertia of effects must be constant, as that of a rotor is. Load-dependent friction has
-        the load of this sample, without accelerations if it was made without.
+        The inertia of effects must be constant, as that of a rotor is. Load-dependent friction uses
+        the load at this sample's acceleration.
         """
         model, (q, qd, _, _) = self.model, self._motion
         columns, n = model._columns, model.num_inertial
         if model.plain is not None:
-            both = np.zeros((2, len(qd), len(model.prior)))
-            calc_plain_momentum(model.plain, contiguous(q), contiguous(qd), both)
-            return both
-        both = self.rigid.momentum_regressors(len(model.prior))
-        (momentum, drift), (moved, rest) = both[..., :n], both[..., n:]
-        still = self._joints(np.zeros(len(qd)), qd)
-        rest -= columns.at(still, self._seen(-drift))
+            regressors = np.zeros((2, len(qd), len(model.prior)))
+            calc_plain_momentum(model.plain, contiguous(q), contiguous(qd), regressors)
+            return regressors
+        regressors = self.rigid.momentum_regressors(len(model.prior))
+        momentum, drift = regressors[..., :n]
+        effect_momentum, effect_drift = regressors[..., n:]
+        joints = self._joints(np.zeros(len(qd)), qd)
+        effect_drift -= columns.at(joints, self._to_robot_motion(-drift))
         if not columns.depends_on.isdisjoint({"vd", "load", "bodies"}):
-            moved += columns.at(replace(still, vd=qd), self._seen(momentum))
-            moved -= columns.at(still, self._seen(np.zeros_like(momentum)))
-        return np.array([self._scaled(part) for part in both]) if model._scales else both
+            at_qd = replace(joints, vd=qd)
+            effect_momentum += columns.at(at_qd, self._to_robot_motion(momentum))
+            zero = np.zeros_like(momentum)
+            effect_momentum -= columns.at(joints, self._to_robot_motion(zero))
+        if not model._scales:
+            return regressors
+        return np.array([self._scaled(regressor) for regressor in regressors])
 
     def _scaled(self, regressor: Array) -> Array:
-        """Return a regressor (nv, p) whose columns of scales are efforts of the model."""
+        """Set the columns (nv,) of scales to the model's efforts, and return the regressor."""
         if self.model._scales:
             others = self.model.prior.copy()
             others[[column for _, column in self.model._scales]] = 0.0
@@ -321,14 +329,15 @@ class ControlSample:
         q_joint = q if model.single_joints else np.where(model._single, q, np.nan)
         return JointMotion(q_joint, v, a, load, model._direction(v))
 
-    def _seen(self, regressor: Array | None) -> Seen:
-        """Return what effects of several joints or of bodies see at one sample.
+    def _to_robot_motion(self, regressor: Array | None) -> ToRobotMotion:
+        """Return a function to the robot's motion at this sample.
 
-        Bodies have columns of an inertial regressor (nv, 10·nb); of Y, formed when needed, if None.
+        Args:
+            regressor: (nv, 10·nb) inertial regressor of the bodies; None for Y, formed on demand.
         """
         model = self.model
 
-        def seen(joints: JointMotion) -> RobotMotion:
+        def to_robot_motion(joints: JointMotion) -> RobotMotion:
             vd, bodies = np.atleast_2d(joints.vd), self._bodies
             q, v, load = (np.broadcast_to(x, vd.shape) for x in (joints.q, joints.v, joints.load))
             if len(vd) > 1:
@@ -337,14 +346,14 @@ class ControlSample:
             def body_columns(name: str) -> Array:
                 first = PARAMETERS_PER_BODY * model.bodies.index(name)
                 Y = self.rigid.regressor(model.num_inertial) if regressor is None else regressor
-                own = Y[:, first : first + PARAMETERS_PER_BODY]
-                return np.broadcast_to(own, (len(vd), *own.shape))
+                columns = Y[:, first : first + PARAMETERS_PER_BODY]
+                return np.broadcast_to(columns, (len(vd), *columns.shape))
 
             return RobotMotion(
                 model.joints, q, v, vd, load, model._sign_width, body_columns, bodies
             )
 
-        return seen
+        return to_robot_motion
 
     @cached_property
     def _bodies(self) -> RobotBodies:

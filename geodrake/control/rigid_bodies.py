@@ -1,4 +1,4 @@
-"""Rigid bodies at one sample: the Slotine–Li regressor and what comes from it.
+"""Rigid bodies at one sample: the Slotine–Li regressor, mass matrix and momentum regressors.
 
     M(q) a + C(q, q̇) v − τ_g(q) = Y(q, q̇, v, a) φ                      [Lee2019] Eq. (5.2.10)
 
@@ -41,35 +41,34 @@ from geodrake.robot.vectors import (
 
 @dataclass(frozen=True, eq=False)
 class RigidSample:
-    """The bodies at one (q, q̇, v, a), ready for any inertial parameters and any r.
+    """The bodies at one (q, q̇, v, a), for any inertial parameters.
 
-    Behind a transmission the four are those of the actuators, and the joints have θ̇ = J q̇, J v and
-    J a + J̇ v, so that C = Jᵀ (C_θ J + M_θ J̇) and Ṁ − 2 C stays skew symmetric.
+    With a transmission these are motions of the actuators, and those of the joints are θ̇ = J q̇, J v
+    and J a + J̇ v, so that C = Jᵀ (C_θ J + M_θ J̇) and Ṁ − 2 C remains skew symmetric.
     """
 
-    tree: KinematicTree  # what is constant: the tree of the joints
-    motion: Samples  # the sample of the joints, with one row in each array
-    # (nv of the tree, nv) J and J̇ of a transmission; None without.
-    jacobian: tuple[Array, Array] | None = None
+    tree: KinematicTree  # of the joints
+    motion: Samples  # of the joints, with one row in each array
+    jacobian: tuple[Array, Array] | None = None  # (nv of the tree, nv) J and J̇ of a transmission
 
     @classmethod
     def at(cls, tree: KinematicTree, q: Array, qd: Array, v: Array, a: Array) -> RigidSample:
         """Return the bodies at positions q (nq,), velocities q̇ and v, and accelerations a (nv,).
 
-        The velocities v take the place of one q̇ in products of two.
+        v replaces one q̇ in each product of two velocities.
         """
-        # (Copies: compiled code knows contiguous arrays that it may write to.)
+        # Copies, as compiled code expects contiguous, writable arrays.
         motion = (np.array(q, float, ndmin=2), np.array(qd, float, ndmin=2))
         reference = (np.array(v, float, ndmin=2), np.array(a, float, ndmin=2))
-        if (at := tree.actuation) is None:
+        if (actuation := tree.actuation) is None:
             return cls(tree, (*motion, *reference))
         v, a = reference
-        J, rate = at.jacobian(motion[0])[0], at.jacobian_rate(*motion)[0]
-        moved = motion[1] @ J.T, v @ J.T, a @ J.T + v @ rate.T
-        return cls(tree.joints, (at.joint_positions(motion[0]), *moved), (J, rate))
+        J, rate = actuation.jacobian(motion[0])[0], actuation.jacobian_rate(*motion)[0]
+        rates = motion[1] @ J.T, v @ J.T, a @ J.T + v @ rate.T
+        return cls(tree.joints, (actuation.joint_positions(motion[0]), *rates), (J, rate))
 
     def effort(self, phi: Array) -> Array:
-        """Return Y φ (nv,) for φ (nb, 10), in operations that grow with nb, not nb nv."""
+        """Return Y φ (nv,) for φ (nb, 10), in O(nb) operations."""
         effort = np.zeros_like(self.motion[1])
         calc_inverse_dynamics(self.tree.records, self.motion, np.array(phi, float), effort)
         return self._at_actuators(effort[0])
@@ -83,23 +82,23 @@ class RigidSample:
     def momentum_regressors(self, columns: int) -> Array:
         """Return regressors (2, nv, columns) of M q̇ = Σ Jᵀ G V and Cᵀ q̇ + τ_g = Σ J̇ᵀ G V + τ_g.
 
-        Behind a transmission d/dt (Jᵀ p) has J̇ᵀ p as well, which the second one takes in. Columns
-        beyond 10 nb are zero.
+        With a transmission, the second one includes J̇ᵀ p of d/dt (Jᵀ p). Columns beyond 10 nb are
+        zero.
         """
         q, qd, _, _ = self.motion
-        both = np.zeros((2, 1, qd.shape[1], columns))
-        calc_momentum_regressors(self.tree.records, (q, qd, qd, qd), both[0], both[1])
+        momentum, drift = regressors = np.zeros((2, 1, qd.shape[1], columns))
+        calc_momentum_regressors(self.tree.records, (q, qd, qd, qd), momentum, drift)
         if self.jacobian is None:
-            return np.asarray(both[:, 0])
-        (momentum, drift), (J, rate) = both[:, 0], self.jacobian
-        return np.stack([J.T @ momentum, J.T @ drift + rate.T @ momentum])
+            return np.asarray(regressors[:, 0])
+        J, rate = self.jacobian
+        return np.stack([J.T @ momentum[0], J.T @ drift[0] + rate.T @ momentum[0]])
 
     def mass_matrix(self, phi: Array) -> Array:
-        """Return M (nv, nv) for φ (nb, 10): efforts of unit accelerations less those of none."""
+        """Return M (nv, nv) for φ (nb, 10): efforts of unit accelerations minus those of none."""
         q, qd, _, _ = self.motion
         nv = qd.shape[1]
-        still, accelerations = np.zeros((nv + 1, nv)), np.eye(nv + 1, nv)
-        samples = (np.repeat(q, nv + 1, axis=0), still, still, accelerations)
+        zero, accelerations = np.zeros((nv + 1, nv)), np.eye(nv + 1, nv)
+        samples = (np.repeat(q, nv + 1, axis=0), zero, zero, accelerations)
         efforts = np.zeros((nv + 1, nv))
         calc_inverse_dynamics(self.tree.records, samples, np.array(phi, float), efforts)
         M = efforts[:-1] - efforts[-1]
@@ -117,8 +116,8 @@ def calc_momentum_regressors(
 ) -> None:
     """Add regressors (N, nv, 10 nb) of M q̇ and of Cᵀ q̇ + τ_g to zeros.
 
-    The second has the rates at which the motion of the bodies inboard of a joint changes its
-    subspace, seen from a point at rest.
+    The second uses the rates of the joints' motion subspaces due to the motion of inboard bodies,
+    in the world frame.
     """
     mobilizers, dofs = tree
     q, qd, _, _ = samples
@@ -126,27 +125,28 @@ def calc_momentum_regressors(
     subspace = subspace_room(dofs)
     rates = subspace_room(dofs)
     velocities, gravities = np.empty((len(mobilizers), 1, 3)), np.empty((len(mobilizers), 1, 3))
-    still = (0.0, 0.0, 0.0)
+    zero = (0.0, 0.0, 0.0)
     for n in range(len(q)):
         move(mobilizers, samples, n, features, motions)
         find_subspaces(mobilizers, motions, subspace[0], subspace[1])
         for i in range(len(mobilizers)):
             mobilizer, motion = mobilizers[i], motions[i]
             parent, p = mobilizer.parent, vector(motion.p_PMo)
-            w_P = v_P = still
-            g_P, old = vector(mobilizer.gravity), 0
+            w_P = v_P = zero
+            g_P, inboard_count = vector(mobilizer.gravity), 0
             if parent >= 0:
                 w_P, v_P = vector(motions[parent].w), row(velocities, parent, 0)
-                g_P, old = row(gravities, parent, 0), mobilizers[parent].count
+                g_P, inboard_count = row(gravities, parent, 0), mobilizers[parent].count
             slide = combination(mobilizer.linear, qd, n, mobilizer.velocities)
             v_Mo = add(v_P, add(cross(w_P, p), slide))
             for k in range(mobilizer.count):
-                if k < old:
+                if k < inboard_count:
                     s, t = row(rates[0], parent, k), row(rates[1], parent, k)
                     t = add(t, cross(s, p))
                 else:
-                    axis = column(mobilizer.angular, k - old)
-                    s, t = cross(w_P, axis), cross(w_P, column(mobilizer.linear, k - old))
+                    local = k - inboard_count
+                    axis = column(mobilizer.angular, local)
+                    s, t = cross(w_P, axis), cross(w_P, column(mobilizer.linear, local))
                     t = add(t, cross(v_Mo, axis))
                 s, t = carried(mobilizer, motion, s, t)
                 put_row(rates[0], i, k, s)
@@ -160,23 +160,22 @@ def calc_momentum_regressors(
                 continue
             first = PARAMETERS_PER_BODY * mobilizer.body
             for k in range(mobilizer.count):
-                along = row(subspace[0], i, k), row(subspace[1], i, k)
-                add_momentum(along, (w, v), momentum[n, dofs[i, k]], first)
-                add_momentum(along, (still, g), drift[n, dofs[i, k]], first)
-                along = row(rates[0], i, k), row(rates[1], i, k)
-                add_momentum(along, (w, v), drift[n, dofs[i, k]], first)
+                twist = row(subspace[0], i, k), row(subspace[1], i, k)
+                add_momentum(twist, (w, v), momentum[n, dofs[i, k]], first)
+                add_momentum(twist, (zero, g), drift[n, dofs[i, k]], first)
+                twist = row(rates[0], i, k), row(rates[1], i, k)
+                add_momentum(twist, (w, v), drift[n, dofs[i, k]], first)
 
 
 @inlined
 def add_momentum(
-    along: tuple[Vector, Vector], velocity: tuple[Vector, Vector], out: Array, first: int
+    twist: tuple[Vector, Vector], velocity: tuple[Vector, Vector], out: Array, first: int
 ) -> None:
-    """Add the ten factors of φ in the momentum that a body has along a motion (s, t).
+    """Add the ten coefficients of φ in a body's momentum along a twist (s, t) to out[first:].
 
-    Its momentum is m v + ω × h, and I ω + h × v about Bo; out is a row, in which the first of the
-    factors has a place.
+    The momentum is m v + ω × h, and I ω + h × v about Bo.
     """
-    (s, t), (w, v) = along, velocity
+    (s, t), (w, v) = twist, velocity
     h = add(cross(t, w), cross(v, s))
     out[first] += dot(t, v)
     out[first + 1] += h[0]

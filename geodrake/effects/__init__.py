@@ -1,8 +1,8 @@
 """Physical effects that a rigid-body model lacks, one class each, in files by family.
 
-The effort that a robot needs is that of its rigid bodies and a sum of effects (docs/design.md).
-`catalogue` lists the effects that come with geodrake. One of your own is a frozen dataclass with a
-name, its parameters with units and bounds, and the regressor columns that multiply them. A hose
+The effort that a robot needs is that of its rigid bodies plus a sum of effects (docs/design.md).
+`catalogue` lists the effects that come with geodrake. A user-defined effect is a frozen dataclass
+with a name, parameters with units and bounds, and the regressor columns that multiply them. A hose
 that hangs from a link, and turns with it, takes ten lines:
 
     from dataclasses import dataclass
@@ -17,13 +17,13 @@ that hangs from a link, and turns with it, takes ten lines:
         def columns(self, joint):
             return [np.cos(joint.q), np.sin(joint.q)]
 
-`HangingHose("elbow")` then works wherever an effect does; `load_effect_file` reads such a file, and
-its effects are passed on as `extra`. Further fields are shape parameters, and `shapes` says which
-values of them to try (see `StribeckFriction`). What an effect needs to know of more than one
-joint it gets by overriding `rows` (see `CoupledFriction`); what acts on a body derives from
-`BodyEffect` (see `Payload`). Excitation needs derivatives of the columns; `slopes` gives them, and
-without it they are taken by differences. `Effect` lists all that an effect may declare. An effect
-of the catalogue is one class more in the file of its family, which `catalogue` finds.
+`HangingHose("elbow")` then works wherever an effect does. `load_effect_file` reads such a file;
+pass its effects on as `extra`. Further fields are shape parameters, with candidate values listed in
+`shapes` (see `StribeckFriction`). An effect that uses the motion of several joints overrides `rows`
+(see `CoupledFriction`); an effect on a body derives from `BodyEffect` (see `Payload`). Excitation
+needs derivatives of the columns: define `slopes`, or they are computed by finite differences.
+`Effect` lists everything that an effect may declare. To extend the catalogue, add a class to the
+file of its family.
 """
 
 from geodrake.effects.base import (

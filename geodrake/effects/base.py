@@ -5,7 +5,7 @@ A robot model is a sum of effects, Eq. (1) of docs/design.md:
     effort needed = Y_rb(q, v, v̇) φ + Σ_e Y_e(motion; s_e) μ_e
 
 An effect instance is bound to its place (a joint, a pair of joints, a body) and to its shape
-parameters s_e; its linear parameters μ_e are what a fit finds.
+parameters s_e. A fit estimates its linear parameters μ_e.
 """
 
 from __future__ import annotations
@@ -62,53 +62,53 @@ Rows = Mapping[str, Array]
 Slopes = Sequence[Mapping[str, ArrayLike]]
 
 SIGNALS = frozenset({"q", "v", "vd", "load", "time", "bodies", "history", "temperature"})
-"""Dependencies of columns; see `Effect`."""
+"""Signals that columns may depend on; see `Effect`."""
 
 BEYOND_MOTION = frozenset({"time", "history", "temperature"})
-"""Those of them that a formula of the present q, v and v̇ does not have."""
+"""Signals that a formula of the present q, v and v̇ cannot use."""
 
 
 class Effect(CheckedFields, abc.ABC):
     """A physical effect at its place.
 
     Subclasses are frozen dataclasses whose fields are the place and the shape parameters. They
-    define `name`, `parameters` and columns; all else has a default that suits most effects.
+    define `name`, `parameters` and columns; everything else has a default that suits most effects.
 
-    Class attributes, what it is:
+    Class attributes that describe the effect:
         name: Name in commands, files and reports.
-        label: Name in sentences, where it is not the name with spaces, proper names in capitals.
-        law: The needed effort in a line, for the table of effects.
-        signature: What the effect looks like, in words.
-        role: What it does to the efforts.
-        places: "joint", "joint_pair", "body", "body_pair", "bodies", "robot" or "log": what it is
-            bound to.
+        label: Name in sentences, if it differs from the name with spaces; proper names in capitals.
+        law: One-line formula of the needed effort, for the table of effects.
+        signature: Description of the effect's trace in a residual.
+        role: How it changes the efforts.
+        places: Kind of place it is bound to: "joint", "joint_pair", "body", "body_pair", "bodies",
+            "robot" or "log".
         parameters: The linear parameters, in the order of the regressor's columns.
         shapes: Unit and usual values of its shape parameters.
-        positive: Names of shape parameters that are above 0.
+        positive: Names of shape parameters that must be above 0.
         depends_on: The signals that its columns depend on: positions "q", velocities "v" and
-            accelerations "vd" of the joints, "load", the effort that the joints need otherwise,
-            the "time" since a log began, where "bodies" are and how they move, the "history" of
-            the motion, and the "temperature" of the joints: without one in a log nobody tries it
-            there. One that leaves it out is tried (see `dependencies`); a dependence on
-            the history or the temperature must be declared.
-        state_count: How many hidden states it has, decided by the motion so far.
-        summary: The reported value that stands for all of them in a line.
+            accelerations "vd" of the joints; "load", the effort that the joints need otherwise;
+            "time" since the log began; poses and motion of the "bodies"; "history" of the motion;
+            and "temperature" of the joints (logs without it do not get the effect as a candidate).
+            An effect without this declaration is evaluated to find out (see `dependencies`), but
+            dependence on history or temperature must be declared.
+        state_count: Number of hidden states, which depend on the motion so far.
+        summary: Name of the reported value that represents the effect in one line.
 
-    How a diagnosis looks for it, and its relations to others:
-        complexity: Of effects that the data cannot tell apart, the least complex one is named. 0
-            for what any joint may have: unknown gains of efforts are found beside it.
-        turning_only: Whether the effect makes sense at joints that turn only.
-        needs_known_inertia: Whether only inertias or payloads known from elsewhere can tell it.
-        of_force_sensor: Whether it is tried only at bodies whose contact forces a log has.
-        proposer: What in a residual proposes it, instead of trying all `candidates`; effects of
-            pairs of joints that follow each other are tried all the same.
-        contains: Effects of the same place that it replaces.
-        companion: The effect that is offered beside it as a pair, and fitted beside it at the end.
-        jumps: Whether it jumps where a joint reverses, as dry friction does.
-        of_motor: Whether it is of a motor, its gear or its sensor of efforts, or varies with the
-            effort of one: passive joints have none.
-        by_drive: Whether it is the drive that does it, so that nothing in a robot's file can.
-        taken_out_as: What drives that take it out of the efforts that they report call it.
+    Class attributes for diagnosis, and relations to other effects:
+        complexity: If the data cannot distinguish effects, the least complex one is named. 0 means
+            that any joint may have it; unknown effort gains are estimated alongside it.
+        turning_only: Whether the effect exists only at revolute joints.
+        needs_known_inertia: Whether it can be identified only with known inertias or payloads.
+        of_force_sensor: Whether it is a candidate only at bodies whose contact forces are logged.
+        proposer: Residual pattern that proposes it, instead of all `candidates`. Effects of
+            adjacent joint pairs are always candidates.
+        contains: Effects at the same place that it replaces.
+        companion: Effect that is proposed together with it, and fitted together at the end.
+        jumps: Whether the effort jumps where a joint reverses, as dry friction does.
+        of_motor: Whether it belongs to a motor, its gear or its effort sensor, or depends on the
+            motor's effort. Passive joints do not have it.
+        by_drive: Whether the drive causes it, so that no robot file can describe it.
+        taken_out_as: Name used by drives that subtract it from the efforts they report.
     """
 
     name: ClassVar[str]
@@ -150,7 +150,7 @@ class Effect(CheckedFields, abc.ABC):
 
     @property
     def at_motor(self) -> bool:
-        """Whether it acts at motors, as friction does, and not at bodies (`DeflectionEffect`)."""
+        """Whether it acts at motors, as friction does, rather than at bodies."""
         return self.places in ("joint", "joint_pair")
 
     @abc.abstractmethod
@@ -163,17 +163,17 @@ class Effect(CheckedFields, abc.ABC):
         """
 
     def fit_rows(self, motion: RobotMotion) -> Rows:
-        """Return the columns of fits: changes of the effort with the parameters.
+        """Return the derivatives of the effort with respect to the parameters, for fits.
 
-        They are `rows`, but for effects that are not linear and have `in_bodies`.
+        They equal `rows`, except for nonlinear effects with `in_bodies`.
         """
         return rows_of(self, motion)
 
     def formula_rows(self, motion: RobotMotion) -> Rows:
-        """`rows` with NumPy functions only, for recording (`geodrake.model.source`).
+        """Return `rows`, using NumPy functions only, for recording (`geodrake.model.source`).
 
-        An effect whose `rows` run compiled code defines it, too. One that depends on the time or
-        on history is as if it had gone on for long.
+        Effects whose `rows` run compiled code must override it. Effects that depend on time or
+        history return their steady state.
         """
         return self.rows(motion)
 
@@ -185,7 +185,7 @@ class Effect(CheckedFields, abc.ABC):
         return dense
 
     def effort(self, motion: RobotMotion, mu: Array) -> Array:
-        """Return effort (N, nv) needed because of the effect with linear parameters mu (k,), SI."""
+        """Return the effort (N, nv) that the effect adds, with linear parameters mu (k,)."""
         return self.regressor(motion) @ np.asarray(mu, float)
 
     def gradient(self, motion: RobotMotion, weights: Array) -> RobotGradient | None:
@@ -195,7 +195,7 @@ class Effect(CheckedFields, abc.ABC):
             weights: (N, nv, k) weights of the regressor's entries.
 
         Returns:
-            The gradient, or None if the effect does not know it: it is then taken by differences.
+            The gradient, or None to have it computed by finite differences.
         """
         del motion, weights
         return None
@@ -205,33 +205,33 @@ class Effect(CheckedFields, abc.ABC):
         raise NotImplementedError
 
     def states_along(self, motion: RobotMotion) -> Array:
-        """Hidden states (N, s) after a series and its history; zero if unknown."""
+        """Return the hidden states (N, s) along the motion and its history; zero if unknown."""
         return np.zeros((len(motion.v), self.state_count))
 
     @property
     def manifold(self) -> Manifold:
         """Return the barrier-Hessian manifold that the linear parameters live on."""
-        every = self.parameters
-        return _interval(tuple(p.lower for p in every), tuple(p.upper for p in every))
+        lower = tuple(parameter.lower for parameter in self.parameters)
+        return _interval(lower, tuple(parameter.upper for parameter in self.parameters))
 
     @property
     def shape(self) -> dict[str, Any]:
-        """Return the fields that are not the place: the shape parameters by name."""
+        """Return the shape parameters by name: all fields except the place."""
         place = {"joint", "joints", "body", "bodies"}
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in place}  # type: ignore[arg-type]
 
     @property
     def reported_shape(self) -> dict[str, float]:
-        """Return the shape parameters that results report: those that are numbers."""
+        """Return the numeric shape parameters, which results report."""
         shape = self.shape.items()
         return {name: float(value) for name, value in shape if isinstance(value, Real)}
 
     def reported(self, parameters: Array, deviations: Array) -> tuple[Values, Values]:
-        """Values of parameters and shape as results report them, and standard deviations, by name.
+        """Return reported parameter and shape values, and standard deviations, by name.
 
         Args:
             parameters: (k,) linear parameters.
-            deviations: (k,) their standard deviations, NaN where they are not known.
+            deviations: (k,) their standard deviations, NaN if unknown.
         """
         names = [parameter.name for parameter in self.parameters]
         values = dict(zip(names, map(float, parameters), strict=True)) | self.reported_shape
@@ -239,80 +239,80 @@ class Effect(CheckedFields, abc.ABC):
 
     @classmethod
     def unit_of(cls, name: str) -> str:
-        """Return the SI unit of a reported value at joints that turn; "1" for plain numbers."""
+        """Return the SI unit of a reported value at revolute joints; "1" for plain numbers."""
         units = {shape.name: shape.unit for shape in cls.shapes}
         units |= {parameter.name: parameter.unit for parameter in cls.parameters}
         return units.get(name, "1")
 
     @property
     def free_shapes(self) -> int:
-        """Return the number of shape parameters that are fitted, besides the linear ones."""
+        """Return the number of fitted shape parameters."""
         return sum(isinstance(value, float) for value in self.shape.values())
 
     @property
     def refines(self) -> tuple[tuple[type[Effect], ...], ...]:
-        """Sets of effects, one of which must already be at its place.
+        """Alternative sets of effects, one of which must already be present at its place.
 
-        Nothing for most effects. Alone, a refinement would be a compromise of what it refines,
-        unless an empty set is among them.
+        Most effects require none. Without the effects that it refines, a refinement would absorb
+        part of them. An empty set among the alternatives allows it to stand alone.
         """
         return ()
 
     def expanded_about(self, parameters: Array, bodies: RobotBodies) -> Effect:
-        """Return the effect with columns exact near values (k,) of its parameters.
+        """Return the effect linearized about the parameters (k,).
 
-        An effect defines it whose columns are slopes of something not linear in the parameters.
-        `bodies` are the robot's, in no configuration.
+        Override it if the columns are derivatives of a nonlinear effort. `bodies` are those of the
+        robot, without configurations.
         """
         del parameters, bodies
         return self
 
     def settled(self, parameters: Array, bodies: RobotBodies) -> tuple[Effect, Array]:
-        """Return the effect, and parameters (k,), whose `rows` do what a fit by `fit_rows` says."""
+        """Convert parameters (k,) fitted with `fit_rows` to an effect and parameters for `rows`."""
         del bodies
         return self, parameters
 
     def gravity_of_bodies(self, gravity: Array) -> Array | None:
-        """Gravity for columns of bodies with the effect; None for the model's.
+        """Return the gravity (3,), m/s², for the columns of bodies; None for the model's.
 
-        An effect that changes gravity (3,), m/s², is a product of its parameters with those of
-        bodies. About that gravity it is linear in both.
+        The effort of an effect that changes gravity contains products of its parameters and those
+        of bodies. About the returned gravity it is linear in both.
         """
         del gravity
         return None
 
     @property
     def in_bodies(self) -> Array:
-        """(k,) parameters that the columns of bodies contain at `gravity_of_bodies`."""
+        """(k,) parameters already included in the body columns under `gravity_of_bodies`."""
         return np.zeros(len(self.parameters))
 
     def course(self, along: Array) -> Array:
-        """Return how it varies with time or along a path, for proposers that try it on a residual.
+        """Return the effect's variation (N,) with time or position, for proposers.
 
         Args:
-            along: (N,) instants since the log began, s, or positions of the joint, by `proposer`.
+            along: (N,) time since the log began, s, or joint positions, depending on `proposer`.
         """
         raise NotImplementedError(f"{self.name} has no course() for {len(along)} samples.")
 
     @property
     def distinct(self) -> bool:
-        """Whether the shape keeps the effect apart from simpler ones, so that it may be chosen."""
+        """Whether the shape distinguishes the effect enough from simpler ones to be chosen."""
         return True
 
     @classmethod
     def shaped(cls, *place: Any, **scales: float) -> tuple[Self, ...]:
-        """Instances at a place with every combination of the values on the grids of `shapes`.
+        """Return instances at a place for all combinations of shape values on the grids.
 
         Args:
-            place: Where it acts; nothing for an effect of the whole robot.
-            scales: Sizes that grids are shares of, such as `speed`, by the names of `Shape.scale`.
+            place: Where it acts; empty for an effect of the whole robot.
+            scales: Reference sizes of relative grids, such as `speed`, keyed by `Shape.scale`.
 
         Raises:
             ArgumentError: The effect has shape parameters without a default or a grid.
         """
         make: Callable[..., Self] = cls
-        tried = {shape.name: shape.values(scales) for shape in cls.shapes}
-        grids = {name: values for name, values in tried.items() if values}
+        by_name = {shape.name: shape.values(scales) for shape in cls.shapes}
+        grids = {name: values for name, values in by_name.items() if values}
         try:
             return tuple(
                 make(*place, **dict(zip(grids, values, strict=True)))
@@ -327,12 +327,12 @@ class Effect(CheckedFields, abc.ABC):
 
     @classmethod
     def candidates(cls, *args: Any, **kwargs: Any) -> Iterable[Effect]:
-        """Return instances a diagnosis should try at a place: one for every shape on the grids.
+        """Return the candidates of a diagnosis at a place: one for every shape on the grids.
 
         Args:
-            *args: The place, as `places` says: a joint and its largest speed (rad/s or m/s), a pair
-                of joints, a body, or nothing.
-            **kwargs: Not used; a subclass may take arguments of its own by name.
+            *args: The place, of the kind `places`: a joint and its peak speed (rad/s or m/s), a
+                pair of joints, a body, or nothing.
+            **kwargs: Unused; subclasses may accept keyword arguments.
         """
         del kwargs
         place, speed = args[:1], args[1:2]
@@ -353,17 +353,17 @@ class JointEffect(Effect):
 
     @abc.abstractmethod
     def columns(self, joint: JointMotion) -> Sequence[ArrayLike]:
-        """Return one column per parameter, (N,) or a number, from the motion of the joint."""
+        """Return one column per parameter, (N,) or scalar, from the motion of the joint."""
 
     def rows(self, motion: RobotMotion) -> Rows:
         """Return the columns at the joint itself, or at the joints that move it.
 
         Raises:
-            ArgumentError: There is no such joint, or `columns` gave something unusable.
+            ArgumentError: There is no such joint, or `columns` returned invalid values.
         """
         columns = self.columns(motion.joint(self.joint))
-        own = stacked(self, columns, self.joint, len(motion.v))
-        return motion.efforts_at(self.joint, own)
+        checked = stacked(self, columns, self.joint, len(motion.v))
+        return motion.efforts_at(self.joint, checked)
 
     def formula_rows(self, motion: RobotMotion) -> Rows:
         """Return the columns at the joint itself; see `Effect.formula_rows`."""
@@ -374,16 +374,15 @@ class JointEffect(Effect):
         return motion.efforts_at(self.joint, np.stack(shaped, -1))
 
     def slopes(self, joint: JointMotion) -> Slopes | None:
-        """The derivative of each column by `JointMotion` fields; missing ones are zero.
+        """Return each column's derivatives by `JointMotion` field; missing ones are zero.
 
-        `sign_v` is a field of its own: how it depends on v is known. None if the effect does not
-        know them: they are then taken by differences.
+        Treat `sign_v` as independent of v. Return None to have finite differences used.
         """
         del joint
         return None
 
     def gradient(self, motion: RobotMotion, weights: Array) -> RobotGradient | None:
-        """Gradient of Σ weights ∘ regressor with respect to the motion; see `Effect.gradient`."""
+        """Return the gradient of Σ weights ∘ regressor; see `Effect.gradient`."""
         if type(self).rows is not JointEffect.rows or self.joint not in motion.joints:
             return None
         joint = motion.joint(self.joint)
@@ -393,7 +392,7 @@ class JointEffect(Effect):
 
 @dataclass(frozen=True)
 class JointPairEffect(Effect):
-    """An effect that ties two joints together. Subclasses define `name`, `parameters`, `rows`."""
+    """An effect that couples two joints. Subclasses define `name`, `parameters`, `rows`."""
 
     joints: tuple[str, str]
     places: ClassVar[str] = "joint_pair"

@@ -1,4 +1,4 @@
-"""Bodies that the model does not have, or has otherwise."""
+"""Payloads, and wrong inertias of bodies."""
 
 from __future__ import annotations
 
@@ -50,21 +50,21 @@ class Payload(BodyEffect):
 
     @classmethod
     def unit_of(cls, name: str) -> str:
-        """Unit of a parameter, or of the mass or the centre of mass that results report."""
+        """Return the unit of a parameter, or of the reported mass or centre of mass."""
         return {"mass": "kg", **{f"com_{axis}": "m" for axis in "xyz"}}.get(
             name, super().unit_of(name)
         )
 
     def reported(self, parameters: Array, deviations: Array) -> tuple[Values, Values]:
-        """Mass and centre of mass, and their standard deviations."""
+        """Return mass and centre of mass, and their standard deviations."""
         mass, com, _ = to_mass_com_inertia(parameters)
-        # To first order of the deviations, those of mass and moment taken as independent.
+        # To first order, with mass and first moment treated as independent.
         spread = np.hypot(deviations[1:4], com * deviations[0]) / mass
         return _by_name(float(mass), com), _by_name(float(deviations[0]), spread)
 
     @property
     def manifold(self) -> Manifold:
-        """Inertial parameters of a body that can exist."""
+        """Inertial parameters of a physically valid body."""
         return PhysicalInertia()
 
     def rows(self, motion: RobotMotion) -> Rows:
@@ -77,7 +77,7 @@ class Payload(BodyEffect):
         return motion.body_columns(self.body)
 
     def gradient(self, motion: RobotMotion, weights: Array) -> RobotGradient:
-        """Return the weights themselves, of the link's inertial regressor."""
+        """Return the weights, as the gradient by the link's inertial regressor."""
         return replace(RobotGradient.zero(motion), bodies={self.body: weights})
 
 
@@ -88,15 +88,15 @@ def _by_name(mass: float, com: Array) -> Values:
 
 @dataclass(frozen=True)
 class TemporaryPayload(Episode):
-    """Rigid body that a link carries from when it is picked up until it is put down.
+    """Rigid body that a link picks up or puts down during a log.
 
-    effort = w(t) Y_B(q, v, v̇) φ, with the weight w of the episode (see `Episode`) and the payload's
-    φ as that of `Payload`.
+    effort = w(t) Y_B(q, v, v̇) φ, with the weight w of the episode (see `Episode`) and φ as for
+    `Payload`.
 
     Attributes:
-        start: When it is picked up, s since the log began; None if it was before.
-        end: When it is put down, s since the log began; None if it is not.
-        rise: How long that takes, s.
+        start: Time of picking up, s since the log began; None if before the log.
+        end: Time of putting down, s since the log began; None if after the log.
+        rise: Duration of either change, s.
         log: Number of the log, from `log_number`; 0 for any.
     """
 
@@ -127,31 +127,31 @@ class TemporaryPayload(Episode):
 
     @property
     def reported_shape(self) -> dict[str, float]:
-        """Return when it is picked up and put down."""
+        """Start and end."""
         shape = super().reported_shape.items()
         return {name: value for name, value in shape if name in ("start", "end")}
 
     @classmethod
     def unit_of(cls, name: str) -> str:
-        """Unit of a parameter, or of a reported value."""
+        """Return the unit of a parameter, or of a reported value."""
         return "s" if name in ("start", "end", "rise") else Payload.unit_of(name)
 
     def reported(self, parameters: Array, deviations: Array) -> tuple[Values, Values]:
-        """Mass and centre of mass with their standard deviations, and when it is held."""
-        values, unsure = Payload(self.body).reported(parameters, deviations)
-        return values | self.reported_shape, unsure
+        """Return mass, centre of mass, start and end, and the standard deviations."""
+        values, reported_deviations = Payload(self.body).reported(parameters, deviations)
+        return values | self.reported_shape, reported_deviations
 
     @property
     def manifold(self) -> Manifold:
-        """Inertial parameters of a body that can exist."""
+        """Inertial parameters of a physically valid body."""
         return Payload(self.body).manifold
 
     def rows(self, motion: RobotMotion) -> Rows:
         """Return the link's ten inertial columns at every joint, during the episode."""
-        held = np.zeros(len(motion.v))
+        weight = np.zeros(len(motion.v))
         if motion.time is not None and self.is_of(motion.log):
-            held = self.weight(motion.time)
-        columns = held[:, None, None] * motion.body_columns(self.body)
+            weight = self.weight(motion.time)
+        columns = weight[:, None, None] * motion.body_columns(self.body)
         return {joint: columns[:, i] for i, joint in enumerate(motion.joints)}
 
 
@@ -161,8 +161,8 @@ class WrongInertia(Effect):
 
     effort = Y_rb(q, v, v̇) (φ − φ₀), with the model's φ₀.
 
-    Its columns are those of the bodies, which every fit has: a diagnosis finds it by widening their
-    prior, and a model has it in its bodies. So nobody makes an instance.
+    Its columns are those of the bodies, which every fit includes. A diagnosis finds it by widening
+    the bodies' prior, and a model contains it in its bodies. Instances are therefore never created.
     """
 
     name = "wrong_inertia"
@@ -182,10 +182,10 @@ class WrongInertia(Effect):
 
     @classmethod
     def unit_of(cls, name: str) -> str:
-        """Unit of the mass of a body that results report."""
+        """Return the unit of a body's reported mass."""
         return "kg" if name == "mass" else super().unit_of(name)
 
     def rows(self, motion: RobotMotion) -> Rows:
-        """No columns in addition to those of the bodies."""
+        """Return no columns in addition to those of the bodies."""
         del motion
         return {}

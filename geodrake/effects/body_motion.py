@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class BodyMotion:
-    """Where a body B is, and how velocities move it, over N samples."""
+    """Poses and Jacobians of a body B over N samples."""
 
     rotation: Array  # (N, 3, 3) R_WB
     position: Array  # (N, 3) p_WoBo_W, m
@@ -34,11 +34,11 @@ class BodyMotion:
     def jacobian_along(self, p_BoP_W: Array) -> Array:
         """Return (N, 3, nv) Jacobian, in W, of the velocity of B's point P at p_BoP_W (N, 3), m."""
         w, (x, y, z) = self.angular, p_BoP_W.T[:, :, None]
-        found = self.linear.copy()
-        found[:, 0] += w[:, 1] * z - w[:, 2] * y
-        found[:, 1] += w[:, 2] * x - w[:, 0] * z
-        found[:, 2] += w[:, 0] * y - w[:, 1] * x
-        return found
+        J = self.linear.copy()
+        J[:, 0] += w[:, 1] * z - w[:, 2] * y
+        J[:, 1] += w[:, 2] * x - w[:, 0] * z
+        J[:, 2] += w[:, 0] * y - w[:, 1] * x
+        return J
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class RobotBodies:
 
     @property
     def joints_behind(self) -> Mapping[str, int]:
-        """Joint behind a transmission, or in a loop -> where it is in the tree's positions."""
+        """Joint behind a transmission, or in a loop -> its index in the tree's positions."""
         return {} if self.tree.actuation is None else self.tree.actuation.behind
 
     def tree_samples(self, v: Array, vd: Array) -> tuple[Array, Array, Array, Array]:
@@ -72,7 +72,7 @@ class RobotBodies:
         return self._motions[body]
 
     def index(self, body: str) -> int:
-        """Return the number of a body; raise an ArgumentError if it does not exist."""
+        """Return the index of a body; raise an ArgumentError if it does not exist."""
         if body not in self.tree.bodies:
             raise ArgumentError(
                 f"There is no moving body {body!r}.",
@@ -82,7 +82,7 @@ class RobotBodies:
 
     @cached_property
     def places(self) -> tuple[Array, Array]:
-        """Rotations (m, N, 3, 3) and lines (nv, N, 3, 3) of all joints, as `calc_places` writes."""
+        """Rotations (m, N, 3, 3) and lines (nv, N, 3, 3) of all joints, from `calc_places`."""
         tree, q = self.tree.joints, contiguous(self.tree.joint_positions(self.q))
         rotations = np.empty((len(tree.mobilizers), len(q), 3, 3))
         lines = np.empty((tree.num_velocities, len(q), 3, 3))
@@ -90,30 +90,30 @@ class RobotBodies:
         return rotations, lines
 
     def mass_center(self, body: str) -> Array:
-        """Return (3,) p_BoBcm_B, m; the origin of a body without mass."""
+        """Return (3,) p_BoBcm_B, m; zero for a body without mass."""
         m, *moment = self.phi[self.index(body), :4].tolist()
         return np.array(moment) / m if m > 0.0 else np.zeros(3)
 
     def gravity_efforts(self, gravities: Array) -> Array:
-        """Return efforts (N, nv, k) that holding the bodies needs under gravities (3, k), m/s²."""
-        still = np.zeros((len(self.q), self.tree.num_velocities))
+        """Return the static efforts (N, nv, k) under gravities (3, k), m/s²."""
+        zero = np.zeros((len(self.q), self.tree.num_velocities))
         phi = np.where(self.phi[:, :1] > 0.0, self.phi, 0.0)
-        tree, samples, J = self.tree.joint_samples(self.q, still, still)
-        held = np.zeros((gravities.shape[1], *samples[1].shape))
-        for effort, gravity in zip(held, gravities.T, strict=True):
+        tree, samples, J = self.tree.joint_samples(self.q, zero, zero)
+        efforts = np.zeros((gravities.shape[1], *samples[1].shape))
+        for effort, gravity in zip(efforts, gravities.T, strict=True):
             calc_inverse_dynamics(replace(tree, gravity=gravity).records, samples, phi, effort)
-        return actuator_rows(J, np.moveaxis(held, 0, -1))
+        return actuator_rows(J, np.moveaxis(efforts, 0, -1))
 
     @cached_property
     def _motions(self) -> dict[str, BodyMotion]:
         return {}
 
     def _motion(self, body: int) -> BodyMotion:
-        """Return the motion of a body, by the mobilizers between the world and it."""
+        """Return the motion of a body from the mobilizers between the world and it."""
         tree = self.tree.joints.branch(body)
         *inboard, last = tree.mobilizers
-        alone = (*(replace(mobilizer, body=-1) for mobilizer in inboard), replace(last, body=0))
-        poses, angular, linear = self.kinematics(replace(tree, mobilizers=alone))
+        mobilizers = *(replace(inner, body=-1) for inner in inboard), replace(last, body=0)
+        poses, angular, linear = self.kinematics(replace(tree, mobilizers=mobilizers))
         return BodyMotion(
             poses[:, 0, :3, :3],
             poses[:, 0, :3, 3],
@@ -123,7 +123,7 @@ class RobotBodies:
         )
 
     def kinematics(self, tree: KinematicTree) -> tuple[Array, Array, Array]:
-        """Return the pose (N, 1, 4, 4) of the one body of a tree, and Jacobians (N, 1, 3, ·)."""
+        """Return poses (N, 1, 4, 4) of a tree's only body, and its Jacobians (N, 1, 3, ·)."""
         poses = np.zeros((len(self.q), 1, 4, 4))
         angular, linear = np.zeros((2, len(self.q), 1, 3, tree.num_velocities))
         q = contiguous(self.tree.joint_positions(self.q))

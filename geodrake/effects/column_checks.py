@@ -1,4 +1,4 @@
-"""Checks of effects' columns, with the line of user code in errors."""
+"""Checks of effects' columns, whose errors name the line of user code."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from geodrake.errors import ArgumentError
 Array = NDArray[np.float64]
 
 _LEAST, _GREATEST = 1e-100, 1e100
-"""Sizes below and above which a user's column has no values, so that no square of them is lost."""
+"""Bounds of a user's values, so that squares are finite: smaller ones become 0, larger raise."""
 
 _OURS = frozenset(str(path) for path in Path(__file__).parent.glob("*.py"))
 
 
 def rows_of(effect: Any, motion: RobotMotion) -> Mapping[str, Array]:
-    """Return the checked result of `Effect.rows`."""
+    """Return `Effect.rows`, checked."""
     kind = type(effect)
     if of_geodrake(kind):
         return effect.rows(motion)
     line = line_of(kind, "columns", "rows")
-    with telling(kind.name, line):
+    with exits_as_errors(kind.name, line):
         rows: Any = effect.rows(_read_only(motion))
     if not isinstance(rows, Mapping):
         raise ArgumentError(f"{kind.name} returns {rows!r:.60} instead of columns by joint{line}.")
@@ -46,7 +46,7 @@ def rows_of(effect: Any, motion: RobotMotion) -> Mapping[str, Array]:
 
 
 def of_geodrake(kind: type[Any]) -> bool:
-    """Return whether a class comes with geodrake, so that its columns need no checks."""
+    """Return whether a class belongs to geodrake, so that its columns need no checks."""
     return kind.__module__.startswith("geodrake.")
 
 
@@ -68,10 +68,10 @@ def stacked(effect: Any, columns: Any, joint: str, count: int) -> Array:
 
 
 def _checked(what: str, line: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Return a column or several of an effect and joint as finite floats of a shape."""
-    known = isinstance(values, np.ndarray) and values.dtype == float and not line
-    if known and np.shape(values) == shape and np.isfinite(found := np.asarray(values)).all():
-        return found
+    """Return columns as finite floats of a shape; `what` describes them in errors."""
+    is_float = isinstance(values, np.ndarray) and values.dtype == float and not line
+    if is_float and np.shape(values) == shape and np.isfinite(array := np.asarray(values)).all():
+        return array
     advice = "Let columns() return arrays of the shape of joint.q, or numbers."
     if np.iscomplexobj(values):
         raise ArgumentError(f"{what} returns complex numbers{line}.", advice=advice)
@@ -94,8 +94,8 @@ def _checked(what: str, line: str, values: ArrayLike, shape: tuple[int, ...]) ->
 
 
 @contextmanager
-def telling(name: str, line: str) -> Iterator[None]:
-    """Convert what would end the program, such as `sys.exit`, to an error of the effect."""
+def exits_as_errors(name: str, line: str) -> Iterator[None]:
+    """Convert exceptions that would end the program, such as `SystemExit`, to errors."""
     try:
         yield
     except (Exception, KeyboardInterrupt, GeneratorExit):
@@ -105,19 +105,15 @@ def telling(name: str, line: str) -> Iterator[None]:
 
 
 def line_of(effect: type[Any], *methods: str) -> str:
-    """Return line and file of the last of some methods of a user's effect.
-
-    Args:
-        *methods: Names of methods, of which the effect may have some.
-    """
-    made: list[Callable[..., Any]] = [getattr(effect, m) for m in methods if hasattr(effect, m)]
-    codes = [code for code in (getattr(f, "__code__", None) for f in made) if code is not None]
-    own = [code for code in codes if code.co_filename not in _OURS]
-    return f" (line {own[-1].co_firstlineno} of {own[-1].co_filename})" if own else ""
+    """Return " (line N of FILE)" for the last of these methods that a user defines."""
+    defined: list[Callable[..., Any]] = [getattr(effect, m) for m in methods if hasattr(effect, m)]
+    codes = [code for code in (getattr(f, "__code__", None) for f in defined) if code is not None]
+    user = [code for code in codes if code.co_filename not in _OURS]
+    return f" (line {user[-1].co_firstlineno} of {user[-1].co_filename})" if user else ""
 
 
 def _read_only(motion: RobotMotion) -> RobotMotion:
-    """Return the motion in arrays that cannot be written to."""
+    """Return the motion with read-only arrays."""
     arrays = {}
     for name in ("q", "v", "vd", "load"):
         arrays[name] = getattr(motion, name).view()

@@ -23,9 +23,8 @@ _LINEAR = (("kg·m²", "kg"), ("N·m", "N"), ("rad", "m"))
 class Role(Enum):
     """Ways in which an effect changes the efforts that a model needs.
 
-    An effect of another role than FORCE derives from the one of the catalogue that has it: from
-    `EffortScale`, `EffortDelay`, `Payload` or `WrongInertia`, or from the bases `DeflectionEffect`
-    and `Episode`.
+    Effects with a role other than FORCE derive from the class that has it: `EffortScale`,
+    `EffortDelay`, `Payload`, `WrongInertia`, `DeflectionEffect` or `Episode`.
     """
 
     FORCE = "adds effort"
@@ -38,11 +37,11 @@ class Role(Enum):
 
 
 class Proposer(Enum):
-    """The pattern in the residual of a model that proposes an effect.
+    """The pattern in a model's residual that proposes an effect.
 
     BENDING and PLAY propose a `DeflectionEffect`, SHARED_ACTUATOR a `SharedActuatorEffect`, EPISODE
-    a `PointEpisode`, HANDLING another `Episode`, the others a `JointEffect`: WAVES one whose one
-    shape parameter is their order, WARMING and BRISTLES one that defines `course`.
+    a `PointEpisode`, HANDLING another `Episode`, the others a `JointEffect`. Under WAVES its only
+    shape parameter is the order; under WARMING and BRISTLES it defines `course`.
     """
 
     BENDING = "efforts of all joints change with the deflection of one joint"
@@ -58,10 +57,10 @@ class Proposer(Enum):
 class Place(NamedTuple):
     """A kind of place that effects are bound to."""
 
-    field: str  # the field of the effect that says where it is; empty if none does
-    counts: tuple[int, ...]  # how many names that may be
-    wanted: str
-    words: str  # the kind of place in words
+    field: str  # field of the effect that names the place; empty if there is none
+    counts: tuple[int, ...]  # valid numbers of names
+    wanted: str  # requirement, for error messages
+    words: str  # description
 
 
 PLACES = {
@@ -83,11 +82,11 @@ class Parameter:
     Units are those of a revolute joint; at a prismatic joint read N for N·m and m for rad.
 
     Attributes:
-        usual: Its value before any data, such as 1 for a share of what a shape says.
-        spread: How far from that it may be; a fit keeps to it where the data say nothing.
+        usual: Prior mean.
+        spread: Prior standard deviation, which regularizes fits.
 
     Raises:
-        ArgumentError: Name or unit are no printable words, or no value lies between the bounds.
+        ArgumentError: Name or unit is not printable text, or the interval is empty.
     """
 
     name: str
@@ -98,12 +97,12 @@ class Parameter:
     usual: float = 0.0
 
     def __post_init__(self) -> None:
-        named: Any = (("name", self.name), ("unit", self.unit))
-        for what, words in named:
-            if not (isinstance(words, str) and words.isprintable() and words.strip()):
-                raise ArgumentError(f"A parameter's {what} must be printable text; got {words!r}.")
-        for what in ("lower", "upper", "spread"):
-            number(getattr(self, what), f"{what} of {self.name}", finite=False)
+        texts: Any = (("name", self.name), ("unit", self.unit))
+        for field, text in texts:
+            if not (isinstance(text, str) and text.isprintable() and text.strip()):
+                raise ArgumentError(f"A parameter's {field} must be printable text; got {text!r}.")
+        for field in ("lower", "upper", "spread"):
+            number(getattr(self, field), f"{field} of {self.name}", finite=False)
         if not (self.lower < self.upper and self.lower < np.inf and self.upper > -np.inf):
             raise ArgumentError(
                 f"{self.name} has lower = {self.lower:g} and upper = {self.upper:g}, an "
@@ -120,11 +119,11 @@ class Shape:
 
     Attributes:
         name: Name of the field of the effect, or of a value that it reports.
-        unit: SI unit at a joint that turns.
-        grid: Values to try, as shares of a size if there is a `scale`; none for the default.
-        scale: Size that the grid is relative to: "speed", the joint's peak speed, "reach", its
-            range of motion, "duration", that of the longest log, or "temperature", its mean.
-        usual: The value to try where that size is not known.
+        unit: SI unit at a revolute joint.
+        grid: Values to try, relative to `scale` if it is set; empty to try only the default.
+        scale: Reference size of the grid: "speed", the joint's peak speed; "reach", its range of
+            motion; "duration", that of the longest log; or "temperature", its mean.
+        usual: The value to try if that size is unknown.
     """
 
     name: str
@@ -134,8 +133,8 @@ class Shape:
     usual: float | None = None
 
     def __post_init__(self) -> None:
-        for what in ("name", "unit"):
-            instance(getattr(self, what), what, str)
+        for field in ("name", "unit"):
+            instance(getattr(self, field), field, str)
         for value in instances(self.grid, "grid", (int, float)):
             number(value, "grid")
         one_of(self.scale, "scale", _SCALES)
@@ -143,7 +142,7 @@ class Shape:
             number(self.usual, "usual")
 
     def values(self, scales: Mapping[str, float]) -> tuple[float, ...]:
-        """Return the values to try, scaled by known sizes."""
+        """Return the values to try, given the known reference sizes."""
         if not self.scale and self.grid:
             return self.grid
         if self.scale in scales:
@@ -159,9 +158,9 @@ def when_sliding(unit: str) -> str:
 
 
 class CheckedFields:
-    """Refuses fields of an effect that are not of the type they are declared with.
+    """Base class that checks the fields of an effect against their declared types.
 
-    A subclass with checks of its own calls this one first.
+    Subclasses with further checks must call `super().__post_init__()` first.
     """
 
     def __post_init__(self) -> None:
@@ -183,18 +182,18 @@ class CheckedFields:
 
 
 def whole_numbers(effect: Any, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return fields of a class of effects, with those of type `int` as integers.
+    """Return field values of an effect class, with floats converted for fields of type `int`.
 
-    A saved model holds all numbers as floats.
+    Saved models contain all numbers as floats.
     """
-    whole = {field.name for field in fields(effect) if _declared(field.type) == "int"}
-    found = dict(values)
+    integers = {field.name for field in fields(effect) if _declared(field.type) == "int"}
+    converted = dict(values)
     for name, value in values.items():
-        if name in whole and isinstance(value, float):
+        if name in integers and isinstance(value, float):
             if not value.is_integer():
                 raise ArgumentError(f"{effect.name} needs an integer {name}; got {value}.")
-            found[name] = int(value)
-    return found
+            converted[name] = int(value)
+    return converted
 
 
 def _declared(kind: Any) -> str:
@@ -204,6 +203,6 @@ def _declared(kind: Any) -> str:
 
 
 def require_positive(effect: Any, *names: str) -> None:
-    """Raise for fields of an effect that are not positive and finite."""
+    """Raise if fields of an effect are not positive and finite."""
     for name in names:
         positive(getattr(effect, name), f"{name} of {effect.name}")

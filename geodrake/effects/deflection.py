@@ -23,7 +23,7 @@ from geodrake.errors import ArgumentError
 from geodrake.robot.effort_slopes import EffortSlopes
 
 SPRING_DAMPING = 0.05
-"""Usual damping of springs, as a share of the critical one."""
+"""Default damping ratio of joint springs."""
 
 _DEGREE = 5
 
@@ -32,15 +32,15 @@ _DEGREE = 5
 class Deflection:
     """How far a link lags behind its motor, over N samples."""
 
-    lag: Array  # (N,) s, position of the motor less that of the link, rad or m
+    lag: Array  # (N,) s, position of the motor minus that of the link, rad or m
     rate: Array  # (N,) ṡ
     acceleration: Array  # (N,) s̈
 
     @classmethod
     def along(cls, lag: Array, time: Array | None) -> Deflection:
-        """Return a smooth lag (N,), or several (N, n), with rates at instants (N,) of a series, s.
+        """Return a lag (N,), or several (N, n), with its rates by spline at uniform times (N,), s.
 
-        The series is uniform. Rates are zero where there is no time, as it is no series.
+        Without `time` the samples are not a series, and the rates are zero.
         """
         if time is None or len(lag) <= _DEGREE:
             return cls(lag, np.zeros_like(lag), np.zeros_like(lag))
@@ -48,22 +48,22 @@ class Deflection:
         return cls(lag, np.asarray(spline(time, 1)), np.asarray(spline(time, 2)))
 
     def of(self, joint: int) -> Deflection:
-        """Return one of several."""
+        """Return the deflection of one joint."""
         return Deflection(*(x[:, joint] for x in (self.lag, self.rate, self.acceleration)))
 
     def effort(self, slopes: EffortSlopes, joint: int) -> Array:
-        """Change of the needed effort (nv, N), to first order in the lag, by slopes at motors.
+        """Return the change (nv, N) of the needed effort, to first order in the lag.
 
-        −(∂τ/∂q_j s + ∂τ/∂v_j ṡ + M_{·j} s̈), with the bodies' effort τ(q, v, v̇).
+        It is −(∂τ/∂q_j s + ∂τ/∂v_j ṡ + M_{·j} s̈), with the bodies' effort τ(q, v, v̇).
         """
         count, nv, _ = slopes.position.shape
         change = np.empty((nv, count))
         by_q, by_v, by_a = (
-            contiguous(np.swapaxes(each, 1, 2))  # as they are in memory
-            for each in (slopes.position, slopes.velocity, slopes.acceleration)
+            contiguous(np.swapaxes(slope, 1, 2))  # their memory layout, so without a copy
+            for slope in (slopes.position, slopes.velocity, slopes.acceleration)
         )
-        of_link = contiguous(self.lag), contiguous(self.rate), contiguous(self.acceleration)
-        calc_change((by_q, by_v, by_a), joint, of_link, change)
+        link = contiguous(self.lag), contiguous(self.rate), contiguous(self.acceleration)
+        calc_change((by_q, by_v, by_a), joint, link, change)
         return change
 
 
@@ -74,8 +74,8 @@ def calc_change(
     """Write the change of efforts (nv, N); see `Deflection.effort`.
 
     Args:
-        slopes: (N, nv, nv) by whose position, velocity and acceleration.
-        link: (N,) lag, its rate, and its acceleration.
+        slopes: (N, nv, nv) derivatives by position, velocity and acceleration of the first index.
+        link: (N,) lag and its first and second derivatives.
     """
     (by_q, by_v, by_a), (lag, rate, acceleration) = slopes, link
     for n in range(len(lag)):
@@ -86,21 +86,19 @@ def calc_change(
 
 @dataclass(frozen=True)
 class Give:
-    """How far a link moves against its motor under a torque: a dead band, and a spring."""
+    """Dead band and spring between a motor and its link."""
 
-    # Of the spring beyond the dead band, rad/(N·m) or m/N; 0 for a rigid one.
-    compliance: float = 0.0
+    compliance: float = 0.0  # of the spring beyond the dead band, rad/(N·m) or m/N; 0 if rigid
     play: float = 0.0  # half width of the dead band, rad or m
-    # Of the spring, as a share of the critical one; None for the usual one.
-    damping: float | None = None
+    damping: float | None = None  # damping ratio of the spring; None for `SPRING_DAMPING`
 
     def __add__(self, other: Give) -> Give:
-        """Return the values of both in series."""
+        """Return the series connection of both."""
         damping = other.damping if self.damping is None else self.damping
         return Give(self.compliance + other.compliance, self.play + other.play, damping)
 
     def __bool__(self) -> bool:
-        """Return whether it gives way at all."""
+        """Return whether the connection is not rigid."""
         return bool(self.compliance > 0.0 or self.play > 0.0)
 
 
@@ -108,9 +106,9 @@ class Give:
 class DeflectionEffect(JointEffect):
     """A joint whose link lags behind its motor. Subclasses define `deflection` and `give`.
 
-    A fit sees the lag to first order (`deflection`). In a simulation motor and link are two bodies
-    with what `give` says between them (`geodrake.model.simulation`); friction and rotor inertia are
-    the motor's, and so are the positions and efforts that are measured.
+    Fits use the lag to first order (`deflection`). In a simulation motor and link are two bodies
+    connected as `give` specifies (`geodrake.model.simulation`). Friction, rotor inertia, and the
+    measured positions and efforts are those of the motor.
     """
 
     role = Role.DEFLECTION
@@ -118,10 +116,10 @@ class DeflectionEffect(JointEffect):
 
     @abc.abstractmethod
     def deflection(self, motion: RobotMotion) -> Deflection:
-        """Return how far the link lags behind at a motion of the motors, for a parameter of one."""
+        """Return the link's lag at a motion of the motors, for a unit parameter."""
 
     def give(self, parameters: Array) -> Give:
-        """Return how motor and link are held together in a simulation, by parameters (k,)."""
+        """Return the connection of motor and link in a simulation, for parameters (k,)."""
         raise ArgumentError(
             f"{self.name} can be fitted only: it does not define the stiffness between motor "
             f"and link of parameters {parameters.tolist()}.",
@@ -129,26 +127,26 @@ class DeflectionEffect(JointEffect):
         )
 
     def rollout_values(self, parameters: Array) -> Values:
-        """Return positive values that a simulated motion shows better than efforts do.
+        """Return the positive values by name that `geodrake.control.fit_rollouts` fits.
 
-        They are of parameters (k,) and shapes, by their names; `geodrake.control.fit_rollouts` fits
-        them.
+        Simulated motion determines them better than efforts do. They derive from parameters (k,)
+        and shapes.
         """
         del parameters
         return {}
 
     def with_rollout_values(self, values: Values, deviations: Values) -> FittedEffect:
-        """Return the effect with some `rollout_values`."""
+        """Return the effect with new `rollout_values`."""
         raise NotImplementedError(
             f"{self.name} does not define how to combine {values} ± {deviations}."
         )
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
-        """No columns of the joint's own motion."""
+        """Return zeros: nothing depends on the joint's own motion only."""
         return [np.zeros_like(joint.v)]
 
     def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
         """[−(∂τ/∂q s + ∂τ/∂v ṡ + M s̈)] at all joints."""
         deflection = self.deflection(motion)
         efforts = deflection.effort(motion.effort_slopes, motion.index(self.joint))
-        return {joint: own[:, None] for joint, own in zip(motion.joints, efforts, strict=True)}
+        return {joint: x[:, None] for joint, x in zip(motion.joints, efforts, strict=True)}

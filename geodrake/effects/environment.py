@@ -1,4 +1,4 @@
-"""Effects of a robot's environment: tilt of its base, contacts, and air."""
+"""Effects of a robot's environment: a tilted base, contacts, and air."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ class GravityTilt(RobotEffect):
     """Base that is tilted by two angles relative to the model.
 
     effort = ∂τ_g/∂g · (R(θ)ᵀ g − g), for the base turned by the rotation vector θ = (θx, θy, 0) rad
-    about the axes of the model's world frame. The effort is linear in gravity, and gravity
+    about the axes of the model's world frame. The effort is linear in gravity, and
 
         R(θ)ᵀ g − g = sin|θ|/|θ| g × θ + (1 − cos|θ|)/|θ|² (θ θᵀg − g θᵀθ)
 
-    linear in θ with `about` in the place of one θ of each product: exact where θ is `about`. About
-    zero it is wrong by |θ|²/2 of the weight. Upside down, gravity hardly changes with θ in one
-    direction. So in fits about turns of more than 2 rad, a change of θ is a turn δ of the base as
-    it stands then, R = R(δ) R(about). The bodies are those of the model; fits see others
-    under the gravity of `about`: moments that a level base hides show only there. Gravity is taken
-    to be along z, about which a turn changes nothing.
+    becomes linear in θ if `about` replaces one θ of each product, which is exact at θ = `about`.
+    About zero the error is |θ|²/2 of the weight. Near upside down, gravity hardly changes with θ in
+    one direction. Fits about rotations of more than 2 rad therefore use a further rotation δ,
+    R = R(δ) R(about). The columns use the model's bodies. Fits evaluate body columns under the
+    gravity at `about`, which reveals moments that a level base hides. Gravity is assumed to be
+    along z, so that rotations about z have no effect.
 
     Attributes:
         about_x: Angle about x at which the columns are exact, rad.
@@ -61,15 +61,15 @@ class GravityTilt(RobotEffect):
     )
     signature = "follows the robot's posture at all joints, as if it stood on a slope"
     depends_on = frozenset({"q", "bodies"})
-    free_shapes = 0  # as the angles are parameters
+    free_shapes = 0  # the angles are parameters
 
     @property
     def reported_shape(self) -> dict[str, float]:
-        """None: the expansion point is not a property of the robot."""
+        """Empty: the expansion point is not a property of the robot."""
         return {}
 
     def expanded_about(self, parameters: Array, bodies: RobotBodies) -> GravityTilt:
-        """Return the tilt with columns exact at its parameters; itself if they already are."""
+        """Return the tilt expanded about its parameters; itself if the change is negligible."""
         if self._is_far:
             turned, turn = self._turned(parameters, bodies.gravity), parameters - self.in_bodies
             return turned if np.linalg.norm(turn) >= _LEAST_CHANGE else self
@@ -80,24 +80,24 @@ class GravityTilt(RobotEffect):
         return replace(self, about_x=about_x, about_y=about_y)
 
     def _turned(self, parameters: Array, gravity: Array) -> GravityTilt:
-        """Return the tilt after a further turn."""
+        """Return the tilt after a further rotation."""
         turn = np.append(parameters - self.in_bodies, 0.0)
-        felt = self._rotation.T @ Rotation.from_rotvec(turn).as_matrix().T @ gravity
-        axis, along = np.cross(felt, gravity), float(felt @ gravity)
+        tilted = self._rotation.T @ Rotation.from_rotvec(turn).as_matrix().T @ gravity
+        axis, cosine = np.cross(tilted, gravity), float(tilted @ gravity)
         sine = float(np.linalg.norm(axis))
         direction = self._about / np.linalg.norm(self._about) if sine == 0.0 else axis / sine
-        about_x, about_y, _ = (np.arctan2(sine, along) * direction).tolist()
+        about_x, about_y, _ = (np.arctan2(sine, cosine) * direction).tolist()
         return replace(self, about_x=about_x, about_y=about_y)
 
     def fit_rows(self, motion: RobotMotion) -> Rows:
-        """Return `rows`, and far from level those of further turns."""
+        """Return `rows`, or the columns of a further rotation if far from level."""
         if not self._is_far:
             return self.rows(motion)
         gravity = motion.body_motions(self.name).gravity
         return self._rows(motion, self._rotation.T @ np.cross(gravity, np.eye(3)[:2]).T)
 
     def settled(self, parameters: Array, bodies: RobotBodies) -> tuple[Effect, Array]:
-        """Return the tilt and its angles; far from level, those after the further turn."""
+        """Return the tilt and its angles, including the further rotation if far from level."""
         if not self._is_far:
             return self, parameters
         turned = self._turned(parameters, bodies.gravity)
@@ -113,12 +113,12 @@ class GravityTilt(RobotEffect):
 
     def gravity_of_bodies(self, gravity: Array) -> Array | None:
         """Return the gravity turned by the angles at which the columns are exact."""
-        at = self.in_bodies
-        return gravity + self._change(gravity) @ at if at.any() else None
+        angles = self.in_bodies
+        return gravity + self._change(gravity) @ angles if angles.any() else None
 
     @property
     def in_bodies(self) -> Array:
-        """(2,) these angles."""
+        """(2,) angles at which the columns are exact, rad."""
         return self._about[:2]
 
     @property
@@ -126,7 +126,7 @@ class GravityTilt(RobotEffect):
         return np.array([self.about_x, self.about_y, 0.0])
 
     def rows(self, motion: RobotMotion) -> Rows:
-        """Return the efforts of the change of gravity with each angle, at every joint."""
+        """Return the derivatives of the effort with respect to both angles, at every joint."""
         return self._rows(motion, self._change(motion.body_motions(self.name).gravity))
 
     def _rows(self, motion: RobotMotion, change: Array) -> Rows:
@@ -135,7 +135,7 @@ class GravityTilt(RobotEffect):
         return {joint: columns[:, i] for i, joint in enumerate(motion.joints)}
 
     def formula_rows(self, motion: RobotMotion) -> Rows:
-        """Return the same, as the weights of all bodies along their Jacobians."""
+        """Return `rows`, computed from the weights and Jacobians of all bodies."""
         bodies = motion.body_motions(self.name)
         change = self._change(bodies.gravity)
         columns: Array = np.zeros((len(motion.joints), 2))
@@ -148,7 +148,7 @@ class GravityTilt(RobotEffect):
         return {joint: columns[None, i] for i, joint in enumerate(motion.joints)}
 
     def _change(self, gravity: Array) -> Array:
-        """Return (3, 2) change of gravity for each radian, m/s²."""
+        """Return (3, 2) change of gravity per radian, m/s²."""
         about, axes = self._about, np.eye(3)[:2]
         angle = np.linalg.norm(about)
         first = np.sinc(angle / np.pi)
@@ -159,13 +159,13 @@ class GravityTilt(RobotEffect):
 
 @dataclass(frozen=True)
 class Contact(PointEpisode):
-    """Contact of a body during a window of time.
+    """Contact of a body during a time window.
 
     effort = w(t) (J_vᵀ f + J_ωᵀ m), with the weight w of the window (see `Episode`).
 
-    f (N) is the force that the body applies to what it touches, at its point P, and m (N·m) the
-    moment about P. What pushes the robot applies −f. Both keep their direction in the world frame,
-    as where something heavy is leaned on, or in the body's, as a tool's or a jet's.
+    f (N) is the force that the body applies to its environment at point P, and m (N·m) the moment
+    about P. The environment applies −f. Both are constant in the world frame, as when leaning on
+    something heavy, or in the body's frame, as for a tool or a jet.
     """
 
     name = "contact"
@@ -179,7 +179,7 @@ class Contact(PointEpisode):
     depends_on = frozenset({"q", "time", "bodies"})
 
     def columns(self, body: BodyMotion, time: Array) -> Array:
-        """[w J_vᵀ, w J_ωᵀ] (N, nv, 6) at the point P and instants (N,) since the log began, s."""
+        """[w J_vᵀ, w J_ωᵀ] (N, nv, 6) at point P and times (N,) since the log began, s."""
         J = np.stack([body.jacobian_at(self.point), body.angular], 1)  # (N, 2, 3, nv)
         if self.turning:
             J = body.rotation[:, None].transpose(0, 1, 3, 2) @ J
@@ -188,7 +188,7 @@ class Contact(PointEpisode):
 
 
 _LEVER = "N·s²/m"
-_LEAST_SPEED = 1e-150  # m/s, whose inverse is a number
+_LEAST_SPEED = 1e-150  # m/s, so that its inverse is finite
 _LEAST_STEP, _LARGEST_STEP = 1e-3, 2.0  # m, of the centre of pressure
 
 
@@ -197,11 +197,11 @@ class AerodynamicDrag(BodyEffect):
     """Drag on a body that moves fast, or through water: force −d |v| v at its centre of pressure.
 
     effort = d Jᵀ |v| v, with v = J v_joints the velocity of the centre of pressure P, and d ≥ 0 in
-    N·s²/m². How the effort changes with a step p of P is linear in d p as long as p is small, and
-    d p, in N·s²/m, are parameters of their own.
+    N·s²/m². A small displacement p of P changes the effort linearly in d p, so that the products
+    d p, in N·s²/m, are further parameters.
 
     Attributes:
-        x: Position of P from Bo along x of the body's frame, m, from which p is a step; None for
+        x: Position of P from Bo along x of the body's frame before the displacement, m; None for
             that of the mass centre.
     """
 
@@ -219,20 +219,20 @@ class AerodynamicDrag(BodyEffect):
     signature = "grows with the square of a body's speed, at all joints up to it"
     depends_on = frozenset({"q", "v", "bodies"})
     complexity = 3
-    free_shapes = 0  # as the position is a matter of the parameters
+    free_shapes = 0  # the parameters determine the position
 
     @classmethod
     def candidates(cls, body: str) -> tuple[AerodynamicDrag, ...]:
-        """About the mass centre, and about the joint, too far away for slopes from there."""
+        """Return the drag at the mass centre and at the joint, too far apart to linearize."""
         return cls(body), cls(body, 0.0, 0.0, 0.0)
 
     def center(self, p_BoBcm_B: Array) -> Array:
-        """Return (3,) position of P from Bo, m, of that of the mass centre."""
-        given = zip((self.x, self.y, self.z), p_BoBcm_B.tolist(), strict=True)
-        return np.array([mean if value is None else value for value, mean in given])
+        """Return (3,) position of P from Bo, m, given that of the mass centre."""
+        pairs = zip((self.x, self.y, self.z), p_BoBcm_B.tolist(), strict=True)
+        return np.array([default if value is None else value for value, default in pairs])
 
     def expanded_about(self, parameters: Array, bodies: RobotBodies) -> AerodynamicDrag:
-        """Return the drag about its parameters' centre of pressure; itself if that is here."""
+        """Return the drag at its fitted centre of pressure; itself if that did not move."""
         drag, lever = float(parameters[0]), parameters[1:]
         if not _LEAST_STEP * drag < np.linalg.norm(lever) < _LARGEST_STEP * drag:
             return self
@@ -241,20 +241,20 @@ class AerodynamicDrag(BodyEffect):
         return replace(self, x=x, y=y, z=z)
 
     def rows(self, motion: RobotMotion) -> Rows:
-        """[Jᵀ |v| v, and its slopes in the position of P] at the joints that move the body."""
+        """Return [Jᵀ |v| v, its derivatives by the position of P] at the joints of the body."""
         bodies = motion.body_motions(self.name)
         center, tree = self.center(bodies.mass_center(self.body)), bodies.tree
         key = AerodynamicDrag, ""
         samples = motion.once(key, lambda: tree.joint_samples(bodies.q, motion.v, motion.v))
-        (joints, (_, v, _, _), J), of = samples, bodies.index(self.body)
-        at = [each.body for each in joints.mobilizers].index(of)
-        efforts, dofs = np.zeros((v.shape[1], 4, len(v))), joints.mobilizers[at].dofs
-        calc_drag_columns(bodies.places, (at, np.array(dofs), center), v, efforts)
+        (joints, (_, v, _, _), J), body = samples, bodies.index(self.body)
+        i = [mobilizer.body for mobilizer in joints.mobilizers].index(body)
+        efforts, dofs = np.zeros((v.shape[1], 4, len(v))), joints.mobilizers[i].dofs
+        calc_drag_columns(bodies.places, (i, np.array(dofs), center), v, efforts)
         columns = actuator_rows(J, np.moveaxis(efforts, -1, 0))
         return {motion.joints[dof]: columns[:, dof] for dof in tree.moving_velocities(dofs)}
 
     def formula_rows(self, motion: RobotMotion) -> Rows:
-        """Return the same, along the Jacobian of P."""
+        """Return `rows`, computed from the Jacobian of P."""
         bodies = motion.body_motions(self.name)
         body = bodies.motion(self.body)
         J = body.jacobian_at(self.center(bodies.mass_center(self.body)))
@@ -268,7 +268,7 @@ class AerodynamicDrag(BodyEffect):
             change = np.cross(w, step)
             forces.append(speed * change + (u * change).sum(-1)[:, None] * along)
             moments.append(np.cross(step, speed * u))
-        force, moment = (np.stack(some, -1) for some in (forces, moments))
+        force, moment = np.stack(forces, -1), np.stack(moments, -1)
         turned = np.moveaxis(body.angular, 1, 2) @ moment
         columns = np.moveaxis(J, 1, 2) @ force + turned
         return {motion.joints[dof]: columns[:, dof] for dof in body.dofs}
@@ -281,16 +281,17 @@ def calc_drag_columns(
     v: Array,
     out: Array,
 ) -> None:
-    """Write [Jᵀ |v| v, and its slopes in the position of P] of the velocities that move a body.
+    """Write [Jᵀ |v| v, its derivatives by the position of P] for the velocities that move a body.
 
     Args:
         places: `RobotBodies.places`.
-        body: Which mobilizer moves it, the velocities that do, its own last, and (3,) p_BoP_B, m.
+        body: Index of its mobilizer, velocities that move it, the mobilizer's last, and (3,)
+            p_BoP_B, m.
         v: (N, nv) velocities of the joints.
-        out: (nv, 4, N) the columns.
+        out: (nv, 4, N) columns.
     """
-    (rotations, lines), (at, dofs, center) = places, body
-    R, origins = rotations[at], lines[dofs[-1]]
+    (rotations, lines), (i, dofs, center) = places, body
+    R, origins = rotations[i], lines[dofs[-1]]
     moving = np.empty((2, len(out), 3))  # ω of B and velocity of P at unit speeds
     for n in range(len(v)):
         p, w, u = row(origins, n, 2), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)

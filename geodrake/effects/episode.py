@@ -25,13 +25,12 @@ from geodrake.errors import ArgumentError
 class Episode(BodyEffect):
     """An effect on a body during part of one log.
 
-    It is an event of that log, no property of the robot: where time is not known, or the log is
-    another one, there is none. Its weight is w = ½ tanh((t − t₀)/r) − ½ tanh((t − t₁)/r): one from
-    the start t₀ to the end t₁, zero before and after, with edges of duration r.
+    It is an event of that log, not a property of the robot: it is zero in other logs, or without
+    time. Its weight is w = ½ tanh((t − t₀)/r) − ½ tanh((t − t₁)/r): one from the start t₀ to the
+    end t₁, zero before and after, with edges of duration r.
 
-    Subclasses are dataclasses with the fields `start` and `end`, s since the log began, or None
-    where the episode began before the log or goes on after it; `rise`, r in s; and `log`, the
-    number of the log from `log_number`, or 0 for any.
+    Subclasses are dataclasses with the fields `start` and `end`, s since the log began, None if
+    outside the log; `rise`, r in s; and `log`, the identifier from `log_number`, or 0 for any log.
     """
 
     start: Any
@@ -52,7 +51,7 @@ class Episode(BodyEffect):
 
     @property
     def window(self) -> tuple[float | None, float | None, float, int]:
-        """Start and end, rise, and number of the log."""
+        """Start, end, rise, and identifier of the log."""
         return self.start, self.end, self.rise, self.log
 
     @property
@@ -61,17 +60,17 @@ class Episode(BodyEffect):
         return -np.inf if start is None else start, np.inf if end is None else end
 
     def weight(self, time: Array) -> Array:
-        """Return W (N,) at instants since the log began, s."""
+        """Return w (N,) at times since the log began, s."""
         after, before = ((time - edge) / self.window[2] for edge in self._edges)
         return np.asarray(0.5 * (np.tanh(after) - np.tanh(before)))
 
     def is_of(self, log: int) -> bool:
-        """Return whether it is an event of the log with a number."""
+        """Return whether it is an event of the log with this identifier."""
         return self.window[3] in (0, log)
 
     @property
     def when(self) -> str:
-        """When it is there, in words."""
+        """The time window in words."""
         start, end, _, _ = self.window
         if end is None:
             return "all of one log" if start is None else f"from {start:.2f} s on"
@@ -85,12 +84,11 @@ class PointEpisode(Episode):
     start: float  # t₀, s since the log began
     end: float  # t₁, s since the log began
     rise: float = 0.01  # r, s
-    log: int = 0  # number of the log, from `log_number`; 0 for any
+    log: int = 0  # identifier from `log_number`; 0 for any log
     x: float = 0.0  # position of P from the body's origin Bo along x of the body's frame, m
     y: float = 0.0
     z: float = 0.0
-    # 1 where what acts turns with the body, 0 where it keeps its direction in the world.
-    turning: int = 0
+    turning: int = 0  # 1 if forces are fixed in the body's frame, 0 if fixed in the world
 
     proposer = Proposer.EPISODE
     shapes = (
@@ -105,7 +103,7 @@ class PointEpisode(Episode):
 
     @abc.abstractmethod
     def columns(self, body: BodyMotion, time: Array) -> Array:
-        """Columns (N, nv, k) at a motion of the body and instants (N,) since the log began, s."""
+        """Return columns (N, nv, k) for the body's motion at times (N,) since the log began, s."""
 
     def rows(self, motion: RobotMotion) -> dict[str, Array]:
         """Return the columns in the window, at the joints that move the body."""
@@ -134,16 +132,16 @@ class PointEpisode(Episode):
 
     @property
     def free_shapes(self) -> int:
-        """Start, end, rise and point, which is none where the wrench turns with the body."""
+        """Start, end and rise, and the point unless forces turn with the body."""
         return 3 if self.turning else 6
 
     @classmethod
     def candidates(cls, body: str) -> tuple[Self, ...]:
-        """Return the first second of a log; a diagnosis looks for the window instead."""
+        """Return the effect in the first second of a log; a diagnosis proposes windows instead."""
         return cls.in_window(body, 0.0, 1.0)
 
     @classmethod
     def in_window(cls, body: str, start: float, end: float, **shape: Any) -> tuple[Self, ...]:
-        """Return possible effects on a body in a window: forces fixed in W, or rotating with it."""
+        """Return the candidates in a window: forces fixed in the world, or in the body's frame."""
         make: Callable[..., Self] = cls
         return tuple(make(body, start, end, **shape, turning=turning) for turning in (0, 1))

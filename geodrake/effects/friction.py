@@ -1,4 +1,4 @@
-"""Friction of joints, and of actuators that move two of them."""
+"""Friction of joints, and of actuators that move two joints."""
 
 from __future__ import annotations
 
@@ -73,8 +73,8 @@ class AsymmetricFriction(JointEffect):
 
     effort = F₊ + c₊ v where v > 0, and −F₋ + c₋ v where v < 0; F in N·m, c in N·m·s/rad, all ≥ 0.
 
-    It contains Coulomb and viscous friction (F₊ = F₋, c₊ = c₋), so it replaces that pair. It always
-    brakes: at rest it is zero, and effort · v ≥ 0.
+    It contains Coulomb and viscous friction (F₊ = F₋, c₊ = c₋), and so replaces that pair. It
+    always dissipates: it is zero at rest, and effort · v ≥ 0.
     """
 
     name = "asymmetric_friction"
@@ -100,13 +100,13 @@ class AsymmetricFriction(JointEffect):
 
 @dataclass(frozen=True)
 class FrictionOvercompensation(JointEffect):
-    """Dry friction that a drive compensates beyond the existing one.
+    """Excess of a drive's friction compensation over the actual dry friction.
 
     effort = −F sgn v, with F ≥ 0 in N·m.
 
-    Drives may add an effort against dry friction that no log shows. If it is larger than the
-    friction, the logged effort is smaller the way the joint moves. The drive pushes the joint: this
-    is none of the robot's friction, and it makes a joint that is held with a weak controller swing.
+    Drives may compensate dry friction by an effort that logs do not contain. If it exceeds the
+    friction, the logged effort is reduced in the direction of motion. The drive then pushes the
+    joint, which can make it oscillate under a weak controller. It is no friction of the robot.
     """
 
     name = "friction_overcompensation"
@@ -135,8 +135,8 @@ class StribeckFriction(JointEffect):
 
     effort = (S − F) exp(−|v / v_s|^α) sgn v, with the excess S − F ≥ 0 in N·m.
 
-    It goes on top of `coulomb_friction`, which has the F of the whole Stribeck curve
-    (F + (S − F) exp(−|v / v_s|^α)) sgn v, and of `viscous_friction`.
+    It adds to `coulomb_friction`, which contributes F to the Stribeck curve
+    (F + (S − F) exp(−|v / v_s|^α)) sgn v, and to `viscous_friction`.
 
     Attributes:
         stribeck_velocity: v_s, rad/s or m/s.
@@ -166,7 +166,7 @@ class StribeckFriction(JointEffect):
         return [fading * joint.sign_v]
 
 
-_LEAST_RATIO = 1.25  # of the exponent to that of viscous friction
+_LEAST_RATIO = 1.25  # of the exponent to 1, that of viscous friction, or the inverse
 
 
 @dataclass(frozen=True)
@@ -193,23 +193,23 @@ class NonlinearViscousFriction(JointEffect):
 
     @property
     def distinct(self) -> bool:
-        """Whether the exponent is far enough from 1, at which this is viscous friction."""
+        """Whether the exponent is far enough from 1, viscous friction."""
         return bool(abs(np.log(self.exponent)) >= np.log(_LEAST_RATIO))
 
     @property
     def refines(self) -> tuple[tuple[type[Effect], ...], ...]:
-        """With α < 1, dry and viscous friction; a drag refines nothing."""
+        """Dry and viscous friction if α < 1; otherwise nothing."""
         return ((CoulombFriction, ViscousFriction),) if self.exponent < 1.0 else ()
 
 
 @dataclass(frozen=True)
 class LoadDependentFriction(JointEffect):
-    """Dry friction in proportion to the effort that the gear transmits.
+    """Dry friction proportional to the effort that the gear transmits.
 
-    effort = k |τ_model| sgn v, with k ≥ 0 and without unit.
+    effort = k |τ_model| sgn v, with k ≥ 0, dimensionless.
 
-    τ_model is the effort that the rigid-body model needs, never the measured one, whose noise and
-    whose own friction would bias k.
+    τ_model is the effort of the rigid-body model. Noise and friction in the measured effort would
+    bias k.
     """
 
     name = "load_dependent_friction"
@@ -230,16 +230,15 @@ class LoadDependentFriction(JointEffect):
 
 @dataclass(frozen=True)
 class GearEfficiency(JointEffect):
-    """Losses of a gear in proportion to its load, one where it drives and one where it brakes.
+    """Gear losses proportional to the load, different for driving and braking.
 
     effort = k_d |τ_model| sgn v where τ_model v > 0, and k_b |τ_model| sgn v elsewhere; both ≥ 0
-    and without unit. The efficiency of a driving gear is 1 / (1 + k_d), that of one that the load
-    drives is 1 − k_b.
+    and dimensionless. The efficiency is 1 / (1 + k_d) if the motor drives the load, and 1 − k_b if
+    the load drives the motor.
 
-    It contains load-dependent friction (k_d = k_b). Of a joint that moves, the difference of both
-    is ½ (k_d − k_b) τ_model, which is the effort of bodies that are heavier by that share. It can
-    be told only by inertias that are known from elsewhere, as a gain of the effort can
-    (`effort_scale`). A diagnosis tries it only then.
+    It contains load-dependent friction (k_d = k_b). At a moving joint the two differ by
+    ½ (k_d − k_b) τ_model, like bodies that are heavier by that share. As with `effort_scale`, it
+    can be identified only with independently known inertias. A diagnosis tries it only then.
     """
 
     name = "gear_efficiency"
@@ -262,22 +261,25 @@ class GearEfficiency(JointEffect):
     refines = ((LoadDependentFriction,),)
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
-        """[|τ_model| sgn v where τ_model v > 0, and where it is not]."""
-        forth, back = np.maximum(joint.sign_v, 0.0), np.minimum(joint.sign_v, 0.0)
-        up, down = np.maximum(joint.load, 0.0), np.maximum(-joint.load, 0.0)
-        return [up * forth + down * back, up * back + down * forth]
+        """[|τ_model| sgn v where τ_model v > 0, and elsewhere]."""
+        forward, backward = np.maximum(joint.sign_v, 0.0), np.minimum(joint.sign_v, 0.0)
+        positive, negative = np.maximum(joint.load, 0.0), np.maximum(-joint.load, 0.0)
+        return [
+            positive * forward + negative * backward,
+            positive * backward + negative * forward,
+        ]
 
 
 Direction = Callable[[Array], Array]
-"""Smoothed signs of speeds."""
+"""Smoothed sign of a speed."""
 
 
 @dataclass(frozen=True)
 class SharedActuatorEffect(JointPairEffect):
     """An effect of an actuator that turns with vᵢ + s vⱼ. Subclasses define `shared` and `rows`.
 
-    A diagnosis tries it at joints that follow each other, and at any other two whose residuals both
-    go with the motion of one actuator, beyond what they have of their own.
+    A diagnosis tries it at adjacent joints, and at other pairs whose residuals both correlate with
+    the motion of one actuator, beyond their correlation with the joint's own motion.
     """
 
     proposer = Proposer.SHARED_ACTUATOR
@@ -285,12 +287,12 @@ class SharedActuatorEffect(JointPairEffect):
     @staticmethod
     @abc.abstractmethod
     def shared(v: Array, turned_v: Array, turned_vd: Array, direction: Direction) -> Array:
-        """Return columns (..., k) at a joint; with the right sign s, no parameter is negative.
+        """Return columns (..., k) at a joint; their parameters are ≥ 0 for the correct sign s.
 
         Args:
             v: (...) velocity of the joint.
-            turned_v: (...) velocity s vⱼ of the other one, with the sign s of its part.
-            turned_vd: (...) the same of its acceleration.
+            turned_v: (...) signed velocity s vⱼ of the other joint.
+            turned_vd: (...) signed acceleration s v̇ⱼ of the other joint.
         """
 
 
@@ -303,7 +305,7 @@ class CoupledFriction(SharedActuatorEffect):
 
     Attributes:
         joints: The joints i and j.
-        sign: s, 1 or −1. A ratio other than one belongs in a transmission.
+        sign: s, 1 or −1. Describe other ratios by a transmission.
     """
 
     sign: int = 1
@@ -339,19 +341,19 @@ class CoupledFriction(SharedActuatorEffect):
         return {self.joints[0]: columns, self.joints[1]: self.sign * columns}
 
     def gradient(self, motion: RobotMotion, weights: Array) -> RobotGradient:
-        """Of both columns by w, which is how both joints' speeds enter."""
+        """Return the gradient; both joints' speeds enter through w."""
         i, j = map(motion.index, self.joints)
         w = motion.v[:, i] + self.sign * motion.v[:, j]
         width = np.hypot(motion.sign_width[i], motion.sign_width[j])
-        both = weights[:, i] + self.sign * weights[:, j]
-        by_w = both[:, 0] * sign_slope(motion.direction(w, width), width) + both[:, 1]
+        total = weights[:, i] + self.sign * weights[:, j]
+        by_w = total[:, 0] * sign_slope(motion.direction(w, width), width) + total[:, 1]
         gradient = RobotGradient.zero(motion)
         gradient.v[:, i], gradient.v[:, j] = by_w, self.sign * by_w
         return gradient
 
     @staticmethod
     def shared(v: Array, turned_v: Array, turned_vd: Array, direction: Direction) -> Array:
-        """[sgn w, w] with w = v + s vⱼ, for either joint; at joint j, s is factored out."""
+        """[sgn w, w] with w = v + s vⱼ, for either joint; s is factored out at joint j."""
         del turned_vd
         w = v + turned_v
         return np.stack([direction(w), w], -1)
@@ -363,9 +365,8 @@ class FrictionDrift(JointEffect):
 
     effort = e^{−t/T} (F sgn v + c v), with F in N·m and c in N·m·s/rad, t s after the log began.
 
-    It goes on top of `coulomb_friction` and `viscous_friction`, which have the settled values,
-    if these are not none. F and c are positive where grease warms up, but need not be. Where time
-    is not known the joint has settled.
+    It adds to `coulomb_friction` and `viscous_friction`, which describe the steady state. F and c
+    are positive if grease warms up, but may have either sign. Without time it is zero.
 
     Attributes:
         time_constant: T, s.
@@ -387,7 +388,7 @@ class FrictionDrift(JointEffect):
     refines = ((CoulombFriction,), (ViscousFriction,), ())
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
-        """Zero, at a joint that has settled."""
+        """Return zeros, the steady state."""
         return [np.zeros_like(joint.v), np.zeros_like(joint.v)]
 
     def rows(self, motion: RobotMotion) -> Rows:
@@ -395,11 +396,11 @@ class FrictionDrift(JointEffect):
         if motion.time is None:
             return super().rows(motion)
         joint = motion.joint(self.joint)
-        left = self.course(motion.time)
-        return {self.joint: left[:, None] * np.stack([joint.sign_v, joint.v], -1)}
+        decay = self.course(motion.time)
+        return {self.joint: decay[:, None] * np.stack([joint.sign_v, joint.v], -1)}
 
     def course(self, along: Array) -> Array:
-        """Share e^{−t/T} of the change that is left at instants (N,) since the log began, s."""
+        """Return the decay e^{−t/T} at times (N,) since the log began, s."""
         return np.exp(-along / self.time_constant)
 
 
@@ -409,9 +410,9 @@ class ThermalFriction(JointEffect):
 
     effort = (T − T₀) (F sgn v + c v), with F in N·m/°C and c in N·m·s/(rad·°C), at T °C.
 
-    It goes on top of `coulomb_friction` and `viscous_friction`, which have the values at T₀. F and
-    c are negative where grease gets thinner, but need not be. Where the temperature is not known
-    it is T₀. `friction_drift` varies with the time instead, for logs without temperatures.
+    It adds to `coulomb_friction` and `viscous_friction`, which have the values at T₀. F and c are
+    negative if grease thins, but may have either sign. Unknown temperatures are taken to be T₀. For
+    logs without temperatures, `friction_drift` varies with time instead.
 
     Attributes:
         reference: T₀, °C; a diagnosis takes the mean of the logs.
@@ -429,11 +430,11 @@ class ThermalFriction(JointEffect):
     )
     signature = "friction that varies with the logged temperature of the joint"
     depends_on = frozenset({"v", "temperature"})
-    free_shapes = 0  # as another T₀ is the same law with other friction beside it
+    free_shapes = 0  # another T₀ only changes the other friction effects
     refines = ((CoulombFriction,), (ViscousFriction,))
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
-        """Zero, at a joint at T₀."""
+        """Return zeros, as at T₀."""
         return [np.zeros_like(joint.v), np.zeros_like(joint.v)]
 
     def rows(self, motion: RobotMotion) -> Rows:
@@ -446,19 +447,18 @@ class ThermalFriction(JointEffect):
 
 @dataclass(frozen=True)
 class Hysteresis(JointEffect):
-    """Dahl's friction: dry friction with a memory of where the joint turned round.
+    """Dahl friction: dry friction that depends on the distance since the last reversal.
 
-    effort = F z, with F ≥ 0 in N·m and the bristles' bend z in [−1, 1]:
+    effort = F z, with F ≥ 0 in N·m and the bristle deflection z in [−1, 1]:
 
         ż = (v − |v| z) / θ,
 
-    which after a reversal goes from −sgn v to sgn v as 1 − 2 e^{−Δq/θ}. At rest the joint is held
-    like by a spring of stiffness F/θ. LuGre's friction is this one, beside `viscous_friction` for
-    its damping and `stribeck_friction` for its dependence on speed.
+    After a reversal z goes from −sgn v to sgn v as 1 − 2 e^{−Δq/θ}. At rest it acts as a spring of
+    stiffness F/θ. LuGre friction is this effect together with `viscous_friction` for its damping
+    and `stribeck_friction` for its dependence on speed.
 
-    A log says nothing of z before it begins: a joint that moves there is taken to have slipped,
-    z = sgn v, and one at rest to be free, z = 0. Either is forgotten after a few θ. Where samples
-    are no series in time, the joint has slipped far: z = sgn v.
+    The initial z of a log is unknown. It is taken as sgn v for a moving joint and 0 for a joint at
+    rest; the error vanishes after a few θ. Samples that are not a time series have z = sgn v.
 
     Attributes:
         breakaway_angle: θ, rad or m.
@@ -481,7 +481,7 @@ class Hysteresis(JointEffect):
     positive = ("breakaway_angle",)
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
-        """[sgn v], of a joint that has slipped far."""
+        """[sgn v], the limit long after a reversal."""
         return [joint.sign_v]
 
     def rows(self, motion: RobotMotion) -> Rows:
@@ -494,13 +494,13 @@ class Hysteresis(JointEffect):
 
     def states_along(self, motion: RobotMotion) -> Array:
         """Return the bristle deflection z (N, 1) along the motion and its history."""
-        at = motion.index(self.joint)
+        i = motion.index(self.joint)
         before = motion.q[:0] if motion.before is None else motion.before
-        q = np.concatenate([before[:, at], motion.q[:, at]])
+        q = np.concatenate([before[:, i], motion.q[:, i]])
         start = 0.0
         if motion.time is not None and len(motion.time) > 1 and len(q) > 1:
             speed = (q[1] - q[0]) / (motion.time[1] - motion.time[0])
-            start = float(motion.direction(speed, motion.sign_width[at]))
+            start = float(motion.direction(speed, motion.sign_width[i]))
         return self.bend(q, start)[len(before) :, None]
 
     def state_rates(self, motion: RobotMotion, state: Array) -> Array:
@@ -509,19 +509,19 @@ class Hysteresis(JointEffect):
         return np.asarray((v - np.abs(v) * state) / self.breakaway_angle)
 
     def bend(self, q: Array, start: float = 0.0) -> Array:
-        """Return the bristles' bend z (N,) along positions (N,), exact between reversals."""
+        """Return the bristle deflection z (N,) along positions (N,), exact between reversals."""
         step = np.diff(q, prepend=q[:1])
-        kept = np.exp(-np.abs(step) / self.breakaway_angle)
-        z = np.sign(step) * (1.0 - kept)
+        decay = np.exp(-np.abs(step) / self.breakaway_angle)
+        z = np.sign(step) * (1.0 - decay)
         z[:1] = start
-        # z_k = kept_k z_{k−1} + z_k, for all k at once: maps are composed pairwise, log₂ N times.
-        reach = 1
-        while reach < len(z):
-            z[reach:] = kept[reach:] * z[:-reach] + z[reach:]
-            kept[reach:] = kept[reach:] * kept[:-reach]
-            reach *= 2
+        # z_k = decay_k z_{k−1} + z_k for all k, by composing the maps pairwise log₂ N times.
+        stride = 1
+        while stride < len(z):
+            z[stride:] = decay[stride:] * z[:-stride] + z[stride:]
+            decay[stride:] = decay[stride:] * decay[:-stride]
+            stride *= 2
         return z
 
     def course(self, along: Array) -> Array:
-        """Return the bristles' bend z along positions (N,), from no bend on."""
+        """Return the bristle deflection z along positions (N,), starting at 0."""
         return self.bend(along)

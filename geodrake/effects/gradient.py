@@ -1,4 +1,4 @@
-"""Gradients of effects' regressors with respect to the motion, for the design of excitation."""
+"""Gradients of effects' regressors with respect to the motion, for excitation design."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from geodrake.effects.robot_motion import JointMotion, RobotMotion
 Array = NDArray[np.float64]
 
 _FIELDS = ("q", "v", "vd", "load", "sign_v")
-_STEP = 3e-5  # of differences of the fourth order, of the largest value there is
+_STEP = 3e-5  # of fourth-order differences, relative to the largest value
 
 
 @dataclass(frozen=True, eq=False)
 class RobotGradient:
-    """Gradient of a number with respect to a `RobotMotion` of N samples."""
+    """Gradient of a scalar with respect to a `RobotMotion` of N samples."""
 
     q: Array  # (N, nv) with respect to the position belonging to each velocity
     v: Array  # (N, nv) with respect to the velocities
@@ -29,7 +29,7 @@ class RobotGradient:
 
     @classmethod
     def zero(cls, motion: RobotMotion) -> RobotGradient:
-        """Return the gradient of a constant: arrays to add to."""
+        """Return a zero gradient, to be accumulated into."""
         q, v, vd, load = np.zeros((4, *motion.v.shape))
         return cls(q, v, vd, load)
 
@@ -39,9 +39,11 @@ def joint_gradient(
 ) -> RobotGradient:
     """Return the gradient of Σ weights ∘ regressor of an effect of one joint.
 
-    It follows from the derivatives of each column by field, and weights (N, nv, k).
+    Args:
+        slopes: Derivatives of each of the k columns by field of `JointMotion`.
+        weights: (N, nv, k).
     """
-    i, seen = motion.index(joint), motion.joint(joint)
+    i, sign_v = motion.index(joint), motion.joint(joint).sign_v
     total = {name: np.zeros(len(motion.v)) for name in _FIELDS}
     for column, by_field in enumerate(slopes):
         for name, slope in by_field.items():
@@ -52,14 +54,14 @@ def joint_gradient(
         total["vd"],
         total["load"],
     )
-    gradient.v[:, i] = total["v"] + total["sign_v"] * sign_slope(seen.sign_v, motion.sign_width[i])
+    gradient.v[:, i] = total["v"] + total["sign_v"] * sign_slope(sign_v, motion.sign_width[i])
     return gradient
 
 
 def sign_slope(sign_v: Array, width: float | Array) -> Array:
-    """Derivative of `RobotMotion.direction` with respect to v, by smoothed signs (...) and widths.
+    """Return the derivative of `RobotMotion.direction` by v, for smoothed signs (...) and widths.
 
-    Zero where the sign is a step.
+    It is zero where the width is 0.
     """
     width = np.asarray(width, float)
     return np.asarray(np.where(width > 0, (1.0 - sign_v**2) / np.where(width > 0, width, 1.0), 0.0))
@@ -70,7 +72,7 @@ def difference_slopes(
     joint: JointMotion,
     depends_on: Collection[str],
 ) -> list[dict[str, Array]]:
-    """Return differences of columns with respect to the fields of a joint's motion that matter."""
+    """Return the columns' derivatives by `JointMotion` field, computed by finite differences."""
     slopes: list[dict[str, Array]] = [{} for _ in columns(joint)]
     for name in _FIELDS:
         if (name if name != "sign_v" else "v") not in depends_on:
@@ -79,8 +81,8 @@ def difference_slopes(
         finite = np.abs(values[np.isfinite(values)])
         step = _STEP * max(float(finite.max(initial=0.0)), 1e-3)
         for share, weight in ((1.0, 8.0), (-1.0, -8.0), (2.0, -1.0), (-2.0, 1.0)):
-            moved = columns(replace(joint, **{name: values + share * step}))
-            for by_field, column in zip(slopes, moved, strict=True):
+            shifted = columns(replace(joint, **{name: values + share * step}))
+            for by_field, column in zip(slopes, shifted, strict=True):
                 change = weight / (12.0 * step) * np.broadcast_to(column, values.shape)
                 by_field[name] = by_field.get(name, 0.0) + change
     return slopes

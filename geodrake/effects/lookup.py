@@ -1,4 +1,4 @@
-"""Effects by name: the catalogue, and the form effects have in saved models."""
+"""Effects by name: the catalogue, and effects of saved models."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from geodrake.effects.declarations import PLACES, Role, whole_numbers
 from geodrake.errors import ArgumentError
 
 FAMILIES = ("friction", "sensors", "motor_and_transmission", "bodies", "environment")
-"""Modules of this package that have the effects of the catalogue, in its order."""
+"""Modules of this package that define the catalogue, in its order."""
 
 
 @cache
@@ -28,17 +28,17 @@ def catalogue() -> tuple[type[Effect], ...]:
 
 @cache
 def file_effects() -> tuple[type[Effect], ...]:
-    """Return the effects that model files state, and no diagnosis proposes."""
+    """Return the effects that come from model files only; no diagnosis proposes them."""
     return tuple(effects_in(import_module(f"{__package__}.of_files")))
 
 
 def effects_in(module: ModuleType) -> list[type[Effect]]:
-    """Return the effects that a module defines, abstract classes left out."""
+    """Return the concrete effects that a module defines."""
     return [effect for effect in classes_in(module) if not inspect.isabstract(effect)]
 
 
 def classes_in(module: ModuleType) -> list[type[Effect]]:
-    """Return the classes of effects that a module defines, the abstract ones too."""
+    """Return the effect classes that a module defines, including abstract ones."""
     return [
         value
         for value in dict.fromkeys(filter(inspect.isclass, vars(module).values()))
@@ -52,7 +52,7 @@ def effect_of(role: Role) -> type[Effect]:
 
 
 def table_rows() -> list[tuple[str, str, str]]:
-    """Name, needed effort and place of every effect of the catalogue, for the table of the docs."""
+    """Return name, needed effort and place of each catalogue effect, for the table of the docs."""
     places = [PLACES[effect.places].words for effect in catalogue()]
     return [
         (effect.name, effect.law, f"{place}, window" if effect.role is Role.EPISODE else place)
@@ -61,25 +61,25 @@ def table_rows() -> list[tuple[str, str, str]]:
 
 
 def effect_class(name: str, extra: Sequence[type[Effect]] = ()) -> type[Effect]:
-    """Return the effect of a name.
+    """Return the effect class with a name.
 
     Args:
         extra: Effects that are not in the catalogue, such as those of `load_effect_file`.
 
     Raises:
-        ArgumentError: There is no such effect; the message has the nearest names.
+        ArgumentError: There is no such effect; the message suggests similar names.
     """
     instance(name, "the name of an effect", str)
     known = (*catalogue(), *instances(extra, "extra", type))
     effects = {effect.name: effect for effect in (*file_effects(), *known)}
     if name not in effects:
-        own = [effect.name for effect in known]
-        near = difflib.get_close_matches(name, own, cutoff=0.5)
-        names = ", ".join(near or own)
+        valid = [effect.name for effect in known]
+        similar = difflib.get_close_matches(name, valid, cutoff=0.5)
+        names = ", ".join(similar or valid)
         raise ArgumentError(
             f"There is no effect {name!r}.",
-            advice=f"Did you mean {names}?" if near else f"Effects are {names}.",
-            nearest=near,
+            advice=f"Did you mean {names}?" if similar else f"Effects are {names}.",
+            nearest=similar,
         )
     return effects[name]
 
@@ -90,13 +90,13 @@ def make_effect(
     shape: Mapping[str, Any] | None = None,
     extra: Sequence[type[Effect]] = (),
 ) -> Effect:
-    """Return an effect from the form it has in a saved model: its `name`, `where` and `shape`.
+    """Return the effect that a saved model describes by `name`, `where` and `shape`.
 
     Args:
-        shape: Its shape parameters by name; those left out have their default.
+        shape: Shape parameters by name; missing ones have their default.
 
     Raises:
-        ArgumentError: There is no such effect, or place or shape parameters do not fit it.
+        ArgumentError: There is no such effect, or its place or shape parameters are invalid.
     """
     cls = effect_class(name, extra)
     shape = {} if shape is None else dict(instance(shape, "shape", Mapping))

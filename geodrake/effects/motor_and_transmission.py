@@ -34,14 +34,14 @@ class JointSpring(JointEffect):
 
     effort = k (q − q_c)^n + p, with stiffness k ≥ 0 in N·m/radⁿ and preload p in N·m.
 
-    The preload, which is the effort at q_c, is linear and so stands in for the rest position q₀: of
-    a linear spring k (q − q₀) it is p = k (q_c − q₀). A hardening spring
-    k (q − q₀) + k₃ (q − q₀)³ is a linear and a cubic one with q_c = q₀.
+    The preload p is the effort at q_c. It is a linear parameter that replaces the rest position q₀:
+    p = k (q_c − q₀) for a linear spring k (q − q₀). A hardening spring k (q − q₀) + k₃ (q − q₀)³ is
+    the sum of a linear and a cubic one with q_c = q₀.
 
     Attributes:
         exponent: n, 1 or 3.
-        center: q_c, rad or m. It changes nothing but p while n = 1, and keeps k and p apart when it
-            is amid the motion.
+        center: q_c, rad or m. For n = 1 it changes only p; near the middle of the motion it
+            decorrelates k and p.
     """
 
     exponent: int = 1
@@ -74,8 +74,8 @@ class GravityCompensator(JointEffect):
 
     effort = k sin(q − q₀) = s sin q + c cos q, with s = k cos q₀ and c = −k sin q₀ in N·m.
 
-    It is for joints that turn. Unlike the weight of a link, it depends on its own joint alone and
-    has no inertia.
+    It exists at revolute joints only. Unlike the weight of a link, it depends only on its own joint
+    and has no inertia.
     """
 
     name = "gravity_compensator"
@@ -93,13 +93,13 @@ class GravityCompensator(JointEffect):
 
 @dataclass(frozen=True)
 class TorqueRipple(JointEffect):
-    """Effort that repeats over the joint's position: cogging, commutation, gear teeth.
+    """Effort that is periodic in the joint's position: cogging, commutation, gear teeth.
 
     effort = a cos nq + b sin nq, with a and b in N·m.
 
     Attributes:
-        order: n, waves in a turn (at a prismatic joint 2π waves in 1/n m); no integer where a gear
-            is between. A diagnosis finds it in the residual's spectrum over position.
+        order: n, waves per turn (at a prismatic joint, a wave has length 2π/n m). Behind a gear it
+            is not an integer. A diagnosis finds it in the residual's spectrum over position.
     """
 
     order: float
@@ -146,9 +146,9 @@ class CoupledRotorInertia(SharedActuatorEffect):
     """Inertial coupling of two joints by a rotor that turns with vᵢ and vⱼ.
 
     effort of joint i = I v̇ⱼ and effort of joint j = I v̇ᵢ, from the kinetic energy I vᵢ vⱼ: one
-    symmetric pair of entries of the mass matrix. I is in kg·m², and negative where the rotor turns
-    with the difference. What the same rotor adds to each joint alone is `rotor_inertia` of either
-    joint, so |I| ≤ √(Iᵢ Iⱼ) of those two.
+    symmetric pair of entries of the mass matrix. I is in kg·m², and negative if the rotor turns
+    with the difference. The diagonal entries of the same rotor are `rotor_inertia` of both joints,
+    so |I| ≤ √(Iᵢ Iⱼ).
     """
 
     name = "coupled_rotor_inertia"
@@ -172,7 +172,7 @@ class CoupledRotorInertia(SharedActuatorEffect):
         return turned_vd[..., np.newaxis]
 
     def gradient(self, motion: RobotMotion, weights: Array) -> RobotGradient | None:
-        """Of either column by the other joint's v̇."""
+        """Return the gradient; each column depends on the other joint's v̇."""
         if not set(motion.joints).issuperset(self.joints):
             return None
         i, j = map(motion.index, self.joints)
@@ -187,17 +187,16 @@ class JointElasticity(DeflectionEffect):
 
     effort = −c (∂τ/∂q τ_j + ∂τ/∂v τ̇_j + M τ̈_j), with the compliance c = 1/k ≥ 0 in rad/(N·m).
 
-    The link is at q − τ_j/k, with τ_j the effort that the rigid bodies need at the joint, and needs
-    the effort of its own motion, here to first order in c. That is right below the frequency at
-    which link and spring resonate. Friction and rotor inertia belong to the motor and stay as they
-    are. Rates of τ_j are those along the log; where samples are no series in time, the joint bends
-    as at rest.
+    The link is at q − τ_j/k, with τ_j the effort that the rigid bodies need at the joint. The
+    effort is that of the link's motion to first order in c, which is accurate below the resonance
+    of link and spring. Friction and rotor inertia belong to the motor and do not change. Rates of
+    τ_j are taken along the log; without a time series the deflection is static.
 
-    A simulation has motor and link as two bodies with a spring, at any frequency.
+    A simulation has motor and link as two bodies with a spring, valid at any frequency.
 
     Attributes:
-        damping: Of that spring, as a share of the critical one; None for the usual one. A fit of
-            efforts does not see it, one of rollouts does.
+        damping: Damping ratio of that spring; None for the default. Rollouts determine it; efforts
+            do not.
     """
 
     damping: float | None = None
@@ -210,7 +209,7 @@ class JointElasticity(DeflectionEffect):
     shapes = (Shape("damping", "1"),)
     parameters = (Parameter("compliance", "rad/(N·m)", lower=0.0),)
     signature = "follows the change of effort with the joint's deflection, at all joints"
-    free_shapes = 0  # as efforts do not show the damping
+    free_shapes = 0  # efforts do not depend on the damping
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -218,16 +217,16 @@ class JointElasticity(DeflectionEffect):
             raise ArgumentError(f"damping of {self.name} must not be negative; got {self.damping}.")
 
     def deflection(self, motion: RobotMotion) -> Deflection:
-        """Return the load of the joint, as a spring of unit stiffness gives way to it."""
+        """Return the load of the joint, the deflection of a spring of unit stiffness."""
         loads = motion.once((Deflection, ""), lambda: Deflection.along(motion.load, motion.time))
         return loads.of(motion.index(self.joint))
 
     def give(self, parameters: Array) -> Give:
-        """Return a spring of the compliance."""
+        """Return a spring with the fitted compliance."""
         return Give(compliance=max(parameters[0], 0.0), damping=self.damping)
 
     def rollout_values(self, parameters: Array) -> Values:
-        """Return the compliance and damping of a spring that gives way at all."""
+        """Return the positive ones of compliance and damping; empty for a rigid joint."""
         if not parameters[0] > 0.0:
             return {}
         damping = SPRING_DAMPING if self.damping is None else self.damping
@@ -237,7 +236,7 @@ class JointElasticity(DeflectionEffect):
         }
 
     def with_rollout_values(self, values: Values, deviations: Values) -> FittedEffect:
-        """Return a spring of this compliance and damping."""
+        """Return the spring with new compliance and damping."""
         effect = replace(self, damping=values.get("damping", self.damping))
         return FittedEffect(
             effect, np.array([values["compliance"]]), np.array([deviations["compliance"]])
@@ -245,25 +244,24 @@ class JointElasticity(DeflectionEffect):
 
 
 _SUBSTEPS = 4
-_SLOWER = 0.5  # share of the bandwidth at which a load changes its sign by motion, not by noise
-_UNSURE = 2.0  # deviations of the noise of a load, below which its sign is not known
+_LOAD_BANDWIDTH = 0.5  # of the bandwidth; load changes above it are attributed to noise
+_SIGNIFICANCE = 2.0  # standard deviations of the load noise, below which its sign is unknown
 
 
 @dataclass(frozen=True)
 class Backlash(DeflectionEffect):
     """Dead band between a motor, whose position is measured, and its link.
 
-    effort = −g (∂τ/∂q s + ∂τ/∂v ṡ + M s̈), with the lag s(t) of the link; g is 1 where the gap is
-    as wide as the shape says. A small share of a wide gap is no play: noise of accelerations looks
-    like that where loads are small.
+    effort = −g (∂τ/∂q s + ∂τ/∂v ṡ + M s̈), with the lag s(t) of the link; g = 1 if the shape has
+    the true gap width. A small share g of a wide gap is not backlash: noise of accelerations looks
+    like it if loads are small.
 
-    The link lies at the side of the gap to which its load pushes it, s = ±h. When the load τ_j
-    changes its sign the link comes loose, is carried by nothing, M_jj s̈ = τ_j, and strikes the
-    other side, where it stays. The motor thus feels no load for a while, and then a blow. A load
-    within the noise of the accelerations does not loosen the link. Where samples are no series in
-    time, there is only the posture s = h sgn τ_j.
+    The load pushes the link to one side of the gap, s = ±h. When the load τ_j changes sign, the
+    link comes loose, moves freely with M_jj s̈ = τ_j, and hits the other side, where it stays. The
+    motor thus has no load for a moment, followed by an impact. Loads within the noise of the
+    accelerations do not loosen the link. Without a time series, s = h sgn τ_j.
 
-    A simulation has motor and link as two bodies, between stiff and damped sides.
+    A simulation has motor and link as two bodies, between stiff and damped stops.
 
     Attributes:
         half_width: h, rad or m.
@@ -281,60 +279,61 @@ class Backlash(DeflectionEffect):
     positive = ("half_width",)
 
     def deflection(self, motion: RobotMotion) -> Deflection:
-        """At the side to which the load pushes the link, or loose between both sides."""
+        """Return the lag of the link, at a side of the gap or loose between both."""
         load, time = motion.load[:, motion.index(self.joint)], motion.time
         if time is None or len(time) < 3:
             return Deflection.along(self.half_width * np.sign(load), time)
         period = motion.once((Backlash, ""), lambda: float(np.median(np.diff(time))))
-        load, unsure = motion.once((Backlash, self.joint), lambda: self._loosening(motion, period))
-        lag = link_lag(self.half_width, load, time, unsure)
+        key = Backlash, self.joint
+        load, threshold = motion.once(key, lambda: self._loosening(motion, period))
+        lag = link_lag(self.half_width, load, time, threshold)
         bend = np.diff(lag, 2, prepend=lag[:1], append=lag[-1:])
         return Deflection(lag, np.gradient(lag, period), bend / period**2)
 
     def _loosening(self, motion: RobotMotion, period: float) -> tuple[Array, Array]:
-        """Return accelerations (N,) of a loose link, and those up to which it does not get loose.
+        """Return the loose link's accelerations (N,), and the thresholds (N,) for coming loose.
 
-        Gaps of any width have the same.
+        They do not depend on the gap width.
         """
-        at = motion.index(self.joint)
-        load, inertias = motion.load[:, at], motion.effort_slopes.acceleration[:, at]  # (N, nv)
-        power = np.square(np.broadcast_to(motion.acceleration_noise, inertias.shape[1]))
-        known = np.nan_to_num(inertias)  # without joints of several degrees
-        noise = np.sqrt(np.square(known) @ power)
-        bandwidth = _SLOWER * motion.bandwidth
+        i = motion.index(self.joint)
+        load, inertias = motion.load[:, i], motion.effort_slopes.acceleration[:, i]  # (N, nv)
+        variance = np.square(np.broadcast_to(motion.acceleration_noise, inertias.shape[1]))
+        finite = np.nan_to_num(inertias)  # NaN at joints of several degrees of freedom
+        noise = np.sqrt(np.square(finite) @ variance)
+        bandwidth = _LOAD_BANDWIDTH * motion.bandwidth
         if bandwidth * period < HIGHEST_BANDWIDTH:
             load = design_filter(period, bandwidth).smooth(load)
-        inertia = np.maximum(inertias[:, at], 1e-9)
-        return load / inertia, _UNSURE * noise / inertia
+        inertia = np.maximum(inertias[:, i], 1e-9)
+        return load / inertia, _SIGNIFICANCE * noise / inertia
 
     def give(self, parameters: Array) -> Give:
-        """Play of half the width h to either side, times the share g."""
+        """Return a dead band of half width g h."""
         return Give(play=max(parameters[0], 0.0) * self.half_width)
 
     def rollout_values(self, parameters: Array) -> Values:
-        """Return half the width of the gap."""
+        """Return the half width of the gap, if positive."""
         width = float(parameters[0]) * self.half_width
         return {"half_width": width} if width > 0.0 else {}
 
     def with_rollout_values(self, values: Values, deviations: Values) -> FittedEffect:
-        """Return the effect with another width of the gap."""
+        """Return the backlash with a new half width of the gap."""
         width = values["half_width"]
-        share = np.array([deviations["half_width"] / width])
-        return FittedEffect(replace(self, half_width=width), np.ones(1), share)
+        deviation = np.array([deviations["half_width"] / width])
+        return FittedEffect(replace(self, half_width=width), np.ones(1), deviation)
 
 
-def link_lag(h: float, acceleration: Array, time: Array, unsure: ArrayLike = 0.0) -> Array:
-    """Return the lag (N,) within ±h of a link at instants (N,), s.
+def link_lag(h: float, acceleration: Array, time: Array, threshold: ArrayLike = 0.0) -> Array:
+    """Return the lag (N,) within ±h of a link at times (N,), s.
 
-    When it is loose, it falls behind with accelerations (N,) τ_j / M_jj, rad/s². It comes loose
-    only where their magnitude reaches `unsure`, rad/s², one for all or (N,).
+    A loose link moves relative to its motor with accelerations (N,) τ_j / M_jj, rad/s². It comes
+    loose only where their magnitude reaches the threshold, rad/s², scalar or (N,).
     """
-    limits = np.broadcast_to(unsure, len(acceleration))
-    return np.asarray(_lag(h, *map(contiguous, (acceleration, limits, time))))
+    thresholds = np.broadcast_to(threshold, len(acceleration))
+    return np.asarray(_lag(h, *map(contiguous, (acceleration, thresholds, time))))
 
 
 @compiled
-def _lag(h: float, acceleration: Array, unsure: Array, time: Array) -> Array:
+def _lag(h: float, acceleration: Array, threshold: Array, time: Array) -> Array:
     """Return the lag (N,) within ±h of a link; see `link_lag`."""
     lags = np.empty(len(acceleration))
     s, speed, last = np.copysign(h, acceleration[0]), 0.0, len(acceleration) - 1
@@ -342,8 +341,8 @@ def _lag(h: float, acceleration: Array, unsure: Array, time: Array) -> Array:
         a, b = acceleration[i], acceleration[min(i + 1, last)]
         dt = (time[min(i + 1, last)] - time[i]) / _SUBSTEPS
         lags[i] = s
-        if abs(s) == h and (abs(a) < unsure[i] or (a * s > 0.0 and b * s > 0.0)):
-            continue  # it lies at its side
+        if abs(s) == h and (abs(a) < threshold[i] or (a * s > 0.0 and b * s > 0.0)):
+            continue  # the link stays at its side
         for k in range(_SUBSTEPS):
             speed += dt * (a + (b - a) * (k + 0.5) / _SUBSTEPS)
             s += dt * speed

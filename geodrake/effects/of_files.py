@@ -1,4 +1,4 @@
-"""Effects that model files state, or that fits of servos find, which no diagnosis proposes."""
+"""Effects from model files and servo fits, which no diagnosis proposes."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ from geodrake.manifolds import Interval
 from geodrake.robot.files.checks import rotation
 
 
-class _Stated:
-    """An effect of a model file without fitted shape parameters."""
+class _FileEffect:
+    """An effect from a model file, without fitted shape parameters."""
 
     free_shapes = 0
 
 
 @dataclass(frozen=True)
-class PolynomialSpring(_Stated, JointEffect):
-    """Spring across a joint as MuJoCo states it: effort = p + k₁ x + k₂ x² + k₃ x³, x = q − q_c.
+class PolynomialSpring(_FileEffect, JointEffect):
+    """Spring across a joint as defined by MuJoCo: effort = p + k₁ x + k₂ x² + k₃ x³, x = q − q_c.
 
-    No coefficient has a sign of its own, unlike those of `joint_spring`.
+    Unlike those of `joint_spring`, the coefficients may have either sign.
     """
 
     center: float = 0.0  # q_c, rad or m
@@ -64,20 +64,20 @@ class PolynomialSpring(_Stated, JointEffect):
 
 
 BRAKING_SHARE = 0.45
-"""The braking load of a gear over 1/k: friction grows by at most 0.9 of the load."""
+"""k · braking_load of a fitted gear: friction grows by at most 0.9 times the load."""
 
 
 @dataclass(frozen=True)
-class SquaredLoadFriction(_Stated, JointEffect):
-    """Dry friction that grows with the square of the load of a gear, as of hobby servos.
+class SquaredLoadFriction(_FileEffect, JointEffect):
+    """Dry friction that grows with the square of a gear's load, as in hobby servos.
 
-    effort = k l² sgn v, with k ≥ 0 in 1/(N·m), and the effort l = τ_model that the bodies need;
-    where these drive the gear, which brakes them (τ_model v < 0), |l| is at most `braking_load`.
+    effort = k l² sgn v, with k ≥ 0 in 1/(N·m), and l = τ_model, the effort that the bodies need. If
+    the bodies drive the gear (τ_model v < 0), |l| is limited to `braking_load`.
 
-    M. Duclusaud et al., Extended Friction Models for the Physics Simulation of Servo Actuators
-    (2024), model M6, have such a term. Without the bound a gear that brakes would lock: friction
-    slows the bodies down, their deceleration loads the gear, and that makes more friction. With
-    k · braking_load < 1/2 it grows by less than the load, and there is one acceleration always.
+    The term is that of model M6 in M. Duclusaud et al., Extended Friction Models for the Physics
+    Simulation of Servo Actuators (2024). Without the limit a braking gear would lock: friction
+    decelerates the bodies, which increases the load and thus the friction. With
+    k · braking_load < 1/2 friction grows more slowly than the load, so the acceleration is unique.
     """
 
     braking_load: float  # N·m or N
@@ -97,13 +97,13 @@ class SquaredLoadFriction(_Stated, JointEffect):
 
     @classmethod
     def fitted(cls, joint: str, factor: float, deviation: float) -> FittedEffect:
-        """Return the friction of a gear with a factor k and its standard deviation, 1/(N·m)."""
+        """Return the effect for a factor k and its standard deviation, 1/(N·m)."""
         effect = cls(joint, BRAKING_SHARE / factor)
         return FittedEffect(effect, np.array([factor]), np.array([deviation]))
 
     @property
     def manifold(self) -> Interval:
-        """Return the interval of k: of a gear that its load drives, and does not lock."""
+        """Interval of k for which the load can drive the gear without locking it."""
         return Interval((0.0,), (0.5 / self.braking_load,))
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
@@ -114,12 +114,12 @@ class SquaredLoadFriction(_Stated, JointEffect):
 
 @dataclass(frozen=True)
 class JointCoupling(JointPairEffect):
-    """Coupling of two joints by a spring and a damper of length cᵢ qᵢ + cⱼ qⱼ.
+    """Coupling of two joints by a tendon with stiffness and damping, of length cᵢ qᵢ + cⱼ qⱼ.
 
-    effort of joint i = k qⱼ + d vⱼ and effort of joint j = k qᵢ + d vᵢ, from the energy k qᵢ qⱼ:
-    k = cᵢ cⱼ times the stiffness of a tendon over both, and d likewise. What the tendon is at each
-    joint alone is a `joint_spring` and `viscous_friction` there; a tendon over more joints has one
-    coupling for each two of them.
+    effort of joint i = k qⱼ + d vⱼ and effort of joint j = k qᵢ + d vᵢ, from the energy k qᵢ qⱼ,
+    where k is cᵢ cⱼ times the stiffness of the tendon, and d likewise. Its diagonal terms are
+    `joint_spring` and `viscous_friction` of each joint. A tendon over more joints has a coupling
+    for each pair.
     """
 
     name = "joint_coupling"
@@ -135,19 +135,20 @@ class JointCoupling(JointPairEffect):
         return motion.at_both(self.joints, *(np.stack([x.q, x.v], -1) for x in (j, i)))
 
     def gradient(self, motion: RobotMotion, weights: Array) -> RobotGradient | None:
-        """Of either joint's columns by the other one's q and v."""
+        """Return the gradient; each joint's columns depend on q and v of the other joint."""
         if not set(motion.joints).issuperset(self.joints):
             return None
         gradient = RobotGradient.zero(motion)
         i, j = map(motion.index, self.joints)
-        for at, of in ((i, j), (j, i)):
-            gradient.q[:, of], gradient.v[:, of] = weights[:, at, 0], weights[:, at, 1]
+        for joint, other in ((i, j), (j, i)):
+            gradient.q[:, other] = weights[:, joint, 0]
+            gradient.v[:, other] = weights[:, joint, 1]
         return gradient
 
 
 @dataclass(frozen=True)
-class _InMedium(_Stated, BodyEffect):
-    """Forces of air or water on a body that moves at v and ω through them, in axes at P.
+class _FluidForces(_FileEffect, BodyEffect):
+    """Forces of air or water on a body moving at v and ω relative to it, in axes at P.
 
     With force f and moment g, effort = −J_Pᵀ f − J_ωᵀ g. Subclasses define `resistance`.
     """
@@ -182,7 +183,7 @@ class _InMedium(_Stated, BodyEffect):
 
     @property
     def reported_shape(self) -> dict[str, float]:
-        """None: it is that of the file."""
+        """Empty: the shape is that of the file."""
         return {}
 
     @property
@@ -210,8 +211,8 @@ class _InMedium(_Stated, BodyEffect):
 
 
 @dataclass(frozen=True)
-class MediumDrag(_InMedium):
-    """Drag of air or water on a body that counts as the box with its inertia (MuJoCo, "Fluid").
+class MediumDrag(_FluidForces):
+    """Drag of air or water on a body approximated by its inertia box (MuJoCo, "Fluid").
 
     In a medium of density ρ and viscosity β, with sizes b of the box and d = (b₁ + b₂ + b₃)/3,
 
@@ -223,7 +224,7 @@ class MediumDrag(_InMedium):
     law = "drag of a medium on a box: ρ of the squares of v and ω, β of v and ω"
 
     def resistance(self, v: Array, w: Array) -> tuple[Array, Array]:
-        """Return the parts of force and moment that go with ρ and with β."""
+        """Return the coefficients of ρ and β in force and moment."""
         b = self.size
         d, (j, k) = b.mean(), (np.roll(b, -1), np.roll(b, -2))
         force = 0.5 * j * k * np.abs(v) * v, 3.0 * np.pi * d * v
@@ -231,22 +232,22 @@ class MediumDrag(_InMedium):
         return np.stack(force, -1), np.stack(moment, -1)
 
 
-_LEAST = 1e-15  # as MuJoCo has it
+_LEAST = 1e-15  # as in MuJoCo
 
 
 @dataclass(frozen=True)
-class EllipsoidDrag(_InMedium):
+class EllipsoidDrag(_FluidForces):
     """Forces of air or water on an ellipsoid (MuJoCo, "Fluid", ellipsoid model).
 
-    With the semi-axes r, their products q = (r₂r₃, r₃r₁, r₁r₂), volume V, D = ⅔ (r₁ + r₂ + r₃) and
-    the area A that v sees, of a greatest one A₊, for coefficients c of the file,
+    With the semi-axes r, their products q = (r₂r₃, r₃r₁, r₁r₂), volume V, D = ⅔ (r₁ + r₂ + r₃), the
+    area A projected along v, its maximum A₊, and the coefficients c of the file,
 
         f = ρ [−|v| (c_b A + c_s (A₊ − A)) v + c_k A cos α (q²v × v) × v + c_m V ω × v + m v × ω]
             − 3 π β D v
         g = ρ [−|c_a I ω + c_s (I₊ − I) ω| ω + m v × v + j ω × ω] − π β D³ ω
 
     with cos α = |q v|² / (|v| |q² v|²), A = π |q² v| / |q v|, virtual masses m and inertias j, and
-    Iᵢ = 8/15 π rᵢ max(rⱼ, rₖ)⁴, of a greatest one I₊.
+    Iᵢ = 8/15 π rᵢ max(rⱼ, rₖ)⁴ with the maximum I₊.
     """
 
     blunt: float = 0.5  # c_b; c_s, c_a, c_k and c_m follow
@@ -264,52 +265,52 @@ class EllipsoidDrag(_InMedium):
     name = "ellipsoid_drag"
     law = "drag, lift and added mass of an ellipsoid: ρ of squares of v and ω, β of v and ω"
     shapes = (
-        *_InMedium.shapes,
+        *_FluidForces.shapes,
         *(Shape(name) for name in ("blunt", "slender", "angular", "kutta", "magnus")),
         *(Shape(f"mass_{axis}", "m³") for axis in "xyz"),
         *(Shape(f"inertia_{axis}", "m⁵") for axis in "xyz"),
     )
 
     def resistance(self, v: Array, w: Array) -> tuple[Array, Array]:
-        """Return the parts of force and moment that go with ρ and with β."""
+        """Return the coefficients of ρ and β in force and moment."""
         r, (least, mid, most) = self.size, np.sort(self.size)
         q, D = np.roll(r, -1) * np.roll(r, -2), 2.0 * r.mean()
         speed = np.sqrt((v * v).sum(-1, keepdims=True))
-        seen = ((q * v) ** 2).sum(-1, keepdims=True)  # |q v|²
+        qv_squared = ((q * v) ** 2).sum(-1, keepdims=True)  # |q v|²
         normal = q * q * v
-        across = (normal * normal).sum(-1, keepdims=True)
-        area = np.pi * np.sqrt(across / np.maximum(seen, _LEAST))
-        lean = seen / np.maximum(speed * across, _LEAST)
+        normal_squared = (normal * normal).sum(-1, keepdims=True)
+        area = np.pi * np.sqrt(normal_squared / np.maximum(qv_squared, _LEAST))
+        cosine = qv_squared / np.maximum(speed * normal_squared, _LEAST)
         drag = speed * (self.blunt * area + self.slender * (np.pi * most * mid - area))
         lift = _cross(_cross(normal, v), v)
-        carried = np.array([self.mass_x, self.mass_y, self.mass_z]) * v
-        spun = np.array([self.inertia_x, self.inertia_y, self.inertia_z]) * w
-        force = drag * v - self.kutta * area * lean * lift - _cross(carried, w)
+        momentum = np.array([self.mass_x, self.mass_y, self.mass_z]) * v
+        angular_momentum = np.array([self.inertia_x, self.inertia_y, self.inertia_z]) * w
+        force = drag * v - self.kutta * area * cosine * lift - _cross(momentum, w)
         force = force - self.magnus * (4.0 / 3.0 * np.pi * least * mid * most) * _cross(w, v)
-        turning = 8.0 / 15.0 * np.pi * r * np.maximum(np.roll(r, -1), np.roll(r, -2)) ** 4
+        inertia = 8.0 / 15.0 * np.pi * r * np.maximum(np.roll(r, -1), np.roll(r, -2)) ** 4
         largest = 8.0 / 15.0 * np.pi * mid * most**4
-        slowed = (self.angular * turning + self.slender * (largest - turning)) * w
-        moment = np.sqrt((slowed * slowed).sum(-1, keepdims=True)) * w
-        moment = moment - _cross(carried, v) - _cross(spun, w)
-        by_viscosity = 3.0 * np.pi * D * v, np.pi * D**3 * w
-        return np.stack([force, by_viscosity[0]], -1), np.stack([moment, by_viscosity[1]], -1)
+        angular_drag = (self.angular * inertia + self.slender * (largest - inertia)) * w
+        moment = np.sqrt((angular_drag * angular_drag).sum(-1, keepdims=True)) * w
+        moment = moment - _cross(momentum, v) - _cross(angular_momentum, w)
+        viscous_force, viscous_moment = 3.0 * np.pi * D * v, np.pi * D**3 * w
+        return np.stack([force, viscous_force], -1), np.stack([moment, viscous_moment], -1)
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Return products (N, 3) of vectors."""
-    on, back = [1, 2, 0], [2, 0, 1]
-    return np.asanyarray(a[..., on] * b[..., back] - a[..., back] * b[..., on])
+    """Return cross products (N, 3)."""
+    first, second = [1, 2, 0], [2, 0, 1]
+    return np.asanyarray(a[..., first] * b[..., second] - a[..., second] * b[..., first])
 
 
 _WORLD = "world"
-_LEAST_LENGTH = 1e-150  # m, whose inverse is a number
+_LEAST_LENGTH = 1e-150  # m, so that its inverse is finite
 
 
 @dataclass(frozen=True)
 class _BodyPair(Effect):
     """An effect between two bodies, or a body and the world."""
 
-    bodies: tuple[str, str]  # names of the two bodies; "world" for what stands still
+    bodies: tuple[str, str]  # names of the two bodies, or "world"
     places: ClassVar[str] = "body_pair"
 
     def __post_init__(self) -> None:
@@ -319,12 +320,12 @@ class _BodyPair(Effect):
 
 
 @dataclass(frozen=True)
-class CarriedWeight(_Stated, _BodyPair):
+class CarriedWeight(_FileEffect, _BodyPair):
     """Weight of a body that needs no effort: compensated gravity, buoyancy, gravity switched off.
 
-    effort = m (J_P − J′_P)ᵀ g, with the mass m in kg at the point P of the body and gravity g,
-    against the weight −m J_Pᵀ g that the body has in the model. J′_P is that of the point which is
-    where P is, of what carries the weight: joints inboard of that bear it all the same.
+    effort = m (J_P − J′_P)ᵀ g, with mass m in kg at point P of the body and gravity g. It cancels
+    the weight −m J_Pᵀ g that the body has in the model. J′_P is the Jacobian at P of the second
+    body, which carries the weight, so that joints inboard of that body still bear it.
     """
 
     x: float = 0.0  # position of P from Bo along x of the first body's frame, m; y and z follow
@@ -341,27 +342,27 @@ class CarriedWeight(_Stated, _BodyPair):
 
     def rows(self, motion: RobotMotion) -> Rows:
         """[(J_P − J′_P)ᵀ g] at the joints that move either body."""
-        bodies, (own, by) = motion.body_motions(self.name), self.bodies
-        p, J, dofs = _point(bodies, own, np.array([self.x, self.y, self.z]))
-        if by != _WORLD:
-            carrier = bodies.motion(by)
+        bodies, (body, carrier_name) = motion.body_motions(self.name), self.bodies
+        p, J, dofs = _point(bodies, body, np.array([self.x, self.y, self.z]))
+        if carrier_name != _WORLD:
+            carrier = bodies.motion(carrier_name)
             J, dofs = J - carrier.jacobian_along(p - carrier.position), (*dofs, *carrier.dofs)
         column = np.moveaxis(J, 1, 2) @ bodies.gravity
         return {motion.joints[dof]: column[:, dof, None] for dof in sorted(set(dofs))}
 
 
 @dataclass(frozen=True)
-class Strut(_Stated, _BodyPair):
+class Strut(_FileEffect, _BodyPair):
     """Spring and damper between a point P of a body and a point Q of another, or of the world.
 
-    With L the distance of the two, effort = (k L + p + d L̇) ∂L/∂q: a counterbalance or a gas spring
+    With the distance L of P and Q, effort = (k L + p + d L̇) ∂L/∂q: a counterbalance or gas spring
     of stiffness k in N/m, preload p = −k L₀ in N and damping d in N·s/m.
     """
 
     x: float = 0.0  # position of P from Bo along x of the first body's frame, m; y and z follow
     y: float = 0.0
     z: float = 0.0
-    other_x: float = 0.0  # the same of Q in the frame of the second body
+    other_x: float = 0.0  # position of Q in the frame of the second body, likewise
     other_y: float = 0.0
     other_z: float = 0.0
 
@@ -385,10 +386,10 @@ class Strut(_Stated, _BodyPair):
             _point(bodies, body, np.array(point))
             for body, point in zip(self.bodies, points, strict=True)
         )
-        apart, moving = other_p - p, other_J - J
-        length = np.sqrt((apart * apart).sum(-1))[:, None]
-        along = (apart / np.maximum(length, _LEAST_LENGTH))[:, None, :]
-        slope = (along @ moving)[:, 0]
+        separation, relative_J = other_p - p, other_J - J
+        length = np.sqrt((separation * separation).sum(-1))[:, None]
+        direction = (separation / np.maximum(length, _LEAST_LENGTH))[:, None, :]
+        slope = (direction @ relative_J)[:, 0]
         rate = (slope * motion.v).sum(-1)[:, None]
         dofs = sorted({*first, *second})
         return {
@@ -400,10 +401,10 @@ class Strut(_Stated, _BodyPair):
 
 
 @dataclass(frozen=True)
-class BallSpring(_Stated, _BodyPair):
-    """Spring of a ball joint, against the rotation of a body in another one, or in the world.
+class BallSpring(_FileEffect, _BodyPair):
+    """Spring of a ball joint, against the rotation of a body relative to another, or the world.
 
-    effort = k (J_ω − J′_ω)ᵀ φ with the vector φ of the rotation from where the spring is at rest.
+    effort = k (J_ω − J′_ω)ᵀ φ with the rotation vector φ from the spring's rest orientation.
     """
 
     # Real part of the quaternion of the first body in the second at rest; its vector follows.
@@ -423,20 +424,20 @@ class BallSpring(_Stated, _BodyPair):
     def rows(self, motion: RobotMotion) -> Rows:
         """Return the column [(J_ω − J′_ω)ᵀ φ] at the joints that move either body."""
         bodies = motion.body_motions(self.name)
-        (R, J, first), (other_R, other_J, second) = (_turn(bodies, own) for own in self.bodies)
+        (R, J, first), (other_R, other_J, second) = (_turn(bodies, body) for body in self.bodies)
         rest = rotation(np.array([self.turn_w, self.turn_x, self.turn_y, self.turn_z]))
-        turned = np.moveaxis(other_R @ rest, 1, 2) @ R
-        on, back = [2, 0, 1], [1, 2, 0]
-        axis = 0.5 * (turned[:, on, back] - turned[:, back, on])
+        relative = np.moveaxis(other_R @ rest, 1, 2) @ R
+        i, j = [2, 0, 1], [1, 2, 0]
+        axis = 0.5 * (relative[:, i, j] - relative[:, j, i])
         sine = np.sqrt((axis * axis).sum(-1))
-        angle = np.arctan2(sine, 0.5 * (np.trace(turned, axis1=1, axis2=2) - 1.0))
+        angle = np.arctan2(sine, 0.5 * (np.trace(relative, axis1=1, axis2=2) - 1.0))
         vector = axis * (angle / np.maximum(sine, _LEAST_LENGTH))[:, None]
         column = np.moveaxis(J - other_J, 1, 2) @ (R @ vector[..., None])
         return {motion.joints[dof]: column[:, dof] for dof in sorted({*first, *second})}
 
 
 def _turn(bodies: RobotBodies, body: str) -> tuple[Array, Array, tuple[int, ...]]:
-    """Return the rotation (N, 3, 3) of a body, its Jacobian, and its velocities."""
+    """Return the rotation (N, 3, 3) of a body, its Jacobian, and indices of its velocities."""
     if body == _WORLD:
         return np.eye(3)[None], np.zeros((1, 3, bodies.tree.num_velocities)), ()
     motion = bodies.motion(body)
@@ -444,7 +445,7 @@ def _turn(bodies: RobotBodies, body: str) -> tuple[Array, Array, tuple[int, ...]
 
 
 def _point(bodies: RobotBodies, body: str, p_BoP_B: Array) -> tuple[Array, Array, tuple[int, ...]]:
-    """Return the position (N, 3) of a point of a body, its Jacobian, and its velocities."""
+    """Return the position (N, 3) of a body's point, its Jacobian, and indices of its velocities."""
     if body == _WORLD:
         return p_BoP_B[None], np.zeros((1, 3, bodies.tree.num_velocities)), ()
     motion = bodies.motion(body)

@@ -1,4 +1,4 @@
-"""Motion as effects see it: by joint, with the rigid bodies' effort as load."""
+"""Robot and joint motion, the input of effects."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class JointMotion(Short):
-    """Motion of one joint, each field (N,), on which joint effects depend.
+    """Motion of one joint, each field (N,), the input of joint effects.
 
     Attributes:
         q: Position, rad or m.
         v: Velocity, rad/s or m/s.
         vd: Acceleration, rad/s² or m/s².
-        load: Effort the rigid-body model needs at this joint, N·m or N (never the measured one).
-        sign_v: Direction of motion in [-1, 1]: sgn(v), smoothed where |v| is too small to tell.
+        load: Effort that the rigid-body model needs (not the measured one), N·m or N.
+        sign_v: Direction of motion in [-1, 1]: sgn(v), smoothed at low speed.
     """
 
     q: Array
@@ -41,7 +41,7 @@ class JointMotion(Short):
 
 @dataclass(frozen=True, eq=False)
 class RobotMotion(Short):
-    """Motion of all joints over N samples, as effects see it.
+    """Motion of all joints over N samples, the input of effects.
 
     Attributes:
         joints: Names of the nv velocities.
@@ -49,20 +49,20 @@ class RobotMotion(Short):
         v: (N, nv) velocities.
         vd: (N, nv) accelerations.
         load: (N, nv) effort that the rigid-body model needs.
-        sign_width: (nv,) speed below which the direction of motion is not known.
+        sign_width: (nv,) speed below which the direction of motion is uncertain.
         body_columns: Maps a body name to its (N, nv, 10) inertial regressor.
-        bodies: Poses and Jacobians of the bodies; None where nobody computes them.
-        time: (N,) instants since the log began, s; None where samples are no series.
-        log: Number that tells a log from others, from `log_number`; 0 for none.
-        before: (M, nv) positions right before the first sample, none at the start of a log; None
-            where samples do not follow each other in time.
-        states: Effect -> (N, s) its hidden state, where it is known, as in a simulation.
-        effort: Gives the effort (N, nv) that the model needs with all its effects, scales left
-            aside; None where nobody computes it.
-        temperature: (N, nv) temperatures of motors or gears, °C; NaN where one is not known, None
-            where none is.
-        bandwidth: Up to which efforts show the motion, Hz; infinite for a motion without noise.
-        acceleration_noise: (nv,) deviation of the noise that accelerations have below it.
+        bodies: Poses and Jacobians of the bodies; None if unavailable.
+        time: (N,) time since the log began, s; None if the samples are not a series.
+        log: Identifier of the log, from `log_number`; 0 for none.
+        before: (M, nv) positions right before the first sample, M = 0 at the start of a log; None
+            if the samples are not a series.
+        states: Effect -> (N, s) its hidden states, if known, as in a simulation.
+        effort: Returns the effort (N, nv) that the model needs with all effects except scales; None
+            if unavailable.
+        temperature: (N, nv) temperatures of motors or gears, °C; NaN for unknown entries, None if
+            all are unknown.
+        bandwidth: Bandwidth of the efforts, Hz; infinite for a motion without noise.
+        acceleration_noise: (nv,) standard deviation of accelerations within this bandwidth.
     """
 
     joints: tuple[str, ...]
@@ -83,9 +83,9 @@ class RobotMotion(Short):
     acceleration_noise: Array | float = 0.0
 
     def joint(self, name: str) -> JointMotion:
-        """Return the motion of one joint, which may be one behind a transmission or in a loop.
+        """Return the motion of one joint, possibly behind a transmission or in a loop.
 
-        Nothing tells what load such a joint has: it is 0 there.
+        The load of such a joint is unknown and set to 0.
 
         Raises:
             ArgumentError: There is no such joint.
@@ -93,21 +93,21 @@ class RobotMotion(Short):
         return self.once((JointMotion, name), lambda: self._joint(name))
 
     def once(self, key: tuple[Any, str], make: Callable[[], T]) -> T:
-        """Return what effects of several shapes make of the motion, made when first asked for."""
-        if key not in self._made:
-            self._made[key] = make()
-        return cast(T, self._made[key])
+        """Return make(), cached under a key, for values that several effects share."""
+        if key not in self._cache:
+            self._cache[key] = make()
+        return cast(T, self._cache[key])
 
     @cached_property
-    def _made(self) -> dict[tuple[Any, str], Any]:
+    def _cache(self) -> dict[tuple[Any, str], Any]:
         return {}
 
     def _joint(self, name: str) -> JointMotion:
-        if (found := self._behind(name)) is not None:
-            (theta, rates, accelerations, J), at = found
-            v, width = rates[:, at], np.abs(J[:, at]) @ self.sign_width
+        if (transmitted := self._transmitted(name)) is not None:
+            (theta, rates, accelerations, J), j = transmitted
+            v, width = rates[:, j], np.abs(J[:, j]) @ self.sign_width
             sign_v = self.direction(v, width)
-            return JointMotion(theta[:, at], v, accelerations[:, at], np.zeros_like(v), sign_v)
+            return JointMotion(theta[:, j], v, accelerations[:, j], np.zeros_like(v), sign_v)
         i = self.index(name)
         v = self.v[:, i]
         return JointMotion(
@@ -115,35 +115,35 @@ class RobotMotion(Short):
         )
 
     def efforts_at(self, name: str, columns: Array) -> Mapping[str, Array]:
-        """Columns by joint, of those (N, k) of efforts at one joint, τ_q = Jᵀ τ_θ."""
-        if (found := self._behind(name)) is None:
+        """Return columns by velocity for effort columns (N, k) at a joint, τ_q = Jᵀ τ_θ."""
+        if (transmitted := self._transmitted(name)) is None:
             return {name: columns}
-        (*_, J), at = found
-        moving = np.flatnonzero(J[:, at].any(axis=0))
-        return {self.joints[i]: J[:, at, i, None] * columns for i in moving}
+        (*_, J), j = transmitted
+        moving = np.flatnonzero(J[:, j].any(axis=0))
+        return {self.joints[i]: J[:, j, i, None] * columns for i in moving}
 
     def at_both(self, joints: tuple[str, str], first: Array, second: Array) -> Mapping[str, Array]:
-        """Return columns by joint, of those (N, k) of efforts at two joints."""
-        found = dict(self.efforts_at(joints[0], first))
+        """Return columns by velocity for effort columns (N, k) at two joints."""
+        total = dict(self.efforts_at(joints[0], first))
         for joint, columns in self.efforts_at(joints[1], second).items():
-            found[joint] = found[joint] + columns if joint in found else columns
-        return found
+            total[joint] = total[joint] + columns if joint in total else columns
+        return total
 
-    def _behind(self, name: str) -> tuple[tuple[Array, Array, Array, Array], int] | None:
-        """Return the motion of the tree and the index of a joint behind a transmission, or None."""
+    def _transmitted(self, name: str) -> tuple[tuple[Array, Array, Array, Array], int] | None:
+        """Return the tree's motion and a joint's index in it, if behind a transmission."""
         if name in self.joints or self.bodies is None:
             return None
-        places = self.bodies.joints_behind
-        return (self._tree, places[name]) if name in places else None
+        indices = self.bodies.joints_behind
+        return (self._tree_motion, indices[name]) if name in indices else None
 
     @cached_property
-    def _tree(self) -> tuple[Array, Array, Array, Array]:
+    def _tree_motion(self) -> tuple[Array, Array, Array, Array]:
         """Positions, velocities and accelerations of the tree's joints, and J."""
         bodies = self.body_motions("A joint behind a transmission")
         return bodies.tree_samples(self.v, self.vd)
 
     def index(self, name: str) -> int:
-        """Return the column of a joint; raise an ArgumentError if it does not exist."""
+        """Return the index of a joint; raise an ArgumentError if it does not exist."""
         if name not in self.joints:
             raise ArgumentError(
                 f"There is no joint {name!r}.", advice=f"Joints are {', '.join(self.joints)}."
@@ -151,14 +151,14 @@ class RobotMotion(Short):
         return self.joints.index(name)
 
     def warmer(self, name: str, reference: float) -> Array:
-        """Return (N,) degrees by which a joint is warmer than a reference, °C; 0 where unknown."""
+        """Return a joint's temperature (N,) relative to a reference, °C; 0 where unknown."""
         if self.temperature is None:
             return np.zeros(len(self.v))
-        own = self.temperature[:, self.index(name)]
-        if own.dtype != object:
-            return np.nan_to_num(own - reference)
-        unknown = [isinstance(value, float) and np.isnan(value) for value in own]
-        return np.asarray(np.where(unknown, reference, own) - reference)
+        values = self.temperature[:, self.index(name)]
+        if values.dtype != object:
+            return np.nan_to_num(values - reference)
+        unknown = [isinstance(value, float) and np.isnan(value) for value in values]
+        return np.asarray(np.where(unknown, reference, values) - reference)
 
     def body_motions(self, effect: str) -> RobotBodies:
         """Return the bodies' poses and Jacobians.
@@ -167,7 +167,7 @@ class RobotMotion(Short):
             effect: Name of the effect that needs them, for the message.
 
         Raises:
-            ArgumentError: Nobody computes them here.
+            ArgumentError: They are unavailable.
         """
         if self.bodies is None:
             raise ArgumentError(
@@ -178,17 +178,17 @@ class RobotMotion(Short):
 
     @cached_property
     def effort_slopes(self) -> EffortSlopes:
-        """Slopes of the bodies' effort with the motion.
+        """Derivatives of the bodies' effort with respect to the motion.
 
         Raises:
-            ArgumentError: Nobody knows the bodies here.
+            ArgumentError: The bodies are unavailable.
         """
         bodies = self.body_motions("An elastic or loose joint")
         return effort_slopes(bodies.tree, bodies.q, self.v, self.vd, bodies.phi)
 
     @staticmethod
     def direction(v: Array, width: float | Array) -> Array:
-        """Return smoothed signs of velocities, tanh(v / width); plain ones where the width is 0."""
+        """Return smoothed signs of velocities, tanh(v / width); sgn v where the width is 0."""
         width = np.asarray(width)
         if width.all():
             return np.tanh(v / width)
@@ -196,12 +196,12 @@ class RobotMotion(Short):
 
 
 def smoothed_sign(width: Array) -> Callable[[Array], Array]:
-    """`RobotMotion.direction` for widths (nv,) of all velocities, ready to be called often."""
+    """Return `RobotMotion.direction` for widths (nv,), fast for repeated calls."""
     if (width > 0).all():
         return lambda v: np.tanh(v / width)
     return lambda v: RobotMotion.direction(v, width)
 
 
 def log_number(name: str) -> int:
-    """Return a number that identifies a log by its name."""
+    """Return the identifier of a log with a name."""
     return zlib.crc32(name.encode(errors="surrogatepass")) or 1

@@ -53,8 +53,8 @@ class WrenchOffset(BodyEffect):
 
     effort = Jᵀ w₀, with the force in N and the moment about the sensor's origin in N·m. Where the
     logged forces of a foot count as efforts of the base and the joints, an error of them does, too.
-    Efforts tell of several sensors on one body, as at heel and toe, the sum of their offsets alone:
-    it is told about the origin of the first.
+    If one body has several sensors, as at heel and toe, only the sum of their offsets can be
+    identified. It is reported about the origin of the first sensor.
 
     Attributes:
         x: Position of the sensor's origin from Bo along x of the body's frame, m.
@@ -75,11 +75,11 @@ class WrenchOffset(BodyEffect):
     depends_on = frozenset({"q", "bodies"})
     complexity = 2
     of_force_sensor = True
-    free_shapes = 0  # as the sensor's place is known
+    free_shapes = 0  # the sensor's place is known
 
     @classmethod
     def candidates(cls, body: str, *origin: float) -> tuple[WrenchOffset, ...]:
-        """About the origin of the sensor, m, in the body's frame."""
+        """Return the offset about the origin of the sensor, m, in the body's frame."""
         return (cls(body, *origin),)
 
     def rows(self, motion: RobotMotion) -> Rows:
@@ -92,11 +92,11 @@ class WrenchOffset(BodyEffect):
 
 @dataclass(frozen=True)
 class ThermalOffset(JointEffect):
-    """Offset that changes with every degree that a joint is warmer, as that of a torque sensor.
+    """Offset that drifts with the joint's temperature, as that of a torque sensor.
 
     effort = o + k (T − T₀), with o in N·m and k in N·m/°C, at T °C.
 
-    It contains the constant `effort_offset`. Where the temperature is not known it is T₀.
+    It contains the constant `effort_offset`. Unknown temperatures are taken to be T₀.
 
     Attributes:
         reference: T₀, °C; a diagnosis takes the mean of the logs.
@@ -112,30 +112,29 @@ class ThermalOffset(JointEffect):
     parameters = (Parameter("offset", "N·m"), Parameter("slope", "N·m/°C"))
     signature = "an offset that varies with the logged temperature of the joint"
     depends_on = frozenset({"temperature"})
-    free_shapes = 0  # as another T₀ is the same law with another offset beside it
+    free_shapes = 0  # another T₀ only changes the offset
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
-        """[1, 0], of a joint at T₀."""
+        """[1, 0], as at T₀."""
         return [np.ones_like(joint.v), np.zeros_like(joint.v)]
 
     def rows(self, motion: RobotMotion) -> Rows:
-        """[1, T − T₀]; [1, 0] where T is not known."""
+        """[1, T − T₀]; [1, 0] where T is unknown."""
         warmer = motion.warmer(self.joint, self.reference)
         return {self.joint: np.stack([np.ones_like(warmer), warmer], -1)}
 
 
 @dataclass(frozen=True)
 class EffortScale(JointEffect):
-    """Gain of a joint's effort that is not one: a torque constant, a gear ratio, a sensor's slope.
+    """Gain error of a joint's effort: a wrong torque constant, gear ratio or sensor slope.
 
     effort = (1 + ε) × all that the joint needs otherwise, so that ε times it is added; ε > −1.
 
-    A joint that reads 10 % too much and bodies that are 10 % heavier look alike. The gain can be
-    told only by inertias that are known from elsewhere: those of a model fitted to other logs, or
-    a payload of known mass that the robot held in some of the logs and not in all, at the joints
-    that bear it; or by forces of the ground, at the joints of a free base's limbs that bear them. A
-    diagnosis tries it only then. A mass that is stated too large by a factor looks like gains of
-    all these joints that are too small by the same factor.
+    A joint that reads 10 % too much looks like bodies that are 10 % heavier. The gain can be
+    identified only with independent knowledge: inertias fitted to other logs; a payload of known
+    mass in some but not all logs, for the joints that bear it; or measured ground forces, for the
+    limbs of a free base. A diagnosis tries it only then. If a stated mass is too large by some
+    factor, the gains of all these joints appear too small by the same factor.
     """
 
     name = "effort_scale"
@@ -152,15 +151,14 @@ class EffortScale(JointEffect):
     needs_known_inertia = True
 
     def columns(self, joint: JointMotion) -> tuple[Array]:
-        """[τ] of the rigid bodies, where no more is known."""
+        """[τ] of the rigid bodies."""
         return (joint.load,)
 
     def rows(self, motion: RobotMotion) -> Rows:
-        """[τ], the effort of the joint by all other effects of the model."""
+        """[τ], with all other effects of the model if `motion.effort` is available."""
         if motion.effort is None:
             return super().rows(motion)
-        at = motion.index(self.joint)
-        return {self.joint: motion.effort()[:, at, None]}
+        return {self.joint: motion.effort()[:, motion.index(self.joint), None]}
 
 
 @dataclass(frozen=True)
@@ -169,12 +167,12 @@ class EffortDelay(Effect):
 
     effort logged at t = effort needed at t − δ.
 
-    It has no columns of its own but shifts those of everything else: `delayed` turns the needed
-    efforts, or the regressor columns that they come from, into what the log shows. Shift before
-    filtering. In a simulation it is `geodrake.control.DelayedEffort`.
+    It has no columns, but shifts those of all other effects: `delayed` turns the needed efforts, or
+    their regressor columns, into those that the log shows. Shift before filtering. In simulations
+    use `geodrake.control.DelayedEffort`.
 
-    Efforts that were commanded, and not measured, are ahead of the motion if they act late: δ is
-    then negative, and −δ the time after which a command acts.
+    Commanded (not measured) efforts that act late are ahead of the motion: δ is then negative, and
+    −δ is the latency of a command.
 
     Attributes:
         delay: δ, s; negative if the efforts are ahead.
@@ -200,7 +198,7 @@ class EffortDelay(Effect):
             raise ArgumentError(f"{self.name} needs a finite delay; it got {self.delay}.")
 
     def rows(self, motion: RobotMotion) -> Rows:
-        """No rows, as a delay adds no effort."""
+        """Return no rows: a delay adds no effort."""
         del motion
         return {}
 
@@ -212,7 +210,7 @@ class EffortDelay(Effect):
             period: Time between samples, s.
 
         Returns:
-            (N, ...) the samples at t − δ; what lies outside the signal is its first or last sample.
+            (N, ...) samples at t − δ, extended by the first or last sample at the ends.
 
         Raises:
             ArgumentError: The period is not positive, or there are no samples.
@@ -232,25 +230,25 @@ def delays_of(effects: Sequence[Effect], joints: Sequence[str]) -> Array:
     delays = np.zeros(len(joints))
     for effect in effects:
         if effect.role is Role.DELAY:
-            at = [not effect.where or joint in effect.where for joint in joints]
-            delays[at] += effect.shape["delay"]
+            delayed = [not effect.where or joint in effect.where for joint in joints]
+            delays[delayed] += effect.shape["delay"]
     return delays
 
 
 def effort_delays(delays: ArrayLike, joints: Sequence[str]) -> list[EffortDelay]:
-    """Return the effects that delay n joints by (n,) s: one of all efforts if they are equal."""
+    """Return the effects that delay n joints by (n,) s; a single one if all delays are equal."""
     seconds = np.asarray(delays, float).tolist()
     if len(set(seconds)) == 1:
         return [EffortDelay(seconds[0])] if seconds[0] else []
-    return [EffortDelay(own, joint) for own, joint in zip(seconds, joints, strict=True) if own]
+    return [EffortDelay(delay, name) for delay, name in zip(seconds, joints, strict=True) if delay]
 
 
 def delayed_by(
     delays: ArrayLike, signals: Array, period: float, *, spline: BSpline | None = None
 ) -> Array:
-    """Return signals (N, n), one period apart, delayed by (n,) s."""
+    """Return signals (N, n) with a sampling period, delayed by (n,) s."""
     seconds = np.asarray(delays, float).tolist()
     if len(set(seconds)) == 1:
         return EffortDelay(seconds[0]).delayed(signals, period, spline=spline)
-    both = zip(seconds, signals.T, strict=True)
-    return np.stack([EffortDelay(own).delayed(signal, period) for own, signal in both], axis=1)
+    pairs = zip(seconds, signals.T, strict=True)
+    return np.stack([EffortDelay(delay).delayed(x, period) for delay, x in pairs], axis=1)

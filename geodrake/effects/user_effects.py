@@ -1,4 +1,4 @@
-"""User-defined effects: loading of files, and checks of their classes and candidates."""
+"""Load user-defined effects, and check their classes and candidates."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from typing import Any
 from geodrake.boundary.arguments import file_path
 from geodrake.boundary.input_files import regular_file
 from geodrake.effects.base import SIGNALS, Effect, JointEffect
-from geodrake.effects.column_checks import line_of, telling
+from geodrake.effects.column_checks import exits_as_errors, line_of
 from geodrake.effects.declarations import PLACES, Parameter, Proposer, Role, Shape
 from geodrake.effects.deflection import DeflectionEffect
 from geodrake.effects.episode import Episode, PointEpisode
@@ -31,8 +31,8 @@ from geodrake.effects.lookup import catalogue, classes_in, effect_of, effects_in
 from geodrake.errors import ArgumentError, ModelError
 
 _MOST_CANDIDATES = 1000
-_ALIKE = 0.8
-"""Names as similar as this, 1 being the same, are taken for the same name with a slip."""
+_MISSPELLED = 0.8
+"""Similarity, up to 1, above which an attribute counts as a misspelled declaration."""
 
 _KINDS: Mapping[type, tuple[Any, str]] = {
     str: (str, "words"),
@@ -42,10 +42,10 @@ _KINDS: Mapping[type, tuple[Any, str]] = {
     frozenset: ((frozenset, set), "a set"),
     Role: (Role, "a Role"),
 }
-"""Valid values of class attributes of `Effect` by type, also in words."""
+"""Valid types of class attributes of `Effect`, and their description."""
 
 _BASES: Mapping[Role, type] = {Role.DEFLECTION: DeflectionEffect, Role.EPISODE: Episode}
-"""Base class of an effect with a role, if other than the one effect with it."""
+"""Base class that a role requires; other roles require the catalogue effect with that role."""
 
 _PROPOSED: Mapping[Proposer, type] = {
     Proposer.BENDING: DeflectionEffect,
@@ -57,20 +57,20 @@ _PROPOSED: Mapping[Proposer, type] = {
     Proposer.EPISODE: PointEpisode,
     Proposer.HANDLING: Episode,
 }
-"""Base class of an effect with a proposer."""
+"""Base class that a proposer requires."""
 
 
 def load_effect_file(path: str | Path) -> tuple[type[Effect], ...]:
-    """Run a Python file of a user and collect the effects that it defines.
+    """Run a user's Python file and return the effects that it defines.
 
     Args:
         path: A file such as the one in the documentation of `geodrake.effects`.
 
     Returns:
-        Its effects in the order of definition, to be passed on as `extra`.
+        Its effects in the order of definition, for use as `extra`.
 
     Raises:
-        ModelError: There is no such file, it cannot be run, or it defines no usable effect.
+        ModelError: There is no such file, it cannot be run, or it defines no valid effect.
     """
     path = regular_file(file_path(path), "file of effects", ModelError)
     module = _import(path)
@@ -92,17 +92,17 @@ def load_effect_file(path: str | Path) -> tuple[type[Effect], ...]:
         name = getattr(effect, "name", None)
         missing = [key for key in ("name", "parameters", "places") if not hasattr(effect, key)]
         if missing or not is_dataclass(effect):
-            what = ", ".join(missing) or "the line @dataclass(frozen=True)"
-            raise ModelError(f"The effect {effect.__name__} of {path} lacks {what}.")
+            lacking = ", ".join(missing) or "the line @dataclass(frozen=True)"
+            raise ModelError(f"The effect {effect.__name__} of {path} lacks {lacking}.")
         try:
             check_class(effect)
         except ArgumentError as error:
             raise ModelError(f"{path}: {error.problem}", advice=error.advice) from error
-        place, own = PLACES.get(str(effect.places)), _field_names(effect)
-        if place is None or not (effect.places in ("log", "robot") or place.field in own):
+        place, names = PLACES.get(str(effect.places)), _field_names(effect)
+        if place is None or not (effect.places in ("log", "robot") or place.field in names):
             raise ModelError(
                 f"The effect {effect.__name__} of {path} has places = {effect.places!r}, but "
-                f"the fields {own}.",
+                f"the fields {names}.",
                 advice="Derive it from JointEffect, JointPairEffect or BodyEffect, which have "
                 "the field that says where the effect is.",
             )
@@ -118,28 +118,28 @@ def load_effect_file(path: str | Path) -> tuple[type[Effect], ...]:
 def candidates_of(effect: type[Effect], *place: Any) -> tuple[Effect, ...]:
     """Return the candidates of `Effect.candidates` at a place."""
     line = line_of(effect, "candidates")
-    with telling(effect.name, line):
-        made: Any = effect.candidates(*place)
-        listed = isinstance(made, Sequence | Iterator | frozenset | set)
-        found = list(islice(made, _MOST_CANDIDATES + 1)) if listed else [made]
-    if len(found) > _MOST_CANDIDATES:
+    with exits_as_errors(effect.name, line):
+        result: Any = effect.candidates(*place)
+        is_several = isinstance(result, Sequence | Iterator | frozenset | set)
+        candidates = list(islice(result, _MOST_CANDIDATES + 1)) if is_several else [result]
+    if len(candidates) > _MOST_CANDIDATES:
         raise ArgumentError(f"{effect.name} has more than {_MOST_CANDIDATES} candidates{line}.")
-    wrong = [one for one in found if getattr(one, "name", None) != effect.name]
-    if wrong:
+    foreign = [value for value in candidates if getattr(value, "name", None) != effect.name]
+    if foreign:
         raise ArgumentError(
-            f"{effect.name} has {wrong[0]!r:.80} among its candidates{line}.",
+            f"{effect.name} has {foreign[0]!r:.80} among its candidates{line}.",
             advice="Let candidates() return instances of the effect.",
         )
-    return tuple(found)
+    return tuple(candidates)
 
 
 def check_class(effect: type[Effect]) -> None:
-    """Raise for a class of effects with invalid class attributes."""
+    """Raise if the class attributes of an effect are invalid."""
     _check_names(effect)
 
-    def check(holds: bool, has: str, wanted: str) -> None:
-        if not holds:
-            raise _of_class(effect, has, wanted)
+    def check(valid: bool, has: str, wanted: str) -> None:
+        if not valid:
+            raise _class_error(effect, has, wanted)
 
     name: Any = effect.name
     is_name = isinstance(name, str) and name.isidentifier() and not keyword.iskeyword(name)
@@ -152,8 +152,8 @@ def check_class(effect: type[Effect]) -> None:
         "a tuple of one Parameter or more",
     )
     names = [parameter.name for parameter in parameters]
-    twice = [name for name in names if names.count(name) > 1]
-    check(not twice, f"two parameters {', '.join(twice[:1])!r}", "a name of its own for each")
+    repeated = [name for name in names if names.count(name) > 1]
+    check(not repeated, f"two parameters {', '.join(repeated[:1])!r}", "distinct names")
     for attribute in Effect.__annotations__:
         kind = type(getattr(Effect, attribute, None))
         value = getattr(effect, attribute)
@@ -176,22 +176,22 @@ def check_class(effect: type[Effect]) -> None:
         check(issubclass(effect, base), f"role = {role}", f"the base {base.__name__} for it")
     if proposer is None:
         return
-    has, own = f"proposer = {proposer!s:.60}", _field_names(effect)
+    has, names = f"proposer = {proposer!s:.60}", _field_names(effect)
     check(isinstance(proposer, Proposer), f"proposer = {proposer!r:.60}", "a Proposer, or None")
     base = _PROPOSED[proposer]
     check(issubclass(effect, base), has, f"the base {base.__name__} for it")
-    of_waves = proposer is not Proposer.WAVES or len(own) == 2
-    check(of_waves, f"{has} and the fields {own}", "the joint and the order of the waves")
-    by_course = proposer in (Proposer.WARMING, Proposer.BRISTLES)
-    check(not by_course or effect.course is not Effect.course, has, "the method course() for it")
+    has_order = proposer is not Proposer.WAVES or len(names) == 2
+    check(has_order, f"{has} and the fields {names}", "the joint and the order of the waves")
+    needs_course = proposer in (Proposer.WARMING, Proposer.BRISTLES)
+    check(not needs_course or effect.course is not Effect.course, has, "the method course() for it")
 
 
 def _check_names(effect: type[Effect]) -> None:
-    """Raise for attributes that hide a method of geodrake's, or misspell a declaration."""
-    own = [kind for kind in effect.__mro__ if issubclass(kind, Effect) and not _is_ours(kind)]
+    """Raise if an attribute hides a method of geodrake, or misspells a declaration."""
+    user = [kind for kind in effect.__mro__ if issubclass(kind, Effect) and not _is_ours(kind)]
     ours: Any = next(kind for kind in effect.__mro__ if _is_ours(kind))
     declared = set(Effect.__annotations__)
-    for kind in own:
+    for kind in user:
         known = declared | {"where"} | set(get_annotations(kind))
         for attribute, value in tuple(vars(kind).items()):
             is_code = callable(value) or hasattr(value, "__get__")
@@ -199,9 +199,9 @@ def _check_names(effect: type[Effect]) -> None:
                 continue
             has, hidden = f"{attribute} = {value!r:.60}", getattr(ours, attribute, None)
             if hidden is not None and not getattr(hidden, "__isabstractmethod__", False):
-                raise _of_class(effect, has, "a method of that name")
-            if near := difflib.get_close_matches(attribute, declared, 1, _ALIKE):
-                raise _of_class(effect, f"{has}, which is not used", near[0])
+                raise _class_error(effect, has, "a method of that name")
+            if similar := difflib.get_close_matches(attribute, declared, 1, _MISSPELLED):
+                raise _class_error(effect, f"{has}, which is not used", similar[0])
 
 
 def _is_ours(kind: type) -> bool:
@@ -212,7 +212,7 @@ def _is_effect(value: Any) -> bool:
     return isinstance(value, type) and issubclass(value, Effect)
 
 
-def _of_class(effect: type[Effect], has: str, wanted: str) -> ArgumentError:
+def _class_error(effect: type[Effect], has: str, wanted: str) -> ArgumentError:
     return ArgumentError(f"The effect {effect.__name__} has {has}; it needs {wanted}.")
 
 
@@ -220,8 +220,8 @@ def _field_names(effect: type[Effect]) -> list[str]:
     return [field.name for field in fields(effect)]  # type: ignore[arg-type]
 
 
-class _AsItStands(SourceFileLoader):
-    """Compiles a file anew: kept bytecode counts as that of a file of the same second and size."""
+class _UncachedLoader(SourceFileLoader):
+    """Always compile the file: cached bytecode is not invalidated by a quick edit of equal size."""
 
     def get_code(self, fullname: str) -> CodeType:
         path = self.get_filename(fullname)
@@ -229,23 +229,23 @@ class _AsItStands(SourceFileLoader):
 
 
 def _import(path: Path) -> ModuleType:
-    """Imports a file under a name that depends on where it is, so that files do not collide."""
+    """Import a file under a name derived from its path, so that files do not collide."""
     digest = hashlib.sha256(os.fsencode(path.resolve())).hexdigest()[:12]
     name = f"geodrake_user_effects_{digest}"
     spec = importlib.util.spec_from_file_location(name, path.absolute())
     if spec is None or spec.loader is None:
         raise ModelError(f"{path} is not a Python file.", advice="Give a file that ends in .py.")
     if isinstance(spec.loader, SourceFileLoader):
-        spec.loader = _AsItStands(name, str(path.absolute()))
+        spec.loader = _UncachedLoader(name, str(path.absolute()))
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look their module up while they are made
+    sys.modules[name] = module  # dataclasses look up their module
     folder = Path.cwd()
     try:
         with contextlib.redirect_stdout(sys.stderr):  # standard output is for results
             spec.loader.exec_module(module)
     except KeyboardInterrupt:
         raise
-    except BaseException as error:  # whatever it raises is the file's
+    except BaseException as error:  # including SystemExit
         del sys.modules[name]
         words = " ".join(str(error).split()).rstrip(".")
         raise ModelError(
@@ -255,14 +255,14 @@ def _import(path: Path) -> ModuleType:
     if Path.cwd() != folder:
         os.chdir(folder)
         raise ModelError(
-            f"{path} changes the working directory, to which all other paths are relative.",
+            f"{path} changes the working directory, but other paths are relative to it.",
             advice="Remove os.chdir from it.",
         )
     return module
 
 
 def _line(error: BaseException, path: Path) -> str:
-    """Return the innermost line of a file that an error came through, in words."""
+    """Return "line N: " for the innermost line of a file in a traceback."""
     frames = traceback.extract_tb(error.__traceback__)
     lines = [frame.lineno for frame in frames if Path(frame.filename) == path.absolute()]
     if isinstance(error, SyntaxError) and error.filename == str(path.absolute()):

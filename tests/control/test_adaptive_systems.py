@@ -55,7 +55,7 @@ from geodrake.control import (
 )
 from geodrake.control.adaptation import adapted_parameters
 from geodrake.control.adaptation.outer_laws import limited
-from geodrake.control.systems.safeguards import Watch
+from geodrake.control.systems.safeguards import InputMonitor
 from geodrake.effects import FittedEffect
 from geodrake.errors import ArgumentError
 from geodrake.inertia import change_frame, is_physical
@@ -102,11 +102,11 @@ def test_the_compiled_step_is_the_one_step_by_step(monkeypatch, gains, fault):
     found = []
     for compiled in (True, False):
         if not compiled:
-            monkeypatch.setattr(PassivityBasedAdaptiveController, "_usual", None)
+            monkeypatch.setattr(PassivityBasedAdaptiveController, "_fast_step", None)
         sensor = faulty(fault, 0.2, 0.4) if fault else None
         guards = Safeguards(effort_limits=[30.0, 20.0], settling_time=0.05)
         controller = passive(natural(), gains=GAINS[gains], time_step=2e-3, safeguards=guards)
-        assert (controller._usual is not None) == compiled
+        assert (controller._fast_step is not None) == compiled
         found.append(run(controller, 0.8, sensor=sensor))
     time, logs = found[0]
     for name, values in logs.items():
@@ -415,10 +415,10 @@ def test_good_sensors_are_believed_outliers_are_not_and_stuck_encoders_within_th
     states += [1e-3, 0.05] * np.random.default_rng(0).normal(size=states.shape)
     states[sample] += wrong
     states[1100:, 0] = states[1100, 0]
-    watch = Watch(1, 2e-3, 0.05, 0.02, 1.0)
+    watch = InputMonitor(1, 2e-3, 0.05, 0.02, 1.0)
     memory = watch.start()
     for state in states:
-        seen, memory = watch.look(memory, state, np.zeros(2), np.zeros(1))
+        seen, memory = watch.observe(memory, state, np.zeros(2), np.zeros(1))
         told.append((bool(seen.q == state[:1]), seen.trusted))
     told, first = np.array(told), 1100 + int(np.argmin(np.array(told)[1100:, 0]))
     assert told[:first, 0].sum() == first - (sample > 0) and told[sample, 0] == (sample == 0)

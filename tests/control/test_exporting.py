@@ -346,7 +346,7 @@ def test_gravity_and_springs_of_a_time_constant_are_those_of_the_model(to, tmp_p
     changed = replace(model, effects=tuple(damping))
     proven = export_to(to, changed, tmp_path / "out")
     assert all(each.is_rounding for each in proven.proof.differences)
-    told = any("gravity, which is 1 2 -3 m/s²: set it there" in note for note in proven.notes)
+    told = any("set it to 1 2 -3 m/s² in the simulator" in note for note in proven.notes)
     assert told is (to != "mjcf")
 
 

@@ -15,7 +15,7 @@ from geodrake import effects, load_model, save_model
 from geodrake.cli.app import app
 from geodrake.control import fit_rollouts, roll_out
 from geodrake.control.rollout import FittedValue, RolloutFit
-from geodrake.control.rollout.fit_rollouts import better_model, held_out
+from geodrake.control.rollout.fit_rollouts import fitted_model, held_out
 from geodrake.control.rollout.linearized_motion import LinearizedMotion
 from geodrake.control.rollout.motion_search import rollout_values
 from geodrake.control.rollout.passages import Conditions, chosen_passages
@@ -126,7 +126,7 @@ def test_what_is_known_of_other_parameters_stays(pendulum):
     root = rng.standard_normal((13, 13))
     model = dataclasses.replace(model, information=root @ root.T + np.eye(13))
     values = rollout_values(model)
-    better = better_model(model, values, np.array([2e-3, 0.1]), np.array([1e-4, 0.02]))
+    better = fitted_model(model, values, np.array([2e-3, 0.1]), np.array([1e-4, 0.02]))
     np.testing.assert_array_equal(better.information[:12, :12], model.information[:12, :12])
     np.testing.assert_array_equal(better.information[12, :12], 0.0)
     assert better.information[12, 12] == pytest.approx(1e8)

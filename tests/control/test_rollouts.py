@@ -117,7 +117,7 @@ def test_a_robot_that_is_thrown_about_goes_as_its_diagram(monkeypatch):
         model, log = load_model(demo / "demo.urdf"), read_log(demo / "demo.csv")
     found = roll_out(model, [log], horizon=0.1)
     rolling = sys.modules[roll_out.__module__]
-    monkeypatch.setattr(rolling, "steps_alone", lambda model: False)
+    monkeypatch.setattr(rolling, "can_step", lambda model: False)
     theirs = roll_out(model, [log], horizon=0.1)
     assert 20.0 < theirs.relative != found.relative
     for window, other in zip(found.windows, theirs.windows, strict=True):

@@ -1,7 +1,7 @@
-"""Parameter adaptation: pure update laws on barrier-Hessian manifolds, [Lee2019] §5.4.
+"""Parameter adaptation: update laws on barrier-Hessian manifolds, [Lee2019] §5.4.
 
-A controller whose tracking error V_t obeys V̇_t ≤ (p̂ − p)ᵀ b, for the truth p and the estimate p̂,
-gives the covector b; a law moves the estimate, so that V_t + γ D(p‖p̂) never rises:
+A controller provides a covector b with V̇_t ≤ (p̂ − p)ᵀ b, for its tracking error V_t, the true
+parameters p and the estimate p̂. A law updates the estimate so that V_t + γ D(p‖p̂) never rises:
 
     p̂̇ = −γ⁻¹ g(p̂)⁻¹ b                                                     [Lee2019] Eq. (5.4.51)
 

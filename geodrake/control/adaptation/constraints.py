@@ -1,4 +1,4 @@
-"""Convex sets for estimates: functions of your own, and the linear limits that robots have."""
+"""Convex sets for estimates: user-defined functions, and linear limits."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _MOST = 10_000  # parameters of one robot
 
 @dataclass(frozen=True, eq=False)
 class ConvexSet:
-    """The points p (n,) with c(p) ≤ 0 for k convex functions c of your own, [Lee2019] Eq. (5.4.54).
+    """The points p (n,) with c(p) ≤ 0 for k convex functions c, [Lee2019] Eq. (5.4.54).
 
     Attributes:
-        function: Maps p (n,) to c(p), a number or (k,).
-        gradient: Maps p (n,) to ∇c(p), (n,) or (k, n); any subgradient where there is no gradient.
+        function: Maps p (n,) to c(p), scalar or (k,).
+        gradient: Maps p (n,) to ∇c(p), (n,) or (k, n), or any subgradient.
     """
 
     function: Callable[[Array], ArrayLike]
@@ -45,7 +45,7 @@ def body_limits(
     """Return limits on linear functions of one body's parameters: lower ≤ rows φ ≤ upper.
 
     Args:
-        rows: (k, 10) or (10,) coefficients; limits are (k,) or one.
+        rows: (k, 10) or (10,) coefficients; limits are (k,) or scalar.
     """
     rows = real_array(rows, "rows")
     rows = real_array(rows[None] if rows.ndim == 1 else rows, "rows", ("k", PARAMETERS_PER_BODY))
@@ -55,21 +55,21 @@ def body_limits(
         raise ArgumentError(f"Body {body} does not exist: {size} parameters are ten for each body.")
     matrix = np.zeros((len(rows), size))
     matrix[:, first : first + PARAMETERS_PER_BODY] = rows
-    return Polyhedron(matrix, _of_rows(lower, len(rows)), _of_rows(upper, len(rows)))
+    return Polyhedron(matrix, _row_limits(lower, len(rows)), _row_limits(upper, len(rows)))
 
 
 def mass_limits(size: int, body: int, lower: float, upper: float) -> Polyhedron:
-    """Return limits on the mass of a body, kg; −inf and inf for none."""
+    """Return limits on the mass of a body, kg; −inf and inf for no limit."""
     lower, upper = number(lower, "lower", finite=False), number(upper, "upper", finite=False)
     return body_limits(size, body, np.eye(PARAMETERS_PER_BODY)[0], lower=lower, upper=upper)
 
 
 def center_of_mass_box(size: int, body: int, lower: ArrayLike, upper: ArrayLike) -> Polyhedron:
-    """Return limits on the centre of mass p_BoBcm_B of a body, in a box: m l ≤ h ≤ m u.
+    """Return limits that keep a body's centre of mass p_BoBcm_B in a box: m l ≤ h ≤ m u.
 
     Args:
         lower: (3,) lower corner l in B, m.
-        upper: (3,) upper corner u in B, m; above l in every coordinate.
+        upper: (3,) upper corner u in B, m, with u > l.
     """
     lower, upper = real_array(lower, "lower", (3,)), real_array(upper, "upper", (3,))
     if not (lower < upper).all():
@@ -84,7 +84,7 @@ def center_of_mass_box(size: int, body: int, lower: ArrayLike, upper: ArrayLike)
 
 
 def inside_ellipsoid(size: int, body: int, quadric: ArrayLike) -> Polyhedron:
-    """Return what keeps a body in an ellipsoid, as far as second moments show: tr(P Q) ≥ 0.
+    """Return the limit tr(P Q) ≥ 0, necessary for a body to lie inside an ellipsoid.
 
     Args:
         quadric: (4, 4) Q with [x;1]ᵀ Q [x;1] ≥ 0 inside ([Lee2019] Eq. (3.5.46)).
@@ -97,27 +97,27 @@ def inside_ellipsoid(size: int, body: int, quadric: ArrayLike) -> Polyhedron:
 def parameter_limits(
     size: int, indices: Sequence[int], lower: ArrayLike, upper: ArrayLike
 ) -> Polyhedron:
-    """Return limits on single parameters, such as friction coefficients, (k,) or one of each."""
+    """Return limits on single parameters, such as friction coefficients; scalar or (k,)."""
     integer(size, "size", lower=1, upper=_MOST)
     matrix = np.eye(size)[list(integers(indices, "indices", lower=0, upper=size - 1))]
-    return Polyhedron(matrix, _of_rows(lower, len(matrix)), _of_rows(upper, len(matrix)))
+    return Polyhedron(matrix, _row_limits(lower, len(matrix)), _row_limits(upper, len(matrix)))
 
 
 def intersection(*polyhedra: Polyhedron) -> Polyhedron:
     """Return the points that are in all polyhedra."""
-    sizes = {instance(each, "a polyhedron", Polyhedron).matrix.shape[1] for each in polyhedra}
+    sizes = {instance(p, "a polyhedron", Polyhedron).matrix.shape[1] for p in polyhedra}
     if len(sizes) != 1:
         raise ArgumentError(
             f"An intersection needs polyhedra with equally many parameters; got {sorted(sizes)}."
         )
     return Polyhedron(
-        np.concatenate([each.matrix for each in polyhedra]),
-        np.concatenate([each.lower for each in polyhedra]),
-        np.concatenate([each.upper for each in polyhedra]),
+        np.concatenate([p.matrix for p in polyhedra]),
+        np.concatenate([p.lower for p in polyhedra]),
+        np.concatenate([p.upper for p in polyhedra]),
     )
 
 
-def _of_rows(limits: ArrayLike, count: int) -> Array:
-    """Return limits (k,) from one for all rows, or one each; Polyhedron tells of a wrong shape."""
+def _row_limits(limits: ArrayLike, count: int) -> Array:
+    """Return limits (k,), repeating a scalar; Polyhedron checks the shape."""
     limits = real_array(limits, "limits", finite=False)
     return np.full(count, limits) if limits.ndim == 0 else limits

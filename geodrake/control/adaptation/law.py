@@ -1,4 +1,4 @@
-"""Update laws: how the estimate of the parameters moves with the covector b of a controller."""
+"""Update laws of parameter estimates, driven by the covector b of a controller."""
 
 from __future__ import annotations
 
@@ -33,24 +33,23 @@ Integrator = Literal["geodesic", "euler"]
 
 
 class UpdateLaw(abc.ABC):
-    """How an estimate p̂ moves with a covector b for which V̇_t ≤ (p̂ − p)ᵀ b.
+    """Update of an estimate p̂ by a covector b for which V̇_t ≤ (p̂ − p)ᵀ b.
 
     With V = V_t + `parameter_error`, V never rises, [Lee2019] Proposition 5.7.
 
-    Every function is a door that refuses estimates that the law cannot move, arrays of another
-    shape, and numbers that are not finite (ArgumentError). Behind it is a kernel of the same name
-    with `calc_`, which trusts its arrays: for every sample of a controller. A law of your own
-    defines the kernels.
+    The public methods check their arguments: estimates outside the law's domain, wrong shapes and
+    non-finite values raise an ArgumentError. Each calls a kernel of the same name with `calc_`,
+    which does not check, for use in every sample of a controller. Subclasses define the kernels.
     """
 
     @property
     def dimension(self) -> int | None:
-        """Number n of parameters; None if any will do."""
+        """Number n of parameters; None if arbitrary."""
         return None
 
     @property
     def slowness(self) -> float:
-        """γ, of which adaptation is as fast as γ⁻¹; 1 if the law does not say."""
+        """γ; the adaptation rate is proportional to 1/γ. 1 if not defined."""
         return 1.0
 
     def with_slowness(self, gamma: float) -> UpdateLaw:
@@ -58,7 +57,7 @@ class UpdateLaw(abc.ABC):
         raise ArgumentError(f"{type(self).__name__} has no γ, so it cannot be set to {gamma}.")
 
     def contains(self, parameters: ArrayLike) -> bool:
-        """Return whether an estimate (n,) is one that the law can move."""
+        """Return whether an estimate (n,) is in the law's domain."""
         estimate = real_array(parameters, "parameters", self._shape, finite=False)
         return bool(np.isfinite(estimate).all()) and self.calc_contains(estimate)
 
@@ -71,12 +70,12 @@ class UpdateLaw(abc.ABC):
         return self.calc_step(*self._inside(parameters, b), number(dt, "dt"))
 
     def parameter_error(self, truth: ArrayLike, parameters: ArrayLike) -> Array:
-        """Return V_p, what a Lyapunov function has for the error of estimates (..., n)."""
+        """Return V_p, the part of a Lyapunov function due to errors of estimates (..., n)."""
         sizes: Sizes = {}
         truth = real_array(truth, "truth", self._shape, sizes)
         estimates = real_array(parameters, "parameters", ("...", *self._shape), sizes)
-        for each in (truth, *estimates.reshape(-1, truth.size)):
-            self._check_inside(each)
+        for p in (truth, *estimates.reshape(-1, truth.size)):
+            self._check_inside(p)
         return self.calc_parameter_error(truth, estimates)
 
     @property
@@ -84,7 +83,7 @@ class UpdateLaw(abc.ABC):
         return ("n" if self.dimension is None else self.dimension,)
 
     def _inside(self, parameters: ArrayLike, b: ArrayLike) -> tuple[Array, Array]:
-        """Return an estimate (n,) that the law can move, and a covector (n,)."""
+        """Return an estimate (n,) and a covector (n,), checked."""
         sizes: Sizes = {}
         p = real_array(parameters, "parameters", self._shape, sizes)
         b = real_array(b, "b", self._shape, sizes)
@@ -92,7 +91,7 @@ class UpdateLaw(abc.ABC):
         return p, b
 
     def _check_inside(self, p: Array) -> None:
-        """Refuse parameters (n,) that the law cannot move."""
+        """Raise if parameters (n,) are outside the law's domain."""
         if not self.calc_contains(p):
             raise ArgumentError(
                 f"parameters must be inside the law's manifold; they are {p.tolist()}.",
@@ -102,17 +101,17 @@ class UpdateLaw(abc.ABC):
 
     @property
     def compiled(self) -> Steps | None:
-        """Return what `calc_limited_step` needs; None where a step is more than that and γ."""
+        """Arguments of `calc_limited_step`; None if it cannot perform this law's steps."""
         return None
 
     def calc_contains(self, parameters: Array) -> bool:
-        """Kernel of `contains`, of finite estimates."""
+        """Kernel of `contains`, for finite estimates."""
         return True
 
     def calc_reach(self, parameters: Array, rows: Array) -> float:
-        """Return a rate, 1/s, that no error Y p̃ exceeds as it drives the law, b = Yᵀ Y p̃.
+        """Return an upper bound, 1/s, of the decay rate of Y p̃ under b = Yᵀ Y p̃, Y (k, n).
 
-        Rows Y are (k, n). It is zero for a law that does not know one.
+        It is zero if unknown.
         """
         return 0.0
 
@@ -135,19 +134,19 @@ class AdaptationLaw(UpdateLaw):
 
         p̂̇ = −γ⁻¹ g(p̂)⁻¹ b,   V_p = γ D(p‖p̂)                      [Lee2019] Eq. (5.4.49), (5.4.51)
 
-    See `natural_adaptation`, `pullback_adaptation` and `euclidean_adaptation`, which differ in the
-    manifold alone.
+    See `natural_adaptation`, `pullback_adaptation` and `euclidean_adaptation`, which differ only in
+    the manifold.
 
     Attributes:
-        manifold: Where the parameters live. g is the Hessian of its barrier, without the factors 2
-            of [Lee2019] (B.4.20), and a weight w of a factor divides its speed, Eq. (B.4.19).
-        gamma: γ > 0; adaptation is as fast as γ⁻¹.
-        integrator: "geodesic" steps stay inside of the manifold however long they are; "euler" is
-            p̂ + dt p̂̇, the source's, and may leave it.
-        leakage: σ ≥ 0, 1/s, of a pull γ σ (∇h(p̂) − ∇h(p₀)) that is added to b, wherever b is not
-            zero: the σ-modification of P. A. Ioannou and P. V. Kokotović, Automatica 20(5), 1984,
-            in this metric. V̇ has another −γ σ (D(p‖p̂) + D(p̂‖p₀) − D(p‖p₀)), and may only rise
-            where p̂ is nearer to the truth than p₀ is.
+        manifold: Manifold of the parameters. g is the Hessian of its barrier, without the factors 2
+            of [Lee2019] (B.4.20). A factor's weight w divides its rate, Eq. (B.4.19).
+        gamma: γ > 0; the adaptation rate is proportional to 1/γ.
+        integrator: "geodesic" steps of any length stay inside the manifold; "euler", as in
+            [Lee2019], is p̂ + dt p̂̇ and may leave it.
+        leakage: σ ≥ 0, 1/s. γ σ (∇h(p̂) − ∇h(p₀)) is added to b unless b is zero: the σ-modification
+            of P. A. Ioannou and P. V. Kokotović, Automatica 20(5), 1984, in this metric. It adds
+            −γ σ (D(p‖p̂) + D(p̂‖p₀) − D(p‖p₀)) to V̇, so that V may rise only if p̂ is closer to the
+            truth than p₀.
         toward: (n,) p₀, such as the parameters of the model.
     """
 
@@ -177,19 +176,19 @@ class AdaptationLaw(UpdateLaw):
 
     @property
     def dimension(self) -> int:
-        """That of the manifold."""
+        """Dimension of the manifold."""
         return self.manifold.dimension
 
     @cached_property
     def compiled(self) -> Steps | None:
-        """Return the factors of a robot's bodies and lower bounds, and no limits."""
+        """Factors of the manifold, without limits; None if `calc_limited_step` does not apply."""
         robot = self.manifold.robot if isinstance(self.manifold, Product) else None
         if robot is None or self.integrator != "geodesic" or self.leakage > 0:
             return None
         return robot, np.zeros((0, self.dimension)), np.zeros(0)
 
     def calc_contains(self, parameters: Array) -> bool:
-        """Return whether an estimate (n,) is inside of the manifold."""
+        """Return whether an estimate (n,) is inside the manifold."""
         return bool(self.manifold.calc_contains(parameters))
 
     def calc_rate(self, parameters: Array, b: Array) -> Array:
@@ -212,7 +211,7 @@ class AdaptationLaw(UpdateLaw):
         return b + self.gamma * self.leakage * (here - there)
 
     def calc_reach(self, parameters: Array, rows: Array) -> float:
-        """γ⁻¹ tr(Y g(p̂)⁻¹ Yᵀ), 1/s, of rows Y (k, n), which is at least the greatest eigenvalue."""
+        """Return γ⁻¹ tr(Y g(p̂)⁻¹ Yᵀ), 1/s, for Y (k, n), a bound of the largest eigenvalue."""
         products = self.manifold.calc_mirror_span(parameters, rows).products
         return float(np.trace(products)) / self.gamma
 
@@ -227,9 +226,9 @@ Steps = tuple[Factors, Array, Array]
 
 @compiled
 def calc_limited_step(p: Array, b: Array, steps: Steps, time: float, out: Array) -> bool:
-    """Write where a covector b (n,) takes an estimate in dt/γ; return whether that is all.
+    """Write the estimate after a step along b (n,) for time dt/γ; return whether it is valid.
 
-    It is not where the step is very long, ends near the edge of the manifold, or beyond a limit.
+    It is not if the step is very long, or ends near the manifold's boundary or beyond a limit.
     """
     factors, G, g = steps
     if not calc_natural_steps(p, b, factors, time, out):
@@ -240,7 +239,9 @@ def calc_limited_step(p: Array, b: Array, steps: Steps, time: float, out: Array)
 def natural_adaptation(
     manifold: Manifold, gamma: float = 1.0, *, integrator: Integrator = "geodesic"
 ) -> AdaptationLaw:
-    """Return the natural law, [Lee2019] Eq. (5.4.51): estimates stay physical and no unit matters.
+    """Return the natural law, [Lee2019] Eq. (5.4.51), independent of units.
+
+    Estimates remain physical.
 
     Args:
         manifold: Such as `parameter_manifold(model)`.
@@ -252,7 +253,7 @@ def pullback_adaptation(manifold: Manifold, at: ArrayLike, gamma: float = 1.0) -
     """Return the law with the constant gain Γ = γ g(p̂₀), [Lee2019] §5.5.
 
     Args:
-        at: (n,) the initial estimate p̂₀, inside of the manifold.
+        at: (n,) initial estimate p̂₀, inside the manifold.
     """
     n = instance(manifold, "manifold", Manifold).dimension
     at = real_array(at, "at", (n,))
@@ -267,13 +268,13 @@ def pullback_adaptation(manifold: Manifold, at: ArrayLike, gamma: float = 1.0) -
 def euclidean_adaptation(dimension: int, gamma: float = 1.0) -> AdaptationLaw:
     """Return the law with the gain Γ = γ 𝟙, [Lee2019] Eq. (5.4.48).
 
-    Units matter, and nothing keeps the estimate physical.
+    It depends on units, and the estimate may become unphysical.
     """
     identity = np.eye(integer(dimension, "dimension", lower=1, upper=_MOST))
     return AdaptationLaw(ConstantMetric(identity, identity), gamma)
 
 
-_NOT_INVERSE = 1e-3  # error of the product of a matrix and its inverse, on a unit diagonal
+_INVERSE_TOLERANCE = 1e-3  # error of the product of a matrix and its inverse, scaled
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,20 +293,20 @@ class ConstantMetric(Manifold, Short):
         matrix = positive_definite(self.matrix, "matrix", ("n", "n"), sizes)
         inverse = real_array(self.inverse, "inverse", ("n", "n"), sizes)
         scale = np.sqrt(np.diagonal(matrix))
-        off = (matrix @ inverse) / scale[:, None] * scale - np.eye(len(matrix))
-        if np.abs(off).max(initial=0.0) > _NOT_INVERSE:
+        error = (matrix @ inverse) / scale[:, None] * scale - np.eye(len(matrix))
+        if np.abs(error).max(initial=0.0) > _INVERSE_TOLERANCE:
             raise ArgumentError(
                 "inverse is not the inverse of matrix; their product differs by "
-                f"{np.abs(off).max():.2g} from the identity."
+                f"{np.abs(error).max():.2g} from the identity."
             )
         object.__setattr__(self, "matrix", matrix)
         object.__setattr__(self, "inverse", inverse)
 
     @classmethod
     def of(cls, manifold: Manifold, x: ArrayLike) -> ConstantMetric:
-        """Return the metric of another manifold at one of its points x (n,), used everywhere.
+        """Return the constant metric that equals another manifold's metric at x (n,).
 
-        The inverse comes from the manifold too, so that it is as precise as there.
+        The inverse is that of the manifold, which is more accurate than inverting the matrix.
         """
         x = real_array(x, "x", (instance(manifold, "manifold", Manifold).dimension,))
         inverse = manifold.inverse_metric_times(x, np.eye(manifold.dimension))
@@ -333,7 +334,7 @@ class ConstantMetric(Manifold, Short):
         return np.broadcast_to(self.matrix, (*np.shape(x)[:-1], *self.matrix.shape)).copy()
 
     def calc_inverse_metric_times(self, x: Array, b: Array) -> Array:
-        """Return Γ⁻¹ b, whatever x is."""
+        """Return Γ⁻¹ b."""
         return np.asarray(b @ self.inverse)
 
     def calc_divergence(self, x: Array, y: Array) -> Array:

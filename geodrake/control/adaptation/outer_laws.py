@@ -1,4 +1,4 @@
-"""Update laws made of another one: of some parameters alone, or inside of a convex set.
+"""Update laws that wrap another law: for some parameters only, or inside a convex set.
 
 [Lee2019] §5.4.2 and §5.5.2.
 """
@@ -26,18 +26,18 @@ from geodrake.manifolds.projections import Polyhedron, bregman_projection
 from geodrake.manifolds.slabs import slab_projection
 
 _MOST_CUTS = 60
-_SHORTENED = (8.0, 2.0)  # lengths in the metric of steps in place of ones that are too long
-_CUT_TOLERANCE = 1e-9  # distance outside of the set, in the metric, that counts as inside
+_SHORTENED = (8.0, 2.0)  # lengths, in the metric, to which long steps are shortened
+_CUT_TOLERANCE = 1e-9  # distance from the set, in the metric, that counts as inside
 _ROUNDING = 1e-13  # of a limit, relative to its terms
 
 
 class _OuterLaw(UpdateLaw):
-    """A law around another one, `law`, from which it takes all but its rate and its step."""
+    """A law that delegates everything except its rate and step to the inner `law`."""
 
     law: UpdateLaw
 
-    def _own(self, values: Array) -> Array:
-        """Return those of values (..., n) that the law inside sees."""
+    def _inner(self, values: Array) -> Array:
+        """Return the entries of values (..., n) that belong to the inner law."""
         return values
 
     @property
@@ -47,7 +47,7 @@ class _OuterLaw(UpdateLaw):
 
     @property
     def slowness(self) -> float:
-        """That of the law inside."""
+        """γ of the inner law."""
         return self.law.slowness
 
     def with_slowness(self, gamma: float) -> Self:
@@ -55,31 +55,31 @@ class _OuterLaw(UpdateLaw):
         return replace(self, law=self.law.with_slowness(gamma))  # type: ignore[type-var]
 
     def calc_contains(self, parameters: Array) -> bool:
-        """Return whether the law inside can move an estimate (n,), be it outside of a set."""
-        return self.law.calc_contains(self._own(parameters))
+        """Return whether an estimate (n,) is in the inner law's domain."""
+        return self.law.calc_contains(self._inner(parameters))
 
     def calc_reach(self, parameters: Array, rows: Array) -> float:
-        """Return the value of the law inside: limits make no rate greater."""
-        return self.law.calc_reach(self._own(parameters), self._own(rows))
+        """Return the bound of the inner law; limits do not increase rates."""
+        return self.law.calc_reach(self._inner(parameters), self._inner(rows))
 
     def calc_parameter_error(self, truth: Array, parameters: Array) -> Array:
-        """Return V_p of the law inside."""
-        return self.law.calc_parameter_error(self._own(truth), self._own(parameters))
+        """Return V_p of the inner law."""
+        return self.law.calc_parameter_error(self._inner(truth), self._inner(parameters))
 
 
 @dataclass(frozen=True, eq=False)
 class PartialLaw(_OuterLaw, Short):
-    """A law of some parameters, such as those of a load; the others are known and stay as they are.
+    """A law for some parameters, such as those of a load, with the others known and constant.
 
-    It is the law of the submanifold on which only those parameters vary: V̇_t ≤ (p̂ − p)ᵀ b has no
-    part of parameters that are equal to the truth. What is held does not change by a single bit.
+    It is the law of the submanifold on which only the adapted parameters vary. V̇_t ≤ (p̂ − p)ᵀ b
+    does not depend on parameters that equal the truth. Constant parameters are bitwise unchanged.
 
     Attributes:
-        law: The law of the k parameters that are adapted, on their own manifold.
-        adapted: (n,) booleans, true for these k; `adapted_parameters` makes them from names.
+        law: The law for the k adapted parameters, on their own manifold.
+        adapted: (n,) booleans, true for these k; see `adapted_parameters`.
 
     Raises:
-        ArgumentError: The law moves another number of parameters, or none is adapted.
+        ArgumentError: The law has another number of parameters, or none is adapted.
     """
 
     law: UpdateLaw
@@ -99,7 +99,7 @@ class PartialLaw(_OuterLaw, Short):
         object.__setattr__(self, "adapted", adapted.copy())
 
     @cached_property
-    def _places(self) -> NDArray[np.intp]:
+    def _indices(self) -> NDArray[np.intp]:
         return np.flatnonzero(self.adapted)
 
     @property
@@ -108,33 +108,33 @@ class PartialLaw(_OuterLaw, Short):
         return len(self.adapted)
 
     def calc_rate(self, parameters: Array, b: Array) -> Array:
-        """Return the rate (n,), zero for what is held."""
+        """Return the rate (n,), zero for constant parameters."""
         rate = np.zeros(len(self.adapted))
-        rate[self._places] = self.law.calc_rate(self._own(parameters), self._own(b))
+        rate[self._indices] = self.law.calc_rate(self._inner(parameters), self._inner(b))
         return rate
 
     def calc_step(self, parameters: Array, b: Array, dt: float) -> Array:
-        """Return the estimate (n,) after dt seconds, what is held as it was."""
-        following = parameters.copy()
-        following[self._places] = self.law.calc_step(self._own(parameters), self._own(b), dt)
-        return following
+        """Return the estimate (n,) after dt seconds."""
+        result = parameters.copy()
+        result[self._indices] = self.law.calc_step(self._inner(parameters), self._inner(b), dt)
+        return result
 
-    def _own(self, values: Array) -> Array:
-        return values[..., self._places]
+    def _inner(self, values: Array) -> Array:
+        return values[..., self._indices]
 
 
 @dataclass(frozen=True, eq=False)
 class ProjectedLaw(_OuterLaw):
-    """An adaptation law whose estimate stays in a convex set C that holds the truth.
+    """An adaptation law whose estimate stays in a convex set C that contains the truth.
 
-    The rate is projected onto the limits that bind, Eq. (5.4.57), and a step that ends outside of C
-    is taken back by the Bregman projection, Eq. (5.4.59). Neither makes V greater. With several
-    limits at once, the projection of the rate is the nearest rate that breaks none of them. An
-    estimate that begins outside of C stays outside by its rate alone: begin with `project` of it.
+    The rate is projected onto the active limits, Eq. (5.4.57), and steps that end outside C are
+    corrected by the Bregman projection, Eq. (5.4.59). Neither increases V. With several active
+    limits, the projected rate is the closest rate that violates none of them. The rate does not
+    move an estimate into C: start with `project`.
 
     Attributes:
         constraints: C; a `Polyhedron`, or a `ConvexSet`.
-        margin: Distance in the manifold's metric below which a limit binds.
+        margin: Distance in the manifold's metric below which a limit is active.
     """
 
     law: AdaptationLaw
@@ -150,7 +150,7 @@ class ProjectedLaw(_OuterLaw):
 
     @cached_property
     def _rows(self) -> tuple[Array, Array]:
-        """G (k, n) and g (k,) of limits G p ≤ g; none of them of functions."""
+        """G (k, n) and g (k,) of the linear limits G p ≤ g; empty for a `ConvexSet`."""
         if isinstance(limits := self.constraints, ConvexSet):
             return np.zeros((0, self.law.dimension)), np.zeros(0)
         above, below = np.isfinite(limits.upper), np.isfinite(limits.lower)
@@ -158,7 +158,7 @@ class ProjectedLaw(_OuterLaw):
         return contiguous(G), np.concatenate([limits.upper[above], -limits.lower[below]])
 
     def limits(self, p: Array) -> tuple[Array, Array]:
-        """Return c(p) (k,) of p (n,), at most zero in C, and ∇c(p) (k, n)."""
+        """Return c(p) (k,), which is ≤ 0 in C, and ∇c(p) (k, n)."""
         if isinstance(self.constraints, ConvexSet):
             return self.constraints.limits(p)
         G, g = self._rows
@@ -166,38 +166,37 @@ class ProjectedLaw(_OuterLaw):
 
     @cached_property
     def compiled(self) -> Steps | None:
-        """Return the steps of the law, within limits of a polyhedron."""
+        """Factors of the inner law, with the limits of a polyhedron."""
         if self.law.compiled is None or isinstance(self.constraints, ConvexSet):
             return None
         return self.law.compiled[0], *self._rows
 
     def calc_rate(self, parameters: Array, b: Array) -> Array:
-        """Return the rate of the law, tangent to limits that bind ([Lee2019] Eq. (5.4.57))."""
+        """Return the law's rate, projected onto active limits ([Lee2019] Eq. (5.4.57))."""
         p = parameters
         v = self.law.calc_rate(p, b)
         values, normals = self.limits(p)
         leaving = normals @ v > 0
         if not leaving.any():
             return v
-        # Limits that do not bind are far from it, so the metric is only asked about those near it.
-        pulls = self.law.manifold.calc_inverse_metric_times(p, normals)
-        lengths = np.sqrt((normals * pulls).sum(-1))
+        gradients = self.law.manifold.calc_inverse_metric_times(p, normals)
+        lengths = np.sqrt((normals * gradients).sum(-1))
         active = values >= -self.margin * lengths
         if not (active & leaving).any():
             return v
-        a, w = normals[active] / lengths[active, None], pulls[active] / lengths[active, None]
-        return v - _least_push(a @ w.T, a @ v) @ w
+        a, w = normals[active] / lengths[active, None], gradients[active] / lengths[active, None]
+        return v - _multipliers(a @ w.T, a @ v) @ w
 
     def calc_step(self, parameters: Array, b: Array, dt: float) -> Array:
         """Return the estimate after dt seconds, projected onto C ([Lee2019] Eq. (5.4.59)).
 
-        Steps may be of any length. Only where the end of one is so near to the edge of the manifold
-        that rounding hides its projection, it is shortened to eight, and then to two in the
-        manifold's metric.
+        Steps may have any length. If a step ends so close to the manifold's boundary that its
+        projection fails due to rounding, it is shortened to length 8, then 2, in the manifold's
+        metric.
 
         Raises:
-            ConvergenceError: No step can be projected onto C, most likely because C does not meet
-                the manifold.
+            ConvergenceError: No step can be projected onto C, most likely because C does not
+                intersect the manifold.
         """
         p = self.law.calc_step(parameters, b, dt)
         if not (self.limits(p)[0] > 0).any():
@@ -209,10 +208,10 @@ class ProjectedLaw(_OuterLaw):
             pull = self.law.calc_pull(parameters, b)
             speed = -np.dot(self.law.calc_rate(parameters, b), pull) / self.law.gamma
         length = float(dt * np.sqrt(max(speed, 0.0)))
-        for most in _SHORTENED:
-            if length > most:
+        for limit in _SHORTENED:
+            if length > limit:
                 try:
-                    return self.project(self.law.calc_step(parameters, b, dt * most / length))
+                    return self.project(self.law.calc_step(parameters, b, dt * limit / length))
                 except GeodrakeError:
                     continue
         return self.project(parameters)
@@ -221,8 +220,8 @@ class ProjectedLaw(_OuterLaw):
         """Return the Bregman projection of an estimate (n,) onto C; itself if it is in C.
 
         Raises:
-            ConvergenceError: C does not meet the manifold.
-            ArgumentError: The estimate is not inside of the manifold, as after an Euler step.
+            ConvergenceError: C does not intersect the manifold.
+            ArgumentError: The estimate is outside the manifold, as after an Euler step.
         """
         p = real_array(parameters, "parameters", (self.law.manifold.dimension,))
         if not (self.limits(p)[0] > 0).any():
@@ -233,24 +232,24 @@ class ProjectedLaw(_OuterLaw):
 
 
 def _project_by_rows(manifold: Manifold, p: Array, G: Array, g: Array) -> Array:
-    """Project onto the limits G x ≤ g that p is beyond, and onto more while the result is.
+    """Project onto the violated limits of G x ≤ g, adding limits that the result violates.
 
-    The projection onto some limits that keeps the others is the one onto all.
+    A projection onto some limits that satisfies the others is the projection onto all.
     """
-    bound, point = np.zeros(len(g), bool), p
+    active, point = np.zeros(len(g), bool), p
     while True:
-        beyond = G @ point - g > _rounding(G, point)
-        if not (beyond & ~bound).any():
+        violated = G @ point - g > _rounding(G, point)
+        if not (violated & ~active).any():
             return point
-        bound |= beyond
-        point = _nearest(manifold, p, G[bound], g[bound])
+        active |= violated
+        point = _project_factors(manifold, p, G[active], g[active])
 
 
 def _project_by_cuts(manifold: Manifold, p: Array, convex: ConvexSet) -> Array:
-    """Project onto half-spaces around a convex set, with new ones where the last point is outside.
+    """Project onto half-spaces that contain a convex set, adding cuts until the result is in it.
 
-    A half-space that touches c at y, c(y) + ∇c(y)ᵀ (x − y) ≤ 0, holds the whole set, so every
-    projection is at least as near to p as the one onto the set, and the last one is inside of it.
+    The cut c(y) + ∇c(y)ᵀ (x − y) ≤ 0 at a point y contains the set. Every projection is thus at
+    least as close to p as that onto the set, and the last one is in the set.
     """
     point, rows, upper = p, np.zeros((0, len(p))), np.zeros(0)
     for _ in range(_MOST_CUTS):
@@ -272,55 +271,56 @@ def _project_by_cuts(manifold: Manifold, p: Array, convex: ConvexSet) -> Array:
     )
 
 
-def _nearest(manifold: Manifold, p: Array, G: Array, g: Array) -> Array:
-    """Return the Bregman projection of p (n,) onto G x ≤ g, of the factors that these are about."""
+def _project_factors(manifold: Manifold, p: Array, G: Array, g: Array) -> Array:
+    """Return the Bregman projection of p (n,) onto G x ≤ g, restricted to factors in G."""
     product = manifold if isinstance(manifold, Product) else Product((manifold,))
     ends = np.cumsum([factor.dimension for factor in product.manifolds])
-    places = np.split(np.arange(product.dimension), ends[:-1])
-    kept = [k for k, at in enumerate(places) if G[:, at].any()] or range(len(places))
-    factors = tuple(product.manifolds[k] for k in kept)
-    part = Product(factors, tuple(product.weights[k] for k in kept))
-    at = np.concatenate([places[k] for k in kept])
-    own, lower, point = G[:, at], np.full(len(g), -np.inf), p.copy()
-    if part.robot is not None and part.calc_contains(p[at]):
-        found = slab_projection(part, p[at], own, lower, g)
-        if found.certified and (own @ found.point - g <= _rounding(own, found.point)).all():
-            point[at] = found.point
+    parts = np.split(np.arange(product.dimension), ends[:-1])
+    involved = [k for k, part in enumerate(parts) if G[:, part].any()] or range(len(parts))
+    factors = tuple(product.manifolds[k] for k in involved)
+    submanifold = Product(factors, tuple(product.weights[k] for k in involved))
+    indices = np.concatenate([parts[k] for k in involved])
+    rows, lower, point = G[:, indices], np.full(len(g), -np.inf), p.copy()
+    if submanifold.robot is not None and submanifold.calc_contains(p[indices]):
+        projection = slab_projection(submanifold, p[indices], rows, lower, g)
+        x = projection.point
+        if projection.certified and (rows @ x - g <= _rounding(rows, x)).all():
+            point[indices] = x
             return point
-    point[at] = bregman_projection(part, p[at], Polyhedron(own, lower, g))
+    point[indices] = bregman_projection(submanifold, p[indices], Polyhedron(rows, lower, g))
     return point
 
 
 def _rounding(G: Array, x: Array) -> Array:
-    """Return what rounding makes of G x (k,), at most."""
+    """Return a bound of the rounding errors of G x (k,)."""
     return _ROUNDING * (np.abs(G) @ np.abs(x))
 
 
-def _least_push(G: Array, a_v: Array) -> Array:
-    """Return λ ≥ 0 (k,) of least ½ λᵀ G λ − λᵀ a_v, with G the products of unit normals."""
+def _multipliers(G: Array, a_v: Array) -> Array:
+    """Return λ ≥ 0 (k,) that minimizes ½ λᵀ G λ − λᵀ a_v, with G the products of unit normals."""
     if len(a_v) == 1:
         return np.maximum(a_v, 0.0) / G[0]
-    # G = Sᵀ S, and S may be singular where normals depend on each other.
+    # Factor G = Sᵀ S, which is singular for dependent normals.
     values, axes = np.linalg.eigh(G)
-    kept = values > 1e-12 * values[-1]
-    root = np.sqrt(values[kept])
-    multipliers, _ = nnls(root[:, None] * axes[:, kept].T, (axes[:, kept].T @ a_v) / root)
+    positive = values > 1e-12 * values[-1]
+    root, axes = np.sqrt(values[positive]), axes[:, positive].T
+    multipliers, _ = nnls(root[:, None] * axes, (axes @ a_v) / root)
     return np.asarray(multipliers)
 
 
 def limited(law: UpdateLaw, points: ArrayLike, factor: float) -> UpdateLaw:
-    """Return a law with limits about the model's parameters and a first estimate.
+    """Return a law with limits relative to the model's parameters and the initial estimate.
 
-    Limited are tr(P₀⁻¹ P) of each body, which is four for P = P₀ and does not depend on units and
-    frames, and how far each parameter of an effect is from its bound, if it has only one. They stay
-    within `factor` times what the points have. As P ≤ tr(P₀⁻¹ P) P₀, mass matrices stay below
-    4 factor times the model's: sampled gains K = λ M̂ with h λ M̂ > 2 M make a loop chatter, chatter
-    makes estimates grow, and such a loop would not come back.
+    Limited are tr(P₀⁻¹ P) of each body, which is four for P = P₀ and independent of units and
+    frames, and the distance of an effect's parameter from its bound, if it has exactly one. They
+    are limited to `factor` times the values at the points. As P ≤ tr(P₀⁻¹ P) P₀, mass matrices stay
+    below 4 factor times the model's. Without limits, sampled gains K = λ M̂ with h λ M̂ > 2 M cause
+    chatter, which increases the estimates further, and the loop does not recover.
 
-    A law of a flat manifold, one of Euler steps and one with limits of its own stay as they are.
+    Laws on flat manifolds, with Euler steps or with limits are returned unchanged.
 
     Args:
-        points: (k, n) the model's parameters, and the first estimate.
+        points: (k, n) the model's parameters, and the initial estimate.
     """
     number(factor, "factor", lower=1.0, strict=True)
     points = real_array(points, "points", ("k", instance(law, "law", UpdateLaw).dimension or "n"))
@@ -329,8 +329,8 @@ def limited(law: UpdateLaw, points: ArrayLike, factor: float) -> UpdateLaw:
     if not isinstance(law, AdaptationLaw) or law.integrator != "geodesic":
         return law
     product = law.manifold if isinstance(law.manifold, Product) else Product((law.manifold,))
-    places = np.split(points, np.cumsum([m.dimension for m in product.manifolds])[:-1], axis=1)
-    cones = [_cone(*each) for each in zip(product.manifolds, places, strict=True)]
+    parts = np.split(points, np.cumsum([m.dimension for m in product.manifolds])[:-1], axis=1)
+    cones = [_cone(factor, part) for factor, part in zip(product.manifolds, parts, strict=True)]
     A, tip = block_diag(*(cone[0] for cone in cones)), np.concatenate([cone[1] for cone in cones])
     heights = (points - tip) @ A.T
     least = heights.min(0, where=heights > 0, initial=np.inf) / factor + A @ tip
@@ -339,7 +339,7 @@ def limited(law: UpdateLaw, points: ArrayLike, factor: float) -> UpdateLaw:
 
 
 def _cone(manifold: Manifold, points: Array) -> tuple[Array, Array]:
-    """Return what grows inside of a manifold that is a cone, (rows, n), and its tip (n,)."""
+    """Return linear functions (rows, n) that are positive in a conic manifold, and its tip (n,)."""
     inside = points[manifold.contains(points)]
     if isinstance(manifold, PhysicalInertia | ConstrainedInertia) and len(inside):
         return -PhysicalInertia().gradient(inside[:1]), np.zeros(points.shape[1])

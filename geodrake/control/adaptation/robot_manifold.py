@@ -1,4 +1,4 @@
-"""The parameters of a robot, its bodies and then its effects: their manifold, and some of them."""
+"""The manifold of a robot's parameters, and selections of parameters."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ def parameter_manifold(
     weights: Mapping[str, float] | None = None,
     bodies: Mapping[str, Manifold] | None = None,
 ) -> Product:
-    """Return the manifold of a parameter vector [φ, μ], as `ControlModel` has it.
+    """Return the manifold of a parameter vector [φ, μ], in the order of `ControlModel`.
 
     Args:
-        body_weight: Weight w of every body's barrier. Twice the weight is half the speed.
-        effect_weight: Weight w of every effect's barrier; [Lee2019] §5.6 has ½ for friction.
-        weights: Weights of single bodies or of kinds of effects by name, instead of those.
-        bodies: Manifolds of single bodies by name, such as a `ConstrainedInertia`; the others are
+        body_weight: Weight w of every body's barrier. Adaptation speed is proportional to 1/w.
+        effect_weight: Weight w of every effect's barrier; [Lee2019] §5.6 uses ½ for friction.
+        weights: Weights of single bodies or kinds of effects by name, which override these.
+        bodies: Manifolds of single bodies by name, such as a `ConstrainedInertia`; the default is
             `PhysicalInertia`.
     """
     positive(body_weight, "body_weight")
@@ -55,28 +55,28 @@ def parameter_manifold(
 
 
 def adapted_parameters(model: RobotModel, names: Sequence[str]) -> NDArray[np.bool_]:
-    """Return which of a robot's parameters [φ, μ] are those of some bodies and effects.
+    """Return which of a robot's parameters [φ, μ] belong to some bodies and effects.
 
     Args:
-        names: Bodies, and kinds of effects: ["payload"], or ["wrist_3_link", "viscous_friction"].
+        names: Bodies and kinds of effects: ["payload"], or ["wrist_3_link", "viscous_friction"].
 
     Returns:
         (p,) booleans, for a `PartialLaw`.
     """
     instance(model, "model", RobotModel)
-    wanted = set([names] if isinstance(names, str) else instances(names, "names", str))
+    selected = set([names] if isinstance(names, str) else instances(names, "names", str))
     kinds = {fitted.effect.name for fitted in model.effects if fitted.effect.parameters}
-    _check_names(model, wanted - kinds, kinds)
-    if not wanted:
+    _check_names(model, selected - kinds, kinds)
+    if not selected:
         raise ArgumentError("names must have at least one parameter to adapt.")
-    adapted = [body in wanted for body in model.bodies for _ in range(PARAMETERS_PER_BODY)]
+    adapted = [body in selected for body in model.bodies for _ in range(PARAMETERS_PER_BODY)]
     for fitted in model.effects:
-        adapted += [fitted.effect.name in wanted] * len(fitted.effect.parameters)
+        adapted += [fitted.effect.name in selected] * len(fitted.effect.parameters)
     return np.array(adapted)
 
 
 def _check_names(model: RobotModel, bodies: set[str], effects: set[str]) -> None:
-    """Check that what is no effect is a body."""
+    """Raise if `bodies` are not in the model; `effects` are other valid names."""
     if unknown := bodies - set(model.bodies):
         raise ArgumentError(
             f"The robot has no {', '.join(sorted(map(str, unknown)))}.",

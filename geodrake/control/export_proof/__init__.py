@@ -1,4 +1,4 @@
-"""Exports verified in simulators: their content, what they lack, and the loss of accuracy."""
+"""Exports verified in simulators: their content, missing effects, and loss of accuracy."""
 
 from geodrake.control.export_proof.export import export_to
 

@@ -1,6 +1,6 @@
-"""Simulators that load exported models by themselves, those that are installed.
+"""Simulators that load exported models with their own parsers.
 
-Packages of simulators that are optional are imported where they are needed.
+Optional packages are imported on demand.
 """
 
 from __future__ import annotations
@@ -42,18 +42,16 @@ Mask = NDArray[np.bool_]
 
 
 class Engine(abc.ABC):
-    """A simulator with a robot that it read from a file.
+    """A simulator with a robot loaded from a file.
 
-    Joints are those of the model, one position and one velocity each; or those of its plant.
+    Joints are those of the model, with one position and velocity each, or those of its plant.
     """
 
-    package: ClassVar[str]  # that it needs
-    # Effects that may be in the file, but which the simulator does not act upon.
-    ignores: tuple[type[Effect], ...] = ()
-    # Whether joints are those of the plant, among them such as follow others.
-    of_plant: ClassVar[bool] = False
+    package: ClassVar[str]  # required package
+    ignores: tuple[type[Effect], ...] = ()  # effects in the file that it does not simulate
+    of_plant: ClassVar[bool] = False  # whether joints are those of the plant, including followers
     name: str
-    drives: Drives | None = None  # actuators that efforts of rollouts pass through
+    drives: Drives | None = None  # actuators through which efforts of rollouts are applied
     messages: tuple[str, ...] = ()  # warnings
 
     @abc.abstractmethod
@@ -65,28 +63,29 @@ class Engine(abc.ABC):
         """Return the effort that a motion (N, nv) needs.
 
         Returns:
-            (N, nv) efforts, N·m or N, and where they are meant to be those of the model.
+            (N, nv) efforts, N·m or N, and which of them are comparable to those of the model.
         """
 
     def roll_out(self, q: Array, v: Array, effort: Array, step: float) -> Array | None:
-        """Roll out from a state, without dry friction: (K + 1, nv) positions; None if it cannot.
+        """Simulate without dry friction and return positions (K + 1, nv); None if not supported.
 
-        Actuators are told `Drives.controls` of the efforts.
-
-        Efforts (K, nv), N·m or N, are each held for a step, s.
+        Args:
+            effort: (K, nv) efforts, N·m or N, each held for a step; actuators get their
+                `Drives.controls`.
+            step: Time step, s.
         """
         return None
 
 
 def order_of(joints: Sequence[str], places: Mapping[str, int], file: Path, name: str) -> list[int]:
-    """Return where a simulator has each of some joints, of all the places that it has."""
-    if lacking := [joint for joint in joints if joint not in places]:
-        raise ModelError(f"{name} has no joint {lacking[0]!r} in {file.name}.")
+    """Return the simulator's index of each joint; raise if one is missing."""
+    if missing := [joint for joint in joints if joint not in places]:
+        raise ModelError(f"{name} has no joint {missing[0]!r} in {file.name}.")
     return [places[joint] for joint in joints]
 
 
 class DrakeEngine(Engine):
-    """A plant, continuous in time; it does not act upon dry friction of its joints."""
+    """A continuous-time plant, which does not simulate dry friction of joints."""
 
     package = "pydrake"
     of_plant = True
@@ -108,9 +107,9 @@ class DrakeEngine(Engine):
             self._plant.Finalize()
             self._diagram = builder.Build()
         if self._plant.num_force_elements() == 1:  # gravity
-            self.ignores = (DryFriction, Spring)  # which a URDF has for Gazebo alone
-        said = (message.partition("\n")[0].rpartition("warning: ")[2] for message in messages)
-        self.messages = tuple(dict.fromkeys(said))
+            self.ignores = (DryFriction, Spring)  # a URDF's springs may be for Gazebo only
+        warnings = (message.partition("\n")[0].rpartition("warning: ")[2] for message in messages)
+        self.messages = tuple(dict.fromkeys(warnings))
         plant, names = self._plant, joint_names(self._plant)
         places = {name: k for k, name in enumerate(names)}
         self._at = order_of(joint_names(model.plant), places, file, self.name)
@@ -121,21 +120,21 @@ class DrakeEngine(Engine):
         self._held = dict(held)
 
     def effort(self, q: Array, v: Array, vd: Array) -> tuple[Array, Mask]:
-        """Inverse dynamics with damping, rotors, springs and gravity; see `Engine.effort`."""
+        """Return inverse dynamics with damping, rotors, springs and gravity."""
         plant = self._plant
         context = plant.CreateDefaultContext()
         forces = MultibodyForces(plant)
-        found = np.empty_like(v)
+        effort = np.empty_like(v)
         for k in range(len(v)):
             self._set(context, q[k], v[k])
             plant.CalcForceElementsContribution(context, forces)
-            found[k] = plant.CalcInverseDynamics(context, self._spread(vd[k]), forces)[self._at]
-        return found, np.full(v.shape, True)
+            effort[k] = plant.CalcInverseDynamics(context, self._spread(vd[k]), forces)[self._at]
+        return effort, np.full(v.shape, True)
 
     def roll_out(self, q: Array, v: Array, effort: Array, step: float) -> Array | None:
-        """Return positions by a fifth-order integrator, a step at a time; see `Engine.roll_out`."""
+        """Return positions by a fifth-order integrator with fixed steps."""
         if self._held:
-            return None  # nothing holds these joints
+            return None  # fixed joints would move
         simulator = Simulator(self._diagram)
         ResetIntegratorFromFlags(simulator, "runge_kutta5", step)
         integrator = simulator.get_mutable_integrator()
@@ -147,14 +146,14 @@ class DrakeEngine(Engine):
             self._plant.get_actuation_input_port().FixValue(
                 context, np.zeros(self._plant.num_actuators())
             )
-        held = port.FixValue(context, self._spread(effort[0]))
+        fixed = port.FixValue(context, self._spread(effort[0]))
         simulator.Initialize()
-        found = [q]
-        for k, own in enumerate(effort):
-            held.GetMutableData().set_value(self._spread(own))
+        positions = [q]
+        for k, applied in enumerate(effort):
+            fixed.GetMutableData().set_value(self._spread(applied))
             simulator.AdvanceTo((k + 1) * step)
-            found.append(self._plant.GetPositions(context)[self._positions])
-        return np.array(found)
+            positions.append(self._plant.GetPositions(context)[self._positions])
+        return np.array(positions)
 
     def _set(self, context: object, q: Array, v: Array) -> None:
         positions = np.zeros(self._plant.num_positions())
@@ -164,21 +163,21 @@ class DrakeEngine(Engine):
         self._plant.SetVelocities(context, self._spread(v))
 
     def _spread(self, values: Array) -> Array:
-        """Return values of the model's joints as Drake has them."""
-        found = np.zeros(self._plant.num_velocities())
-        found[self._at] = values
-        return found
+        """Return values of the model's joints in Drake's order of velocities."""
+        spread = np.zeros(self._plant.num_velocities())
+        spread[self._at] = values
+        return spread
 
 
-_FULL = 1.0 - 1e-9  # share of dry friction from which on it counts as being there in full
+_FULL = 1.0 - 1e-9  # fraction of dry friction above which it is fully developed
 
 
 class MujocoEngine(Engine):
-    """A model of MuJoCo, whose joints feel no limits, contacts and closed loops.
+    """A MuJoCo model without joint limits, contacts and closed loops.
 
-    Efforts of rollouts pass through the actuators of joints, where those are what the model has:
-    motors, or servos, late or not. At other joints they are applied as they are, and other
-    actuators are without force.
+    In rollouts, efforts are applied through actuators that correspond to those of the model: motors
+    or servos, with or without delays. At other joints they are applied directly, and other
+    actuators are disabled.
     """
 
     package = "mujoco"
@@ -188,167 +187,170 @@ class MujocoEngine(Engine):
         self._mj = mujoco = import_module("mujoco")
         self.name = f"MuJoCo {mujoco.__version__}"
         try:
-            with self._warning_here():
+            with self._collecting_warnings():
                 self._model = mujoco.MjModel.from_xml_path(str(file))
         except ValueError as error:
             line = " ".join(str(error).split())[:300]
             raise ModelError(f"MuJoCo cannot read {file.name}: {line}") from error
-        off = mujoco.mjtDisableBit
+        bits = mujoco.mjtDisableBit
         for bit in (
-            off.mjDSBL_CONTACT,
-            off.mjDSBL_LIMIT,
-            off.mjDSBL_EQUALITY,
-            off.mjDSBL_CLAMPCTRL,
-            off.mjDSBL_ACTUATION,  # but in rollouts
+            bits.mjDSBL_CONTACT,
+            bits.mjDSBL_LIMIT,
+            bits.mjDSBL_EQUALITY,
+            bits.mjDSBL_CLAMPCTRL,
+            bits.mjDSBL_ACTUATION,  # except in rollouts
         ):
             self._model.opt.disableflags |= int(bit)
         places = self._places()
         joints = joint_names(model.plant)
         ids = order_of(joints, places, file, self.name)
-        in_q = self._model.jnt_qposadr
-        self._at, self._positions = self._model.jnt_dofadr[ids].tolist(), in_q[ids].tolist()
-        self._held = {int(in_q[places[n]]): x for n, x in model.held.items() if n in places}
+        addresses = self._model.jnt_qposadr
+        self._at, self._positions = self._model.jnt_dofadr[ids].tolist(), addresses[ids].tolist()
+        self._held = {int(addresses[places[n]]): x for n, x in model.held.items() if n in places}
         self._friction = self._model.dof_frictionloss[self._at].copy()
-        # Older versions have no delays, and one signal for each actuator.
+        # Older versions have no delays, and one signal per actuator.
         count = len(self._model.actuator_trntype)
         self._delays = getattr(self._model, "actuator_delay", np.zeros(count))
         self._signals = getattr(self._model, "actuator_ctrladr", np.arange(count))
-        self._through = self._take_actuators(model, joints, ids)
-        through = zip(joints, self._at, strict=True)
-        self.drives = Drives.of(model, [joint for joint, at in through if at in self._through])
+        self._actuators = self._matching_actuators(model, joints, ids)
+        pairs = zip(joints, self._at, strict=True)
+        self.drives = Drives.of(model, [joint for joint, dof in pairs if dof in self._actuators])
 
     def effort(self, q: Array, v: Array, vd: Array) -> tuple[Array, Mask]:
-        """Inverse dynamics; where dry friction, a soft constraint, is not in full, it is masked."""
-        data, found = self._mj.MjData(self._model), np.empty_like(v)
-        meant = np.full(v.shape, True)
+        """Return inverse dynamics, comparable where dry friction is fully developed.
+
+        MuJoCo's dry friction is a soft constraint.
+        """
+        data, effort = self._mj.MjData(self._model), np.empty_like(v)
+        is_comparable = np.full(v.shape, True)
         data.qpos[[*self._held]] = [*self._held.values()]
         for k in range(len(v)):
             data.qpos[self._positions], data.qvel[self._at], data.qacc[self._at] = q[k], v[k], vd[k]
-            with self._warning_here():
+            with self._collecting_warnings():
                 self._mj.mj_inverse(self._model, data)
-            found[k] = data.qfrc_inverse[self._at]
-            held = -np.sign(v[k]) * data.qfrc_constraint[self._at]
-            meant[k] = held >= _FULL * self._friction
-        return found, meant
+            effort[k] = data.qfrc_inverse[self._at]
+            friction = -np.sign(v[k]) * data.qfrc_constraint[self._at]
+            is_comparable[k] = friction >= _FULL * self._friction
+        return effort, is_comparable
 
     def roll_out(self, q: Array, v: Array, effort: Array, step: float) -> Array | None:
-        """Return positions by MuJoCo's Runge–Kutta integrator; see `Engine.roll_out`."""
+        """Return positions by MuJoCo's Runge–Kutta integrator."""
         if self._held:
-            return None  # nothing holds these joints
-        model, off = self._model, self._mj.mjtDisableBit
-        before = model.opt.timestep, model.opt.integrator, model.opt.disableflags
+            return None  # fixed joints would move
+        model, bits = self._model, self._mj.mjtDisableBit
+        options = model.opt.timestep, model.opt.integrator, model.opt.disableflags
         model.opt.timestep, model.opt.integrator = step, int(self._mj.mjtIntegrator.mjINT_RK4)
-        model.opt.disableflags |= int(off.mjDSBL_FRICTIONLOSS)
-        model.opt.disableflags &= ~int(off.mjDSBL_ACTUATION)
+        model.opt.disableflags |= int(bits.mjDSBL_FRICTIONLOSS)
+        model.opt.disableflags &= ~int(bits.mjDSBL_ACTUATION)
         data = self._mj.MjData(model)
         data.qpos[self._positions], data.qvel[self._at] = q, v
         controls = effort if self.drives is None else self.drives.controls(q, effort)
         self._start_history(data, controls[0])
-        found = [q]
-        for own in controls:
-            for at, value in zip(self._at, own.tolist(), strict=True):
-                if (actuator := self._through.get(at)) is None:
-                    data.qfrc_applied[at] = value
+        positions = [q]
+        for signals in controls:
+            for dof, value in zip(self._at, signals.tolist(), strict=True):
+                if (actuator := self._actuators.get(dof)) is None:
+                    data.qfrc_applied[dof] = value
                 else:
                     data.ctrl[self._signals[actuator]] = value
-            with self._warning_here():
+            with self._collecting_warnings():
                 self._mj.mj_step(model, data)
-            found.append(data.qpos[self._positions].copy())
-        model.opt.timestep, model.opt.integrator, model.opt.disableflags = before
-        return np.array(found)
+            positions.append(data.qpos[self._positions].copy())
+        model.opt.timestep, model.opt.integrator, model.opt.disableflags = options
+        return np.array(positions)
 
     @contextmanager
-    def _warning_here(self) -> Iterator[None]:
-        """Take MuJoCo's warnings as messages."""
-        with quiet_mujoco() as said:
+    def _collecting_warnings(self) -> Iterator[None]:
+        """Collect MuJoCo's warnings in `messages`."""
+        with quiet_mujoco() as warnings:
             yield
-        words = (each.partition(" Time =")[0] for each in said)
-        self.messages = tuple(dict.fromkeys((*self.messages, *words)))
+        texts = (warning.partition(" Time =")[0] for warning in warnings)
+        self.messages = tuple(dict.fromkeys((*self.messages, *texts)))
 
     def _start_history(self, data: Any, controls: Array) -> None:
-        """Have late actuators be told the first signals all the time before."""
-        for at, value in zip(self._at, controls.tolist(), strict=True):
-            actuator = self._through.get(at)
+        """Fill the buffers of delayed actuators with the first signals."""
+        for dof, value in zip(self._at, controls.tolist(), strict=True):
+            actuator = self._actuators.get(dof)
             if actuator is not None and self._delays[actuator]:
                 count = int(self._model.actuator_history[actuator][0])
                 self._mj.mj_initCtrlHistory(
                     self._model, data, actuator, None, np.full(count, value)
                 )
 
-    def _take_actuators(
+    def _matching_actuators(
         self, model: RobotModel, joints: Sequence[str], ids: Sequence[int]
     ) -> dict[int, int]:
-        """Return degree of freedom -> its actuator, like the model's; others do nothing."""
-        own, found = self._model, dict[int, int]()
+        """Return degree of freedom -> matching actuator, and disable other actuators."""
+        mj_model, matching = self._model, dict[int, int]()
         kinds = (int(self._mj.mjtTrn.mjTRN_JOINT), int(self._mj.mjtTrn.mjTRN_JOINTINPARENT))
         by_joint: dict[int, list[int]] = {}
-        every = range(len(own.actuator_trntype))  # which may have more than one signal
-        for actuator in every:
-            if own.actuator_trntype[actuator] in kinds:
-                by_joint.setdefault(int(own.actuator_trnid[actuator][0]), []).append(actuator)
-        wanted = exported_joints(model)
-        for joint, j, at in zip(joints, ids, self._at, strict=True):
-            actuators = by_joint.get(j, []) if joint in wanted else []
-            if len(actuators) == 1 and self._is_like(actuators[0], wanted[joint]):
-                found[at] = actuators[0]
-        for actuator in set(every).difference(found.values()):
-            own.actuator_gainprm[actuator], own.actuator_biasprm[actuator] = 0.0, 0.0
-        own.actuator_forcelimited[:] = False
-        own.jnt_actfrclimited[:] = False
-        return found
+        indices = range(len(mj_model.actuator_trntype))
+        for actuator in indices:
+            if mj_model.actuator_trntype[actuator] in kinds:
+                by_joint.setdefault(int(mj_model.actuator_trnid[actuator][0]), []).append(actuator)
+        exported = exported_joints(model)
+        for joint, j, dof in zip(joints, ids, self._at, strict=True):
+            actuators = by_joint.get(j, []) if joint in exported else []
+            if len(actuators) == 1 and self._matches(actuators[0], exported[joint]):
+                matching[dof] = actuators[0]
+        for actuator in set(indices).difference(matching.values()):
+            mj_model.actuator_gainprm[actuator], mj_model.actuator_biasprm[actuator] = 0.0, 0.0
+        mj_model.actuator_forcelimited[:] = False
+        mj_model.jnt_actfrclimited[:] = False
+        return matching
 
-    def _is_like(self, actuator: int, wanted: ExportedJoint) -> bool:
-        """Return whether an actuator is told what the model's is told: an effort, or a position."""
-        own = self._model
-        plain = (
-            own.actuator_dyntype[actuator] == int(self._mj.mjtDyn.mjDYN_NONE)
-            and own.actuator_gaintype[actuator] == int(self._mj.mjtGain.mjGAIN_FIXED)
-            and own.actuator_gear[actuator][0] == 1.0
+    def _matches(self, actuator: int, joint: ExportedJoint) -> bool:
+        """Return whether an actuator has the same kind of command as the model's."""
+        model = self._model
+        is_direct = (
+            model.actuator_dyntype[actuator] == int(self._mj.mjtDyn.mjDYN_NONE)
+            and model.actuator_gaintype[actuator] == int(self._mj.mjtGain.mjGAIN_FIXED)
+            and model.actuator_gear[actuator][0] == 1.0
         )
-        servo = own.actuator_biastype[actuator] == int(self._mj.mjtBias.mjBIAS_AFFINE)
-        unlike = not wanted.is_servo and own.actuator_gainprm[actuator][0] != 1.0
-        late = bool(self._delays[actuator]) == bool(wanted.delay)
-        return bool(plain and servo == wanted.is_servo and not unlike and late)
+        is_servo = model.actuator_biastype[actuator] == int(self._mj.mjtBias.mjBIAS_AFFINE)
+        has_gain = not joint.is_servo and model.actuator_gainprm[actuator][0] != 1.0
+        same_delay = bool(self._delays[actuator]) == bool(joint.delay)
+        return bool(is_direct and is_servo == joint.is_servo and not has_gain and same_delay)
 
     def _places(self) -> dict[str, int]:
-        """Return joints of one degree of freedom by name, nameless ones as geodrake calls them."""
-        model, found = self._model, {}
+        """Return indices of single joints by name, with geodrake's names for unnamed ones."""
+        model, places = self._model, {}
         single = (int(self._mj.mjtJoint.mjJNT_HINGE), int(self._mj.mjtJoint.mjJNT_SLIDE))
         for j in range(model.njnt):
             if model.jnt_type[j] in single:
                 body = int(model.jnt_bodyid[j])
-                own = model.body(body).name or f"body_{body - 1}"
-                name = model.joint(j).name or f"{own}_joint_{j - int(model.body_jntadr[body])}"
-                found[name] = j
-        return found
+                body_name = model.body(body).name or f"body_{body - 1}"
+                default = f"{body_name}_joint_{j - int(model.body_jntadr[body])}"
+                places[model.joint(j).name or default] = j
+        return places
 
 
 class PinocchioEngine(Engine):
-    """A model of Pinocchio: the rigid bodies alone, as `geodrake check` has its opinion on them."""
+    """A Pinocchio model of the rigid bodies only, as used by `geodrake check`."""
 
     package = "pinocchio"
     ignores = (DryFriction, Rotor, Damping, Spring)
 
     def __init__(self, file: Path, model: RobotModel) -> None:
-        self._again = load_description(file, held=model.held)
+        self._loaded = load_description(file, held=model.held)
         gravity = model.plant.gravity_field().gravity_vector()
-        self._again.plant.mutable_gravity_field().set_gravity_vector(gravity)
-        places = {joint: k for k, joint in enumerate(self._again.joints)}
+        self._loaded.plant.mutable_gravity_field().set_gravity_vector(gravity)
+        places = {joint: k for k, joint in enumerate(self._loaded.joints)}
         self._order = np.array(order_of(model.joints, places, file, "Pinocchio"))
-        still = np.zeros((1, len(places)))
-        self.name = self._efforts(still, still, still)[0]
+        zero = np.zeros((1, len(places)))
+        self.name = self._efforts(zero, zero, zero)[0]
 
     def effort(self, q: Array, v: Array, vd: Array) -> tuple[Array, Mask]:
-        """Return inverse dynamics of the bodies; see `Engine.effort`."""
-        back = np.argsort(self._order)
-        found = self._efforts(*(x[:, back] for x in (q, v, vd)))[1]
-        return found[:, self._order], np.full(v.shape, True)
+        """Return inverse dynamics of the bodies."""
+        inverse = np.argsort(self._order)
+        effort = self._efforts(*(x[:, inverse] for x in (q, v, vd)))[1]
+        return effort[:, self._order], np.full(v.shape, True)
 
     def _efforts(self, q: Array, v: Array, vd: Array) -> tuple[str, Array]:
-        found = second_opinion(self._again, (q, v, vd))
-        if isinstance(found, str):
-            raise ModelError(found)
-        return found[:2]
+        result = second_opinion(self._loaded, (q, v, vd))
+        if isinstance(result, str):
+            raise ModelError(result)
+        return result[:2]
 
 
 class PythonEngine(Engine):
@@ -364,7 +366,7 @@ class PythonEngine(Engine):
         self._order = order_of(model.joints, places, file, self.name)
 
     def effort(self, q: Array, v: Array, vd: Array) -> tuple[Array, Mask]:
-        """Return the function's efforts; see `Engine.effort`."""
+        """Return the function's efforts."""
         rows = zip(q.tolist(), v.tolist(), vd.tolist(), strict=True)
-        found = np.array([self._effort(*row) for row in rows])
-        return found[:, self._order], np.full(v.shape, True)
+        effort = np.array([self._effort(*row) for row in rows])
+        return effort[:, self._order], np.full(v.shape, True)

@@ -1,4 +1,4 @@
-"""An export with its proof: what its files hold and lack, and how simulators of them do."""
+"""Export of models, verified in simulators that load the files."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from geodrake.control.export_proof.reference import (
     without,
 )
 from geodrake.control.rollout import case_rollout
-from geodrake.control.rollout.passages import told_joints
+from geodrake.control.rollout.passages import commanded_joints
 from geodrake.effects.file_terms import DryFriction
 from geodrake.errors import LogError, ModelError, OutputError
 from geodrake.identification.logs.case import Case, open_case, reduce_fitted
@@ -49,7 +49,7 @@ _IN_DRAKE = (
     "count twice"
 )
 
-_WINDOWS = 6  # of rollouts without the integrals of servos
+_WINDOWS = 6  # of rollouts without integral gains of servos
 
 Progress = Callable[[str], object]
 
@@ -58,25 +58,22 @@ Progress = Callable[[str], object]
 class Costs:
     """Errors of a model and of its export on logs."""
 
-    whole: float
-    held: float
-    # Of what the export holds less what the simulator does not act upon; None where it acts upon
-    # all.
-    ignored: float | None
+    whole: float  # of the model
+    held: float  # of the exported model
+    ignored: float | None  # without effects that the simulator ignores; None if there are none
 
 
 @dataclass(frozen=True, eq=False)
 class ProvenExport:
-    """An export, and what is known about it."""
+    """An export and its verification."""
 
     form: ExportFormat
     exported: Exported
-    held: RobotModel
-    # The effects that it cannot hold; with logs, those that cost most first.
-    lacks: tuple[Lost, ...]
+    held: RobotModel  # the part of the model that the format can express
+    lacks: tuple[Lost, ...]  # effects that it cannot express; with logs, sorted by cost
     costs: Costs | None  # None without logs
     proof: Proof
-    notes: tuple[str, ...]  # what was done to the logs, and what is worth knowing about the files
+    notes: tuple[str, ...]  # on the logs and the files
 
 
 @typed
@@ -89,34 +86,32 @@ def export_to(
     force: bool = False,
     bandwidth: float | None = None,
 ) -> ProvenExport:
-    """Write a model for a simulator, and prove it: loaded again, and compared with the model.
+    """Write a model for a simulator, load the files there, and compare with the model.
 
     Args:
         to: Name of the format: urdf, sdf, mjcf, drake, isaac, python, cpp or ros2.
-        folder: Where the files go; made if it is not there.
-        logs: Logs, or their files, on whose motion what the format lacks is fitted, and the error
-            that it costs is measured; without any, random motion within the limits of the robot
-            serves.
+        folder: Folder of the files, created if necessary.
+        logs: Logs, or their files, whose motion is used to approximate lost effects and to measure
+            their cost; without logs, random motion within the robot's limits is used.
         bandwidth: Bandwidth of the filter of the logs, Hz; by default that of the model's fit.
 
     Returns:
-        The files, what they hold and lack, and how far simulators that load them are off.
+        The files, their content and lost effects, and the differences of simulators.
 
     Raises:
         ArgumentError: There is no such format.
-        ModelError: The model's own file cannot take the numbers, or the robot has joints that
-            the format does not have.
-        LogError: A log cannot be used.
-        OutputError: A file is there already, or cannot be written.
+        ModelError: The model's file cannot be edited, or the format does not support a joint.
+        LogError: A log is invalid.
+        OutputError: A file exists, or cannot be written.
     """
     form, folder = export_format(to), file_path(folder)
     logs = instances(logs, "logs", (JointLog, str, Path))
     if bandwidth is not None:
         positive(bandwidth, "bandwidth")
     check_folder(model, form, folder, (), force=force)
-    found = export_with_proof(model, form, folder, logs, bandwidth=bandwidth)
-    write_files(found, folder)
-    return found
+    export = export_with_proof(model, form, folder, logs, bandwidth=bandwidth)
+    write_files(export, folder)
+    return export
 
 
 def export_with_proof(
@@ -128,27 +123,25 @@ def export_with_proof(
     bandwidth: float | None = None,
     progress: Progress = lambda words: None,
 ) -> ProvenExport:
-    """Make the files of an export, and try them in the simulators they are for.
-
-    Nothing is written to the folder.
+    """Return the files of an export, tested in simulators, without writing them to the folder.
 
     Args:
-        folder: Where the files will be: relative paths in them lead from there.
+        folder: Future folder of the files, to which relative paths refer.
     """
     check_format(model, form)
-    model = model.with_volume  # as simulators take no point masses, or others than they are
+    model = model.with_volume  # as simulators reject or change point masses
     if bandwidth is not None:
         number(bandwidth, "bandwidth", lower=0.0)
     case = open_case(model, logs, candidates=False, bandwidth=bandwidth) if len(logs) else None
-    tried = not model.floating and len(model.single_joints) == len(model.joints)
+    is_testable = not model.floating and len(model.single_joints) == len(model.joints)
     if case is not None:
         motions = logged_motions(model, case.trajectories)
     else:
-        motions = [random_motion(model)] if tried else []
+        motions = [random_motion(model)] if is_testable else []
     held, lost = held_by(model, form.holding(model), motions)
     exported = form.write(model, held, folder)
     proof = Proof((), (), (_SEVERAL,))
-    if tried:
+    if is_testable:
         progress("Testing in simulators")
         starts = (
             logged_starts(held, case.trajectories)
@@ -156,21 +149,21 @@ def export_with_proof(
             else random_starts(held, motions[0])
         )
         with TemporaryDirectory() as scratch:
-            again = form.write(model, held, Path(scratch))
-            for name, content in again.files.items():
+            copy = form.write(model, held, Path(scratch))
+            for name, content in copy.files.items():
                 (path := Path(scratch) / name).parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(content)
-            first = Path(scratch) / next(iter(again.files))
-            proof = prove(held, first, form.engines, compared(motions), starts)
+            main_file = Path(scratch) / next(iter(copy.files))
+            proof = prove(held, main_file, form.engines, compared(motions), starts)
     costs = None
     if case is not None:
         progress("Comparing it with the logs")
         costs = _costs(case, held, proof.ignored)
-        lost = _costed(case, form, motions, lost)
+        lost = _with_costs(case, form, motions, lost)
     notes = [*(model.notes if case is None else case.notes), *exported.notes, *proof.notes]
     notes += _servo_notes(model, form, case)
-    gone = {each.effect for each in lost}
-    notes += reasons([fitted for fitted in model.effects if fitted.effect.name in gone])
+    names = {effect.effect for effect in lost}
+    notes += reasons([fitted for fitted in model.effects if fitted.effect.name in names])
     if DrakeEngine in form.engines and (proof.ignored or lost):
         notes.append(_IN_DRAKE)
     return ProvenExport(form, exported, held, lost, costs, proof, tuple(notes))
@@ -179,7 +172,7 @@ def export_with_proof(
 def check_folder(
     model: RobotModel, form: ExportFormat, folder: Path, inputs: Iterable[Path], *, force: bool
 ) -> None:
-    """Refuse a folder in which the files cannot be written, before the long work."""
+    """Raise if the files cannot be written to a folder, before expensive work."""
     if folder.exists() and not folder.is_dir():
         raise OutputError(
             f"Cannot export to {folder}: it exists and is not a folder.",
@@ -201,28 +194,28 @@ def check_folder(
 
 
 def write_files(
-    found: ProvenExport, folder: Path, beside: Mapping[Path, Content] | None = None
+    export: ProvenExport, folder: Path, other_files: Mapping[Path, Content] | None = None
 ) -> list[Path]:
-    """Write all files or none; a folder that is made for them stays only with them.
+    """Write all files or none; new folders are removed on failure.
 
     Returns:
         The files of the export.
     """
-    files: dict[Path, Content] = {folder / name: d for name, d in found.exported.files.items()}
+    files: dict[Path, Content] = {folder / name: d for name, d in export.exported.files.items()}
     with ExitStack() as stack:
         for parent in sorted({folder, *(path.parent for path in files)}):
             stack.enter_context(made_folder(parent))
-        write_together({**files, **(beside or {})})
+        write_together({**files, **(other_files or {})})
     return [*files]
 
 
 def check_format(model: RobotModel, form: ExportFormat) -> None:
-    """Refuse a format that has no place for what the model has."""
+    """Raise if a format does not support the model's joints."""
     problem = ""
     if loops := [", ".join(drive.joints) for drive in model.transmission if drive.is_loop]:
         problem = f"closed loops, but the model has one of {loops[0]}"
-    elif bent := [joint for joint, tie in model.followers.items() if not tie.is_linear]:
-        follower = bent[0].rpartition("::")[2]
+    elif nonlinear := [joint for joint, tie in model.followers.items() if not tie.is_linear]:
+        follower = nonlinear[0].rpartition("::")[2]
         problem = f"that {follower} follows another joint by a ratio that changes"
     if problem:
         raise ModelError(
@@ -243,108 +236,107 @@ def _nrms(case: Case, model: RobotModel) -> float:
 
 
 def _costs(case: Case, held: RobotModel, ignored: Sequence[str]) -> Costs:
-    """Return the errors of a model, of its export, and without what the simulator ignores."""
-    acting = tuple(f for f in held.effects if f.effect.name not in ignored)
-    acted = None
-    if len(acting) < len(held.effects):
-        acted = _nrms(case, replace(held, effects=acting))
-    return Costs(comparison(case).errors.nrms, _nrms(case, held), acted)
+    """Return the errors of a model, of its export, and without effects that are ignored."""
+    effects = tuple(f for f in held.effects if f.effect.name not in ignored)
+    without_ignored = None
+    if len(effects) < len(held.effects):
+        without_ignored = _nrms(case, replace(held, effects=effects))
+    return Costs(comparison(case).errors.nrms, _nrms(case, held), without_ignored)
 
 
-def _costed(
+def _with_costs(
     case: Case, form: ExportFormat, motions: Sequence[Motion], lost: Sequence[Lost]
 ) -> tuple[Lost, ...]:
-    """Return what an export lacks with the error without each, those that cost most first."""
+    """Return the lost effects with the error without each, sorted by decreasing error."""
     holds = form.holding(case.model)
 
     def nrms(name: str) -> float:
         without, _ = held_by(case.model, holds, motions, keep=lambda other: other.name != name)
         return _nrms(case, without)
 
-    found = [replace(each, nrms=nrms(each.effect)) for each in lost]
-    return tuple(sorted(found, key=lambda each: -(each.nrms or 0.0)))
+    costed = [replace(effect, nrms=nrms(effect.effect)) for effect in lost]
+    return tuple(sorted(costed, key=lambda effect: -(effect.nrms or 0.0)))
 
 
 def _servo_notes(model: RobotModel, form: ExportFormat, case: Case | None) -> list[str]:
-    """Return notes on what an export does not have of servos.
+    """Return notes on properties of servos that an export lacks.
 
-    Of integrals they say by what the motion under logged commands departs without and with them.
+    For integral gains they report the motion error under logged commands without and with them.
     """
-    found, servos = [], [servo for servo in servos_of(model) if servo]
+    notes, servos = [], [servo for servo in servos_of(model) if servo]
     in_drake = "PositionServo in a Drake diagram"
-    if told := ", ".join(servo.joint for servo in servos if not form.servos):
-        found.append(
-            f"{form.name} has no servo gains, such as those of {told}; mjcf and isaac do, and "
+    if joints := ", ".join(servo.joint for servo in servos if not form.servos):
+        notes.append(
+            f"{form.name} has no servo gains, such as those of {joints}; mjcf and isaac do, and "
             f"{in_drake}"
         )
     integrals = [servo.joint for servo in servos if servo.integral and form.servos]
     if integrals:
         words = f"servos of {form.name} have no integral gain, such as that of "
         words += ", ".join(integrals) + _integral_cost(case, integrals)
-        found.append(f"{words}; {in_drake} has it")
-    if idle := ", ".join(servo.joint for servo in servos if servo.dead_band):
-        found.append(
-            f"{form.name} has no dead band of servos, such as that of {idle}; {in_drake} has it"
+        notes.append(f"{words}; {in_drake} has it")
+    if joints := ", ".join(servo.joint for servo in servos if servo.dead_band):
+        notes.append(
+            f"{form.name} has no dead band of servos, such as that of {joints}; {in_drake} has it"
         )
-    return found
+    return notes
 
 
 def _integral_cost(case: Case | None, joints: Sequence[str]) -> str:
-    """Return what servos depart by without integrals and with them; "" if logs do not tell."""
+    """Return a clause on the motion error without and with integral gains; "" if unknown."""
     if case is None:
         return ""
     model = case.model
-    at = [model.joints.index(joint) for joint in joints]
-    if not any(told_joints(model, log)[at].any() for log in case.options.logs):
+    indices = [model.joints.index(joint) for joint in joints]
+    if not any(commanded_joints(model, log)[indices].any() for log in case.options.logs):
         return ""
     signals = tuple(replace(signal, integral=0.0) for signal in model.effort_signals)
     try:
-        shares = [
-            case_rollout(replace(case, model=each), most=_WINDOWS, commands=True).relative
-            for each in (replace(model, effort_signals=signals), model)
+        errors = [
+            case_rollout(replace(case, model=variant), most=_WINDOWS, commands=True).relative
+            for variant in (replace(model, effort_signals=signals), model)
         ]
-    except (LogError, ModelError):  # logs that are too short, or a robot that is not simulated
+    except (LogError, ModelError):  # logs are too short, or the robot cannot be simulated
         return ""
-    if not np.isfinite(shares).all():
+    if not np.isfinite(errors).all():
         return ""
     return (
-        f": the motion error under the logged commands is {100 * shares[0]:.2g} % "
-        f"without it, and {100 * shares[1]:.2g} % with it"
+        f": the motion error under the logged commands is {100 * errors[0]:.2g} % "
+        f"without it, and {100 * errors[1]:.2g} % with it"
     )
 
 
 ROUNDING = 1e-6
-"""Difference, rad or m, or relative to the values compared, up to which an export is exact."""
+"""Absolute (rad or m) or relative difference below which an export is exact."""
 
-_FARTHEST = 100.0  # rad or m, that a joint may move in a rollout
+_FARTHEST = 100.0  # rad or m, limit of motion in a rollout
 
 
 @dataclass(frozen=True)
 class Difference:
-    """By how much a simulator differs from the model."""
+    """Difference between a simulator and the model."""
 
     engine: str
     what: str  # "effort", needed along the motion, or "position", in rollouts
     largest: float  # N·m or N, or rad or m
-    joint: str
-    typical: float  # RMS of the values that are compared, at that joint
-    compared: float  # share of the samples that are compared
-    without: tuple[str, ...]  # names of effects in the file that take no part
+    joint: str  # of the largest difference
+    typical: float  # RMS of the compared values at that joint
+    compared: float  # fraction of the samples that are comparable
+    without: tuple[str, ...]  # effects in the file that are not included
 
     @property
     def is_rounding(self) -> bool:
-        """Whether it is so small that the simulator computes what geodrake computes."""
+        """Whether it is negligible."""
         return self.largest <= ROUNDING * max(1.0, self.typical)
 
 
 @dataclass(frozen=True)
 class Proof:
-    """Results of simulators that load an export."""
+    """Comparison of an export in simulators with the model."""
 
     differences: tuple[Difference, ...]
-    # Names of effects of the file upon which the first simulator does not act.
-    ignored: tuple[str, ...]
-    notes: tuple[str, ...]  # simulators that are not installed, or cannot read the file
+    ignored: tuple[str, ...]  # effects in the file that the first simulator ignores
+    notes: tuple[str, ...]  # on simulators that are not installed or cannot read the file
 
 
 def prove(
@@ -354,72 +346,71 @@ def prove(
     motion: Motion,
     starts: Sequence[Start],
 ) -> Proof:
-    """Compare simulators that load an export with the model in it."""
+    """Compare the model with simulators that load its export."""
     differences, ignored, notes = list[Difference](), None, list[str]()
-    for make in engines:
-        if find_spec(make.package) is None:
+    for kind in engines:
+        if find_spec(kind.package) is None:
             notes.append(
-                f"{make.package} is not installed, so the export was not tested in it: pip "
+                f"{kind.package} is not installed, so the export was not tested in it: pip "
                 'install "geodrake[export]"'
             )
             continue
         try:
-            loaded = make(file, held)
+            engine = kind(file, held)
         except ModelError as error:
             notes.append(f"the export was not tested: {error.problem}")
             continue
-        kinds = (f.effect.name for f in held.effects if isinstance(f.effect, loaded.ignores))
-        names = tuple(dict.fromkeys(kinds))
+        excluded = (f.effect.name for f in held.effects if isinstance(f.effect, engine.ignores))
+        names = tuple(dict.fromkeys(excluded))
         ignored = names if ignored is None else ignored
-        found = [_of_efforts(held, loaded, motion, names)]
+        of_engine = [_effort_difference(held, engine, motion, names)]
         try:
-            rolled = None if held.followers else _of_rollouts(held, loaded, starts, names)
-            found += [rolled] if rolled else []
+            if not held.followers and (rollout := _rollout_difference(held, engine, starts, names)):
+                of_engine.append(rollout)
         except RuntimeError as error:
             reason = " ".join(str(error).split()).partition(". ")[0][:200].rstrip(".")
-            notes.append(f"{loaded.name}: no rollouts of the export: {reason}")
-        if not all(difference.is_rounding for difference in found):
-            notes += [f"{loaded.name}: {message}" for message in loaded.messages]
-        differences += found
+            notes.append(f"{engine.name}: no rollouts of the export: {reason}")
+        if not all(difference.is_rounding for difference in of_engine):
+            notes += [f"{engine.name}: {message}" for message in engine.messages]
+        differences += of_engine
     return Proof(tuple(differences), ignored or (), tuple(notes))
 
 
-def _of_efforts(
-    held: RobotModel, loaded: Engine, motion: Motion, names: tuple[str, ...]
+def _effort_difference(
+    held: RobotModel, engine: Engine, motion: Motion, names: tuple[str, ...]
 ) -> Difference:
-    model = without(held, loaded.ignores)
-    ours = model.effort(motion)
-    if held.followers and loaded.of_plant:
+    expected = without(held, engine.ignores).effort(motion)
+    if held.followers and engine.of_plant:
         J, q = np.asarray(held.coordinates.constant), held.plant_positions(motion.q)
-        theirs, meant = loaded.effort(q, motion.v @ J.T, motion.vd @ J.T)
-        theirs, meant = theirs @ J, (meant[:, :, None] | (J == 0.0)).all(axis=1)
+        effort, comparable = engine.effort(q, motion.v @ J.T, motion.vd @ J.T)
+        effort, comparable = effort @ J, (comparable[:, :, None] | (J == 0.0)).all(axis=1)
     else:
-        theirs, meant = loaded.effort(motion.q, motion.v, motion.vd)
-    off, share = np.where(meant, np.abs(theirs - ours), 0.0), float(meant.mean())
-    return Difference(loaded.name, "effort", *_largest(off, ours, held), share, names)
+        effort, comparable = engine.effort(motion.q, motion.v, motion.vd)
+    error, fraction = np.where(comparable, np.abs(effort - expected), 0.0), float(comparable.mean())
+    return Difference(engine.name, "effort", *_largest(error, expected, held), fraction, names)
 
 
-def _of_rollouts(
-    held: RobotModel, loaded: Engine, starts: Sequence[Start], names: tuple[str, ...]
+def _rollout_difference(
+    held: RobotModel, engine: Engine, starts: Sequence[Start], names: tuple[str, ...]
 ) -> Difference | None:
     if not starts:
         return None
     with np.errstate(all="ignore"):
-        ours = roll_out_all(without(held, loaded.ignores), starts, STEP, loaded.drives)
-    if not np.abs(ours - ours[:, :1]).max() < _FARTHEST:  # NaN neither
+        expected = roll_out_all(without(held, engine.ignores), starts, STEP, engine.drives)
+    if not np.abs(expected - expected[:, :1]).max() < _FARTHEST:  # or NaN
         raise RuntimeError("the model is too fast for steps of a millisecond")
-    theirs = [loaded.roll_out(start.q, start.v, start.effort, STEP) for start in starts]
-    simulated = [each for each in theirs if each is not None]
+    rollouts = [engine.roll_out(start.q, start.v, start.effort, STEP) for start in starts]
+    simulated = [positions for positions in rollouts if positions is not None]
     if len(simulated) < len(starts):
         return None
-    off = np.abs(np.array(simulated) - ours).reshape(-1, ours.shape[-1])
-    moved = (ours - ours[:, :1]).reshape(off.shape)
+    error = np.abs(np.array(simulated) - expected).reshape(-1, expected.shape[-1])
+    displacement = (expected - expected[:, :1]).reshape(error.shape)
     dry = (f.effect.name for f in held.effects if isinstance(f.effect, DryFriction))
     names = tuple(dict.fromkeys([*names, *dry]))
-    return Difference(loaded.name, "position", *_largest(off, moved, held), 1.0, names)
+    return Difference(engine.name, "position", *_largest(error, displacement, held), 1.0, names)
 
 
-def _largest(off: Array, values: Array, model: RobotModel) -> tuple[float, str, float]:
-    """Return the largest of differences (N, nv) of some values, its joint, and RMS values there."""
-    worst = int(off.max(0).argmax())
-    return float(off.max()), model.joints[worst], float(np.sqrt(np.mean(values[:, worst] ** 2)))
+def _largest(errors: Array, values: Array, model: RobotModel) -> tuple[float, str, float]:
+    """Return the largest of errors (N, nv), its joint, and the RMS of the values there."""
+    worst = int(errors.max(0).argmax())
+    return float(errors.max()), model.joints[worst], float(np.sqrt(np.mean(values[:, worst] ** 2)))

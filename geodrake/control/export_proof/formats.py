@@ -1,4 +1,4 @@
-"""The formats that a model is exported to: what each holds of it, and the files that it writes."""
+"""Export formats: the effects that each can express, and the files that it writes."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.model.source import effort_source, is_written
 
 SIGN_WIDTH = 0.02
-"""Speed below which dry friction fades, rad/s or m/s: a controller would chatter otherwise."""
+"""Speed below which dry friction fades, rad/s or m/s, so that controllers do not chatter."""
 
 _FILES = {
     "package.xml": "package.xml",
@@ -58,41 +58,40 @@ _FILES = {
     "feedforward.yaml": "config/feedforward.yaml",
     "README.md": "README.md",
 }
-"""Template -> its place in the package."""
+"""Template -> its path in the package."""
 
 
 @dataclass(frozen=True)
 class Exported:
     """The files of an export."""
 
-    files: Mapping[str, bytes]  # name in the folder -> content; what a simulator loads first
-    notes: tuple[str, ...] = ()  # what is worth knowing about them
+    files: Mapping[str, bytes]  # name in the folder -> content; the main file comes first
+    notes: tuple[str, ...] = ()
 
 
 Holding = Callable[[RobotModel], Holds]
-"""For a model, whether the files hold one of its effects as it is."""
+"""Returns, for a model, which effects its files can express."""
 
 Write = Callable[[RobotModel, RobotModel, Path], Exported]
-"""Writes a model: the whole one, what the format holds of it, and the folder of the files."""
+"""Writes a model, given the model, the part that the format can express, and the folder."""
 
 
 @dataclass(frozen=True)
 class ExportFormat:
-    """A format."""
+    """An export format."""
 
-    name: str  # what it is called, as in `--to`
-    holding: Holding  # inertias and payloads are always held
+    name: str  # as in `--to`
+    holding: Holding  # inertias and payloads can always be expressed
     write: Write
-    engines: tuple[type[Engine], ...] = ()  # the simulators in which the files are tried
-    # Whether the files have the efforts of actuators behind a transmission, too.
-    at_actuators: bool = False
-    servos: bool = False  # whether the files have the gains of servos
+    engines: tuple[type[Engine], ...] = ()  # simulators in which the files are tested
+    at_actuators: bool = False  # whether files support actuators behind a transmission
+    servos: bool = False  # whether files contain servo gains
 
 
 def ros2_files(model: RobotModel, held: RobotModel, folder: Path) -> Exported:
-    """Return a package for colcon with a chainable controller.
+    """Return a colcon package with a chainable controller.
 
-    Its efforts are those of the exported C++ function at no acceleration.
+    Its efforts are those of the exported C++ function at zero acceleration.
     """
     count = len(model.joints)
     if len(model.single_joints) != count:
@@ -125,8 +124,8 @@ def ros2_files(model: RobotModel, held: RobotModel, folder: Path) -> Exported:
         keep_trailing_newline=True,
     )
     files = {
-        place: templates.get_template(f"{template}.jinja").render(values).encode()
-        for template, place in _FILES.items()
+        path: templates.get_template(f"{template}.jinja").render(values).encode()
+        for template, path in _FILES.items()
     }
     files[f"include/{package}/{source.file_name}"] = source.text.encode()
     notes = (
@@ -137,17 +136,17 @@ def ros2_files(model: RobotModel, held: RobotModel, folder: Path) -> Exported:
 
 
 def isaac_files(model: RobotModel, held: RobotModel, folder: Path) -> Exported:
-    """Return a robot's URDF and the values that Isaac Lab's actuators take, by name.
+    """Return a robot's URDF and the values of Isaac Lab's actuators, by name.
 
-    Viscous friction is `viscous_friction`, since `damping` is a gain; static `friction` is what
-    Stribeck friction makes of the dynamic one at rest. Stiffness and damping are those of servos,
-    0 for joints that are moved by efforts. `delay` is that of what a drive is told, in seconds:
-    `min_delay` and `max_delay` of a DelayedPDActuatorCfg are it in steps of the simulation.
-    `effort_delay` is that of measured efforts, which drives do not have.
+    Viscous friction is `viscous_friction`, since `damping` is a gain; static `friction` includes
+    Stribeck friction. Stiffness and damping are those of servos, 0 for joints with commanded
+    efforts. `delay` is that of commands, in seconds; `min_delay` and `max_delay` of a
+    DelayedPDActuatorCfg are in simulation steps. `effort_delay` is that of measured efforts, not of
+    drives.
     """
     name, data, notes = model_file(held, "urdf", folder)
     stem, held_joints = name.removesuffix(".urdf"), exported_joints(held)
-    at_rest = {  # by how much friction exceeds that of a moving joint
+    static_excess = {  # of friction at rest over that of a moving joint
         fitted.effect.where[0]: float(fitted.parameters[0])
         for fitted in model.effects
         if isinstance(fitted.effect, StaticFriction)
@@ -161,7 +160,7 @@ def isaac_files(model: RobotModel, held: RobotModel, folder: Path) -> Exported:
             "stiffness": drive.kp,
             "damping": drive.kd,
             "armature": numbers.armature,
-            "friction": numbers.friction + at_rest.get(joint, 0.0),
+            "friction": numbers.friction + static_excess.get(joint, 0.0),
             "dynamic_friction": numbers.friction,
             "viscous_friction": numbers.damping,
             "delay": drive.delay,
@@ -179,28 +178,26 @@ def isaac_files(model: RobotModel, held: RobotModel, folder: Path) -> Exported:
 
 
 _JOINT_TERMS = (Damping, DryFriction, Rotor)
-_WITH_SPRINGS = frozenset({"sdf", "xml"})  # formats of files that have springs
-_DRAKE_KINDS = ("sdf", "urdf")  # of files that directives add, the usual one first
-
-
-Able = Callable[[RobotModel], bool]
-"""Whether the files of a model can hold something."""
+_WITH_SPRINGS = frozenset({"sdf", "xml"})  # file formats that support springs
+_DRAKE_KINDS = ("sdf", "urdf")  # file formats for directives, the default first
 
 
 def _holding(
-    *kinds: str, beside: tuple[type[Effect], ...] = (), able: Able = lambda model: True
+    *kinds: str,
+    extra: tuple[type[Effect], ...] = (),
+    has_extra: Callable[[RobotModel], bool] = lambda model: True,
 ) -> Holding:
-    """Return what files hold of joints: friction, rotors, and springs, if their format has some.
+    """Return which effects files can express: friction, rotors, springs, and extra ones.
 
     Args:
-        kinds: Formats of the files, the usual one first.
-        able: Whether they can hold these of a model.
+        kinds: Formats of the files, the default first.
+        has_extra: Whether the files of a model can express the extra effects.
     """
 
     def holding(model: RobotModel) -> Holds:
         kind = written_kind(model, kinds)
         sprung = set(model.joints) if kind in _WITH_SPRINGS else sprung_in_file(model)
-        more = beside if beside and able(model) else ()
+        more = extra if extra and has_extra(model) else ()
         if stands_as_it_is(model, kinds[0]):
             return lambda effect: True
 
@@ -215,7 +212,7 @@ def _holding(
 
 
 def _file(kind: str) -> Write:
-    """Write one file of a format."""
+    """Return a function that writes a model file of a format."""
 
     def write(model: RobotModel, held: RobotModel, folder: Path) -> Exported:
         stands = stands_as_it_is(model, kind)
@@ -226,7 +223,7 @@ def _file(kind: str) -> Write:
 
 
 def _source(language: str) -> Write:
-    """Write the effort as a function in a language."""
+    """Return a function that writes the effort as a function in a language."""
 
     def write(model: RobotModel, held: RobotModel, folder: Path) -> Exported:
         source = effort_source(held, language)
@@ -237,9 +234,9 @@ def _source(language: str) -> Write:
 
 
 def _drake_files(model: RobotModel, held: RobotModel, folder: Path) -> Exported:
-    """Return a robot's file, the directives that add and weld it, and the package that they are.
+    """Return a robot's file, directives that add and weld it, and a package manifest.
 
-    A tilted base is welded as it stands.
+    A tilted base is welded at its tilt.
     """
     kind = written_kind(model, _DRAKE_KINDS)
     name, data, notes = model_file(held, kind, folder)
@@ -253,7 +250,7 @@ def _drake_files(model: RobotModel, held: RobotModel, folder: Path) -> Exported:
     lines = [
         "# Inertias, damping and rotors are those of the model; the file has dry friction, which",
         "# Drake does not simulate. parser.package_map().PopulateFromFolder(…) finds the file.",
-        *(f"# {printable(each)}" for each in repair_comments(model)),
+        *(f"# {printable(comment)}" for comment in repair_comments(model)),
         "directives:",
         "- add_model:",
         f"    name: {json.dumps(instance)}",
@@ -282,8 +279,8 @@ def _drake_files(model: RobotModel, held: RobotModel, folder: Path) -> Exported:
     return Exported(files, notes)
 
 
-def _stands_free(model: RobotModel) -> bool:
-    """Return whether the robot's own file leaves it free, so that directives place it."""
+def _has_free_base(model: RobotModel) -> bool:
+    """Return whether the robot's file does not fix its base, so that directives can place it."""
     if own_kind(model) not in _DRAKE_KINDS:
         return False
     plant = model.plant
@@ -293,26 +290,26 @@ def _stands_free(model: RobotModel) -> bool:
 
 
 def _free_roots(model: RobotModel) -> list[tuple[RigidBody, RigidTransform]]:
-    """Return bodies, as they stand, that geodrake welds to the world and the file leaves free."""
+    """Return the bodies that geodrake, not the file, welds to the world, and their poses."""
     plant, tilt = model.plant, RotationMatrix(tilt_rotation(model))
-    found = []
+    roots = []
     for index in plant.GetJointIndices():
         joint = plant.get_joint(index)
         welded = joint.type_name() == "weld" and joint.parent_body().index() == 0
         if welded and not model.floating and joint.name().startswith("world_welds_to_"):
             X_WB = joint.frame_on_parent().GetFixedPoseInBodyFrame()
-            found.append((joint.child_body(), RigidTransform(tilt, np.zeros(3)) @ X_WB))
-    return found
+            roots.append((joint.child_body(), RigidTransform(tilt, np.zeros(3)) @ X_WB))
+    return roots
 
 
 _URDF_ENGINES = (DrakeEngine, PinocchioEngine)
-_OF_DRAKE = _holding(*_DRAKE_KINDS, beside=(Tilt,), able=_stands_free)
-_OF_MUJOCO = _holding("xml", beside=(Tilt, Delay))
-_OF_ISAAC = _holding("urdf", beside=(Delay,))
+_OF_DRAKE = _holding(*_DRAKE_KINDS, extra=(Tilt,), has_extra=_has_free_base)
+_OF_MUJOCO = _holding("xml", extra=(Tilt, Delay))
+_OF_ISAAC = _holding("urdf", extra=(Delay,))
 
 FORMATS = {
-    each.name: each
-    for each in (
+    form.name: form
+    for form in (
         ExportFormat("urdf", _holding("urdf"), _file("urdf"), _URDF_ENGINES),
         ExportFormat("sdf", _holding("sdf"), _file("sdf"), (DrakeEngine,)),
         ExportFormat("mjcf", _OF_MUJOCO, _file("xml"), (MujocoEngine,), servos=True),
@@ -323,7 +320,7 @@ FORMATS = {
         ExportFormat("ros2", lambda _: is_written, ros2_files),
     )
 }
-"""By name; a further format is one more entry."""
+"""Export formats by name."""
 
 
 def export_format(name: str) -> ExportFormat:

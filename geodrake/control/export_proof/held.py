@@ -1,4 +1,4 @@
-"""Parts of a model that a file can hold; the rest is fitted into them, or left out and named."""
+"""The part of a model that a format can express; other effects are approximated or omitted."""
 
 from __future__ import annotations
 
@@ -16,24 +16,23 @@ from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 Holds = Callable[[Effect], bool]
+"""Whether a format can express an effect."""
 
 Basis = Damping | DryFriction | Rotor
 _BASES: tuple[type[Basis], ...] = (Damping, DryFriction, Rotor)
-"""Effects into which others are fitted."""
+"""Effects that approximate others."""
 
-_WORTH = 0.1  # share of the square of an effect that its approximation must take away
+_LEAST_REDUCTION = 0.1  # of an effect's mean square, required of its approximation
 
 
 @dataclass(frozen=True)
 class Lost:
-    """An effect that a format cannot hold as it is."""
+    """An effect that a format cannot express."""
 
     effect: str
     where: tuple[str, ...]  # joints or bodies
-    # Names of the effects that stand in its place, fitted to it; none if it is left out.
-    into: tuple[str, ...]
-    # Error of logs with it approximated or left out, and all else as it is; None if unknown.
-    nrms: float | None = None
+    into: tuple[str, ...]  # effects that approximate it; empty if it is omitted
+    nrms: float | None = None  # error of logs if only this effect is lost; None if unknown
 
 
 def held_by(
@@ -43,17 +42,15 @@ def held_by(
     *,
     keep: Holds = lambda effect: False,
 ) -> tuple[RobotModel, tuple[Lost, ...]]:
-    """Return the model that a format can hold and that is nearest to a model on some motion.
+    """Return the best approximation of a model that a format can express, and the lost effects.
 
-    With it comes what it is without.
-
-    Effects of a kind at a joint become one. What the format cannot hold is approximated at each
-    joint by least squares over the motion: friction that depends on load or direction, or that
-    falls with speed, by damping and Coulomb friction, and inertia that couples joints by that of
-    rotors. All these stay positive. What a drive does is left out: nothing passive pushes.
+    Effects of the same kind at a joint are merged. Other effects are approximated at each joint by
+    least squares over the motion: friction that depends on load, direction or speed by damping and
+    Coulomb friction, and inertial coupling by rotor inertia. These remain positive. Effects caused
+    by a drive are omitted, as they are not passive.
 
     Args:
-        keep: Which effects stay although the format does not hold them, to see what others cost.
+        keep: Effects to keep even if the format cannot express them, to compute the cost of others.
     """
     kept, lost = list[FittedEffect](), list[FittedEffect]()
     sprung = {
@@ -66,114 +63,116 @@ def held_by(
     }
     for fitted in model.effects:
         effect = fitted.effect
-        stays = holds(effect) or keep(effect) or effect.role in (Role.BODY, Role.INERTIA)
-        if isinstance(effect, Offset) and not stays and effect.where in sprung:
-            of_spring = np.array([0.0, fitted.parameters[0]])
-            kept.append(FittedEffect(Spring(effect.joint), of_spring))
+        is_kept = holds(effect) or keep(effect) or effect.role in (Role.BODY, Role.INERTIA)
+        if isinstance(effect, Offset) and not is_kept and effect.where in sprung:
+            preload = np.array([0.0, fitted.parameters[0]])
+            kept.append(FittedEffect(Spring(effect.joint), preload))
         else:
-            (kept if stays else lost).append(fitted)
+            (kept if is_kept else lost).append(fitted)
     merged, into = _merged(kept), dict[Effect, tuple[str, ...]]()
     bases = [kind for kind in _BASES if holds(kind(model.joints[0]))]
     if bases and motions:
-        seen = [model.motion(motion) for motion in motions]
+        robot_motions = [model.motion(motion) for motion in motions]
         for joint in model.single_joints:
-            changed, named = _stand_ins(joint, lost, merged, seen, bases)
+            changed, names_of = _approximations(joint, lost, merged, robot_motions, bases)
             merged |= changed
-            for effect, names in named.items():
+            for effect, names in names_of.items():
                 into[effect] = tuple(dict.fromkeys([*into.get(effect, ()), *names]))
     effects = tuple(fitted for fitted in merged.values() if fitted.effect.role is not Role.INERTIA)
-    return replace(model, effects=effects, information=None), _named(lost, into)
+    return replace(model, effects=effects, information=None), _lost_effects(lost, into)
 
 
 def _merged(effects: Sequence[FittedEffect]) -> dict[Effect, FittedEffect]:
-    """Merge effects that differ only in their parameters; springs also in their rest."""
-    found: dict[Effect, FittedEffect] = {}
+    """Merge effects that differ only in their parameters, or springs in their rest position."""
+    merged: dict[Effect, FittedEffect] = {}
     for fitted in effects:
         effect, values = fitted.effect, fitted.parameters
         if isinstance(effect, Spring) and effect.exponent == 1:
             values = values - [0.0, values[0] * effect.center]
             effect = Spring(effect.joint)
-        if isinstance(effect, Tilt):  # exact, as simulators turn gravity
+        if isinstance(effect, Tilt):  # expanded about its angles, as simulators rotate gravity
             effect = Tilt(*values.tolist())
-        before = found.get(effect)
-        if before is not None and len(values):
-            values = values + before.parameters
-        found[effect] = FittedEffect(effect, values)
-    for effect, fitted in [*found.items()]:
+        previous = merged.get(effect)
+        if previous is not None and len(values):
+            values = values + previous.parameters
+        merged[effect] = FittedEffect(effect, values)
+    for effect, fitted in [*merged.items()]:
         if isinstance(effect, Spring) and effect.exponent == 1:
-            del found[effect]
+            del merged[effect]
             stiffness, preload = fitted.parameters.tolist()
             if stiffness > 0.0:
-                rest = replace(effect, center=-preload / stiffness)
-                found[rest] = FittedEffect(rest, np.array([stiffness, 0.0]))
-    return found
+                spring = replace(effect, center=-preload / stiffness)
+                merged[spring] = FittedEffect(spring, np.array([stiffness, 0.0]))
+    return merged
 
 
-def _stand_ins(
+def _approximations(
     joint: str,
     lost: Sequence[FittedEffect],
     held: Mapping[Effect, FittedEffect],
-    seen: Sequence[RobotMotion],
+    motions: Sequence[RobotMotion],
     bases: Sequence[type[Basis]],
 ) -> tuple[dict[Effect, FittedEffect], dict[Effect, tuple[str, ...]]]:
-    """Return held effects of a joint that are changed so that they stand for what is lost.
+    """Return the basis effects of a joint, changed to approximate its lost effects.
 
     Returns:
-        They; and by each effect that is lost, the names of those that stand for it.
+        Changed effects; and for each lost effect, the names of those that approximate it.
     """
-    at = seen[0].index(joint)
-    wanted = {
+    index = motions[0].index(joint)
+    efforts = {
         fitted.effect: np.concatenate(
-            [fitted.effect.effort(motion, fitted.parameters)[:, at] for motion in seen]
+            [fitted.effect.effort(motion, fitted.parameters)[:, index] for motion in motions]
         )
         for fitted in lost
         if fitted.effect.role is Role.FORCE
         and fitted.effect.depends_on & {"v", "vd"}
         and not fitted.effect.by_drive
     }
-    wanted = {effect: effort for effect, effort in wanted.items() if effort.any()}
-    signals = frozenset[str]().union(*(effect.depends_on for effect in wanted))
-    used = [kind(joint) for kind in bases if kind.depends_on <= signals]
-    if not wanted or not used:
+    efforts = {effect: effort for effect, effort in efforts.items() if effort.any()}
+    signals = frozenset[str]().union(*(effect.depends_on for effect in efforts))
+    basis = [kind(joint) for kind in bases if kind.depends_on <= signals]
+    if not efforts or not basis:
         return {}, {}
-    joints = [motion.joint(joint) for motion in seen]
-    A = np.array([np.concatenate([each.columns(j)[0] for j in joints]) for each in used], float).T
-    b = np.sum([*wanted.values()], axis=0)
-    have = np.array([held[e].parameters[0] if e in held else 0.0 for e in used])
-    x = _bounded(A, b, have)
-    if np.sum((A @ x - b) ** 2) > (1.0 - _WORTH) * np.sum(b**2):
+    joints = [motion.joint(joint) for motion in motions]
+    rows = [np.concatenate([effect.columns(j)[0] for j in joints]) for effect in basis]
+    A, b = np.array(rows, float).T, np.sum([*efforts.values()], axis=0)
+    values = np.array([held[e].parameters[0] if e in held else 0.0 for e in basis])
+    x = _nonnegative_fit(A, b, values)
+    if np.sum((A @ x - b) ** 2) > (1.0 - _LEAST_REDUCTION) * np.sum(b**2):
         return {}, {}
     changed: dict[Effect, FittedEffect] = {
-        effect: FittedEffect(effect, np.array([before + change]))
-        for effect, before, change in zip(used, have.tolist(), x.tolist(), strict=True)
+        effect: FittedEffect(effect, np.array([value + change]))
+        for effect, value, change in zip(basis, values.tolist(), x.tolist(), strict=True)
         if change
     }
-    named = {
+    names_of = {
         effect: tuple(e.name for e in changed if e.depends_on <= effect.depends_on)
-        for effect in wanted
+        for effect in efforts
     }
-    return changed, named
+    return changed, names_of
 
 
-def _bounded(A: Array, b: Array, have: Array) -> Array:
-    """Return the x of least |A x − b| with have + x ≥ 0, columns scaled to one size."""
+def _nonnegative_fit(A: Array, b: Array, values: Array) -> Array:
+    """Return the x that minimizes |A x − b| with values + x ≥ 0."""
     size = np.linalg.norm(A, axis=0)
-    usable = size > 0
-    x = np.zeros(len(have))
-    if usable.any():
-        scaled, lower = A[:, usable] / size[usable], -(have * size)[usable]
+    nonzero = size > 0
+    x = np.zeros(len(values))
+    if nonzero.any():
+        scaled, lower = A[:, nonzero] / size[nonzero], -(values * size)[nonzero]
         bounds = (np.minimum(lower, 0.0) - 1e-300, np.inf)
-        x[usable] = lsq_linear(scaled, b, bounds=bounds, method="bvls").x / size[usable]
-    return np.maximum(x, -have)
+        x[nonzero] = lsq_linear(scaled, b, bounds=bounds, method="bvls").x / size[nonzero]
+    return np.maximum(x, -values)
 
 
-def _named(lost: Sequence[FittedEffect], into: dict[Effect, tuple[str, ...]]) -> tuple[Lost, ...]:
-    """Return what is lost, the places of one effect together."""
-    found: dict[str, Lost] = {}
+def _lost_effects(
+    lost: Sequence[FittedEffect], into: dict[Effect, tuple[str, ...]]
+) -> tuple[Lost, ...]:
+    """Return the lost effects, with all places of one kind together."""
+    by_name: dict[str, Lost] = {}
     for fitted in lost:
         name = fitted.effect.name
-        before = found.get(name, Lost(name, (), ()))
-        where = dict.fromkeys([*before.where, *fitted.effect.where])
-        names = dict.fromkeys([*before.into, *into.get(fitted.effect, ())])
-        found[name] = Lost(name, tuple(where), tuple(names))
-    return tuple(found.values())
+        previous = by_name.get(name, Lost(name, (), ()))
+        where = dict.fromkeys([*previous.where, *fitted.effect.where])
+        names = dict.fromkeys([*previous.into, *into.get(fitted.effect, ())])
+        by_name[name] = Lost(name, tuple(where), tuple(names))
+    return tuple(by_name.values())

@@ -1,4 +1,4 @@
-"""Joints in files for simulators: friction, rotors, springs, limits, servos and delays."""
+"""Joint properties in exports: friction, rotors, springs, limits, servos and delays."""
 
 from __future__ import annotations
 
@@ -25,70 +25,68 @@ _TERMS: Mapping[type[Effect], str] = {
     Rotor: "armature",
 }
 _NUMBERS = ("damping", "friction", "armature", "stiffness", "rest")
-_UNCHANGED = 1e-13  # relative difference up to which a number counts as the same
+_UNCHANGED = 1e-13  # relative difference below which a number is unchanged
 
 
 @dataclass(frozen=True)
 class ExportedJoint:
-    """A joint of one degree of freedom, and what drives it; N and m where it slides."""
+    """A joint with one degree of freedom, and its actuator; in N and m if prismatic."""
 
     name: str
     scoped: str
     turns: bool  # whether it is revolute
     driven: bool = False  # whether it has a motor
-    velocity: float = np.inf  # largest speed, rad/s; infinite where there is none
-    effort: float = 0.0  # largest effort, N·m; infinite where there is no limit, 0 without a motor
-    # Gain of a servo that is told positions, N·m/rad; 0 for a motor that is told efforts.
-    kp: float = 0.0
+    velocity: float = np.inf  # speed limit, rad/s; infinite for none
+    effort: float = 0.0  # effort limit, N·m; infinite for none, 0 without a motor
+    kp: float = 0.0  # position gain of a servo, N·m/rad; 0 for a motor with effort commands
     kd: float = 0.0  # damping of a servo, on its velocity, N·m·s/rad
-    rate_share: float = 0.0  # how much of the command's rate that damping knows
-    delay: float = 0.0  # by how much what it is told acts late, s
-    measured_late: float = 0.0  # by how much measured efforts are late, s
+    rate_share: float = 0.0  # fraction of the command's rate in the servo's damping term
+    delay: float = 0.0  # of commands, s
+    measured_late: float = 0.0  # delay of measured efforts, s
     damping: float = 0.0  # viscous friction, N·m·s/rad
     friction: float = 0.0  # dry friction, N·m
-    armature: float = 0.0  # inertia of the rotor, seen at the joint, kg·m²
-    stiffness: float = 0.0  # stiffness of a spring across the joint, N·m/rad
-    rest: float = 0.0  # position at which the spring is at rest, rad
+    armature: float = 0.0  # reflected rotor inertia, kg·m²
+    stiffness: float = 0.0  # of a spring across the joint, N·m/rad
+    rest: float = 0.0  # rest position of the spring, rad
 
     @property
     def numbers(self) -> dict[str, float]:
-        """Its numbers in files, by the names of `EditedFile.set_joint_numbers`."""
+        """Passive properties, by the names of `EditedFile.set_joint_numbers`."""
         return {name: getattr(self, name) for name in _NUMBERS}
 
     @property
     def is_servo(self) -> bool:
-        """Whether it is told positions."""
+        """Whether it takes position commands."""
         return self.kp > 0.0
 
 
 def exported_joints(model: RobotModel) -> dict[str, ExportedJoint]:
-    """Return all joints of one degree of freedom by name; effects of other kinds do not count.
+    """Return all joints with one degree of freedom by name, without effects that do not fit.
 
-    A delay of efforts that are logged late is one of their measurement. Efforts that are logged
-    ahead act late, as commands do.
+    A positive delay of logged efforts is one of their measurement; a negative one delays commands.
     """
     values: dict[str, dict[str, float]] = {joint: {} for joint in model.single_joints}
     for fitted in model.effects:
         effect = fitted.effect
-        own = values.get(effect.where[0], {}) if effect.where else {}
+        terms = values.get(effect.where[0], {}) if effect.where else {}
         if (term := _TERMS.get(type(effect))) is not None:
-            own[term] = own.get(term, 0.0) + float(fitted.parameters[0])
+            terms[term] = terms.get(term, 0.0) + float(fitted.parameters[0])
         elif isinstance(effect, Spring) and effect.exponent == 1 and fitted.parameters[0]:
             stiffness, preload = fitted.parameters.tolist()
-            own |= {"stiffness": stiffness, "rest": effect.center - preload / stiffness}
+            terms |= {"stiffness": stiffness, "rest": effect.center - preload / stiffness}
     names = tuple(model.joints)
-    if not model.transmission:  # else joints are behind a transmission
-        every = scoped_joint_names(model.plant)
-        names = tuple(every[k] for k in sorted(model.coordinates.standing))
+    if not model.transmission:
+        plant_names = scoped_joint_names(model.plant)
+        names = tuple(plant_names[k] for k in sorted(model.coordinates.standing))
     limits = model.velocity_limits.tolist(), model.known_effort_limits.tolist()
     drives = servos_of(model), model.delays.tolist()
-    found = {}
+    exported = {}
     for joint, name, velocity, effort, servo, delay in zip(
         model.joints, names, *limits, *drives, strict=True
     ):
         if joint in values:
             driven = joint not in model.motorless
-            found[joint] = ExportedJoint(
+            exported[joint] = ExportedJoint(
                 joint,
                 name,
                 turns=joint not in model.sliding_joints,
@@ -102,74 +100,74 @@ def exported_joints(model: RobotModel) -> dict[str, ExportedJoint]:
                 measured_late=max(delay, 0.0) * driven,
                 **values[joint],
             )
-    return found
+    return exported
 
 
 def changed_numbers(model: RobotModel) -> dict[str, dict[str, float]]:
-    """Return what a model has otherwise than its own file, by scoped name and name of the number.
+    """Return the values of a model that differ from its file, by scoped name and property.
 
-    Stiffness and rest go together.
+    Stiffness and rest are returned together.
     """
     loaded = load_plant(model.path, floating=model.floating, held=model.held, given=model.given)
-    own_file = exported_joints(from_loaded_plant(loaded, floating=model.floating))
-    before = {joint.scoped: joint for joint in own_file.values()}
-    joints, found = exported_joints(model), dict[str, dict[str, float]]()
-    for after in map(joints.__getitem__, model.single_joints):
-        old, changed = before[after.scoped], dict[str, float]()
+    from_file = exported_joints(from_loaded_plant(loaded, floating=model.floating))
+    original = {joint.scoped: joint for joint in from_file.values()}
+    joints, changes = exported_joints(model), dict[str, dict[str, float]]()
+    for joint in map(joints.__getitem__, model.single_joints):
+        old, changed = original[joint.scoped], dict[str, float]()
         for name in _NUMBERS:
-            if not np.isclose(getattr(old, name), getattr(after, name), rtol=_UNCHANGED, atol=0.0):
-                changed[name] = getattr(after, name)
+            if not np.isclose(getattr(old, name), getattr(joint, name), rtol=_UNCHANGED, atol=0.0):
+                changed[name] = getattr(joint, name)
         if changed.keys() & {"stiffness", "rest"}:
-            changed |= {"stiffness": after.stiffness, "rest": after.rest}
-        found[after.scoped] = changed
-    return found
+            changed |= {"stiffness": joint.stiffness, "rest": joint.rest}
+        changes[joint.scoped] = changed
+    return changes
 
 
 SHORTEST_STEP = 1e-3
-"""Step of the simulation, s, down to which delays are kept where the file's own is longer."""
+"""Shortest simulation step, s, for which MuJoCo's delay buffers are long enough."""
 
 
 def add_actuators(file: EditedFile, model: RobotModel, *, anew: bool) -> tuple[str, ...]:
-    """Add actuators to an MJCF, at the end, and sensors of late efforts; return notes on it.
+    """Append actuators, and sensors of delayed efforts, to an MJCF; return notes.
 
-    Actuators of the file stay as they are, and the joints that they drive get no other one. A file
-    of the user's own gets some only for servos and delays, which it does not hold otherwise.
+    Actuators of the file do not change, and their joints get no others. To a user's file actuators
+    are added only if the model has servos or delays.
 
     Args:
-        anew: Whether the file was written from the model alone.
+        anew: Whether the file was generated from the model.
     """
     text, path = model_text_of(file.content, file.path), file.path
     if not isinstance(text, MjcfText) or model.transmission:
         return ()
     joints = list(exported_joints(model).values())
     driven = {name.rpartition("::")[2] for name in text.terms.driven}
-    free = [each for each in joints if each.driven and each.name not in driven]
-    wanted = [each for each in joints if each.is_servo or each.delay]
-    kept = [each for each in wanted if each.name in driven]
-    notes = [_kept_note(kept, path)] if kept else []
-    if text.actuator_defaults and set(wanted).intersection(free):
+    free = [joint for joint in joints if joint.driven and joint.name not in driven]
+    needed = [joint for joint in joints if joint.is_servo or joint.delay]
+    conflicting = [joint for joint in needed if joint.name in driven]
+    notes = [_conflict_note(conflicting, path)] if conflicting else []
+    if text.actuator_defaults and set(needed).intersection(free):
         notes.append(
             f"{path.name} has defaults of actuators, which would change exported ones, so "
             "servos and delays of the model are not exported"
         )
         free = []
-    late = [each for each in joints if each.measured_late]
-    adds = free if anew or set(wanted).intersection(free) else []
-    if not adds and not late:
+    late = [joint for joint in joints if joint.measured_late]
+    added = free if anew or set(needed).intersection(free) else []
+    if not added and not late:
         return tuple(notes)
     step = min(text.timestep, SHORTEST_STEP)
     sections = {
-        "actuator": [_actuator(each, step) for each in adds],
+        "actuator": [_actuator(joint, step) for joint in added],
         "sensor": [
             Element(
                 "jointactuatorfrc",
-                {"name": f"{e.name}_effort", "joint": e.name, **_delay(e.measured_late, step)},
+                {"name": f"{j.name}_effort", "joint": j.name, **_delay(j.measured_late, step)},
             )
-            for e in late
+            for j in late
         ],
     }
-    file.add_sections(sections, [each.name for each in (*adds, *late)])
-    return (*notes, *_notes(adds, late, step, text.timestep))
+    file.add_sections(sections, [joint.name for joint in (*added, *late)])
+    return (*notes, *_notes(added, late, step, text.timestep))
 
 
 def _actuator(joint: ExportedJoint, step: float) -> Element:
@@ -188,23 +186,23 @@ def _gains(joint: ExportedJoint) -> dict[str, str]:
 
 
 def _delay(delay: float, step: float) -> dict[str, str]:
-    """Return attributes of a delay: MuJoCo keeps one signal more than the steps that it takes."""
-    kept = int(np.ceil(delay / step - 1e-9)) + 1
-    return {"delay": words(delay), "nsample": str(kept), "interp": "linear"} if delay else {}
+    """Return attributes of a delay; MuJoCo's buffer needs one sample more than its steps."""
+    count = int(np.ceil(delay / step - 1e-9)) + 1
+    return {"delay": words(delay), "nsample": str(count), "interp": "linear"} if delay else {}
 
 
 def _notes(
-    adds: Sequence[ExportedJoint], late: Sequence[ExportedJoint], step: float, timestep: float
+    added: Sequence[ExportedJoint], late: Sequence[ExportedJoint], step: float, timestep: float
 ) -> list[str]:
     notes = []
-    damped = [each.name for each in adds if each.is_servo and each.kd * each.rate_share]
+    damped = [joint.name for joint in added if joint.is_servo and joint.kd * joint.rate_share]
     if damped:
         notes.append(
             f"kv of {', '.join(damped)} damps the motion, but that of the model the error: "
             "with commands c + rate_share (kv / kp) dc/dt, they are equal"
         )
-    delays = {each.name: each.delay for each in adds if each.delay}
-    delays |= {each.name: each.measured_late for each in late}
+    delays = {joint.name: joint.delay for joint in added if joint.delay}
+    delays |= {joint.name: joint.measured_late for joint in late}
     if delays:
         notes.append(
             f"delays need MuJoCo 3.5 or later; they hold for time steps of {step:g} s and "
@@ -212,7 +210,7 @@ def _notes(
         )
     if late:
         notes.append(
-            f"measured efforts of {', '.join(each.name for each in late)} are delayed: "
+            f"measured efforts of {', '.join(joint.name for joint in late)} are delayed: "
             "sensors <joint>_effort have them as in the log"
         )
     short = [joint for joint, delay in delays.items() if delay < timestep * (1.0 - 1e-9)]
@@ -225,11 +223,12 @@ def _notes(
     return notes
 
 
-def _kept_note(kept: Sequence[ExportedJoint], path: Path) -> str:
-    """Return what the user's own actuators would need to be those of the model."""
-    of_each = []
-    for each in kept:
-        own = {**_gains(each), **_delay(each.delay, SHORTEST_STEP)}
-        of_each.append(f"{each.name}: " + " ".join(f'{key}="{x}"' for key, x in own.items()))
-    values = "; ".join(of_each)
+def _conflict_note(joints: Sequence[ExportedJoint], path: Path) -> str:
+    """Return a note with the attributes that the user's actuators would need."""
+    words_by_joint = []
+    for joint in joints:
+        attributes = {**_gains(joint), **_delay(joint.delay, SHORTEST_STEP)}
+        values = " ".join(f'{key}="{value}"' for key, value in attributes.items())
+        words_by_joint.append(f"{joint.name}: {values}")
+    values = "; ".join(words_by_joint)
     return f"actuators of {path.name} are unchanged; those of the model have {values}"

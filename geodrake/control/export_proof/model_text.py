@@ -1,4 +1,4 @@
-"""A robot's file with all that the format holds of a model: a copy of the user's own, or anew."""
+"""Model files with a model's values: an edited copy of the user's file, or a generated one."""
 
 from __future__ import annotations
 
@@ -42,30 +42,29 @@ from geodrake.robot.joints import joint_names, scoped
 from geodrake.robot.plant import motor_joints, scoped_joint_names
 
 _DRAKE = "http://drake.mit.edu"
-_ALWAYS = ("damping", "friction")  # written where they are 0, too
-_USUAL = [0.0, 0.0, -9.81]  # gravity of simulators, m/s²
-_UNLIMITED = 1e9  # effort and speed, where a URDF must state some
+_ALWAYS = ("damping", "friction")  # written even if 0
+_DEFAULT_GRAVITY = [0.0, 0.0, -9.81]  # of simulators, m/s²
+_UNLIMITED = 1e9  # effort and speed limits in a URDF, which must have some
 SUFFIXES = {"urdf": ".urdf", "sdf": ".sdf", "xml": ".xml"}
 
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """A body that a joint moves; its frame L is that of the joint, on the side of the body."""
+    """A body moved by a joint; its frame L is the joint's frame on the body."""
 
     name: str
-    parent: str | None  # name of the body that carries it; None for the world
+    parent: str | None  # name of the parent body; None for the world
     joint: ExportedJoint
-    X_PL: RigidTransform  # pose of the link in the frame of the parent, with the joint at zero
+    X_PL: RigidTransform  # pose in the parent's frame with the joint at zero
     axis: Array  # (3,) unit axis of the joint, in L
-    # Lowest and highest position, rad or m; infinite where there is none.
-    limits: tuple[float, float]
+    limits: tuple[float, float]  # lower and upper position, rad or m; infinite for none
     phi: Array  # (10,) inertial parameters about Lo, expressed in L
-    # The name of the joint that this one follows, r and θ₀ of θ = r θ_leader + θ₀.
+    # Name of the leader joint, r and θ₀ of θ = r θ_leader + θ₀, if this joint follows another.
     follows: tuple[str, float, float] | None = None
 
 
 def _links_of(model: RobotModel) -> tuple[Link, ...]:
-    """Return the links of a model from the base on, each after its parent, payloads included."""
+    """Return the links of a model with payloads, each after its parent."""
     plant, joints = model.plant, exported_joints(model)
     context = plant.CreateDefaultContext()
     plant.SetPositions(context, np.zeros(plant.num_positions()))
@@ -78,40 +77,40 @@ def _links_of(model: RobotModel) -> tuple[Link, ...]:
     owner = {int(m.index): k for k, body in enumerate(lumps) for m in body.members}
     inboard = {owner[int(joint.child_body().index())]: joint for joint in moving}
     X_WL = {k: joint.frame_on_child().CalcPoseInWorld(context) for k, joint in inboard.items()}
-    found: dict[int, Link] = {}
-    while len(found) < len(lumps):
+    links: dict[int, Link] = {}
+    while len(links) < len(lumps):
         ready = {
             k: joint
             for k, joint in inboard.items()
-            if k not in found
-            and ((above := owner.get(int(joint.parent_body().index()))) is None or above in found)
+            if k not in links
+            and ((parent := owner.get(int(joint.parent_body().index()))) is None or parent in links)
         }
         if not ready:
             raise _refusal(moving[0], "points from a body to its parent")
         for k, joint in ready.items():
-            above = owner.get(int(joint.parent_body().index()))
-            X_WP = RigidTransform() if above is None else X_WL[above]
+            parent = owner.get(int(joint.parent_body().index()))
+            X_WP = RigidTransform() if parent is None else X_WL[parent]
             X_WR = plant.get_body(lumps[k].body_index).body_frame().CalcPoseInWorld(context)
             X_LR = X_WL[k].inverse() @ X_WR
             turns = joint.type_name() == "revolute"
             axis = joint.revolute_axis() if turns else joint.translation_axis()
             mover, *_ = model.coordinates.moved_by([joint.velocity_start()])
-            shown, follows = joints[model.joints[mover]], None
+            exported, follows = joints[model.joints[mover]], None
             if (tie := model.followers.get(scoped(joint))) is not None:
                 offset, ratio, *_ = tie.coefficients
-                follows = shown.name, ratio, offset
-                shown = ExportedJoint(joint.name(), scoped(joint), turns)
-            found[k] = Link(
+                follows = exported.name, ratio, offset
+                exported = ExportedJoint(joint.name(), scoped(joint), turns)
+            links[k] = Link(
                 names[k],
-                None if above is None else names[above],
-                shown,
+                None if parent is None else names[parent],
+                exported,
                 X_WP.inverse() @ X_WL[k],
                 np.array(axis),
                 (float(joint.position_lower_limits()[0]), float(joint.position_upper_limits()[0])),
                 change_frame(model.total_phi[k], X_LR.rotation().matrix(), X_LR.translation()),
                 follows,
             )
-    return tuple(found.values())
+    return tuple(links.values())
 
 
 def _refusal(joint: Joint, problem: str) -> ModelError:
@@ -123,10 +122,10 @@ def _refusal(joint: Joint, problem: str) -> ModelError:
 
 
 def from_plant(model: RobotModel, kind: str, gravity: Array) -> bytes:
-    """Return a robot's bodies and joints, without geometry.
+    """Return a file of a robot's bodies and joints, without geometry.
 
     Args:
-        gravity: (3,) acceleration of gravity in the frame of the base, for a format that has it.
+        gravity: (3,) gravity in the frame of the base, for formats that contain it.
     """
     if model.floating:
         raise ModelError(
@@ -135,8 +134,8 @@ def from_plant(model: RobotModel, kind: str, gravity: Array) -> bytes:
         )
     name = model.path.name.partition(".")[0]
     root = _WRITERS[kind](_links_of(model), name, gravity)
-    for at, each in enumerate(repair_comments(model)):
-        root.insert(at, Comment(comment_words(each)))
+    for k, comment in enumerate(repair_comments(model)):
+        root.insert(k, Comment(comment_words(comment)))
     indent(root)
     return tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
 
@@ -178,13 +177,13 @@ def _urdf_joint(root: Element, link: Link) -> None:
 
 
 def _sdf(links: Sequence[Link], name: str, gravity: Array) -> Element:
-    """Return an SDF, in which a link that is called like a joint has another name."""
+    """Return an SDF, with links renamed if a joint has the same name."""
     taken = unused({link.joint.name for link in links})
     names = {link.name: taken(link.name) for link in links}
     links = [
         replace(link, name=names[link.name], parent=names.get(link.parent or "")) for link in links
     ]
-    version = "1.11" if any(link.follows for link in links) else "1.9"  # that has <mimic>
+    version = "1.11" if any(link.follows for link in links) else "1.9"  # <mimic> needs 1.11
     root = Element("sdf", {"version": version, "xmlns:drake": _DRAKE})
     model = SubElement(root, "model", name=name)
     for link in links:
@@ -211,7 +210,7 @@ def _sdf_joint(root: Element, model: Element, link: Link) -> None:
     for key, value in limits.items():
         if np.isfinite(value):
             SubElement(limit, key).text = words(value)
-    if link.follows:  # once for Gazebo, and once for Drake, which reads its own element alone
+    if link.follows:  # for Gazebo, and for Drake, which reads only its own element
         leader, ratio, offset = link.follows
         terms = {"multiplier": words(ratio), "offset": words(offset)}
         SubElement(joint, "drake:mimic", {"joint": leader, **terms})
@@ -262,8 +261,8 @@ def _mjcf_joint(link: Link) -> dict[str, str]:
 
 
 _STICKING = {"solreffriction": "0.004 1", "solimpfriction": "0.9999 0.9999 0.001 0.5 2"}
-"""By MuJoCo's defaults joints creep under dry friction, within a minute by centimetres; the first
-number is twice MuJoCo's time step, s, the least that is stable."""
+"""Solver parameters of dry friction. With MuJoCo's defaults joints creep by centimetres per minute.
+The first number is twice MuJoCo's default time step, s, the smallest stable value."""
 
 _WRITERS: Mapping[str, Callable[[Sequence[Link], str, Array], Element]] = {
     "urdf": _urdf,
@@ -273,45 +272,45 @@ _WRITERS: Mapping[str, Callable[[Sequence[Link], str, Array], Element]] = {
 
 
 def written_kind(model: RobotModel, kinds: Sequence[str]) -> str:
-    """Return the format that an export writes: that of the robot's own file if it may be.
+    """Return the file format of an export: that of the robot's own file if possible.
 
     Args:
-        kinds: The formats that it may be, the usual one first: urdf, sdf, xml for MJCF.
+        kinds: Possible formats, the default first: urdf, sdf, xml for MJCF.
     """
     own = own_kind(model)
     return own if own in kinds else kinds[0]
 
 
 def own_kind(model: RobotModel) -> str:
-    """Return the format of the robot's file if it can be edited; nothing for directives."""
+    """Return the format of the robot's file if it can be edited; "" for directives."""
     return "" if model.path.suffix.lower() in (".yaml", ".yml") else file_kind(model)
 
 
 def sprung_in_file(model: RobotModel) -> set[str]:
-    """Return the joints whose springs the robot's own URDF states for Gazebo or Drake."""
+    """Return the joints with springs for Gazebo or Drake in the robot's own URDF."""
     if own_kind(model) != "urdf":
         return set()
     root = parse_xml_bytes(read_expanded(model.path, model.given), model.path)
     names = {name: joint.scoped for name, joint in exported_joints(model).items()}
-    return {n for n, own in names.items() if stated_springs(root, own.rpartition("::")[2])}
+    return {n for n, scope in names.items() if stated_springs(root, scope.rpartition("::")[2])}
 
 
 def stands_as_it_is(model: RobotModel, kind: str) -> bool:
-    """Return whether a model has the effects of its own file, which an export of a kind copies."""
+    """Return whether an export copies the model's own MJCF with its effects unchanged."""
     return kind == "xml" == own_kind(model) and is_of_file(model)
 
 
 def model_file(
     model: RobotModel, kind: str, folder: Path, *, stands: bool = False
 ) -> tuple[str, bytes, tuple[str, ...]]:
-    """Return the name of a robot's file with all that it can hold of a model, the file, and notes.
+    """Return the name and content of a model file, and notes.
 
-    That is a copy of the user's own file if it has the format, expanded if it is of xacro, and
-    else a new one of bodies and joints alone.
+    It is an edited copy of the user's file if that has the format (expanded from xacro), and
+    otherwise a generated file of bodies and joints.
 
     Args:
-        folder: Where the file will be: relative paths in it lead from there.
-        stands: Whether the model has the effects of its own file.
+        folder: Future folder of the file, to which relative paths refer.
+        stands: Whether the effects of the user's file do not change.
     """
     name = f"{model.path.name.partition('.')[0]}{SUFFIXES[kind]}"
     if own_kind(model) == kind:
@@ -323,18 +322,20 @@ def model_file(
     )
     data, gravity = from_plant(model, kind, _tilted_gravity(model)), _gravity(model)
     if kind != "xml":
-        stated = " ".join(f"{x:g}" for x in gravity)
-        told = f"{name} does not tell simulators of gravity, which is {stated} m/s²: set it there"
-        return name, data, (note,) if gravity.tolist() == _USUAL else (note, told)
+        if gravity.tolist() == _DEFAULT_GRAVITY:
+            return name, data, (note,)
+        values = " ".join(f"{x:g}" for x in gravity)
+        gravity_note = f"{name} does not contain gravity; set it to {values} m/s² in the simulator"
+        return name, data, (note, gravity_note)
     file = EditedFile(data, folder / name)
     more = add_actuators(file, model, anew=True)
     return name, file.content, (note, *more)
 
 
 def _edited(model: RobotModel, folder: Path, stands: bool) -> tuple[bytes, tuple[str, ...]]:
-    """Return the user's file with what it holds of a model, and notes; the rest stays.
+    """Return the user's file with the model's values, and notes.
 
-    Of an MJCF, forces that are no joint's own only stay where the model has all effects of it.
+    Passive forces of an MJCF that do not belong to a joint are removed unless `stands`.
     """
     exported, path = export_bodies(model), model.path
     file, changes = EditedFile(exported.content, path), {} if stands else changed_numbers(model)
@@ -346,43 +347,43 @@ def _edited(model: RobotModel, folder: Path, stands: bool) -> tuple[bytes, tuple
             if joint.turns and "rest" in changes.get(joint.scoped, {}):
                 changes[joint.scoped]["rest"] = float(np.rad2deg(joint.rest))
     file.set_joint_numbers(changes)
-    acting = _notes_on_limits(model)
+    notes = _notes_on_limits(model)
     if text.kind == "xml":
         if any(isinstance(fitted.effect, Tilt) for fitted in model.effects):
             file.set_gravity(_tilted_gravity(model))
-        acting = add_actuators(file, model, anew=False)
-    acting = (*acting, *_notes_on_motors(model))
+        notes = add_actuators(file, model, anew=False)
+    notes = (*notes, *_notes_on_motors(model))
     if file.move_references(folder):
-        elsewhere = f"meshes and other files of {path.name} are not copied; the copy "
-        acting = (*acting, f"{elsewhere}refers to them from its folder")
-    return file.content, (*exported.notes, *acting)
+        words_on_meshes = f"meshes and other files of {path.name} are not copied; the copy "
+        notes = (*notes, f"{words_on_meshes}refers to them from its folder")
+    return file.content, (*exported.notes, *notes)
 
 
 def _notes_on_limits(model: RobotModel) -> tuple[str, ...]:
-    """Return a note on limits of effort that logs told, and that the user's file does not have."""
+    """Return a note on effort limits from logs that the user's file does not contain."""
     known = model.known_effort_limits
-    less = [
+    limits = [
         f"{joint} {limit:.3g} {'N' if joint in model.sliding_joints else 'N·m'}"
-        for joint, limit, of_file in zip(model.joints, known, model.effort_limits, strict=True)
-        if limit != of_file
+        for joint, limit, file_limit in zip(model.joints, known, model.effort_limits, strict=True)
+        if limit != file_limit
     ]
-    stay = f"effort limits in {model.path.name} are unchanged; the model knows lower ones: "
-    return (f"{stay}{', '.join(less)}",) if less else ()
+    words = f"effort limits in {model.path.name} are unchanged; the model knows lower ones: "
+    return (f"{words}{', '.join(limits)}",) if limits else ()
 
 
 def _notes_on_motors(model: RobotModel) -> tuple[str, ...]:
-    """Return a note on motors and limits that the user's file states where logs had no motor."""
+    """Return a note on motors in the user's file at joints without a motor in logs."""
     names = zip(joint_names(model.plant), scoped_joint_names(model.plant), strict=True)
     motors = {name for name, scoped in names if scoped in motor_joints(model.plant)}
     limited = zip(model.joints, np.isfinite(model.effort_limits), strict=True)
     motors |= {joint for joint, has_limit in limited if has_limit}
-    idle = ", ".join(joint for joint in model.motorless if joint in motors)
-    stay = f"{idle} had no motor in logs, but {model.path.name} has one, which the copy keeps"
-    return (stay,) if idle else ()
+    joints = ", ".join(joint for joint in model.motorless if joint in motors)
+    note = f"{joints} had no motor in logs, but {model.path.name} has one, which the copy keeps"
+    return (note,) if joints else ()
 
 
 def _tilted_gravity(model: RobotModel) -> Array:
-    """Return (3,) gravity in the frame of a model's base, as that is turned, m/s²."""
+    """Return (3,) gravity in the frame of a model's tilted base, m/s²."""
     return np.asarray(tilt_rotation(model).T @ _gravity(model))
 
 
@@ -392,12 +393,12 @@ def _gravity(model: RobotModel) -> Array:
 
 
 def tilt_rotation(model: RobotModel) -> Array:
-    """Return (3, 3) rotation R(θ) by which a model's base is turned against its file's."""
-    turn = np.eye(3)
+    """Return (3, 3) rotation R(θ) of a model's base relative to its file."""
+    rotation = np.eye(3)
     for fitted in model.effects:
         if isinstance(fitted.effect, Tilt):
             vector = np.array([*fitted.parameters, 0.0])
             angle = float(np.linalg.norm(vector))
             if angle:
-                turn = AngleAxis(angle, vector / angle).rotation() @ turn
-    return np.asarray(turn)
+                rotation = AngleAxis(angle, vector / angle).rotation() @ rotation
+    return np.asarray(rotation)

@@ -1,8 +1,8 @@
-"""Rollouts: the model simulated under logged efforts or commands, compared with the motion.
+"""Rollouts: simulation of a model under logged efforts or commands, compared with the motion.
 
-Where `geodrake.diagnosis.compare` asks which effort a motion needs, a rollout asks which motion an
-effort makes. Every window of a log starts at the measured state; from there on the simulated robot
-is alone with the efforts, or the commands, that were logged, until the window ends.
+While `geodrake.diagnosis.compare` computes the effort of a motion, a rollout computes the motion
+due to an effort. Each window of a log starts at the measured state. Until its end, the simulation
+uses only the logged efforts or commands.
 """
 
 from __future__ import annotations

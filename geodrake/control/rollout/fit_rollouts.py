@@ -1,8 +1,9 @@
-"""A fit of what only the simulated motion shows: soft joints, play, their servos and motors.
+"""Fit of soft joints, backlash, and their servos and motors to simulated motion.
 
-A linear fit sees a soft joint to first order in its compliance, through a filter, and play hardly.
-How the simulated robot moves shows both. The fit starts at the model's values and sees every other
-block of windows; it counts only where it predicts the other windows better, by more than chance.
+A linear fit of efforts is sensitive to elasticity only to first order and within the filter's
+bandwidth, and hardly sensitive to backlash. Simulated motion depends on both. The fit starts at the
+model's values and uses every other block of windows. It is accepted if it predicts the other
+windows significantly better.
 """
 
 from __future__ import annotations
@@ -20,10 +21,10 @@ from geodrake.control.rollout.linearized_motion import LinearizedMotion
 from geodrake.control.rollout.motion_search import (
     MotionSearch,
     RolloutValue,
-    blind_to,
-    blinds,
     is_soft,
     rollout_values,
+    start_projection,
+    start_projections,
     values_at,
     with_values,
 )
@@ -52,73 +53,67 @@ from geodrake.model.robot_model import RobotModel
 
 Mask = NDArray[np.bool_]
 
-_FEWEST = 2  # windows to fit, and to test
-_BLOCKS = 4  # of the windows of one log, every other of which is held out
-_SERVO = {"stiffness": "gain", "rate": "damping"}  # else they have the names of `EffortSignal`
+_FEWEST = 2  # windows for fitting, and for testing
+_BLOCKS = 4  # of the windows of a single log; every other block is held out
+_SIGNAL_FIELDS = {"stiffness": "gain", "rate": "damping"}  # names that differ in `EffortSignal`
 
 
 @dataclass(frozen=True)
 class FittedValue(Short):
-    """A value of an effect, or of a servo, that rollouts were fitted by."""
+    """A fitted value of an effect or servo."""
 
-    effect: str  # its name, or "servo"
+    effect: str  # name of the effect, or "servo"
     joint: str
-    name: str  # name of the value; of a servo as in `EffortSignal`
-    before: float  # the model's value, where the fit began, SI
+    name: str  # name of the value; for servos as in `EffortSignal`
+    before: float  # the model's value, SI
     after: float
-    deviation: float  # its standard deviation, for what else the model has
+    deviation: float  # standard deviation, given the rest of the model
 
 
 @dataclass(frozen=True, eq=False)
 class RolloutFit(Shown):
-    """A model's soft joints, play, servos and motors, fitted to its simulated motion.
+    """Result of fitting soft joints, servos and motors to simulated motion."""
 
-    `before` and `after` say what they are under: logged efforts, or logged commands.
-    """
-
-    model: RobotModel  # the model with what was fitted, or as it was if that was not taken
+    model: RobotModel  # with the fitted values if accepted, otherwise the original one
     values: tuple[FittedValue, ...]
-    before: Rollout  # the rollout of the model as it was, over all windows
-    after: Rollout  # that with what was fitted, taken or not
-    tested: tuple[bool, ...]  # which windows the fit did not see
-    chance: float  # chance that it is truly no better in those
+    before: Rollout  # of the original model, over all windows
+    after: Rollout  # with the fitted values, accepted or not
+    tested: tuple[bool, ...]  # which windows were held out
+    chance: float  # probability that the fit is not better in held-out windows
 
     @property
     def taken(self) -> bool:
-        """Whether it predicts those better, by more than chance."""
+        """Whether the fit is accepted: significantly better in the held-out windows."""
         before, after = self.held_out
         worse = after.relative > before.relative or after.broken > before.broken
         return self.chance <= TIE and not worse
 
     @property
     def held_out(self) -> tuple[Rollout, Rollout]:
-        """Before and after, over the windows that the fit did not see."""
+        """Rollouts before and after, over the held-out windows."""
         return self.before.part(self.tested), self.after.part(self.tested)
 
     @property
     def fitted(self) -> tuple[Rollout, Rollout]:
-        """Before and after, over the windows that it saw."""
-        seen = [not tested for tested in self.tested]
-        return self.before.part(seen), self.after.part(seen)
+        """Rollouts before and after, over the windows used for fitting."""
+        fitted = [not tested for tested in self.tested]
+        return self.before.part(fitted), self.after.part(fitted)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes on the logs, on the model, and on assumptions of the simulation.
-
-        Servos of joints that were not fitted are taken for what they were found to be.
-        """
+        """Notes on the logs, the model, assumptions of the simulation, and uncertain servos."""
         fitted = {value.joint for value in self.values if value.effect == SERVO}
-        unsure = [
+        uncertain = [
             signal.joint
             for signal in self.model.effort_signals
             if signal.kind == COMMAND
             and (signal.deviation or signal.damping_deviation or signal.integral_deviation)
             and signal.joint not in fitted
         ]
-        if not (unsure and self.after.commands):
+        if not (uncertain and self.after.commands):
             return self.after.notes
         words = "elasticity and backlash may compensate for their errors"
-        return (*self.after.notes, f"servo gains of {', '.join(unsure)} are uncertain: {words}")
+        return (*self.after.notes, f"servo gains of {', '.join(uncertain)} are uncertain: {words}")
 
 
 def fit_rollouts(
@@ -131,37 +126,37 @@ def fit_rollouts(
     commands: bool = False,
     progress: Progress | None = None,
 ) -> RolloutFit:
-    """Fit a model's soft joints and play, their servos and motors, to how it moves in simulation.
+    """Fit a model's soft joints, backlash, servos and motors to its simulated motion.
 
-    Values that effects declare (`DeflectionEffect.rollout_values`: compliance, damping and half
-    width of a dead band) are fitted by least squares of what windows depart by, from the model's
-    values on; all else of the model stays. Every other block of windows, or of several logs every
-    other log, is held out. The fit is taken if it departs less in those, by more than chance: they
-    are compared window by window, as the folds of a diagnosis are. Else the model stays as it was.
+    The values that effects declare (`DeflectionEffect.rollout_values`: compliance, damping and half
+    width of a dead band) are fitted to the departures of windows by least squares, starting at the
+    model's values. The rest of the model does not change. Every other block of windows, or every
+    other log, is held out. The fit is accepted if held-out departures are significantly smaller,
+    compared window by window like the folds of a diagnosis. Otherwise the model does not change.
 
-    Simulations are those of `roll_out`, under the efforts of logs, or under their commands, where
-    servos close the loop. Soft joints would make up for what these are off by: where the
-    servo of one has deviations, its gains and its delay are fitted, too, held by their deviations,
-    and by 10 ms for a delay, and with them what resists its motor, friction and the rotor's
-    inertia, as far as these have deviations, held to a factor of e. Limits stay. The stiffer a
-    servo is, the less of a soft joint shows in the motion, and the more counts what commands are
-    between samples.
+    Simulations are those of `roll_out`, under logged efforts, or under logged commands with servos.
+    Soft joints would compensate for errors of their servos. If the servo of a soft joint has
+    standard deviations, its gains and delay are therefore also fitted, with priors of these
+    deviations and 10 ms for the delay. So are friction and rotor inertia of its motor, if they have
+    standard deviations, with a prior of a factor of e. Effort limits do not change. With a stiff
+    servo, the motion shows less of the soft joint, and depends more on commands between samples.
 
-    Without soft joints it is the servos that are fitted under commands, and friction, rotor
-    inertia and offset of their joints, each simulated alone along whole logs; see `fit_servo`. Of
-    one log every other quarter is held out. What is taken is then fitted to all logs.
+    Without soft joints, the servos are fitted under commands, together with friction, rotor inertia
+    and offset of their joints, each simulated separately along whole logs; see `fit_servo`. Of a
+    single log, every other quarter is held out. An accepted fit is repeated with all data.
 
-    Deviations are for all else that the model has. That of a gain stays the share of it that it
-    was, as a motion tells the gain for given inertias only.
+    Standard deviations are conditional on the rest of the model. The relative deviation of a gain
+    does not change, as motion determines it only for given inertias.
 
     Args:
-        most: Most windows, fitted and held out together; all else is as for `roll_out`.
+        most: Maximum number of windows, for fitting and testing together. See `roll_out` for the
+            other arguments.
 
     Raises:
         ArgumentError: The horizon is not from 1 ms to 1000 s, or there are no windows.
-        LogError: A log cannot be used, there are fewer windows than two to fit and two to test, or
-            no log has commands of servos that are to be followed.
-        ModelError: The model has no soft joint, no play and, under commands, no servo, or one that
+        LogError: A log is invalid, there are fewer than two windows for fitting or testing, or no
+            log has commands of servos under `commands`.
+        ModelError: The model has no soft joint, no backlash and, under commands, no servo, or it
             cannot be simulated.
     """
     check_windows(horizon, most, progress)
@@ -171,52 +166,52 @@ def fit_rollouts(
     values = rollout_values(model, commands=commands) if soft else ()
     case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
 
-    def simulated(model: RobotModel, name: str) -> Rollout:
-        told = progress and (lambda words, share: progress(f"{name}: {words}", share))
+    def simulate(model: RobotModel, name: str) -> Rollout:
+        named_progress = progress and (lambda words, share: progress(f"{name}: {words}", share))
         return case_rollout(
             replace(case, model=model),
             horizon=horizon,
             most=most,
             commands=commands,
-            progress=told,
+            progress=named_progress,
         )
 
-    before = simulated(case.model, "before")
+    before = simulate(case.model, "before")
     tested = held_out([window.log for window in before.windows])
     if progress is not None:
         progress("fitting", 0.5)
     if soft:
         passages = chosen_passages(case, horizon, most)
-        better, told, chance = _soft_joints(case, values, passages, before, tested)
+        fitted, fitted_values, chance = _fit_soft_joints(case, values, passages, before, tested)
     else:
-        better, told, chance = _servos(case, before, tested)
-    after = simulated(better, "after")
-    fit = RolloutFit(better, told, before, after, tuple(tested.tolist()), chance(after))
+        fitted, fitted_values, chance = _fit_servos(case, before, tested)
+    after = simulate(fitted, "after")
+    fit = RolloutFit(fitted, fitted_values, before, after, tuple(tested.tolist()), chance(after))
     if not fit.taken:
         return replace(fit, model=case.model)
     if soft:
         return fit
-    found, fits = with_servo_motions(case.model, case.options.logs)
-    return replace(fit, model=found, values=_servo_values(case.model, fits))
+    fitted, fits = with_servo_motions(case.model, case.options.logs)
+    return replace(fit, model=fitted, values=_servo_values(case.model, fits))
 
 
-Found = tuple[RobotModel, tuple[FittedValue, ...], Callable[[Rollout], float]]
-"""A better model, its values, and what gives the chance that its rollout is truly no better."""
+Fit = tuple[RobotModel, tuple[FittedValue, ...], Callable[[Rollout], float]]
+"""Model, values, and a function from its rollout to the probability that it is not better."""
 
 
-def _soft_joints(
+def _fit_soft_joints(
     case: Case,
     values: tuple[RolloutValue, ...],
     passages: Sequence[Passage],
     before: Rollout,
     tested: Mask,
-) -> Found:
-    """Fit values of soft joints, their servos and motors to the windows that are not tested."""
-    usable = np.array([bool(np.isfinite(window.simulated).all()) for window in before.windows])
-    fitted, seen = np.flatnonzero(usable & ~tested), np.flatnonzero(usable & tested)
-    if min(len(fitted), len(seen)) < _FEWEST:
+) -> Fit:
+    """Fit values of soft joints, their servos and motors to the windows that are not held out."""
+    valid = np.array([bool(np.isfinite(window.simulated).all()) for window in before.windows])
+    training, testing = np.flatnonzero(valid & ~tested), np.flatnonzero(valid & tested)
+    if min(len(training), len(testing)) < _FEWEST:
         raise LogError(
-            f"Only {len(fitted)} windows for fitting and {len(seen)} for testing have motion "
+            f"Only {len(training)} windows for fitting and {len(testing)} for testing have motion "
             f"and can be simulated; {_FEWEST} of each are needed.",
             advice="Use a longer log, a shorter horizon, or more windows.",
         )
@@ -229,63 +224,70 @@ def _soft_joints(
     def departures(rollout: Rollout, chosen: NDArray[np.intp]) -> list[Array]:
         return [rollout.windows[k].simulated - passages[k].logged for k in chosen]
 
-    x, deviations = search(fitted).fit()
-    found, changes = values_at(values, x)
+    x, deviations = search(training).fit()
+    new, changes = values_at(values, x)
     deviations = changes * deviations
-    told = tuple(
-        FittedValue(v.effect, v.joint, v.name, v.value, *now)
-        for v, *now in zip(values, found.tolist(), deviations.tolist(), strict=True)
+    fitted_values = tuple(
+        FittedValue(v.effect, v.joint, v.name, v.value, after, deviation)
+        for v, after, deviation in zip(values, new.tolist(), deviations.tolist(), strict=True)
     )
-    better = better_model(case.model, values, found, deviations)
-    return better, told, lambda after: _chance(search(seen), x, departures(after, seen))
+    model = fitted_model(case.model, values, new, deviations)
+    return (
+        model,
+        fitted_values,
+        lambda after: _chance(search(testing), x, departures(after, testing)),
+    )
 
 
-def better_model(
-    model: RobotModel, values: Sequence[RolloutValue], found: Array, deviations: Array
+def fitted_model(
+    model: RobotModel, values: Sequence[RolloutValue], new: Array, deviations: Array
 ) -> RobotModel:
-    """Return the model with what was found, and with what is known of it.
+    """Return the model with new values and their information.
 
-    What else the model knows is as for values that are given: the efforts that led to it took its
-    former ones for what they are not.
+    Correlations with other parameters are removed, as these were fitted with the old values.
     """
-    better = with_values(model, values, found.tolist(), deviations.tolist())
+    fitted_model = with_values(model, values, new.tolist(), deviations.tolist())
     if model.information is None:
-        return better
+        return fitted_model
     information, start = model.information.copy(), model.phi.size
-    changed = {value.at for value in values}
-    for at, fitted in enumerate(better.effects):
-        place = slice(start, start + len(fitted.parameters))
-        start = place.stop
-        if at in changed and fitted.deviations is not None:
-            unsure = np.flatnonzero(fitted.deviations)
-            own, variances = place.start + unsure, np.square(fitted.deviations[unsure])
-            information[own], information[:, own] = 0.0, 0.0
-            information[own, own] = 1.0 / np.maximum(variances, np.finfo(float).tiny)
-    return replace(better, information=information)
+    changed = {value.index for value in values}
+    for i, fitted in enumerate(fitted_model.effects):
+        first = start
+        start += len(fitted.parameters)
+        if i in changed and fitted.deviations is not None:
+            uncertain = np.flatnonzero(fitted.deviations)
+            rows, variances = first + uncertain, np.square(fitted.deviations[uncertain])
+            information[rows], information[:, rows] = 0.0, 0.0
+            information[rows, rows] = 1.0 / np.maximum(variances, np.finfo(float).tiny)
+    return replace(fitted_model, information=information)
 
 
 def _chance(search: MotionSearch, x: Array, after: Sequence[Array]) -> float:
-    """Return the chance that held-out windows are truly predicted no better than before.
+    """Return the probability that held-out windows are not predicted better than before.
 
-    They are compared at the joints whose values are fitted: others feel them too, but there they
-    are lost in larger errors. Either model may begin with other states, by its own dynamics.
+    Only joints with fitted values are compared; at others the effect is lost in larger errors. The
+    initial states may differ between the models.
 
     Args:
-        x: (k,) steps of the values from those before.
-        after: Of each window (N, nv) simulated − logged positions afterwards.
+        x: (k,) steps of the values.
+        after: (N, nv) simulated − logged positions of each window after the fit.
     """
-    before, now = ([slopes for _, slopes in search.near(y, slopes=True)] for y in (0.0 * x, x))
+    slopes_before, slopes_after = (
+        [slopes for _, slopes in search.linearized(y, slopes=True)] for y in (0.0 * x, x)
+    )
     departures = search.departures
-    earlier = blinds(before, departures)
-    scale = earlier[0].scale
-    later = [blind_to(each, scale) for each in now]
+    projections_before = start_projections(slopes_before, departures)
+    scale = projections_before[0].scale
+    projections_after = [start_projection(slopes, scale) for slopes in slopes_after]
     joints = list(search.model.joints)
-    own = sorted({joints.index(value.joint) for value in search.values})
+    compared = sorted({joints.index(value.joint) for value in search.values})
     losses = [
-        np.array([np.sum(np.square(blind(d).reshape(d.shape)[:, own])) for blind, d in pairs])
+        np.array(
+            [np.sum(np.square(project(d).reshape(d.shape)[:, compared])) for project, d in pairs]
+        )
         for pairs in (
-            zip(earlier, departures, strict=True),
-            zip(later, [np.nan_to_num(d, nan=BROKEN) for d in after], strict=True),
+            zip(projections_before, departures, strict=True),
+            zip(projections_after, [np.nan_to_num(d, nan=BROKEN) for d in after], strict=True),
         )
     ]
     if not losses[1].sum() < losses[0].sum():
@@ -293,12 +295,9 @@ def _chance(search: MotionSearch, x: Array, after: Sequence[Array]) -> float:
     return tie_probability(losses[1], losses[0])
 
 
-# Servos and what resists them, where no joint is soft.
-
-
-def _servos(case: Case, before: Rollout, tested: Mask) -> Found:
-    """Fit servos and what resists them to what is not tested, joint by joint."""
-    better, fits = with_servo_motions(case.model, _seen(case.options.logs, before, tested))
+def _fit_servos(case: Case, before: Rollout, tested: Mask) -> Fit:
+    """Fit servos, friction and rotor inertia of each joint to the data that are not held out."""
+    model, fits = with_servo_motions(case.model, _training_logs(case.options.logs, before, tested))
     if not fits:
         raise LogError(
             "No joint moves in the simulation under its commands as it was measured.",
@@ -306,21 +305,21 @@ def _servos(case: Case, before: Rollout, tested: Mask) -> Found:
         )
 
     def losses(rollout: Rollout) -> Array:
-        held = [window for window, out in zip(rollout.windows, tested, strict=True) if out]
-        departures = (np.nan_to_num(window.departure, nan=BROKEN) for window in held)
-        return np.concatenate([np.sum(np.square(each), axis=0) for each in departures])
+        windows = rollout.part(tested.tolist()).windows
+        departures = (np.nan_to_num(window.departure, nan=BROKEN) for window in windows)
+        return np.concatenate([np.sum(np.square(d), axis=0) for d in departures])
 
     def chance(after: Rollout) -> float:
         return tie_probability(losses(after), losses(before))
 
-    return better, _servo_values(case.model, fits), chance
+    return model, _servo_values(case.model, fits), chance
 
 
 def held_out(logs: Sequence[str]) -> Mask:
-    """Return (W,) which windows are held out: every other log, or block of the windows of one log.
+    """Return (W,) which windows are held out: every other log, or block of a single log.
 
     Args:
-        logs: (W,) names of the windows' logs, one log after the other.
+        logs: (W,) names of the windows' logs, in order.
     """
     names = list(dict.fromkeys(logs))
     if len(names) > 1:
@@ -328,31 +327,33 @@ def held_out(logs: Sequence[str]) -> Mask:
     return np.arange(len(logs)) * _BLOCKS // max(len(logs), 1) % 2 == 1
 
 
-def _seen(logs: Sequence[JointLog], rollout: Rollout, tested: Mask) -> list[JointLog]:
-    """Return what a fit sees of logs: those, or of a single one those quarters, without a test."""
+def _training_logs(logs: Sequence[JointLog], rollout: Rollout, tested: Mask) -> list[JointLog]:
+    """Return the logs that are not held out, or a single log with held-out quarters masked."""
     pairs = list(zip(rollout.windows, tested.tolist(), strict=True))
-    used = {window.log for window, held in pairs if not held}
-    unseen = {window.log for window, held in pairs if held}
-    if unseen.isdisjoint(used):
-        return [log for log in logs if log.name not in unseen]
-    (log,) = (log for log in logs if log.name in used)
-    since = log.time - log.time[np.isfinite(log.time)][0]
-    spans = [(window.time[0], window.time[-1]) for window, held in pairs if held]
-    cuts = [window.time[0] for window, _ in pairs]
-    ends = [min([cut for cut in cuts if cut > last], default=last) for _, last in spans]
-    out = np.any([(since >= a) & (since < b) for (a, _), b in zip(spans, ends, strict=True)], 0)
-    position = np.where(out[:, None], np.nan, log.position)
+    training = {window.log for window, is_tested in pairs if not is_tested}
+    testing = {window.log for window, is_tested in pairs if is_tested}
+    if testing.isdisjoint(training):
+        return [log for log in logs if log.name not in testing]
+    (log,) = (log for log in logs if log.name in training)
+    time = log.time - log.time[np.isfinite(log.time)][0]
+    spans = [(window.time[0], window.time[-1]) for window, is_tested in pairs if is_tested]
+    starts = [window.time[0] for window, _ in pairs]
+    ends = [min([start for start in starts if start > last], default=last) for _, last in spans]
+    intervals = zip(spans, ends, strict=True)
+    is_held_out = np.any([(time >= start) & (time < end) for (start, _), end in intervals], 0)
+    position = np.where(is_held_out[:, None], np.nan, log.position)
     return [replace(log, position=position)]
 
 
 def _servo_values(model: RobotModel, fits: dict[str, ServoFit]) -> tuple[FittedValue, ...]:
-    """Return what was found of servos, and of their joints."""
-    found = []
+    """Return the fitted values of servos and of effects at their joints."""
+    values = []
     for joint, fit in fits.items():
         servo = signal_of(model.effort_signals, joint)
-        for name, value, unsure in zip(PARAMETERS, fit.parameters, fit.deviations, strict=True):
+        for name, after, deviation in zip(PARAMETERS, fit.parameters, fit.deviations, strict=True):
             if name in BESIDE:
                 kind = BESIDE[name]
+                effect, field = kind.name, kind.parameters[0].name
                 before = next(
                     (
                         float(fitted.parameters[0])
@@ -361,12 +362,10 @@ def _servo_values(model: RobotModel, fits: dict[str, ServoFit]) -> tuple[FittedV
                     ),
                     0.0,
                 )
-                told = kind.name, kind.parameters[0].name
             else:
-                of_signal = _SERVO.get(name, name)
-                before, told = float(getattr(servo, of_signal)), (SERVO, of_signal)
-            if value or before:
-                found.append(
-                    FittedValue(told[0], joint, told[1], before, float(value), float(unsure))
-                )
-    return tuple(found)
+                effect, field = SERVO, _SIGNAL_FIELDS.get(name, name)
+                before = float(getattr(servo, field))
+            if after or before:
+                value = FittedValue(effect, joint, field, before, float(after), float(deviation))
+                values.append(value)
+    return tuple(values)

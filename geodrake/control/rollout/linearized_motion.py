@@ -1,17 +1,16 @@
-"""Soft joints near the measured motion, where all but couplings and servos is linear.
+"""Dynamics of soft joints, linearized about the measured motion except for couplings and servos.
 
-A rollout stays within milliradians of what was measured. There the efforts of bodies and effects
-are linear in how far links and motors are from it, y (s = n + m, of the n links and then of the m
-motors of soft joints), with slopes along the measured motion:
+A rollout stays within milliradians of the measured motion. There, the efforts of bodies and effects
+are linear in the deviation y of links and motors (s = n + m: n links, then m motors of soft
+joints), with derivatives along the measured motion:
 
     H(t) ÿ + C(t) ẏ + K(t) y + r(t) = (L − A)ᵀ τ(lag, rate of the lag) + Aᵀ u(y, ẏ, z, t).
 
-r is what the measured motion needs beyond the measured effort of joints without a servo; A and L
-lead from accelerations of links and motors to those of all motors and of all links
-(`geodrake.model.simulation.effect_force`). Springs and dead bands τ are as they are, and so are
-servos u, which act on motors, with their integrals z and limits. Compiled, that is some hundred
-times as fast as a diagram, for a fit that needs many simulations. What it finds is judged by the
-diagram.
+r is the effort of the measured motion minus the measured effort of joints without a servo. A and L
+map accelerations of links and motors to those of all motors and all links
+(`geodrake.model.simulation.effect_force`). Springs and dead bands τ, and servos u with integrals z
+and limits, are not linearized. Compiled, this is about a hundred times as fast as a diagram, for a
+fit that needs many simulations. The result is validated by the diagram.
 """
 
 from __future__ import annotations
@@ -29,9 +28,9 @@ from geodrake.control.rollout.passages import LoggedRobot, Passage
 from geodrake.control.rollout.simulation import (
     AT_START,
     Simulation,
-    first_lag,
-    motion_before,
-    thrown,
+    backlash_lag,
+    initial_lag,
+    preceding_motion,
 )
 from geodrake.effects import FittedEffect, RobotMotion, Role
 from geodrake.effects.deflection import DeflectionEffect, Give
@@ -46,168 +45,170 @@ from geodrake.model.simulation.effect_force import (
 )
 
 _Equations = tuple[Array, Array, Array, Array]  # (N, s) r, and (N, s, s) H, C and K
-_Held = tuple[NDArray[np.intp], NDArray[np.intp], Array]  # links, motors, what couples them
+_Couplings = tuple[NDArray[np.intp], NDArray[np.intp], Array]  # links, motors, and (m, 4) values
 
 
 class _Servos(NamedTuple):
-    """The p servos that act near a measured motion."""
+    """p servos near a measured motion."""
 
-    effort: Array  # (N, p) what they give along it without integrals and limits, N·m or N
-    behind: Array  # (N, p) commanded less measured position, rad or m
-    motors: NDArray[np.intp]  # (p,) where in y their motors are
-    gains: Array  # (p, 5) stiffness, damping, integral gain, largest effort, and dead band
+    effort: Array  # (N, p) effort along it without integrals and limits, N·m or N
+    error: Array  # (N, p) commanded minus measured position, rad or m
+    motors: NDArray[np.intp]  # (p,) indices of their motors in y
+    gains: Array  # (p, 5) stiffness, damping, integral gain, effort limit, and dead band
 
 
-_STEP = 2.5e-4  # s, of a simulation at most
-_MOVED = 1e-4  # rad or m, by which positions change for slopes of effects
+_STEP = 2.5e-4  # s, largest step of a simulation
+_DIFFERENCE = 1e-4  # rad or m, for derivatives of effects
 _LAG_ITERATIONS = 20
 
 
 @dataclass(frozen=True, eq=False)
 class LinearizedMotion:
-    """A passage, ready to be simulated near its measured motion by similar models.
+    """A passage linearized about its measured motion, for simulation with similar models.
 
-    They may differ in soft joints, in servos of the same joints, and in effects at motors.
+    Models may differ in soft joints, in servos of the same joints, and in effects at motors.
     """
 
-    law: ForceLaw  # the force law of the first model there, with what it carries
-    robot: LoggedRobot  # the first model
+    law: ForceLaw  # force law of the reference model, with payloads
+    robot: LoggedRobot  # robot with the reference model
     passage: Passage
-    seen: RobotMotion  # the measured motion
-    before: RobotMotion  # that before the passage
-    at_links: Array  # (N, nv) efforts of bodies, and of effects at them
-    rest: Array  # (N, s) r without effects at motors
-    slopes: tuple[Array, Array, Array]  # (N, s, s) H, C and K without them
+    motion: RobotMotion  # the measured motion
+    preceding: RobotMotion  # the measured motion before the passage
+    link_effort: Array  # (N, nv) efforts of bodies, and of effects at bodies
+    residual: Array  # (N, s) r without effects at motors
+    slopes: tuple[Array, Array, Array]  # (N, s, s) H, C and K without effects at motors
 
     @classmethod
     def of(cls, simulation: Simulation, passage: Passage) -> LinearizedMotion:
-        """Prepare a passage of a log."""
+        """Linearize a passage of a log."""
         robot, law = simulation.robot, simulation.law
         model, temperatures = robot.model, robot.temperatures
-        motion = passage.motion(model)
+        series = passage.motion(model)
         if temperatures is not None:
-            motion = replace(motion, temperature=temperatures.at(passage.time, model.joints))
-        seen = model.motion(motion, sign_width=simulation.sign_width)
-        seen = replace(seen, log=log_number(passage.log))
-        at_links = seen.load + _effort(_forces(model, at_motor=False), seen)
+            series = replace(series, temperature=temperatures.at(passage.time, model.joints))
+        motion = model.motion(series, sign_width=simulation.sign_width)
+        motion = replace(motion, log=log_number(passage.log))
+        link_effort = motion.load + _effort(_forces(model, at_motor=False), motion)
         A, L, m = law.of_motors, law.of_links, len(law.soft)
-        effort = law.applied(robot.along(passage)[0].T, law.mu).T
-        rest = at_links @ L - np.where(_is_servo(robot), 0.0, effort) @ A
-        rest[:, len(L) :] += law.added_inertia * motion.vd[:, law.soft.velocities]
-        by = seen.effort_slopes
+        effort = law.applied(robot.measured_inputs(passage)[0].T, law.mu).T
+        residual = link_effort @ L - np.where(_has_servo(robot), 0.0, effort) @ A
+        residual[:, len(L) :] += law.added_inertia * series.vd[:, law.soft.velocities]
+        by = motion.effort_slopes
         inertia, damping, stiffness = (
             L.T @ slope @ L for slope in (by.acceleration, by.velocity, by.position)
         )
-        places = len(L) + np.arange(m)
-        inertia[:, places, places] += law.added_inertia
-        before = motion_before(model, passage, simulation.sign_width)
+        motors = len(L) + np.arange(m)
+        inertia[:, motors, motors] += law.added_inertia
+        preceding = preceding_motion(model, passage, simulation.sign_width)
         slopes = inertia, damping, stiffness
-        return cls(law, robot, passage, seen, before, at_links, rest, slopes)
+        return cls(law, robot, passage, motion, preceding, link_effort, residual, slopes)
 
     @property
     def motors(self) -> NDArray[np.intp]:
-        """(nv,) where in y the motor of each joint is."""
+        """(nv,) index of each joint's motor in y."""
         return self.law.of_motors.argmax(axis=1)
 
     def departure(self, robot: LoggedRobot, *, slopes: bool = False) -> tuple[Array, Array]:
-        """Return simulated − measured positions (N, nv) of motors, rad or m, and slopes (N, nv, k).
+        """Return simulated − measured positions (N, nv) of motors, and derivatives (N, nv, k).
 
         Args:
             robot: The robot of the log, with another model.
-            slopes: Whether those with positions and velocities of all links and motors, and with
-                integrals of servos, at the start are asked for; there are none (k = 0) if not.
+            slopes: Whether to return derivatives by the k initial positions and velocities of all
+                links and motors and integrals of servos; otherwise k = 0.
         """
         effects, soft = robot.model.effects, self.law.soft.velocities
-        equations, rotors = self._with_motors(robot.model)
-        couplings = self._couplings(effects, rotors)
-        lag, rate = self._start(effects, couplings)
-        s, (servos, begun) = self.rest.shape[1], self._servos(robot)
-        free = servos.gains[:, 2].astype(bool)  # integrals
-        units = np.eye(2 * s + len(free))[:, np.append(np.ones(2 * s, bool), free)]
+        equations, motor_inertia = self._equations(robot.model)
+        couplings = self._couplings(effects, motor_inertia)
+        lag, rate = self._initial_lag(effects, couplings)
+        s, (servos, integrals) = self.residual.shape[1], self._servos(robot)
+        has_integral = servos.gains[:, 2].astype(bool)
+        is_state = np.append(np.ones(2 * s, bool), has_integral)
+        units = np.eye(2 * s + len(has_integral))[:, is_state]
         start = np.zeros((len(units), 1 + (units.shape[1] if slopes else 0)))
         start[soft, 0], start[s + soft, 0] = -lag, -rate
-        start[2 * s :, 0] = begun
+        start[2 * s :, 0] = integrals
         start[:, 1:] = units[:, : start.shape[1] - 1]
-        held = np.array([[c.stiffness, c.play, c.damping, c.ramp] for c in couplings])
-        out = np.empty((len(self.rest), s, start.shape[1]))
+        values = np.array([[c.stiffness, c.play, c.damping, c.ramp] for c in couplings])
+        out = np.empty((len(self.residual), s, start.shape[1]))
         period = self.passage.segment.period
         steps = period, max(1, int(np.ceil(period / _STEP)))
-        coupled = soft, self.motors[soft], held
+        coupled = soft, self.motors[soft], values
         calc_linearized_motion(equations, steps, (coupled, servos), start, out)
-        found = out[:, self.motors]
-        return found[..., 0], found[..., 1:]
+        departure = out[:, self.motors]
+        return departure[..., 0], departure[..., 1:]
 
-    def _with_motors(self, model: RobotModel) -> tuple[_Equations, Array]:
-        """Return r, H, C and K with effects at motors, and inertias (nv,) that these are."""
+    def _equations(self, model: RobotModel) -> tuple[_Equations, Array]:
+        """Return r, H, C and K with effects at motors, and the inertias (nv,) of these effects."""
         forces = _forces(model, at_motor=True)
-        first = _forces(self.robot.model, at_motor=True)
-        if all(own is other for own, other in zip(forces, first, strict=True)):
-            return self._at_first
-        return self._with_forces(forces)
+        reference = _forces(self.robot.model, at_motor=True)
+        if all(fitted is other for fitted, other in zip(forces, reference, strict=True)):
+            return self._reference_equations
+        return self._equations_with(forces)
 
     @cached_property
-    def _at_first(self) -> tuple[_Equations, Array]:
-        return self._with_forces(_forces(self.robot.model, at_motor=True))
+    def _reference_equations(self) -> tuple[_Equations, Array]:
+        return self._equations_with(_forces(self.robot.model, at_motor=True))
 
-    def _with_forces(self, forces: Sequence[FittedEffect]) -> tuple[_Equations, Array]:
-        seen, motors, by = self.seen, self.motors, []
+    def _equations_with(self, forces: Sequence[FittedEffect]) -> tuple[_Equations, Array]:
+        motion, motors, totals = self.motion, self.motors, []
         one = np.ones(len(motors))
-        sizes = {"vd": one, "v": seen.sign_width + 1e-9, "q": _MOVED * one}
-        for (name, size), rest in zip(sizes.items(), self.slopes, strict=True):
-            by.append(rest.copy())
-            if felt := [fitted for fitted in forces if name in fitted.effect.depends_on]:
-                ahead, behind = (
-                    _effort(felt, replace(seen, **{name: getattr(seen, name) + way * size}))
-                    for way in (1.0, -1.0)
+        sizes = {"vd": one, "v": motion.sign_width + 1e-9, "q": _DIFFERENCE * one}
+        for (name, size), slope in zip(sizes.items(), self.slopes, strict=True):
+            totals.append(slope.copy())
+            if dependent := [fitted for fitted in forces if name in fitted.effect.depends_on]:
+                values = getattr(motion, name)
+                forward, backward = (
+                    _effort(dependent, replace(motion, **{name: values + sign * size}))
+                    for sign in (1.0, -1.0)
                 )
-                by[-1][:, motors, motors] += (ahead - behind) / (2.0 * size)
-        rest = self.rest + _effort(forces, seen) @ self.law.of_motors
-        inertia, damping, stiffness = map(contiguous, by)
+                totals[-1][:, motors, motors] += (forward - backward) / (2.0 * size)
+        residual = self.residual + _effort(forces, motion) @ self.law.of_motors
+        inertia, damping, stiffness = map(contiguous, totals)
         added = (inertia - self.slopes[0])[:, motors, motors]
-        return (contiguous(rest), inertia, damping, stiffness), added.mean(axis=0)
+        return (contiguous(residual), inertia, damping, stiffness), added.mean(axis=0)
 
-    def _couplings(self, effects: Sequence[FittedEffect], rotors: Array) -> list[Coupling]:
-        """Return what couples motors and links, which is damped by the inertias of motors."""
+    def _couplings(self, effects: Sequence[FittedEffect], motor_inertia: Array) -> list[Coupling]:
+        """Return the couplings of motors and links, whose damping depends on motor inertias."""
         soft, gives = self.law.soft, dict.fromkeys(self.law.soft.names, Give())
         for fitted in effects:
             if isinstance(effect := fitted.effect, DeflectionEffect):
                 gives[effect.joint] += effect.give(fitted.parameters)
-        more = (rotors - self._at_first[1])[soft.velocities]
-        return replace(soft, motor_inertia=soft.motor_inertia + more).held_by([*gives.values()])
+        change = (motor_inertia - self._reference_equations[1])[soft.velocities]
+        return replace(soft, motor_inertia=soft.motor_inertia + change).held_by([*gives.values()])
 
     def _servos(self, robot: LoggedRobot) -> tuple[_Servos, Array]:
-        """Return the servos, and their integrals (p,) at first, rad·s or m·s."""
-        law, some = self.law, _is_servo(robot)
-        effort, behind = robot.along(self.passage)
+        """Return the servos, and their initial integrals (p,), rad·s or m·s."""
+        law, has_servo = self.law, _has_servo(robot)
+        effort, error = robot.measured_inputs(self.passage)
         *gains, band, _ = robot.gains
         kp, kd, ki, limit = (law.applied(gain, law.mu) for gain in gains)
         servos = _Servos(
-            contiguous(law.applied(effort.T, law.mu).T[:, some]),
-            contiguous(behind[:, some]),
-            self.motors[some],
-            contiguous(np.stack([kp, kd, ki, limit, band], axis=1)[some]),
+            contiguous(law.applied(effort.T, law.mu).T[:, has_servo]),
+            contiguous(error[:, has_servo]),
+            self.motors[has_servo],
+            contiguous(np.stack([kp, kd, ki, limit, band], axis=1)[has_servo]),
         )
-        return servos, robot.begun(self.passage)[some]
+        return servos, robot.initial_integrals(self.passage)[has_servo]
 
-    def _start(
+    def _initial_lag(
         self, effects: Sequence[FittedEffect], couplings: Sequence[Coupling]
     ) -> tuple[Array, Array]:
-        """Return lags (m,) when the passage begins, and their rates."""
+        """Return lags (m,) at the start of the passage, and their rates."""
         soft = self.law.soft.velocities
-        load = self.at_links[:AT_START, soft]
-        give_way = self.seen.effort_slopes.position[:AT_START, soft, soft]
-        stiffness, plays = np.transpose([(each.stiffness, each.play) for each in couplings])
+        load = self.link_effort[:AT_START, soft]
+        load_stiffness = self.motion.effort_slopes.position[:AT_START, soft, soft]
+        stiffness, plays = np.transpose([(c.stiffness, c.play) for c in couplings])
         lags = np.zeros_like(load)
         for _ in range(_LAG_ITERATIONS):
-            torques, before = load - give_way * lags, lags
+            torques, previous = load - load_stiffness * lags, lags
             lags = torques / stiffness + plays * np.sign(torques)
-            if np.array_equal(lags, before):
+            if np.array_equal(lags, previous):
                 break
-        loose = thrown(effects, self.before, self.law.soft.names)
-        return first_lag(lags, plays, self.passage.time[:AT_START], loose)
+        backlash = backlash_lag(effects, self.preceding, self.law.soft.names)
+        return initial_lag(lags, plays, self.passage.time[:AT_START], backlash)
 
 
-def _is_servo(robot: LoggedRobot) -> NDArray[np.bool_]:
+def _has_servo(robot: LoggedRobot) -> NDArray[np.bool_]:
     """Return (nv,) whether each joint has a servo."""
     kp, kd, ki, *_ = robot.gains
     return (kp != 0.0) | (kd != 0.0) | (ki != 0.0)
@@ -222,34 +223,35 @@ def _forces(model: RobotModel, *, at_motor: bool) -> list[FittedEffect]:
     ]
 
 
-def _effort(forces: Sequence[FittedEffect], seen: RobotMotion) -> Array:
-    """Return the efforts (N, nv) of effects along a motion."""
-    efforts = (fitted.effect.effort(seen, fitted.parameters) for fitted in forces)
-    return sum(efforts, start=np.zeros_like(seen.v))
+def _effort(forces: Sequence[FittedEffect], motion: RobotMotion) -> Array:
+    """Return the total effort (N, nv) of effects along a motion."""
+    efforts = (fitted.effect.effort(motion, fitted.parameters) for fitted in forces)
+    return sum(efforts, start=np.zeros_like(motion.v))
 
 
 @compiled
 def calc_linearized_motion(
     equations: _Equations,
     steps: tuple[float, int],
-    held: tuple[_Held, _Servos],
+    devices: tuple[_Couplings, _Servos],
     start: Array,
     out: Array,
 ) -> None:
-    """Write how far links and motors are from the measured motion, by the midpoint rule.
+    """Write the deviation of links and motors from the measured motion, by the midpoint rule.
 
-    Couplings and servos are linear within a step. Beside the motion, changes of it are followed.
+    Couplings and servos are linearized within a step. Tangents of the deviation are integrated
+    along with it.
 
     Args:
         equations: (N, s) r, (N, s, s) H, C and K.
-        steps: Time between rows, s, and steps between two.
-        held: Of soft joints (m,) places of links and of motors in y, and (m, 4) stiffness, play,
+        steps: Sampling period, s, and steps per period.
+        devices: Couplings: (m,) indices of links and of motors in y, and (m, 4) stiffness, play,
             damping and ramp; and the servos.
-        start: (2 s + p, 1 + k) y, ẏ and the integrals of servos, and k changes of them.
-        out: (N, s, 1 + k) y, and its changes.
+        start: (2 s + p, 1 + k) y, ẏ and the integrals of servos, with k tangents.
+        out: (N, s, 1 + k) y, with its tangents.
     """
     r, H, C, K = equations
-    (links, motors, couplings), (along, behind, driven, gains) = held
+    (links, motors, couplings), (measured_effort, position_error, servo_motors, gains) = devices
     h, s = steps[0] / steps[1], r.shape[1]
     y, v, z = start[:s].copy(), start[s : 2 * s].copy(), start[2 * s :].copy()
     out[0] = y
@@ -267,9 +269,9 @@ def calc_linearized_motion(
                 lag, rate = middle[motor] - middle[link], v[motor] - v[link]
                 stiffness, play, damping, ramp = couplings[i]
                 coupling = stiffness, play, damping, ramp
-                push, stiffness, damping = calc_coupling(coupling, lag[0], rate[0])
+                force, stiffness, damping = calc_coupling(coupling, lag[0], rate[0])
                 torque = stiffness * lag + damping * rate
-                torque[0] = push
+                torque[0] = force
                 b[link] += torque
                 b[motor] -= torque
                 slope = 0.5 * h * damping + 0.25 * h * h * stiffness
@@ -277,16 +279,18 @@ def calc_linearized_motion(
                 S[motor, motor] += slope
                 S[link, motor] -= slope
                 S[motor, link] -= slope
-            for i in range(len(driven)):
+            for i in range(len(servo_motors)):
                 kp, kd, ki, limit, band = gains[i]
-                motor = driven[i]
-                error, there = calc_error((behind[k, i], behind[k + 1, i]), f, band, middle[motor])
-                acts = 1.0 if band == 0.0 or error[0] != 0.0 else 0.0
+                motor = servo_motors[i]
+                ends = position_error[k, i], position_error[k + 1, i]
+                error, measured_error = calc_error(ends, f, band, middle[motor])
+                is_active = 1.0 if band == 0.0 or error[0] != 0.0 else 0.0
                 effort = ki * (z[i] + 0.5 * h * error) + kp * error - kd * v[motor]
-                effort[0] += (1.0 - f) * along[k, i] + f * along[k + 1, i] - kp * there
+                effort[0] += (1.0 - f) * measured_effort[k, i] + f * measured_effort[k + 1, i]
+                effort[0] -= kp * measured_error
                 if abs(effort[0]) < limit:
                     b[motor] += effort
-                    S[motor, motor] += 0.5 * h * kd + 0.25 * h * h * kp * acts
+                    S[motor, motor] += 0.5 * h * kd + 0.25 * h * h * kp * is_active
                 else:
                     b[motor, 0] += limit if effort[0] > 0.0 else -limit
                     if effort[0] * error[0] > 0.0:
@@ -299,19 +303,17 @@ def calc_linearized_motion(
 
 
 @compiled
-def calc_error(
-    behind: tuple[float, float], share: float, band: float, y: Array
-) -> tuple[Array, float]:
-    """Return the error of a servo with its changes (1 + k,), and that along the measured motion.
+def calc_error(ends: tuple[float, float], f: float, band: float, y: Array) -> tuple[Array, float]:
+    """Return a servo's error with tangents (1 + k,), and its error for the measured motion.
 
     Args:
-        behind: Commanded less measured position at the rows before and after.
-        share: How far it is from the first to the second.
-        y: (1 + k,) how far the motor is from the measured motion, and changes of that.
+        ends: Commanded minus measured position at the samples before and after.
+        f: Fraction of the interval between them.
+        y: (1 + k,) deviation of the motor from the measured motion, with tangents.
     """
-    error, (first, second) = -y, behind
-    along = (1.0 - share) * calc_beyond(first, band) + share * calc_beyond(second, band)
-    error[0] = calc_beyond((1.0 - share) * first + share * second - y[0], band)
+    error, (first, second) = -y, ends
+    measured_error = (1.0 - f) * calc_beyond(first, band) + f * calc_beyond(second, band)
+    error[0] = calc_beyond((1.0 - f) * first + f * second - y[0], band)
     if band > 0.0 and error[0] == 0.0:
         error[:] = 0.0
-    return error, along
+    return error, measured_error

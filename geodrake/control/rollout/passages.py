@@ -1,4 +1,4 @@
-"""Passages of logs in which the robot moves, which are simulated, and what acts on it in them."""
+"""Passages of logs in which the robot moves, and the efforts or commands that act in them."""
 
 from __future__ import annotations
 
@@ -37,42 +37,42 @@ from geodrake.model.signal_efforts import integral_effort, late_commands
 from geodrake.robot.transmission import times
 
 FASTEST = 1e6
-"""Peak speeds of the log, beyond which no robot is simulated any more."""
+"""Speed, relative to the log's peak speed, at which a simulation is stopped."""
 
-_LEAST_SPEED = 1e-3  # rad/s or m/s, that counts as a peak
-_SIGN_WIDTH = 5e-3  # share of a joint's peak speed below which dry friction fades
-_MOVING = 0.05  # share of the peak speeds that the mean speed of a passage must have
-_APART = 1e-9  # s, between instants of a trajectory
-_INDEPENDENT = 1e-9  # share of the largest, that counts as another direction of forces at contacts
+_LEAST_SPEED = 1e-3  # rad/s or m/s, lower bound of peak speeds
+_SIGN_WIDTH = 5e-3  # speed below which dry friction fades, relative to a joint's peak speed
+_MOVING = 0.05  # minimum mean speed of a passage, relative to the peak speed
+_SPACING = 1e-9  # s, minimum interval between knots of a trajectory
+_RANK_TOLERANCE = 1e-9  # relative singular value of independent contact forces
 _COMMANDS = ("commanded_position", "commanded_velocity")
 
 
 @dataclass(frozen=True, eq=False)
 class Passage:
-    """Some seconds of a log in which the robot moves."""
+    """Part of a log in which the robot moves."""
 
     log: str
     began: float  # the log's first time stamp, s
-    # The samples, with the efforts that acted there: a model's delays are taken out.
-    segment: Segment
-    stretch: Stretch  # the part of the log without gaps that the passage is from
-    start: int  # number of its first sample in the stretch
+    segment: Segment  # samples, with efforts advanced by the model's delays
+    stretch: Stretch  # gap-free part of the log that contains the passage
+    start: int  # index of its first sample in the stretch
 
     @property
     def time(self) -> Array:
-        """(K,) instants since the log began, s."""
+        """(K,) time since the log began, s."""
         return self.segment.time - self.began
 
     @property
     def logged(self) -> Array:
-        """(K, nv) positions as they were logged, not smoothed."""
+        """(K, nv) logged positions, not smoothed."""
         first = self.stretch.first + self.start
         return self.stretch.piece[first : first + len(self.segment)].position
 
     def motion(self, model: RobotModel, most: int | None = None) -> Motion:
-        """Return the measured motion of a model, with what was before as far as effects look back.
+        """Return the measured motion, with the preceding positions that effects need.
 
-        It ends after the first few samples if no more are asked for.
+        Args:
+            most: Number of samples to return; all if None.
         """
         first, before = self.segment[:most], self.stretch[max(0, self.start - MEMORY) : self.start]
         return Motion(
@@ -90,14 +90,14 @@ Span = tuple[str, float, float]
 def chosen_passages(
     case: Case, horizon: float, most: int, within: Sequence[Span] | None = None
 ) -> list[Passage]:
-    """Choose passages of a length, spread evenly over all in which the robot of a case moves.
+    """Return at most `most` passages of a duration, spread evenly over those with motion.
 
     Args:
-        within: Logs, and first and last instants of theirs, s, outside of which none is; anywhere
-            if None.
+        horizon: Duration of a passage, s.
+        within: Spans (log, first time, last time), s, that must contain the passages, if any.
     """
     peak = peak_speeds(case.trajectories)
-    found = [
+    passages = [
         Passage(trajectory.name, trajectory.began, segment, stretch, start)
         for trajectory in case.trajectories
         for stretch in trajectory.segments
@@ -108,21 +108,22 @@ def chosen_passages(
             for name, first, last in within
         )
     ]
-    if not found:
+    if not passages:
         raise LogError(
             f"No log has {horizon:g} s of motion without a gap.",
             advice="Use a shorter horizon, or a longer log.",
         )
-    count = min(most, len(found))
-    chosen = np.unique(np.linspace(0, len(found) - 1, count).round().astype(int))
+    count = min(most, len(passages))
+    chosen = np.unique(np.linspace(0, len(passages) - 1, count).round().astype(int))
     logs = {trajectory.name: trajectory for trajectory in case.trajectories}
-    return [_on_ground(case.model, logs[found[k].log], found[k]) for k in chosen.tolist()]
+    chosen_list = [passages[k] for k in chosen.tolist()]
+    return [_with_contacts(case.model, logs[passage.log], passage) for passage in chosen_list]
 
 
-def _on_ground(model: RobotModel, trajectory: Trajectory, passage: Passage) -> Passage:
-    """Return a passage in whose efforts are forces at contacts that nobody measured.
+def _with_contacts(model: RobotModel, trajectory: Trajectory, passage: Passage) -> Passage:
+    """Add the efforts of unmeasured contact forces to a passage.
 
-    They are those with which the model comes nearest to the measured motion, instant by instant.
+    The forces are those that minimize the model's residual at each sample.
     """
     if trajectory.contacts is None:
         return passage
@@ -130,17 +131,17 @@ def _on_ground(model: RobotModel, trajectory: Trajectory, passage: Passage) -> P
     J, flags = contacts_in(model, trajectory.contacts, segment)
     scales = row_scales(model, trajectory)
     J = (J * flags[:, :, None, None]).reshape(len(J), -1, len(scales)) / scales
-    left = (model.effort(passage.motion(model)) - segment.effort) / scales
-    inverse = np.asarray(np.linalg.pinv(np.swapaxes(J, 1, 2), rcond=_INDEPENDENT), float)
-    forces = times(inverse, left)
-    ground = scales * times(np.swapaxes(J, 1, 2), forces)
-    return replace(passage, segment=replace(segment, effort=segment.effort + ground))
+    residual = (model.effort(passage.motion(model)) - segment.effort) / scales
+    inverse = np.asarray(np.linalg.pinv(np.swapaxes(J, 1, 2), rcond=_RANK_TOLERANCE), float)
+    forces = times(inverse, residual)
+    contact_effort = scales * times(np.swapaxes(J, 1, 2), forces)
+    return replace(passage, segment=replace(segment, effort=segment.effort + contact_effort))
 
 
 def _moving(
     stretch: Stretch, seconds: float, peak: Array, delays: Array
 ) -> Iterator[tuple[int, Segment]]:
-    """Yield the passages of a stretch, one after another, with the numbers of first samples."""
+    """Yield the consecutive passages of a stretch with motion, and indices of first samples."""
     count = round(seconds / stretch.period) + 1
     if count < 2:
         raise ArgumentError(
@@ -148,24 +149,24 @@ def _moving(
             f"{stretch.period:.4g} s.",
             advice="Use a longer one.",
         )
-    ahead = round(float(np.abs(delays).max()) / stretch.period) + 1
-    for start in range(ahead, len(stretch) - count - ahead, count):
-        near = stretch[start - ahead : start + count + ahead]
-        inner = near[ahead : ahead + count]
-        speed = np.abs(inner.velocity) / np.maximum(peak, 1e-300)
+    margin = round(float(np.abs(delays).max()) / stretch.period) + 1
+    for start in range(margin, len(stretch) - count - margin, count):
+        padded = stretch[start - margin : start + count + margin]
+        segment = padded[margin : margin + count]
+        speed = np.abs(segment.velocity) / np.maximum(peak, 1e-300)
         if speed.mean(0).max() > _MOVING:
-            effort = delayed_by(-delays, near.effort, stretch.period)
-            yield start, replace(inner, effort=effort[ahead:][:count])
+            effort = delayed_by(-delays, padded.effort, stretch.period)
+            yield start, replace(segment, effort=effort[margin:][:count])
 
 
 class LoggedRobot:
-    """The robot of a log: its model, and the efforts that act on it.
+    """The robot of a log: its model, and the logged efforts or servos that drive it.
 
-    In place of the log's efforts may be servos at joints that follow its commands. Efforts are
-    straight lines between the log's samples, and commands cubics (`late_commands`).
+    Servos at joints may follow the log's commands. Efforts are interpolated linearly between
+    samples, commands by cubics (`late_commands`).
 
     Args:
-        model: The model, with what it carries in the log.
+        model: The model, with the payloads of the log.
         commands: Whether servos close the loop.
     """
 
@@ -180,26 +181,26 @@ class LoggedRobot:
         self.model, self.temperatures = model, temperatures
         count = len(model.joints)
         self._log, self._servos, self._delays = log, servos_of(model), command_delays(model)
-        self._follows = commands
-        self._told = told_joints(model, log) if commands else np.zeros(count, bool)
-        self._servoed = bool(self._told.any())
-        pairs = zip(servo_gains(model) if self._servoed else NO_SERVO, NO_SERVO, strict=True)
-        self.gains = ServoGains(*(np.where(self._told, own, none) for own, none in pairs))
+        self._uses_commands = commands
+        self._commanded = commanded_joints(model, log) if commands else np.zeros(count, bool)
+        self._has_servos = bool(self._commanded.any())
+        pairs = zip(servo_gains(model) if self._has_servos else NO_SERVO, NO_SERVO, strict=True)
+        self.gains = ServoGains(*(np.where(self._commanded, gain, zero) for gain, zero in pairs))
 
     def of(self, model: RobotModel) -> LoggedRobot:
         """Return the robot with another model."""
-        return LoggedRobot(model, self._log, self.temperatures, commands=self._follows)
+        return LoggedRobot(model, self._log, self.temperatures, commands=self._uses_commands)
 
     def add(self, builder: DiagramBuilder, state: OutputPort) -> OutputPort:
-        """Add the systems that make the efforts (n), N·m or N, and return their output.
+        """Add the systems that generate the efforts (n), N·m or N, and return their output.
 
         Args:
-            state: Positions and velocities (2n) as they are measured, in the model's order.
+            state: Measured positions and velocities (2n), in the model's order.
         """
-        zero = PiecewisePolynomial(np.zeros(len(self._told)))
-        names = ("feedforward", *(_COMMANDS if self._servoed else ()))
+        zero = PiecewisePolynomial(np.zeros(len(self._commanded)))
+        names = ("feedforward", *(_COMMANDS if self._has_servos else ()))
         self._sources = {name: builder.AddSystem(TrajectorySource(zero)) for name in names}
-        if not self._servoed:
+        if not self._has_servos:
             return self._sources["feedforward"].get_output_port()
         servo = PositionServo(**self.gains._asdict())
         self._servo = builder.AddSystem(servo)
@@ -208,98 +209,99 @@ class LoggedRobot:
             builder.Connect(source.get_output_port(), servo.GetInputPort(name))
         return servo.get_output_port()
 
-    def begin(self, passage: Passage) -> None:
-        """Have a passage act, in the time since its log began."""
-        lines = PiecewisePolynomial.FirstOrderHold(passage.time, self._beside(passage).T)
-        curves = [lines]
-        if self._servoed:
-            time = self._bends(passage)
+    def set_inputs(self, passage: Passage) -> None:
+        """Set efforts and commands to those of a passage, over the time since its log began."""
+        effort = self._feedforward(passage)
+        curves = [PiecewisePolynomial.FirstOrderHold(passage.time, effort.T)]
+        if self._has_servos:
+            time = self._knots(passage)
             command, rate = self._commands(passage, time)
             cubic = PiecewisePolynomial.CubicHermite(time, command.T, rate.T)
             curves += [cubic, cubic.MakeDerivative()]
         for source, curve in zip(self._sources.values(), curves, strict=True):
             source.UpdateTrajectory(curve)
 
-    def remember(self, passage: Passage, root: Context) -> None:
-        """Set integrals to what they have grown to in the log, by its efforts."""
+    def set_integrals(self, passage: Passage, root: Context) -> None:
+        """Set the servos' integrals to their values at the start of a passage."""
         if self.gains.ki.any():
             context = self._servo.GetMyMutableContextFromRoot(root)
-            context.SetContinuousState(self.begun(passage))
+            context.SetContinuousState(self.initial_integrals(passage))
 
-    def along(self, passage: Passage) -> tuple[Array, Array]:
-        """Return what acts in a passage whose motors move as they were measured.
+    def measured_inputs(self, passage: Passage) -> tuple[Array, Array]:
+        """Return the inputs of a passage whose motors move as measured.
 
         Returns:
-            Efforts (K, n), N·m or N, without the integrals and limits of servos, and commanded less
-            measured positions (K, n), rad or m, 0 without a servo.
+            Efforts (K, n), N·m or N, without the integrals and limits of servos; and commanded
+            minus measured positions (K, n), rad or m, 0 without a servo.
         """
-        command, known, beside = self.told(passage, passage.time)
-        behind = np.where(self._told, command - passage.segment.position, 0.0)
-        rate = known - passage.segment.velocity
-        error = ServoError(behind, rate, np.zeros_like(behind), beside)
-        return self.gains.unlimited(error), behind
+        command, rate, feedforward = self.inputs(passage, passage.time)
+        error = np.where(self._commanded, command - passage.segment.position, 0.0)
+        rate_error = rate - passage.segment.velocity
+        servo_error = ServoError(error, rate_error, np.zeros_like(error), feedforward)
+        return self.gains.unlimited(servo_error), error
 
-    def told(self, passage: Passage, time: Array) -> Array:
-        """Return what acts (3, K, n) at instants (K,).
+    def inputs(self, passage: Passage, time: Array) -> Array:
+        """Return the inputs (3, K, n) at times (K,).
 
-        That is commands, what servos know of their rates, and efforts beside servos.
+        They are commands, rates of commands times the servos' `rate_share`, and efforts of joints
+        without a servo.
         """
-        beside = self._beside(passage)
-        efforts = [np.interp(time, passage.time, column) for column in beside.T]
+        feedforward = self._feedforward(passage)
+        efforts = [np.interp(time, passage.time, column) for column in feedforward.T]
         command, rate = self._commands(passage, time)
         return np.array([command, self.gains.rate_share * rate, np.transpose(efforts)])
 
-    def begun(self, passage: Passage) -> Array:
-        """Return the integrals (n,) when a passage begins, rad·s or m·s."""
-        ki, instants = self.gains.ki, self._log.time - passage.began
-        begun, known = np.zeros(len(ki)), np.isfinite(instants)
-        for j, effort in self._integrals.items():
-            begun[j] = np.interp(passage.time[0], instants[known], effort[known]) / ki[j]
-        return begun
+    def initial_integrals(self, passage: Passage) -> Array:
+        """Return the servos' integrals (n,) at the start of a passage, rad·s or m·s."""
+        ki, time = self.gains.ki, self._log.time - passage.began
+        integrals, valid = np.zeros(len(ki)), np.isfinite(time)
+        for j, effort in self._integral_efforts.items():
+            integrals[j] = np.interp(passage.time[0], time[valid], effort[valid]) / ki[j]
+        return integrals
 
     @cached_property
-    def _integrals(self) -> dict[int, Array]:
-        """Joint -> (N,) what the integral of its servo gives along the log, N·m or N."""
+    def _integral_efforts(self) -> dict[int, Array]:
+        """Joint -> (N,) effort of its servo's integral along the log, N·m or N."""
         servos = {j: self._servos[j] for j in np.flatnonzero(self.gains.ki).tolist()}
         return {j: integral_effort(self._log, j, servo) for j, servo in servos.items() if servo}
 
-    def _beside(self, passage: Passage) -> Array:
+    def _feedforward(self, passage: Passage) -> Array:
         """Return the efforts (K, n) of joints without a servo."""
-        return np.where(self._told, 0.0, np.asarray(passage.segment.effort))
+        return np.where(self._commanded, 0.0, np.asarray(passage.segment.effort))
 
-    def _bends(self, passage: Passage) -> Array:
-        """Return the instants (K,) at which late commands bend, and both ends of the passage."""
+    def _knots(self, passage: Passage) -> Array:
+        """Return the knots (K,) of the delayed commands, and both ends of the passage."""
         first, last = passage.time[0], passage.time[-1]
-        bends = [np.array([first, last])]
+        knots = [np.array([first, last])]
         for curve in self._curves.values():
-            late = curve.x - passage.began
-            bends.append(late[(late > first + _APART) & (late < last - _APART)])
-        time = np.unique(np.concatenate(bends))
-        return time[np.append(np.diff(time) > _APART, True)]
+            time = curve.x - passage.began
+            knots.append(time[(time > first + _SPACING) & (time < last - _SPACING)])
+        time = np.unique(np.concatenate(knots))
+        return time[np.append(np.diff(time) > _SPACING, True)]
 
     def _commands(self, passage: Passage, time: Array) -> tuple[Array, Array]:
-        """Return late commands and their rates (K, n) at instants (K,)."""
-        commands, rates = np.zeros((2, len(time), len(self._told)))
+        """Return delayed commands and their rates (K, n) at times (K,)."""
+        commands, rates = np.zeros((2, len(time), len(self._commanded)))
         for j, curve in self._curves.items():
-            since = np.clip(passage.began + time, curve.x[0], curve.x[-1])
-            commands[:, j] = curve(since)
-            rates[:, j] = np.where(since == passage.began + time, curve(since, 1), 0.0)
+            clipped = np.clip(passage.began + time, curve.x[0], curve.x[-1])
+            commands[:, j] = curve(clipped)
+            rates[:, j] = np.where(clipped == passage.began + time, curve(clipped, 1), 0.0)
         return commands, rates
 
     @cached_property
     def _curves(self) -> dict[int, CubicHermiteSpline]:
-        """Joint that is commanded -> the curve of its command; constant beyond its ends."""
-        delays = {j: self._delays[j] for j in np.flatnonzero(self._told).tolist()}
-        late = {j: late_commands(self._log, j, delay) for j, delay in delays.items()}
-        return {j: CubicHermiteSpline(*rows) for j, rows in late.items()}
+        """Commanded joint -> its delayed command, constant beyond the ends."""
+        delays = {j: self._delays[j] for j in np.flatnonzero(self._commanded).tolist()}
+        delayed = {j: late_commands(self._log, j, delay) for j, delay in delays.items()}
+        return {j: CubicHermiteSpline(*rows) for j, rows in delayed.items()}
 
 
-def told_joints(model: RobotModel, log: JointLog) -> NDArray[np.bool_]:
+def commanded_joints(model: RobotModel, log: JointLog) -> NDArray[np.bool_]:
     """Return (n,) whether each joint has a servo, and a command in a log."""
     if log.command is None:
         return np.zeros(len(model.joints), bool)
-    known = (np.isfinite(log.command) & np.isfinite(log.time)[:, None]).sum(axis=0) > 1
-    return np.array([servo is not None for servo in servos_of(model)]) & known
+    has_command = (np.isfinite(log.command) & np.isfinite(log.time)[:, None]).sum(axis=0) > 1
+    return np.array([servo is not None for servo in servos_of(model)]) & has_command
 
 
 @dataclass(frozen=True, eq=False)
@@ -314,21 +316,21 @@ class Conditions:
         """The robot of each log, by its name."""
         logs = {log.name: log for log in self.case.options.logs}
         return {
-            each.name: LoggedRobot(
-                carrying(self.case.model, each.payloads),
-                logs[each.name],
-                each.temperatures,
+            trajectory.name: LoggedRobot(
+                carrying(self.case.model, trajectory.payloads),
+                logs[trajectory.name],
+                trajectory.temperatures,
                 commands=self.commands,
             )
-            for each in self.case.trajectories
+            for trajectory in self.case.trajectories
         }
 
     @cached_property
-    def fastest(self) -> Array:
+    def peak_speed(self) -> Array:
         """(nv,) peak speeds of the measured motion, rad/s or m/s."""
         return np.maximum(peak_speeds(self.case.trajectories), _LEAST_SPEED)
 
     @cached_property
     def sign_width(self) -> Array:
         """(nv,) speeds below which dry friction fades, rad/s or m/s."""
-        return self.case.model.sign_widths(_SIGN_WIDTH * self.fastest)
+        return self.case.model.sign_widths(_SIGN_WIDTH * self.peak_speed)

@@ -1,4 +1,4 @@
-"""Rollouts: windows chosen, simulated, and compared with what was measured."""
+"""Rollouts of models in windows of logs."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from geodrake.control.rollout.passages import (
     Passage,
     Span,
     chosen_passages,
-    told_joints,
+    commanded_joints,
 )
 from geodrake.control.rollout.simulation import simulations
-from geodrake.control.rollout.stepping import Stepping, steps_alone
+from geodrake.control.rollout.stepping import Stepping, can_step
 from geodrake.effects import Role
 from geodrake.effects.lookup import effect_of
 from geodrake.errors import LogError
@@ -30,28 +30,28 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.model.servos import servos_of
 
 BROKEN = 1e3
-"""By so much a simulation departs that broke off, rad or m."""
+"""Departure that counts for a simulation that broke off, rad or m."""
 
 HORIZON = 0.5
-"""Length of a window, s."""
+"""Default length of a window, s."""
 
 MOST_WINDOWS = 12
-"""Windows that are simulated, spread evenly over the logs."""
+"""Default number of windows."""
 
-_COMPARED = 6  # windows for what servos are like before and after a fit
+_COMPARED = 6  # windows for comparisons before and after a fit
 _SHORTEST, _LONGEST = 1e-3, 1e3  # horizons, s
-_AT_REST = 1e-9  # rad or m: rounding of a smoothed position
+_AT_REST = 1e-9  # rad or m, rounding error of smoothed positions
 Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, eq=False)
 class Window(Short):
-    """One simulated stretch of a log."""
+    """A simulated window of a log."""
 
     log: str
-    time: Array  # (K,) instants, s
+    time: Array  # (K,) s
     measured: Array  # (K, nv) positions, rad or m
-    simulated: Array  # (K, nv) positions; NaN from where the simulation broke off
+    simulated: Array  # (K, nv) positions; NaN after the simulation broke off
 
     @property
     def departure(self) -> Array:
@@ -61,16 +61,16 @@ class Window(Short):
 
 @dataclass(frozen=True)
 class JointDeparture:
-    """How far one joint departs from what was measured."""
+    """Departure of one joint from its measured motion."""
 
     joint: str
     rms: float  # RMS of simulated − measured position over all windows, rad or m
-    moved: float  # RMS of the joint's motion since the start of its window, rad or m
-    worst: tuple[str, float]  # log and start of the window in which it departs most, s
+    moved: float  # RMS of the measured displacement since the start of the window, rad or m
+    worst: tuple[str, float]  # log and start, s, of the window with the largest departure
 
     @property
     def relative(self) -> float:
-        """RMS departure over RMS motion: 1 for a simulated joint that stands; NaN if it rests."""
+        """RMS departure over RMS motion; 1 if the simulation rests, NaN if the joint rests."""
         return self.rms / self.moved if self.moved > _AT_REST else np.nan
 
 
@@ -81,36 +81,36 @@ class Rollout(Shown):
     names: tuple[str, ...]  # of the joints
     windows: tuple[Window, ...]
     horizon: float  # length of the windows, s
-    # What was done to the logs, noticed about the model, and assumed in the simulation.
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # on the logs, the model, and assumptions of the simulation
     commands: bool = False  # whether servos closed the loop
 
     @cached_property
     def joints(self) -> tuple[JointDeparture, ...]:
-        """How far each joint departs over the windows."""
+        """Departure of each joint over the windows."""
         departures = [np.nan_to_num(w.departure, nan=np.inf) for w in self.windows]
         squares = np.array([np.mean(np.square(d), 0) for d in departures])
-        moved = [np.mean(np.square(w.measured - w.measured[0]), 0) for w in self.windows]
-        rms, moves = np.sqrt(squares.mean(0)).tolist(), np.sqrt(np.mean(moved, 0)).tolist()
+        displacements = [np.mean(np.square(w.measured - w.measured[0]), 0) for w in self.windows]
+        rms, moved = np.sqrt(squares.mean(0)), np.sqrt(np.mean(displacements, 0))
         worst = [self.windows[k] for k in squares.argmax(0)]
+        rows = zip(self.names, rms.tolist(), moved.tolist(), worst, strict=True)
         return tuple(
-            JointDeparture(name, departs, moves, (most.log, float(most.time[0])))
-            for name, departs, moves, most in zip(self.names, rms, moves, worst, strict=True)
+            JointDeparture(name, joint_rms, joint_moved, (window.log, float(window.time[0])))
+            for name, joint_rms, joint_moved, window in rows
         )
 
     @property
     def broken(self) -> int:
-        """Windows in which the simulation could not go on to the end, or left all reason."""
+        """Number of windows in which the simulation diverged or broke off."""
         return sum(bool(np.isnan(w.simulated).any()) for w in self.windows)
 
     def part(self, chosen: Sequence[bool]) -> Rollout:
-        """Return the rollout of some of the W windows alone."""
-        windows = [w for w, taken in zip(self.windows, chosen, strict=True) if taken]
+        """Return the rollout restricted to some of the W windows."""
+        windows = [w for w, is_chosen in zip(self.windows, chosen, strict=True) if is_chosen]
         return replace(self, windows=tuple(windows))
 
     @property
     def under(self) -> str:
-        """Inputs of the simulation: "efforts" or "commands"."""
+        """Kind of inputs: "commands" or "efforts"."""
         return "commands" if self.commands else "efforts"
 
     @property
@@ -133,38 +133,36 @@ def roll_out(
 ) -> Rollout:
     """Simulate a model under the efforts of logs, or under their commands, window by window.
 
-    What acts are the measured efforts, advanced by the model's delays. A rigid robot is simulated
-    in all windows at a time, by implicit steps (`rollout.stepping`); any other one by a Drake
-    diagram of the plant with the model's inertias and `EffectForce`. Either is in the time of the
-    log, so that friction that drifts has drifted, and contacts act in their log when they did.
-    Hidden states, such as the bend of bristles, start as the measured motion before the window
-    leaves them. Soft joints and play are motors and links with a spring or a dead band between
-    them; what was measured is the motors', and links start where their measured load has them.
-    Where joints follow others, or are behind a transmission, efforts are those of leaders and
-    actuators (`DrivenPlant`).
+    The measured efforts are advanced by the model's delays. Rigid robots are simulated in all
+    windows at once, by implicit steps (`rollout.stepping`); others by a Drake diagram of the plant
+    with the model's inertias and `EffectForce`. The simulation uses the time of the log, so that
+    drifting friction and contacts act as they did. Hidden states, such as bristle deflections,
+    result from the measured motion before the window. Soft joints and backlash are modelled by
+    motors and links with a spring or a dead band. The measured motion is that of the motors; links
+    start with the deflection due to their measured load. If joints are coupled or driven by a
+    transmission, efforts are those of leaders and actuators (`DrivenPlant`).
 
-    Under commands, a joint with a servo (`RobotModel.effort_signals` of the kind "command") gets
-    the effort that the servo makes of the command of the log, late by its delay, and of the
-    *simulated* position and velocity. Measured positions count where a window starts, and
-    afterwards only as what is compared. Joints without a servo, or without a command in a log, get
-    the efforts of the log all the same.
+    Under commands, the effort of a joint with a servo (`RobotModel.effort_signals` of the kind
+    "command") follows from the logged command, delayed by the servo, and the *simulated* position
+    and velocity. Measured positions define the initial state and are otherwise only compared.
+    Joints without a servo, or without a logged command, still use logged efforts.
 
     Args:
-        model: The model; servos that it does not know are found by its inertias first.
-        logs: Logs or their files; under commands, one with commands at least.
+        model: The model; unknown servos are first identified with its inertias.
+        logs: Logs or their files; under commands, at least one must have commands.
         horizon: Length of a window, s.
-        most: Most windows; they are spread evenly over all that moves.
-        bandwidth: Bandwidth of the filter that the initial states are smoothed with, Hz; by default
-            that of the model's fit to the same logs, or chosen from the data.
+        most: Maximum number of windows, spread evenly over all motion.
+        bandwidth: Bandwidth of the smoothing filter for initial states, Hz; by default that of the
+            model's fit to the same logs, or chosen from the data.
         commands: Whether servos close the loop, under the commands of logs.
-        progress: Called with each window: its log, and the share that is done.
+        progress: Called for each window with its log, and the fraction that is done.
 
     Raises:
         ArgumentError: The horizon is not from 1 ms to 1000 s, or there are no windows.
-        LogError: A log cannot be used, or none moves for as long as a window, or has commands of
-            servos that are to be followed.
-        ModelError: Joints follow others or are behind a transmission, and the model has soft joints
-            or effects with hidden states.
+        LogError: A log is invalid, or none has motion for the length of a window, or commands of
+            servos under `commands`.
+        ModelError: The model has coupled joints or a transmission, and soft joints or effects with
+            hidden states.
     """
     check_windows(horizon, most, progress)
     instance(commands, "commands", bool)
@@ -182,24 +180,24 @@ def commanded_motions(
     """Compare the motion of a robot under the commands of logs, before and after a fit.
 
     Args:
-        between: Models on the way, as after the steps of an explanation.
+        between: Intermediate models, such as those of the steps of an explanation.
 
     Returns:
-        Rollouts of all models in their order, with the same servos and in the same passages; None
-        if they have none.
+        Rollouts of all models in order, with the same servos and windows; None without servos or
+        commands.
     """
     logs = checked_logs(model, logs, (), None, None)
     models = (model, *instances(between, "between", RobotModel))
     if not any(servos_of(instance(after, "after", RobotModel))):
         return None
     case = open_case(after, logs, candidates=False)
-    if not any(told_joints(case.model, log).any() for log in case.options.logs):
+    if not any(commanded_joints(case.model, log).any() for log in case.options.logs):
         return None
-    same = (
-        replace(each, effort_signals=after.effort_signals, bandwidths=after.bandwidths)
-        for each in models
+    with_servos = (
+        replace(earlier, effort_signals=after.effort_signals, bandwidths=after.bandwidths)
+        for earlier in models
     )
-    cases = [*(replace(case, model=each) for each in same), case]
+    cases = [*(replace(case, model=earlier) for earlier in with_servos), case]
     return tuple(case_rollout(each, most=_COMPARED, commands=True) for each in cases)
 
 
@@ -213,61 +211,61 @@ def case_rollout(
     progress: Progress | None = None,
     within: Sequence[Span] | None = None,
 ) -> Rollout:
-    """Return the rollout of the model of a case, whose logs are prepared; see `roll_out`.
+    """Return the rollout of a case's model in its prepared logs; see `roll_out`.
 
     Args:
-        within: Logs, and first and last instants of theirs, s, outside of which nothing is
-            simulated.
+        within: Spans (log, first time, last time), s, that must contain the windows, if any.
     """
     model, logs = case.model, case.options.logs
-    if commands and not any(told_joints(model, log).any() for log in logs):
+    if commands and not any(commanded_joints(model, log).any() for log in logs):
         raise LogError(
             "No log has commands of a servo that the model knows.",
             advice="Use efforts instead of --commands, or logs with columns <joint>.command.",
         )
     chosen = chosen_passages(case, horizon, most, within)
-    notes = dict.fromkeys([*(_unheard(case) if commands else ()), *_fitted_forces(case)])
+    notes = dict.fromkeys([*(_delay_notes(case) if commands else ()), *_contact_notes(case)])
     conditions = Conditions(case, commands)
-    simulation, together = simulations(conditions, chosen), steps_alone(model)
+    simulation, is_rigid = simulations(conditions, chosen), can_step(model)
     groups = dict[str | Passage, list[Passage]]()
     for passage in chosen:
-        groups.setdefault(_alike(case, passage.log) if together else passage, []).append(passage)
-    found, done = dict[Passage, Array](), 0
+        key = _group_key(case, passage.log) if is_rigid else passage
+        groups.setdefault(key, []).append(passage)
+    simulated, done = dict[Passage, Array](), 0
     for group in groups.values():
         if progress is not None:
             first = group[0]
             progress(f"{first.log} {first.segment.time[0]:.1f} s", done / len(chosen))
         done += len(group)
-        if together:
-            found |= zip(group, Stepping(conditions, group).positions(), strict=True)
+        if is_rigid:
+            simulated |= zip(group, Stepping(conditions, group).positions(), strict=True)
             continue
         (passage,) = group
-        found[passage] = simulation(passage.log).positions(passage)
+        simulated[passage] = simulation(passage.log).positions(passage)
         notes |= dict.fromkeys(simulation(passage.log).notes)
-    windows = (Window(p.log, p.segment.time, p.segment.position, found[p]) for p in chosen)
+    windows = (Window(p.log, p.segment.time, p.segment.position, simulated[p]) for p in chosen)
     return Rollout(model.joints, tuple(windows), horizon, (*case.notes, *notes), commands)
 
 
-def _alike(case: Case, log: str) -> str:
-    """Return the name of a log whose passages are simulated by themselves, or no name."""
-    episodes = any(fitted.effect.role is Role.EPISODE for fitted in case.model.effects)
-    carries = any(trajectory.payloads for trajectory in case.trajectories)
-    return log if episodes or carries else ""
+def _group_key(case: Case, log: str) -> str:
+    """Return the key of passages simulated together: the log if logs differ, or "" for all."""
+    has_episodes = any(fitted.effect.role is Role.EPISODE for fitted in case.model.effects)
+    has_payloads = any(trajectory.payloads for trajectory in case.trajectories)
+    return log if has_episodes or has_payloads else ""
 
 
-def _unheard(case: Case) -> list[str]:
-    """Return a note on delays of efforts that servos make themselves."""
+def _delay_notes(case: Case) -> list[str]:
+    """Return a note on effort delays at joints with servos."""
     model = case.model
-    told = np.any([told_joints(model, log) for log in case.options.logs], axis=0)
-    late = [model.joints[j] for j in np.flatnonzero(model.delays * told)]
-    if not late:
+    commanded = np.any([commanded_joints(model, log) for log in case.options.logs], axis=0)
+    delayed = [model.joints[j] for j in np.flatnonzero(model.delays * commanded)]
+    if not delayed:
         return []
     name = effect_of(Role.DELAY).name
-    return [f"{name} of {', '.join(late)} is ignored: servos have no delay"]
+    return [f"{name} of {', '.join(delayed)} is ignored: servos have no delay"]
 
 
-def _fitted_forces(case: Case) -> list[str]:
-    """Return a note for each log on forces at contacts that nobody measured."""
+def _contact_notes(case: Case) -> list[str]:
+    """Return a note for each log with unmeasured contact forces."""
     return [
         f"{trajectory.name}: forces at {', '.join(trajectory.contacts.frames)} are those that fit "
         "the measured motion best, which hides some of the model's errors"
@@ -277,7 +275,7 @@ def _fitted_forces(case: Case) -> list[str]:
 
 
 def check_windows(horizon: float, most: int, progress: Progress | None) -> None:
-    """Refuse windows that cannot be."""
+    """Raise if the arguments that define windows are invalid."""
     number(horizon, "horizon", lower=_SHORTEST, upper=_LONGEST)
     integer(most, "most", lower=1, upper=np.inf)
     if progress is not None:

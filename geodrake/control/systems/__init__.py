@@ -1,1 +1,1 @@
-"""Drake systems: thin LeafSystems over geodrake's functions, one a file."""
+"""Drake systems: thin LeafSystems over geodrake's functions, one per file."""

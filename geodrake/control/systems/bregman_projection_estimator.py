@@ -1,4 +1,4 @@
-"""Parameters from streaming measurements."""
+"""Online parameter estimation by Bregman projections."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from geodrake.boundary.arguments import instance, integer, number, positive
 from geodrake.compiling import compiled
 from geodrake.control.online_estimation import (
     FilteredRegressor,
-    Projecting,
+    Projector,
     Rows,
     SampleUpdate,
     calc_filtered,
     calc_projected,
     filtered_rows,
 )
-from geodrake.control.regressor import ControlModel, Plain, calc_plain_momentum
+from geodrake.control.regressor import ControlModel, PlainRobot, calc_plain_momentum
 from geodrake.control.systems.safeguards import (
+    InputMonitor,
     Safeguards,
-    Watch,
     calc_measured,
     checked_estimate,
     is_usable,
@@ -43,43 +43,43 @@ from geodrake.inertia.bodies import check_context
 from geodrake.manifolds.robot_kernels import calc_clearly_inside
 
 _SLOTS = 24  # samples in memory
-_ESTIMATE, _MEMORY, _SEEN, _RESIDUAL, _ERROR, _COUNT = range(6)  # discrete states
+_ESTIMATE, _MEMORY, _MONITOR, _RESIDUAL, _ERROR, _COUNT = range(6)  # discrete states
 
 
 class _Compiled(NamedTuple):
-    """Arguments of `calc_estimated`."""
+    """Constant arguments of `calc_estimated`."""
 
-    robot: Plain
-    watch: Watch
-    filtered: tuple[float, float, bool]  # `FilteredRegressor.how`
-    projecting: Projecting
+    robot: PlainRobot
+    monitor: InputMonitor
+    filter_options: tuple[float, float, bool]  # `FilteredRegressor.options`
+    projector: Projector
 
 
 @dataclass
-class _Remembered:
-    """Samples that are seen again."""
+class _SampleMemory:
+    """Ring buffer of earlier samples."""
 
     regressors: Array  # (slots, nv, p) filtered regressors
     efforts: Array  # (slots, nv) their efforts
-    kept: int = 0  # how many have been put there
-    count: int = 0  # number of samples when the last one was
+    stored: int = 0  # number of samples stored so far
+    last: int = 0  # number of the sample stored last
 
-    def turn(self, number: int, kept: int) -> Rows:
-        """Return one of the first `kept` samples, turn by turn; no rows if there are none."""
-        kept = min(kept, self.kept, _SLOTS)
-        slot = slice(0) if kept == 0 else slice(number % kept, number % kept + 1)
+    def cycle(self, index: int, count: int) -> Rows:
+        """Return sample `index` modulo the number stored, at most `count`; no rows if empty."""
+        count = min(count, self.stored, _SLOTS)
+        slot = slice(0) if count == 0 else slice(index % count, index % count + 1)
         size = self.regressors.shape[2]
         return self.regressors[slot].reshape(-1, size), self.efforts[slot].reshape(-1)
 
-    def put(self, rows: Rows, count: int) -> None:
-        """Put rows in the place of the oldest ones."""
-        slot = self.kept % _SLOTS
+    def put(self, rows: Rows, number: int) -> None:
+        """Replace the oldest sample."""
+        slot = self.stored % _SLOTS
         self.regressors[slot], self.efforts[slot] = rows
-        self.kept, self.count = self.kept + 1, count
+        self.stored, self.last = self.stored + 1, number
 
 
 class BregmanProjectionEstimator(LeafSystem):
-    """Estimates the parameters of a robot while it moves, whatever moves it.
+    """Estimates the parameters of a moving robot, whatever drives it.
 
     .. pydrake_system::
 
@@ -92,22 +92,22 @@ class BregmanProjectionEstimator(LeafSystem):
         - residual
         - projection_error
 
-    Every sample adds to filtered rows Y_f p = effort_f, which need no acceleration
+    Every sample updates filtered rows Y_f p = effort_f, which need no acceleration
     (`FilteredRegressor`). The estimate is projected, in the divergence of its manifold, onto the
-    slabs |Y_f p − effort_f| ≤ ε of the sample and of one of those of the last seconds, so that they
-    are not forgotten ([Lee2019] Eq. (2.2.11)); then onto a constraint set (§5.4.2). `SampleUpdate`
-    says how, and has a nudge that costs less. If the truth is in slabs and set, no sample takes the
-    estimate farther from it (unless the update forgets), and it always stays physical.
+    slabs |Y_f p − effort_f| ≤ ε of the sample and of an earlier one from the last seconds, so that
+    these are not forgotten ([Lee2019] Eq. (2.2.11)); then onto a constraint set (§5.4.2). See
+    `SampleUpdate`, which also has a cheaper method. If the truth is in slabs and set, no sample
+    moves the estimate away from it (unless the update forgets). The estimate is always physical.
 
-    `residual` (nv), N·m or N, is effort_f − Y_f p̂ of the last sample, before its projection, and
-    `projection_error` the certificate of that: the greatest error of its conditions of optimality,
-    in lengths of the metric, at most 1e-8; infinite where no bodies are in its slabs, or for a
-    nudge, and before the first one.
+    `residual` (nv), N·m or N, is effort_f − Y_f p̂ of the last sample, before its projection.
+    `projection_error` certifies the projection: the largest error of its optimality conditions, in
+    lengths of the metric, at most 1e-8. It is infinite if the slabs do not intersect, for a nudge,
+    and before the first projection.
 
-    A sample that is not finite, or a state that stands still for `stale_time` while it says that
-    the robot moves, is left out of the filter, and the estimate stays; so it does where a
-    projection is not found. A sensor may be slower than the time step: its states count when they
-    are new.
+    A sample is omitted from the filter, and the estimate does not change, if it is not finite or if
+    the state is constant for `stale_time` although its velocities are nonzero. The estimate does
+    not change either if a projection fails. A sensor may be slower than the time step: only new
+    states are used.
     """
 
     def __init__(
@@ -125,12 +125,12 @@ class BregmanProjectionEstimator(LeafSystem):
         """Construct the system.
 
         Args:
-            filtered: The filter, its period the time step; one of 20 1/s if None.
-            memory: For how long samples are seen again, s; zero for never. A change of the robot
-                shows at once, and is settled after this time.
-            stale_time: How long the state may stand still, s.
-            update_every: New samples from one projection to the next. The filter takes all of
-                them; samples much closer than its bandwidth say nearly the same.
+            filtered: The filter, with the time step as its period; one of 20 1/s if None.
+            memory: Duration for which samples are used again, s; zero for none. The estimate
+                responds to a change of the robot at once, and converges within this time.
+            stale_time: Time for which the state may be constant, s.
+            update_every: Number of new samples per projection. The filter uses all of them, but
+                samples much closer than its bandwidth contain nearly the same information.
         """
         LeafSystem.__init__(self)
         require_single_joints(control)
@@ -157,21 +157,21 @@ class BregmanProjectionEstimator(LeafSystem):
         self._nv, self._time_step = nv, time_step
         self._every = update_every
         self._spacing = max(1, round(memory / (_SLOTS * time_step * update_every)))
-        self._watch = Watch(nv, float(time_step), float(stale_time))
+        self._monitor = InputMonitor(nv, float(time_step), float(stale_time))
         self._state_port = self.DeclareVectorInputPort("estimated_state", BasicVector(2 * nv))
         self._effort_port = self.DeclareVectorInputPort("effort", BasicVector(nv))
-        watch, zero = self._watch.start(), np.zeros(nv)
-        for value in (start, filtered.start(), watch, zero, np.array([np.inf]), np.zeros(1)):
+        monitor, zero = self._monitor.start(), np.zeros(nv)
+        for value in (start, filtered.start(), monitor, zero, np.array([np.inf]), np.zeros(1)):
             self.DeclareDiscreteState(value)
         self._compiled: _Compiled | None = None
-        robot, projecting = getattr(control, "plain", None), update.compiled
-        if robot is not None and projecting is not None:
-            self._compiled = _Compiled(robot, self._watch, filtered.how, projecting)
-        # (Not discrete state, all of which Drake copies at every update.)
-        samples = _Remembered(np.zeros((_SLOTS, *filtered.shape)), np.zeros((_SLOTS, nv)))
+        robot, projector = getattr(control, "plain", None), update.compiled
+        if robot is not None and projector is not None:
+            self._compiled = _Compiled(robot, self._monitor, filtered.options, projector)
+        # Abstract state, as Drake copies all discrete state at every update.
+        samples = _SampleMemory(np.zeros((_SLOTS, *filtered.shape)), np.zeros((_SLOTS, nv)))
         self._samples = self.DeclareAbstractState(AbstractValue.Make(samples))
         if memory > 0:
-            # Half a step after an update, where rounding of times makes no difference.
+            # Half a step after an update, so that rounding of times does not matter.
             period = time_step * update_every * self._spacing
             self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.5 * time_step, self._remember)
         self.DeclarePeriodicDiscreteUpdateEvent(time_step, 0.0, self._update)
@@ -190,35 +190,35 @@ class BregmanProjectionEstimator(LeafSystem):
         context.SetDiscreteState(_ESTIMATE, p)
 
     def _update(self, context: Context, state: DiscreteValues) -> None:
-        # (What is not written stays as it is.)
         x, effort = self._state_port.Eval(context), self._effort_port.Eval(context)
-        p, memory, watched, residual, error, counted = map(state.get_mutable_value, range(6))
-        number, left = divmod(int(counted[0]), self._every)
-        samples: _Remembered = context.get_abstract_state(self._samples).get_value()
-        earlier = samples.turn(number, number // self._spacing)
-        update, following, found = self._sample_update, p, error[0]
-        if self._compiled is not None and not left:
-            following, states = np.empty(len(p)), (watched, memory, p, residual)
-            new, found, inside = calc_estimated(
-                self._compiled, (x, effort), states, earlier, following
+        p, memory, monitor, residual, error, count = map(state.get_mutable_value, range(6))
+        index, remainder = divmod(int(count[0]), self._every)
+        samples: _SampleMemory = context.get_abstract_state(self._samples).get_value()
+        earlier = samples.cycle(index, index // self._spacing)
+        update, next_p, next_error = self._sample_update, p, error[0]
+        if self._compiled is not None and not remainder:
+            next_p, states = np.empty(len(p)), (monitor, memory, p, residual)
+            new, next_error, inside = calc_estimated(
+                self._compiled, (x, effort), states, earlier, next_p
             )
-            if new and not (inside or update.manifold.calc_contains(following)):
-                following, found = p, np.inf
+            if new and not (inside or update.manifold.calc_contains(next_p)):
+                next_p, next_error = p, np.inf
         else:
             with np.errstate(all="ignore"):
-                if new := self._filtered(x, effort, watched, memory):
-                    Y, known = self._filter.rows(memory)
-                    residual[:] = known - Y @ p
-                if new and not left:
-                    since = self._time_step * self._every
-                    following, found, _ = update.updated(p.copy(), Y, known, since, earlier=earlier)
+                if new := self._filtered(x, effort, monitor, memory):
+                    Y, measured = self._filter.rows(memory)
+                    residual[:] = measured - Y @ p
+                if new and not remainder:
+                    dt = self._time_step * self._every
+                    projection = update.updated(p.copy(), Y, measured, dt, earlier=earlier)
+                    next_p, next_error, _ = projection
         if new:
-            p[:], error[0] = following, found
-            counted[0] += 1.0
+            p[:], error[0] = next_p, next_error
+            count[0] += 1.0
 
-    def _filtered(self, x: Array, effort: Array, watched: Array, memory: Array) -> bool:
-        """Pass a sample through watch and filter, step by step; return whether it is a new one."""
-        measured, new = self._watch.measure(watched, x)
+    def _filtered(self, x: Array, effort: Array, monitor: Array, memory: Array) -> bool:
+        """Pass a sample through monitor and filter; return whether its state is new."""
+        measured, new = self._monitor.measure(monitor, x)
         if not (measured and is_usable(effort)):
             memory[0] = 0.0
             return False
@@ -227,48 +227,49 @@ class BregmanProjectionEstimator(LeafSystem):
         return new
 
     def _remember(self, context: Context, state: State) -> None:
-        """Put the last sample into memory, if there is a new one."""
-        samples: _Remembered = state.get_mutable_abstract_state(self._samples).get_mutable_value()
+        """Store the last sample if it is new."""
+        samples: _SampleMemory = state.get_mutable_abstract_state(self._samples).get_mutable_value()
         count = int(context.get_discrete_state(_COUNT).value()[0])
         rows = self._filter.rows(context.get_discrete_state(_MEMORY).value())
-        if count > samples.count and all(np.isfinite(part).all() for part in rows):
+        if count > samples.last and all(np.isfinite(part).all() for part in rows):
             samples.put(rows, count)
 
 
 @compiled
 def calc_estimated(
-    how: _Compiled,
+    constants: _Compiled,
     sample: tuple[Array, Array],
     states: tuple[Array, Array, Array, Array],
     earlier: Rows,
-    following: Array,
+    next_p: Array,
 ) -> tuple[bool, float, bool]:
-    """Update everything with one sample of a plain robot.
+    """Update monitor, filter and estimate with a sample of a plain robot.
 
     Args:
         sample: (2 nv,) positions and velocities, and (nv,) efforts.
-        states: Memories of watch and filter, (n,) estimate, and (nv,) residual; all but the
-            estimate become those after the sample.
-        earlier: Rows of an earlier sample, or none.
-        following: (n,) where the estimate goes.
+        states: Memories of monitor and filter, (n,) estimate, and (nv,) residual; all but the
+            estimate are updated.
+        earlier: Rows of an earlier sample, possibly empty.
+        next_p: (n,) output for the new estimate.
 
     Returns:
-        Whether the sample is a new one, the error of `calc_projected`, and whether the estimate is
-        clearly inside of the manifold; nothing but memories is written if it is no new one.
+        Whether the sample's state is new, the error of `calc_projected`, and whether the estimate
+        is clearly inside the manifold. Only memories are written if the state is not new.
     """
-    (period, share, held), (x, effort), nv = how.filtered, sample, how.watch.size
-    watched, memory, p, residual = states
-    measured, new = calc_measured(x, how.watch, watched)
-    both = np.zeros((2, nv, len(p)))
-    if measured:
-        calc_plain_momentum(how.robot, x[:nv], x[nv:], both)
-    told = period, share, held, not new
-    if not (measured and calc_filtered(both, effort, told, memory)):
+    (period, gain, held), (x, effort) = constants.filter_options, sample
+    nv = constants.monitor.size
+    monitor, memory, p, residual = states
+    valid, new = calc_measured(x, constants.monitor, monitor)
+    regressors = np.zeros((2, nv, len(p)))
+    if valid:
+        calc_plain_momentum(constants.robot, x[:nv], x[nv:], regressors)
+    options = period, gain, held, not new
+    if not (valid and calc_filtered(regressors, effort, options, memory)):
         memory[0] = 0.0
         return False, np.inf, False
     if new:
-        Y, known = filtered_rows(memory, nv, len(p))
-        residual[:] = known - np.dot(Y, p)
-        error, _ = calc_projected(p, (Y, known), earlier, how.projecting, following)
-        return True, error, calc_clearly_inside(following, how.projecting[1])
+        rows = filtered_rows(memory, nv, len(p))
+        residual[:] = rows[1] - np.dot(rows[0], p)
+        error, _ = calc_projected(p, rows, earlier, constants.projector, next_p)
+        return True, error, calc_clearly_inside(next_p, constants.projector[1])
     return False, np.inf, False

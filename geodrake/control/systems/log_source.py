@@ -1,4 +1,4 @@
-"""A log played in a diagram."""
+"""Playback of logs in a diagram."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _USUAL_GAPS = 5.0  # median sampling intervals
 
 @differenced
 class LogSource(LeafSystem):
-    """Plays a log: what was measured at its time stamps, in straight lines between them.
+    """Plays a log, interpolated linearly between its samples.
 
     .. pydrake_system::
 
@@ -31,10 +31,10 @@ class LogSource(LeafSystem):
         - velocity
         - effort
 
-    `state` is position and then velocity, as controllers and estimators take it. Time zero is the
-    log's first time stamp. After the last one the robot rests: position and effort of the last
-    sample, velocity zero. Where the log holds NaN, and in gaps, outputs are NaN: geodrake's systems
-    know what to do with that. Samples without a time stamp are left out.
+    `state` is position and velocity, as expected by controllers and estimators. Time zero is the
+    log's first time stamp. After the last one, position and effort are held and velocity is zero.
+    Outputs are NaN in gaps and where the log contains NaN, which geodrake's systems handle. Samples
+    without a time stamp are skipped.
 
     The system can be cloned, and converted to AutoDiffXd.
     """
@@ -49,9 +49,10 @@ class LogSource(LeafSystem):
         """Construct the system.
 
         Args:
-            log: The log. If it has no velocities, they are differences of its positions.
-            joints: Joints to be played, in this order, such as `model.joints`; the log's if None.
-            largest_gap: Time between two samples that is bridged, s; five usual ones if None.
+            log: The log. Missing velocities are computed as differences of positions.
+            joints: Joints to play, in this order, such as `model.joints`; the log's if None.
+            largest_gap: Longest interval between samples that is interpolated, s; five median
+                sampling intervals if None.
 
         Raises:
             LogError: The log lacks one of the joints.
@@ -92,16 +93,16 @@ class LogSource(LeafSystem):
         output.SetFromVector(self._at(context.get_time())[columns])
 
     def _at(self, t: float) -> Array:
-        """Return positions, velocities and efforts (3 n,) at an instant."""
+        """Return positions, velocities and efforts (3 n,) at a time, s."""
         values, stamps = self._values, self._stamps
         if t > stamps[-1]:
             n = len(self.log.joints)
             return np.concatenate([values[-1, :n], np.zeros(n), values[-1, 2 * n :]])
         i = min(max(bisect_right(stamps, t) - 1, 0), len(stamps) - 2)
-        gap = stamps[i + 1] - stamps[i]
-        share = max(t - stamps[i], 0.0) / gap
-        if share in (0.0, 1.0):
-            return values[i + int(share)]
-        if gap > self._largest_gap:
+        interval = stamps[i + 1] - stamps[i]
+        fraction = max(t - stamps[i], 0.0) / interval
+        if fraction in (0.0, 1.0):
+            return values[i + int(fraction)]
+        if interval > self._largest_gap:
             return np.full(values.shape[1], np.nan)
-        return values[i] + share * (values[i + 1] - values[i])
+        return values[i] + fraction * (values[i + 1] - values[i])

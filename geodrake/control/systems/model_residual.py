@@ -1,4 +1,4 @@
-"""Efforts that a model leaves unexplained, while the robot moves."""
+"""Online residual of a model."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from geodrake.model.simulation.scalar_system import differenced
 
 @differenced
 class ModelResidual(LeafSystem):
-    """Compares a model with measured efforts, online.
+    """Compares a model with measured efforts online.
 
     .. pydrake_system::
 
@@ -30,17 +30,17 @@ class ModelResidual(LeafSystem):
         - residual
         - valid
 
-    `residual` (nv), N·m or N, is measured − predicted effort. Without a filter it follows the
-    inputs at once. With one, both sides are low-passed (`FilteredRegressor`), which needs no
-    acceleration, and there is no such port; the residual is then a discrete state.
+    `residual` (nv), N·m or N, is measured − predicted effort. Without a filter it is a direct
+    function of the inputs. With one, both sides are low-pass filtered (`FilteredRegressor`), and
+    the residual is a discrete state. There is no port `acceleration` then.
 
-    `parameters` (p) may be an estimator's; those of the model if the port is not connected.
+    `parameters` (p) may come from an estimator; if not connected, those of the model are used.
 
-    `valid` is one where all inputs are finite; elsewhere it is zero and the residual is zero, or
-    with a filter the last one.
+    `valid` is one if all inputs are finite. Otherwise it is zero, and the residual is zero, or with
+    a filter the last valid one.
 
-    The system can be cloned, and converted to AutoDiffXd: its kernels are of floats, so that
-    derivatives are by central differences, exact to some 1e-9.
+    The system can be cloned, and converted to AutoDiffXd. As its kernels use floats, derivatives
+    are central differences, accurate to about 1e-9.
     """
 
     def __init__(self, control: ControlModel, *, filtered: FilteredRegressor | None = None) -> None:
@@ -59,10 +59,10 @@ class ModelResidual(LeafSystem):
             "parameters", BasicVector(len(control.prior))
         )
         if filtered is None:
-            known = {self.all_input_ports_ticket()}
+            tickets = {self.all_input_ports_ticket()}
             residual, valid = BasicVector(nv), BasicVector(1)
-            self.DeclareVectorOutputPort("residual", residual, self._calc_residual, known)
-            self.DeclareVectorOutputPort("valid", valid, self._calc_valid, known)
+            self.DeclareVectorOutputPort("residual", residual, self._calc_residual, tickets)
+            self.DeclareVectorOutputPort("valid", valid, self._calc_valid, tickets)
             return
         self._memory, self._residual, self._valid = (
             self.DeclareDiscreteState(value)
@@ -78,13 +78,13 @@ class ModelResidual(LeafSystem):
         return self.control.prior
 
     def _error(self, context: Context) -> Array | None:
-        """Return measured − predicted effort (nv,); None where it is not known."""
+        """Return measured − predicted effort (nv,); None if it is not finite."""
         x, effort = self._state_port.Eval(context), self._effort_port.Eval(context)
         q, qd, qdd = x[: self._nv], x[self._nv :], self._acceleration_port.Eval(context)
         try:
             with np.errstate(all="ignore"):
                 error = effort - self.control.at(q, qd, qd, qdd).effort(self._parameters(context))
-        except GeodrakeError:  # of an effect that has no finite columns
+        except GeodrakeError:  # an effect has non-finite columns
             return None
         return error if np.isfinite(error).all() else None
 

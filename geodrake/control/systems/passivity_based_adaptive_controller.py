@@ -1,4 +1,4 @@
-"""The adaptive controller of Slotine and Li."""
+"""The passivity-based adaptive controller of Slotine and Li."""
 
 from __future__ import annotations
 
@@ -15,20 +15,25 @@ from geodrake.boundary.showing import Short
 from geodrake.compiling import compiled
 from geodrake.control.adaptation import UpdateLaw
 from geodrake.control.adaptation.law import Steps, calc_limited_step
-from geodrake.control.regressor import ControlModel, Plain, calc_plain_regressor, checked_control
+from geodrake.control.regressor import (
+    ControlModel,
+    PlainRobot,
+    calc_plain_regressor,
+    checked_control,
+)
 from geodrake.control.systems.adaptive_controller import (
     GAMMA,
     AdaptiveController,
     ControlResult,
-    remember,
+    update_history,
 )
 from geodrake.control.systems.prediction_error import PredictionError
 from geodrake.control.systems.safeguards import (
+    InputMonitor,
+    Observation,
     Safeguards,
-    Seen,
-    Watch,
     calc_applied,
-    calc_looked,
+    calc_observed,
     is_usable,
 )
 from geodrake.errors import ArgumentError
@@ -36,14 +41,14 @@ from geodrake.inertia import Array
 from geodrake.model.simulation.scalar_system import differenced
 
 
-class _Usual(NamedTuple):
-    """Constants of the usual steps of a plain robot."""
+class _FastStep(NamedTuple):
+    """Constant arguments of `calc_fast_step`."""
 
-    robot: Plain
-    watch: Watch
-    most: Array  # (nv,) limits of efforts
-    varies: bool  # whether gains vary with the estimate
-    measured: bool  # whether friction is of the measured velocity
+    robot: PlainRobot
+    monitor: InputMonitor
+    limits: Array  # (nv,) effort limits
+    has_varying_gains: bool
+    measured_friction: bool
     period: float  # s
     steps: Steps
 
@@ -52,12 +57,11 @@ class _Usual(NamedTuple):
 class FixedGains(Short):
     """Constant diagonal gains K and Λ.
 
-    Sampled at a time step h, damping is stable for K h well below 2 M only, with M the inertia that
-    a joint moves.
+    With a time step h, K h must be well below 2 M for stability, with M the inertia at the joint.
 
     Attributes:
-        damping: K, N·m·s/rad or N·s/m; one for all joints or (nv,).
-        rate: Λ, 1/s; one for all joints or (nv,).
+        damping: K, N·m·s/rad or N·s/m; scalar or (nv,).
+        rate: Λ, 1/s; scalar or (nv,).
     """
 
     damping: ArrayLike
@@ -71,10 +75,10 @@ class FixedGains(Short):
 
 @dataclass(frozen=True)
 class VaryingGains:
-    """K = λ M̂(q) and Λ = λ 𝟙, [Lee2019] Remark 5.1: stiffer where there is more inertia.
+    """Gains K = λ M̂(q) and Λ = λ 𝟙, proportional to inertia ([Lee2019] Remark 5.1).
 
     Attributes:
-        rate: λ, 1/s; one for all joints, as K must be symmetric.
+        rate: λ, 1/s; the same for all joints, as K must be symmetric.
     """
 
     rate: float = 10.0
@@ -85,7 +89,7 @@ class VaryingGains:
 
 @differenced
 class PassivityBasedAdaptiveController(AdaptiveController):
-    """Tracks a motion and adapts the model, by the passivity of robots ([Lee2019] §5.2.1.2).
+    """Tracks a motion and adapts the model, based on passivity ([Lee2019] §5.2.1.2).
 
     .. pydrake_system::
 
@@ -100,19 +104,19 @@ class PassivityBasedAdaptiveController(AdaptiveController):
         - parameters
         - lyapunov
 
-    With v = q̇_d − Λ (q − q_d), a = v̇ and r = q̇ − v, for gains that are fixed or vary with M̂,
+    With v = q̇_d − Λ (q − q_d), a = v̇ and r = q̇ − v, for fixed or varying gains,
 
         actuation = Y(q, q̇, v, a) p̂ − K r          [Lee2019] Eq. (5.2.10), b = Yᵀ r
         actuation = Y(q, q̇, v, a − λ r) p̂          [Lee2019] Remark 5.1, b = Y(…, a − λ r)ᵀ r
 
-    and the law moves p̂ by b, to which a `PredictionError` adds. `lyapunov` is
-    ½ rᵀ M r + γ D(p‖p̂) for the true p, which never rises except by what a time step adds, if
-    friction grows with speed or effects see the measured velocity, and no effect is in proportion
-    to the load. It leaves out the first term while an input is missing. Without the true p there is
-    no such port, and no `effort` unless prediction has measured efforts.
+    and the law updates p̂ by b, to which a `PredictionError` adds. `lyapunov` is ½ rᵀ M r + γ D(p‖p̂)
+    for the true p. Apart from discretization it never rises, if friction grows with speed or
+    effects use the measured velocity, and no effect is proportional to the load. It omits the first
+    term while an input is missing. The port exists only if the true p is given, and `effort` only
+    if prediction uses measured efforts.
 
     `actuation` (nv) is N·m or N in the order of velocities, `parameters` (p) that of ControlModel,
-    states are q and then q̇. What happens when inputs are missing is said in `AdaptiveController`.
+    and states are q and q̇. See `AdaptiveController` for missing inputs.
     """
 
     def __init__(
@@ -130,16 +134,16 @@ class PassivityBasedAdaptiveController(AdaptiveController):
         """Construct the system.
 
         Args:
-            law: How the estimate moves; None for a controller that does not adapt.
+            law: Update law of the estimate; None for a controller without adaptation.
             time_step: Period of control and adaptation, s; zero for continuous time.
-            parameters: (p,) first estimate; that of the model if None.
+            parameters: (p,) initial estimate; that of the model if None.
             truth: (p,) true parameters, for the port `lyapunov`.
-            safeguards: Those of `Safeguards()` if None, which has no limits of effort.
-            prediction: Adaptation by the error of prediction; needs a time step.
+            safeguards: `Safeguards()` if None, which has no effort limits.
+            prediction: Adaptation by prediction error; needs a time step.
 
         Raises:
-            ArgumentError: The robot has joints of several degrees of freedom, or an argument does
-                not fit.
+            ArgumentError: The robot has joints with several degrees of freedom, or an argument is
+                invalid.
         """
         nv = len(checked_control(control).joints)
         self._varying = isinstance(gains, VaryingGains)
@@ -166,47 +170,47 @@ class PassivityBasedAdaptiveController(AdaptiveController):
         self._set_gains(context, vector)
 
     @cached_property
-    def _usual(self) -> _Usual | None:
-        """Arguments of `calc_usual_step`; None where it does not apply."""
+    def _fast_step(self) -> _FastStep | None:
+        """Constant arguments of `calc_fast_step`; None if it does not apply."""
         robot, law = getattr(self.control, "plain", None), self.law
         steps = None if law is None else law.compiled
         if robot is None or steps is None or self._prediction is not None or self._dead_zone.any():
             return None
-        kinds = self._varying, self.control.measured_friction
-        return _Usual(robot, self._watch, self._limits, *kinds, self._watch.period, steps)
+        flags = self._varying, self.control.measured_friction
+        return _FastStep(robot, self._monitor, self._limits, *flags, self._monitor.period, steps)
 
-    def _step_as_usual(self, context: Context, state: DiscreteValues) -> bool:
-        if self._usual is None:
+    def _take_fast_step(self, context: Context, state: DiscreteValues) -> bool:
+        if self._fast_step is None:
             return False
         gains, gamma = self._gains(context), context.get_numeric_parameter(GAMMA).value()[0]
-        p, actuation, watch, before = map(state.get_mutable_value, range(4))
-        states, inputs = (p, actuation, watch, before), self._inputs_in(context)
-        return calc_usual_step(self._usual, inputs, (gains, gamma), states)
+        p, actuation, monitor, history = map(state.get_mutable_value, range(4))
+        states, inputs = (p, actuation, monitor, history), self._inputs_in(context)
+        return calc_fast_step(self._fast_step, inputs, (gains, gamma), states)
 
-    def _error(self, seen: Seen, rate: Array) -> tuple[Array, Array, Array]:
+    def _error(self, observed: Observation, rate: Array) -> tuple[Array, Array, Array]:
         """Return v, a and r, each (nv,)."""
-        v = seen.v_d - rate * (seen.q - seen.q_d)
-        return v, seen.a_d - rate * (seen.qd - seen.v_d), seen.qd - v
+        v = observed.v_d - rate * (observed.q - observed.q_d)
+        return v, observed.a_d - rate * (observed.qd - observed.v_d), observed.qd - v
 
-    def _result_at(self, p: Array, seen: Seen, gains: Array) -> ControlResult:
+    def _result_at(self, p: Array, observed: Observation, gains: Array) -> ControlResult:
         rate, damping = gains[: self._nv], gains[self._nv :]
-        v, a, r = self._error(seen, rate)
+        v, a, r = self._error(observed, rate)
         if self._varying:
-            sample = self.control.at(seen.q, seen.qd, v, a - rate * r)
+            sample = self.control.at(observed.q, observed.qd, v, a - rate * r)
             effort = sample.effort(p)
         else:
-            sample = self.control.at(seen.q, seen.qd, v, a)
+            sample = self.control.at(observed.q, observed.qd, v, a)
             effort = sample.effort(p) - damping * r
         return ControlResult(effort, sample, lambda _: sample.covector(r))
 
-    def _tracking_energy(self, truth: Array, seen: Seen, gains: Array) -> float:
-        r = self._error(seen, gains[: self._nv])[2]
-        sample = self.control.at(seen.q, seen.qd, seen.qd, np.zeros(self._nv))
+    def _tracking_energy(self, truth: Array, observed: Observation, gains: Array) -> float:
+        r = self._error(observed, gains[: self._nv])[2]
+        sample = self.control.at(observed.q, observed.qd, observed.qd, np.zeros(self._nv))
         return float(0.5 * r @ sample.mass_matrix(truth) @ r)  # [Lee2019] Eq. (5.2.14)
 
 
 def _gain_vector(gains: VaryingGains | FixedGains, nv: int) -> Array:
-    """Return rates Λ and, where gains are fixed, damping K: (nv,) or (2 nv,)."""
+    """Return rates Λ, and damping K if gains are fixed: (nv,) or (2 nv,)."""
     instance(gains, "gains", (VaryingGains, FixedGains))
     rate = one_or_each(gains.rate, "rates", nv, strict=True)
     if isinstance(gains, VaryingGains):
@@ -216,45 +220,45 @@ def _gain_vector(gains: VaryingGains | FixedGains, nv: int) -> Array:
 
 
 @compiled
-def calc_usual_step(
-    how: _Usual,
+def calc_fast_step(
+    constants: _FastStep,
     inputs: tuple[Array, Array, Array],
     gains: tuple[Array, float],
     states: tuple[Array, Array, Array, Array],
 ) -> bool:
-    """Take a time step of a plain robot as a whole; return False, with nothing done, if unusual.
+    """Take a time step of a plain robot; return False, without changes, if it needs special care.
 
-    Usual is that all inputs are trusted, no effort is beyond its limits and no estimate beyond
-    its own.
+    That is the case if an input is not trusted, or an effort or the estimate reaches its limits.
 
     Args:
         inputs: Measured and desired states (2 nv,), and desired accelerations (nv,).
-        gains: Those of `_gain_vector`, and γ.
-        states: Estimate, actuation, and memories of watch and earlier estimates.
+        gains: `_gain_vector`, and γ.
+        states: Estimate, actuation, memory of the monitor, and history of estimates.
     """
-    p, actuation, watch, before = states
-    n, memory = len(actuation), watch.copy()
+    p, actuation, monitor, history = states
+    n, memory = len(actuation), monitor.copy()
     motion, Y = np.empty((5, n)), np.zeros((n, len(p)))
-    trusted, _, _, settled = calc_looked(inputs, how.watch, memory, motion)
+    trusted, _, _, settled = calc_observed(inputs, constants.monitor, memory, motion)
     if not (trusted and settled) or memory[-2] == 0.0:
         return False
     q, qd, (q_d, v_d, a_d) = motion[0].copy(), motion[1].copy(), motion[2:]
     rate, damping = gains[0][:n], gains[0][n:]
     v = v_d - rate * (q - q_d)
     a, r = a_d - rate * (qd - v_d), qd - v
-    if how.varies:
+    if constants.has_varying_gains:
         a -= rate * r
-    calc_plain_regressor(how.robot, (q, qd, v, a), qd if how.measured else v, Y)
-    effort, applied, b, following = np.dot(Y, p), np.empty(n), np.dot(r, Y), np.empty(len(p))
-    if not how.varies:
+    friction_v = qd if constants.measured_friction else v
+    calc_plain_regressor(constants.robot, (q, qd, v, a), friction_v, Y)
+    effort, applied, b, next_p = np.dot(Y, p), np.empty(n), np.dot(r, Y), np.empty(len(p))
+    if not constants.has_varying_gains:
         effort -= damping * r
-    finite, beyond = calc_applied(effort, how.most, applied)
-    if beyond or not (finite and is_usable(b)):
+    finite, clipped = calc_applied(effort, constants.limits, applied)
+    if clipped or not (finite and is_usable(b)):
         return False
-    if not calc_limited_step(p, b, how.steps, how.period / gains[1], following):
+    if not calc_limited_step(p, b, constants.steps, constants.period / gains[1], next_p):
         return False
-    if not is_usable(following):
+    if not is_usable(next_p):
         return False
-    actuation[:], watch[:], p[:] = applied, memory, following
-    remember(before, following, how.period)
+    actuation[:], monitor[:], p[:] = applied, memory, next_p
+    update_history(history, next_p, constants.period)
     return True

@@ -1,4 +1,4 @@
-"""Servos that hold positions that they are told."""
+"""Position servos."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from geodrake.model.simulation.scalar_system import differenced
 
 
 def _checked(name: str, value: ArrayLike, count: int) -> Array:
-    """Return gains (count,) of one name, which are at least 0; a limit is above, or infinite."""
-    found = one_or_each(value, name, count, strict=name == "limit", finite=name != "limit")
-    if name == "rate_share" and (found > 1.0).any():
-        raise ArgumentError(f"{name} must be at most 1; it is {found.max():g}.", name=name)
-    return found
+    """Return gains (count,) of a kind, checked: ≥ 0, or > 0 and possibly infinite for a limit."""
+    gains = one_or_each(value, name, count, strict=name == "limit", finite=name != "limit")
+    if name == "rate_share" and (gains > 1.0).any():
+        raise ArgumentError(f"{name} must be at most 1; it is {gains.max():g}.", name=name)
+    return gains
 
 
 @differenced
@@ -50,31 +50,29 @@ class PositionServo(LeafSystem):
 
         actuation = sat(kp e + kd (ρ ċ − v) + ki ∫e dt + feedforward),   e = dead(c − q)
 
-    where dead takes the dead band off the error, and sat keeps efforts within ±limit. An integral,
-    a continuous state, stays where the effort is at its limit and would go beyond.
+    where dead subtracts the dead band from the error, and sat limits efforts to ±limit. The
+    integral, a continuous state, does not wind up while the effort is saturated.
 
-    `commanded_velocity` is ċ, and zero if the port is not connected: kd then damps the motion
-    itself, as `kv` of MuJoCo's position actuators does. So is `feedforward`, N·m or N: a joint
-    with no gains passes it on, up to its limit.
+    `commanded_velocity` is ċ, zero if not connected: kd then damps the motion itself, like `kv` of
+    MuJoCo's position actuators. `feedforward`, N·m or N, is also zero if not connected. A joint
+    without gains passes it on, up to its limit.
 
-    A command that acts late goes through `DelayedEffort` before it comes here, or through Drake's
-    DiscreteTimeDelay where delays are alike and a whole number of its steps; `AddToBuilder` sees
-    to that.
+    Delay late commands by `DelayedEffort`, or by Drake's DiscreteTimeDelay if delays are equal and
+    multiples of its time step. `AddToBuilder` takes care of this.
 
     Gains are numeric parameters of the Context (`set_gains`). The system can be cloned, and
     converted to AutoDiffXd.
 
-    A servo alone swings at √(kp / inertia); explicit integrators need steps well below one over
-    that, and below 2 · inertia / kd.
+    A servo oscillates at √(kp / inertia). Explicit integrators need steps well below the inverse,
+    and below 2 · inertia / kd.
 
     Args:
-        kp: (n,) effort per error of position, N·m/rad or N/m; its length is the number of joints.
-        kd: Effort per error of velocity, N·m·s/rad or N·s/m; like all others one for all joints or
-            (n,).
-        ki: Effort per integral of the error of position, N·m/(rad·s) or N/(m·s).
-        limit: Largest effort, N·m or N.
-        dead_band: Error of position up to which nothing is done about it, rad or m.
-        rate_share: ρ, how much of the command's rate the damping knows; 0 damps the motion alone.
+        kp: (n,) effort per position error, N·m/rad or N/m; its length is the number of joints.
+        kd: Effort per velocity error, N·m·s/rad or N·s/m; scalar or (n,), like all others.
+        ki: Effort per integral of the position error, N·m/(rad·s) or N/(m·s).
+        limit: Effort limit, N·m or N.
+        dead_band: Position error that is ignored, rad or m.
+        rate_share: ρ, fraction of the command's rate in the damping term; 0 damps only the motion.
     """
 
     def __init__(
@@ -91,8 +89,8 @@ class PositionServo(LeafSystem):
         LeafSystem.__init__(self, converter=self._converter)
         kp = real_array(kp, "kp")
         self._count = n = len(kp) if kp.ndim == 1 else len(real_array([kp], "kp", ("n",)))
-        named = zip(ServoGains._fields, (kp, kd, ki, limit, dead_band, rate_share), strict=True)
-        gains = ServoGains(*(_checked(name, value, n) for name, value in named))
+        pairs = zip(ServoGains._fields, (kp, kd, ki, limit, dead_band, rate_share), strict=True)
+        gains = ServoGains(*(_checked(name, value, n) for name, value in pairs))
         self._integral = bool(gains.ki.any())
         for values in gains:
             self.DeclareNumericParameter(BasicVector(values))
@@ -100,11 +98,11 @@ class PositionServo(LeafSystem):
         self._rate_port = self.DeclareVectorInputPort("commanded_velocity", BasicVector(n))
         self._state_port = self.DeclareVectorInputPort("estimated_state", BasicVector(2 * n))
         self._feedforward_port = self.DeclareVectorInputPort("feedforward", BasicVector(n))
-        known = {self.all_input_ports_ticket(), self.all_parameters_ticket()}
+        tickets = {self.all_input_ports_ticket(), self.all_parameters_ticket()}
         if self._integral:
             self.DeclareContinuousState(n)
-            known.add(self.xc_ticket())
-        self.DeclareVectorOutputPort("actuation", BasicVector(n), self._calc_actuation, known)
+            tickets.add(self.xc_ticket())
+        self.DeclareVectorOutputPort("actuation", BasicVector(n), self._calc_actuation, tickets)
 
     def gains(self, context: Context) -> ServoGains:
         """Return the gains in a Context."""
@@ -115,8 +113,7 @@ class PositionServo(LeafSystem):
         """Change gains in a Context.
 
         Args:
-            **gains: Those of kp, kd, ki, limit, dead_band and rate_share that change; one for all
-                joints or (n,).
+            **gains: Any of kp, kd, ki, limit, dead_band and rate_share; scalar or (n,).
         """
         check_context(self, context)
         names = ServoGains._fields
@@ -130,11 +127,11 @@ class PositionServo(LeafSystem):
                 "This servo was constructed without integral gain.",
                 advice="Pass a positive ki to its constructor.",
             )
-        for name, own in values.items():
-            context.get_mutable_numeric_parameter(names.index(name)).SetFromVector(own)
+        for name, vector in values.items():
+            context.get_mutable_numeric_parameter(names.index(name)).SetFromVector(vector)
 
     def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
-        """Rates of the integrals, rad or m; see `LeafSystem`."""
+        """Write the rates of the integrals, rad or m."""
         if derivatives.size():
             rates = self.gains(context).integral_rate(self._error(context))
             derivatives.get_mutable_vector().SetFromVector(rates)
@@ -148,20 +145,21 @@ class PositionServo(LeafSystem):
             port.Eval(context) if port.HasValue(context) else np.zeros(n)
             for port in (self._rate_port, self._feedforward_port)
         )
-        held = context.get_continuous_state_vector().CopyToVector()
-        integral = held if self._integral else np.zeros(n)
+        integral = np.zeros(n)
+        if self._integral:
+            integral = context.get_continuous_state_vector().CopyToVector()
         position = self._command_port.Eval(context) - state[:n]
-        known = self.gains(context).rate_share * rate
-        return ServoError(position, known - state[n:], integral, feedforward)
+        velocity = self.gains(context).rate_share * rate - state[n:]
+        return ServoError(position, velocity, integral, feedforward)
 
     @staticmethod
     def of(model: RobotModel) -> PositionServo:
-        """Return the servos that a model's `effort_signals` state, of all its joints.
+        """Return the servos of all joints as defined by a model's `effort_signals`.
 
-        Joints that have none are without gains, and pass feedforward on.
+        Joints without a servo have zero gains, and pass feedforward on.
 
         Raises:
-            ModelError: It has no servos, or joints of several degrees of freedom.
+            ModelError: The model has no servos, or joints with several degrees of freedom.
         """
         return PositionServo(**servo_gains(instance(model, "model", RobotModel))._asdict())
 
@@ -173,17 +171,17 @@ class PositionServo(LeafSystem):
         command: OutputPort,
         rate: OutputPort | None = None,
     ) -> PositionServo:
-        """Add a model's servos, and connect them with the robot that they drive.
+        """Add a model's servos, and connect them with their robot.
 
-        Commands are late by the servos' delays, exactly where they are straight lines between
-        instants a sampling period apart: a millisecond, or the shortest delay.
+        Commands are delayed by the servos' delays. They are sampled every millisecond, or at the
+        shortest delay if that is less, and interpolated linearly.
 
         Args:
             command: Commanded positions (n,) in the order of `model.joints`, rad or m.
             rate: Their rates (n,); zero if None.
 
         Returns:
-            The servos; `feedforward` is left to be connected.
+            The servos, with `feedforward` not connected.
         """
         instance(builder, "builder", DiagramBuilder)
         instance(robot, "robot", RobotInDiagram)
@@ -191,7 +189,7 @@ class PositionServo(LeafSystem):
         builder.Connect(robot.state, servo.GetInputPort("estimated_state"))
         for name, port in (("commanded_position", command), ("commanded_velocity", rate)):
             if port is not None:
-                acting = late(builder, f"late_{name}", port, command_delays(model))
-                builder.Connect(acting, servo.GetInputPort(name))
+                delayed = late(builder, f"late_{name}", port, command_delays(model))
+                builder.Connect(delayed, servo.GetInputPort(name))
         builder.Connect(servo.GetOutputPort("actuation"), robot.effort)
         return servo
