@@ -1,8 +1,8 @@
 """Many logs of many robots: digests, and detection of changes by robot, joint and time.
 
-A log comes as weighted normal matrices of its joints (`history`). `type_learning` learns what
-robots of a type share, `changes` finds what changed in one; both take arrays and give arrays.
-`run_fleet` leads from a fleet's file to its findings.
+A log is represented by weighted normal matrices of its joints (`history`). `type_learning` learns
+the common parameters of a robot type, and `changes` detects changes of a robot. `run_fleet` goes
+from a fleet file to findings.
 """
 
 from geodrake.fleet.digest import Digest, digest_content, merge, read_digest

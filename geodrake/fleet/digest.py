@@ -1,12 +1,12 @@
-"""Digests: logs as a few normal matrices, over columns that all logs of a folder share.
+"""Digests: logs as a few normal matrices, over columns shared by all logs of a folder.
 
-Of each joint and block of a log a digest has the `JointData` that a fit is made from, without rows,
-and how many independent samples what a fit leaves is worth. Fits, changes from day to day and
-hierarchies of robots are small problems on these, and nobody goes back to samples. Digests of
-several logs are one digest: their blocks side by side.
+A digest contains, for each joint and block of a log, the `JointData` of a fit without rows, and the
+effective sample size of residuals. Fits, changes over time and hierarchical models of robots are
+small problems on digests, and do not need the samples. Digests can be merged by concatenating their
+blocks.
 
-A file holds all of a digest, and the text of its settings. In a folder, its name is the key that it
-holds, which is the hash of its log, of known payloads and of the settings.
+A file contains a digest and the text of its settings. In a folder its name is its key, the hash of
+the log, known payloads and settings.
 """
 
 from __future__ import annotations
@@ -34,31 +34,28 @@ from geodrake.logs.known_payload import KnownPayload
 
 @dataclass(frozen=True, eq=False)
 class DigestedLog(Short):
-    """Facts that a digest keeps of a log besides its normal matrices."""
+    """Data of a log in a digest besides its normal matrices."""
 
     name: str
     content: str  # SHA-256 of the bytes of its file
     fingerprint: str
     key: str  # name of its digest: hash of content, settings and known payloads
-    date: float  # when it began, s since 1970
-    # Where the date is from: `stamps`, `option` or `file`, which is when the file was changed last.
-    date_from: str
+    date: float  # start of the log, s since 1970
+    date_from: str  # source of the date: `stamps`, `option` or `file` (last modification)
     seconds: float
-    bandwidth: float  # of the filter that its period allows, nearest to the settings', Hz
-    # Known payloads that the robot carried; their efforts are taken off.
-    payloads: tuple[KnownPayload, ...]
+    bandwidth: float  # of the filter, closest to the settings' for the log's period, Hz
+    payloads: tuple[KnownPayload, ...]  # known payloads, whose efforts are subtracted
     noise_floor: Array  # (nv,) estimated RMS of the sensor noise after filtering, N·m or N
-    gain_deviations: Array  # (nv,) how well the gains of the efforts are known, as shares
-    position: Array  # (2, nv) least and largest position of each joint, rad or m
-    speed: Array  # (2, nv) least and largest velocity, rad/s or m/s
-    temperature: Array  # (nv,) mean temperature of each joint, °C; NaN where it was not measured
-    samples: NDArray[np.int_]  # (nv,) rows of each joint; 0 for one that rests
-    # (nv,) independent samples that what the model leaves of each block is worth, refitted to the
-    # others; 0 of a joint at rest.
+    gain_deviations: Array  # (nv,) relative standard deviations of the gains of efforts
+    position: Array  # (2, nv) minimum and maximum position of each joint, rad or m
+    speed: Array  # (2, nv) minimum and maximum velocity, rad/s or m/s
+    temperature: Array  # (nv,) mean temperature of each joint, °C; NaN if not measured
+    samples: NDArray[np.int_]  # (nv,) rows of each joint; 0 at rest
+    # (nv,) effective sample size of the residuals in each block of the model refitted to the other
+    # blocks; 0 at rest.
     effective: Array
-    residual_power: Array  # (nv,) sum of squares of that, (N·m)² or N²
-    # (nv,) how large the effort of a joint without a motor could be, N·m or N; zeros at others.
-    effort_scale: Array
+    residual_power: Array  # (nv,) sum of squares of these residuals, (N·m)² or N²
+    effort_scale: Array  # (nv,) possible size of efforts of joints without a motor; 0 at others
     passive_inertia: Array | None  # as in `Dataset`
     notes: tuple[str, ...] = ()
 
@@ -67,13 +64,13 @@ class DigestedLog(Short):
 class Digest(Short):
     """The digest of one or several logs, over the columns of `settings`.
 
-    The numbering of columns is that of `columns`: first inertial parameters of the bodies, then the
-    parameters of effects, those of the model first. Bodies are those of the model and not
-    differences from them: b is the whole measured effort (less what known payloads need).
+    The order of columns is that of `columns`: inertial parameters of the bodies, then parameters of
+    effects, those of the model first. Inertial parameters are absolute, not relative to the model:
+    b is the measured effort, minus that of known payloads.
     """
 
     settings: DigestSettings
-    logs: tuple[DigestedLog, ...]  # one unless it is merged
+    logs: tuple[DigestedLog, ...]  # one unless merged
     blocks: tuple[str, ...]
     joints: tuple[JointData, ...]
 
@@ -84,19 +81,19 @@ class Digest(Short):
 
     @property
     def samples(self) -> NDArray[np.int_]:
-        """(nv,) rows of each joint; 0 for one that rests."""
+        """(nv,) rows of each joint; 0 at rest."""
         return np.sum([log.samples for log in self.logs], axis=0)
 
     @property
     def effective(self) -> Array:
-        """(nv,) independent samples that the residuals of each joint are worth."""
+        """(nv,) effective sample size of the residuals of each joint."""
         return np.sum([log.effective for log in self.logs], axis=0)
 
     @property
     def effort_std(self) -> Array:
-        """(nv,) standard deviation of the measured efforts, N·m or N; 0 of a joint at rest.
+        """(nv,) standard deviation of the measured efforts, N·m or N; 0 at rest.
 
-        Of joints without a motor, how large their efforts could be.
+        For joints without a motor, the possible size of efforts.
         """
         joints = self.settings.joints
         deviation = effort_deviation(joints, self.joints, joints)
@@ -105,14 +102,14 @@ class Digest(Short):
 
     @property
     def effort_scale(self) -> Array:
-        """(nv,) largest efforts of joints without a motor, N·m or N; zero at other joints."""
+        """(nv,) possible size of efforts of joints without a motor, N·m or N; 0 at others."""
         return np.sqrt(np.mean([log.effort_scale**2 for log in self.logs], axis=0))
 
     @property
     def passive_inertia(self) -> Array | None:
-        """Return `Dataset.passive_inertia`, the mean over logs; None if all joints have motors."""
-        known = [log.passive_inertia for log in self.logs if log.passive_inertia is not None]
-        return np.mean(known, axis=0) if known else None
+        """`Dataset.passive_inertia`, the mean over logs; None if all joints have motors."""
+        values = [log.passive_inertia for log in self.logs if log.passive_inertia is not None]
+        return np.mean(values, axis=0) if values else None
 
     @property
     def noise_floor(self) -> Array:
@@ -121,36 +118,37 @@ class Digest(Short):
         return np.sqrt(np.average([log.noise_floor**2 for log in self.logs], 0, seconds))
 
     def normal_matrices(self, *, delay: int = 0, block: int | None = None) -> Array:
-        """Return (nv, p + 1, p + 1) G_j = [A | b]ᵀ[A | b] of every joint over all columns.
+        """Return (nv, p + 1, p + 1) G_j = [A | b]ᵀ[A | b] of each joint over all columns.
 
-        The last row and column are the effort's. Rows of columns that are zero at a joint are zero.
+        The last row and column are those of the effort. Entries of columns that are zero at a joint
+        are zero.
 
         Args:
             delay: Index of the settings' delay by which efforts are advanced.
-            block: Index of a block; the sum over all of them if None.
+            block: Index of a block; None for the sum over all blocks.
         """
         size = len(self.columns) + 1
-        found = np.zeros((len(self.joints), size, size))
-        for own, joint in zip(found, self.joints, strict=True):
-            at = np.append(joint.columns, size - 1)
-            kept = [*range(len(joint.columns)), len(joint.columns) + delay]
+        matrices = np.zeros((len(self.joints), size, size))
+        for matrix, joint in zip(matrices, self.joints, strict=True):
+            columns = np.append(joint.columns, size - 1)
+            local = [*range(len(joint.columns)), len(joint.columns) + delay]
             gram = joint.gram if block is None else joint.grams[block]
-            own[np.ix_(at, at)] = gram[np.ix_(kept, kept)]
-        return found
+            matrix[np.ix_(columns, columns)] = gram[np.ix_(local, local)]
+        return matrices
 
 
-_JOINED = "factors", "samples", "seen", "effort_sums", "carried"  # of blocks
+_BLOCK_FIELDS = "factors", "samples", "seen", "effort_sums", "carried"
 
 
 def merge(digests: Sequence[Digest]) -> Digest:
-    """Return one digest of the logs of several: as if they had been read together, exactly.
+    """Return one digest of the logs of several digests.
 
-    Blocks stay what they are, so that any normal matrix is the sum of those of the digests, and
-    triangular factors lose no digits.
+    It is identical to a joint digest of the logs: blocks are not combined, so that triangular
+    factors lose no precision.
 
     Raises:
-        DigestError: Settings differ, or a log is there twice.
-        ArgumentError: There is none.
+        DigestError: Settings differ, or a log occurs twice.
+        ArgumentError: There are no digests.
     """
     digests = instances(digests, "digests", Digest)
     if not digests:
@@ -158,9 +156,9 @@ def merge(digests: Sequence[Digest]) -> Digest:
     first = digests[0].settings
     digests = [by_settings(d, first, f"The digest of {d.logs[0].name}") for d in digests]
     logs = tuple(log for digest in digests for log in digest.logs)
-    (twice, count), *_ = Counter(log.fingerprint for log in logs).most_common(1)
+    (fingerprint, count), *_ = Counter(log.fingerprint for log in logs).most_common(1)
     if count > 1:
-        names = [log.name for log in logs if log.fingerprint == twice]
+        names = [log.name for log in logs if log.fingerprint == fingerprint]
         raise DigestError(
             f"Several digests have the same log: {', '.join(names)}.",
             advice="Use each log once.",
@@ -174,7 +172,7 @@ def merge(digests: Sequence[Digest]) -> Digest:
 
 
 def by_settings(digest: Digest, settings: DigestSettings, what: str) -> Digest:
-    """Return the digest if it has these settings; raise DigestError with the differences if not."""
+    """Return a digest; raise DigestError with the differences if it has other settings."""
     if digest.settings.hash != settings.hash:
         words = ", ".join(digest.settings.differences(settings))
         raise DigestError(
@@ -185,23 +183,23 @@ def by_settings(digest: Digest, settings: DigestSettings, what: str) -> Digest:
 
 
 def _joined(parts: Sequence[JointData]) -> JointData:
-    """Return the joint's data of several digests."""
-    together: dict[str, Any] = {
-        name: np.concatenate([getattr(part, name) for part in parts]) for name in _JOINED
+    """Return a joint's data of several digests, concatenated."""
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in _BLOCK_FIELDS
     }
-    together["rows"] = tuple(row for part in parts for row in part.rows)
-    return replace(parts[0], peaks=np.max([part.peaks for part in parts], axis=0), **together)
+    joined["rows"] = tuple(row for part in parts for row in part.rows)
+    return replace(parts[0], peaks=np.max([part.peaks for part in parts], axis=0), **joined)
 
 
 def digest_content(digest: Digest) -> bytes:
-    """Return the content of a digest's file: the same for the same digest on every machine."""
+    """Return the content of a digest's file, independent of the machine."""
     instance(digest, "digest", Digest)
     parts = digest.logs, digest.blocks, digest.joints
     return sealed((digest.settings.text(), *parts), FORMAT)
 
 
 def read_digest_of(path: Path, settings: DigestSettings) -> Digest:
-    """Read the digest of one log in a folder, and check that it is of the log in its name."""
+    """Read a digest in a folder, and check that its key matches its file name."""
     digest = by_settings(read_digest(path), settings, str(path))
     if [log.key for log in digest.logs] != [path.stem]:
         names = ", ".join(log.name for log in digest.logs)
@@ -213,10 +211,10 @@ def read_digest_of(path: Path, settings: DigestSettings) -> Digest:
 
 
 def read_digest(path: str | Path) -> Digest:
-    """Read the digest that `geodrake digest` wrote.
+    """Read a digest written by `geodrake digest`.
 
     Raises:
-        DigestError: It is no digest, damaged, or of another version of the format.
+        DigestError: It is not a digest, damaged, or of another version of the format.
     """
     path = file_path(path)
     data = read_regular(path, "digest", DigestError, largest=LARGEST)

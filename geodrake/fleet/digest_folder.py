@@ -1,7 +1,7 @@
 """A folder of digests: one file per log, named by the hash of its inputs, and their settings.
 
-A digest that is there is not made again, so that the same command may be run whenever logs have
-come. Files appear whole or not at all: a run that was stopped goes on where it was.
+Existing digests are not computed again, so that the same command can be run whenever there are new
+logs. Files are written atomically, so that an interrupted run can be resumed.
 """
 
 from __future__ import annotations
@@ -37,44 +37,43 @@ from geodrake.model.logged_joints import reading_for
 from geodrake.model.robot_model import RobotModel
 
 Told = Callable[[str, float | None], None]
-"""Called with the current step and the share of the work that is done, if known."""
+"""Called with the current step and the fraction of the work that is done, if known."""
 
 MADE, THERE, FAILED = "made", "there", "failed"
-"""The outcome for a log: digested, digest already there, or no digest."""
+"""Status of a log: newly digested, digest exists, or no digest."""
 
 _SUFFIX = ".digest"
 
 
 @dataclass(frozen=True, eq=False)
 class DigestRow(Short):
-    """The outcome for one log."""
+    """Result for one log."""
 
     file: Path
     status: str
     digest: Path | None = None
     about: DigestedLog | None = None
-    reason: str = ""  # why there is no digest; or what else is to say of it
+    reason: str = ""  # for the lack of a digest, or a note
 
 
 @dataclass(frozen=True, eq=False)
 class DigestRun(Short):
-    """Outcome of digesting several logs."""
+    """Result of digesting several logs."""
 
     folder: Path
-    # Their settings; None if no log could be used, so that none are chosen.
-    settings: DigestSettings | None
+    settings: DigestSettings | None  # None if no log was valid
     rows: tuple[DigestRow, ...]
-    chosen: bool = False
-    repairs: tuple[str, ...] = ()  # what of the model's file is not believed
+    chosen: bool = False  # whether this run chose the settings
+    repairs: tuple[str, ...] = ()  # repairs of the model file
 
     def count(self, status: str) -> int:
-        """Return how many logs have a status."""
+        """Return the number of logs with a status."""
         return sum(row.status == status for row in self.rows)
 
 
 @dataclass(eq=False)
 class _Folder:
-    """A folder of digests, the model, and how logs are read."""
+    """A folder of digests, with the model and options."""
 
     path: Path
     model: RobotModel
@@ -83,7 +82,7 @@ class _Folder:
     chosen: bool = False
 
     def add(self, log: Path, facts: LogFacts) -> DigestRow:
-        """Return the digest of a log, made unless it is there."""
+        """Return the digest of a log, computed unless it exists."""
         reason = ""
         if self.settings is not None and (file := self._file(self.settings, facts)).exists():
             try:
@@ -102,12 +101,12 @@ class _Folder:
             elif write_new(self.path / SETTINGS_FILE, settings.text(), {file: content}):
                 self.settings, self.chosen = settings, True
             else:
-                self.take_settings()  # another run was quicker to choose them
+                self.take_settings()  # another run chose them first
                 return self.add(log, facts)
         return DigestRow(log, MADE, file, digest.logs[0], reason)
 
     def _chosen_from(self, log: JointLog) -> DigestSettings:
-        """Return settings by the first log."""
+        """Return settings chosen from the first log."""
         try:
             return make_settings(self.model, log, wanted=self.wanted)
         except ArgumentError as error:
@@ -116,7 +115,7 @@ class _Folder:
             raise DigestError(error.problem, advice=error.advice) from error
 
     def take_settings(self) -> None:
-        """Take the settings that the folder has, if it has any."""
+        """Use the settings of the folder, if any."""
         self.settings = read_settings(self.path)
         if self.settings is not None:
             check_settings(self.settings, self.model, self.wanted)
@@ -136,20 +135,22 @@ def digest_logs(
     payloads: Mapping[Path, Sequence[KnownPayload]] | None = None,
     told: Told = lambda words, share: None,
 ) -> DigestRun:
-    """Digest logs into a folder; logs whose digests are there are not read.
+    """Digest logs into a folder; logs with existing digests are not read.
 
-    A log that cannot be read or used is a row with its reason, and the others go on.
+    An invalid log results in a row with the reason; the others are still digested.
 
     Args:
-        to: The folder. If it has settings, they count; else they are chosen by the model and the
-            first log that can be used, and written.
-        date: When logs were recorded whose stamps do not say it, s since 1970.
-        payloads: Log -> what the robot carried all the time, of known mass, beyond its model.
+        to: The folder. Its settings are used; if it has none, they are chosen from the model and
+            the first valid log, and written.
+        wanted: Requested settings.
+        date: Date of logs whose time stamps are not dates, s since 1970.
+        payloads: Log -> payloads of known mass, not in the model, carried during the whole log.
+        told: Called with the progress.
 
     Raises:
-        DigestError: The folder's settings are damaged, of another version or model, or not what is
-            wanted.
-        ArgumentError: A setting is no usable number, or there is no log.
+        DigestError: The folder's settings are damaged, of another version or model, or differ from
+            the requested ones.
+        ArgumentError: A setting is invalid, or there is no log.
         OutputError: The folder cannot be written to.
     """
     files = [file_path(log) for log in instances(logs, "logs", (str, Path))]
@@ -157,13 +158,13 @@ def digest_logs(
         raise ArgumentError("There are no logs to digest.", advice="Give at least one.")
     wanted = wanted or Wanted()
     carried = {}
-    for log, own in instance(payloads or {}, "payloads", Mapping).items():
+    for log, log_payloads in instance(payloads or {}, "payloads", Mapping).items():
         if log not in files:
             names = ", ".join(map(str, files))
             raise ArgumentError(
                 f"There are payloads for {log!r}, which is not a log.", advice=f"Logs are {names}."
             )
-        carried[log] = instances(own, f"payloads of {log}", KnownPayload)
+        carried[log] = instances(log_payloads, f"payloads of {log}", KnownPayload)
     if date is not None:
         number(date, "date", lower=0.0, strict=True)
     path = file_path(to)
@@ -171,17 +172,17 @@ def digest_logs(
     folder = _Folder(path, model, wanted)
     folder.take_settings()
     rows = []
-    for at, log in enumerate(files):
-        told(f"Digesting {log.name}", at / len(files))
+    for k, log in enumerate(files):
+        told(f"Digesting {log.name}", k / len(files))
         rows.append(_row(folder, log, date, carried.get(log, ())))
     return DigestRun(path, folder.settings, tuple(rows), folder.chosen, model.repairs)
 
 
 def digest_files(folder: str | Path) -> tuple[Path, ...]:
-    """Return the files of digests in a folder, by name."""
+    """Return the digest files in a folder, sorted by name."""
     path = file_path(folder)
     try:
-        return tuple(sorted(each for each in path.iterdir() if each.suffix == _SUFFIX))
+        return tuple(sorted(file for file in path.iterdir() if file.suffix == _SUFFIX))
     except OSError as error:
         raise DigestError(
             f"{path} is not a folder of digests: {error.strerror}.", advice="Check the path."
@@ -191,7 +192,7 @@ def digest_files(folder: str | Path) -> tuple[Path, ...]:
 def _row(
     folder: _Folder, log: Path, date: float | None, payloads: tuple[KnownPayload, ...]
 ) -> DigestRow:
-    """Return the outcome for a log, whatever error it has."""
+    """Return the result for a log, including its errors."""
     try:
         files = parts_of(log)
         for file in files:
@@ -199,7 +200,7 @@ def _row(
         episode = folder.wanted.reading.episode
         facts = LogFacts(file_hash(files), files, date, payloads, episode)
         row = folder.add(log, facts)
-    except (OutputError, DigestError):  # which are not of this log alone
+    except (OutputError, DigestError):  # these concern all logs
         raise
     except GeodrakeError as error:
         return DigestRow(log, FAILED, reason=str(error))
@@ -216,7 +217,7 @@ def _row(
 
 
 def _check_folder(path: Path) -> None:
-    """Raise if a folder cannot be written to, before the work."""
+    """Raise if a folder cannot be written to, before expensive work."""
     try:
         check_writable(path / f"digest{_SUFFIX}" if os.path.lexists(path) else path)
     except OutputError as error:
@@ -227,32 +228,36 @@ def _check_folder(path: Path) -> None:
 
 
 def check_settings(settings: DigestSettings, model: RobotModel, wanted: Wanted) -> None:
-    """Raise if the settings are for something other than what is wanted."""
-    if settings.version != (own := version()):
-        raise _other(
-            f"are from geodrake {settings.version}, but this is {own}: columns may differ.",
+    """Raise if the settings differ from the requested ones."""
+    if settings.version != (current := version()):
+        raise _mismatch(
+            f"are from geodrake {settings.version}, but this is {current}: columns may differ.",
             "Digest the logs again into a new folder.",
         )
     model_of_digests(model, settings)
-    asked = {"bandwidth": wanted.bandwidth, "blocks": wanted.blocks}
-    for name, value in asked.items():
-        there = getattr(settings, name)
-        if value is not None and not np.isclose(value, there, rtol=1e-9, atol=0.0):
-            raise _other(
-                f"have {name} {there:g}, but {value:g} was requested.",
+    requested = {"bandwidth": wanted.bandwidth, "blocks": wanted.blocks}
+    for name, value in requested.items():
+        existing = getattr(settings, name)
+        if value is not None and not np.isclose(value, existing, rtol=1e-9, atol=0.0):
+            raise _mismatch(
+                f"have {name} {existing:g}, but {value:g} was requested.",
                 "Omit it, or choose a new folder.",
             )
-    said = said_of_reading(wanted.reading)
-    odd = [name for name in said if text_hash(said[name]) != text_hash(settings.reading.get(name))]
-    if odd:
-        raise _other(
-            f"have other reading options: {', '.join(odd)} differ.",
+    reading = said_of_reading(wanted.reading)
+    differing = [
+        name
+        for name, value in reading.items()
+        if text_hash(value) != text_hash(settings.reading.get(name))
+    ]
+    if differing:
+        raise _mismatch(
+            f"have other reading options: {', '.join(differing)} differ.",
             "Use the options of the first digest, or choose a new folder.",
         )
-    given = own_sources(wanted.extra)
-    if given != dict(settings.extra):
-        names = [", ".join(each) or "none" for each in (settings.extra, given)]
-        raise _other(
+    sources = own_sources(wanted.extra)
+    if sources != dict(settings.extra):
+        names = [", ".join(effects) or "none" for effects in (settings.extra, sources)]
+        raise _mismatch(
             f"have user-defined effects {names[0]}, but now {names[1]}, or their source has "
             "changed.",
             "Use the same files with --effects, or choose a new folder.",
@@ -261,5 +266,5 @@ def check_settings(settings: DigestSettings, model: RobotModel, wanted: Wanted) 
         effect.made(wanted.extra)
 
 
-def _other(words: str, advice: str) -> DigestError:
+def _mismatch(words: str, advice: str) -> DigestError:
     return DigestError(f"The settings of the digests {words}", advice=advice)

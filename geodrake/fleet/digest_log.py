@@ -1,4 +1,4 @@
-"""Logs to digests, and digests to data for fits."""
+"""Conversion of logs to digests, and of digests to data for fits."""
 
 from __future__ import annotations
 
@@ -46,18 +46,18 @@ from geodrake.model.signal_efforts import in_efforts, kind_of
 from geodrake.robot.reduction import triangular_factor
 
 _MOST_BLOCKS = 100  # of a log
-_STILL = 2e-3  # rad or m, by which a joint may move and still stand
+_STILL = 2e-3  # rad or m, tolerance of a fixed position
 _KEY = 32  # letters of a digest's name
 
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
-    """Settings that are wanted; None for those that the model and the first log decide."""
+    """Requested settings; None for those to be chosen from the model and the first log."""
 
     bandwidth: float | None = None  # of the filter, Hz
     blocks: int | None = None
     reading: Reading = field(default_factory=Reading)
-    extra: tuple[type[Effect], ...] = ()  # effect classes of the user's own, which get columns too
+    extra: tuple[type[Effect], ...] = ()  # user-defined effects, which also get columns
 
     def __post_init__(self) -> None:
         if self.bandwidth is not None:
@@ -74,9 +74,9 @@ class LogFacts:
 
     Attributes:
         content: SHA-256 of the bytes of its files.
-        date: When it was recorded, s since 1970, if somebody says it.
-        payloads: What the robot carried all the time, of known mass, that the model does not have.
-        episode: Which episode of a dataset the log is; None for all.
+        date: Date given by the user, s since 1970, if any.
+        payloads: Payloads of known mass, not in the model, carried during the whole log.
+        episode: Episode of a dataset; None for all.
     """
 
     content: str
@@ -96,31 +96,31 @@ class LogFacts:
 
     def key(self, settings: DigestSettings) -> str:
         """Return the key of the log's digest under some settings."""
-        said = (settings.hash, self.content, self.payloads, self.episode)
-        return text_hash(said)[:_KEY]
+        return text_hash((settings.hash, self.content, self.payloads, self.episode))[:_KEY]
 
 
 def said_of_reading(reading: Reading) -> dict[str, Any]:
-    """Return how logs are read, as plain data, without what is specific to each log."""
-    said = asdict(reading)
+    """Return the reading options common to all logs, as plain data."""
+    options = asdict(reading)
     for name in ("episode", "ignored", "motorless", "limits", "sliding"):
-        said.pop(name)
-    if reading.usual_deviation == USUAL_GAIN_DEVIATION:  # which older folders do not say
-        said.pop("usual_deviation")
-    if said["mapping"] is not None:
-        said["mapping"].pop("source")
-    return said
+        options.pop(name)
+    if reading.usual_deviation == USUAL_GAIN_DEVIATION:  # missing in older folders
+        options.pop("usual_deviation")
+    if options["mapping"] is not None:
+        options["mapping"].pop("source")
+    return options
 
 
 @typed
 def make_settings(
     model: RobotModel, log: JointLog, *, wanted: Wanted | None = None
 ) -> DigestSettings:
-    """Return the settings of all digests of a robot's logs, chosen by its model and one of them.
+    """Return settings for digests of a robot's logs, chosen from its model and one log.
 
-    The bandwidth is that asked for, or else that of the model's last fit, or else chosen from the
-    log, as are the speeds below which joints rest. A joint that stands still in this log is thought
-    to become as fast as the fastest. Effects are those of the model and all that a diagnosis tries.
+    The bandwidth is the requested one, or that of the model's last fit, or chosen from the log.
+    Speeds of joints at rest are chosen from the log; a joint that rests in this log is assumed to
+    reach the speed of the fastest one. Effects are those of the model and all candidates of a
+    diagnosis.
     """
     wanted = wanted or Wanted()
     own = model_of_logs(model, [log], hold_resting=False)
@@ -129,21 +129,22 @@ def make_settings(
     if wanted.bandwidth is not None:
         trajectory = prepare_logs([uniform], bandwidth=wanted.bandwidth)[0]
     elif len(fits) == 1:
-        both = fits.pop()
-        trajectory = prepare_logs([uniform], bandwidth=both[0], motion_bandwidth=both[1])[0]
+        bandwidth, motion = fits.pop()
+        trajectory = prepare_logs([uniform], bandwidth=bandwidth, motion_bandwidth=motion)[0]
     else:
         trajectory = prepare_for_model(own, [uniform])[0][0]
     peaks = peak_speeds([trajectory])
     peaks = np.where(peaks > 0.0, peaks, peaks.max())
     offered = candidate_effects(own, [trajectory], wanted.extra, speeds=peaks)
-    # Shapes that a log's range or duration says are none of a robot's.
-    settled = [e for e in offered if e.proposer is None or e.places == "joint_pair"]
-    settled.sort(key=lambda e: (e.name, e.where, str(sorted(e.shape.items()))))  # of no catalogue
-    effects = (*effects_of(own), *settled)
+    # Without shapes that depend on a log's range or duration.
+    candidates = [e for e in offered if e.proposer is None or e.places == "joint_pair"]
+    # Sorted, so that the order does not depend on that of the catalogue.
+    candidates.sort(key=lambda e: (e.name, e.where, str(sorted(e.shape.items()))))
+    effects = (*effects_of(own), *candidates)
     effects = tuple(effect for effect in dict.fromkeys(effects) if effect.parameters)
     widths = own.sign_widths(least_sign_widths(peaks, trajectory.speed_noise))
     bandwidth, motion_bandwidth = trajectory.bandwidths
-    validation_blocks([trajectory], blocks=wanted.blocks or BLOCKS)  # it is long enough
+    validation_blocks([trajectory], blocks=wanted.blocks or BLOCKS)  # raises if it is too short
     return DigestSettings(
         model_hash(model),
         own.joints,
@@ -175,12 +176,12 @@ def make_digest(
     """Return the digest of a log.
 
     Args:
-        model: The model as it was given when the settings were made.
-        extra: Effect classes of the user's own that have columns.
+        model: The model from which the settings were made.
+        extra: User-defined effects with columns.
 
     Raises:
         DigestError: It is another model.
-        LogError: The log cannot be used, or not with the bandwidth of the settings.
+        LogError: The log is invalid, or does not support the bandwidth of the settings.
     """
     instance(log, "log", JointLog)
     instance(facts, "facts", LogFacts)
@@ -208,8 +209,8 @@ def make_digest(
     layout = Layout.of(own, effects, settings.sign_width, settings.still_speed)
     noise = known_noise([trajectory], own, sign_width=settings.sign_width)
     dataset = reduce_over(layout, [trajectory], folds, delays=settings.delays, noise=noise)
-    for joint, each in zip(own.joints, dataset.data, strict=True):
-        if not np.isfinite(each.factors).all():
+    for joint, data in zip(own.joints, dataset.data, strict=True):
+        if not np.isfinite(data.factors).all():
             raise LogError(f"Columns of {joint} are not finite in log {log.name!r}.")
     refitted = first_hypothesis(dataset, model_unknowns(dataset, own))
     about = _about(log, trajectory, refitted, settings, facts)
@@ -217,28 +218,28 @@ def make_digest(
 
 
 def _check_held(log: JointLog, settings: DigestSettings) -> None:
-    """Raise if a joint moves in a log that the settings hold fixed."""
-    for joint, place in settings.held.items():
-        known = joint in log.joints
-        if not known and joint not in log.standing:
+    """Raise if a joint moves in a log although the settings fix it."""
+    for joint, fixed in settings.held.items():
+        is_logged = joint in log.joints
+        if not is_logged and joint not in log.standing:
             continue
-        where = log.position[:, log.joints.index(joint)] if known else log.standing[joint]
-        if not np.nanmax(np.abs(where - place), initial=0.0) <= _STILL or np.isnan(where).all():
+        q = log.position[:, log.joints.index(joint)] if is_logged else log.standing[joint]
+        if not np.nanmax(np.abs(q - fixed), initial=0.0) <= _STILL or np.isnan(q).all():
             raise LogError(
-                f"The settings of the digests fix {joint} at {place:.4g}, where it is not in "
+                f"The settings of the digests fix {joint} at {fixed:.4g}, where it is not in "
                 f"log {log.name!r}.",
                 advice="Digest logs in which it moves into another folder.",
             )
 
 
 def _in_efforts(log: JointLog, model: RobotModel) -> JointLog:
-    """Return the log with efforts in the place of signals whose gains the model knows."""
+    """Return the log with signals converted to efforts by the model's gains."""
     check_commands(log)
     check_saturation(log)
     log = in_efforts(log, model.effort_signals) if model.effort_signals else log
     for joint in model.joints:
-        silent = not np.isfinite(log.effort[:, log.joints.index(joint)]).any()
-        if (kind := kind_of(log, joint)) != "effort" and (kind != "command" or silent):
+        has_no_effort = not np.isfinite(log.effort[:, log.joints.index(joint)]).any()
+        if (kind := kind_of(log, joint)) != "effort" and (kind != "command" or has_no_effort):
             raise LogError(
                 f"Log {log.name!r} has the {kind} of {joint} instead of its effort, but the "
                 "model has no gain for it.",
@@ -250,9 +251,9 @@ def _in_efforts(log: JointLog, model: RobotModel) -> JointLog:
 def _prepared(log: JointLog, settings: DigestSettings) -> Trajectory:
     """Return the log at the bandwidths of the settings."""
     uniform = make_uniform(log)
-    both = {"bandwidth": settings.bandwidth, "motion_bandwidth": settings.motion_bandwidth}
+    bandwidths = {"bandwidth": settings.bandwidth, "motion_bandwidth": settings.motion_bandwidth}
     try:
-        return prepare_logs([uniform], **both, how="of the settings of the digests")[0]
+        return prepare_logs([uniform], **bandwidths, how="of the settings of the digests")[0]
     except ArgumentError as error:
         raise LogError(
             f"Log {log.name!r} is too slow for the bandwidth of {settings.bandwidth:.3g} Hz "
@@ -269,7 +270,7 @@ def _about(
     settings: DigestSettings,
     facts: LogFacts,
 ) -> DigestedLog:
-    """Return what is to be known of a log, by its model refitted to it."""
+    """Return the data of a log, given the model refitted to it."""
     dataset = refitted.dataset
     date, source = date_of_log(log, facts.files, facts.date)
     ranges = [
@@ -309,19 +310,19 @@ def _about(
 
 
 def _without_rows(data: JointData) -> JointData:
-    """Return a joint's data whose factors are triangular, with a diagonal of one sign."""
+    """Return a joint's data without rows, with triangular factors of nonnegative diagonal."""
     factors = [triangular_factor([factor]) for factor in data.factors]
     factors = [np.where(np.diagonal(R) < 0.0, -1.0, 1.0)[:, None] * R for R in factors]
     return replace(data, factors=np.array(factors), rows=tuple(() for _ in data.samples))
 
 
 def model_of_digests(model: RobotModel, settings: DigestSettings) -> RobotModel:
-    """Return the model whose columns digests have: without the joints that their logs lack."""
+    """Return the model that digests refer to, with joints fixed that their logs lack."""
     instance(model, "model", RobotModel)
     instance(settings, "settings", DigestSettings)
-    if (own := model_hash(model)) != settings.model:
+    if (digest := model_hash(model)) != settings.model:
         raise DigestError(
-            f"The digests are not of model {model.path.name}: its hash is {own[:12]}, theirs "
+            f"The digests are not of model {model.path.name}: its hash is {digest[:12]}, theirs "
             f"{settings.model[:12]}.",
             advice="Use their model, or digest the logs into a new folder.",
         )
@@ -331,18 +332,18 @@ def model_of_digests(model: RobotModel, settings: DigestSettings) -> RobotModel:
 def digest_dataset(
     digest: Digest, model: RobotModel, *, extra: Sequence[type[Effect]] = ()
 ) -> Dataset:
-    """Return the `Dataset` that a reading of the digest's logs by its settings gives, without rows.
+    """Return the `Dataset` of a digest's logs, without rows.
 
-    Its folds are the digest's blocks, its inertial columns all ten of each body, so that fits and
-    held-out errors are the same. Residuals cannot be computed of it: how much samples are worth is
-    `Digest.effective`.
+    Its folds are the digest's blocks, and all ten inertial columns of each body are present, so
+    that fits and held-out errors equal those of the logs. Residuals are not available; use
+    `Digest.effective` for the effective sample size.
 
     Args:
-        model: The model as it was given when the settings were made.
-        extra: Effect classes of the user's own that have columns.
+        model: The model from which the settings were made.
+        extra: User-defined effects with columns.
 
     Raises:
-        DigestError: It is another model, or an effect cannot be made.
+        DigestError: It is another model, or an effect cannot be constructed.
     """
     settings, extra = instance(digest, "digest", Digest).settings, instances(extra, "extra", type)
     model = model_of_digests(model, settings)

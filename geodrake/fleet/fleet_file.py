@@ -1,4 +1,4 @@
-"""Files that describe a fleet: types with a model each, robots with their logs."""
+"""Files that describe a fleet: types with models, and robots with logs."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _Text = str | int  # names may look like numbers
 
 
 class _TypeSchema(Schema):
-    """A type as the file has it; see `FleetType`."""
+    """A type in a fleet file; see `FleetType`."""
 
     model: str
     own_effects: list[str] = msgspec.field(default_factory=list)
@@ -42,7 +42,7 @@ class _TypeSchema(Schema):
 
 
 class _PayloadSchema(Schema):
-    """A payload as the file has it; see `KnownPayload`."""
+    """A payload in a fleet file; see `KnownPayload`."""
 
     body: str
     mass: float
@@ -50,7 +50,7 @@ class _PayloadSchema(Schema):
 
 
 class _RobotSchema(Schema):
-    """A robot as the file has it; see `FleetRobot`."""
+    """A robot in a fleet file; see `FleetRobot`."""
 
     name: _Text
     logs: list[str] | str
@@ -70,26 +70,24 @@ class _FleetSchema(Schema):
 
 @dataclass(frozen=True)
 class FleetType(Short):
-    """Robots of one model."""
+    """A type of robots with the same model."""
 
     name: str
     model: Path
-    own_effects: tuple[Path, ...] = ()  # Python files with effects of the user's own
-    # Effects that each joint has beside the model's; None for friction and offsets.
-    effects: tuple[str, ...] | None = None
-    # Bandwidth of the digests, Hz; None if it is chosen by the first log.
-    bandwidth: float | None = None
-    blocks: int | None = None  # blocks that each log is cut into; None for the usual number
-    payload: float | None = None  # mass of a usual payload, kg; None for a tenth of the robot's own
-    lock: Mapping[str, float] = field(default_factory=dict)  # joint -> where it is held, rad or m
-    floating: bool = False  # whether roots are free that nothing fixes to the world
-    transmission: str | None = None  # what moves joints in their place: a file, `file` or `none`
-    mapping: Path | None = None  # file that says which column of the logs is what
+    own_effects: tuple[Path, ...] = ()  # Python files with user-defined effects
+    effects: tuple[str, ...] | None = None  # added to each joint; None for friction and offsets
+    bandwidth: float | None = None  # of the digests, Hz; None to choose it from the first log
+    blocks: int | None = None  # number of blocks of each log; None for the default
+    payload: float | None = None  # typical payload, kg; None for a tenth of the robot's mass
+    lock: Mapping[str, float] = field(default_factory=dict)  # joint -> fixed position, rad or m
+    floating: bool = False  # whether bodies that are not fixed to the world are free
+    transmission: str | None = None  # transmission file, or `file` or `none`
+    mapping: Path | None = None  # file with the meaning of the logs' columns
     units: Mapping[str, str] = field(default_factory=dict)  # quantity -> unit in the logs
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The files that it is read from."""
+        """All files of the type."""
         return (self.model, *self.own_effects, *filter(None, [self.mapping]))
 
     def __hash__(self) -> int:
@@ -102,15 +100,12 @@ class FleetRobot(Short):
 
     name: str
     type: str
-    # Patterns of its logs: absolute paths or addresses, with `*`, `?`, `[…]` and `**`.
-    logs: tuple[str, ...]
-    # When a log without stamps was recorded: `file`, when its file was changed; `stamps`, where
-    # those without are refused; or what a date in its path is like, as `%Y-%m-%d`.
+    logs: tuple[str, ...]  # patterns: absolute paths or addresses, with `*`, `?`, `[…]` and `**`
+    # Dates of logs whose time stamps are not dates: `file` for the modification time, `stamps` to
+    # reject such logs, or a pattern of dates in paths such as `%Y-%m-%d`.
     dates: str = "file"
-    # What it carried in all logs, of known mass, that the model does not have.
-    payloads: tuple[KnownPayload, ...] = ()
-    # File of its own model, which its parameters are compared with; None for its type's.
-    model: Path | None = None
+    payloads: tuple[KnownPayload, ...] = ()  # payloads in all logs that the model does not have
+    model: Path | None = None  # the robot's own model file, for comparison; None for its type's
 
 
 @dataclass(frozen=True)
@@ -118,15 +113,15 @@ class Fleet(Short):
     """Types and robots."""
 
     path: Path
-    folder: Path  # where digests and results go
+    folder: Path  # of digests and results
     types: Mapping[str, FleetType]
     robots: tuple[FleetRobot, ...]
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The files that it is read from."""
-        own = [robot.model for robot in self.robots if robot.model is not None]
-        return (self.path, *(file for kind in self.types.values() for file in kind.files), *own)
+        """All files of the fleet, except logs."""
+        models = [robot.model for robot in self.robots if robot.model is not None]
+        return (self.path, *(file for kind in self.types.values() for file in kind.files), *models)
 
     def of_type(self, name: str) -> tuple[FleetRobot, ...]:
         """Return the robots of a type."""
@@ -136,81 +131,81 @@ class Fleet(Short):
 def read_fleet(path: str | Path) -> Fleet:
     """Read a fleet file.
 
-    Paths are beside the file, unless they are absolute.
+    Paths are relative to the file.
 
     Raises:
-        FleetError: It cannot be read, has other keys or kinds of values, or names a robot twice.
+        FleetError: It cannot be read, has invalid keys or values, or contains a robot twice.
     """
     path = file_path(path)
     return made_of_yaml(path, "fleet file", FleetError, partial(_fleet, path), advice=_FORM)
 
 
 def _fleet(path: Path, content: object) -> Fleet:
-    said, base = as_schema(content, _FleetSchema), path.absolute().parent
-    if not said.types or not said.robots or not said.to:
+    data, base = as_schema(content, _FleetSchema), path.absolute().parent
+    if not data.types or not data.robots or not data.to:
         raise ArgumentError("`to`, `types` or `robots` is empty.", advice=_FORM)
-    types = {str(name): _type(str(name), own, base) for name, own in said.types.items()}
-    robots = tuple(_robot(own, types, base) for own in said.robots)
-    seen: set[str] = set()
+    types = {str(name): _type(str(name), kind, base) for name, kind in data.types.items()}
+    robots = tuple(_robot(robot, types, base) for robot in data.robots)
+    names: set[str] = set()
     for robot in robots:
-        if robot.name in seen:
+        if robot.name in names:
             raise ArgumentError(
                 f"robot {robot.name!r} occurs twice.",
                 advice="List all its logs in one entry.",
             )
-        seen.add(robot.name)
+        names.add(robot.name)
     for name in types:
         if not any(robot.type == name for robot in robots):
             raise ArgumentError(f"no robot is of type {name!r}.", advice="Remove the type.")
-    return Fleet(path, base / home_path(said.to), types, robots)
+    return Fleet(path, base / home_path(data.to), types, robots)
 
 
-def _type(name: str, said: _TypeSchema, base: Path) -> FleetType:
-    what = f"type {name!r}"
+def _type(name: str, data: _TypeSchema, base: Path) -> FleetType:
+    title = f"type {name!r}"
     if not name.isprintable() or not name or "/" in name or name.startswith("."):
-        raise ArgumentError(f"{what} has a name that a folder cannot have.", advice="Rename it.")
-    Wanted(said.bandwidth, said.blocks)  # refuses what they cannot be
-    if said.payload is not None:
-        number(said.payload, f"payload of {what}", lower=0.0, strict=True)
-    lock = {str(joint): number(x, f"lock of {joint}") for joint, x in (said.lock or {}).items()}
-    transmission = said.transmission
+        raise ArgumentError(f"{title} has a name that a folder cannot have.", advice="Rename it.")
+    Wanted(data.bandwidth, data.blocks)  # raises if they are invalid
+    if data.payload is not None:
+        number(data.payload, f"payload of {title}", lower=0.0, strict=True)
+    lock = {str(joint): number(x, f"lock of {joint}") for joint, x in (data.lock or {}).items()}
+    transmission = data.transmission
     if transmission is not None and transmission not in ("file", "none"):
         transmission = str(base / home_path(transmission))
-    found = msgspec.structs.asdict(said) | {
-        "model": base / home_path(said.model),
-        "own_effects": tuple(base / home_path(each) for each in said.own_effects),
-        "effects": None if said.effects is None else tuple(said.effects),
+    values = msgspec.structs.asdict(data) | {
+        "model": base / home_path(data.model),
+        "own_effects": tuple(base / home_path(file) for file in data.own_effects),
+        "effects": None if data.effects is None else tuple(data.effects),
         "lock": lock,
         "transmission": transmission,
-        "mapping": None if said.mapping is None else base / home_path(said.mapping),
-        "units": said.units or {},
+        "mapping": None if data.mapping is None else base / home_path(data.mapping),
+        "units": data.units or {},
     }
-    return FleetType(name, **found)
+    return FleetType(name, **values)
 
 
-def _robot(said: _RobotSchema, types: Mapping[str, FleetType], base: Path) -> FleetRobot:
-    name = str(said.name)
-    kind = str(said.type or (next(iter(types)) if len(types) == 1 else ""))
+def _robot(data: _RobotSchema, types: Mapping[str, FleetType], base: Path) -> FleetRobot:
+    name = str(data.name)
+    kind = str(data.type or (next(iter(types)) if len(types) == 1 else ""))
     if not name or kind not in types:
         raise ArgumentError(
             f"robot {name!r} has the unknown type {kind!r}.",
             advice=f"Types are {', '.join(types)}.",
         )
-    patterns = [said.logs] if isinstance(said.logs, str) else said.logs
+    patterns = [data.logs] if isinstance(data.logs, str) else data.logs
     if not patterns or not all(patterns):
         raise ArgumentError(
             f"robot {name!r} has no logs.", advice="Give a pattern, such as logs/*.csv."
         )
-    if said.dates not in DATED_BY:
-        check_date_pattern(said.dates)
+    if data.dates not in DATED_BY:
+        check_date_pattern(data.dates)
     return FleetRobot(
         name,
         kind,
         tuple(absolute_pattern(pattern, base) for pattern in patterns),
-        said.dates,
+        data.dates,
         tuple(
-            KnownPayload(each.body, each.mass, tuple(each.mass_center))  # type: ignore[arg-type]
-            for each in said.payloads or []
+            KnownPayload(p.body, p.mass, tuple(p.mass_center))  # type: ignore[arg-type]
+            for p in data.payloads or []
         ),
-        None if said.model is None else base / home_path(said.model),
+        None if data.model is None else base / home_path(data.model),
     )

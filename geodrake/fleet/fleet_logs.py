@@ -1,8 +1,8 @@
 """The logs of a fleet: their paths, their digests, and a record of each.
 
-A record is a small file, so that nothing is read a second time. It holds where the log was, its
-stamp, and which digest is of it. It stays when the log is deleted, as its digest does: a fleet's
-history is that of its digests.
+A record is a small file with the address and stamp of a log, and the name of its digest, so that
+logs are read only once. Records and digests are kept when a log is deleted: a fleet's history is
+that of its digests.
 """
 
 from __future__ import annotations
@@ -45,30 +45,30 @@ DIGESTS = "digests"
 
 _FOLDER = "logs"
 _LETTERS = 24  # of a file's name
-_NAME = 40  # letters of a robot's name in that of its folder
+_NAME = 40  # letters of a robot's name in the name of its folder
 
 
 @dataclass(frozen=True)
 class LogRecord:
-    """The outcome for a log of a robot."""
+    """Result for a log of a robot."""
 
     robot: str
     address: str
-    stamp: str  # its size and when it was changed; empty if it is to be digested again
-    said: str  # hash of its entry in the fleet file: how it is dated, and what the robot carried
-    digest: str = ""  # name of its digest's file; empty without one
-    date: float = 0.0  # when it began, s since 1970; 0 if nobody knows
+    stamp: str  # size and time of change; empty if it has to be digested again
+    said: str  # hash of its entry in the fleet file: dates and payloads
+    digest: str = ""  # name of its digest file; empty without one
+    date: float = 0.0  # start of the log, s since 1970; 0 if unknown
     reason: str = ""
 
 
 def robot_folder(folder: Path, robot: str) -> Path:
-    """Return where the records of a robot's logs are: a name that any file system takes."""
+    """Return the folder of a robot's records, with a name valid on any file system."""
     plain = re.sub(r"[^\w-]", "_", robot, flags=re.ASCII)[:_NAME]
     return folder / _FOLDER / f"{plain}-{text_hash(robot)[:8]}"
 
 
 def said_of(robot: FleetRobot) -> str:
-    """Return the hash of a robot's logs as the fleet file lists them."""
+    """Return the hash of the fleet file's entries that affect the digests of a robot."""
     return text_hash((robot.dates, robot.payloads))[:_LETTERS]
 
 
@@ -81,19 +81,19 @@ def write_record(folder: Path, record: LogRecord) -> None:
 
 
 def read_records(folder: Path, robot: FleetRobot) -> dict[str, LogRecord]:
-    """Return address -> record of a robot's logs that have a digest and that its patterns fit.
+    """Return address -> record of a robot's logs that match its patterns.
 
-    One that is damaged, or was said otherwise, is none: its log is looked at again.
+    Damaged records, and those of changed entries in the fleet file, are skipped.
     """
     try:
         files = sorted(robot_folder(folder, robot.name).glob("*.json"))
     except OSError:
         return {}
-    found = (_read_record(file) for file in files)
+    records = (_read_record(file) for file in files)
     said = said_of(robot)
     return {
         record.address: record
-        for record in found
+        for record in records
         if record is not None
         and record.robot == robot.name
         and record.said == said
@@ -113,7 +113,7 @@ _KILLED = "The workers that read it died three times: memory may be too small."
 
 @dataclass(frozen=True)
 class LogTask(Short):
-    """A log to be digested."""
+    """A log to digest."""
 
     kind: FleetType
     robot: FleetRobot
@@ -125,17 +125,15 @@ class LogTask(Short):
 class FleetDigests(Short):
     """The digests of a fleet's logs."""
 
-    # Robot -> records of its logs that have digests, by date.
-    records: dict[str, tuple[LogRecord, ...]]
+    records: dict[str, tuple[LogRecord, ...]]  # robot -> its logs with digests, by date
     failed: tuple[LogRecord, ...]
-    # Type -> settings of its digests; None if none of its logs can be used.
-    settings: dict[str, DigestSettings | None]
-    made: int
-    repairs: tuple[str, ...] = ()
+    settings: dict[str, DigestSettings | None]  # type -> settings; None without valid logs
+    made: int  # number of newly digested logs
+    repairs: tuple[str, ...] = ()  # of the model files
 
 
 def check_places(fleet: Fleet, *, local: bool) -> tuple[str, ...]:
-    """Refuse what no worker could do, and return what of the model files is not believed."""
+    """Raise if logs, settings or models are invalid; return the repairs of the model files."""
     for robot in fleet.robots:
         for pattern in robot.logs:
             if IN_THIS_PROCESS in pattern and not local:
@@ -153,14 +151,14 @@ def check_places(fleet: Fleet, *, local: bool) -> tuple[str, ...]:
             check_settings(settings, model, wanted)
         for robot in fleet.of_type(kind.name):
             models += _check_robot(kind, robot, model)
-    found = [f"{model.path.name}: {each}" for model in models for each in model.repairs]
-    return tuple(dict.fromkeys(found))
+    repairs = [f"{model.path.name}: {repair}" for model in models for repair in model.repairs]
+    return tuple(dict.fromkeys(repairs))
 
 
-def _check_robot(kind: FleetType, robot: FleetRobot, of_type: RobotModel) -> list[RobotModel]:
-    """Raise for payloads of unknown bodies, and for a model of another kind of robot."""
+def _check_robot(kind: FleetType, robot: FleetRobot, type_model: RobotModel) -> list[RobotModel]:
+    """Return a robot's own model, if any; raise if it or the payloads do not fit the type."""
     try:
-        carried_phi(of_type, robot.payloads)
+        carried_phi(type_model, robot.payloads)
     except ArgumentError as error:
         raise FleetError(
             f"Robot {robot.name!r} has invalid payloads: {error.problem}",
@@ -168,16 +166,16 @@ def _check_robot(kind: FleetType, robot: FleetRobot, of_type: RobotModel) -> lis
         ) from error
     if robot.model is None:
         return []
-    own = own_model(kind, robot.model)
-    for what in ("joints", "bodies"):
-        ours, theirs = getattr(own, what), getattr(of_type, what)
-        if ours != theirs:
+    model = own_model(kind, robot.model)
+    for field in ("joints", "bodies"):
+        names, expected = getattr(model, field), getattr(type_model, field)
+        if names != expected:
             raise FleetError(
-                f"The model of robot {robot.name!r} has the {what} {', '.join(ours)}, but "
-                f"its type {robot.type!r} {', '.join(theirs)}.",
+                f"The model of robot {robot.name!r} has the {field} {', '.join(names)}, but "
+                f"its type {robot.type!r} {', '.join(expected)}.",
                 advice="Robots of a type must have the same joints: define another type.",
             )
-    return [own]
+    return [model]
 
 
 def find_tasks(
@@ -185,22 +183,22 @@ def find_tasks(
 ) -> tuple[list[LogTask], dict[str, dict[str, LogRecord]]]:
     """Return the logs to digest, in the order of the fleet file, and the records of the others.
 
-    Logs that failed before are not tried again until they have changed.
+    Logs that failed before are skipped until they change.
     """
     tasks, known, owners = [], {}, dict[str, str]()
-    stuck = {(record.robot, record.address, record.stamp): record for record in failed}
+    failures = {(record.robot, record.address, record.stamp): record for record in failed}
     for robot in fleet.robots:
         folder = fleet.folder / robot.type
         records = read_records(folder, robot)
         places: dict[str, LogPlace] = {}
         for pattern in robot.logs:
-            found = find_logs(pattern)
-            if not found and not records:
+            matches = find_logs(pattern)
+            if not matches and not records:
                 raise FleetError(
                     f"The pattern {pattern!r} of robot {robot.name!r} matches no log.",
                     advice="Check the path, which is relative to the fleet file.",
                 )
-            places.update((place.address, place) for place in found)
+            places.update((place.address, place) for place in matches)
         for address in (*places, *records):
             if owners.setdefault(address, robot.name) != robot.name:
                 raise FleetError(
@@ -217,8 +215,8 @@ def find_tasks(
             if record is not None and record.stamp == place.stamp:
                 continue
             known[robot.name].pop(place.address, None)
-            if (before := stuck.get((robot.name, place.address, place.stamp))) is not None:
-                known[robot.name][place.address] = before
+            if (failure := failures.get((robot.name, place.address, place.stamp))) is not None:
+                known[robot.name][place.address] = failure
             else:
                 tasks.append(LogTask(fleet.types[robot.type], robot, place, folder))
     return tasks, known
@@ -231,10 +229,10 @@ def digest_fleet(
     team: Workers,
     told: Told = lambda words, share: None,
 ) -> FleetDigests:
-    """Digest logs; take their records into those that are known, robot -> address -> record."""
+    """Digest logs, and add their records to the known ones, robot -> address -> record."""
     done = made = 0
 
-    def take(task: LogTask, record: LogRecord) -> None:
+    def add_record(task: LogTask, record: LogRecord) -> None:
         nonlocal done, made
         if record.digest:
             write_record(task.folder, record)
@@ -245,17 +243,18 @@ def digest_fleet(
     with ExitStack() as folders:
         for name in fleet.types:
             folders.enter_context(made_folder(fleet.folder / name / DIGESTS))
-        rest = _choose_settings(fleet, tasks, take, told)
-        for at, record in team.each(digest_task, rest):
-            task = rest[at]
-            take(task, record or _failure(task, _KILLED))
+        remaining = _choose_settings(fleet, tasks, add_record, told)
+        for k, record in team.each(digest_task, remaining):
+            task = remaining[k]
+            add_record(task, record or _failure(task, _KILLED))
             told(f"Digested {task.place.name} of {task.robot.name}", done / len(tasks))
     by_date = {
-        name: sorted(own.values(), key=attrgetter("date", "address")) for name, own in known.items()
+        name: sorted(records.values(), key=attrgetter("date", "address"))
+        for name, records in known.items()
     }
     return FleetDigests(
-        {name: tuple(each for each in own if each.digest) for name, own in by_date.items()},
-        tuple(each for own in by_date.values() for each in own if not each.digest),
+        {name: tuple(r for r in records if r.digest) for name, records in by_date.items()},
+        tuple(r for records in by_date.values() for r in records if not r.digest),
         {name: read_settings(fleet.folder / name / DIGESTS) for name in fleet.types},
         made,
     )
@@ -264,23 +263,23 @@ def digest_fleet(
 def _choose_settings(
     fleet: Fleet,
     tasks: Sequence[LogTask],
-    take: Callable[[LogTask, LogRecord], None],
+    add_record: Callable[[LogTask, LogRecord], None],
     told: Told,
 ) -> list[LogTask]:
-    """Digest the first log of each type that can be used, which chooses settings; the others."""
-    rest: list[LogTask] = []
+    """Digest the first valid log of each type, which chooses settings; return remaining tasks."""
+    remaining: list[LogTask] = []
     for kind in fleet.types.values():
         folder = fleet.folder / kind.name
-        own = [task for task in tasks if task.kind is kind]
-        while own and read_settings(folder / DIGESTS) is None:
+        of_kind = [task for task in tasks if task.kind is kind]
+        while of_kind and read_settings(folder / DIGESTS) is None:
             told(f"Choosing settings of {kind.name}", None)
-            take(own[0], digest_task(own.pop(0)))
-        rest += own
-    return rest
+            add_record(of_kind[0], digest_task(of_kind.pop(0)))
+        remaining += of_kind
+    return remaining
 
 
 def digest_task(task: LogTask) -> LogRecord:
-    """Digest a log, wherever this runs."""
+    """Digest a log; runs in a worker."""
     if any("\ud800" <= letter <= "\udfff" for letter in task.place.address):
         return _failure(task, "Its path is not UTF-8, which files of fleets require. Rename it.")
     (model, wanted), folder = type_source(task.kind), task.folder / DIGESTS
@@ -290,14 +289,14 @@ def digest_task(task: LogTask) -> LogRecord:
             advice="Use a folder that all workers share.",
         )
     try:
-        said = task.robot.dates not in DATED_BY
-        date = date_in_path(task.place.address, task.robot.dates) if said else None
+        has_pattern = task.robot.dates not in DATED_BY
+        date = date_in_path(task.place.address, task.robot.dates) if has_pattern else None
         with local_log(task.place) as path:
             payloads = {path: task.robot.payloads}
             run = digest_logs(model, [path], folder, wanted=wanted, date=date, payloads=payloads)
-    except UnreachableLogError as error:  # which may be there when it is looked for next
+    except UnreachableLogError as error:  # try again next time
         return replace(_failure(task, str(error)), stamp="")
-    except (OutputError, FleetError, DigestError):  # which are not of this log alone
+    except (OutputError, FleetError, DigestError):  # these concern all logs
         raise
     except GeodrakeError as error:
         return _failure(task, str(error))
@@ -307,9 +306,9 @@ def digest_task(task: LogTask) -> LogRecord:
     if task.robot.dates == "stamps" and row.about.date_from != "stamps":
         return _failure(task, "Its time stamps are not dates, which `dates: stamps` needs.")
     robot, place = task.robot, task.place
-    # What files say of dates may be newer than a digest of the same bytes is.
-    when = row.about.date if row.about.date_from == "stamps" or date is None else date
-    return LogRecord(robot.name, place.address, place.stamp, said_of(robot), row.digest.name, when)
+    # The date from the path may be newer than that of an existing digest with the same content.
+    start = row.about.date if row.about.date_from == "stamps" or date is None else date
+    return LogRecord(robot.name, place.address, place.stamp, said_of(robot), row.digest.name, start)
 
 
 def _failure(task: LogTask, reason: str) -> LogRecord:

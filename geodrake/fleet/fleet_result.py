@@ -1,4 +1,4 @@
-"""The result for a fleet: which robot changed, where, in what, since when, and what is new."""
+"""Results for a fleet: changes of robots by place, effect and date, and new findings."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ class ChangedParameter:
     """Change of a parameter."""
 
     name: str
-    unit: str  # empty for shares
+    unit: str  # empty for relative values
     size: float  # change; of a ramp up to the last log
     deviation: float
-    share: float  # the change as a share of the robot's own value; NaN where there is no such
+    share: float  # relative to the robot's value; NaN if not applicable
 
 
 @dataclass(frozen=True)
 class ChangeRival:
-    """Another change that may explain a finding."""
+    """Another possible explanation of a finding."""
 
     effect: str
     where: str
@@ -53,13 +53,13 @@ class FleetFinding(Short):
     Attributes:
         effect: Name of the effect that changed, or of several, joined by `+`.
         where: Its joint or body.
-        kind: "step", or "ramp" for what goes on changing.
-        date: First log after the step, or at which the ramp begins, s since 1970.
-        interval: When that is with a probability of 95 %, s since 1970.
+        kind: "step", or "ramp" for an ongoing change.
+        date: Date of the first log after the step, or at the start of the ramp, s since 1970.
+        interval: 95 % interval of this date, s since 1970.
         probability: Probability of effect, place and kind, given that something changed.
-        rivals: What else it may be, most probable first.
-        false_alarm_probability: At most by what chance logs of a robot in which nothing more
-            changed say so much for a change.
+        rivals: Other explanations, most probable first.
+        false_alarm_probability: Upper bound of the probability of such evidence without a further
+            change.
     """
 
     robot: str
@@ -79,10 +79,9 @@ class ParameterHistory(Short):
     """A parameter of a robot over time."""
 
     parameter: FleetParameter
-    values: Array  # (T,) values as each log has them, in its unit
-    deviations: Array  # (T,) their standard deviations, with what logs scatter beyond noise
-    # (T,) whether the log says more of it than that the robot is one of the type.
-    shown: NDArray[np.bool_]
+    values: Array  # (T,) value by each log, in its unit
+    deviations: Array  # (T,) standard deviations, including scatter of logs beyond noise
+    shown: NDArray[np.bool_]  # (T,) whether the log is more informative than the type's prior
 
 
 @dataclass(frozen=True)
@@ -92,13 +91,13 @@ class OwnParameter:
     parameter: FleetParameter
     value: float
     deviation: float
-    common: float  # what robots of the type share
-    spread: float  # by how much they differ, one standard deviation
-    of_model: float  # what the robot's model file says, or its type's; NaN where that says nothing
+    common: float  # common value of the type
+    spread: float  # standard deviation between robots
+    of_model: float  # value in the model file of the robot or its type; NaN if missing
 
     @property
     def apart(self) -> float:
-        """Distance of the robot from the others, in spreads."""
+        """Difference from the common value, in standard deviations between robots."""
         return (self.value - self.common) / self.spread if self.spread > 0.0 else 0.0
 
 
@@ -109,9 +108,8 @@ class RobotResult(Short):
     robot: str
     type: str
     logs: int
-    # (T,) when its logs were recorded, s since 1970; neighbours together if they are many.
-    dates: Array
-    findings: tuple[FleetFinding, ...] = ()  # what changed, the surest first
+    dates: Array  # (T,) dates of its logs, s since 1970, with neighbouring logs combined if many
+    findings: tuple[FleetFinding, ...] = ()  # most significant first
     histories: tuple[ParameterHistory, ...] = ()
     own: tuple[OwnParameter, ...] = ()
 
@@ -124,8 +122,8 @@ class RobotResult(Short):
 
     @property
     def farthest(self) -> OwnParameter | None:
-        """Return the parameter that is farthest from those of others."""
-        return max(self.own, key=lambda each: abs(each.apart), default=None)
+        """The parameter with the largest difference from the common value."""
+        return max(self.own, key=lambda parameter: abs(parameter.apart), default=None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,11 +132,11 @@ class FleetResult(Short):
 
     Attributes:
         robots: The robots, worst first.
-        unused: Records of logs that findings are not of: invalid, or with the content of another.
+        unused: Records of unused logs: invalid, or with the content of another log.
         settings: Type -> hash of the settings of its digests.
-        repairs: What of the model files is not believed.
-        folder: Where digests and results are.
-        made: Logs that were digested for it.
+        repairs: Repairs of the model files.
+        folder: Folder of digests and results.
+        made: Number of newly digested logs.
     """
 
     robots: tuple[RobotResult, ...]
@@ -155,30 +153,30 @@ class FleetResult(Short):
         return tuple(finding for robot in self.robots for finding in robot.findings)
 
     def count(self, state: str) -> int:
-        """Return how many robots are in a state."""
+        """Return the number of robots in a state."""
         return sum(robot.state == state for robot in self.robots)
 
 
 _REPORTED_FILE = "told_findings.json"
-_NEAR = 2.0 * DAY  # by which the interval of a finding may move with further logs
+_TOLERANCE = 2.0 * DAY  # for changes of a finding's interval due to further logs
 
 
 @dataclass(frozen=True)
 class ReportedFinding:
-    """A finding as an earlier report contained it."""
+    """A finding in an earlier report."""
 
     robot: str
     effect: str
     where: str
-    earliest: float  # beginning of its interval, s since 1970
-    latest: float
+    earliest: float  # start of its interval, s since 1970
+    latest: float  # end of its interval
 
     def is_of(self, finding: FleetFinding) -> bool:
-        """Return whether a finding is the same, seen with other logs."""
-        same = (self.robot, self.effect, self.where)
+        """Return whether a finding is the same, possibly with other logs."""
+        place = (self.robot, self.effect, self.where)
         low, high = finding.interval
-        near = low <= self.latest + _NEAR and self.earliest <= high + _NEAR
-        return same == (finding.robot, finding.effect, finding.where) and near
+        overlaps = low <= self.latest + _TOLERANCE and self.earliest <= high + _TOLERANCE
+        return place == (finding.robot, finding.effect, finding.where) and overlaps
 
 
 def new_findings(folder: Path, findings: Sequence[FleetFinding]) -> list[FleetFinding]:
@@ -188,12 +186,10 @@ def new_findings(folder: Path, findings: Sequence[FleetFinding]) -> list[FleetFi
 
 
 def keep_reported(folder: Path, findings: Sequence[FleetFinding]) -> None:
-    """Remember that findings were reported."""
-    new = (
-        ReportedFinding(each.robot, each.effect, each.where, *each.interval) for each in findings
-    )
+    """Add findings to the file of reported findings."""
+    new = (ReportedFinding(f.robot, f.effect, f.where, *f.interval) for f in findings)
     reported = [*_read_reported(folder / _REPORTED_FILE), *new]
-    lines = ",\n".join(json.dumps(vars(each)) for each in reported)
+    lines = ",\n".join(json.dumps(vars(finding)) for finding in reported)
     write_whole(folder / _REPORTED_FILE, f"[\n{lines}\n]\n")
 
 

@@ -1,4 +1,4 @@
-"""A fleet from its file to its findings: digests, histories, and the statistics of each type."""
+"""Analysis of a fleet: digests, histories, and the statistics of each type."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ class FleetWork(Short):
     """Workers, and the rate of false alarms.
 
     Attributes:
-        workers: Processes of this machine, or 0 for this one; None for one on each core.
-        scheduler: Address of a scheduler of the user's own; None for processes of this machine.
-        false_alarms: At most how many robots in which nothing changed are named, a robot-month.
+        workers: Number of local processes, or 0 for this process; None for one per core.
+        scheduler: Address of a user's Dask scheduler; None for local processes.
+        false_alarms: Maximum expected number of robots reported without a change, per robot-month.
     """
 
     workers: int | None = None
@@ -73,19 +73,19 @@ def run_fleet(
     """Digest the logs of a fleet, and find which robots changed.
 
     Args:
-        said: Called with what is worth a line that stays.
+        told: Called with the progress.
+        said: Called with permanent messages.
 
     Returns:
-        What was found, which is the same however often the run was stopped; and what became of the
-        logs in this run.
+        The result, which does not depend on interruptions; and the digests of this run.
 
     Raises:
-        FleetError: Logs, models or the scheduler cannot be used as the file says.
-        DigestError: There are digests of another model, version, or other settings.
+        FleetError: Logs, models or the scheduler are invalid.
+        DigestError: Existing digests are of another model or version, or have other settings.
         OutputError: The folder cannot be written to.
     """
     result, digests = look_at_fleet(fleet, work or FleetWork(), told=told, said=said)
-    return cast("FleetResult", result), digests  # a first look always has a result
+    return cast("FleetResult", result), digests  # never None without `seen`
 
 
 def look_at_fleet(
@@ -96,19 +96,20 @@ def look_at_fleet(
     told: Told = lambda words, share: None,
     said: Callable[[str], None] = lambda line: None,
 ) -> tuple[FleetResult | None, FleetDigests]:
-    """Do the work of `run_fleet`; return no result if nothing changed since the last look.
+    """Do the work of `run_fleet`; return no result if nothing changed since a previous run.
 
-    Logs that failed then are not tried again until they have changed.
+    Args:
+        seen: Digests of the previous run. Its failed logs are skipped until they change.
     """
     instance(fleet, "fleet", Fleet)
     repairs = check_places(fleet, local=work.workers == 0 and work.scheduler is None)
     told("Looking for logs", None)
     tasks, known = find_tasks(fleet, () if seen is None else seen.failed)
     pieces = max(len(tasks), len(fleet.robots)) if seen is None or tasks else 0
-    with workers(pieces, count=work.workers, scheduler=work.scheduler, told=said) as team:
+    with workers(pieces, count=work.workers, scheduler=work.scheduler, report=said) as team:
         digests = replace(digest_fleet(fleet, tasks, known, team, told), repairs=repairs)
-        there = digests.records, digests.failed
-        if seen is not None and not digests.made and there == (seen.records, seen.failed):
+        records = digests.records, digests.failed
+        if seen is not None and not digests.made and records == (seen.records, seen.failed):
             return None, digests
         return _result(fleet, digests, work.false_alarms, told, team), digests
 
@@ -119,43 +120,43 @@ def _result(
     unused = [*digests.failed]
     robots: list[RobotResult] = []
     for kind in fleet.types.values():
-        own = fleet.of_type(kind.name)
+        type_robots = fleet.of_type(kind.name)
         records = {}
-        for robot in own:
-            records[robot.name], twice = _once(digests.records.get(robot.name, ()))
-            unused += twice
-        settings, found = digests.settings[kind.name], list[RobotResult]()
+        for robot in type_robots:
+            records[robot.name], duplicates = _unique(digests.records.get(robot.name, ()))
+            unused += duplicates
+        settings, results = digests.settings[kind.name], list[RobotResult]()
         if settings is not None:
             told(f"Looking for changes in {kind.name}", None)
-            found, damaged = _of_type(
+            results, damaged = _type_results(
                 fleet, kind, records, settings, false_alarms=false_alarms, team=team
             )
             unused += damaged
-        seen = {result.robot for result in found}
-        lacking = [robot.name for robot in own if robot.name not in seen]
-        robots += found
-        robots += [RobotResult(name, kind.name, 0, np.zeros(0)) for name in lacking]
-    hashes = {name: each.hash for name, each in digests.settings.items() if each is not None}
-    worst_first = tuple(sorted(robots, key=_badness))
-    known = hashes, digests.repairs, fleet.folder, digests.made
-    return FleetResult(worst_first, tuple(unused), false_alarms, *known)
+        with_results = {result.robot for result in results}
+        missing = [robot.name for robot in type_robots if robot.name not in with_results]
+        robots += results
+        robots += [RobotResult(name, kind.name, 0, np.zeros(0)) for name in missing]
+    hashes = {name: s.hash for name, s in digests.settings.items() if s is not None}
+    worst_first = tuple(sorted(robots, key=_sort_key))
+    run = hashes, digests.repairs, fleet.folder, digests.made
+    return FleetResult(worst_first, tuple(unused), false_alarms, *run)
 
 
-def _once(records: Sequence[LogRecord]) -> tuple[list[LogRecord], list[LogRecord]]:
-    """Return logs of a robot, those of the same bytes once; and the others."""
-    seen: dict[str, str] = {}
-    kept, twice = [], []
+def _unique(records: Sequence[LogRecord]) -> tuple[list[LogRecord], list[LogRecord]]:
+    """Return a robot's logs with unique content, and the duplicates."""
+    addresses: dict[str, str] = {}
+    unique, duplicates = [], []
     for record in records:
-        if record.digest in seen:
-            reason = f"It has the same content as {seen[record.digest]}, and is used once."
-            twice.append(replace(record, reason=reason))
+        if record.digest in addresses:
+            reason = f"It has the same content as {addresses[record.digest]}, and is used once."
+            duplicates.append(replace(record, reason=reason))
         else:
-            seen[record.digest] = record.address
-            kept.append(record)
-    return kept, twice
+            addresses[record.digest] = record.address
+            unique.append(record)
+    return unique, duplicates
 
 
-def _of_type(
+def _type_results(
     fleet: Fleet,
     kind: FleetType,
     records: Mapping[str, Sequence[LogRecord]],
@@ -164,61 +165,64 @@ def _of_type(
     false_alarms: float,
     team: Workers,
 ) -> tuple[list[RobotResult], list[LogRecord]]:
-    """Return findings in robots of a type that have logs, and logs whose digest is damaged."""
+    """Return the results for robots of a type with logs, and logs with damaged digests."""
     (model, wanted), folder = type_source(kind), fleet.folder / kind.name
     layout_of = partial(type_layout, model, settings, payload=kind.payload, extra=wanted.extra)
     kept = layout_of(np.ones(len(settings.joints))).kept
-    tasks = [HistoryTask(name, own, folder, settings, kept) for name, own in records.items() if own]
+    tasks = [
+        HistoryTask(name, of_robot, folder, settings, kept)
+        for name, of_robot in records.items()
+        if of_robot
+    ]
     histories, damaged = list[RobotHistory](), list[LogRecord]()
     for history, refused in team.in_order(read_history, tasks):
         histories += [] if history is None else [history]
         for record, problem in refused:
-            write_record(folder, replace(record, stamp=""))  # so that it is looked at again
+            write_record(folder, replace(record, stamp=""))  # digest it again next time
             reason = f"{problem} The next run digests it again, if the log exists."
             damaged.append(replace(record, reason=reason))
     if not histories:
         return [], damaged
-    efforts = np.sqrt(np.mean([each.effort**2 for each in histories], axis=0))
-    efforts[efforts == 0.0] = 1.0  # of joints at rest
+    efforts = np.sqrt(np.mean([history.effort**2 for history in histories], axis=0))
+    efforts[efforts == 0.0] = 1.0  # joints at rest
     layout = layout_of(efforts)
     models = {
-        robot.name: _own_values(kind, robot, layout, settings)
+        robot.name: _values_of_model(kind, robot, layout, settings)
         for robot in fleet.of_type(kind.name)
         if robot.model is not None
     }
-    tell = partial(_robot_result, kind=kind.name, layout=layout, models=models)
+    report = partial(_robot_result, kind=kind.name, layout=layout, models=models)
     find = partial(find_changes, false_alarms=false_alarms, team=team)
     try:
-        _, found = find(histories, layout.columns, layout.hypotheses, tell)
+        _, results = find(histories, layout.columns, layout.hypotheses, report)
     except (np.linalg.LinAlgError, ValueError, FloatingPointError) as error:
         raise FleetError(
             f"Robots of type {kind.name} cannot be compared: their common parameters have no "
             f"solution ({error}).",
             advice="More robots, or logs with more motion, may help; their digests are kept.",
         ) from error
-    return found, damaged
+    return results, damaged
 
 
-def _own_values(
+def _values_of_model(
     kind: FleetType, robot: FleetRobot, layout: TypeLayout, settings: DigestSettings
 ) -> Array:
-    """Return (p,) values of the columns in a robot's own model; NaN for effects that it lacks."""
-    own = holding(own_model(kind, robot.model or kind.model), settings.held)
-    values = {
+    """Return (p,) values of the columns in a robot's own model; NaN for missing effects."""
+    model = holding(own_model(kind, robot.model or kind.model), settings.held)
+    by_name = {
         (f.effect.name, ", ".join(f.effect.where), parameter.name): float(x)
-        for f in own.effects
+        for f in model.effects
         for parameter, x in zip(f.effect.parameters, f.parameters, strict=True)
     }
-    found = np.array(
-        [values.get((each.effect, each.where, each.name), np.nan) for each in layout.parameters]
-    )
-    base = layout.base.matrix @ own.total_phi.ravel()
-    found[: len(base)] = base
-    return found
+    names = [(p.effect, p.where, p.name) for p in layout.parameters]
+    values = np.array([by_name.get(name, np.nan) for name in names])
+    base = layout.base.matrix @ model.total_phi.ravel()
+    values[: len(base)] = base
+    return values
 
 
-def _badness(robot: RobotResult) -> tuple[int, float, float, str]:
-    """Return robots with findings, the surest first; then those without logs; then the others."""
+def _sort_key(robot: RobotResult) -> tuple[int, float, float, str]:
+    """Return a key that sorts robots by findings, then missing logs, then differences."""
     if robot.findings:
         return 0, robot.findings[0].false_alarm_probability, 0.0, robot.robot
     farthest = robot.farthest
@@ -226,75 +230,75 @@ def _badness(robot: RobotResult) -> tuple[int, float, float, str]:
     return (2 if robot.logs else 1), 0.0, apart, robot.robot
 
 
-_LOOSE = 100.0  # deviations of the type that a parameter may be off where a log says nothing
+_PRIOR_SCALE = 100.0  # of a log's value, in standard deviations between robots
 
 
 def parameter_levels(
     model: TypeModel, robot: int, logs: LogEquations, fit: RobotFit, column: int
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return the values of a parameter that each log suggests, with all others those of the robot.
+    """Return the value of a parameter by each log, given the robot's other parameters.
 
-    No log is smoothed by others: levels before and after a change are independent but for what is
-    not known of the robot.
+    Logs are not smoothed: values before and after a change are independent, except for the
+    uncertainty of the other parameters.
 
     Returns:
-        (T,) values; (T,) standard deviations of these as those of the robot in these days, with
-        what logs scatter beyond their noise, as models are never exact; and (T,) whether the log
-        says more of it than that it is one of the type.
+        (T,) values; (T,) standard deviations, including scatter of logs beyond noise; and (T,)
+        whether the log is more informative than the type's prior.
     """
-    at = np.array([column])
-    touch = [spread.factor[column].any() for spread in model.columns.spreads]
+    involves = [spread.factor[column].any() for spread in model.columns.spreads]
     scale = model.scale(robot)[:, None]
-    parts = zip(model.columns.spreads, model.scatter, touch, strict=True)
-    rest = [tau * scale * s.factor for s, tau, touched in parts if not touched]
-    factor = narrow_factor(np.hstack([np.zeros_like(scale), *rest]))
-    M, m = calc_marginal(logs.information, logs.right, factor, at)
+    parts = list(zip(model.columns.spreads, model.scatter, involves, strict=True))
+    others = [tau * scale * s.factor for s, tau, is_involved in parts if not is_involved]
+    factor = narrow_factor(np.hstack([np.zeros_like(scale), *others]))
+    M, m = calc_marginal(logs.information, logs.right, factor, np.array([column]))
     mean = model.parameters(robot, logs, fit)
-    usual = sum(float(np.square(f[column]).sum()) for f in model.deviation_factors())
-    usual = max(usual, np.finfo(float).tiny ** 0.5)
-    covariance = 1.0 / (M[:, column] + 1.0 / (_LOOSE**2 * usual))
+    prior_variance = sum(float(np.square(f[column]).sum()) for f in model.deviation_factors())
+    prior_variance = max(prior_variance, np.finfo(float).tiny ** 0.5)
+    covariance = 1.0 / (M[:, column] + 1.0 / (_PRIOR_SCALE**2 * prior_variance))
     score = m - np.einsum("tpc,tp->tc", M, mean)
-    # What is not known of the other parameters moves all logs' levels together.
+    # Errors of the other parameters affect the values of all logs.
     M[:, column] = 0.0
-    moved = fit.mapped(covariance[..., None] * np.swapaxes(M, 1, 2))[:, 0]
-    variance = covariance[:, 0] + np.sum(moved * fit.solve(moved.T).T, axis=1)
-    scattered = 0.0
-    for tau, spread, touched in zip(model.scatter, model.columns.spreads, touch, strict=True):
-        if touched:
-            scattered += tau**2 * np.square(scale[column] * spread.factor[column]).sum()
+    slopes = fit.mapped(covariance[..., None] * np.swapaxes(M, 1, 2))[:, 0]
+    variance = covariance[:, 0] + np.sum(slopes * fit.solve(slopes.T).T, axis=1)
+    scatter = 0.0
+    for spread, tau, is_involved in parts:
+        if is_involved:
+            scatter += tau**2 * np.square(scale[column] * spread.factor[column]).sum()
     values = mean[:, column] + (covariance * score)[:, 0]
-    return values, np.sqrt(variance + scattered), variance < usual
+    return values, np.sqrt(variance + scatter), variance < prior_variance
 
 
 def _robot_result(
     search: RobotSearch, *, kind: str, layout: TypeLayout, models: Mapping[str, Array]
 ) -> RobotResult:
-    """Return the result for a robot; (p,) are the values in its own model file, or its type's.
+    """Return the result for a robot.
 
-    Parameters of bodies are only known together.
+    Args:
+        models: Robot -> (p,) values in its own model file.
     """
     places, history, model = search.find(), search.history, search.model
-    state, findings = search.state(places), search.told(places)
+    state, findings = search.state(places), search.findings(places)
+    # Without parameters of bodies, which a log determines only in combination.
     histories = (
-        ParameterHistory(each, *parameter_levels(model, 0, state.logs, state.fit, at))
-        for at, each in enumerate(layout.parameters)
-        if each.effect != BODIES
+        ParameterHistory(parameter, *parameter_levels(model, 0, state.logs, state.fit, k))
+        for k, parameter in enumerate(layout.parameters)
+        if parameter.effect != BODIES
     )
     return RobotResult(
         history.robot,
         kind,
         history.logs or len(history.days),
         history.days * DAY,
-        tuple(sorted(findings, key=lambda each: (each.false_alarm_probability, each.date))),
+        tuple(sorted(findings, key=lambda f: (f.false_alarm_probability, f.date))),
         tuple(histories),
-        _own(model, layout, state, models.get(history.robot)),
+        _own_parameters(model, layout, state, models.get(history.robot)),
     )
 
 
-def _own(
+def _own_parameters(
     model: TypeModel, layout: TypeLayout, state: SearchState, of_model: Array | None
 ) -> tuple[OwnParameter, ...]:
-    """Return a robot's parameters without changes, compared with those of others."""
+    """Return a robot's parameters without changes, compared with other robots."""
     values, covariance = own_parameters(model, state.fit)
     deviations = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     squares = [np.square(factor).sum(axis=1) for factor in model.deviation_factors()]

@@ -1,4 +1,4 @@
-"""The hash of a model: two are the same if everything is that a digest's columns depend on."""
+"""Hashes of models, effects and files, which identify digests."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from geodrake.errors import GeodrakeError, LogError
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.transmission import Transmission
 
-_POSITIONS, _REACH = 20, 0.5  # at which transmissions are looked at; rad or m
-_DIGITS = 9  # behind the point, of which machines that compute differ in none
+_POSITIONS, _REACH = 20, 0.5  # sampled positions of transmissions, and their range, rad or m
+_DIGITS = 9  # decimal places that are equal on all machines
 
 
 def model_hash(model: RobotModel) -> str:
-    """Return the SHA-256 of a model's joints, bodies and effects.
+    """Return the SHA-256 of everything in a model that a digest's columns depend on.
 
-    Where its file lies and what notes say does not count.
+    It does not depend on the path of its file and on notes.
     """
     instance(model, "model", RobotModel)
-    said = (
+    content = (
         model.joints,
         model.joint_tree,
         model.transmission,
@@ -43,42 +43,42 @@ def model_hash(model: RobotModel) -> str:
         model.effort_signals,
         *([model.followers] if model.followers else []),
     )
-    return text_hash(said)
+    return text_hash(content)
 
 
 def source_hash(kind: type[Effect]) -> str:
-    """Return the SHA-256 of the source of a user's own effect; empty for geodrake's."""
+    """Return the SHA-256 of the source of a user-defined effect; empty for geodrake's."""
     if of_geodrake(kind):
         return ""
     try:
         return hashlib.sha256(inspect.getsource(kind).encode()).hexdigest()
-    except (OSError, TypeError):  # made in a console: there is no file
+    except (OSError, TypeError):  # defined in a console, without a file
         return "unknown"
 
 
 def text_hash(value: object) -> str:
-    """Return the SHA-256 of numbers, words, arrays, dataclasses, and containers of them."""
-    words = json.dumps(_plain(value), sort_keys=True, ensure_ascii=True, allow_nan=True)
-    return hashlib.sha256(words.encode()).hexdigest()
+    """Return the SHA-256 of numbers, strings, arrays, dataclasses, and containers of them."""
+    text = json.dumps(_plain(value), sort_keys=True, ensure_ascii=True, allow_nan=True)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def file_hash(paths: Iterable[Path]) -> str:
-    """Return SHA-256 of the bytes of files, and of all files in folders."""
-    found = hashlib.sha256()
+    """Return the SHA-256 of the contents of files, and of all files in folders."""
+    total = hashlib.sha256()
     for path in paths:
-        inside = sorted(each for each in path.rglob("*") if each.is_file())
-        for each in inside if path.is_dir() else [path]:
-            name = str(each.relative_to(path)) if path.is_dir() else ""
+        inside = sorted(file for file in path.rglob("*") if file.is_file())
+        for file in inside if path.is_dir() else [path]:
+            name = str(file.relative_to(path)) if path.is_dir() else ""
             try:
-                own = sha256_of(each)
+                content = sha256_of(file)
             except GeodrakeError as error:
                 raise LogError(error.problem, advice=error.advice) from error
-            found.update(f"{name!a} {own}\n".encode())
-    return found.hexdigest()
+            total.update(f"{name!a} {content}\n".encode())
+    return total.hexdigest()
 
 
 def _plain(value: Any) -> Any:
-    """Return plain JSON data that differs whenever the values differ."""
+    """Return JSON data that differ if the values differ."""
     plain: Any
     if isinstance(value, Enum):
         plain = [type(value).__name__, value.name]
@@ -88,36 +88,36 @@ def _plain(value: Any) -> Any:
         array = np.ascontiguousarray(value)
         plain = [str(array.dtype), array.shape, hashlib.sha256(array.tobytes()).hexdigest()]
     elif dataclasses.is_dataclass(value):
-        own = {
+        fields = {
             f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value) if f.compare
         }
-        plain = [type(value).__qualname__, own]
+        plain = [type(value).__qualname__, fields]
     elif isinstance(value, msgspec.Struct):
         plain = [type(value).__qualname__, _plain(msgspec.structs.asdict(value))]
     elif isinstance(value, Mapping):
-        plain = {str(key): _plain(each) for key, each in value.items()}
-    elif isinstance(value, set | frozenset):  # whose order changes from run to run
-        plain = sorted(json.dumps(_plain(each), sort_keys=True) for each in value)
+        plain = {str(key): _plain(item) for key, item in value.items()}
+    elif isinstance(value, set | frozenset):  # the order differs between runs
+        plain = sorted(json.dumps(_plain(item), sort_keys=True) for item in value)
     elif isinstance(value, slice):
         plain = [value.start, value.stop, value.step]
     elif isinstance(value, Iterable):
-        plain = [_plain(each) for each in value]
-    else:  # such as a function, of a transmission made in Python
+        plain = [_plain(item) for item in value]
+    else:  # such as a function of a transmission defined in Python
         plain = str(getattr(value, "__qualname__", type(value).__qualname__))
     return [plain, _values_of(value)] if isinstance(value, Transmission) else plain
 
 
 def _values_of(transmission: Transmission) -> list[str]:
-    """Return a transmission's values at some positions, as its functions cannot be hashed."""
+    """Return a transmission's values at sampled positions, as its functions cannot be hashed."""
     size = (_POSITIONS, transmission.num_actuators)
-    found = []
-    for q in np.random.default_rng(0).uniform(-_REACH, _REACH, size):
+    texts = []
+    for sample in np.random.default_rng(0).uniform(-_REACH, _REACH, size):
         try:
-            at = transmission.inside(q[None])
-            values = [*transmission.joint_positions(at).flat, *transmission.jacobian(at).flat]
-        except Exception as error:  # functions of users' own may raise anything
-            found.append(type(error).__name__)
+            q = transmission.inside(sample[None])
+            values = [*transmission.joint_positions(q).flat, *transmission.jacobian(q).flat]
+        except Exception as error:  # users' functions may raise anything
+            texts.append(type(error).__name__)
         else:
             rounded = np.round(values, _DIGITS) + 0.0  # no −0
-            found.append(" ".join(f"{value:.{_DIGITS}f}" for value in rounded))
-    return found
+            texts.append(" ".join(f"{value:.{_DIGITS}f}" for value in rounded))
+    return texts

@@ -1,4 +1,4 @@
-"""Where logs of a fleet are, on this machine or elsewhere by fsspec; and when each began."""
+"""Locations of a fleet's logs, local or remote by fsspec, and the dates of logs."""
 
 from __future__ import annotations
 
@@ -22,37 +22,37 @@ from geodrake.errors import ArgumentError, FleetError, LogError
 from geodrake.logs.motion import JointLog
 
 IN_THIS_PROCESS = "memory://"
-"""Beginning of addresses that other processes do not see."""
+"""Prefix of addresses that other processes cannot access."""
 
 
 class UnreachableLogError(LogError):
-    """A log that is elsewhere cannot be copied from there, now."""
+    """A remote log cannot be copied at present."""
 
 
 @dataclass(frozen=True)
 class LogPlace:
-    """A log that is not read yet."""
+    """A log that has not been read yet."""
 
     address: str
-    stamp: str  # its size and when it, or who may read it, was changed: another one is another log
-    changed: float | None  # when it was changed, s since 1970; None where nobody knows
+    stamp: str  # identifies the content: size, and time of the last change of content or metadata
+    changed: float | None  # time of the last change, s since 1970; None if unknown
 
     @property
     def name(self) -> str:
         """Name of the file."""
         links = self.address.split("::") if protocol_of(self.address) else [self.address]
-        own = next(link for link in links if "/" in link)
-        return own.rstrip("/").rpartition("/")[2]
+        path = next(link for link in links if "/" in link)
+        return path.rstrip("/").rpartition("/")[2]
 
 
 def protocol_of(pattern: str) -> str:
-    """Return `s3` of `s3://bucket/log.csv`; empty for a path."""
-    found = re.match(r"([\w+.-]+)://|([\w+.-]+)::", pattern)
-    return (found[1] or found[2]) if found else ""
+    """Return the protocol of an address, such as `s3` of `s3://bucket/log.csv`; "" for a path."""
+    match = re.match(r"([\w+.-]+)://|([\w+.-]+)::", pattern)
+    return (match[1] or match[2]) if match else ""
 
 
 def home_path(text: str) -> Path:
-    """Return a path, with `~` for the home of a user."""
+    """Return a path, with `~` expanded."""
     try:
         return Path(text).expanduser()
     except RuntimeError as error:
@@ -62,27 +62,27 @@ def home_path(text: str) -> Path:
 
 
 def absolute_pattern(pattern: str, base: Path) -> str:
-    """Return a pattern that means the same in every folder."""
+    """Return a pattern with an absolute path."""
     if protocol_of(pattern):
         return pattern
     return str(Path(glob.escape(str(base))) / home_path(pattern))
 
 
 def find_logs(pattern: str) -> tuple[LogPlace, ...]:
-    """Return by name the matches of a path or address with `*`, `?`, `[…]` and `**`."""
+    """Return the logs that match a path or address with `*`, `?`, `[…]` and `**`, sorted."""
     try:
         if not protocol_of(pattern):
-            # Unlike pathlib's, this finds no hidden files, such as those that are being copied.
+            # Unlike pathlib, this skips hidden files, such as incomplete copies.
             local = sorted(glob.glob(pattern, recursive=True))  # noqa: PTH207
             return tuple(place for path in local if (place := _place(path)) is not None)
         fs, path = _file_system(pattern)
-        fs.invalidate_cache()  # of listings, which would hide logs that came later
-        found = sorted(fs.glob(path)) if glob.has_magic(path) else [path]
-        found = [each for each in found if glob.has_magic(path) or fs.exists(each)]
-        return tuple(_remote_place(fs, each, _address(fs, each, pattern)) for each in found)
+        fs.invalidate_cache()  # cached listings lack new logs
+        matches = sorted(fs.glob(path)) if glob.has_magic(path) else [path]
+        matches = [match for match in matches if glob.has_magic(path) or fs.exists(match)]
+        return tuple(_remote_place(fs, match, _address(fs, match, pattern)) for match in matches)
     except FleetError:
         raise
-    except Exception as error:  # each kind of place has errors of its own
+    except Exception as error:  # each file system has its own errors
         raise FleetError(
             f"Logs {pattern!r} cannot be listed: {kind_and_line(error)}.",
             advice="Check the address and the credentials for it.",
@@ -90,9 +90,9 @@ def find_logs(pattern: str) -> tuple[LogPlace, ...]:
 
 
 def fits(address: str, pattern: str) -> bool:
-    """Return whether a pattern would find an address, if the log were there."""
-    plain = (re.sub(r"^[\w+.-]+://", "", each) for each in (address, pattern))
-    return _fit(*([part for part in each.split("/") if part] for each in plain))
+    """Return whether an address matches a pattern, even if the log no longer exists."""
+    paths = (re.sub(r"^[\w+.-]+://", "", text) for text in (address, pattern))
+    return _fit(*([part for part in path.split("/") if part] for path in paths))
 
 
 def _fit(parts: Sequence[str], patterns: Sequence[str]) -> bool:
@@ -108,9 +108,9 @@ def _fit(parts: Sequence[str], patterns: Sequence[str]) -> bool:
 
 @contextmanager
 def local_log(place: LogPlace) -> Iterator[Path]:
-    """Yield the log as a file of this machine, under its own name: itself, or a copy.
+    """Yield a local file of the log, which is a temporary copy for remote logs.
 
-    A copy is as old as the log; where nobody knows when that was changed, as in 1970.
+    A copy has the log's name and modification time, or 1970 if that is unknown.
     """
     if not protocol_of(place.address):
         yield Path(place.address)
@@ -120,9 +120,9 @@ def local_log(place: LogPlace) -> Iterator[Path]:
         try:
             fs, path = _file_system(place.address)
             fs.get(path, str(copy), recursive=fs.isdir(path))
-            for each in (copy, *copy.rglob("*")):
-                os.utime(each, (place.changed or 0.0,) * 2)
-        except Exception as error:  # each kind of place has errors of its own
+            for file in (copy, *copy.rglob("*")):
+                os.utime(file, (place.changed or 0.0,) * 2)
+        except Exception as error:  # each file system has its own errors
             raise UnreachableLogError(
                 f"Log {place.address} cannot be read: {kind_and_line(error)}.",
                 advice="Check the address and the credentials for it.",
@@ -133,7 +133,7 @@ def local_log(place: LogPlace) -> Iterator[Path]:
 def _place(path: str) -> LogPlace | None:
     try:
         status = Path(path).stat()
-    except FileNotFoundError:  # a link to nothing, or deleted meanwhile
+    except FileNotFoundError:  # a dangling link, or just deleted
         return None
     return LogPlace(path, f"{status.st_size} {status.st_ctime_ns}", status.st_mtime)
 
@@ -145,28 +145,28 @@ def _file_system(address: str) -> tuple[Any, str]:
 
 
 def _address(fs: Any, path: str, pattern: str) -> str:
-    """Return the address of a pattern's match, in the pattern's archive or cache."""
+    """Return the address of a match of a pattern, within the same archive or cache."""
     links = pattern.split("::")
     if len(links) == 1:
         return str(fs.unstrip_protocol(path))
-    at = next(at for at, link in enumerate(links) if "://" in link)
-    links[at] = f"{links[at].partition('://')[0]}://{path}"
+    k = next(k for k, link in enumerate(links) if "://" in link)
+    links[k] = f"{links[k].partition('://')[0]}://{path}"
     return "::".join(links)
 
 
 def _remote_place(fs: Any, path: str, address: str) -> LogPlace:
-    said = fs.info(path)
+    info = fs.info(path)
     try:
         changed = float(fs.modified(path).timestamp())
     except (NotImplementedError, AttributeError, KeyError, TypeError, OSError):
         changed = None
-    mark = said.get("ETag") or said.get("etag") or said.get("md5Hash") or changed
-    stamp = " ".join(str(each) for each in (said.get("size"), mark) if each is not None)
+    tag = info.get("ETag") or info.get("etag") or info.get("md5Hash") or changed
+    stamp = " ".join(str(value) for value in (info.get("size"), tag) if value is not None)
     return LogPlace(address, stamp, changed)
 
 
 DATED_BY = ("file", "stamps")
-"""Words that may be given instead of a pattern of dates in paths."""
+"""Alternatives to a pattern of dates in paths."""
 
 _DIRECTIVES = {
     **{f"%{letter}": r"\d{2}" for letter in "mdHMSy"},
@@ -177,11 +177,11 @@ _DIRECTIVES = {
 
 _TIMES = {"%H", "%M", "%S"}
 _DATES = [{*day, year} for day in (("%m", "%d"), ("%j",)) for year in ("%Y", "%y")]
-_EARLIEST, _LATEST = 9e8, 4.2e9  # s since 1970 at which a robot may have been logged
+_EARLIEST, _LATEST = 9e8, 4.2e9  # s since 1970, range of plausible dates of logs
 
 
 def date_seconds(text: str) -> float:
-    """Return the s since 1970 of a date in ISO 8601, in UTC unless it has another zone."""
+    """Return the time, s since 1970, of a date in ISO 8601, in UTC unless it has a time zone."""
     try:
         instant = datetime.fromisoformat(text.strip())
     except ValueError:
@@ -197,7 +197,7 @@ def date_seconds(text: str) -> float:
 
 
 def date_text(seconds: float) -> str:
-    """Return a date in ISO 8601, of s since 1970."""
+    """Return the date in ISO 8601 of a time, s since 1970."""
     return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="seconds")
 
 
@@ -208,32 +208,32 @@ def _day(seconds: float) -> str:
 def date_of_log(
     log: JointLog, files: Sequence[Path], given: float | None = None
 ) -> tuple[float, str]:
-    """Return when a log began, s since 1970, and where that is from: `stamps`, `option` or `file`.
+    """Return the start of a log, s since 1970, and its source: `stamps`, `option` or `file`.
 
     Args:
-        files: Its files, which count where nothing else is known: the one changed last.
-        given: What the user says, s since 1970, where stamps do not say it.
+        files: Its files, whose last modification is the default.
+        given: Date given by the user, s since 1970, if the time stamps are not dates.
     """
     first = float(log.time[np.isfinite(log.time)][0])
-    began = first + 1e-9 * (log.origin or 0)
-    if _EARLIEST < began < _LATEST:
-        return began, "stamps"
+    start = first + 1e-9 * (log.origin or 0)
+    if _EARLIEST < start < _LATEST:
+        return start, "stamps"
     if given is not None:
-        date, source, says = given, "option", "the given date is"
+        date, source, words = given, "option", "the given date is"
     else:
         date, source = max(path.stat().st_mtime for path in files), "file"
-        says = "its modification time is"
+        words = "its modification time is"
     if not _EARLIEST < date < _LATEST:
         raise LogError(
             f"The date of log {log.name!r} is unknown: its time stamps are not dates, and "
-            f"{says} {date:.10g} s since 1970.",
+            f"{words} {date:.10g} s since 1970.",
             advice="Use --date or, in a fleet file, `dates` and dates in the names of logs.",
         )
     return date, source
 
 
 def check_date_pattern(pattern: str) -> None:
-    """Raise for a pattern that no date in a path can match."""
+    """Raise if a pattern does not define a date."""
     parts = [part for part in re.findall(r"%.?", pattern) if part != "%%"]
     if set(parts) - _TIMES not in _DATES or len(set(parts)) < len(parts):
         raise ArgumentError(
@@ -244,14 +244,14 @@ def check_date_pattern(pattern: str) -> None:
 
 
 def date_in_path(path: str, pattern: str) -> float:
-    """Return the s since 1970 of the last date like `%Y-%m-%d_%H%M` in a path, in UTC."""
+    """Return the time, s since 1970, of the last date in a path that matches a pattern, in UTC."""
     parts = re.split(r"(%.)", pattern)
-    like = "".join(_DIRECTIVES.get(part, re.escape(part)) for part in parts)
-    like = rf"(?<!\d){like}"  # a date begins where its digits do
-    for found in reversed(re.findall(like, path)):
+    expression = "".join(_DIRECTIVES.get(part, re.escape(part)) for part in parts)
+    expression = rf"(?<!\d){expression}"  # not in the middle of a number
+    for text in reversed(re.findall(expression, path)):
         try:
-            instant = datetime.strptime(found, pattern).replace(tzinfo=UTC)
-        except ValueError:  # such as the 30th of February
+            instant = datetime.strptime(text, pattern).replace(tzinfo=UTC)
+        except ValueError:  # such as 30 February
             continue
         if _EARLIEST < (seconds := instant.timestamp()) < _LATEST:
             return seconds

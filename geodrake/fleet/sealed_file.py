@@ -1,8 +1,8 @@
 """Files of fleets: dataclasses with arrays, compressed, with a checksum.
 
-A file is a line with its format, the SHA-256 of the rest, and that rest: the dataclass as
-MessagePack, compressed by zlib. An array is its type, its shape and its bytes. The same values give
-the same file wherever they are written.
+A file consists of a line with its format, the SHA-256 of the rest, and the dataclass as MessagePack
+compressed by zlib. An array is stored as type, shape and bytes. Equal values result in equal files
+on all machines.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ from geodrake.errors import ArgumentError
 T = TypeVar("T")
 
 LARGEST = 500_000_000
-"""Most bytes of a file, also when unpacked."""
+"""Maximum number of bytes of a file, also when unpacked."""
 
 _DIGEST = hashlib.sha256().digest_size
-_BEGINNING = "geodrake "  # of the names of all formats
+_PREFIX = "geodrake "  # of all format names
 _DAMAGED = ValueError, TypeError, OverflowError, MemoryError, zlib.error, msgspec.MsgspecError
 
 
 class DamagedFileError(Exception):
-    """Raised for bytes that `sealed` did not make; its text gives the reason."""
+    """Raised for bytes that were not written by `sealed`; the message is the reason."""
 
 
 def sealed(value: object, form: str) -> bytes:
-    """Return a value as bytes of a file: the format's name, a checksum, compressed MessagePack.
+    """Return a value as the content of a file.
 
     Raises:
-        ArgumentError: It holds a text, such as the name of a file, that is not UTF-8.
+        ArgumentError: It contains a string, such as a file name, that is not UTF-8.
     """
     try:
         encoded = msgspec.msgpack.encode(value, enc_hook=_plain)
@@ -50,11 +50,11 @@ def sealed(value: object, form: str) -> bytes:
 
 
 def unsealed(data: bytes, form: str, kind: type[T], *, largest: int = LARGEST) -> T:
-    """Return the dataclass in a file of a format, or raise `DamagedFileError`."""
+    """Return the value in a file of a format, or raise `DamagedFileError`."""
     head, _, rest = data.partition(b"\n")
     name = head.decode("ascii", "replace")
     if name != form:
-        if not name.startswith(_BEGINNING):
+        if not name.startswith(_PREFIX):
             raise DamagedFileError(f"it does not begin with {form!r}")
         raise DamagedFileError(
             f"it has format {name[:60]!r}, but this version of geodrake reads {form!r}"
@@ -74,10 +74,10 @@ def unsealed(data: bytes, form: str, kind: type[T], *, largest: int = LARGEST) -
 def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return value.dtype.str, value.shape, value.tobytes()
-    return value.item()  # a number of NumPy
+    return value.item()  # a NumPy scalar
 
 
-def _array(kind: Any, said: Any) -> NDArray[Any]:
+def _array(kind: Any, encoded: Any) -> NDArray[Any]:
     del kind
-    dtype, shape, content = said
+    dtype, shape, content = encoded
     return np.frombuffer(content, dtype).reshape(shape).copy()

@@ -1,8 +1,8 @@
-"""Settings that all digests of a folder share: their columns, and how logs are read.
+"""Settings shared by all digests of a folder: their columns, and how logs are read.
 
-Everything that a diagnosis chooses from its logs (a bandwidth, speeds at which joints rest, effects
-to try) is chosen once, by the model and the first log, and kept in a file. Digests by the same
-settings add up; others are refused, with what differs.
+Values that a diagnosis would choose from its logs (bandwidth, speeds of joints at rest, candidate
+effects) are chosen once, from the model and the first log, and kept in a file. Only digests with
+the same settings can be added.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ FORMAT = "geodrake digest 4"
 """Name and version of the format of settings and digests."""
 
 BLOCKS = 4
-"""Blocks of a log, each with its own factor."""
+"""Default number of blocks of a log, each with its own factor."""
 
-_SETTINGS = 4  # that a process keeps
+_CACHED_SETTINGS = 4
 _LARGEST_FILE = 50_000_000  # bytes
-_MOST_LETTERS = 24  # of a value that a message shows
+_MOST_LETTERS = 24  # of a value in a message
 
 
 @dataclass(frozen=True)
@@ -51,16 +51,16 @@ class DigestColumn:
     """A column of a digest."""
 
     kind: str
-    name: str  # `Izz of arm`, for example; the name of the effect
-    where: tuple[str, ...]  # the body; joints or bodies of the effect
-    parameter: str  # `Izz`, for example; the parameter's name
+    name: str  # such as `Izz of arm`, or the name of the effect
+    where: tuple[str, ...]  # the body, or joints or bodies of the effect
+    parameter: str  # such as `Izz`, or the name of the effect's parameter
     unit: str
     shape: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class DigestEffect:
-    """An effect that digests have columns for."""
+    """An effect with columns in digests."""
 
     name: str
     where: tuple[str, ...]
@@ -68,11 +68,11 @@ class DigestEffect:
     parameters: tuple[str, ...]
     units: tuple[str, ...]
     in_bodies: bool  # whether its columns are those of the bodies, as a payload's are
-    source: str = ""  # SHA-256 of the source of an effect of the user's own
+    source: str = ""  # SHA-256 of the source of a user-defined effect
 
     @classmethod
     def of(cls, effect: Effect) -> DigestEffect:
-        """Return an effect in words and numbers."""
+        """Return the description of an effect."""
         return cls(
             effect.name,
             tuple(effect.where),
@@ -84,7 +84,7 @@ class DigestEffect:
         )
 
     def made(self, extra: Sequence[type[Effect]] = ()) -> Effect:
-        """Return the effect itself."""
+        """Return the effect."""
         try:
             effect = make_effect(self.name, self.where, self.shape, extra)
         except ArgumentError as error:
@@ -108,64 +108,61 @@ class DigestSettings(Short):
     model: str  # hash of the model; see `model_hash`
     joints: tuple[str, ...]
     bodies: tuple[str, ...]
-    held: Mapping[str, float]  # joint that no log says anything of -> where it is held, rad or m
-    bandwidth: float  # that efforts and regressors are filtered to, Hz
-    motion_bandwidth: float  # that of the smoothed motion, Hz
+    held: Mapping[str, float]  # joint without data in logs -> its fixed position, rad or m
+    bandwidth: float  # of the filter for efforts and regressors, Hz
+    motion_bandwidth: float  # of the smoothed motion, Hz
     sign_width: Array  # (nv,) speed below which dry friction fades, rad/s or m/s
     still_speed: Array  # (nv,) speed below which a joint counts as at rest, rad/s or m/s
-    # Delays between motion and effort that have a column of efforts, on top of the model's, s; the
-    # first is 0.
+    # Delays with a column of efforts, in addition to the model's, s; the first is 0.
     delays: tuple[float, ...]
-    # What has columns beside the bodies: the model's effects, then candidates.
-    effects: tuple[DigestEffect, ...]
-    # Effect of the user's own that may have columns -> SHA-256 of its source.
-    extra: Mapping[str, str]
-    reading: Mapping[str, Any]  # how logs are read, as far as that is the same for all
+    effects: tuple[DigestEffect, ...]  # effects with columns: the model's, then candidates
+    extra: Mapping[str, str]  # user-defined effect -> SHA-256 of its source
+    reading: Mapping[str, Any]  # reading options common to all logs
     blocks: int
     version: str
     format: str = FORMAT
-    chosen_from: str = ""  # the log by which they were chosen
+    chosen_from: str = ""  # name of the log from which they were chosen
     passive: tuple[str, ...] = ()  # joints without a motor
 
     @cached_property
     def hash(self) -> str:
-        """SHA-256 of all of them, whichever log they were chosen from."""
+        """SHA-256 of the settings, except for `chosen_from`."""
         return text_hash(replace(self, chosen_from="").plain)
 
     @property
     def plain(self) -> dict[str, Any]:
-        """Return the settings as JSON has them."""
+        """The settings as JSON data."""
         return dict(msgspec.to_builtins(self, enc_hook=np.ndarray.tolist))
 
     @cached_property
     def columns(self) -> tuple[DigestColumn, ...]:
         """The p columns: the ten parameters of each body, then the effects' parameters."""
-        of_bodies = [
+        body_columns = [
             DigestColumn("body", f"{name} of {body}", (body,), name, unit)
             for body in self.bodies
             for name, unit in zip(PARAMETER_NAMES, PARAMETER_UNITS, strict=True)
         ]
-        of_effects = [
+        effect_columns = [
             DigestColumn("effect", effect.name, effect.where, name, unit, effect.shape)
             for effect in self.effects
             if not effect.in_bodies
             for name, unit in zip(effect.parameters, effect.units, strict=True)
         ]
-        return (*of_bodies, *of_effects)
+        return (*body_columns, *effect_columns)
 
     def differences(self, other: DigestSettings) -> list[str]:
-        """Return in words how settings differ from others; empty if their digests can be added."""
-        own, others = self.plain, other.plain
+        """Return descriptions of differences; empty if the digests can be added."""
+        first, second = self.plain, other.plain
         return [
-            f"{_WORDS.get(name, name)} ({_shown(own[name])} and {_shown(others[name])})"
-            for name in own
-            if name != "chosen_from" and text_hash(own[name]) != text_hash(others[name])
+            f"{_WORDS.get(name, name)} ({_shown(first[name])} and {_shown(second[name])})"
+            for name in first
+            if name != "chosen_from" and text_hash(first[name]) != text_hash(second[name])
         ]
 
     def text(self) -> str:
-        """Return the text of the settings file, which `settings_of` reads."""
-        said = self.plain | {"hash": self.hash}
-        lines = [f"{json.dumps(name)}: {json.dumps(value)}" for name, value in said.items()]
+        """Return the text of the settings file, for `settings_of`."""
+        data = self.plain | {"hash": self.hash}
+        lines = [f"{json.dumps(name)}: {json.dumps(value)}" for name, value in data.items()]
         return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
@@ -196,31 +193,30 @@ def settings_of(text: str, source: str | Path) -> DigestSettings:
         ) from error
 
 
-@lru_cache(_SETTINGS)  # all digests of a folder hold the same
+@lru_cache(_CACHED_SETTINGS)  # all digests of a folder contain the same text
 def _settings_of(text: str) -> DigestSettings:
-    said = json.loads(text)
-    if said.get("format") != FORMAT:
+    data = json.loads(text)
+    if data.get("format") != FORMAT:
         raise ValueError(
-            f"it has format {said.get('format')!r}, but this version of geodrake reads {FORMAT!r}"
+            f"it has format {data.get('format')!r}, but this version of geodrake reads {FORMAT!r}"
         )
-    found = msgspec.convert(
-        said, DigestSettings, dec_hook=lambda _, values: np.array(values, float)
+    settings = msgspec.convert(
+        data, DigestSettings, dec_hook=lambda _, values: np.array(values, float)
     )
-    if found.hash != said.get("hash"):
+    if settings.hash != data.get("hash"):
         raise ValueError("its hash belongs to other settings")
-    return found
+    return settings
 
 
 def read_settings(folder: str | Path) -> DigestSettings | None:
-    """Read the settings of a folder of digests; None if it has none yet.
+    """Read the settings of a folder of digests; None if it has no digests yet.
 
     Raises:
-        DigestError: The file cannot be read, is damaged, of another version, or not there while
-            digests are.
+        DigestError: The file cannot be read, is damaged or of another version, or is missing.
     """
     path = file_path(folder) / SETTINGS_FILE
     if not path.exists() and not path.is_symlink():
-        if any(re.fullmatch(DIGEST_NAME, each.name) for each in path.parent.glob("*.digest")):
+        if any(re.fullmatch(DIGEST_NAME, file.name) for file in path.parent.glob("*.digest")):
             raise DigestError(
                 f"The settings file {path} of the digests is missing.",
                 advice="Restore it from a copy, or digest the logs again into a new folder.",
@@ -237,5 +233,5 @@ def read_settings(folder: str | Path) -> DigestSettings | None:
 
 
 def own_sources(extra: Sequence[type[Effect]]) -> dict[str, str]:
-    """Name of an effect of the user's own -> SHA-256 of its source."""
+    """Return name of each user-defined effect -> SHA-256 of its source."""
     return {kind.name: source_hash(kind) for kind in extra}

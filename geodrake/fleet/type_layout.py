@@ -1,9 +1,8 @@
-"""The model of a type as digests have it, and its columns as statistics of fleets need them.
+"""The model of a robot type, its columns in fleet statistics, and hypotheses of changes.
 
-At every joint the model has friction and an offset: what robots of a type scatter by is then no
-error of the model, and what a fit leaves is noise, so that samples are worth more. Digests have
-columns of all that may be missing. A fleet's statistics need few: the bodies, what the model has,
-and friction and offsets of joints; and hypotheses of what changes in a robot.
+The model has friction and an offset at each joint, so that differences between robots do not count
+as model errors, residuals are noise, and the effective sample size is larger. Digests have columns
+for all candidate effects. Fleet statistics use only those of the bodies and of the model's effects.
 """
 
 from __future__ import annotations
@@ -55,25 +54,22 @@ from geodrake.model.saved_model import load_model
 from geodrake.robot.base_parameters import BaseParameters, structural_base_parameters
 
 USUAL = tuple(kind for kind in catalogue() if kind.complexity == 0 and "vd" not in kind.depends_on)
-"""Friction and offsets: effects that hardly any joint is without, but rotors, which bodies have."""
+"""Friction and offsets, which almost all joints have. Rotors are included in the bodies."""
 
-_MODELS = 4  # that a process keeps
-_LITTLE = 1e-6  # information on parameters of which nothing is known, 1/unit²
+_CACHED_MODELS = 4
+_LITTLE = 1e-6  # information on unknown parameters, 1/unit²
 
 
 def type_source(kind: FleetType) -> tuple[RobotModel, Wanted]:
-    """Return the model of a type, with the effects of each joint added to those in its file.
-
-    Also return how its logs are read, and what settings are to be like.
-    """
+    """Return the model of a type, with effects added to each joint, and the digest options."""
     for path in kind.files:
         regular_file(path, f"file of type {kind.name}", FleetError)
     return _read_source(kind, file_hash(kind.files))
 
 
-@lru_cache(_MODELS)
+@lru_cache(_CACHED_MODELS)
 def _read_source(kind: FleetType, files: str) -> tuple[RobotModel, Wanted]:
-    """Do the same, cached while the files are unchanged."""
+    """Return `type_source`, cached by the hash of the files."""
     del files
     extra: dict[str, type[Effect]] = {}
     for path in kind.own_effects:
@@ -81,18 +77,18 @@ def _read_source(kind: FleetType, files: str) -> tuple[RobotModel, Wanted]:
             if effect.name in extra:
                 raise FleetError(f"Type {kind.name} has the effect {effect.name} from two files.")
             extra[effect.name] = effect
-    own = tuple(extra.values())
-    model = _loaded(kind, kind.model, own)
+    user_effects = tuple(extra.values())
+    model = _loaded(kind, kind.model, user_effects)
     mapping = None if kind.mapping is None else read_mapping(kind.mapping)
     reading = Reading(mapping=mapping, units=kind.units)
     return (
-        with_joint_effects(model, _of_joints(kind, own)),
-        Wanted(kind.bandwidth, kind.blocks, reading, own),
+        with_joint_effects(model, _joint_effects(kind, user_effects)),
+        Wanted(kind.bandwidth, kind.blocks, reading, user_effects),
     )
 
 
 def own_model(kind: FleetType, path: Path) -> RobotModel:
-    """Return the model of one robot, read as that of its type."""
+    """Return the model of one robot, with the options of its type."""
     return _loaded(kind, path, type_source(kind)[1].extra)
 
 
@@ -106,11 +102,11 @@ def _loaded(kind: FleetType, path: Path, extra: Sequence[type[Effect]]) -> Robot
     )
 
 
-def _of_joints(kind: FleetType, extra: Sequence[type[Effect]]) -> tuple[type[Effect], ...]:
-    """Return effects that each joint of a type has."""
+def _joint_effects(kind: FleetType, extra: Sequence[type[Effect]]) -> tuple[type[Effect], ...]:
+    """Return the effects of each joint of a type."""
     if kind.effects is None:
         return USUAL
-    found = []
+    effects = []
     for name in kind.effects:
         try:
             effect = effect_class(name, extra)
@@ -125,19 +121,19 @@ def _of_joints(kind: FleetType, extra: Sequence[type[Effect]]) -> tuple[type[Eff
                 "or has shape parameters, or no parameters.",
                 advice="Save a model with it, and use that for the type.",
             )
-        found.append(effect)
-    return tuple(found)
+        effects.append(effect)
+    return tuple(effects)
 
 
 def with_joint_effects(model: RobotModel, kinds: Sequence[type[Effect]]) -> RobotModel:
-    """Return a model with effects of unknown sizes added to all joints that lack the kind."""
-    there = {(fitted.effect.name, fitted.effect.where) for fitted in model.effects}
+    """Return a model with effects of unknown size added to joints without them."""
+    existing = {(fitted.effect.name, fitted.effect.where) for fitted in model.effects}
     joints = [joint for joint in model.joints if joint in model.single_joints]
     added = [
         kind(joint)  # type: ignore[call-arg]
         for joint in joints
         for kind in kinds
-        if (kind.name, (joint,)) not in there
+        if (kind.name, (joint,)) not in existing
     ]
     if not added:
         return model
@@ -146,7 +142,7 @@ def with_joint_effects(model: RobotModel, kinds: Sequence[type[Effect]]) -> Robo
         sizes = [np.diag(1.0 / np.maximum(f.parameters**2, 1e-12)) for f in model.effects]
         information = block_diag(pullback_information(model.phi, SPREAD), *sizes)
     new = [FittedEffect(effect, np.zeros(len(effect.parameters))) for effect in added]
-    sizes = [_LITTLE * np.eye(len(each.parameters)) for each in new]
+    sizes = [_LITTLE * np.eye(len(fitted.parameters)) for fitted in new]
     return replace(
         model,
         effects=(*model.effects, *new),
@@ -155,13 +151,13 @@ def with_joint_effects(model: RobotModel, kinds: Sequence[type[Effect]]) -> Robo
 
 
 BODIES = "bodies"
-"""Kind that columns of bodies have in place of an effect's."""
+"""Name used for columns of bodies instead of an effect's."""
 
-_USUAL_PAYLOAD = 0.1  # over the mass of all that moves
+_TYPICAL_PAYLOAD = 0.1  # relative to the moving mass
 _PAYLOAD_RADIUS = 0.1  # m
-_USUAL_GAIN = 0.1  # share by which a gain changes
-_HELD = (("mass", "kg"), ("hx", "kg·m"), ("hy", "kg·m"), ("hz", "kg·m"))  # of a payload
-_KEPT = (Role.FORCE, Role.DEFLECTION)
+_TYPICAL_GAIN_CHANGE = 0.1
+_PAYLOAD_NAMES = (("mass", "kg"), ("hx", "kg·m"), ("hy", "kg·m"), ("hz", "kg·m"))
+_ROLES = (Role.FORCE, Role.DEFLECTION)
 _LOAD, _GAIN = (effect_of(role).name for role in (Role.BODY, Role.SCALE))
 
 
@@ -177,13 +173,13 @@ class FleetParameter:
 
 @dataclass(frozen=True, eq=False)
 class TypeLayout(Short):
-    """The p columns of a type: those of digests that count, then a gain for each joint."""
+    """The p columns of a type: selected columns of digests, then a gain for each joint."""
 
-    kept: Indices  # (p − n,) which of the settings' columns they are
-    parameters: tuple[FleetParameter, ...]  # (p,) what they are of
+    kept: Indices  # (p − n,) indices of the settings' columns
+    parameters: tuple[FleetParameter, ...]  # (p,)
     columns: TypeColumns
     hypotheses: tuple[ChangeHypothesis, ...]
-    base: BaseParameters  # those of the bodies, which come first
+    base: BaseParameters  # base parameters of the bodies, the first columns
 
 
 def type_layout(
@@ -194,63 +190,62 @@ def type_layout(
     payload: float | None = None,
     extra: Sequence[type[Effect]] = (),
 ) -> TypeLayout:
-    """Return the columns of a type, and the changes to be considered in its robots.
+    """Return the columns of a type, and the hypotheses of changes of its robots.
 
     Args:
-        efforts: (nv,) usual sizes of the joints' efforts, N·m or N.
-        payload: Mass of a usual payload, kg; None for a tenth of all that moves.
-        extra: Effect classes of the user's own that have columns.
+        efforts: (nv,) typical efforts of the joints, N·m or N.
+        payload: Typical payload, kg; None for a tenth of the moving mass.
+        extra: User-defined effects with columns.
     """
     model = model_of_digests(model, settings)
     effects = tuple(effect.made(extra) for effect in settings.effects)
     tree = Layout.of(model, effects, settings.sign_width, settings.still_speed).tree
     base = structural_base_parameters(tree)
     bodies = len(base.independent)
-    own = _model_values(model, effects)
-    kept = np.array([*base.independent.tolist(), *sorted(own)], np.intp)
+    values = _model_values(model, effects)
+    kept = np.array([*base.independent.tolist(), *sorted(values)], np.intp)
     parameters = _parameters(settings, kept, model, base)
     n, p = len(model.joints), len(kept) + len(model.joints)
     prior = np.zeros(p)
     prior[:bodies] = base.matrix @ model.total_phi.ravel()
-    prior[bodies : p - n] = [own[at][0] for at in kept[bodies:].tolist()]
+    prior[bodies : p - n] = [values[column][0] for column in kept[bodies:].tolist()]
     relative = np.zeros(p, bool)
-    relative[bodies : p - n] = [own[at][1] for at in kept[bodies:].tolist()]
-    # What is much of each column: of shares 1, of others what makes the usual efforts.
-    of_joints = dict(zip(model.joints, efforts.tolist(), strict=True))
-    usual = np.array([max(of_joints.get(each.where, 1.0), 1e-9) for each in parameters])
-    shares = relative | np.array([each.effect == _GAIN for each in parameters])
-    sizes = np.where(shares, 1.0, usual)
+    relative[bodies : p - n] = [values[column][1] for column in kept[bodies:].tolist()]
+    # Typical size of each column: 1 if relative, otherwise the joint's typical effort.
+    effort_of = dict(zip(model.joints, efforts.tolist(), strict=True))
+    typical = np.array([max(effort_of.get(each.where, 1.0), 1e-9) for each in parameters])
+    is_relative = relative | np.array([each.effect == _GAIN for each in parameters])
+    sizes = np.where(is_relative, 1.0, typical)
     spreads = [
-        Spread(f"{each.effect} of {each.where}: {each.name}", size * np.eye(p)[:, [at]])
-        for at, (each, size) in enumerate(zip(parameters, sizes.tolist(), strict=True))
-        if at >= bodies
+        Spread(f"{each.effect} of {each.where}: {each.name}", size * np.eye(p)[:, [k]])
+        for k, (each, size) in enumerate(zip(parameters, sizes.tolist(), strict=True))
+        if k >= bodies
     ]
     changes = _joint_changes(parameters, relative, sizes)
-    mass = payload or _USUAL_PAYLOAD * float(model.total_phi[:, 0].sum())
-    of_bodies, B = [], base.matrix
+    mass = payload or _TYPICAL_PAYLOAD * float(model.total_phi[:, 0].sum())
+    body_spreads, B = [], base.matrix
     for body, (name, phi) in enumerate(zip(model.bodies, model.total_phi, strict=True)):
         if not is_physical(phi):
             continue
         factor = narrow_factor(body_factor(distance_factor(phi), body, B, bodies))
-        of_bodies.append(Spread(name, np.pad(factor, ((0, p - bodies), (0, 0)))))
-        # A ball of the size and mass of a usual payload, at the body's centre of mass.
+        body_spreads.append(Spread(name, np.pad(factor, ((0, p - bodies), (0, 0)))))
+        # A ball with the mass of a typical payload, at the body's centre of mass.
         ball = 0.4 * mass * _PAYLOAD_RADIUS**2 * np.eye(3)
         root = distance_factor(from_mass_com_inertia(mass, phi[1:4] / phi[0], ball))
         factor = body_factor(root, body, B, p)
-        changes.append(ChangeHypothesis(_LOAD, name, factor, _HELD, (STEP,), root[:4]))
+        changes.append(ChangeHypothesis(_LOAD, name, factor, _PAYLOAD_NAMES, (STEP,), root[:4]))
     units = tuple(each.unit for each in parameters)
-    spread = (*of_bodies, *spreads)
-    columns = TypeColumns(prior, relative, relative.copy(), n, spread, units)
+    columns = TypeColumns(prior, relative, relative.copy(), n, (*body_spreads, *spreads), units)
     return TypeLayout(kept, parameters, columns, tuple(changes), base)
 
 
 def _model_values(model: RobotModel, effects: tuple[Effect, ...]) -> dict[int, tuple[float, bool]]:
-    """Return column of effects -> its value in the model, and if it is never negative."""
+    """Return column of an effect -> its value in the model, and whether it is nonnegative."""
     starts = column_starts(effects, model.bodies)
     return {
         starts[fitted.effect] + k: (float(value), parameter.lower >= 0.0)
         for fitted in model.effects
-        if fitted.effect in starts and fitted.effect.role in _KEPT
+        if fitted.effect in starts and fitted.effect.role in _ROLES
         for k, (parameter, value) in enumerate(
             zip(fitted.effect.parameters, fitted.parameters, strict=True)
         )
@@ -260,9 +255,9 @@ def _model_values(model: RobotModel, effects: tuple[Effect, ...]) -> dict[int, t
 def _parameters(
     settings: DigestSettings, kept: Indices, model: RobotModel, base: BaseParameters
 ) -> tuple[FleetParameter, ...]:
-    """Return the parameters of columns, units as their joints turn or slide."""
-    columns, labels = [settings.columns[at] for at in kept.tolist()], base.labels(model.bodies)
-    found = [
+    """Return the parameters of columns, with units for revolute or prismatic joints."""
+    columns, labels = [settings.columns[k] for k in kept.tolist()], base.labels(model.bodies)
+    parameters = [
         FleetParameter(BODIES, column.where[0], label, column.unit)
         for label, column in zip(labels, columns, strict=False)
     ]
@@ -270,36 +265,36 @@ def _parameters(
         where, unit = ", ".join(column.where), "" if column.unit == "1" else column.unit
         if column.where[0] in model.sliding_joints:
             unit = when_sliding(unit)
-        found.append(FleetParameter(column.name, where, column.parameter, unit))
+        parameters.append(FleetParameter(column.name, where, column.parameter, unit))
     gains = [FleetParameter(_GAIN, joint, "scale", "") for joint in model.joints]
-    return (*found, *gains)
+    return (*parameters, *gains)
 
 
 def _joint_changes(
     parameters: Sequence[FleetParameter], relative: NDArray[np.bool_], sizes: Array
 ) -> list[ChangeHypothesis]:
-    """Return the possible changes: each effect at each place, and a joint's frictions together."""
-    p, found = len(parameters), []
+    """Return hypotheses of each effect at each place, and of all friction of a joint together."""
+    p, hypotheses = len(parameters), []
     effects: dict[tuple[str, str], list[int]] = {}
-    for at, each in enumerate(parameters):
+    for k, each in enumerate(parameters):
         if each.effect != BODIES:
-            effects.setdefault((each.effect, each.where), []).append(at)
-    joined: dict[str, list[str]] = {}
+            effects.setdefault((each.effect, each.where), []).append(k)
+    relative_effects: dict[str, list[str]] = {}
 
     def change(effect: str, where: str, size: float, columns: Sequence[int]) -> ChangeHypothesis:
-        names = tuple((parameters[at].name, parameters[at].unit) for at in sorted(columns))
+        names = tuple((parameters[k].name, parameters[k].unit) for k in sorted(columns))
         kinds = (STEP,) if effect == _GAIN else KINDS
         return ChangeHypothesis(effect, where, size * np.eye(p)[:, columns], names, kinds)
 
     for (effect, where), columns in effects.items():
-        shares = effect != _GAIN and bool(relative[columns].all())
-        size = 1.0 if shares else float(sizes[columns].max())
-        size = _USUAL_GAIN if effect == _GAIN else size
-        found.append(change(effect, where, size, columns))
-        if shares:
-            joined.setdefault(where, []).append(effect)
-    for where, names in joined.items():
+        is_relative = effect != _GAIN and bool(relative[columns].all())
+        size = 1.0 if is_relative else float(sizes[columns].max())
+        size = _TYPICAL_GAIN_CHANGE if effect == _GAIN else size
+        hypotheses.append(change(effect, where, size, columns))
+        if is_relative:
+            relative_effects.setdefault(where, []).append(effect)
+    for where, names in relative_effects.items():
         if len(names) > 1:
-            together = [at for name in names for at in effects[name, where]]
-            found.append(change("+".join(names), where, 1.0, together))
-    return found
+            columns = [k for name in names for k in effects[name, where]]
+            hypotheses.append(change("+".join(names), where, 1.0, columns))
+    return hypotheses

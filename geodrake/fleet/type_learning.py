@@ -1,7 +1,7 @@
-"""Learn the common values of a type of robot, and how robots differ, from all logs.
+"""Learning of the common values of a robot type, and of the differences between robots.
 
-Scales are those of the largest restricted likelihood, all steps explicit: one pass over the robots
-tells what each says of everything.
+Scales maximize the restricted likelihood, by explicit steps. Each step is one pass over the robots,
+which collects the statistics of each.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from scipy.special import gammaincinv
 from geodrake.fleet.history import RobotHistory
 from geodrake.fleet.type_columns import TypeColumns
 from geodrake.fleet.type_model import Course, LogScores, RobotFit, TypeModel, kept_share
-from geodrake.fleet.workers import HERE, Workers
+from geodrake.fleet.workers import THIS_PROCESS, Workers
 from geodrake.inertia import Array
 
 _START_DEVIATION, _START_SCATTER, _START_RESPONSE = 0.1, 0.03, 0.2
-_WEAK = 10.0  # scale of spreads in the prior of what all share
-_FLAT = 1e-9  # share of information that is none
-_SEEN = 1e-3  # deviations of a robot that tell of a scale
-_LEAST = 1e-8  # scale that is none
+_PRIOR_SCALE = 10.0  # of spreads in the prior of the common values
+_RANK_TOLERANCE = 1e-9  # relative
+_PSEUDO_COUNT = 1e-3  # of each robot's squares, with ratio 1
+_LEAST = 1e-8  # lower bound of scales
 
 
 def learn_type(
@@ -32,22 +32,24 @@ def learn_type(
     changes: Sequence[Array] | None = None,
     start: TypeModel | None = None,
     rounds: int = 12,
-    team: Workers = HERE,
+    team: Workers = THIS_PROCESS,
 ) -> TypeModel:
-    """Learn the common values of a type, and how robots differ, from all logs.
+    """Learn the common values of a type, and the differences between robots, from all logs.
 
-    Changes (T, p, m) that were found in each robot are further parameters of it.
+    Args:
+        changes: (T, p, m) map of the changes found in each robot, if any.
     """
-    model = _begun(team, logs, columns) if start is None else start
-    every = [None] * len(logs) if changes is None else changes
+    model = _initial_model(team, logs, columns) if start is None else start
+    changes_by_robot = [None] * len(logs) if changes is None else changes
     for _ in range(rounds):
-        pieces = [(model.of(r), *each) for r, each in enumerate(zip(logs, every, strict=True))]
-        model = _improved(model, logs, team.in_order(_told, pieces))
+        rows = enumerate(zip(logs, changes_by_robot, strict=True))
+        tasks = [(model.for_robot(r), *row) for r, row in rows]
+        model = _updated(model, logs, team.in_order(_robot_statistics, tasks))
     return model
 
 
 def pooled(team: Workers, logs: Sequence[RobotHistory]) -> tuple[Array, Array]:
-    """Return sums of all normal matrices (p, p), and of right sides (p,)."""
+    """Return the sums of all normal matrices (p, p), and of right sides (p,)."""
     information, right = zip(*team.in_order(_sums, logs), strict=True)
     return np.sum(information, axis=0), np.sum(right, axis=0)
 
@@ -57,8 +59,8 @@ def _sums(logs: RobotHistory) -> tuple[Array, Array]:
     return equations.information.sum(axis=0), equations.right.sum(axis=0)
 
 
-def _begun(team: Workers, logs: Sequence[RobotHistory], columns: TypeColumns) -> TypeModel:
-    """Return pooled least squares, and the prior where logs determine nothing."""
+def _initial_model(team: Workers, logs: Sequence[RobotHistory], columns: TypeColumns) -> TypeModel:
+    """Return the pooled least-squares solution, with prior values for undetermined columns."""
     K, p, free = len(columns.spreads), len(columns.prior), columns.free
     information, right = pooled(team, logs)
     mean = columns.prior.copy()
@@ -72,149 +74,149 @@ def _begun(team: Workers, logs: Sequence[RobotHistory], columns: TypeColumns) ->
         np.full(K, _START_DEVIATION),
         np.full(K, _START_SCATTER),
         _START_RESPONSE,
-        Course.begin(logs, int(columns.course.sum())),
+        Course.zero(logs, int(columns.course.sum())),
         np.tile(mean, (len(logs), 1)),
-        tuple(np.zeros((len(each.days), K)) for each in logs),
+        tuple(np.zeros((len(robot.days), K)) for robot in logs),
     )
 
 
 @dataclass(frozen=True, eq=False)
 class _RobotStatistics:
-    """One robot's statistics, for everything that is learnt."""
+    """Statistics of one robot for learning."""
 
-    own: Array  # (p,) its own parameters
-    seen: Array  # (p, p) what it knows of μ
-    side: Array  # (p,) by which μ should be larger, times that
-    links: Array  # (n, p) how its θ varies with μ
-    # (2, K + 1) squares of θ for each spread and the response, and their expectations for a known
-    # μ.
+    values: Array  # (p,) its parameters
+    information: Array  # (p, p) its information on μ
+    side: Array  # (p,) its right side for a change of μ
+    theta_slopes: Array  # (n, p) derivatives of its θ by μ
+    # (2, K + 1) squares of θ for each spread and the response, and expectations for known μ.
     spread: Array
-    # (3, K) squares of its logs' scores along each spread, their expectations, and what share of
-    # these a robot in the middle has.
-    scattered: Array
-    course: tuple[Array, Array]  # (T, q, q) and (T, q): what it says of shares of the course
-    response: Array  # (q,) by how much it follows the course more
-    odd: Array  # (T, K) how odd its logs are
+    # (3, K) squares of its logs' scores along each spread, expectations, and the median relative
+    # to these.
+    scatter: Array
+    course: tuple[Array, Array]  # (T, q, q) and (T, q): normal equations of the course
+    response: Array  # (q,) deviation of its response to the course
+    excess: Array  # (T, K) excess scatter of its logs
 
 
-def _told(piece: tuple[TypeModel, RobotHistory, Array | None]) -> _RobotStatistics:
-    """Return one robot's contribution to the model of its type."""
-    model, logs, changes = piece
+def _robot_statistics(task: tuple[TypeModel, RobotHistory, Array | None]) -> _RobotStatistics:
+    """Return one robot's statistics."""
+    model, logs, changes = task
     fit, scale = model.fit(0, logs.equations(), changes), model.scale(0)
-    links, common, columns = fit.solve(fit.seen), fit.common.shape[1], model.columns
+    slopes, common, columns = fit.solve(fit.cross), fit.common.shape[1], model.columns
     scores = model.log_scores(0, fit)
     squares = np.stack([fit.theta**2, 1.0 - np.diagonal(fit.covariance)])
-    share, at = scale[columns.course], columns.course
-    part = fit.information[:, at][:, :, at] * share[:, None] * share
+    course_scale, course = scale[columns.course], columns.course
+    part = fit.information[:, course][:, :, course] * course_scale[:, None] * course_scale
     return _RobotStatistics(
         model.mean + fit.common @ fit.theta[:common],
-        fit.information.sum(axis=0) - fit.seen.T @ links,
+        fit.information.sum(axis=0) - fit.cross.T @ slopes,
         fit.score.sum(axis=0),
-        links,
+        slopes,
         columns.parts(squares),
-        _scattered(model, scale, fit, scores),
-        (part, fit.score[:, at] * share),
+        _scatter_statistics(model, scale, fit, scores),
+        (part, fit.score[:, course] * course_scale),
         model.response * fit.theta[common : common + columns.sizes[-1]],
-        model.oddness(scores, model.odd[0])[0],
+        model.updated_excess(scores, model.excess[0])[0],
     )
 
 
-def _scattered(model: TypeModel, scale: Array, fit: RobotFit, scores: LogScores) -> Array:
+def _scatter_statistics(model: TypeModel, scale: Array, fit: RobotFit, scores: LogScores) -> Array:
     """Return (3, K) statistics of the scatter of a robot's logs, as in `_RobotStatistics`."""
-    along, trace, norm = scores
-    squares, norm = along.sum(axis=0), np.maximum(norm.sum(axis=0), 1e-300)
+    by_log, trace, norm = scores
+    squares, norm = by_log.sum(axis=0), np.maximum(norm.sum(axis=0), 1e-300)
     expected = model.columns.parts(fit.expected_squares(scale[:, None] * model.factor))[:-1]
-    # The middle of few squares is less than their mean; without large ones, they are less skew.
+    # The median of few squares is less than their mean. Down-weighting reduces their skew.
     count = np.maximum(expected * trace.sum(axis=0) / norm, 1.0)
     kept = kept_share(np.square(trace).sum(axis=0) / norm)
-    middle = np.minimum(2.0 * gammaincinv(0.5 * count, 0.5) / count, kept)
-    return np.stack([squares, expected, middle])
+    median = np.minimum(2.0 * gammaincinv(0.5 * count, 0.5) / count, kept)
+    return np.stack([squares, expected, median])
 
 
-def _improved(
-    model: TypeModel, logs: Sequence[RobotHistory], told: Sequence[_RobotStatistics]
+def _updated(
+    model: TypeModel, logs: Sequence[RobotHistory], robots: Sequence[_RobotStatistics]
 ) -> TypeModel:
-    """Return one step of all that is learnt.
+    """Return the model after one step.
 
-    Squared scales go by what squares of scores are over what they would be, whose fixed point is
-    the largest restricted likelihood. From log to log it is the median over robots, as a robot
-    that changed is none of the usual; each counts as much as its logs tell.
+    Squared scales are multiplied by the ratio of squares of scores to their expectations, whose
+    fixed point maximizes the restricted likelihood. For the scatter of logs, the ratio is the
+    weighted median over robots, which is robust against robots that changed.
     """
     free = model.columns.free
     typical = np.where(model.columns.relative, model.typical, 1.0)[:, None]
-    weak = sum(((typical * s.factor) @ (typical * s.factor).T for s in model.columns.spreads), 0.0)
-    precision = _inverse(_WEAK**2 * np.asarray(weak)[np.ix_(free, free)])
-    seen = np.sum([each.seen for each in told], axis=0)[np.ix_(free, free)] + precision
-    side = np.sum([each.side for each in told], axis=0)[free]
+    prior = sum(((typical * s.factor) @ (typical * s.factor).T for s in model.columns.spreads), 0.0)
+    precision = _inverse(_PRIOR_SCALE**2 * np.asarray(prior)[np.ix_(free, free)])
+    information = np.sum([robot.information for robot in robots], axis=0)
+    side = np.sum([robot.side for robot in robots], axis=0)[free]
     covariance = np.zeros_like(model.covariance)
-    covariance[np.ix_(free, free)] = _inverse(seen)
+    covariance[np.ix_(free, free)] = _inverse(information[np.ix_(free, free)] + precision)
     mean = model.mean.copy()
-    pull = precision @ (model.columns.prior - mean)[free]
-    mean[free] += covariance[np.ix_(free, free)] @ (side + pull)
-    spread = _spread_ratio(model.columns, told, covariance)
-    course = model.course.improved(
-        logs, [each.course[0] for each in told], [each.course[1] for each in told]
+    prior_side = precision @ (model.columns.prior - mean)[free]
+    mean[free] += covariance[np.ix_(free, free)] @ (side + prior_side)
+    spread = _spread_ratio(model.columns, robots, covariance)
+    course = model.course.updated(
+        logs, [robot.course[0] for robot in robots], [robot.course[1] for robot in robots]
     )
-    course = course.stronger(np.mean([each.response for each in told], axis=0))
+    course = course.scaled(np.mean([robot.response for robot in robots], axis=0))
     return replace(
         model,
         mean=mean,
         covariance=covariance,
         deviations=np.maximum(model.deviations * np.sqrt(spread[:-1]), _LEAST),
-        scatter=np.maximum(model.scatter * np.sqrt(_scatter_ratio(model, told)), _LEAST),
+        scatter=np.maximum(model.scatter * np.sqrt(_scatter_ratio(model, robots)), _LEAST),
         response=max(model.response * float(np.sqrt(spread[-1])), _LEAST),
         course=course,
-        own=np.array([each.own for each in told]),
-        odd=tuple(each.odd for each in told),
+        robot_values=np.array([robot.values for robot in robots]),
+        excess=tuple(robot.excess for robot in robots),
     )
 
 
 def _spread_ratio(
-    columns: TypeColumns, told: Sequence[_RobotStatistics], covariance: Array
+    columns: TypeColumns, robots: Sequence[_RobotStatistics], covariance: Array
 ) -> Array:
-    """Return (K + 1,) squares of θ over their expectations, of all robots, with μ learnt."""
-    squares, expected = np.stack([each.spread for each in told], axis=1)
-    for robot, each in enumerate(told):
-        taken = np.einsum("na,ab,nb->n", each.links, covariance, each.links)
-        expected[robot] -= columns.parts(taken)
-    # A little as expected beside them: where nothing is seen yet, scales stay.
-    squares, expected = squares + _SEEN, np.maximum(expected, 0.0) + _SEEN
+    """Return (K + 1,) ratios of squares of θ of all robots to their expectations, for learnt μ."""
+    squares, expected = np.stack([robot.spread for robot in robots], axis=1)
+    for k, robot in enumerate(robots):
+        slopes = robot.theta_slopes
+        expected[k] -= columns.parts(np.einsum("na,ab,nb->n", slopes, covariance, slopes))
+    # Pseudo-counts keep scales without information unchanged.
+    squares, expected = squares + _PSEUDO_COUNT, np.maximum(expected, 0.0) + _PSEUDO_COUNT
     ratio = squares.sum(axis=0) / expected.sum(axis=0)
-    # Friction that changed in a robot is none of its response to a season.
+    # The median is robust against robots whose friction changed.
     ratio[-1] = np.median(squares[:, -1] / expected[:, -1])
     return np.asarray(ratio)
 
 
-def _scatter_ratio(model: TypeModel, told: Sequence[_RobotStatistics]) -> Array:
-    """Return (K,) squares of scores over their expectations, of the robot in the middle.
+def _scatter_ratio(model: TypeModel, robots: Sequence[_RobotStatistics]) -> Array:
+    """Return (K,) weighted medians over robots of squares of scores over their expectations.
 
-    Each robot counts as the deviations that its logs show, and what was known before as one.
+    A robot's weight is the number of deviations that its logs determine; the present value has
+    weight 1.
     """
-    squares, expected, middle = np.stack([each.scattered for each in told], axis=1)
-    ratio = squares / np.maximum(middle * expected, 1e-300)
+    squares, expected, median = np.stack([robot.scatter for robot in robots], axis=1)
+    ratio = squares / np.maximum(median * expected, 1e-300)
     ratio = np.vstack([ratio, np.ones_like(model.scatter)])
     weight = np.vstack([model.scatter**2 * expected, np.ones_like(model.scatter)])
     order = np.argsort(ratio, axis=0)
-    ratio, weight = (np.take_along_axis(each, order, axis=0) for each in (ratio, weight))
-    passed = np.cumsum(weight, axis=0) - 0.5 * weight
-    half = 0.5 * weight.sum(axis=0)
-    return np.array([np.interp(h, m, r) for h, m, r in zip(half, passed.T, ratio.T, strict=True)])
+    ratio, weight = (np.take_along_axis(x, order, axis=0) for x in (ratio, weight))
+    cumulative = np.cumsum(weight, axis=0) - 0.5 * weight
+    rows = zip(0.5 * weight.sum(axis=0), cumulative.T, ratio.T, strict=True)
+    return np.array([np.interp(half, weights, ratios) for half, weights, ratios in rows])
 
 
 def least_squares(information: Array, right: Array) -> Array:
-    """Return the shortest (p,) solution of normal equations, in units of the columns' own sizes."""
+    """Return the minimum-norm solution (p,) of normal equations, with columns scaled to size 1."""
     unit = _units(information)
     scaled = information * unit[:, None] * unit
-    return np.asarray(unit * np.linalg.lstsq(scaled, unit * right, _FLAT)[0])
+    return np.asarray(unit * np.linalg.lstsq(scaled, unit * right, _RANK_TOLERANCE)[0])
 
 
 def _inverse(matrix: Array) -> Array:
-    """Return the inverse of a matrix of columns in several units; 0 for empty columns."""
+    """Return the pseudo-inverse of a matrix with columns in several units; 0 for zero columns."""
     unit = _units(matrix)
     return np.linalg.pinv(matrix * unit[:, None] * unit, hermitian=True) * unit[:, None] * unit
 
 
 def _units(matrix: Array) -> Array:
-    """Return (p,) scales that give a normal matrix's columns size 1; 0 for those of size 0."""
+    """Return (p,) scales that normalize a normal matrix's columns; 0 for zero columns."""
     size = np.diagonal(matrix)
     return np.where(size > 0.0, 1.0 / np.sqrt(np.where(size > 0.0, size, 1.0)), 0.0)

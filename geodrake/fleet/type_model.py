@@ -1,10 +1,11 @@
-"""A model of a type: common values, differences of robots, and the scatter of logs, learnt jointly.
+"""Hierarchical model of a robot type: common values, differences of robots, and scatter of logs.
 
     x_rt = μ + D_σ Σ_k s_k F_k w_rk + D_r (c_t ∘ (1 + a_r)) + D_r Σ_k τ_rtk F_k u_rtk + changes
 
-μ is common, w a robot's own, c the course of all robots with each one's response 1 + a, u a log's
-own. D scales relative columns by the value of the type or the robot. Scales s, τ and that of a are
-those of the largest restricted likelihood; logs that scatter more than others have a larger τ.
+μ is common to all robots, w specific to a robot, c the common course over time with each robot's
+response 1 + a, and u specific to a log. D scales relative columns by the value of the type or the
+robot. The scales s, τ and that of a maximize the restricted likelihood; outlying logs have a larger
+τ.
 """
 
 from __future__ import annotations
@@ -27,33 +28,33 @@ from geodrake.inertia import Array
 def calc_marginal(
     information: Array, right: Array, factor: Array, columns: Indices | None = None
 ) -> tuple[Array, Array]:
-    """Return normal equations of the mean x̄, where each log has parameters x̄ + u, u ~ N(0, F Fᵀ).
+    """Return normal equations of the mean x̄ if each log has parameters x̄ + u, u ~ N(0, F Fᵀ).
 
-    M = (H⁻¹ + F Fᵀ)⁻¹ and m = (𝟙 + H F Fᵀ)⁻¹ s, which exist for singular H too.
+    M = (H⁻¹ + F Fᵀ)⁻¹ and m = (𝟙 + H F Fᵀ)⁻¹ s, which also exist for singular H.
 
     Args:
         information: (..., p, p) normal matrices H.
         right: (..., p) right sides s.
         factor: (p, r) or (..., p, r) factor F of the scatter's covariance.
-        columns: (c,) which columns of M and elements of m are asked for; all if None.
+        columns: (c,) columns of M and elements of m to return; all if None.
 
     Returns:
         (..., p, c) columns of matrices M, and (..., c) right sides m.
     """
     columns = np.arange(right.shape[-1]) if columns is None else columns
-    seen = information @ factor
-    inner = np.swapaxes(seen, -1, -2) @ factor
+    product = information @ factor
+    inner = np.swapaxes(product, -1, -2) @ factor
     inner[..., np.arange(inner.shape[-1]), np.arange(inner.shape[-1])] += 1.0
-    rows = np.concatenate([seen[..., columns, :], right[..., None, :] @ factor], axis=-2)
+    rows = np.concatenate([product[..., columns, :], right[..., None, :] @ factor], axis=-2)
     solved = np.linalg.solve(inner, np.swapaxes(rows, -1, -2))
-    marginal = information[..., columns] - seen @ solved[..., :-1]
-    return marginal, right[..., columns] - (seen[..., columns, :] @ solved[..., -1:])[..., 0]
+    marginal = information[..., columns] - product @ solved[..., :-1]
+    return marginal, right[..., columns] - (product[..., columns, :] @ solved[..., -1:])[..., 0]
 
 
 LogScores = tuple[Array, Array, Array]
 """(T, K) squares |F_kᵀ score_t|² of logs along K factors; traces of G and G² for G = F_kᵀ M_t F_k.
 
-G is the covariance of these scores where parameters are known.
+G is the covariance of these scores for known parameters.
 """
 
 
@@ -62,38 +63,38 @@ class RobotFit(Short):
     """Parameters x_t = x̄_t + L_t θ of logs t, with θ ~ N(0, 𝟙) and L_t = [A, B_t]."""
 
     information: Array  # (T, p, p) normal matrices M_t of the logs' means
-    rest: Array  # (T, p) right sides less what x̄_t explains, m_t − M_t x̄_t
-    common: Array  # (p, a) map A, which all logs have
-    own: Array  # (T, p, b) maps B_t
+    residual: Array  # (T, p) right sides minus the part due to x̄_t, m_t − M_t x̄_t
+    common: Array  # (p, a) map A, the same for all logs
+    per_log: Array  # (T, p, b) maps B_t
 
     @property
     def size(self) -> int:
         """Number n of parameters θ."""
-        return self.common.shape[1] + self.own.shape[2]
+        return self.common.shape[1] + self.per_log.shape[2]
 
     def mapped(self, rows: Array) -> Array:
         """Return (T, c, n) products of rows (T, c, p) and L_t."""
-        return np.concatenate([rows @ self.common, rows @ self.own], axis=2)
+        return np.concatenate([rows @ self.common, rows @ self.per_log], axis=2)
 
-    def seen_along(self, factor: Array) -> Array:
+    def cross_with(self, factor: Array) -> Array:
         """Return (T, n, r) products L_tᵀ M_t F with directions F (p, r)."""
         return np.swapaxes(self.mapped(np.swapaxes(self.information @ factor, 1, 2)), 1, 2)
 
     @cached_property
-    def seen(self) -> Array:
+    def cross(self) -> Array:
         """(n, p) sum of all products L_tᵀ M_t."""
-        by_own = np.einsum("tpb,tpq->bq", self.own, self.information, optimize=True)
-        return np.vstack([self.common.T @ self.information.sum(axis=0), by_own])
+        lower = np.einsum("tpb,tpq->bq", self.per_log, self.information, optimize=True)
+        return np.vstack([self.common.T @ self.information.sum(axis=0), lower])
 
     @cached_property
     def _factor(self) -> tuple[Array, bool]:
         a, n = self.common.shape[1], self.size
-        seen, own = self.information @ self.own, self.own
+        product = self.information @ self.per_log
         normal = np.eye(n)
-        normal[:, :a] += self.seen @ self.common
-        normal[a:, a:] += np.einsum("tpb,tpc->bc", own, seen, optimize=True)
-        found: tuple[Array, bool] = cho_factor(normal, lower=True)  # what is above does not count
-        return found
+        normal[:, :a] += self.cross @ self.common
+        normal[a:, a:] += np.einsum("tpb,tpc->bc", self.per_log, product, optimize=True)
+        factor: tuple[Array, bool] = cho_factor(normal, lower=True)  # uses the lower triangle only
+        return factor
 
     def solve(self, right: Array) -> Array:
         """Return N⁻¹ times (n,) or (n, m), with the normal matrix N = 𝟙 + Σ L_tᵀ M_t L_t."""
@@ -106,138 +107,140 @@ class RobotFit(Short):
 
     @cached_property
     def theta(self) -> Array:
-        """(n,) the best θ."""
-        of_own = np.einsum("tpb,tp->b", self.own, self.rest)
-        return self.solve(np.append(self.common.T @ self.rest.sum(axis=0), of_own))
+        """(n,) the estimate of θ."""
+        lower = np.einsum("tpb,tp->b", self.per_log, self.residual)
+        return self.solve(np.append(self.common.T @ self.residual.sum(axis=0), lower))
 
     @cached_property
     def deviation(self) -> Array:
-        """(T, p) the contribution of θ to the parameters of every log, L_t θ."""
+        """(T, p) contribution of θ to the parameters of each log, L_t θ."""
         a = self.common.shape[1]
-        return np.asarray(self.common @ self.theta[:a] + self.own @ self.theta[a:])
+        return np.asarray(self.common @ self.theta[:a] + self.per_log @ self.theta[a:])
 
     @cached_property
     def score(self) -> Array:
-        """(T, p) the remainder of every log's right side, rest_t − M_t L_t θ."""
-        return np.asarray(self.rest - (self.information @ self.deviation[..., None])[..., 0])
+        """(T, p) score of each log, residual_t − M_t L_t θ."""
+        return np.asarray(self.residual - (self.information @ self.deviation[..., None])[..., 0])
 
     def scores(self, factors: Sequence[Array]) -> LogScores:
-        """Return how large scores are along the directions of K factors F_k (p, r_k)."""
+        """Return the size of scores along the directions of K factors F_k (p, r_k)."""
         ends = np.cumsum([factor.shape[1] for factor in factors])[:-1]
-        every = np.hstack(factors)
-        along = np.split((self.score @ every) ** 2, ends, axis=1)
-        shown = np.split(self.information @ every, ends, axis=2)
-        blocks = [f.T @ each for f, each in zip(factors, shown, strict=True)]
+        stacked = np.hstack(factors)
+        squares = np.split((self.score @ stacked) ** 2, ends, axis=1)
+        products = np.split(self.information @ stacked, ends, axis=2)
+        blocks = [factor.T @ x for factor, x in zip(factors, products, strict=True)]
         return (
-            np.stack([each.sum(axis=1) for each in along], axis=1),
-            np.stack([np.trace(each, axis1=1, axis2=2) for each in blocks], axis=1),
-            np.stack([np.square(each).sum(axis=(1, 2)) for each in blocks], axis=1),
+            np.stack([x.sum(axis=1) for x in squares], axis=1),
+            np.stack([np.trace(G, axis1=1, axis2=2) for G in blocks], axis=1),
+            np.stack([np.square(G).sum(axis=(1, 2)) for G in blocks], axis=1),
         )
 
     def expected_squares(self, factor: Array) -> Array:
-        """Return (r,) sums of squares of Fᵀ score_t, F (p, r), expected if the model is right."""
-        own = np.einsum("pr,pr->r", factor, self.information.sum(axis=0) @ factor)
-        part = self.seen_along(factor).transpose(1, 0, 2)
-        flat = part.reshape(len(part), -1)
-        fitted = np.sum((flat * self.solve(flat)).reshape(part.shape), axis=(0, 1))
-        return np.maximum(own - fitted, 0.0)  # what rounding makes of nothing
+        """Return (r,) expected sums of squares of Fᵀ score_t, F (p, r), if the model is correct."""
+        total = np.einsum("pr,pr->r", factor, self.information.sum(axis=0) @ factor)
+        cross = self.cross_with(factor).transpose(1, 0, 2)
+        flat = cross.reshape(len(cross), -1)
+        fitted = np.sum((flat * self.solve(flat)).reshape(cross.shape), axis=(0, 1))
+        return np.maximum(total - fitted, 0.0)  # against rounding
 
 
 LEAST_ROBOTS = 5
-"""Robots of a day below which it is not told what all do together; neighbouring days are."""
+"""Minimum number of robots with logs on a day for which the common course is estimated."""
 
-_WIDE = 1.0  # deviation of a course before logs are seen: friction may double
-_FLAT = 1e-12  # share of information that is none
+_PRIOR_DEVIATION = 1.0  # of the course: friction may double
+_RIDGE = 1e-12  # relative regularization
 
 
 @dataclass(frozen=True, eq=False)
 class Course(Short):
-    """Shares by which columns of all robots are larger."""
+    """Common course over time: relative changes of columns of all robots."""
 
     days: Array  # (D,) whole days on which enough robots have logs, ascending
-    values: Array  # (D, q) shares on each day, of mean 0
-    slope: Array  # (q,) what a degree adds, 1/°C, where logs have temperatures
-    reference: float
+    values: Array  # (D, q) relative changes on each day, with mean 0
+    slope: Array  # (q,) relative change per degree, 1/°C, for logs with temperatures
+    reference: float  # reference temperature, °C
 
     @classmethod
-    def begin(cls, logs: Sequence[RobotHistory], columns: int) -> Course:
+    def zero(cls, logs: Sequence[RobotHistory], columns: int) -> Course:
         """Return a course of zeros."""
-        each = [np.unique(np.floor(robot.days)) for robot in logs]
-        days, robots = np.unique(np.concatenate(each), return_counts=True)
+        days_by_robot = [np.unique(np.floor(robot.days)) for robot in logs]
+        days, robots = np.unique(np.concatenate(days_by_robot), return_counts=True)
         days = days[robots >= LEAST_ROBOTS]
-        warm = np.concatenate([robot.temperature for robot in logs])
-        known = warm[np.isfinite(warm)]
-        reference = float(known.mean()) if len(known) else 0.0
+        temperature = np.concatenate([robot.temperature for robot in logs])
+        finite = temperature[np.isfinite(temperature)]
+        reference = float(finite.mean()) if len(finite) else 0.0
         return cls(days, np.zeros((len(days), columns)), np.zeros(columns), reference)
 
-    def of(self, logs: RobotHistory | LogEquations) -> Array:
-        """Return (T, q) shares at a robot's logs; between days with too few robots it is linear."""
-        values = self._warmer(logs)[:, None] * self.slope
+    def at(self, logs: RobotHistory | LogEquations) -> Array:
+        """Return (T, q) relative changes at a robot's logs, interpolated between days."""
+        values = self._temperature_difference(logs)[:, None] * self.slope
         if self.values.size:
-            at = np.floor(logs.days)
-            values = values + np.stack([np.interp(at, self.days, c) for c in self.values.T], -1)
+            days = np.floor(logs.days)
+            values = values + np.stack([np.interp(days, self.days, c) for c in self.values.T], -1)
         return np.asarray(values)
 
-    def improved(
+    def updated(
         self, logs: Sequence[RobotHistory], information: Sequence[Array], right: Sequence[Array]
     ) -> Course:
         """Return the course after a step of its fit to the logs.
 
         Args:
-            information: (T, q, q) of each robot: what its logs say of shares.
-            right: (T, q) of each robot: its right sides, less what the course explains.
+            information: (T, q, q) of each robot, on relative changes at its logs.
+            right: (T, q) of each robot, right sides minus the part due to the course.
         """
-        warm = [self._warmer(each) for each in logs]
-        if any(each.any() for each in warm):
-            slope = _slope(warm, information, right)
+        temperatures = [self._temperature_difference(robot) for robot in logs]
+        course = self
+        if any(difference.any() for difference in temperatures):
+            slope = _slope(temperatures, information, right)
             right = [
-                r - w[:, None] * (info @ slope)
-                for w, info, r in zip(warm, information, right, strict=True)
+                r - difference[:, None] * (info @ slope)
+                for difference, info, r in zip(temperatures, information, right, strict=True)
             ]
-            with_slope = replace(self, slope=self.slope + slope)
-        else:
-            with_slope = self
-        return with_slope._day_by_day(logs, information, right)
+            course = replace(self, slope=self.slope + slope)
+        return course._with_days_updated(logs, information, right)
 
-    def stronger(self, share: Array) -> Course:
-        """Return the course of robots that all follow it more than was thought, by shares (q,)."""
+    def scaled(self, share: Array) -> Course:
+        """Return the course multiplied by 1 + share, share (q,)."""
         return replace(self, values=self.values * (1.0 + share), slope=self.slope * (1.0 + share))
 
-    def _day_by_day(
+    def _with_days_updated(
         self, logs: Sequence[RobotHistory], information: Sequence[Array], right: Sequence[Array]
     ) -> Course:
         D, q = self.values.shape
         if not self.values.size:
             return self
-        seen, side = np.tile(np.eye(q) / _WIDE**2, (D, 1, 1)), -self.values / _WIDE**2
-        for each, info, rest in zip(logs, information, right, strict=True):
-            day = np.floor(each.days)
-            at = np.minimum(np.searchsorted(self.days, day), D - 1)
-            known = self.days[at] == day
-            np.add.at(seen, at[known], info[known])
-            np.add.at(side, at[known], rest[known])
-        values = self.values + np.linalg.solve(seen, side[..., None])[..., 0]
+        normal = np.tile(np.eye(q) / _PRIOR_DEVIATION**2, (D, 1, 1))
+        side = -self.values / _PRIOR_DEVIATION**2
+        for robot, info, r in zip(logs, information, right, strict=True):
+            day = np.floor(robot.days)
+            index = np.minimum(np.searchsorted(self.days, day), D - 1)
+            has_day = self.days[index] == day
+            np.add.at(normal, index[has_day], info[has_day])
+            np.add.at(side, index[has_day], r[has_day])
+        values = self.values + np.linalg.solve(normal, side[..., None])[..., 0]
         return replace(self, values=values - values.mean(axis=0))
 
-    def _warmer(self, logs: RobotHistory | LogEquations) -> Array:
-        """Return (T,) degrees above the reference; 0 where the temperature is not known."""
+    def _temperature_difference(self, logs: RobotHistory | LogEquations) -> Array:
+        """Return (T,) temperatures relative to the reference, °C; 0 where unknown."""
         return np.nan_to_num(logs.temperature - self.reference)
 
 
-def _slope(warm: Sequence[Array], information: Sequence[Array], right: Sequence[Array]) -> Array:
-    """Return (q,) the effect of a degree more, from all logs."""
+def _slope(
+    temperatures: Sequence[Array], information: Sequence[Array], right: Sequence[Array]
+) -> Array:
+    """Return (q,) relative changes per degree, from all logs."""
     q = right[0].shape[1]
-    seen, side = np.zeros((q, q)), np.zeros(q)
-    for w, info, rest in zip(warm, information, right, strict=True):
-        seen += np.einsum("t,tab->ab", w**2, info)
-        side += w @ rest
-    seen[np.arange(q), np.arange(q)] += _FLAT * np.trace(seen) + np.finfo(float).tiny
-    return np.asarray(np.linalg.solve(seen, side))
+    normal, side = np.zeros((q, q)), np.zeros(q)
+    for difference, info, r in zip(temperatures, information, right, strict=True):
+        normal += np.einsum("t,tab->ab", difference**2, info)
+        side += difference @ r
+    normal[np.arange(q), np.arange(q)] += _RIDGE * np.trace(normal) + np.finfo(float).tiny
+    return np.asarray(np.linalg.solve(normal, side))
 
 
-_LEAST = 1e-8  # scale that is none
-_FAR = 3.0  # factor between a robot's friction and the type's beyond which it is no scale
-_USUAL = 4.0  # squared deviation, in its expectation, up to which a log is none that is odd
+_LEAST = 1e-8  # lower bound of scales, relative
+_LARGEST_RATIO = 3.0  # bound of a robot's scale relative to the type's
+_OUTLIER = 4.0  # squared deviation over its expectation, above which a log is an outlier
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,90 +248,92 @@ class TypeModel(Short):
     """The learnt model of a type of robots."""
 
     columns: TypeColumns
-    mean: Array  # (p,) parameters μ that all share
+    mean: Array  # (p,) common parameters μ
     covariance: Array  # (p, p) covariance of μ
-    deviations: Array  # (K,) scale s of each spread, from robot to robot
-    scatter: Array  # (K,) scale τ of each spread, from log to log of one robot
-    response: float  # scale of a, by which robots follow the common course more or less
+    deviations: Array  # (K,) scale s of each spread, between robots
+    scatter: Array  # (K,) scale τ of each spread, between logs of one robot
+    response: float  # scale of a, the deviation of a robot's response to the common course
     course: Course
-    own: Array  # (R, p) parameters of every robot, without the course and changes
-    # (T, K) of every robot: what τ² of each of its logs has beyond that of the type.
-    odd: tuple[Array, ...]
+    robot_values: Array  # (R, p) parameters of each robot, without course and changes
+    excess: tuple[Array, ...]  # (T, K) of each robot: excess of τ² of its logs over the type's
 
     @cached_property
     def typical(self) -> Array:
-        """(p,) size of each common value; of one that is 0, a thousandth of its kind's largest."""
+        """(p,) size of each common value, at least a thousandth of the largest of its kind."""
         size, columns = np.abs(self.mean), self.columns
-        like = columns.alike() & columns.relative
-        largest = np.where(like, size, 0.0).max(axis=1)
+        same_kind = columns.alike() & columns.relative
+        largest = np.where(same_kind, size, 0.0).max(axis=1)
         return np.maximum(size, 1e-3 * np.where(largest > 0.0, largest, 1e3))
 
-    def of(self, robot: int) -> TypeModel:
-        """Return the type as seen by one of its robots, which gets number 0."""
-        one = slice(robot, robot + 1)
-        return replace(self, own=self.own[one], odd=self.odd[one])
+    def for_robot(self, robot: int) -> TypeModel:
+        """Return the model restricted to one robot, which gets index 0."""
+        part = slice(robot, robot + 1)
+        return replace(self, robot_values=self.robot_values[part], excess=self.excess[part])
 
     def scale(self, robot: int) -> Array:
-        """Return (p,) each column's unit for a robot: its own value, for relative columns."""
-        typical = self.typical
-        own = np.clip(np.abs(self.own[robot]), typical / _FAR, _FAR * typical)
-        return np.where(self.columns.relative, own, 1.0)
+        """Return (p,) units of a robot's columns: its value for relative columns, otherwise 1."""
+        lower, upper = self.typical / _LARGEST_RATIO, self.typical * _LARGEST_RATIO
+        values = np.clip(np.abs(self.robot_values[robot]), lower, upper)
+        return np.where(self.columns.relative, values, 1.0)
 
     def fit(
-        self, robot: int, logs: LogEquations, changes: Array | None = None, odd: Array | None = None
+        self,
+        robot: int,
+        logs: LogEquations,
+        changes: Array | None = None,
+        excess: Array | None = None,
     ) -> RobotFit:
-        """Return a robot's own parameters by its logs.
+        """Fit a robot's parameters to its logs.
 
-        θ has a part for every spread, one for the response to the course, and one for changes.
+        θ consists of the spreads, the response to the course, and changes.
 
         Args:
-            changes: (T, p, m) further parameters of its own, each N(0, 1); None if there are none.
-            odd: (T, K) what τ² has beyond that of the type; None for what was learnt.
+            changes: (T, p, m) map of changes, each N(0, 1), if any.
+            excess: (T, K) excess of τ² over the type's; None for the learnt one.
         """
-        odd = self.odd[robot] if odd is None else odd
-        scattered = self._scattered(self.scale(robot), odd)
-        M, m = calc_marginal(logs.information, logs.right, scattered)
-        M = 0.5 * (M + np.swapaxes(M, 1, 2))  # which rounding makes not quite symmetric
-        together = self.together(robot, logs)
-        mean = self.mean + together
+        excess = self.excess[robot] if excess is None else excess
+        factors = self._scatter_factors(self.scale(robot), excess)
+        M, m = calc_marginal(logs.information, logs.right, factors)
+        M = 0.5 * (M + np.swapaxes(M, 1, 2))  # symmetric despite rounding
+        course = self.common_course(robot, logs)
+        mean = self.mean + course
         common = np.hstack(self.deviation_factors())
-        response = self.response * self._spread_out(together)
+        response = self.response * self._course_columns(course)
         fit = RobotFit(M, m - (M @ mean[..., None])[..., 0], common, response)
         return fit if changes is None else self.with_changes(fit, changes)
 
     def with_changes(self, fit: RobotFit, changes: Array) -> RobotFit:
         """Return a fit of the same logs with other changes (T, p, m), each N(0, 1)."""
-        response = fit.own[:, :, : self.columns.sizes[-1]]
-        return replace(fit, own=np.concatenate([response, changes], axis=2))
+        response = fit.per_log[:, :, : self.columns.sizes[-1]]
+        return replace(fit, per_log=np.concatenate([response, changes], axis=2))
 
     def log_scores(self, robot: int, fit: RobotFit) -> LogScores:
-        """Return how large scores of a robot's logs are along each spread."""
+        """Return the size of the scores of a robot's logs along each spread."""
         scale = self.scale(robot)[:, None]
         return fit.scores([scale * spread.factor for spread in self.columns.spreads])
 
-    def oddness(self, scores: LogScores, odd: Array) -> tuple[Array, Array]:
-        """Return how odd logs are in a fit, and the cost of that.
+    def updated_excess(self, scores: LogScores, excess: Array) -> tuple[Array, Array]:
+        """Return the excess scatter of outlying logs in a fit, and its cost.
 
-        Deviations have the density exp(−½ z²) up to z² = `_USUAL` and (z²)^(−½ `_USUAL`) beyond,
-        as those of Student's distribution have. Such a log counts as one of a larger scatter.
+        Deviations have the density exp(−½ z²) up to z² = `_OUTLIER`, and (z²)^(−½ `_OUTLIER`)
+        beyond, like Student's t-distribution. An outlying log is given a larger scatter.
 
         Args:
-            odd: (T, K) what was added to τ² in the fit.
+            excess: (T, K) excess of τ² in the fit.
 
         Returns:
-            (T, K) what is to be added to τ², and (T,) minus the logarithm of what a log's density
-            loses by it, at the spread where that is most.
+            (T, K) updated excess of τ², and (T,) reduction of each log's log-density by it, for the
+            spread with the largest.
         """
-        # Of directions of a spread count those of which a log tells: squared deviations and what
-        # they are expected to be. Where it tells nothing, both are 0.
+        # Averages over the directions that a log determines; 0 if it determines none.
         squares, trace, norm = scores
         norm = np.where(norm > 0.0, norm, 1.0)
         squared, expected = squares / norm, trace / norm
-        # Both know of what was odd before; a log's own scatter does not.
-        before = np.maximum(expected - odd, _LEAST * expected)
-        beyond = np.maximum(squared / _USUAL - before, 0.0)
-        cost = 0.5 * _USUAL * np.log1p(beyond / np.maximum(before, 1e-300))
-        return beyond, cost.max(axis=1)
+        # Both include the present excess; the variance without it:
+        variance = np.maximum(expected - excess, _LEAST * expected)
+        new_excess = np.maximum(squared / _OUTLIER - variance, 0.0)
+        cost = 0.5 * _OUTLIER * np.log1p(new_excess / np.maximum(variance, 1e-300))
+        return new_excess, cost.max(axis=1)
 
     @cached_property
     def factor(self) -> Array:
@@ -343,47 +348,47 @@ class TypeModel(Short):
             for s, spread in zip(self.deviations, self.columns.spreads, strict=True)
         ]
 
-    def together(self, robot: int, logs: LogEquations) -> Array:
-        """Return (T, p) the common course in a robot's parameters at its logs."""
+    def common_course(self, robot: int, logs: LogEquations) -> Array:
+        """Return (T, p) the contribution of the common course to a robot's parameters."""
         values = np.zeros((len(logs.days), len(self.mean)))
-        values[:, self.columns.course] = self.course.of(logs)
+        values[:, self.columns.course] = self.course.at(logs)
         return np.asarray(values * self.scale(robot))
 
     def parameters(self, robot: int, logs: LogEquations, fit: RobotFit) -> Array:
-        """Return (T, p) a robot's parameters at its logs by a fit, without the logs' scatter."""
-        return np.asarray(self.mean + self.together(robot, logs) + fit.deviation)
+        """Return (T, p) a robot's fitted parameters at its logs, without the logs' scatter."""
+        return np.asarray(self.mean + self.common_course(robot, logs) + fit.deviation)
 
-    def _scattered(self, scale: Array, odd: Array) -> Array:
-        """Return (T, p, q) factors of the covariance by which logs scatter; most have the same."""
-        different, which = np.unique(odd, axis=0, return_inverse=True)
-        scales = np.repeat(np.sqrt(self.scatter**2 + different), self.columns.sizes[:-1], axis=1)
+    def _scatter_factors(self, scale: Array, excess: Array) -> Array:
+        """Return (T, p, q) factors of the covariance of each log's scatter."""
+        distinct, indices = np.unique(excess, axis=0, return_inverse=True)  # most are equal
+        scales = np.repeat(np.sqrt(self.scatter**2 + distinct), self.columns.sizes[:-1], axis=1)
         factors = narrow_factor(scales[:, None] * scale[:, None] * self.factor)
-        return np.asarray(factors[which.ravel()])
+        return np.asarray(factors[indices.ravel()])
 
-    def _spread_out(self, together: Array) -> Array:
-        """Return (T, p, q) the course of each column in a column of its own."""
-        at = np.flatnonzero(self.columns.course)
-        found = np.zeros((*together.shape, len(at)))
-        found[:, at, np.arange(len(at))] = together[:, at]
-        return found
+    def _course_columns(self, course: Array) -> Array:
+        """Return (T, p, q) the course of each of the q columns as a separate column."""
+        indices = np.flatnonzero(self.columns.course)
+        columns = np.zeros((*course.shape, len(indices)))
+        columns[:, indices, np.arange(len(indices))] = course[:, indices]
+        return columns
 
 
 def kept_share(directions: Array) -> Array:
-    """Return (...) the share of squared scores that is left by down-weighting if no log is odd.
+    """Return (...) the fraction of squared scores after down-weighting, without outlying logs.
 
-    It depends on how many directions of a spread the log identifies.
+    It depends on the number of directions of a spread that the log determines.
     """
     return np.interp(directions, *_kept_shares())
 
 
 @cache
 def _kept_shares() -> tuple[Array, Array]:
-    """Return numbers of directions, and the share for each, over those of mean z² ~ χ²_r / r."""
+    """Return numbers of directions r, and the fraction for each, with mean z² ~ χ²_r / r."""
     directions = np.arange(1.0, 7.0)
-    middles = (np.arange(1000) + 0.5) / 1000
-    squares = 2.0 * gammaincinv(0.5 * directions[:, None], middles) / directions[:, None]
-    larger = np.maximum(squares / _USUAL, 1.0)  # the variance of an odd log, in that of others
-    return directions, (squares / larger**2).mean(axis=1) / (1.0 / larger).mean(axis=1)
+    quantiles = (np.arange(1000) + 0.5) / 1000
+    squares = 2.0 * gammaincinv(0.5 * directions[:, None], quantiles) / directions[:, None]
+    variance = np.maximum(squares / _OUTLIER, 1.0)  # relative to logs that are not outliers
+    return directions, (squares / variance**2).mean(axis=1) / (1.0 / variance).mean(axis=1)
 
 
 def own_parameters(model: TypeModel, fit: RobotFit) -> tuple[Array, Array]:
@@ -391,7 +396,7 @@ def own_parameters(model: TypeModel, fit: RobotFit) -> tuple[Array, Array]:
     factor = fit.common
     part = slice(0, factor.shape[1])
     covariance = factor @ fit.covariance[part, part] @ factor.T
-    # If all robots have more of something, this one has it where its logs do not say otherwise.
-    silent = np.eye(len(factor)) - factor @ fit.solve(fit.seen)[part]
-    covariance += silent @ model.covariance @ silent.T
+    # Uncertainty of the common values, where the robot's logs do not determine its own.
+    undetermined = np.eye(len(factor)) - factor @ fit.solve(fit.cross)[part]
+    covariance += undetermined @ model.covariance @ undetermined.T
     return model.mean + factor @ fit.theta[part], covariance

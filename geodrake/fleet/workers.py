@@ -1,7 +1,7 @@
-"""Workers for many equal tasks: this process, processes of this machine, or a cluster.
+"""Workers for many similar tasks: this process, local processes, or a cluster.
 
-Processes and clusters are those of Dask. What a worker that dies had begun is begun again by
-another one, and a piece of work that kills three of them is given up.
+Processes and clusters are managed by Dask. If a worker dies, its tasks are repeated by another one;
+a task that kills three workers is given up.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from geodrake.errors import FleetError
 T = TypeVar("T")
 R = TypeVar("R")
 
-_AHEAD = 4  # packets at least for each thread, as long as pieces are left
-_TOGETHER = 8  # pieces of work in a packet, at most
-_SECONDS = 20.0  # until a scheduler, and a worker of it, must have answered
+_BATCHES_PER_THREAD = 4  # minimum
+_BATCH_SIZE = 8  # maximum number of tasks in a batch
+_TIMEOUT = 20.0  # s, for a scheduler and for its first worker
 _SETTINGS = {
-    # A piece of work may hold all that is known of a robot: Dask warns of such.
+    # Dask warns of large tasks, such as a robot's data.
     "distributed.admin.large-graph-warning-threshold": "4 GiB",
-    # Dask has workers give memory back at once: arrays then cost more than what is computed.
+    # By default Dask's workers return memory at once, which makes arrays expensive.
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
 }
-_FEW = 4  # pieces of work for which no process is started
+_FEW = 4  # tasks for which no process is started
 
 
 @dataclass(frozen=True)
@@ -40,37 +40,37 @@ class Workers:
 
     client: Any = None
 
-    def each(self, work: Callable[[T], R], pieces: Sequence[T]) -> Iterator[tuple[int, R | None]]:
-        """Yield numbers and results of tasks as they finish; None for one that killed its workers.
+    def each(self, work: Callable[[T], R], tasks: Sequence[T]) -> Iterator[tuple[int, R | None]]:
+        """Yield indices and results of tasks as they finish; None for one that killed workers.
 
-        What is not begun is given up if one raises.
+        If a task raises, pending tasks are cancelled.
         """
         if self.client is None:
-            yield from ((at, work(piece)) for at, piece in enumerate(pieces))
+            yield from ((k, work(task)) for k, task in enumerate(tasks))
             return
         dask: Any = optional_package("distributed", "fleet", "workers", FleetError)
         threads = max(1, sum(self.client.nthreads().values()))
         futures, done = dict[Any, dict[int, T]](), dask.as_completed()
 
-        def begin(packet: dict[int, T]) -> None:
-            content = pickle.dumps((work, list(packet.values())))
-            future = self.client.submit(_done, content, pure=False)
-            futures[future.key] = packet
+        def submit(batch: dict[int, T]) -> None:
+            content = pickle.dumps((work, list(batch.values())))
+            future = self.client.submit(_run_batch, content, pure=False)
+            futures[future.key] = batch
             done.add(future)
 
         try:
-            for packet in _packets(pieces, threads):
-                begin(packet)
+            for batch in _batches(tasks, threads):
+                submit(batch)
             for future in done:
-                packet = futures.pop(future.key)
+                batch = futures.pop(future.key)
                 try:
-                    yield from zip(packet, pickle.loads(future.result()), strict=True)
+                    yield from zip(batch, pickle.loads(future.result()), strict=True)
                 except dask.KilledWorker:
-                    if len(packet) == 1:
-                        yield from dict.fromkeys(packet).items()
-                    else:  # one by one, as it is not known which of them it was
-                        for at, piece in packet.items():
-                            begin({at: piece})
+                    if len(batch) == 1:
+                        yield from dict.fromkeys(batch).items()
+                    else:  # repeat one by one, as the failing task is unknown
+                        for k, task in batch.items():
+                            submit({k: task})
         except (CancelledError, dask.comm.CommClosedError) as error:
             raise FleetError(
                 f"The scheduler {self.client.scheduler.address} no longer responds.",
@@ -79,53 +79,55 @@ class Workers:
         finally:
             self.client.cancel(list(done.futures))
 
-    def in_order(self, work: Callable[[T], R], pieces: Sequence[T]) -> list[R]:
-        """Return results in the order of the tasks; this process does those that kill workers."""
-        found = dict(self.each(work, pieces))
-        results = (found[at] for at in range(len(pieces)))
-        return [work(p) if r is None else r for p, r in zip(pieces, results, strict=True)]
+    def in_order(self, work: Callable[[T], R], tasks: Sequence[T]) -> list[R]:
+        """Return results in the order of tasks; tasks that kill workers run in this process."""
+        by_index = dict(self.each(work, tasks))
+        results = (by_index[k] for k in range(len(tasks)))
+        return [work(t) if r is None else r for t, r in zip(tasks, results, strict=True)]
 
 
-HERE = Workers()
-"""This process, which does one after the other."""
+THIS_PROCESS = Workers()
+"""Runs tasks one after the other in this process."""
 
 
-def _packets(pieces: Sequence[T], threads: int) -> Iterator[dict[int, T]]:
-    """Yield pieces by their numbers, several together as long as many are left: a packet costs."""
-    at = 0
-    while at < len(pieces):
-        size = max(1, min(_TOGETHER, (len(pieces) - at) // (2 * _AHEAD * threads)))
-        yield dict(enumerate(pieces[at : at + size], start=at))
-        at += size
+def _batches(tasks: Sequence[T], threads: int) -> Iterator[dict[int, T]]:
+    """Yield batches of tasks by index, smaller ones at the end."""
+    start = 0
+    while start < len(tasks):
+        limit = (len(tasks) - start) // (2 * _BATCHES_PER_THREAD * threads)
+        size = max(1, min(_BATCH_SIZE, limit))
+        yield dict(enumerate(tasks[start : start + size], start=start))
+        start += size
 
 
-def _done(packet: bytes) -> bytes:
-    """Run tasks in a worker; many small arrays are slow in Dask unless sent as one packet."""
-    work, pieces = pickle.loads(packet)
-    return pickle.dumps([work(piece) for piece in pieces])
+def _run_batch(content: bytes) -> bytes:
+    """Run tasks in a worker. Pickled batches avoid Dask's cost for many small arrays."""
+    work, tasks = pickle.loads(content)
+    return pickle.dumps([work(task) for task in tasks])
 
 
 @contextmanager
 def workers(
-    pieces: int,
+    tasks: int,
     *,
     count: int | None = None,
     scheduler: str | None = None,
-    told: Callable[[str], None] = lambda words: None,
+    report: Callable[[str], None] = lambda words: None,
 ) -> Iterator[Workers]:
-    """Yield workers for some tasks.
+    """Yield workers for a number of tasks.
 
     Args:
-        count: Processes of this machine, or 0 for this one; None for one on each core, and for
-            this one where Dask is not installed.
-        scheduler: Address of a scheduler of the user's own, such as `tcp://10.0.0.5:8786`.
+        count: Number of local processes, or 0 for this process; None for one per core, or this
+            process without Dask.
+        scheduler: Address of a user's scheduler, such as `tcp://10.0.0.5:8786`.
+        report: Called with a line on the dashboard.
     """
     if scheduler is None:
         if count is None and find_spec("distributed"):
             count = optional_package("dask.system", "fleet", "workers", FleetError).CPU_COUNT
         count = count or 0
-        if count == 0 or pieces == 0 or (pieces <= _FEW and count > 1):
-            yield HERE
+        if count == 0 or tasks == 0 or (tasks <= _FEW and count > 1):
+            yield THIS_PROCESS
             return
     dask: Any = optional_package("distributed", "fleet", "workers", FleetError)
     with ExitStack() as stack:
@@ -142,30 +144,30 @@ def workers(
             )
             client = stack.enter_context(dask.Client(stack.enter_context(cluster)))
         else:
-            log = logging.getLogger("distributed.client")  # has a traceback of a lost scheduler
+            log = logging.getLogger("distributed.client")  # logs tracebacks of lost schedulers
             stack.callback(log.setLevel, log.level)
             log.setLevel(logging.CRITICAL)
             client = stack.enter_context(_remote(dask, scheduler))
-        shown = "" if find_spec("bokeh") else " (it needs: pip install bokeh)"
-        told(f"Dashboard of the workers: {client.dashboard_link}{shown}")
+        hint = "" if find_spec("bokeh") else " (it needs: pip install bokeh)"
+        report(f"Dashboard of the workers: {client.dashboard_link}{hint}")
         yield Workers(client)
 
 
 def _remote(dask: Any, scheduler: str) -> Any:
-    """Return a client of a cluster of the user's own."""
+    """Return a client of a user's cluster."""
     client = object.__new__(dask.Client)
     try:
-        client.__init__(scheduler, timeout=_SECONDS)
+        client.__init__(scheduler, timeout=_TIMEOUT)
     except (OSError, ValueError, TypeError, RuntimeError, ImportError) as error:
-        # The garbage collector must not close it later: if another client starts at that moment,
-        # each waits for the other's lock.
-        client.close(timeout=_SECONDS)
+        # Close it now: if the garbage collector did while another client starts, both would
+        # deadlock.
+        client.close(timeout=_TIMEOUT)
         raise FleetError(
             f"The scheduler {scheduler} cannot be reached: {one_line(error)}.",
             advice="Check its address, such as tcp://10.0.0.5:8786; or omit --scheduler.",
         ) from error
     try:
-        client.wait_for_workers(1, timeout=_SECONDS)
+        client.wait_for_workers(1, timeout=_TIMEOUT)
     except TimeoutError as error:
         client.close()
         raise FleetError(

@@ -117,11 +117,11 @@ def test_a_watch_goes_on_when_a_place_does_not_answer(folder, monkeypatch):
 
 
 def test_what_is_wrong_is_one_line_and_leaves_nothing(folder, monkeypatch):
-    monkeypatch.setattr("geodrake.fleet.workers._SECONDS", 0.5)
+    monkeypatch.setattr("geodrake.fleet.workers._TIMEOUT", 0.5)
     before = contents(folder)
     for words, says in (
         ("--workers -1", "workers must be"),
-        ("--workers 0 --false-alarms 0", "false_alarms must be"),
+        ("--workers 0 --false-alarms 0", "--false-alarms must be"),
         ("--workers 0 --every 0 --watch", "--every must be"),
         ("--workers 0 --watch --once", "exclude each other"),
         ("--workers 0 --once --json -", "Name a file"),

@@ -330,7 +330,7 @@ def test_dates_in_paths(path, pattern, date):
 
 
 def test_a_scheduler_that_does_not_answer_is_said(own, monkeypatch):
-    monkeypatch.setattr("geodrake.fleet.workers._SECONDS", 0.5)
+    monkeypatch.setattr("geodrake.fleet.workers._TIMEOUT", 0.5)
     fleet, there = read_fleet(own()), FleetWork(scheduler="tcp://127.0.0.1:9")
     with pytest.raises(FleetError, match=r"tcp://127\.0\.0\.1:9 cannot be reached"):
         run_fleet(fleet, there)
@@ -527,7 +527,7 @@ def refuse_three(piece):
 
 def test_all_work_comes_back(cluster):
     told = []
-    with workers(20, scheduler=cluster.scheduler_address, told=told.append) as team:
+    with workers(20, scheduler=cluster.scheduler_address, report=told.append) as team:
         done = dict(team.each(abs, [-k for k in range(20)]))
         assert done == {k: k for k in range(20)}
         with pytest.raises(LogError, match=r"Log 3 is none\. Correct it\."):

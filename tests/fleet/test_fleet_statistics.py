@@ -31,9 +31,9 @@ def made(logs, **more):
         "deviations": np.array([0.2, 0.1, 0.3]),
         "scatter": np.array([0.05, 0.02, 0.04]),
         "response": 0.2,
-        "course": Course.begin(logs, 0),
-        "own": np.tile(MEAN, (len(logs), 1)),
-        "odd": tuple(np.zeros((len(each.days), 3)) for each in logs),
+        "course": Course.zero(logs, 0),
+        "robot_values": np.tile(MEAN, (len(logs), 1)),
+        "excess": tuple(np.zeros((len(each.days), 3)) for each in logs),
     }
     return TypeModel(columns(), **{**known, **more})
 
@@ -175,7 +175,9 @@ def fleet(seed, robots, changes, together=0.0, *, resting=False):
 
 
 def find_changes(histories, known, **how):
-    return find(histories, known, hypotheses(), lambda search: search.told(search.find()), **how)
+    return find(
+        histories, known, hypotheses(), lambda search: search.findings(search.find()), **how
+    )
 
 
 def sizes(finding):
