@@ -1,4 +1,4 @@
-"""geodrake: find what a robot's model is missing from measurements, and add it."""
+"""geodrake: find out from measurements what a robot's model is missing, and add it."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -25,7 +25,7 @@ _PACKAGES = (
 
 
 def __getattr__(name: str) -> Any:
-    """Import Drake when something is first asked for, so that `geodrake --help` is quick."""
+    """Import packages, and Drake with them, on first use, so that `geodrake --help` is fast."""
     if name in __all__:
         return getattr(import_module("geodrake.model"), name)
     if name in _PACKAGES:

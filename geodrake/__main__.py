@@ -1,4 +1,4 @@
-"""`python -m geodrake`: the same as the `geodrake` command."""
+"""`python -m geodrake`, equivalent to the `geodrake` command."""
 
 from geodrake.cli import main
 

@@ -1,4 +1,4 @@
-"""Loops that run once a sample, compiled once and kept on disk."""
+"""Compilation of numerical loops by Numba, cached on disk."""
 
 from __future__ import annotations
 
@@ -40,64 +40,65 @@ if config.DISABLE_JIT:  # type: ignore[attr-defined]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-_TRIES, _PAUSE = 1200, 0.05  # how often a process looks whether another one is done, and s between
+_TRIES, _PAUSE = 1200, 0.05  # number of attempts to get another process's lock, and interval, s
 
 _SOURCES: dict[Callable[..., Any], str] = {}
-"""Of each compiled function a digest of compiler, files, constants and functions it is made from.
+"""Compiled function -> hash of the compiler, files, constants and functions that it depends on.
 
-What was kept does not depend on where the files are: a copy of them may bring it along.
+It does not depend on paths, so that files can be copied with their cache.
 """
 
 
 def compiled(function: F) -> F:
-    """Return a function of numbers, arrays and tuples of them, compiled when it is first called.
+    """Return a function of numbers, arrays and tuples, compiled when it is first called.
 
-    It may call others that are compiled or inlined. What was compiled is kept beside the source, or
-    in the user's folder for caches where that cannot be written or others can write. Where neither
-    will do, every process compiles it anew.
+    It may call other compiled or inlined functions. Compiled code is cached in the source folder,
+    or in the user's cache folder if that is not writable or others can write to it. If neither is
+    possible, every process compiles it again.
     """
     return _compiled(function)
 
 
 def inlined(function: F) -> F:
-    """Return the same, as a part of what calls it."""
+    """Return a compiled function that is inlined into its callers."""
     return _compiled(function, forceinline=True)
 
 
 def summing(function: F) -> F:
-    """Return a compiled function whose sums may be reordered, which is faster if they are long."""
+    """Return a compiled function whose sums may be reordered, which is faster for long sums."""
     return _compiled(function, fastmath={"reassoc", "contract"})
 
 
 def interpreted(function: F, **others: object) -> F:
-    """Return a compiled function as Python runs it, and all that it calls.
+    """Return a compiled function, and all functions it calls, as interpreted Python.
 
     Args:
-        others: What stands for names in it, such as those of types of arrays.
+        others: Replacements of global names, such as those of array types.
     """
-    own = getattr(function, "py_func", function)
-    scope = {**own.__globals__, **others}
-    called: dict[str, Any] = {name: scope.get(name) for name in _names(own.__code__)}
+    python = getattr(function, "py_func", function)
+    scope = {**python.__globals__, **others}
+    called: dict[str, Any] = {name: scope.get(name) for name in _names(python.__code__)}
     inner = {n: interpreted(x, **others) for n, x in called.items() if hasattr(x, "py_func")}
-    return cast(F, FunctionType(own.__code__, {**scope, **inner}, own.__name__))
+    return cast(F, FunctionType(python.__code__, {**scope, **inner}, python.__name__))
 
 
 def contiguous(x: ArrayLike) -> NDArray[np.float64]:
-    """Return an array as compiled code knows it: other layouts would be compiled once more."""
+    """Return a contiguous, writable array; compiled functions have other versions for others."""
     array = np.asarray(x, float)
     return array if array.flags.carray else np.array(array, order="C")
 
 
 @contextmanager
 def while_compiling(begins: Callable[[], None], ends: Callable[[], None]) -> Iterator[None]:
-    """Tell of what is compiled as it was not kept; some of it takes seconds.
+    """Report compilations, some of which take seconds.
 
-    `begins` is called as soon as a function is compiled, `ends` when that is done, and all that it
-    calls.
+    Args:
+        begins: Called when the compilation of a function starts.
+        ends: Called when it ends, including functions that it calls.
     """
     depth = 0
 
-    class Teller(event.Listener):
+    class Listener(event.Listener):
         def on_start(self, event: Any) -> None:
             nonlocal depth
             depth += 1
@@ -110,16 +111,16 @@ def while_compiling(begins: Callable[[], None], ends: Callable[[], None]) -> Ite
             if depth == 0:
                 ends()
 
-    teller = Teller()
-    event.register("numba:compile", teller)  # type: ignore[no-untyped-call]
+    listener = Listener()
+    event.register("numba:compile", listener)  # type: ignore[no-untyped-call]
     try:
         yield
     finally:
-        event.unregister("numba:compile", teller)  # type: ignore[no-untyped-call]
+        event.unregister("numba:compile", listener)  # type: ignore[no-untyped-call]
 
 
 def _compiled(function: F, **options: Any) -> F:
-    # (Divisions by zero are infinite, as in NumPy. Nothing calls it from C.)
+    # Division by zero is infinite, as in NumPy. No wrapper for C is needed.
     settings: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True, **options}
     dispatcher: Any = njit(**settings)(function)
     names = [function.__globals__.get(name) for name in sorted(_names(function.__code__))]
@@ -128,60 +129,59 @@ def _compiled(function: F, **options: Any) -> F:
     parts = numba_version, _source(function.__code__.co_filename), constants, called
     source = sha256("".join(map(str, parts)).encode())
     _SOURCES[function] = source.hexdigest()
-    dispatcher._cache = _Kept(function, _SOURCES[function])
+    dispatcher._cache = _Cache(function, _SOURCES[function])
     return cast(F, dispatcher)
 
 
 @cache
 def _source(path: str) -> str:
-    """Return what is in a file of compiled functions."""
+    """Return the source of a file."""
     return Path(path).read_text("utf-8")
 
 
 def _names(code: CodeType) -> frozenset[str]:
-    """Return names that a function uses, in what is defined within it, too."""
-    within = (_names(part) for part in code.co_consts if isinstance(part, CodeType))
-    return frozenset(code.co_names).union(*within)
+    """Return the global names that a function and its nested functions use."""
+    nested = (_names(part) for part in code.co_consts if isinstance(part, CodeType))
+    return frozenset(code.co_names).union(*nested)
 
 
-class _Kept:
-    """Compiled code of a function, valid while all that it came from is unchanged.
+class _Cache:
+    """Cache of a function's compiled code, valid while its sources are unchanged.
 
-    Of processes that begin together one compiles it, and the others wait.
+    Of several processes that start together one compiles it, and the others wait.
 
-    A file for each signature, with a digest of its sources. Numba's own files have numbers that an
-    index tells, which every process writes anew: of two that compile at once one may be told the
-    other's. It also looks at the time of the function's own file alone, and a full disk or a file
-    that was cut off would be an error of the call.
+    There is a file for each signature, with a hash of the sources. Numba's own cache has an index
+    with file numbers, which concurrent processes corrupt. It also checks only the modification time
+    of the function's file, and raises on full disks and truncated files.
     """
 
     def __init__(self, function: Callable[..., Any], source: str) -> None:
         path = Path(function.__code__.co_filename)
-        self.cache_path = _place_beside(path)
+        self.cache_path = _cache_folder(path)
         name = re.sub(r"[<>]", "", function.__qualname__)
         version = f"py{sys.version_info[0]}{sys.version_info[1]}{sys.abiflags}"
         self._stem = f"{path.stem}.{name}-{function.__code__.co_firstlineno}.{version}"
         self._source = source
-        self._lock: BinaryIO | None = None  # while it is compiled here
+        self._lock: BinaryIO | None = None  # while this process compiles
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return what was kept, None without; then other processes wait for what is compiled."""
+        """Return the cached code, or None after locking it for compilation by this process."""
         target_context.refresh()
         if self.cache_path is None:
             return None
         path = self._file(sig, target_context.codegen())
-        kept = self._read(path, target_context)
-        if kept is None:
+        result = self._read(path, target_context)
+        if result is None:
             self._wait_for_others(path.with_suffix(".lock"))
-            kept = self._read(path, target_context)  # as another process may have compiled it
-            if kept is not None:
+            result = self._read(path, target_context)  # compiled by another process
+            if result is not None:
                 self._unlock()
-        return kept
+        return result
 
     def _wait_for_others(self, path: Path) -> None:
-        """Take the lock of what is to be compiled, or go on without it after a while."""
+        """Acquire the lock for compilation, or continue without it after a timeout."""
         self._unlock()
-        with suppress(OSError):  # where files cannot be locked, each compiles its own
+        with suppress(OSError):  # without file locks, each process compiles
             self._lock = path.open("wb")
             for _ in range(_TRIES):
                 try:
@@ -191,7 +191,7 @@ class _Kept:
                     time.sleep(_PAUSE)
 
     def _read(self, path: Path, target_context: Any) -> Any:
-        """Return what was kept, unless it is a link, or others can write it; None without."""
+        """Return the cached code; None if missing, outdated, a link, or writable by others."""
         with suppress(Exception):
             number = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
             with os.fdopen(number, "rb") as file:
@@ -204,7 +204,7 @@ class _Kept:
         return None
 
     def _unlock(self) -> None:
-        """Let processes go on that wait for what was compiled here."""
+        """Release the lock, for which other processes may wait."""
         if self._lock is not None:
             with suppress(OSError):
                 Path(self._lock.name).unlink()
@@ -212,7 +212,7 @@ class _Kept:
             self._lock = None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep what was compiled, if there is room."""
+        """Write compiled code to the cache, if possible."""
         with suppress(Exception):
             if self.cache_path is not None and not data.library.has_dynamic_globals:
                 self._write(self._file(sig, data.codegen), data)
@@ -235,7 +235,7 @@ class _Kept:
 
 
 def _places(path: Path) -> Iterator[tuple[Path, int]]:
-    """Yield folders for what is compiled of a file, and their modes: asked for, beside it, own."""
+    """Yield cache folders and modes: configured, in the source folder, and the user's."""
     name = f"{path.parent.name}_{sha256(str(path.parent).encode()).hexdigest()[:16]}"
     if config.CACHE_DIR:  # type: ignore[attr-defined]
         yield Path(config.CACHE_DIR, name), 0o755  # type: ignore[attr-defined]
@@ -244,10 +244,10 @@ def _places(path: Path) -> Iterator[tuple[Path, int]]:
     yield Path(home, "geodrake", name), 0o700
 
 
-def _place_beside(path: Path) -> Path | None:
-    """Return the first folder that can be made and written, and that others cannot write."""
+def _cache_folder(path: Path) -> Path | None:
+    """Return the first cache folder that is writable by this user only."""
     for folder, mode in _places(path):
-        with suppress(OSError, RuntimeError):  # or there is no home
+        with suppress(OSError, RuntimeError):  # RuntimeError without a home folder
             folder.parent.mkdir(parents=True, exist_ok=True)
             folder.mkdir(mode, exist_ok=True)
             status = folder.lstat()
@@ -258,9 +258,9 @@ def _place_beside(path: Path) -> Path | None:
 
 
 def _is_own(status: os.stat_result) -> bool:
-    """Return whether only the user and root can change what a file or folder holds.
+    """Return whether only the user and root can modify a file or folder.
 
-    What is kept is unpickled, which runs whatever it says. So it must be as trustworthy as the
-    source itself, which root may have installed.
+    Unpickling cached code can execute anything, so the cache must be as trustworthy as the source,
+    which root may have installed.
     """
     return status.st_uid in (os.geteuid(), 0) and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)

@@ -24,46 +24,45 @@ def step_length(
     *,
     longest: float = 1.0,
 ) -> Array:
-    """Return how much of a step to take: all of it, a half, a quarter… until the cost falls enough.
+    """Return step lengths by backtracking, starting with `longest` and halving.
 
     Args:
-        decrease: Maps shares (...) of the step to how much lower the cost is there; minus infinity
-            outside of its domain.
-        promise: (...) what the slope promises of the whole step, above zero.
-        rounding: (...) what the cost is not known better than.
+        decrease: Maps lengths (...) to the decrease of the cost; minus infinity outside the domain.
+        promise: (...) predicted decrease of a step of length 1, to first order, above zero.
+        rounding: (...) rounding error of the cost.
 
     Returns:
-        (...) the shares; zero where none lowers the cost.
+        (...) lengths with a sufficient decrease; zero if there are none.
     """
-    share = np.full(np.shape(promise), longest)
+    length = np.full(np.shape(promise), longest)
     for _ in range(_MOST_HALVINGS):
-        enough = decrease(share) >= _SUFFICIENT * share * promise - rounding
-        if np.all(enough):
-            return share
-        share = np.where(enough, share, 0.5 * share)
-    return np.where(enough, share, 0.0)
+        is_sufficient = decrease(length) >= _SUFFICIENT * length * promise - rounding
+        if np.all(is_sufficient):
+            return length
+        length = np.where(is_sufficient, length, 0.5 * length)
+    return np.where(is_sufficient, length, 0.0)
 
 
 def is_within_rounding(
     promise: Array | float, before: Array | float, rounding: Array | float
 ) -> NDArray[np.bool_]:
-    """Return whether a search is as near to its minimum as rounding lets it come.
+    """Return whether a search has reached its minimum up to rounding.
 
-    Newton's steps promise less and less, far below what rounding hides of the cost, until rounding
-    of the gradient makes them. Then what is left is lost in the cost, and no step changes that.
+    Predicted decreases of Newton steps shrink far below the rounding error of the cost, until they
+    are dominated by rounding of the gradient and no longer shrink.
 
     Args:
-        promise: (...) what the slope promises of the next step.
-        before: (...) the same of the last step; infinite at first.
-        rounding: (...) what the cost is not known better than.
+        promise: (...) predicted decrease of the next step.
+        before: (...) predicted decrease of the last step; infinite at first.
+        rounding: (...) rounding error of the cost.
     """
     return np.asarray((promise <= rounding) & (promise >= _SHRINKS * np.asarray(before)))
 
 
 def rounding_of_squares(cost: Array | float, weight: Array | float) -> Array:
-    """Return what ½ Σ wₖ rₖ² is not known better than, of residuals known to `PRECISION`.
+    """Return the rounding error of ½ Σ wₖ rₖ², for residuals with errors of `PRECISION`.
 
-    Small residuals are known no better than others: it is Σ wₖ |rₖ| times that, at most.
+    It is bounded by Σ wₖ |rₖ| times that error, as small residuals are no more precise.
 
     Args:
         cost: (...) the sum.

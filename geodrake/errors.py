@@ -1,4 +1,4 @@
-"""Errors of geodrake: what was wrong, with the values, and what to do about it."""
+"""Errors of geodrake, which state the problem with its values and give advice."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Any
 
 
 class GeodrakeError(Exception):
-    """Base of every error that geodrake raises on purpose.
+    """Base class of geodrake's errors.
 
     Args:
-        problem: What was wrong, with the values, as one or more full sentences.
-        advice: What the user can do about it; appended to the message.
-        evidence: The values behind the message, kept as `evidence` for programs.
+        problem: Description of the problem with its values, in full sentences.
+        advice: How the user can solve it; appended to the message.
+        evidence: Values for programs, available as `evidence`.
     """
 
     def __init__(self, problem: str, *, advice: str = "", **evidence: Any) -> None:
@@ -24,23 +24,23 @@ class GeodrakeError(Exception):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return how pickle rebuilds the error, with advice and evidence."""
-        return _remade, (type(self), self.problem, self.advice, self.evidence)
+        return _restored, (type(self), self.problem, self.advice, self.evidence)
 
 
 class ArgumentError(GeodrakeError, ValueError):
-    """A function or command got an argument it cannot take (shape, range, name)."""
+    """An argument of a function or command is invalid (shape, range, name)."""
 
 
 class LogError(GeodrakeError):
-    """A log cannot be read, or says too little to be used."""
+    """A log cannot be read, or contains too little information."""
 
 
 class ModelError(GeodrakeError):
-    """A model file cannot be read, or does not describe a usable robot."""
+    """A model file cannot be read, or does not describe a valid robot."""
 
 
 class IdentificationError(GeodrakeError):
-    """A program for the parameters has no usable solution."""
+    """An optimization problem for the parameters has no valid solution."""
 
 
 class ConvergenceError(GeodrakeError):
@@ -48,24 +48,24 @@ class ConvergenceError(GeodrakeError):
 
 
 class DigestError(GeodrakeError):
-    """A digest or its settings cannot be read, or do not fit others."""
+    """A digest or its settings cannot be read, or are incompatible with others."""
 
 
 class FleetError(GeodrakeError):
-    """A fleet file cannot be read, or what it names cannot be used together."""
+    """A fleet file cannot be read, or its robots, models and logs are incompatible."""
 
 
 class OutputError(GeodrakeError):
-    """A result cannot be written where it was asked for."""
+    """A result cannot be written to the requested place."""
 
 
 def nearest(name: object, known: Iterable[str], count: int = 3) -> str:
-    """Return "Did you mean …? " with the known names nearest to an unknown one, or ""."""
-    near = get_close_matches(str(name), list(known), count, 0.5)
-    return f"Did you mean {', '.join(near)}? " if near else ""
+    """Return "Did you mean …? " with the known names most similar to an unknown one, or ""."""
+    similar = get_close_matches(str(name), list(known), count, 0.5)
+    return f"Did you mean {', '.join(similar)}? " if similar else ""
 
 
-def _remade(
+def _restored(
     kind: type[GeodrakeError], problem: str, advice: str, evidence: dict[str, Any]
 ) -> GeodrakeError:
     return kind(problem, advice=advice, **evidence)

@@ -1,5 +1,5 @@
 """Input and output: checks of arguments, files, text, and interrupts.
 
-Every public function checks what it is given by `arguments`, every file is read through
-`input_files` and written through `whole_files`, and every text that is shown passes `escaping`.
+Public functions check their arguments by `arguments`, files are read through `input_files` and
+written through `whole_files`, and displayed text is escaped by `escaping`.
 """

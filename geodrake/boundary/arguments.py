@@ -1,14 +1,15 @@
-"""Checks of the arguments of public functions, so that kernels need not check theirs.
+"""Checks of the arguments of public functions, so that kernels need no checks.
 
-A shape is written as in docstrings: `("N", 10)`, or `("...", 3)` for any leading axes. A symbol has
-one length in all arrays that are checked with the same `sizes`, and leading axes must broadcast:
+Shapes are written as in docstrings: `("N", 10)`, or `("...", 3)` for any leading axes. A symbol has
+the same length in all arrays that are checked with the same `sizes`, and leading axes must
+broadcast:
 
     sizes: Sizes = {}
     q = real_array(q, "q", ("N", "nq"), sizes)
     v = real_array(v, "v", ("N", "nv"), sizes)
 
-Numbers are real: complex ones, strings, objects, booleans, masked arrays and ragged lists are
-refused instead of being half believed.
+Numbers must be real: complex numbers, strings, objects, booleans, masked arrays and ragged lists
+are errors.
 """
 
 from __future__ import annotations
@@ -28,11 +29,11 @@ from numpy.typing import NDArray
 
 from geodrake.errors import ArgumentError, nearest
 
-_LONGEST = 60  # characters of a value that a message shows
+_LONGEST = 60  # characters of a value in a message
 
 
 def shown(value: Any) -> str:
-    """Return a value for a message, shortened, with its type where that helps."""
+    """Return a value for a message, or its type if the value is not plain or too long."""
     text = repr(value) if isinstance(value, str | bytes | int | float | list | tuple) else ""
     if not text or len(text) > _LONGEST:
         return f"of type {type(value).__name__}"
@@ -44,7 +45,7 @@ Kinds = type | tuple[type, ...]
 
 
 def instance(value: Kind, name: str, kind: Kinds) -> Kind:
-    """Return an object of a class."""
+    """Return an object, checked to be of a class."""
     if not isinstance(value, kind):
         raise ArgumentError(
             f"{name} must be a {_kinds_words(kind)}; it is {shown(value)}.", name=name
@@ -53,40 +54,40 @@ def instance(value: Kind, name: str, kind: Kinds) -> Kind:
 
 
 def instances(value: Iterable[Kind], name: str, kind: Kinds) -> tuple[Kind, ...]:
-    """Return objects of a class from any iterable."""
-    wanted = f"{name} must be a tuple of {_kinds_words(kind)}"
+    """Return the objects of an iterable, checked to be of a class."""
+    requirement = f"{name} must be a tuple of {_kinds_words(kind)}"
     if isinstance(value, str | bytes | dict) or not isinstance(value, Iterable):
-        raise ArgumentError(f"{wanted}; it is {shown(value)}.", name=name)
-    found = tuple(value)
-    for place, each in enumerate(found):
-        if not isinstance(each, kind):
-            raise ArgumentError(f"{wanted}; number {place} is {shown(each)}.", name=name)
-    return found
+        raise ArgumentError(f"{requirement}; it is {shown(value)}.", name=name)
+    items = tuple(value)
+    for place, item in enumerate(items):
+        if not isinstance(item, kind):
+            raise ArgumentError(f"{requirement}; number {place} is {shown(item)}.", name=name)
+    return items
 
 
 def function(value: Kind, name: str) -> Kind:
-    """Return an argument that can be called."""
+    """Return an argument, checked to be callable."""
     if not callable(value):
         raise ArgumentError(f"{name} must be a function; it is {shown(value)}.", name=name)
     return value
 
 
 def file_path(value: str | os.PathLike[str]) -> Path:
-    """Return the path of a file."""
+    """Return a path, checked to be a valid one."""
     if not isinstance(value, str | os.PathLike):
         raise ArgumentError(f"path must be a path; it is {shown(value)}.", name="path")
     path = Path(value)
     try:
-        unusable = b"\0" in os.fsencode(path)
+        is_invalid = b"\0" in os.fsencode(path)
     except UnicodeEncodeError:
-        unusable = True
-    if unusable:
+        is_invalid = True
+    if is_invalid:
         raise ArgumentError(f"path must be a path; no file can be called {value!a}.", name="path")
     return path
 
 
 def one_of(value: Any, name: str, choices: Collection[str]) -> str:
-    """Return an argument that must be one of a few words."""
+    """Return an argument, checked to be one of the choices."""
     if not isinstance(value, str) or value not in choices:
         words = ", ".join(f'"{choice}"' for choice in choices)
         raise ArgumentError(
@@ -99,20 +100,20 @@ def one_of(value: Any, name: str, choices: Collection[str]) -> str:
 
 def _kinds_words(kind: Kinds) -> str:
     kinds = kind if isinstance(kind, tuple) else (kind,)
-    return " or ".join(each.__name__ for each in kinds)
+    return " or ".join(kind.__name__ for kind in kinds)
 
 
 Array = NDArray[np.float64]
 Shape = tuple[int | str, ...]
 Sizes = dict[str, tuple[int, ...]]
-"""Symbol -> its length, and "..." -> the leading axes of all arrays together."""
+"""Symbol -> its length, and "..." -> the broadcast leading axes of all arrays."""
 
 LARGEST = 1e60
-"""Larger numbers do not occur in mechanics, and their powers, as in det P, soon overflow."""
+"""Bound of valid numbers. Powers of larger ones, as in det P, overflow."""
 
 _FLOAT = np.dtype(float)
-_REAL_KINDS = "fiu"  # of NumPy's types: floating-point numbers and integers
-_ASYMMETRY = 1e-8  # most relative asymmetry of a matrix that counts as rounding
+_REAL_KINDS = "fiu"  # NumPy's kinds of floating-point numbers and integers
+_ASYMMETRY = 1e-8  # maximum relative asymmetry that counts as rounding
 
 
 def real_array(
@@ -126,9 +127,9 @@ def real_array(
     """Return an array of real numbers of a shape.
 
     Args:
-        shape: Its shape, with symbols for lengths that may be any; None for any shape.
-        sizes: What symbols stand for so far; completed by this array.
-        finite: Whether NaN, infinity and what is beyond `LARGEST` are refused.
+        shape: Its shape, with symbols for variable lengths; None for any shape.
+        sizes: Lengths of symbols so far; updated by this array.
+        finite: Whether NaN, infinity and magnitudes above `LARGEST` are errors.
     """
     array = _numbers(value, name, shape)
     if shape is not None and not _fits(array.shape, shape, sizes):
@@ -148,11 +149,11 @@ def one_or_each(
     strict: bool = False,
     finite: bool = True,
 ) -> Array:
-    """Return numbers (count,), at least 0, from one for all, or one for each.
+    """Return numbers (count,), at least 0, from a scalar or (count,).
 
     Args:
-        strict: Whether 0 itself is refused.
-        finite: Whether infinity is refused; NaN always is.
+        strict: Whether 0 is an error.
+        finite: Whether infinity is an error; NaN always is.
     """
     array = real_array(value, name, finite=finite)
     if array.shape not in ((), (count,)):
@@ -160,25 +161,25 @@ def one_or_each(
             f"{name} must be one number or {count}; its shape is {array.shape}.", name=name
         )
     if not (array > 0.0 if strict else array >= 0.0).all():
-        wanted = "above" if strict else "at least"
-        raise ArgumentError(f"{name} must be {wanted} 0; it is {shown(array.tolist())}.", name=name)
-    # Compiled loops are compiled once more for arrays that cannot be written, as views cannot.
+        bound = "above" if strict else "at least"
+        raise ArgumentError(f"{name} must be {bound} 0; it is {shown(array.tolist())}.", name=name)
+    # A writable array: compiled functions have another version for read-only ones.
     return np.full(count, array)
 
 
 def mask(value: Any, name: str) -> NDArray[np.bool_]:
     """Return booleans (n,), checked."""
     try:
-        found = np.asarray(value)
+        array = np.asarray(value)
     except ValueError:  # ragged
-        found = np.empty((), object)
-    if found.ndim != 1 or found.dtype != bool:
+        array = np.empty((), object)
+    if array.ndim != 1 or array.dtype != bool:
         raise ArgumentError(f"{name} must be (n,) booleans; it is {shown(value)}.", name=name)
-    return found
+    return array
 
 
 def positive_definite(value: Any, name: str, shape: Shape, sizes: Sizes | None = None) -> Array:
-    """Return a symmetric positive-definite matrix, in any units."""
+    """Return a matrix, checked to be symmetric positive definite, in any units."""
     matrix = real_array(value, name, shape, sizes)
     diagonal = np.diagonal(matrix)
     if not (diagonal > 0).all():
@@ -204,7 +205,7 @@ def positive_definite(value: Any, name: str, shape: Shape, sizes: Sizes | None =
 
 
 def _numbers(value: Any, name: str, shape: Shape | None) -> Array:
-    """Return an array of floats; raise for complex numbers, texts, objects, booleans and masks."""
+    """Return an array of floats; raise if the value is not made of real numbers."""
     if type(value) is np.ndarray and value.dtype == _FLOAT:
         return value
     if isinstance(value, np.ma.MaskedArray):
@@ -212,35 +213,35 @@ def _numbers(value: Any, name: str, shape: Shape | None) -> Array:
     try:
         array = np.asarray(value)
     except (TypeError, ValueError, OverflowError, RuntimeError) as error:
-        # NumPy cannot make an array of ragged lists, or of objects that refuse.
+        # Such as ragged lists.
         raise _wrong(name, shape, None, f"it is {shown(value)}") from error
     if array.dtype.kind not in _REAL_KINDS and array.size:
-        what = shown(value) if array.dtype.kind in "OU" else f"of type {array.dtype}"
-        raise _wrong(name, shape, None, f"it is {what}")
-    with np.errstate(over="ignore"):  # numbers of more digits that are too large become infinite
+        description = shown(value) if array.dtype.kind in "OU" else f"of type {array.dtype}"
+        raise _wrong(name, shape, None, f"it is {description}")
+    with np.errstate(over="ignore"):  # large numbers of higher precision become infinite
         return np.asarray(array, _FLOAT)
 
 
-def _fits(found: tuple[int, ...], shape: Shape, sizes: Sizes | None) -> bool:
-    """Return whether a shape is the wanted one; binds its symbols if it is."""
-    open_ended = shape[:1] == ("...",)
-    ends = shape[1:] if open_ended else shape
-    start = len(found) - len(ends)
-    if start < 0 or (start and not open_ended):
+def _fits(actual: tuple[int, ...], shape: Shape, sizes: Sizes | None) -> bool:
+    """Return whether a shape matches the required one, and bind its symbols if so."""
+    has_leading_axes = shape[:1] == ("...",)
+    trailing = shape[1:] if has_leading_axes else shape
+    start = len(actual) - len(trailing)
+    if start < 0 or (start and not has_leading_axes):
         return False
     bound: Sizes = {}
-    for length, wanted in zip(found[start:], ends, strict=True):
-        if isinstance(wanted, int):
-            known: tuple[int, ...] = (wanted,)
+    for length, symbol in zip(actual[start:], trailing, strict=True):
+        if isinstance(symbol, int):
+            required: tuple[int, ...] = (symbol,)
         else:
-            known = bound.get(wanted) or (sizes or {}).get(wanted) or (length,)
-            bound[wanted] = known
-        if known != (length,):
+            required = bound.get(symbol) or (sizes or {}).get(symbol) or (length,)
+            bound[symbol] = required
+        if required != (length,):
             return False
     if sizes is not None:
-        if open_ended:
+        if has_leading_axes:
             try:
-                bound["..."] = np.broadcast_shapes(sizes.get("...", ()), found[:start])
+                bound["..."] = np.broadcast_shapes(sizes.get("...", ()), actual[:start])
             except ValueError:
                 return False
         sizes.update(bound)
@@ -256,20 +257,20 @@ def _within(array: Array) -> bool:
 def _wrong(
     name: str, shape: Shape | None, sizes: Sizes | None, but: str, **evidence: Any
 ) -> ArgumentError:
-    """Return the error for an array that fails its check."""
+    """Return the error for an invalid array."""
     if shape == ():
         return ArgumentError(f"{name} must be a finite real number; {but}.", name=name, **evidence)
     comma = "," if shape is not None and len(shape) == 1 else ""
     words = "" if shape is None else f"({', '.join(map(str, shape))}{comma}) "
-    bound = {each: (sizes or {}).get(str(each)) for each in shape or ()}
-    known = [
+    bound = {symbol: (sizes or {}).get(str(symbol)) for symbol in shape or ()}
+    lengths = [
         f"leading axes {size}" if symbol == "..." else f"{symbol} = {size[0]}"
         for symbol, size in bound.items()
         if size
     ]
-    more = f" with {' and '.join(known)}" if known else ""
+    condition = f" with {' and '.join(lengths)}" if lengths else ""
     return ArgumentError(
-        f"{name} must be {words}finite real numbers{more}; {but}.", name=name, **evidence
+        f"{name} must be {words}finite real numbers{condition}; {but}.", name=name, **evidence
     )
 
 
@@ -282,62 +283,62 @@ def number(
     strict: bool = False,
     finite: bool = True,
 ) -> float:
-    """Return a real number between two others.
+    """Return a real number, checked to be between two bounds.
 
     Args:
-        strict: Whether the bounds themselves are refused.
-        finite: Whether infinity and what is beyond `LARGEST` is refused; NaN always is.
+        strict: Whether the bounds are excluded.
+        finite: Whether infinity and magnitudes above `LARGEST` are errors; NaN always is.
     """
-    found = float(real_array(value, name, (), finite=False))
-    inside = lower < found < upper if strict else lower <= found <= upper
-    if not inside or (finite and abs(found) > LARGEST):
-        wanted = _range_words("a finite number", lower, upper, strict=strict)
-        raise ArgumentError(f"{name} must be {wanted}; it is {found:g}.", name=name)
-    return found
+    x = float(real_array(value, name, (), finite=False))
+    is_inside = lower < x < upper if strict else lower <= x <= upper
+    if not is_inside or (finite and abs(x) > LARGEST):
+        words = _range_words("a finite number", lower, upper, strict=strict)
+        raise ArgumentError(f"{name} must be {words}; it is {x:g}.", name=name)
+    return x
 
 
 def positive(value: Any, name: str) -> float:
-    """Return a finite number above zero."""
+    """Return a number, checked to be finite and above zero."""
     return number(value, name, lower=0.0, strict=True)
 
 
 def integer(
     value: Any, name: str, *, lower: float = -sys.maxsize, upper: float = sys.maxsize
 ) -> int:
-    """Return an integer from `lower` to `upper`."""
+    """Return an integer, checked to be from `lower` to `upper`."""
     try:
-        found = operator.index(value)
+        index = operator.index(value)
     except TypeError:
-        found = None
-    if found is None or isinstance(value, bool | np.bool_) or not lower <= found <= upper:
-        unlimited = found is None or abs(found) <= sys.maxsize
+        index = None
+    if index is None or isinstance(value, bool | np.bool_) or not lower <= index <= upper:
+        has_no_limits = index is None or abs(index) <= sys.maxsize
         limits = [
-            x if abs(x) < sys.maxsize or not unlimited else x * np.inf for x in (lower, upper)
+            x if abs(x) < sys.maxsize or not has_no_limits else x * np.inf for x in (lower, upper)
         ]
-        wanted = _range_words("an integer", *limits, strict=False)
-        raise ArgumentError(f"{name} must be {wanted}; it is {shown(value)}.", name=name)
-    return found
+        words = _range_words("an integer", *limits, strict=False)
+        raise ArgumentError(f"{name} must be {words}; it is {shown(value)}.", name=name)
+    return index
 
 
-def _range_words(what: str, lower: float, upper: float, *, strict: bool) -> str:
+def _range_words(noun: str, lower: float, upper: float, *, strict: bool) -> str:
     """Return words such as "a finite number above 0"."""
     if np.isinf(lower) and np.isinf(upper):
-        return what
+        return noun
     if np.isinf(upper):
-        return f"{what} {'above' if strict else 'of at least'} {lower:g}"
+        return f"{noun} {'above' if strict else 'of at least'} {lower:g}"
     if np.isinf(lower):
-        return f"{what} {'below' if strict else 'of at most'} {upper:g}"
+        return f"{noun} {'below' if strict else 'of at most'} {upper:g}"
     if strict:
-        return f"{what} between {lower:g} and {upper:g}, without both"
-    return f"{what} from {lower:g} to {upper:g}"
+        return f"{noun} between {lower:g} and {upper:g}, exclusive"
+    return f"{noun} from {lower:g} to {upper:g}"
 
 
 def integers(
     value: Iterable[int], name: str, *, lower: float = -sys.maxsize, upper: float = sys.maxsize
 ) -> tuple[int, ...]:
-    """Return integers between bounds from any iterable."""
-    found = instances(value, name, object)
-    return tuple(integer(each, name, lower=lower, upper=upper) for each in found)
+    """Return the integers of an iterable, checked to be from `lower` to `upper`."""
+    items = instances(value, name, object)
+    return tuple(integer(item, name, lower=lower, upper=upper) for item in items)
 
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -346,9 +347,9 @@ _OPEN = (float, int, complex, object, Any)
 
 
 def typed(function: F) -> F:
-    """Return the function with a check of all arguments that must be of a class, or None.
+    """Return a function that checks its arguments against annotations that are classes.
 
-    What is in collections, and numbers, which have bounds as well, are left to the function.
+    Items of collections, and numbers, which have bounds, must be checked by the function.
     """
     signature = inspect.signature(function)
 
@@ -360,8 +361,8 @@ def typed(function: F) -> F:
     @wraps(function)
     def checked(*args: Any, **named: Any) -> Any:
         for name, value in signature.bind(*args, **named).arguments.items():
-            if wanted := kinds()[name]:
-                instance(value, name, wanted)
+            if allowed := kinds()[name]:
+                instance(value, name, allowed)
         return function(*args, **named)
 
     return cast(F, checked)
@@ -370,8 +371,8 @@ def typed(function: F) -> F:
 def _kinds(hint: Any) -> tuple[type, ...]:
     """Return the classes that an annotation admits; empty if classes cannot express it."""
     if get_origin(hint) in (Union, UnionType):
-        each = [_kinds(part) for part in get_args(hint)]
-        return tuple(kind for kinds in each for kind in kinds) if all(each) else ()
+        parts = [_kinds(part) for part in get_args(hint)]
+        return tuple(kind for kinds in parts for kind in kinds) if all(parts) else ()
     kind = get_origin(hint) or hint
     if kind is bool:
         return _TRUTH
@@ -379,5 +380,5 @@ def _kinds(hint: Any) -> tuple[type, ...]:
         return ()
     if kind is tuple and ... not in get_args(hint):
         return (tuple,)
-    collection = issubclass(kind, Iterable) and not issubclass(kind, str | Mapping)
-    return () if collection else (kind,)
+    is_collection = issubclass(kind, Iterable) and not issubclass(kind, str | Mapping)
+    return () if is_collection else (kind,)

@@ -1,8 +1,8 @@
-"""Names of joints, logs and files put into text of another kind: one function for each kind.
+"""Escaping of names of joints, logs and files for each kind of text.
 
-A name is whatever somebody wrote: it may hold quotes, line ends, escape sequences of a terminal,
-or letters that turn the direction of writing. What is shown to people goes through `printable`,
-HTML through `html_text` (or Jinja's own escaping), code and YAML through `quoted`.
+A name may contain quotes, line breaks, terminal escape sequences, or characters that change the
+writing direction. Use `printable` for text, `html_text` (or Jinja's escaping) for HTML, and
+`quoted` for code and YAML.
 """
 
 from __future__ import annotations
@@ -13,56 +13,53 @@ import unicodedata
 from collections.abc import Callable, Iterable
 from keyword import iskeyword
 
-_LONGEST = 300  # letters of what errors of others say
+_LONGEST = 300  # characters of other libraries' errors
 
 
 def printable(text: str) -> str:
-    r"""Return a name as one readable line: `\x1b` for what moves, colours, turns or breaks it.
-
-    Every letter that Unicode does not count as printable is written as Python writes it.
-    """
+    r"""Return text in one line, with characters that Unicode counts as unprintable as `\x1b`."""
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else _escape(c) for c in text)
 
 
 def one_line(error: BaseException) -> str:
-    """Return the text of a foreign error in a line without its full stop; else its kind."""
+    """Return an error's message in one line without full stop, or its kind if empty."""
     return " ".join(str(error).split())[:_LONGEST].rstrip(".") or type(error).__name__
 
 
 def kind_and_line(error: BaseException) -> str:
-    """Return the kind of an error and its message in one line, if it has one."""
+    """Return an error's kind and message in one line."""
     kind, line = type(error).__name__, one_line(error)
     return kind if line == kind else f"{kind}: {line}"
 
 
 def html_text(text: str) -> str:
-    """Return a name in the text or in an attribute of an HTML page."""
+    """Return text for the content or an attribute of an HTML element."""
     return html.escape(printable(text))
 
 
 def quoted(text: str) -> str:
-    """Return a name as a literal in double quotes, which Python and YAML read alike."""
+    """Return text as a double-quoted literal, valid in Python and YAML."""
     return f'"{_inside_quotes(text)}"'
 
 
 def json_text(text: str) -> str:
-    r"""Return JSON in which letters that would act on a terminal are escaped, as JSON does it.
+    r"""Return JSON with unprintable characters escaped.
 
-    What is no letter, as in a file's name that is not UTF-8, has no form in JSON: it is the word
-    that `printable` makes of it, such as `\udcff`.
+    Lone surrogates, as in file names that are not UTF-8, are invalid in JSON. They become text such
+    as `\udcff`, as in `printable`.
     """
     return re.sub(r"[^\n -~]", lambda c: c[0] if c[0].isprintable() else _json_escape(c[0]), text)
 
 
 def docstring_text(text: str) -> str:
-    """Words that may stand between the triple quotes of a docstring, and read there as they are."""
+    """Return text escaped for use in a docstring."""
     return _inside_quotes(printable(text))
 
 
 def identifier(name: str) -> str:
-    """Return a Python identifier for a name, in the form that Python compares: `elbow_joint`."""
+    """Return a normalized Python identifier for a name, such as `elbow_joint`."""
     plain = unicodedata.normalize("NFKC", unicodedata.normalize("NFKC", name).lower())
     letters = "".join(c if f"a{c}".isidentifier() else " " for c in plain)
     words = re.sub(r"[ _]+", "_", letters).strip("_") or "joint"
@@ -77,21 +74,21 @@ def identifiers(
     taken: Iterable[str] = (),
     style: Callable[[str], str] = identifier,
 ) -> dict[str, str]:
-    """Return identifiers for names, all different: those of "elbow-a" and "elbow.a" get numbers."""
-    used, found = set(taken), {}
+    """Return distinct identifiers for names, with numbers where they would coincide."""
+    used, chosen = set(taken), {}
     for name in names:
-        stem = free = style(name)
+        stem = candidate = style(name)
         count = 1
-        while free in used:
+        while candidate in used:
             count += 1
-            free = f"{stem}_{count}"
-        used.add(free)
-        found[name] = free
-    return found
+            candidate = f"{stem}_{count}"
+        used.add(candidate)
+        chosen[name] = candidate
+    return chosen
 
 
 def path_part(name: str) -> str:
-    """Return a name as one part of a path, of a file or in MeshCat: no separators, `.` or `..`."""
+    """Return a name as one component of a file or MeshCat path: no separators, `.` or `..`."""
     part = "".join(c if c.isprintable() and c not in "/\\%" else _percent(c) for c in name)
     return part.replace(".", "%2E") if set(part) <= {"."} else part
 

@@ -1,6 +1,6 @@
-"""The one door through which files are read: regular ones only, as opening others can wait forever.
+"""Reading of regular files only, as opening others can block forever.
 
-What a library opens itself is checked by `regular_file` before, folders by `regular_files`.
+Check files that a library opens by `regular_file`, and those of folders by `regular_files`.
 """
 
 from __future__ import annotations
@@ -26,14 +26,16 @@ _OTHERS = {
 def open_regular(
     path: Path, what: str, error: type[GeodrakeError], *, largest: int | None = None
 ) -> BufferedReader:
-    """Open a file that can be read to its end, for bytes.
+    """Open a regular file for reading bytes.
 
     Args:
-        path: The path as the user gave it; links are followed.
-        what: What the file is to the user, such as "model file".
+        path: The path given by the user; links are followed.
+        what: Description of the file, such as "model file".
+        error: Class of errors.
+        largest: Maximum size, bytes.
     """
     try:
-        reason = _kind(path.stat())  # before it is opened, which may rewind a tape
+        reason = _kind(path.stat())  # before opening it, which may have side effects
         if reason is None:
             file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
     except FileNotFoundError:
@@ -45,7 +47,7 @@ def open_regular(
     if reason is not None:
         raise error(f"The {what} {path} {reason}.", advice="Check the path.", path=path)
     status = os.fstat(file.fileno())
-    reason = _kind(status)  # another one may have taken its place
+    reason = _kind(status)  # it may have been replaced
     if reason is None and largest is not None and status.st_size > largest:
         size, most = (f"{number / 1e6:,.0f} MB" for number in (status.st_size, largest))
         reason = f"has {size}; at most {most} are read"
@@ -68,7 +70,7 @@ def read_regular(
     largest: int | None = None,
     empty: bool = False,
 ) -> bytes:
-    """Return the bytes of a file opened by `open_regular`; raise if it is empty and must not be."""
+    """Return the bytes of a regular file; raise if it is empty, unless `empty`."""
     with open_regular(path, what, error, largest=largest) as file:
         data = file.read()
     if not data and not empty:
@@ -85,10 +87,10 @@ def sha256_of(path: Path) -> str:
 def regular_file(
     path: Path, what: str, error: type[GeodrakeError], *, largest: int | None = None
 ) -> Path:
-    """Return the path of a file that can be opened as `open_regular` does, and is not empty."""
+    """Return a path, checked to be a regular file that can be read and is not empty."""
     with open_regular(path, what, error, largest=largest) as file:
-        empty = not os.fstat(file.fileno()).st_size
-    if empty:
+        is_empty = not os.fstat(file.fileno()).st_size
+    if is_empty:
         raise _empty(path, what, error)
     return path
 
@@ -98,8 +100,8 @@ def _empty(path: Path, what: str, error: type[GeodrakeError]) -> GeodrakeError:
 
 
 def regular_files(paths: Iterable[Path], what: str, error: type[GeodrakeError]) -> list[Path]:
-    """Return paths that can all be opened as `open_regular` does, sorted."""
-    found = sorted(paths)
-    for path in found:
+    """Return paths, sorted and checked to be regular files that can be read."""
+    ordered = sorted(paths)
+    for path in ordered:
         open_regular(path, what, error).close()
-    return found
+    return ordered

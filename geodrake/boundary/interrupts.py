@@ -1,4 +1,4 @@
-"""Interrupts that wait until a critical section is done."""
+"""Interrupts deferred until the end of a critical section."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 
-class StopSearch(BaseException):  # as KeyboardInterrupt, it is no error
+class StopSearch(BaseException):  # not an error, like KeyboardInterrupt
     """Raised to end a search early; the best result so far is kept."""
 
 
 def is_stop(error: BaseException | None) -> bool:
-    """Return whether an error is `StopSearch`, or one that an extension raised from it."""
+    """Return whether an error is `StopSearch`, or was raised from it."""
     while error is not None:
         if isinstance(error, StopSearch):
             return True
@@ -29,20 +29,20 @@ def deferred_interrupts() -> Iterator[Callable[[], bool]]:
     """Defer interrupts to the end of the block.
 
     Yields:
-        Whether one has come.
+        A function that returns whether an interrupt is pending.
     """
     if threading.current_thread() is not threading.main_thread():
-        yield lambda: False  # interrupts go to the main thread alone
+        yield lambda: False  # only the main thread gets interrupts
         return
-    arrived: list[int] = []
-    before = {}
+    pending: list[int] = []
+    handlers = {}
     try:
         for number in _SIGNALS:
             if signal.getsignal(number) not in (signal.SIG_IGN, None):
-                before[number] = signal.signal(number, lambda given, _: arrived.append(given))
-        yield lambda: bool(arrived)
+                handlers[number] = signal.signal(number, lambda arrived, _: pending.append(arrived))
+        yield lambda: bool(pending)
     finally:
-        for held, handler in before.items():
-            signal.signal(held, handler)
-        for waiting in dict.fromkeys(arrived):
-            signal.raise_signal(waiting)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        for arrived in dict.fromkeys(pending):
+            signal.raise_signal(arrived)

@@ -1,4 +1,4 @@
-"""The memory of the machine, and a limit whose excess can be reported."""
+"""The machine's memory, and a limit that raises a MemoryError."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import importlib
 import os
 from contextlib import suppress
 
-_LARGEST_SHARE = 0.8  # of the memory that a command may take; the rest is for other programs
+_LARGEST_SHARE = 0.8  # of the memory that a command may use
 
 
 def machine_memory() -> int:
-    """Return the bytes of memory of this machine; a huge number if the system reports none."""
+    """Return this machine's memory, bytes; a huge number if unknown."""
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, OSError, ValueError):
@@ -18,10 +18,9 @@ def machine_memory() -> int:
 
 
 def limit_memory() -> None:
-    """Limit the memory, so that a MemoryError is raised before the system kills a process.
+    """Limit the memory, so that a MemoryError is raised before the system kills the process.
 
-    A file of kilobytes may unpack to more than any machine holds. Where the system knows no such
-    limit, nothing changes.
+    Small files may unpack to enormous sizes. Systems without such a limit are not affected.
     """
     with suppress(ImportError, AttributeError, OSError, ValueError):
         resource = importlib.import_module("resource")

@@ -1,4 +1,4 @@
-"""Packages that only some files need, imported where they are used."""
+"""Import of optional packages on demand."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ def optional_package(module: str, extra: str, what: str, error: type[GeodrakeErr
 
     Args:
         module: The module, such as "pyarrow.parquet".
-        what: What it is needed for, such as "Parquet files".
+        extra: The extra of geodrake that installs it.
+        what: Its purpose, for the message, such as "Parquet files".
     """
     try:
         return importlib.import_module(module)

@@ -1,4 +1,4 @@
-"""How results show themselves: short as text, as tables and figures in a notebook."""
+"""Display of results: short `repr`, and tables and figures in notebooks."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 MOST_LETTERS = 900
-"""Most letters of what stands for an object, however much there is in it."""
+"""Maximum length of an object's `repr`."""
 
 _VIEWS = "geodrake.report.views"
-"""Where results become tables and figures: above all that this module may import, so by name."""
+"""Module with tables and figures of results, imported by name because of the layering."""
 
 _WORD, _FEW = 60, 3
-_NUMBERS = 4  # most of an array that are shown
+_NUMBERS = 4  # maximum length of an array that is shown
 
 
 class Short:
-    """An object whose `repr` is short: sizes in the place of arrays and long lists."""
+    """An object with a short `repr`, which shows sizes instead of arrays and long lists."""
 
     def __init_subclass__(cls, **more: Any) -> None:
         super().__init_subclass__(**more)
-        if "__repr__" not in vars(cls):  # or a dataclass would make its own, with all numbers
+        if "__repr__" not in vars(cls):  # prevents the default of dataclasses
             cls.__repr__ = Short.__repr__  # type: ignore[method-assign]
 
     def __repr__(self) -> str:
@@ -37,13 +37,10 @@ class Short:
 
 
 class Shown(Short):
-    """A result that is a table and a figure as well.
-
-    What there is to see of each kind of result is in `geodrake.report.views`.
-    """
+    """A result with tables and figures, defined in `geodrake.report.views`."""
 
     def _repr_html_(self) -> str:
-        """Return the result in a notebook."""
+        """Return the result as HTML, for notebooks."""
         return str(_views().html(self))
 
     def to_dataframe(self, *, series: bool = False) -> DataFrame:
@@ -60,15 +57,15 @@ def _views() -> Any:
 
 
 def short_repr(value: Any) -> str:
-    """Return a dataclass in a line: `Rollout(names=(7 str), windows=(12 Window), …)`.
+    """Return a dataclass in one line, such as `Rollout(names=(7 str), windows=(12 Window), …)`.
 
-    What is None or empty is left out.
+    None and empty fields are omitted.
     """
     parts = []
     for field in dataclasses.fields(value):
-        own = getattr(value, field.name)
-        if field.repr and not (own is None or _is_empty(own)):
-            parts.append(f"{field.name}={_brief(own)}")
+        content = getattr(value, field.name)
+        if field.repr and not (content is None or _is_empty(content)):
+            parts.append(f"{field.name}={_brief(content)}")
     text = ", ".join(parts)
     name = type(value).__name__
     most = MOST_LETTERS - len(name)
@@ -76,14 +73,14 @@ def short_repr(value: Any) -> str:
 
 
 def _is_empty(value: object) -> bool:
-    """Return whether a collection is empty; an array without dimensions is a number."""
+    """Return whether a value is an empty collection; zero-dimensional arrays are not."""
     if isinstance(value, np.ndarray):
         return not value.size
     return isinstance(value, Collection) and not len(value)
 
 
 def _brief(value: object) -> str:
-    """Return a value in a few words."""
+    """Return a short description of a value."""
     if isinstance(value, np.ndarray):
         if value.ndim == 1 and value.size <= _NUMBERS:
             return f"[{', '.join(map(_brief, value.tolist()))}]"
@@ -100,9 +97,9 @@ def _brief(value: object) -> str:
 
 
 def _listed(values: Collection[Any]) -> str:
-    """Return a few plain values as they are, others by their number and types."""
-    plain = all(isinstance(one, str | int | float) for one in values)
-    if plain and len(values) <= _FEW:
+    """Return a few plain values in full, others as their number and types."""
+    is_plain = all(isinstance(value, str | int | float) for value in values)
+    if is_plain and len(values) <= _FEW:
         return f"({', '.join(map(_brief, values))})"
-    kinds = sorted({type(one).__name__ for one in values})
+    kinds = sorted({type(value).__name__ for value in values})
     return f"({len(values)} {' or '.join(kinds[:_FEW])})"

@@ -1,10 +1,10 @@
-"""The version of the package, and of those that it is used with."""
+"""The versions of the package and its dependencies."""
 
 import importlib.metadata
 import platform
 from functools import cache
 
-_BESIDE = ("drake", "numpy", "scipy", "numba", "mujoco", "pin", "pandas")
+_DEPENDENCIES = ("drake", "numpy", "scipy", "numba", "mujoco", "pin", "pandas")
 
 
 @cache
@@ -18,12 +18,12 @@ def version() -> str:
 
 def versions() -> str:
     """Return the versions of the package and its dependencies in one line, for bug reports."""
-    found = {}
-    for name in _BESIDE:
+    numbers = {}
+    for name in _DEPENDENCIES:
         try:
-            found[name] = importlib.metadata.version(name)
+            numbers[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
-            found[name] = "–"
-    beside = ", ".join(f"{name} {number}" for name, number in found.items())
+            numbers[name] = "–"
+    dependencies = ", ".join(f"{name} {number}" for name, number in numbers.items())
     system = f"Python {platform.python_version()}, {platform.system()} {platform.machine()}"
-    return f"geodrake {version()} ({beside}; {system})"
+    return f"geodrake {version()} ({dependencies}; {system})"

@@ -1,7 +1,7 @@
-"""Atomic writing of files: one completely or not at all, several together or none of them.
+"""Atomic writing of one file, or of several files together.
 
-A file is written under a temporary name beside its target and then renamed. Permissions and owner
-of a file that is replaced stay, and a symbolic link stays one: what it points to is replaced.
+A file is written under a temporary name in the target's folder and then renamed. Permissions and
+owner of a replaced file are preserved. A symbolic link is preserved, and its target replaced.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from geodrake.errors import OutputError
 Content = str | bytes | Callable[[BinaryIO], object]
 """The content of a file: text, bytes, or a function that writes them."""
 
-_MOST_BYTES = 230  # of a name that a temporary one may repeat; file systems take 255
+_MOST_BYTES = 230  # of a name contained in a temporary name; file systems allow 255
 
 
 def write_whole(path: str | Path, content: Content) -> None:
     """Write a file; text in UTF-8.
 
     Raises:
-        OutputError: It cannot be written; what was there is as it was.
+        OutputError: It cannot be written; an existing file is unchanged.
     """
     write_together({Path(path): content})
 
@@ -41,25 +41,27 @@ def write_whole(path: str | Path, content: Content) -> None:
 def write_together(contents: Mapping[Path, Content]) -> None:
     """Write several files, all of them or none.
 
-    Interrupts wait until the files are there; one that comes before the first is renamed leaves
-    none of them.
+    Interrupts are deferred until the files exist; after one that arrives before the first is
+    renamed, none is written.
     """
     with deferred_interrupts() as interrupted, ExitStack() as stack:
         parts = _parts(contents, stack)
-        if goes_on := not interrupted():
+        if has_written := not interrupted():
             _rename(parts)
-    if not goes_on:  # the handler of the interrupt did not end the program
+    if not has_written:  # the interrupt's handler did not end the program
         write_together(contents)
 
 
-def write_new(path: Path, content: Content, beside: Mapping[Path, Content]) -> bool:
-    """Write a file unless it is there already, and others with it: of several processes one does.
+def write_new(path: Path, content: Content, others: Mapping[Path, Content]) -> bool:
+    """Write a file and others unless it exists, and return whether they were written.
+
+    Only one of several concurrent processes succeeds.
 
     Args:
-        beside: Other targets, which are written if this one is -> what goes into them.
+        others: Path -> content of the other files.
     """
     with deferred_interrupts(), ExitStack() as stack:
-        parts = _parts({path: content, **beside}, stack)
+        parts = _parts({path: content, **others}, stack)
         with _refusing(path):
             if not parts[0].rename_if_new():
                 return False
@@ -69,11 +71,11 @@ def write_new(path: Path, content: Content, beside: Mapping[Path, Content]) -> b
 
 @contextmanager
 def made_folder(path: Path) -> Iterator[None]:
-    """Make a folder and its missing parents; they are removed after an error if they are empty."""
-    made = list[Path]()
+    """Create a folder and its missing parents; remove those that are empty after an error."""
+    created = list[Path]()
     try:
         try:
-            made += [each for each in (path, *path.parents) if not each.exists()]
+            created += [folder for folder in (path, *path.parents) if not folder.exists()]
             path.mkdir(parents=True, exist_ok=True)
         except (OSError, ValueError) as error:
             raise OutputError(
@@ -84,9 +86,9 @@ def made_folder(path: Path) -> Iterator[None]:
             ) from error
         yield
     except BaseException:
-        for each in made:
-            with suppress(OSError):  # another run has written into it, or it is not there
-                each.rmdir()
+        for folder in created:
+            with suppress(OSError):  # another run has written into it, or it does not exist
+                folder.rmdir()
         raise
 
 
@@ -98,30 +100,30 @@ def check_writable(path: str | Path) -> None:
 
 
 class _Part:
-    """A file that is written beside its target, and locked so that nobody else removes it.
+    """A temporary file in its target's folder, locked so that no other process removes it.
 
     Args:
-        path: What is to be written; through a symbolic link, its target.
+        path: The file to write, or a symbolic link to it.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.target = Path(os.path.realpath(path))
-        self._before: Path | None = None
+        self._backup: Path | None = None
         self._replaced: os.stat_result | None = None
 
     def __enter__(self) -> _Part:
         replaced = _status(self.target)
-        _clear_left_overs(self.target)
+        _remove_leftovers(self.target)
         self._file, self._temporary = _new_file(self.target)
         self._replaced = replaced
         if replaced is not None:
-            with suppress(OSError):  # file systems without permissions
+            with suppress(OSError):  # a file system without permissions
                 os.fchmod(self._file.fileno(), stat.S_IMODE(replaced.st_mode))
         return self
 
     def write(self, content: Content) -> None:
-        """Fill the file. Halves of surrogate pairs, as in names that are not UTF-8, are escaped."""
+        """Write the content. Lone surrogates, as in names that are not UTF-8, are escaped."""
         if callable(content):
             content(self._file)
         else:
@@ -130,23 +132,23 @@ class _Part:
             self._file.write(content)
         self._file.flush()
 
-    def keep_before(self) -> None:
-        """Keep the file that is replaced, so that it can be restored."""
+    def back_up(self) -> None:
+        """Keep the existing file, so that it can be restored."""
         if _status(self.target) is None:
             return
-        self._before = _free_name(self.target)
+        self._backup = _free_name(self.target)
         try:
             if _is_of_another_user(self.target):
-                raise PermissionError  # a link of it could not be removed again
-            self._before.hardlink_to(self.target)
+                raise PermissionError  # a link to it could not be removed
+            self._backup.hardlink_to(self.target)
         except OSError:  # a file system without links
-            shutil.copy2(self.target, self._before)
+            shutil.copy2(self.target, self._backup)
 
     def rename(self) -> None:
         """Move the file to its target."""
         self._temporary.replace(self.target)
-        if self._replaced is not None:  # before, it could not be removed where others may not
-            with suppress(OSError):  # only root may give files away
+        if self._replaced is not None:  # earlier, a sticky folder would prevent its removal
+            with suppress(OSError):  # only root can change the owner
                 os.fchown(self._file.fileno(), self._replaced.st_uid, self._replaced.st_gid)
 
     def rename_if_new(self) -> bool:
@@ -155,18 +157,18 @@ class _Part:
             self.target.hardlink_to(self._temporary)
         except FileExistsError:
             return False
-        except OSError:  # a file system without links: one that comes just now is replaced
+        except OSError:  # a file system without links, where this is not atomic
             if _status(self.target) is not None:
                 return False
             self.rename()
         return True
 
-    def bring_back(self) -> None:
+    def restore(self) -> None:
         """Undo `rename`."""
-        if self._before is None:
+        if self._backup is None:
             self.target.unlink()
         else:
-            self._before.replace(self.target)
+            self._backup.replace(self.target)
 
     def __exit__(
         self,
@@ -174,16 +176,16 @@ class _Part:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        for left in (self._temporary, self._before):
-            if left is not None:
+        for path in (self._temporary, self._backup):
+            if path is not None:
                 with suppress(OSError):
-                    left.unlink(missing_ok=True)
-        with suppress(OSError):  # a full disk was told by write() already
+                    path.unlink(missing_ok=True)
+        with suppress(OSError):  # write() has already reported a full disk
             self._file.close()
 
 
 def _parts(contents: Mapping[Path, Content], stack: ExitStack) -> list[_Part]:
-    """Return temporary files beside the targets, written but not moved yet."""
+    """Return temporary files of the targets, written but not moved yet."""
     parts = []
     for path, content in contents.items():
         with _refusing(path):
@@ -198,7 +200,7 @@ def _rename(parts: list[_Part]) -> None:
     try:
         for part in parts if len(parts) > 1 else ():
             with _refusing(part.path):
-                part.keep_before()
+                part.back_up()
         for part in parts:
             with _refusing(part.path):
                 part.rename()
@@ -206,7 +208,7 @@ def _rename(parts: list[_Part]) -> None:
     except BaseException:
         for part in reversed(done):
             with suppress(OSError):
-                part.bring_back()
+                part.restore()
         raise
 
 
@@ -214,7 +216,7 @@ def _rename(parts: list[_Part]) -> None:
 def _refusing(path: Path) -> Iterator[None]:
     try:
         yield
-    except (OSError, ValueError) as error:  # a ValueError for names that no file can have
+    except (OSError, ValueError) as error:  # ValueError for invalid names
         reason = getattr(error, "strerror", None) or error
         raise OutputError(
             f"Cannot write {path}: {reason}.",
@@ -249,8 +251,8 @@ def _is_of_another_user(target: Path) -> bool:
 def _stem(target: Path) -> str:
     """Return the prefix of the temporary names of a target."""
     name = os.fsencode(target.name)
-    short = len(name) <= _MOST_BYTES
-    return f".{target.name if short else hashlib.sha256(name).hexdigest()[:16]}."
+    is_short = len(name) <= _MOST_BYTES
+    return f".{target.name if is_short else hashlib.sha256(name).hexdigest()[:16]}."
 
 
 def _free_name(target: Path) -> Path:
@@ -259,27 +261,27 @@ def _free_name(target: Path) -> Path:
 
 
 def _new_file(target: Path) -> tuple[BinaryIO, Path]:
-    """Return a new file beside a target, locked."""
+    """Return a new, locked file in a target's folder."""
     while True:
         path = _free_name(target)
         try:
             file = path.open("xb")
-        except FileExistsError:  # another thread was quicker
+        except FileExistsError:  # created by another thread
             continue
         with suppress(OSError):  # a file system without locks
             fcntl.flock(file, fcntl.LOCK_EX)
-        with suppress(FileNotFoundError):  # cleared away before it was locked
+        with suppress(FileNotFoundError):  # removed before it was locked
             if os.path.samestat(path.stat(), os.fstat(file.fileno())):
                 return file, path
         file.close()
 
 
-def _clear_left_overs(target: Path) -> None:
-    """Remove the temporary files that killed runs left for this target; locked ones are in use."""
+def _remove_leftovers(target: Path) -> None:
+    """Remove unlocked temporary files of a target, left by runs that were killed."""
     pattern = re.compile(rf"{re.escape(_stem(target))}\d+\.part")
     with suppress(OSError), os.scandir(target.parent) as entries:
-        left = [e.name for e in entries if pattern.fullmatch(e.name) and e.is_file()]
-        for path in map(target.with_name, left):
+        names = [e.name for e in entries if pattern.fullmatch(e.name) and e.is_file()]
+        for path in map(target.with_name, names):
             with suppress(OSError), path.open("rb+") as file:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 path.unlink()

@@ -1,4 +1,4 @@
-"""Schemas of YAML files: errors name the place and the value."""
+"""Schemas of YAML files, with errors that name the place and the value."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ class Schema(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def schema_of(kind: Any) -> type[Schema]:
-    """Return the schema of a table of the fields of a dataclass."""
-    kinds, own = get_type_hints(kind), list[tuple[str, Any, Any]]()
+    """Return the schema of a table with the fields of a dataclass."""
+    hints, fields = get_type_hints(kind), list[tuple[str, Any, Any]]()
     for field in dataclasses.fields(kind):
-        default, made = field.default, field.default_factory
-        given = {} if default is dataclasses.MISSING else {"default": default}
-        given |= {} if made is dataclasses.MISSING else {"default_factory": made}
-        own.append((field.name, kinds[field.name], msgspec.field(**given)))
-    return msgspec.defstruct(kind.__name__, own, bases=(Schema,))  # type: ignore[return-value]
+        default, factory = field.default, field.default_factory
+        options = {} if default is dataclasses.MISSING else {"default": default}
+        options |= {} if factory is dataclasses.MISSING else {"default_factory": factory}
+        fields.append((field.name, hints[field.name], msgspec.field(**options)))
+    return msgspec.defstruct(kind.__name__, fields, bases=(Schema,))  # type: ignore[return-value]
 
 
 def as_schema(content: object, schema: type[T]) -> T:
-    """Convert a value to a schema; text of a number counts as the number.
+    """Convert a value to a schema; numeric text is converted to numbers.
 
     Raises:
         ArgumentError: A field is unknown, missing, or of another type.
@@ -54,7 +54,7 @@ def as_schema(content: object, schema: type[T]) -> T:
 
 
 def _fault(content: object, schema: Any, place: str) -> tuple[str, object, Any]:
-    """Return the place, value and schema of the innermost that does not fit."""
+    """Return the place, value and schema of the innermost invalid value."""
     for key, value, kind in _children(content, schema):
         if _misfit(value, kind):
             inner = f"{place}[{key}]" if isinstance(key, int) else f"{place}.{key}".lstrip(".")
@@ -63,7 +63,7 @@ def _fault(content: object, schema: Any, place: str) -> tuple[str, object, Any]:
 
 
 def _misfit(content: object, schema: Any) -> str:
-    """Return msgspec's message about a value by itself; empty if it fits."""
+    """Return msgspec's message about a value, without its place; "" if valid."""
     try:
         msgspec.convert(content, schema, strict=False)
     except (msgspec.MsgspecError, RecursionError, OverflowError) as error:
@@ -75,13 +75,13 @@ def _children(content: object, schema: Any) -> Iterable[tuple[Any, object, Any]]
     """Return key, value and schema of the items of a list or table."""
     if get_origin(schema) in (Union, types.UnionType):
         schema = next(x for x in get_args(schema) if x is not type(None))
-    inside = get_args(schema)[-1:]
+    item = get_args(schema)[-1:]
     if isinstance(content, list) and get_origin(schema) is list:
-        return [(at, value, inside[0]) for at, value in enumerate(content)]
+        return [(k, value, item[0]) for k, value in enumerate(content)]
     if not isinstance(content, dict):
         return []
     if get_origin(schema) is dict:
-        return [(str(key), value, inside[0]) for key, value in content.items()]
+        return [(str(key), value, item[0]) for key, value in content.items()]
     kinds = get_type_hints(schema) if _fields(schema) else {}
     return [(key, x, kinds[key]) for key, x in content.items() if key in _fields(schema)]
 
@@ -91,20 +91,21 @@ def _fields(schema: Any) -> tuple[str, ...]:
 
 
 def _refusal(place: str, value: object, schema: Any) -> ArgumentError:
-    what, fields, reason = place or "it", _fields(schema), _misfit(value, schema)
+    subject, fields, reason = place or "it", _fields(schema), _misfit(value, schema)
     advice = f"Its fields are {', '.join(fields)}." if fields else ""
-    odd = [key for key in value if key not in fields] if isinstance(value, dict) else []
-    if fields and odd:
-        near = difflib.get_close_matches(str(odd[0]), fields, 1)
-        meant = f" (was {near[0]} meant?)" if near else ""
-        return ArgumentError(f"{what} has the unknown field {odd[0]!r:.60}{meant}.", advice=advice)
-    if any(not isinstance(key, str) for key in odd):
-        name = next(key for key in odd if not isinstance(key, str))
-        return ArgumentError(f"{what} has {name!r:.60} as a name.", advice="Put it in quotes.")
+    unknown = [key for key in value if key not in fields] if isinstance(value, dict) else []
+    if fields and unknown:
+        similar = difflib.get_close_matches(str(unknown[0]), fields, 1)
+        hint = f" (was {similar[0]} meant?)" if similar else ""
+        problem = f"{subject} has the unknown field {unknown[0]!r:.60}{hint}."
+        return ArgumentError(problem, advice=advice)
+    if any(not isinstance(key, str) for key in unknown):
+        name = next(key for key in unknown if not isinstance(key, str))
+        return ArgumentError(f"{subject} has {name!r:.60} as a name.", advice="Put it in quotes.")
     if reason.startswith("Object missing"):
-        return ArgumentError(f"{what} lacks its {reason.rpartition(' ')[2]}.", advice=advice)
+        return ArgumentError(f"{subject} lacks its {reason.rpartition(' ')[2]}.", advice=advice)
     words = " ".join(_WORDS.get(word, word) for word in reason.lower().replace(",", " but").split())
     if get_origin(schema) is Literal:
         words = f"expected one of {', '.join(repr(choice) for choice in get_args(schema))}"
     shown = f" = {value!s:.80}" if place else ""
-    return ArgumentError(f"{what}{shown}: {words}.", advice=advice)
+    return ArgumentError(f"{subject}{shown}: {words}.", advice=advice)

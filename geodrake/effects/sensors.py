@@ -49,7 +49,7 @@ class EffortOffset(JointEffect):
 
 @dataclass(frozen=True)
 class WrenchOffset(BodyEffect):
-    """Offset of a force sensor, as of a foot: a constant wrench in the axes of its body.
+    """Offset of a force sensor, such as that of a foot: a constant wrench in the body's axes.
 
     effort = Jᵀ w₀, with the force in N and the moment about the sensor's origin in N·m. Where the
     logged forces of a foot count as efforts of the base and the joints, an error of them does, too.

@@ -166,7 +166,7 @@ def check_class(effect: type[Effect]) -> None:
     shapes = all(isinstance(shape, Shape) for shape in effect.shapes)
     check(shapes, f"shapes = {effect.shapes!r:.60}", "a tuple of Shape")
     check(effect.state_count >= 0, f"state_count = {effect.state_count}", "0 or more")
-    related = all(_is_effect(each) for each in effect.contains)
+    related = all(_is_effect(kind) for kind in effect.contains)
     check(related, f"contains = {effect.contains!r:.60}", "a tuple of classes of effects")
     related = effect.companion is None or _is_effect(effect.companion)
     check(related, f"companion = {effect.companion!r:.60}", "the class of an effect, or None")

@@ -123,8 +123,8 @@ def make_settings(
     diagnosis.
     """
     wanted = wanted or Wanted()
-    own = model_of_logs(model, [log], hold_resting=False)
-    uniform = make_uniform(_in_efforts(log_of_model(log, own), own))
+    log_model = model_of_logs(model, [log], hold_resting=False)
+    uniform = make_uniform(_in_efforts(log_of_model(log, log_model), log_model))
     fits = set(model.bandwidths.values())
     if wanted.bandwidth is not None:
         trajectory = prepare_logs([uniform], bandwidth=wanted.bandwidth)[0]
@@ -132,24 +132,24 @@ def make_settings(
         bandwidth, motion = fits.pop()
         trajectory = prepare_logs([uniform], bandwidth=bandwidth, motion_bandwidth=motion)[0]
     else:
-        trajectory = prepare_for_model(own, [uniform])[0][0]
+        trajectory = prepare_for_model(log_model, [uniform])[0][0]
     peaks = peak_speeds([trajectory])
     peaks = np.where(peaks > 0.0, peaks, peaks.max())
-    offered = candidate_effects(own, [trajectory], wanted.extra, speeds=peaks)
+    offered = candidate_effects(log_model, [trajectory], wanted.extra, speeds=peaks)
     # Without shapes that depend on a log's range or duration.
     candidates = [e for e in offered if e.proposer is None or e.places == "joint_pair"]
     # Sorted, so that the order does not depend on that of the catalogue.
     candidates.sort(key=lambda e: (e.name, e.where, str(sorted(e.shape.items()))))
-    effects = (*effects_of(own), *candidates)
+    effects = (*effects_of(log_model), *candidates)
     effects = tuple(effect for effect in dict.fromkeys(effects) if effect.parameters)
-    widths = own.sign_widths(least_sign_widths(peaks, trajectory.speed_noise))
+    widths = log_model.sign_widths(least_sign_widths(peaks, trajectory.speed_noise))
     bandwidth, motion_bandwidth = trajectory.bandwidths
     validation_blocks([trajectory], blocks=wanted.blocks or BLOCKS)  # raises if it is too short
     return DigestSettings(
         model_hash(model),
-        own.joints,
-        own.bodies,
-        {j: float(x) for j, x in own.held.items() if j not in model.held},
+        log_model.joints,
+        log_model.bodies,
+        {j: float(x) for j, x in log_model.held.items() if j not in model.held},
         float(bandwidth),
         float(motion_bandwidth),
         widths,
@@ -161,7 +161,7 @@ def make_settings(
         wanted.blocks or BLOCKS,
         version(),
         chosen_from=log.name,
-        passive=tuple(joint for joint in own.joints if joint in log.passive),
+        passive=tuple(joint for joint in log_model.joints if joint in log.passive),
     )
 
 
@@ -193,26 +193,25 @@ def make_digest(
             advice=f"Use --passive {differing[0]} for all of them, or measure its effort in all.",
         )
     extra = instances(extra, "extra", type)
-    own = model_of_digests(model, settings)
+    digest_model = model_of_digests(model, settings)
     _check_held(log, settings)
     log = replace(log, payloads=facts.payloads) if facts.payloads else log
-    log = _in_efforts(log_of_model(log, own), own)
+    log = _in_efforts(log_of_model(log, digest_model), digest_model)
     trajectory = _prepared(log, settings)
     if trajectory.has_unknown_forces:
         raise LogError(
-            f"Forces at contacts are unknown in log {log.name!r}, so that its rows are not those "
-            "of single joints, as digests have them.",
+            f"Forces at contacts are unknown in log {log.name!r}, which digests do not support.",
             advice="Log the wrenches at the contacts.",
         )
     folds = validation_blocks([trajectory], blocks=settings.blocks)
     effects = tuple(effect.made(extra) for effect in settings.effects)
-    layout = Layout.of(own, effects, settings.sign_width, settings.still_speed)
-    noise = known_noise([trajectory], own, sign_width=settings.sign_width)
+    layout = Layout.of(digest_model, effects, settings.sign_width, settings.still_speed)
+    noise = known_noise([trajectory], digest_model, sign_width=settings.sign_width)
     dataset = reduce_over(layout, [trajectory], folds, delays=settings.delays, noise=noise)
-    for joint, data in zip(own.joints, dataset.data, strict=True):
+    for joint, data in zip(digest_model.joints, dataset.data, strict=True):
         if not np.isfinite(data.factors).all():
             raise LogError(f"Columns of {joint} are not finite in log {log.name!r}.")
-    refitted = first_hypothesis(dataset, model_unknowns(dataset, own))
+    refitted = first_hypothesis(dataset, model_unknowns(dataset, digest_model))
     about = _about(log, trajectory, refitted, settings, facts)
     return Digest(settings, (about,), dataset.folds, tuple(map(_without_rows, dataset.data)))
 

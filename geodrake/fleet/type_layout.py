@@ -213,12 +213,12 @@ def type_layout(
     relative[bodies : p - n] = [values[column][1] for column in kept[bodies:].tolist()]
     # Typical size of each column: 1 if relative, otherwise the joint's typical effort.
     effort_of = dict(zip(model.joints, efforts.tolist(), strict=True))
-    typical = np.array([max(effort_of.get(each.where, 1.0), 1e-9) for each in parameters])
-    is_relative = relative | np.array([each.effect == _GAIN for each in parameters])
+    typical = np.array([max(effort_of.get(x.where, 1.0), 1e-9) for x in parameters])
+    is_relative = relative | np.array([x.effect == _GAIN for x in parameters])
     sizes = np.where(is_relative, 1.0, typical)
     spreads = [
-        Spread(f"{each.effect} of {each.where}: {each.name}", size * np.eye(p)[:, [k]])
-        for k, (each, size) in enumerate(zip(parameters, sizes.tolist(), strict=True))
+        Spread(f"{x.effect} of {x.where}: {x.name}", size * np.eye(p)[:, [k]])
+        for k, (x, size) in enumerate(zip(parameters, sizes.tolist(), strict=True))
         if k >= bodies
     ]
     changes = _joint_changes(parameters, relative, sizes)
@@ -234,7 +234,7 @@ def type_layout(
         root = distance_factor(from_mass_com_inertia(mass, phi[1:4] / phi[0], ball))
         factor = body_factor(root, body, B, p)
         changes.append(ChangeHypothesis(_LOAD, name, factor, _PAYLOAD_NAMES, (STEP,), root[:4]))
-    units = tuple(each.unit for each in parameters)
+    units = tuple(parameter.unit for parameter in parameters)
     columns = TypeColumns(prior, relative, relative.copy(), n, (*body_spreads, *spreads), units)
     return TypeLayout(kept, parameters, columns, tuple(changes), base)
 
@@ -276,9 +276,9 @@ def _joint_changes(
     """Return hypotheses of each effect at each place, and of all friction of a joint together."""
     p, hypotheses = len(parameters), []
     effects: dict[tuple[str, str], list[int]] = {}
-    for k, each in enumerate(parameters):
-        if each.effect != BODIES:
-            effects.setdefault((each.effect, each.where), []).append(k)
+    for k, parameter in enumerate(parameters):
+        if parameter.effect != BODIES:
+            effects.setdefault((parameter.effect, parameter.where), []).append(k)
     relative_effects: dict[str, list[str]] = {}
 
     def change(effect: str, where: str, size: float, columns: Sequence[int]) -> ChangeHypothesis:

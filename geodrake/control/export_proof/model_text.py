@@ -277,8 +277,8 @@ def written_kind(model: RobotModel, kinds: Sequence[str]) -> str:
     Args:
         kinds: Possible formats, the default first: urdf, sdf, xml for MJCF.
     """
-    own = own_kind(model)
-    return own if own in kinds else kinds[0]
+    kind = own_kind(model)
+    return kind if kind in kinds else kinds[0]
 
 
 def own_kind(model: RobotModel) -> str:
@@ -354,8 +354,8 @@ def _edited(model: RobotModel, folder: Path, stands: bool) -> tuple[bytes, tuple
         notes = add_actuators(file, model, anew=False)
     notes = (*notes, *_notes_on_motors(model))
     if file.move_references(folder):
-        words_on_meshes = f"meshes and other files of {path.name} are not copied; the copy "
-        notes = (*notes, f"{words_on_meshes}refers to them from its folder")
+        note = f"meshes and other files of {path.name} are not copied; the copy "
+        notes = (*notes, f"{note}refers to them from its folder")
     return file.content, (*exported.notes, *notes)
 
 
@@ -367,8 +367,8 @@ def _notes_on_limits(model: RobotModel) -> tuple[str, ...]:
         for joint, limit, file_limit in zip(model.joints, known, model.effort_limits, strict=True)
         if limit != file_limit
     ]
-    words = f"effort limits in {model.path.name} are unchanged; the model knows lower ones: "
-    return (f"{words}{', '.join(limits)}",) if limits else ()
+    note = f"effort limits in {model.path.name} are unchanged; the model knows lower ones: "
+    return (f"{note}{', '.join(limits)}",) if limits else ()
 
 
 def _notes_on_motors(model: RobotModel) -> tuple[str, ...]:

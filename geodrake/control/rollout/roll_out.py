@@ -198,7 +198,7 @@ def commanded_motions(
         for earlier in models
     )
     cases = [*(replace(case, model=earlier) for earlier in with_servos), case]
-    return tuple(case_rollout(each, most=_COMPARED, commands=True) for each in cases)
+    return tuple(case_rollout(case, most=_COMPARED, commands=True) for case in cases)
 
 
 @typed

@@ -21,7 +21,7 @@ _ROUNDING = 1e-9  # relative to a matrix's diagonal, above rounding errors of it
 
 @dataclass(frozen=True, eq=False)
 class PredictionError(Short):
-    """Composite adaptation: the prediction error drives the estimate beside the tracking error.
+    """Composite adaptation: prediction and tracking error both drive the estimate.
 
     With filtered rows Y_f p = u_f, which need no acceleration, the covector of the law is
 
