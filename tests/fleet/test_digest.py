@@ -83,11 +83,6 @@ def read_together(model, logs, settings):
     return reduced(case, [each.made() for each in settings.effects])
 
 
-@pytest.fixture(scope="module")
-def together(logs, settings):
-    return read_together(MODEL, logs, settings)
-
-
 def assert_same_normal_matrices(found, expected):
     for own, other in zip(found.data, expected.data, strict=True):
         assert np.array_equal(own.columns, other.columns)
@@ -107,31 +102,6 @@ def test_merging_goes_in_any_order_and_in_steps(digests):
     apart = sum(digest.normal_matrices() for digest in digests)
     for other in [*(each.normal_matrices() for each in others), apart]:
         assert np.all(np.abs(other - at_once) <= least)
-
-
-def test_normal_matrices_are_those_of_the_named_columns(settings):
-    """With the robot's own parameters by the names of columns, hardly any effort is left."""
-    log = chain_log(MODEL, 5, resisted, seconds=22.0, share=0.0)
-    digest = digested(MODEL, log, settings)
-    x = np.zeros(len(digest.columns) + 1)
-    x[: MODEL.phi.size] = MODEL.phi.ravel()
-    for at, column in enumerate(digest.columns):
-        if column.kind == "effect" and column.name in ("coulomb_friction", "viscous_friction"):
-            size = FRICTION if column.name == "coulomb_friction" else VISCOUS
-            x[at] = size[MODEL.joints.index(column.where[0])]
-    x[-1] = -1.0
-    matrices = digest.normal_matrices()
-    rms = np.sqrt(np.einsum("i,jik,k->j", x, matrices, x) / digest.samples)
-    assert np.all(rms < 0.02 * digest.effort_std)
-    assert np.allclose(matrices, np.swapaxes(matrices, 1, 2))
-    late = digest.normal_matrices(delay=3)  # whose efforts are those of another instant
-    moved = np.sqrt(np.einsum("i,jik,k->j", x, late, x) / digest.samples)
-    assert np.all(moved > rms)
-    blocks = [digest.normal_matrices(block=block) for block in range(len(digest.blocks))]
-    assert np.allclose(sum(blocks), matrices)
-    power = matrices[:, -1, -1]
-    sums = np.array([joint.effort_sums.sum(axis=0) for joint in digest.joints])
-    assert np.allclose(power, sums[:, 1])
 
 
 def test_samples_are_worth_what_residuals_of_the_library_say(digests, logs, settings):
@@ -199,26 +169,6 @@ def read_back(digest, folder):
 def test_the_same_log_gives_the_same_file(logs, settings, digests):
     again = digested(MODEL, logs[0], make_settings(MODEL, logs[0]))
     assert digest_content(again) == digest_content(digests[0])
-
-
-def test_a_joint_that_rests_all_the_time_has_no_samples(logs, settings, digests):
-    rng = np.random.default_rng(0)
-    position, effort = logs[1].position.copy(), logs[1].effort.copy()
-    position[:, 3] = 0.2 + 1e-7 * rng.normal(size=len(position))
-    log = replace(logs[1], position=position, effort=effort)
-    digest = digested(MODEL, log, settings)
-    assert digest.samples[3] == 0
-    assert np.all(np.delete(digest.samples, 3) > 100)
-    assert digest.joints[3].still == 1.0
-    assert not digest.normal_matrices()[3].any()
-    assert digest.effective[3] == 0.0
-    merged = merge([digests[0], digest])
-    assert merged.samples[3] == digests[0].samples[3]
-    assert np.allclose(merged.normal_matrices()[3], digests[0].normal_matrices()[3])
-    first = make_settings(MODEL, log)  # also where the first log is such one
-    named = {(column.name, column.where) for column in first.columns}
-    assert ("stribeck_friction", (MODEL.joints[3],)) in named
-    assert np.all(first.still_speed > 0.0)
 
 
 def test_what_motion_covers_is_that_of_the_log(digests, logs):

@@ -17,7 +17,7 @@ from geodrake.fleet.history import DAY
 from geodrake.fleet.type_columns import Spread, body_factor, distance_factor, narrow_factor
 from geodrake.fleet.type_layout import type_layout, with_joint_effects
 from geodrake.fleet.type_learning import learn_type
-from geodrake.fleet.type_model import Course, TypeModel, own_parameters
+from geodrake.fleet.type_model import Course, TypeModel
 from geodrake.inertia import pullback_distance
 from geodrake.logs import JointLog
 from geodrake.model import load_model
@@ -74,35 +74,6 @@ def test_evidence_is_the_ratio_of_likelihoods_of_rows():
                 expected = np.log(np.mean(np.exp(np.array(after) - before)))
                 assert ratio[h, k] == pytest.approx(expected, abs=1e-7)
     assert np.exp(np.concatenate([p.ravel() for p in evidence.prior])).sum() == pytest.approx(1.0)
-
-
-def test_common_model_and_deviations_are_those_of_one_dense_fit():
-    rng = np.random.default_rng(4)
-    rows = [robot(rng, logs=4, rows=8) for _ in range(3)]
-    logs = [each.history() for each in rows]
-    model = made(logs)
-    for _ in range(30):  # scales are held, so that the rest settles
-        found = learn_type(logs, columns(), start=model, rounds=1)
-        model = replace(model, mean=found.mean)
-    # Generalized least squares of all rows at once.
-    covariances = [dense(model, each.A) for each in rows]
-    stacked = [each.A.reshape(-1, P) for each in rows]
-    weak = np.linalg.inv(100.0 * np.diag(UNIT**2))
-    seen = weak + sum(
-        a.T @ np.linalg.solve(V, a) for a, V in zip(stacked, covariances, strict=True)
-    )
-    side = weak @ columns().prior + sum(
-        a.T @ np.linalg.solve(V, each.b.ravel())
-        for a, V, each in zip(stacked, covariances, rows, strict=True)
-    )
-    np.testing.assert_allclose(found.mean, np.linalg.solve(seen, side), rtol=2e-3)
-    np.testing.assert_allclose(found.covariance, np.linalg.inv(seen), rtol=0.05, atol=1e-6)
-    own, covariance = own_parameters(model, model.fit(1, logs[1].equations()))
-    prior, V = spread_covariance(model.deviations), covariances[1]
-    gain = prior @ stacked[1].T @ np.linalg.inv(V)
-    expected = model.mean + gain @ (rows[1].b.ravel() - stacked[1] @ model.mean)
-    np.testing.assert_allclose(own, expected, rtol=2e-3)
-    np.testing.assert_allclose(covariance, prior - gain @ stacked[1] @ prior, rtol=0.05, atol=1e-6)
 
 
 def test_units_change_nothing():

@@ -1,7 +1,6 @@
 """Charts and bars: small, true to the data, and with the stretches in which a model fails."""
 
 import base64
-import dataclasses
 import json
 import re
 
@@ -9,7 +8,6 @@ import numpy as np
 import pytest
 from report_results import (
     ABOUT,
-    BLOCKS,
     comparison,
     diagnosis,
     errors,
@@ -39,11 +37,8 @@ from geodrake.report.error_charts import (
     residual_chart,
     worst_joints,
 )
-from geodrake.report.figures import chart_figure
-from geodrake.report.style import figure_bytes
 
 UNITS = Units()
-FIELDS = ("time", "position", "velocity", "acceleration", "measured", "predicted")
 
 
 def series(residual, joint="elbow", block="a 0.00–10.00 s"):
@@ -172,20 +167,6 @@ def test_figures_have_the_axes_they_should():
     labels = [label.get_text() for label in figures["steps"].axes[0].get_yticklabels()]
     assert labels[-1] == "+ Coulomb friction, all 3 joints"
     assert len(figures_of(page_of(diagnosis(joints), ABOUT))["candidates"].axes[0].patches) == 3
-
-
-def test_gaps_stay_gaps_and_logs_keep_their_own_time():
-    one = comparison(("elbow",), 1.0)
-    missing = [dataclasses.replace(s, **{f: getattr(s, f)[np.arange(40) != 17] for f in FIELDS})
-               for s in one.series]  # fmt: skip
-    one = dataclasses.replace(one, series=tuple(missing))
-    figure = chart_figure(effort_chart({BEFORE: one}, UNITS))
-    x, y = figure.axes[0].lines[0].get_data()
-    assert np.isnan(y).sum() == 2 * len(BLOCKS)
-    assert (np.diff(x[np.isfinite(y)]) > 0).all()
-    figure_bytes(figure)
-    labels = [label.get_text() for label in figure.axes[-1].get_xticklabels()]
-    assert labels == ["0", "2", "4", "6", "8", "2", "4"]
 
 
 def test_figures_are_saved(tmp_path):

@@ -12,16 +12,14 @@ import pytest
 from commands import refused, told
 from pendulum_logs import PENDULUM
 from PIL import Image
-from pydrake.geometry import Box, Capsule, Cylinder, Ellipsoid, Rgba, Sphere
-from pydrake.math import RigidTransform
+from pydrake.geometry import Box, Capsule, Cylinder, Ellipsoid, Sphere
 from report_results import JOINT, LOG, URDF, comparison
 
 from geodrake import load_model
 from geodrake.report import page_of, pictures, recordings, render
-from geodrake.report.pictures import Camera, drawn_robots, error_pictures, triangles
+from geodrake.report.pictures import error_pictures, triangles
 from geodrake.report.playback import play_back
-from geodrake.report.robot_scene import PosedLink, drawn_shapes, link_joints, posed_links
-from geodrake.robot.shapes import LinkShape
+from geodrake.report.robot_scene import drawn_shapes, link_joints, posed_links
 
 
 def recorded(short, to):
@@ -203,42 +201,6 @@ def test_the_command_writes_what_is_asked_for_and_no_page(tmp_path, monkeypatch)
     said = told("play", URDF, LOG, "--seconds", 1, "--to", "mcap", "p.mcap")
     assert "Saved the recording: p.mcap" in said
     assert [path.name for path in tmp_path.iterdir()] == ["p.mcap"]
-
-
-def boxes(*places):
-    """A robot of red, green and blue boxes of 0.2 m, each moved by a joint."""
-    colors = np.zeros((1, len(places), 4), np.uint8)
-    colors[0, :, :3] = 255 * np.eye(3)[: len(places)]
-    shape = LinkShape(Box(0.2, 0.2, 0.2), RigidTransform(), Rgba(1, 1, 1, 1))
-    links = [
-        PosedLink(f"link_{j}", (shape,), j, (RigidTransform(place),))
-        for j, place in enumerate(places)
-    ]
-    return links, colors
-
-
-def test_the_nearest_link_is_seen_whatever_the_order():
-    camera = Camera(np.array([2.0, 0.0, 0.0]), np.zeros(3), 80, 60)
-    for places in (([0, 0, 0], [0.5, 0, 0]), ([0.5, 0, 0], [0, 0, 0])):
-        picture = next(drawn_robots([boxes(*places)], camera, [0]))
-        assert picture.shape == (60, 80, 4)
-        assert picture[30, 40, :3].argmax() == places.index([0.5, 0, 0])
-        assert picture[30, 40, 3] == 255 and not picture[0, 0].any()
-
-
-def test_what_is_where_the_camera_says():
-    """A box 1 m above the middle, seen from 4 m: 75 degrees of view fill the height."""
-    camera = Camera(np.array([4.0, 0.0, 0.0]), np.zeros(3), 80, 60)
-    cover = next(drawn_robots([boxes([0, 0, 1])], camera, [0]))[..., 3]
-    rows, columns = np.nonzero(cover)
-    above = 30 - 30 / np.tan(np.radians(37.5)) / 4.0
-    assert rows.mean() == pytest.approx(above, abs=1.0)
-    assert columns.mean() == pytest.approx(39.5, abs=0.5)
-
-
-def test_what_is_behind_the_camera_is_not_seen():
-    camera = Camera(np.array([2.0, 0.0, 0.0]), np.zeros(3), 80, 60)
-    assert not next(drawn_robots([boxes([3.0, 0, 0])], camera, [0])).any()
 
 
 def test_pages_show_the_robot_before_and_after():
