@@ -19,6 +19,7 @@ import pytest
 from distributed import Client, KilledWorker, LocalCluster
 from processes import limited
 from small_fleet import (
+    DRY,
     FROM,
     HEAVY,
     MASS,
@@ -119,6 +120,24 @@ def test_robots_that_change_are_named(whole):
         assert finding.interval[0] <= finding.date <= finding.interval[1]
         assert finding.false_alarm_probability < result.false_alarms * 8 / 30  # of eight days
     assert [robot.state for robot in result.robots] == ["changed"] * 2 + ["steady"] * 2
+
+
+def test_parameters_over_time_hold_the_truth(whole):
+    result, _ = whole
+    robot = next(robot for robot in result.robots if robot.robot == STICKY)
+    (course,) = (
+        each
+        for each in robot.histories
+        if (each.parameter.effect, each.parameter.where) == ("coulomb_friction", "elbow")
+    )
+    before, after = course.values[:FROM].mean(), course.values[FROM:].mean()
+    assert after / before == pytest.approx(1 + SHARE, abs=0.1)
+    assert before == pytest.approx(DRY[1], rel=0.2)
+    assert course.shown.all()
+    assert (course.deviations < 0.1 * course.values).all()
+    for each in robot.own:
+        assert each.deviation >= 0.0
+        assert np.isfinite([each.value, each.common, each.spread]).all()
 
 
 def test_what_is_there_is_not_made_again(folder, whole):

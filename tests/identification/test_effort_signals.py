@@ -204,6 +204,16 @@ def test_logs_whose_columns_were_looked_at_are_fitted_once(model, log, monkeypat
     assert len(made) == 2
 
 
+def test_it_finds_the_integral_that_mujoco_has(fitted):
+    """By a log alone: bodies are those of the file, gains as uncertain as these are."""
+    (signal,) = fitted[0].effort_signals
+    for value, truth in ((signal.gain, TRUTH[0]), (signal.integral, INTEGRAL)):
+        assert value == pytest.approx(truth, rel=0.1)
+    spread = np.hypot(signal.integral_deviation, signal.uncertainty * signal.integral)
+    assert 0.0 < signal.integral_deviation < spread
+    assert abs(signal.integral - INTEGRAL) < 2.0 * spread
+
+
 def test_an_integral_has_grown_to_what_a_payload_needs(model):
     """Of a log that says what was carried; errors are those of the equation for its effort."""
     period, kp = 4e-3, 60.0

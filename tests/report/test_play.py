@@ -121,6 +121,19 @@ def test_colours_are_the_errors(playback, before, after):
     assert levels(playback.models[1].relative, playback.top)[:, j].mean() < colors[:, j].mean()
 
 
+def test_the_worst_moments_are_the_worst_and_apart(playback):
+    for played in playback.models:
+        moments = played.moments
+        assert moments[0].relative == np.nanmax(played.relative)
+        sizes = [m.relative for m in moments]
+        assert sizes == sorted(sizes, reverse=True) and 3 <= len(moments) <= 5
+        for m in moments:
+            assert m.relative == played.relative[m.frame, playback.joints.index(m.joint)]
+            assert (m.log, m.time) == playback.instants[m.frame]
+            same = [o for o in moments if o.joint == m.joint and o is not m]
+            assert all(abs(o.frame - m.frame) >= FRAMES for o in same)
+
+
 def test_of_long_logs_the_worst_passages_are_played(before, playback):
     some = play_back(before, [LOG], seconds=6.0)
     assert sum(len(e.time) for e in some.excerpts) / FRAMES <= 6.0
