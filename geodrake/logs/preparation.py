@@ -125,7 +125,11 @@ def _prepare(
         stretches, standstill = _of_use(usable, whole, (low_pass, smoother))
     derived = np.any([stretch.derived for stretch in stretches], axis=0)
     temperatures = Temperatures.of(log.joints, log.time, log.temperature)
-    notes += _failed_sensors(log, temperatures)
+    if log.temperature is not None:
+        read = np.array(log.joints)[np.isfinite(log.temperature).any(axis=0)]
+        failed = [j for j in read if temperatures is None or j not in temperatures.courses]
+        words = f"temperature of {', '.join(failed)} is not used: the sensor fails"
+        notes += [words] * bool(failed)
     is_much, left_out = _left_out(uniform, stretches, standstill)
     notes += [left_out] if left_out and not is_much else []
     trajectory = Trajectory(
@@ -181,15 +185,6 @@ def _left_out(
     ends = parts[_ENDS]  # of which every log has some
     is_much = whole - used - ends > _MUCH * whole or ends > _MANY_ENDS * whole or bool(joints)
     return is_much, "; ".join(lines)
-
-
-def _failed_sensors(log: JointLog, known: Temperatures | None) -> list[str]:
-    """Return the joints with failing temperature sensors, in words."""
-    if log.temperature is None:
-        return []
-    read = np.array(log.joints)[np.isfinite(log.temperature).any(axis=0)]
-    failed = [joint for joint in read if known is None or joint not in known.courses]
-    return [f"temperature of {', '.join(failed)} is not used: the sensor fails"] if failed else []
 
 
 def _check_outputs(uniform: UniformLog, low_pass: ZeroPhaseFilter, outputs: int) -> None:

@@ -90,21 +90,17 @@ def of_clock(time: Array) -> Array | None:
     These are hhmmss.fff or hhmmssmmm, which jump where a minute ends, as 59.99 is followed by 100.
     """
     for unit in (1.0, 1e-3):
-        stamps = unit * time[:_ROWS]
-        jumps = np.diff(stamps) > _DIGITS
-        if not jumps.any():
+        steps = np.diff(unit * time[:_ROWS])
+        if not (jumps := steps > _DIGITS).any():
             continue
-        own = np.diff(_since_midnight(stamps))
-        digits = stamps // np.array([[1e4], [1e2], [1.0]]) % np.array([[1e10], [1e2], [1e2]])
-        are_a_clocks = (np.nanmax(digits, axis=1) < [24.0, 60.0, 60.0]).all()
-        if are_a_clocks and own[jumps].max() <= longest_step(float(np.nanmedian(own))):
-            return _since_midnight(unit * time)
+        stamps = unit * time
+        since = stamps - 40.0 * (stamps // 1e2) - 2400.0 * (stamps // 1e4)
+        own, seen = np.diff(since[:_ROWS]), stamps[:_ROWS]
+        digits = np.nanmax([seen // 1e4, seen // 1e2 % 1e2, seen % 1e2], axis=1)
+        are_of_clock = (digits < [24.0, 60.0, 60.0]).all()
+        if are_of_clock and own[jumps].max() <= longest_step(float(np.nanmedian(own))):
+            return since
     return None
-
-
-def _since_midnight(stamps: Array) -> Array:
-    """Return the seconds of stamps hhmmss.fff."""
-    return 3600.0 * (stamps // 1e4) + 60.0 * (stamps // 1e2 % 1e2) + stamps % 1e2
 
 
 def are_parts(seconds: Array, parts: Array) -> bool:

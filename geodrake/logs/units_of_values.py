@@ -360,17 +360,14 @@ def effort_hint(log: JointLog) -> str | None:
 
     Magnitudes return to zero while the joint turns both ways.
     """
-    counts = {
-        name: float(peaks_of(tau[:, None])[0])
-        for name, tau in zip(log.joints, log.motor_effort.T, strict=True)
-        if log.effort_kinds.get(name) == "current" and are_whole(tau)
-    }
-    large = {name: f"{peak:.0f}" for name, peak in counts.items() if peak > _MOST_AMPERES}
-    if large:
+    peaks = dict(zip(log.joints, peaks_of(log.motor_effort).tolist(), strict=True))
+    large = [j for j, kind in log.effort_kinds.items() if kind == "current"]
+    large = [joint for joint in large if peaks[joint] > _MOST_AMPERES]
+    if large and are_whole(log.motor_effort[:, np.isin(log.joints, large)]):
         return (
-            f"The currents of {', '.join(large)} are integers of up to {', '.join(large.values())} "
-            "A, which motors of robots do not draw: they seem to be counts or mA. Give their unit, "
-            "as in --units current=mA."
+            f"The currents of {', '.join(large)} are integers of up to {peaks[large[0]]:.0f} A, "
+            "which motors of robots do not draw: they seem to be counts or mA. Give their unit, as "
+            "in --units current=mA."
         )
     position, effort = log.position[:_ROWS], log.motor_effort[:_ROWS]
     rows = np.isfinite(position).all(axis=1) & np.isfinite(effort).all(axis=1)

@@ -259,7 +259,7 @@ def test_several_topics_are_named_and_chosen(tmp_path, log):
         assert np.array_equal(read_log(path, reading=Reading(topic=topic)).effort, each.effort)
     for topic, words in (
         ("/gripper/joint_states", r"/gripper/joint_states .*joints with position, velocity\)"),
-        ("/left/states", r"no topic '/left/states' \(nearest: '/left/joint_states'"),
+        ("/left/states", r"no topic '/left/states'; .*Did you mean /left/joint_states"),
     ):
         with pytest.raises(LogError, match=words):
             read_log(path, reading=Reading(topic=topic))

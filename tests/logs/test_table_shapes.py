@@ -930,7 +930,7 @@ def test_many_lines_are_read_by_arrow_as_without_it(tmp_path, monkeypatch, odd):
                     [{**r, "effort": r["effort"] if k else 0.0} for k, r in enumerate(LIST_RECORDS)]
                 )
             ),
-            "lists of 2 numbers, but one number alone in row 1",
+            "lists of 2 numbers, but one of 1 in row 1",
         ),
         ("a.json", '{"a": 1', "not a readable JSON file"),
         ("a.json", "3", "neither a JSON object nor a list of records"),

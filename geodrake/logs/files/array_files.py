@@ -136,24 +136,15 @@ def read_yaml(path: Path, reading: Reading) -> LogTable:
 
 
 _LONG = 1_000_000  # letters of JSON
-_FIRST = 100  # of the items of a list or a table
+_FIRST = 100_000  # fields
 
 
 def _check_told(path: Path, content: Any, advice: str) -> None:
     """Raise for content whose first fields are neither of joints nor of time."""
-    fields = fields_of(_beginning({"log": content}), lists=True)
+    fields = islice(fields_of({"log": content}, lists=True), _FIRST)
     names = {re.sub(r"\[\d+\]", "", name) for name, _ in fields}
     if not any(meaning_of(part) for name in names for part in (name, name.rpartition(".")[2])):
         raise LogError(f"Log {str(path)!r} has neither time nor joints.", advice=advice)
-
-
-def _beginning(content: Any) -> Any:
-    """Return content with the first items of each list and table in it."""
-    if isinstance(content, list):
-        return [*map(_beginning, content[:_FIRST])]
-    if isinstance(content, dict):
-        return {name: _beginning(value) for name, value in islice(content.items(), _FIRST)}
-    return content
 
 
 _OF_MESSAGE = re.compile(r'(\w+)\s*(?::\s*("(?:[^"\\]|\\.)*"|[^\s{}"]+)|:?\s*\{)|\}')
@@ -199,17 +190,13 @@ def read_octave(path: Path, reading: Reading) -> LogTable:
         with suppress(ValueError):  # of texts, and of structs, whose fields have their own names
             numbers = np.squeeze(np.array(rows, float))
             if any(line.startswith("# type:") and line.endswith("range") for line in lines):
-                numbers = _of_range(*numbers)
+                begin, end, step = numbers  # as of `0:0.01:10`
+                if not 0.0 <= (end - begin) * step < step**2 * _MOST_OF_RANGE:
+                    continue
+                count = 1 + int((end - begin) / step * (1.0 + 1e-12))
+                numbers = begin + step * np.arange(count)
             found[name.strip()] = numbers if numbers.ndim else float(numbers)
     return content_table(path, found, reading)
-
-
-def _of_range(first: float, last: float, step: float) -> Array:
-    """Return the numbers of a range of Octave, such as `0:0.01:10`."""
-    if not 0.0 <= (last - first) * step < step**2 * _MOST_OF_RANGE:
-        raise ValueError
-    numbers = first + step * np.arange(1 + int((last - first) / step * (1.0 + 1e-12)))
-    return np.asarray(numbers, float)
 
 
 def read_rsi(path: Path, reading: Reading) -> LogTable:

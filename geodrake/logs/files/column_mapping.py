@@ -412,9 +412,7 @@ def columns_of(
         if columns.rate is None and ("", "time") not in places:
             clock, words, is_sure = likely_clock(table)
             if clock is not None:
-                taken = {source.column for source in places.values()}
-                if clock.column in taken and not is_mapped:
-                    # `temps` may be temperatures by its name; now another column may have them.
+                if not is_mapped:  # `temps` may be temperatures by its name, as others may be
                     columns = _by_names(table, joints, reading, clock=clock.column)
                 places = {("", "time"): clock, **columns.places}
             if is_sure:
@@ -456,20 +454,18 @@ def likely_clock(table: LogTable) -> tuple[Meaning | None, str, bool]:
             steps = np.diff(values)
             step = float(np.median(steps)) if len(steps) else 0.0
             even = np.abs(steps - step) <= 0.5 * step
-            is_called, known = bool(_CLOCKS & plain_words(name)), told[name]
-            is_part = known is not None and known.quantity == PART
+            is_called, part = bool(_CLOCKS & plain_words(name)), told[name]
             units = [find_unit(word, "time") for word in plain_words(name)]
-            short = next((u for u in units if u is not None and u.factor < 1.0), None)  # as ms
-            unit = known.unit if known is not None and is_part else short
+            unit = next((u for u in units if u is not None and u.factor < 1.0), None)  # as ms
+            unit = part.unit if part is not None and part.quantity == PART else unit
             is_unit = unit is not None and float((steps > 0.0).mean()) > _FORWARD
             counts = step == 1.0 and not (is_called or is_unit)  # rows
             if step > 0.0 and not counts and (is_unit or float(even.mean()) > _EVEN):
                 words = f"{name!r} increases by {step:.4g} from row to row"
                 is_first = name == table.names[0] or name.startswith("__index_level")
                 is_sure = is_called or is_unit or (is_first and step % 1.0 != 0.0)
-                clock = known if known is not None and is_part else Meaning(name, PART)
-                clock = replace(clock, quantity="time", unit=unit or find_unit(name, "time"))
-                return clock, words, is_sure
+                unit = unit or find_unit(name, "time")
+                return Meaning(name, "time", unit=unit), words, is_sure
     close = difflib.get_close_matches("time", [name.lower() for name in table.names[:100]], 1)
     return None, f"Is it {close[0]!r}? " if close else "", False
 
@@ -580,12 +576,11 @@ def _without_spare(
     They are zero throughout, and more than the model has joints.
     """
     counted = {m.column: m.number for m in told if m.number is not None}
-    numbers = sorted({*counted.values()})
-    if not joints or len(numbers) <= len(joints):
+    if not joints or len({*counted.values()}) <= len(joints):
         return told, []
     known = [name for name in counted if table.has_numbers(name)]
-    moved = {counted[n] for n, values in table.read(known, skip=True)[0].items() if values.any()}
-    spare = [name for name, number in counted.items() if number > max(moved, default=numbers[-1])]
+    moved = [counted[n] for n, values in table.read(known, skip=True)[0].items() if values.any()]
+    spare = [name for name, number in counted.items() if moved and number > max(moved)]
     note = f"zero throughout, so without a motor: {', '.join(spare[:1])} …"
     return [m for m in told if m.column not in spare], [note] * bool(spare)
 
@@ -774,10 +769,14 @@ class Columns:
         every, kept = self.places.items(), (*own, *self.standing)
         of_joints = {p: source for p, source in every if p[1] == "time" or p[0] in kept}
         self.places = {
-            (joint, what): self._scaled(source, joint)
+            (joint, what): source
             for (joint, what), source in of_joints.items()
             if what in (("position",) if joint in self.standing else ("time", *self.quantities))
         }
+        for joint, gain in reading.gains.items():  # with which signals are efforts
+            if (of_motor := self.places.get((joint, "effort"))) is not None:
+                effort = replace(of_motor, gain=gain * of_motor.gain, quantity="effort")
+                self.places[joint, "effort"] = effort
         for name in names:
             if name not in used and (known := floating_meaning(name)) is not None:
                 self.floating.setdefault(known.quantity, known)
@@ -787,13 +786,6 @@ class Columns:
         known_too = {c for source in of_joints.values() for c in source.columns}
         if ignored := [n for n in names if n and n not in {*self.files, *known_too}]:
             self.notes.append(f"columns ignored: {listed(ignored)}")
-
-    def _scaled(self, source: Meaning, joint: str) -> Meaning:
-        """Return a column; with a known gain, signals are efforts."""
-        gain = self.reading.gains.get(joint)
-        if gain is None or source.log_quantity != "effort":
-            return source
-        return replace(source, gain=gain * source.gain, quantity="effort")
 
     def _of_model(self, joints: Sequence[str], wanted: Sequence[str] | None) -> tuple[str, ...]:
         """Return the joints without those that the model lacks, if it has any of the log's.
@@ -875,11 +867,6 @@ def time_source(table: LogTable, reading: Reading) -> Meaning | None:
         source = settled(table.path, best, "", reading, table.units)
     if source.column in table.origins:  # whatever its name says
         source = Meaning(source.column, "time", unit=unit_of("s", "time"))
-    return replace(source, beside=_beside(table, source)) if source.factor == 1.0 else source
-
-
-def _beside(table: LogTable, time: Meaning) -> Meaning | None:
-    """Return the column with the parts of a second that belong to a column of whole seconds."""
-    known, own = [*filter(None, map(meaning_of, table.names))], meaning_of(time.column)
-    beside = [m for m in known if m.quantity == PART and own is not None and m.style == own.style]
-    return next(iter(beside), None)
+    own, known = meaning_of(source.column), filter(None, map(meaning_of, table.names))
+    beside = (m for m in known if m.quantity == PART and own is not None and m.style == own.style)
+    return replace(source, beside=next(beside, None)) if source.factor == 1.0 else source

@@ -110,12 +110,11 @@ def table_of(path: Path, reading: Reading) -> LogTable:
     words = frozenset().union(*map(plain_words, table.names))  # of which one may tell a robot
     asked = [topic for topic in reading.topics if not plain_words(topic) & words]
     is_told = kind in _SHEETS or any(tells(name, "robots") for name in names)
-    lacks = list[tuple[str, object]]()
-    if asked and not is_told:
-        lacks.append(("topic", ", ".join(asked)))
+    lacks = dict[str, object](topic=", ".join(asked)) if asked and not is_told else {}
     if reading.episode is not None and not any(tells(name, "recordings") for name in names):
-        lacks.append(("episode", reading.episode))
-    return table.noting(*(f"{path.name} has no {n}s, so {x!r} has no meaning" for n, x in lacks))
+        lacks["episode"] = reading.episode
+    said = (f"{path.name} has no {what}s, so {x!r} has no meaning" for what, x in lacks.items())
+    return table.noting(*said)
 
 
 def reader_of(path: Path) -> Reader | None:

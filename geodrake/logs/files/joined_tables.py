@@ -64,10 +64,10 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
     order = _order(tables, reading)
     if reading.mapping is not None:
         reading = replace(reading, mapping=reading.mapping.named(order))
-    stamps = [_time(table, reading) for table in tables]
+    stamps = _times(tables, reading)
     bare = [str(t.path) for t, (time, _) in zip(tables, stamps, strict=True) if time is None]
     if len(bare) >= len(tables) - 1:
-        return _of_same_rows(log, tables, reading, are_all_bare=len(bare) == len(tables))
+        return _of_same_rows(log, tables)
     if bare:
         raise LogError(
             f"Parts of log {str(log)!r} have no time: {', '.join(bare)}.",
@@ -97,7 +97,7 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
         spans = (f"{np.nanmin(t):.6g} to {np.nanmax(t):.6g} s" for t in known)
         raise LogError(
             f"The parts of log {str(log)!r} do not overlap in time: {', '.join(spans)}.",
-            advice="Use one clock for both.",
+            advice="Use one clock for all, or write a log for each joint if they move in turn.",
         )
     instants = known[base][np.isfinite(known[base])] if reading.skip_bad_rows else known[base]
     columns, again = {order[0]: instants}, list[str]()
@@ -133,9 +133,7 @@ def _forwards(
     return found, tuple(notes)
 
 
-def _of_same_rows(
-    log: Path, tables: Sequence[LogTable], reading: Reading, *, are_all_bare: bool
-) -> LogTable:
+def _of_same_rows(log: Path, tables: Sequence[LogTable]) -> LogTable:
     """Return the columns of tables of which one at most has time."""
     lengths = sorted({len(table) for table in tables})
     if len(lengths) > 1:
@@ -146,14 +144,6 @@ def _of_same_rows(
         )
     counts = Counter(name for table in tables for name in table.columns)
     again = [name for name in counts for _ in range(counts[name] - 1)]
-    clock = likely_clock(tables[0])[0] if are_all_bare and reading.rate is None else None
-    if clock is not None and clock.column in again:
-        first, *others = [t.columns[clock.column] for t in tables if clock.column in t.columns]
-        if not all(np.array_equal(first, other) for other in others):
-            raise LogError(
-                f"In the parts of log {str(log)!r}, {clock.column!r} may be time, and differs.",
-                advice="If it is time, call it so, such as time_ms, to join them by it.",
-            )
     every = ChainMap(*(dict(table.columns) for table in tables))
     notes = (note for table in tables for note in table.notes)
     units = {column: unit for table in tables for column, unit in table.units.items()}
@@ -274,13 +264,23 @@ def _turns_slowly(columns: Mapping[str, Array]) -> bool:
     return bool(np.quantile(off, 0.99) / 4.0 < _TURNED)  # half as far apart, a quarter as far off
 
 
-def _time(table: LogTable, reading: Reading) -> tuple[Array | None, tuple[str, ...]]:
-    """Return time stamps of a table, s, and a note if their unit was inferred."""
-    source = time_source(table, reading)
-    if source is None:
-        return None, ()
-    source = with_own_parts(source, table.columns)
-    return in_seconds(source, read_column(source, dict(table.columns), since_first=False))
+def _times(
+    tables: Sequence[LogTable], reading: Reading
+) -> list[tuple[Array | None, tuple[str, ...]]]:
+    """Return time stamps of tables, s, and notes; None where a table has none.
+
+    Where no name says so in any, columns are time by their values.
+    """
+    sources = [time_source(table, reading) for table in tables]
+    if not any(sources) and reading.rate is None and reading.mapping is None:
+        clocks = [likely_clock(table) for table in tables]
+        sources = [clock if is_sure else None for clock, _, is_sure in clocks]
+    found = list[tuple[Array | None, tuple[str, ...]]]()
+    for table, source in zip(tables, sources, strict=True):
+        own = source and with_own_parts(source, table.columns)
+        values = own and read_column(own, dict(table.columns), since_first=False)
+        found.append((None, ()) if own is None else in_seconds(own, np.asarray(values)))
+    return found
 
 
 def _one_clock(

@@ -20,7 +20,7 @@ from geodrake.errors import LogError
 from geodrake.logs.files.base_names import IS_BASE, floating_meaning
 from geodrake.logs.files.grouped_arrays import fields_of
 from geodrake.logs.files.name_rules import MEASURED, OTHER, PLAIN, PREVIOUS, Meaning, meaning_of
-from geodrake.logs.files.table import LogTable
+from geodrake.logs.files.table import LogTable, array_of
 from geodrake.logs.files.units import WORDS
 from geodrake.logs.floating import unwound
 from geodrake.logs.motion import EFFORT_KINDS, QUANTITIES
@@ -344,10 +344,7 @@ def _parts_of_joints(paths: tuple[str, ...]) -> dict[str, Meaning]:
 
 def _of_joints(values: Any, quantity: str) -> Array:
     """Return numbers (n,) of joints, of several temperatures of each the first; (0,) for others."""
-    try:
-        array = np.asarray(values)
-    except ValueError:  # of lists of different lengths
-        return np.zeros(0)
+    array = array_of(values)
     if array.ndim == 2 and quantity == "temperature":
         array = array[:, 0]
     elif array.ndim == 2 and len(array) == 1:  # as of a trajectory of one point

@@ -164,7 +164,11 @@ def meanings_of(names: Iterable[str], joints: Sequence[str] = ()) -> list[Meanin
     found = list[Meaning]()
     for name in names:
         plain, number = roman.get(name, (name, 0))
-        plain = _of_current(plain, names)
+        others = {_Q.sub("d", plain), plain.replace("current", "voltage")} - {plain}
+        if "current" in plain and not others.isdisjoint(names):
+            plain = _Q.sub(
+                "iq", plain
+            )  # an axis of currents, as d, or of voltages is, and no place
         if (told := _of_joint(name, whole) or meaning_of(plain) or meaning_of(name)) is None:
             continue
         if number and told.quantity in OF_JOINTS and not told.joint:
@@ -172,11 +176,6 @@ def meanings_of(names: Iterable[str], joints: Sequence[str] = ()) -> list[Meanin
             words = words_of(joint) if number in of_model else told.words
             told = replace(told, joint=joint, words=words)
         found.append(replace(told, column=name))
-    alone = {m.quantity for m in found if len(plain_words(m.column)) == 1}
-    alone &= {m.quantity for m in found if _FORWARD & plain_words(m.column)}
-    for k, meaning in enumerate(found):  # beside tau and its feedforward, feedback is no measured
-        if meaning.quantity in alone and _BACK & plain_words(meaning.column):
-            found[k] = replace(meaning, role=DESIRED)
     units = _units_of_family(names)
     for k, meaning in enumerate(found):
         if meaning.unit is None and (said := units.get(meaning.quantity)) is not None:
@@ -231,19 +230,6 @@ def _roman_numbers(names: Sequence[str]) -> dict[str, tuple[str, int]]:
         if len(own) > 1 and sorted(own.values()) == [*range(1, 1 + len(own))]
         for name, number in own.items()
     }
-
-
-def _of_current(name: str, names: Sequence[str]) -> str:
-    """Return a name with `iq` for q, if that is the axis of a current and no position.
-
-    There is then the same of d, or of a voltage.
-    """
-    words = _split(name)
-    if "q" not in words or not set(_CURRENT).intersection(words):
-        return name
-    others = (re.sub(r"(?<![A-Za-z])q(?![a-z])", "d", name), name.replace("current", "voltage"))
-    is_axis = any(other != name and other in names for other in others)
-    return re.sub(r"(?<![A-Za-z])q(?![a-z])", "iq", name) if is_axis else name
 
 
 def _units_of_family(names: Sequence[str]) -> Mapping[str, str]:
@@ -443,7 +429,8 @@ def _joint(column: str) -> Meaning | None:
     counted = f"{plain}/{parts[-1]}" if is_counted else plain
     numbers = [w for w in _split(counted) if isinstance(w, int)]
     if not _has_name(joint) and not numbers and (place > 0 or not is_before):
-        place = _telling_before(parts, place) if is_before else len(parts) - 1
+        told_by = (k for k in reversed(range(place)) if _telling(_split(parts[k])))
+        place = next(told_by, place - 1) if is_before else len(parts) - 1
         joint = parts[place]
         numbers = [w for w in _split(joint) if isinstance(w, int)]
     named = _has_name(joint)
@@ -454,7 +441,10 @@ def _joint(column: str) -> Meaning | None:
     roles = [ROLE_WORDS[word] for word in named_so & ROLE_WORDS.keys()]
     role = max(roles, default=PLAIN)
     is_late = role == PREVIOUS and quantity not in EFFORT_KINDS
-    if is_late or _FURTHER_SENSOR.search(column) or _is_flag(_split(name)):
+    every = _split(name)
+    last = max((k for k, w in enumerate(every) if w in QUANTITY_WORDS or w in _COMMAND), default=0)
+    is_flag = not _FLAGS.isdisjoint(every[last:])
+    if is_late or _FURTHER_SENSOR.search(column) or is_flag:
         role = OTHER
     group = tuple(word for part in parts[:place] for word in _telling(_split(part)))
     called, style = joint if named else "", (quantity, *sorted(used))
@@ -472,20 +462,7 @@ def _take_unit(parts: list[str], place: int, quantity: str) -> Unit | None:
     return None
 
 
-def _telling_before(parts: Sequence[str], place: int) -> int:
-    """Return the place of the nearest part before another that names or counts a joint."""
-    told = (k for k in reversed(range(place)) if _telling(_split(parts[k])))
-    return next(told, place - 1)
-
-
-def _is_flag(words: Words) -> bool:
-    """Return whether a word behind the last quantity says that it is a flag of this."""
-    told = [k for k, word in enumerate(words) if word in QUANTITY_WORDS or word in _COMMAND]
-    return not _FLAGS.isdisjoint(words[max(told, default=0) :])
-
-
-_FORWARD, _BACK = {"ff", "feedforward"}, {"fb", "feedback"}
-_TOLD_BY_UNIT = ("mA",)  # as of m1_mA; V and A are letters of many names
+_Q = re.compile(r"(?<![A-Za-z])q(?![a-z])")
 _COUNTER = re.compile(
     r"(?i)(step|loop|sample|cycle|row|frame|packet|message|msg|error)[ _]?(count|cnt)$"
 )
@@ -499,7 +476,7 @@ def _measured_in(name: str) -> Meaning | None:
     units = {q: _without_brackets(name, q) for q in ("time", *QUANTITIES, *SIGNAL_KINDS)}
     counts = _COUNTER.search(name)
     bare = [(quantity, *without_unit(name, quantity)) for quantity in QUANTITIES if not counts]
-    bare = [e for e in bare if e[2] and (not e[2].signal or e[2].name in _TOLD_BY_UNIT)]
+    bare = [e for e in bare if e[2] and (not e[2].signal or e[2].name == "mA")]
     for quantity, plain, unit in [*((q, *told) for q, told in units.items()), *bare]:
         if unit is None or (unit.signal and not _SUPPLY.isdisjoint(_split(name))):
             continue

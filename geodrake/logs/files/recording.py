@@ -169,9 +169,11 @@ def _register(numbers: Array, *, magnitudes: bool) -> tuple[float, bool] | None:
     numbers that are next to 2ᵏ throughout.
     """
     largest = np.fmax.reduce(numbers, initial=0.0)
-    if largest < 2 ** _SIGN_BITS[0] or np.fmin.reduce(numbers) < -ROUNDING:
-        return None
-    if not are_whole(numbers):
+    if (
+        largest < 2 ** _SIGN_BITS[0]
+        or np.fmin.reduce(numbers) < -ROUNDING
+        or not are_whole(numbers)
+    ):
         return None
     known = np.rint(numbers[np.isfinite(numbers)])
     kinds = [(2.0 ** (bits - 1), True) for bits in _COMPLEMENTS]

@@ -460,7 +460,7 @@ def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
     for name, given in arrays.items():
         if name in rates:
             continue
-        values = _array(given) if isinstance(given, list) else given
+        values = array_of(given) if isinstance(given, list) else given
         found, origin, note = numbers(values)
         if found is not None and found.ndim == 2 and found.shape[0] != rows == found.shape[1]:
             found = found.T
@@ -550,18 +550,12 @@ def _what_else(values: Any, rows: int) -> str:
     bad = next(
         (x for x in values if isinstance(x, str) and not is_nothing(x) and number_in(x) is None), ""
     )
-    lists = {
-        k: len(value)
-        for k, value in enumerate(values, 1)
-        if isinstance(value, Sized) and not isinstance(value, str) and len(value)
-    }
-    first = next(iter(lists.values()), 0)
-    alone = next((k for k, x in enumerate(values, 1) if isinstance(x, int | float)), None)
-    if first and alone is not None:
-        return f"has lists of {first} numbers, but one number alone in row {alone}"
-    row = next((k for k, length in lists.items() if length != first), None)
-    if row is not None:
-        return f"has lists of {first} numbers, but one of {lists[row]} in row {row}"
+    cells = [x for x in values if isinstance(x, Sized | int | float) and not isinstance(x, str)]
+    lengths = [len(x) if isinstance(x, Sized) else 1 for x in cells]
+    if len({*lengths} - {0}) > 1:
+        usual = max({*lengths}, key=lengths.count)
+        row, length = next((k, n) for k, n in enumerate(lengths, 1) if n not in (0, usual))
+        return f"has lists of {usual} numbers, but one of {length} in row {row}"
     if bad:
         return f"has {bad[:_LONGEST_TEXT]!r}, which is neither a number nor a date"
     kind = getattr(values, "dtype", np.dtype(object))
@@ -588,7 +582,7 @@ def numbers(values: Any) -> tuple[Array | None, int | None, str]:
         missing, values = np.ma.getmaskarray(values), np.array(values.data, object)
         values[missing] = None
     try:
-        array = _array(values)
+        array = array_of(values)
         if array.dtype.kind == "M":
             stamps = array.astype("datetime64[ns]").astype(np.int64)
             known = stamps != np.iinfo(np.int64).min
@@ -603,7 +597,7 @@ def numbers(values: Any) -> tuple[Array | None, int | None, str]:
     return (np.asarray(array, float) if array.dtype.kind in "fiub" else None), None, ""
 
 
-def _array(values: Any) -> NDArray[Any]:
+def array_of(values: Any) -> NDArray[Any]:
     """Return an array; an object array for lists of different lengths or with None."""
     try:
         return np.asarray(values)

@@ -253,10 +253,8 @@ def _keyed_names(
     of the numbers in these lines is time, and so are others of its name.
     """
     keys = {cells[0] for cells in above if not _are_numbers(cells[:1])} - {""}
-    if not len(above) == len(keys) >= _KEYED_ROWS:  # or they are rows with few numbers
-        return (), {}
     counts = [len({name for name in cells if meaning_of(name) is not None}) for cells in above]
-    if not any(counts):
+    if not len(above) == len(keys) >= _KEYED_ROWS or not any(counts):  # but rows of few numbers
         return (), {}
     header = above[counts.index(max(counts))][: len(_cells_of(lines[0], separator))]
     clock = "Time" if meaning_of(header[0]) is None else header[0]
@@ -296,8 +294,10 @@ def _whole_header(
         if below[:1] > [""] and not any(below[1:]):  # a name that pandas gives the index
             header, after = [below[0], *header[1:]], after + 1
             below = _cells_of(lines[after], separator)
-    if not all(header) and len(header) == len(below) and all(map(is_number, below)):
-        header = _below_blanks(header, spread)
+    counts = [spread.count(name) for name in header if name and spread.count(name) > 1]
+    is_of_blanks = not all(header) and all(spread) and len(counts) > 1 == len({*counts})
+    if is_of_blanks and len(header) == len(below) and all(map(is_number, below)):
+        header = spread
     header = _of_several(header, len(below))
     if len(below) == len(header) + 1 and all(below) and any(map(is_number, below)):
         header = ["_row", *header]  # which have numbers or names, as R and pandas write them
@@ -319,16 +319,6 @@ def _of_several(names: Sequence[str], count: int) -> Sequence[str]:
         else:
             found.append(name)
     return found if len(found) == count else names
-
-
-def _below_blanks(header: Sequence[str], spread: Sequence[str]) -> Sequence[str]:
-    """Return numbered names for columns without one behind some that have as many each."""
-    counts = {name: spread.count(name) for name in header if name}
-    several = [name for name in counts if counts[name] > 1]
-    if len(several) < 2 or len({counts[name] for name in several}) > 1 or not all(spread):
-        return header
-    places = {name: spread.index(name) for name in several}
-    return [f"{n}[{k - places[n]}]" if n in places else n for k, n in enumerate(spread)]
 
 
 def _told_apart(header: Sequence[str]) -> list[str]:
@@ -604,13 +594,10 @@ _CODECS = ("cp1252", "gb18030", "shift_jis", "euc_kr", "big5", "cp1251", "mac_ro
 """Encodings that are recognized by words."""
 
 
-def _tells(word: str) -> bool:
-    """Return whether a word tells an encoding, as no letter alone does but those of East Asia."""
-    return not word.isascii() and len(word.encode()) > 2  # bytes, of which other letters have two
-
-
+# A letter alone tells nothing, but those of East Asia, which have three bytes, do.
+_LETTERS = (word for word in re.findall(r"\w+", str(WORDS)) if not word.isascii())
 _FOREIGN = re.compile(
-    "|".join(sorted((w for w in re.findall(r"\w+", str(WORDS)) if _tells(w)), key=len)[::-1])
+    "|".join(sorted((w for w in _LETTERS if len(w.encode()) > 2), key=len, reverse=True))
 )
 _BEGINNING = 10_000  # bytes, which have the names of columns
 

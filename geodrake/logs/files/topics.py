@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from geodrake.boundary.arguments import Array
-from geodrake.errors import LogError
+from geodrake.errors import LogError, nearest
 from geodrake.logs.files.grouped_arrays import are_records
 from geodrake.logs.files.joined_tables import joined_tables
 from geodrake.logs.files.messages import (
@@ -148,12 +147,10 @@ def _named(path: Path, topics: Sequence[JointMessages], name: str, *, alone: boo
             f"Topic {found[0]} of log {str(path)!r} {lacks} joints.",
             advice=f"Topics with them: {_listed(fitting)}." if fitting else "No topic has them.",
         )
-    names = [topic.topic for topic in topics]
-    close = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
-    near = f" (nearest: {close[0]!r})" if close else ""
     raise LogError(
-        f"Log {str(path)!r} has no topic {name!r}{near}; it has {_listed(topics)}.",
-        advice="Use names from the bag or LCM log; by default the best match is read.",
+        f"Log {str(path)!r} has no topic {name!r}; it has {_listed(topics)}.",
+        advice=f"{nearest(name, [topic.topic for topic in topics], 1)}Use names from the bag or "
+        "LCM log; by default the best match is read.",
     )
 
 

@@ -126,9 +126,8 @@ def _scaled(text: str, quantity: str) -> Unit | None:
     factor, inner, share, zero = found.group("factor", "unit", "share", "zero")
     unit = find_unit(inner, quantity)
     scale = float(factor or 1.0) / (float(share or 1.0) or math.inf)
-    if unit is None or unit.offset or not 0.0 < scale < math.inf:
-        return None
-    if unit.name in _UNITS["range"]:  # which has its scale from the model
+    is_of_model = unit is not None and unit.name in _UNITS["range"]  # which gives the scale
+    if unit is None or unit.offset or is_of_model or not 0.0 < scale < math.inf:
         return None
     name = (f"{factor} " if factor else "") + unit.name + (f"/{share}" if share else "")
     if zero is None:
