@@ -28,40 +28,40 @@ from geodrake.report.words import capitalized, effect_label, listed, places_labe
 
 _COMBINATION = ("combination", "in the model", "deviation", "relative")
 _STARTS = ("seed", "solver", "random motion", "designed", "evaluations", "seconds")
-_FINE = 600  # instants that are drawn
+_FINE = 600  # drawn instants
 _COLUMNS = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s²", "effort": "N·m"}
-_REACH = 2.5  # times the largest value, up to which a limit is drawn
+_REACH = 2.5  # multiple of the largest value beyond which limits are not drawn
 _DESIGNED = Stage("designed", "after")
 _DOTS = Stage("designed", "after", look="dots")
 _EFFECT, _IMITATION = Stage("effect", "after"), Stage("best imitation", "before")
-_FOUND = Stage("identifiable", "after", look="dots")
-_LOST = Stage("not identifiable", "before", look="dots")
+_IDENTIFIABLE = Stage("identifiable", "after", look="dots")
+_UNIDENTIFIABLE = Stage("not identifiable", "before", look="dots")
 _IDEAL = Stage("at sensor noise alone", "noise")
 _MOST_PAIRS, _MOST_DRAWN = 12, 4
 _MOST_COMBINATIONS, _MOST_DIRECTIONS = 12, 8
 _SMALL = 0.05  # share of a direction below which a body is not named
-_HALF = 0.5  # of a parameter: a body of which less is possible is not spoken of
-_FULL, _HARDLY = 0.9, 0.1  # shares of a body above which it counts as all, and below as nothing
-_CERTAIN = 1e-6  # least deviation that is drawn
+_LEAST_POSSIBLE = 0.5  # parameters; bodies with fewer possible ones are not mentioned
+_FULL, _HARDLY = 0.9, 0.1  # shares of a body that count as "all of" and "hardly any of" it
+_LEAST_DEVIATION = 1e-6  # smallest deviation on the logarithmic axis
 
 
 def excitation_page(result: ExcitationResult, about: About) -> Page:
     """Return the page of a designed motion."""
-    apart = isinstance(result.objective, Separation)
+    is_separation = isinstance(result.objective, Separation)
     units = Units.of(result.objective.target.model)
     starts = [
         cells(
-            *(each.seed, _status(each.status), each.random_value, each.value, each.evaluations),
-            f"{each.seconds:.1f}",
+            *(start.seed, _status(start.status), start.random_value, start.value),
+            *(start.evaluations, f"{start.seconds:.1f}"),
         )
-        for each in result.outcomes
+        for start in result.outcomes
     ]
     return Page(
         about,
         "designed",
         excitation_verdict(result),
         (
-            _pairs_section(result, units) if apart else _directions_section(result),
+            _pairs_section(result, units) if is_separation else _directions_section(result),
             Section(
                 "The motion",
                 "The path of each joint, and its largest shares of the limits.",
@@ -73,7 +73,7 @@ def excitation_page(result: ExcitationResult, about: About) -> Page:
                 "Result from each random initial motion; smaller is better.",
                 (
                     "The criterion is the inverse squared deviation of the hardest pair."
-                    if apart
+                    if is_separation
                     else f"The criterion is {result.objective.criterion.name}."
                 ),
                 tables=(Table(_STARTS, starts, words=2),),
@@ -95,7 +95,7 @@ def _status(status: str) -> str:
 
 
 def _motion_words(result: ExcitationResult) -> str:
-    """Return a description of the family of motions."""
+    """Return the family of motions in words."""
     family = result.trajectory.family
     if isinstance(family, FourierMotion):
         harmonics = f"{family.modes} harmonics of {family.omega / (2.0 * np.pi):.3g} Hz"
@@ -117,8 +117,8 @@ def excitation_verdict(result: ExcitationResult) -> str:
             f"{places_label(hardest.pair.where, units.driven)} and {hardest.pair.rival}, with an "
             f"unexplained effort of {number(hardest.effort)} {units.effort()} RMS."
         )
-        hardly = " Such a log will hardly distinguish them." * (hardest.deviations < CLEAR)
-        return words + hardly
+        warning = " Such a log will hardly distinguish them." * (hardest.deviations < CLEAR)
+        return words + warning
     criterion, normalization = result.objective.criterion.name, result.objective.normalization
     words = f"{criterion.replace('_', ' ')} {number(result.value)}"
     if criterion == "e_optimality" and normalization == "geometric":
@@ -137,7 +137,7 @@ def _times(factor: float) -> str:
 
 
 def _lead(result: ExcitationResult, units: Units) -> tuple[str, ...]:
-    """Return distances, balance, and the duration and start of the motion, as far as it has any."""
+    """Return the distances, balance, duration and start of a motion, where they apply."""
     use, trajectory, stance = result.use, result.trajectory, result.trajectory.stance
     lead = []
     if use.clearances:
@@ -150,23 +150,23 @@ def _lead(result: ExcitationResult, units: Units) -> tuple[str, ...]:
     if stance is not None:
         lead.append(
             f"On {listed([foot.frame for foot in stance.feet])}, the zero-moment point goes up to "
-            f"{percent(use.polygon)} of the way from the middle of the feet to their edge "
-            f"({percent(use.margin)} are allowed), with {percent(use.friction)} of a friction of "
-            f"{stance.friction:g}."
+            f"{percent(use.polygon)} of the way from the centre of the feet to their edge "
+            f"({percent(use.margin)} is allowed), and uses {percent(use.friction)} of the friction "
+            f"coefficient {stance.friction:g}."
         )
     if trajectory.length:
         pairs = zip(result.limits.joints, trajectory.states([0.0])[0, 0].tolist(), strict=True)
-        at = ", ".join(f"{joint} {number(q)} {units.at(joint, 'rad')}" for joint, q in pairs)
-        rest = "move the robot there first, or give its rest position with --stand."
+        start = ", ".join(f"{joint} {number(q)} {units.at(joint, 'rad')}" for joint, q in pairs)
+        advice = "move the robot there first, or give its rest position with --stand."
         if result.ramps is not None:
             length = f"{result.executed.length:.1f} s"
-            rest = f"{length} with the ramps from and to the rest position."
-        lead.append(f"{trajectory.length:g} s from rest to rest, starting at {at}; {rest}")
+            advice = f"{length} with the ramps from and to the rest position."
+        lead.append(f"{trajectory.length:g} s from rest to rest, starting at {start}; {advice}")
     return tuple(lead)
 
 
 def _tiles(result: ExcitationResult) -> tuple[Tile, ...]:
-    """Return the key numbers of a motion; of pairs the hardest one."""
+    """Return the key numbers of a motion; for pairs, those of the hardest."""
     objective, gained = result.objective, improvement(result)
     if pairs := distinguished_pairs(result):
         least, gained = f"{number(pairs[0].deviations)} σ", gained**0.5
@@ -176,15 +176,15 @@ def _tiles(result: ExcitationResult) -> tuple[Tile, ...]:
     else:
         criterion = objective.criterion.name.replace("_", " ")
         first = Tile(criterion, number(result.value), f"{objective.normalization} normalization")
-        found = f"{identifiable_directions(result)} of {len(result.eigenvalues)}"
-        last = [Tile("directions identifiable", found, f"to {percent(THRESHOLD**0.5)}")]
+        count = f"{identifiable_directions(result)} of {len(result.eigenvalues)}"
+        last = [Tile("directions identifiable", count, f"to {percent(THRESHOLD**0.5)}")]
         last *= objective.normalization == "geometric"
     better = Tile("better than random", f"{number(gained)} ×", "than the best initial motion")
     return (first, better, *last)
 
 
 def _directions_section(result: ExcitationResult) -> Section:
-    """Return deviations along the principal directions, from the most certain on."""
+    """Return deviations along the principal directions, the most certain first."""
     values = result.eigenvalues[::-1]
     deviations = 1.0 / np.sqrt(np.where(values > 0, values, np.nan))
     geometric = result.objective.normalization == "geometric"
@@ -212,13 +212,13 @@ def _directions_chart(
 
 
 def _pairs_section(result: ExcitationResult, units: Units) -> Section:
-    """Return every pair with its difference, the most similar first, and how the hardest look."""
+    """Return the differences of all pairs, the hardest first, and a chart of the hardest."""
     pairs = distinguished_pairs(result)
     rows = [
         cells(
-            _shaped(entry.pair.truth),
+            _effect_cell(entry.pair.truth),
             places_label(entry.pair.where, units.driven),
-            _shaped(entry.pair.rival),
+            _effect_cell(entry.pair.rival),
             f"{number(entry.deviations)} σ",
             entry.effort,
         )
@@ -226,10 +226,10 @@ def _pairs_section(result: ExcitationResult, units: Units) -> Section:
     ]
     unit = units.effort(result.limits.joints)
     head = ("if the robot has", "where", "and the model has", "they differ by", f"RMS, {unit}")
-    some = f": the hardest {_MOST_PAIRS} of {len(pairs)} pairs" if len(pairs) > len(rows) else ""
+    count = f": the hardest {_MOST_PAIRS} of {len(pairs)} pairs" if len(pairs) > len(rows) else ""
     return Section(
         "Distinguishable effects",
-        f"How far two effects differ after refitting everything else{some}.",
+        f"How far two effects differ after refitting everything else{count}.",
         f"In standard deviations of the noise in all {result.samples} samples. RMS is at the "
         "joint where it is largest.",
         tables=(Table(head, rows, words=3),),
@@ -237,7 +237,7 @@ def _pairs_section(result: ExcitationResult, units: Units) -> Section:
     )
 
 
-def _shaped(name: str) -> Cell:
+def _effect_cell(name: str) -> Cell:
     """Return an effect with its shape: `nonlinear viscous friction (exponent 2)`."""
     effect, bracket, shape = name.partition(" (")
     return Cell(effect_label(effect) + bracket + shape, typed=name)
@@ -247,18 +247,19 @@ def _imitation_chart(result: ExcitationResult, units: Units) -> Chart:
     """Return efforts of effects, and the best approximations by their rivals."""
     separation, family = result.objective, result.trajectory.family
     times = family.times(result.samples)
-    at = times if family.timed else np.arange(float(len(times)))
+    axis = times if family.timed else np.arange(float(len(times)))
     panels = []
     for entry in distinguished_pairs(result)[:_MOST_DRAWN]:
         if not isinstance(separation, Separation):
             continue
-        truth, imitated = separation.imitation(result.motion, separation.pairs.index(entry.pair))
-        j = int(np.argmax(np.square(truth - imitated).sum(0)))
+        pair = separation.pairs.index(entry.pair)
+        truth, imitation = separation.imitation(result.motion, pair)
+        j = int(np.argmax(np.square(truth - imitation).sum(0)))
         joint = result.limits.joints[j]
-        words = f"{joint}: {_shaped(entry.pair.truth).text} for {_shaped(entry.pair.rival).text}"
-        curves = {_EFFECT: truth[:, j], _IMITATION: imitated[:, j]}
+        names = [_effect_cell(name).text for name in (entry.pair.truth, entry.pair.rival)]
+        curves = {_EFFECT: truth[:, j], _IMITATION: imitation[:, j]}
         plot = Plot(f"effort, {units.at(joint, 'N·m')}", curves)
-        panels.append(Panel(words, "", at, (plot,)))
+        panels.append(Panel(f"{joint}: {' for '.join(names)}", "", axis, (plot,)))
     caption = (
         "Effort of the effect at the joint where its rival fits worst, and the best fit by "
         "the rival with everything else refitted; the hardest pair first. Where the sign of "
@@ -274,7 +275,7 @@ def _imitation_chart(result: ExcitationResult, units: Units) -> Chart:
 
 
 def _limits_table(result: ExcitationResult, units: Units) -> Table:
-    """Return ranges of the joints, and the largest shares of their limits that a motion uses."""
+    """Return the ranges of the joints, and the largest shares of their limits in a motion."""
     limits, use, rows = result.limits, result.use, []
     q = result.trajectory.states(result.trajectory.family.times(result.samples))[0]
     for j, joint in enumerate(limits.joints):
@@ -301,7 +302,7 @@ def _motion_chart(result: ExcitationResult, units: Units) -> Chart:
     states = trajectory.states(times)
     width = result.objective.target.sign_width
     effort = trajectory.efforts(model, times, sign_width=width)
-    at = times if timed else np.arange(float(len(times)))
+    instants = times if timed else np.arange(float(len(times)))
     stage = _DESIGNED if timed else _DOTS
     panels = []
     for j, joint in enumerate(limits.joints):
@@ -311,26 +312,26 @@ def _motion_chart(result: ExcitationResult, units: Units) -> Chart:
             if name != "position":
                 ends = -getattr(limits, name)[j], getattr(limits, name)[j]
             reach = _REACH * max(float(np.abs(values[:, j]).max()), 1e-9)
-            near = tuple(float(end) for end in ends if abs(end) <= reach)
+            drawn = tuple(float(end) for end in ends if abs(end) <= reach)
             label, curves = f"{name}, {units.at(joint, unit)}", {stage: values[:, j]}
-            plots.append(Plot(label, curves, near, tall=name == "position"))
-        panels.append(Panel(joint, "", at, tuple(plots), shown=j < MOST_PANELS))
+            plots.append(Plot(label, curves, drawn, tall=name == "position"))
+        panels.append(Panel(joint, "", instants, tuple(plots), shown=j < MOST_PANELS))
     caption = (
-        "Position, velocity, acceleration and effort of each joint. Dotted: limits, which "
-        "are outside the range of axes without them."
+        "Position, velocity, acceleration and effort of each joint. Dotted: limits, where they "
+        "are within the range of the axis."
     )
     return Chart("motion", caption, tuple(panels), axis="time, s" if timed else "sample")
 
 
 def identifiability_page(found: LogIdentifiability, about: About) -> Page:
     """Return the page of the identifiability of logs."""
-    most = percent(found.identifiable.threshold**0.5)
-    count, of = sum(entry.is_identifiable for entry in found.effects), len(found.effects)
-    headline, *beyond = identifiable_sentences(found)
-    rest = found.unidentifiable
+    threshold = percent(found.identifiable.threshold**0.5)
+    count, total = sum(entry.is_identifiable for entry in found.effects), len(found.effects)
+    headline, *lead = identifiable_sentences(found)
+    unidentifiable = found.unidentifiable
     combinations = [
         cells(each.words, each.value, each.deviation, relative(each.relative))
-        for each in rest[:_MOST_COMBINATIONS]
+        for each in unidentifiable[:_MOST_COMBINATIONS]
     ]
     directions = f"{found.count} of {found.possible}"
     return Page(
@@ -340,7 +341,7 @@ def identifiability_page(found: LogIdentifiability, about: About) -> Page:
         (
             Section(
                 "Bodies",
-                f"Parameters that are identifiable to within {most}, of those that any "
+                f"Parameters that are identifiable to within {threshold}, of those that any "
                 "motion could identify.",
                 "A body has ten inertial parameters, of which the best motion can identify "
                 "this many, some only in combination with those of other bodies.",
@@ -360,19 +361,19 @@ def identifiability_page(found: LogIdentifiability, about: About) -> Page:
             ),
             Section(
                 "Not identifiable",
-                f"{len(rest)} of {found.possible} combinations of parameters in SI units, "
-                f"the {len(combinations)} worst first; --json has all.",
+                f"{len(unidentifiable)} of {found.possible} combinations of parameters in SI "
+                f"units; the {len(combinations)} worst are shown, --json has all.",
                 tables=(Table(_COMBINATION, combinations),),
             ),
             Section("Notes", items=found.notes),
         ),
-        lead=(" ".join(beyond),) if beyond else (),
+        lead=(" ".join(lead),) if lead else (),
         tiles=(
-            Tile("directions identifiable", directions, f"to within {most}"),
+            Tile("directions identifiable", directions, f"to within {threshold}"),
             Tile(
                 "at sensor noise alone", f"{found.count_at_floor}", "if only sensor noise remained"
             ),
-            *([Tile("effects identifiable", f"{count} of {of}")] if of else []),
+            *([Tile("effects identifiable", f"{count} of {total}")] if total else []),
         ),
         footer="Made by geodrake. Relative deviations are lengths in the geometric metric of "
         "inertial parameters, which depend neither on frames nor on units.",
@@ -380,17 +381,14 @@ def identifiability_page(found: LogIdentifiability, about: About) -> Page:
 
 
 def identifiable_sentences(found: LogIdentifiability) -> list[str]:
-    """Return what is identifiable from logs, and what a better model would identify.
-
-    For example `9 of 12 directions are identifiable to within 10 %, all of hand.`
-    """
-    most = percent(found.identifiable.threshold**0.5)
-    words = f"{found.count} of {found.possible} directions are identifiable to within {most}"
-    seen = [body for body in found.bodies if body.possible >= _HALF]
-    full = [body.name for body in seen if body.share > _FULL]
-    none = [body.name for body in seen if body.share < _HARDLY]
+    """Return sentences such as `9 of 12 directions are identifiable to within 10 %`."""
+    threshold = percent(found.identifiable.threshold**0.5)
+    words = f"{found.count} of {found.possible} directions are identifiable to within {threshold}"
+    bodies = [body for body in found.bodies if body.possible >= _LEAST_POSSIBLE]
+    full = [body.name for body in bodies if body.share > _FULL]
+    poor = [body.name for body in bodies if body.share < _HARDLY]
     words += f", all of {listed(full)}" if full else ""
-    words += f", hardly any of {listed(none)}" if none else ""
+    words += f", hardly any of {listed(poor)}" if poor else ""
     sentences = [f"{words}."]
     if unknown := [entry.label for entry in found.effects if not entry.is_identifiable]:
         sentences.append(f"Not identifiable: {listed(unknown)}.")
@@ -402,7 +400,7 @@ def identifiable_sentences(found: LogIdentifiability) -> list[str]:
 
 
 def _bodies_table(found: LogIdentifiability) -> Table:
-    """Return the number of identifiable parameters of each body, out of those a motion can show."""
+    """Return the identifiable parameters of each body, out of those that any motion can show."""
     rows = [
         cells(
             body.name,
@@ -421,23 +419,23 @@ def _effects_table(found: LogIdentifiability, units: Units) -> Table:
     """Return every parameter of an effect with the deviation of an estimate."""
     rows = []
     for entry in found.effects:
-        told = "identifiable" if entry.is_identifiable else "not identifiable"
+        verdict = "identifiable" if entry.is_identifiable else "not identifiable"
         unit = units.parameter(entry.effect, entry.parameter, " & ".join(entry.where))
         where = places_label(entry.where, units.driven)
-        rows.append(cells(entry.name, where, told, entry.value, entry.deviation, unit))
+        rows.append(cells(entry.name, where, verdict, entry.value, entry.deviation, unit))
     head = ("parameter", "where", "", "value", "deviation", "unit")
     return Table(head, rows, words=3)
 
 
 def _directions_table(found: LogIdentifiability) -> Table:
-    """Return the best and worst directions, and those about the threshold."""
+    """Return the best and worst directions, and those shown the threshold."""
     variances, names = found.identifiable.variances, found.blocks
     count, half = len(variances), _MOST_DIRECTIONS // 4
-    near = {*range(half), *range(found.count - half, found.count + half)}
-    near |= {*range(count - half, count)}
-    rows, before = [], -1
-    for k in sorted(k for k in near if 0 <= k < count):
-        if k > before + 1:
+    shown = {*range(half), *range(found.count - half, found.count + half)}
+    shown |= {*range(count - half, count)}
+    rows, previous = [], -1
+    for k in sorted(k for k in shown if 0 <= k < count):
+        if k > previous + 1:
             rows.append(cells("…", "", "", "", ""))
         shares = found.identifiable.shares[:, k]
         order = [i for i in np.argsort(-shares) if shares[i] > _SMALL][:3]
@@ -450,21 +448,21 @@ def _directions_table(found: LogIdentifiability) -> Table:
                 relative(float(np.sqrt(found.floor_variances[k]))),
             )
         )
-        before = k
+        previous = k
     head = ("", "mostly of", "identifiable", "deviation", "at sensor noise")
     return Table(head, tuple(rows), words=3)
 
 
 def _identifiable_chart(found: LogIdentifiability) -> Chart:
     """Return the deviations along all principal directions, the most certain first."""
-    kept = np.arange(found.possible) < found.count
+    is_identifiable = np.arange(found.possible) < found.count
     drawn, ideal = (
-        np.where(np.isfinite(deviations), np.maximum(deviations, _CERTAIN), np.nan)
+        np.where(np.isfinite(deviations), np.maximum(deviations, _LEAST_DEVIATION), np.nan)
         for deviations in (np.sqrt(found.identifiable.variances), np.sqrt(found.floor_variances))
     )
     curves = {
-        _FOUND: np.where(kept, drawn, np.nan),
-        _LOST: np.where(kept, np.nan, drawn),
+        _IDENTIFIABLE: np.where(is_identifiable, drawn, np.nan),
+        _UNIDENTIFIABLE: np.where(is_identifiable, np.nan, drawn),
         _IDEAL: ideal,
     }
     caption = "Directions below the dotted line are identifiable."
@@ -483,8 +481,8 @@ def _excitation_values(result: ExcitationResult) -> dict[str, Any]:
         shares = {"polygon": use.polygon, "margin": use.margin, "friction": use.friction}
         balance = {"balance": shares}
 
-    def by_joint(names: Iterable[str], of: Mapping[str, Any]) -> dict[str, dict[str, float]]:
-        return {joint: {n: of[n][j] for n in names} for j, joint in enumerate(joints)}
+    def by_joint(names: Iterable[str], values: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+        return {joint: {n: values[n][j] for n in names} for j, joint in enumerate(joints)}
 
     return {
         "criterion": "separation" if pairs else objective.criterion.name,
@@ -507,13 +505,13 @@ def _excitation_values(result: ExcitationResult) -> dict[str, Any]:
 
 
 def _identifiable_values(found: LogIdentifiability) -> dict[str, Any]:
-    """Return directions, and the effort noise of each joint."""
+    """Return the directions, and the effort noise of each joint."""
     variances, shares = found.identifiable.variances, found.identifiable.shares.T
     return {
         "verdict": " ".join(identifiable_sentences(found)),
         "directions": [
-            (own, ideal, k < found.count, dict(zip(found.blocks, of, strict=True)))
-            for k, (own, ideal, of) in enumerate(
+            (variance, ideal, k < found.count, dict(zip(found.blocks, share, strict=True)))
+            for k, (variance, ideal, share) in enumerate(
                 zip(variances, found.floor_variances, shares, strict=True)
             )
         ],

@@ -1,4 +1,4 @@
-"""Pages of `compare`, `diagnose`, `add`, `explain` and `identify`: errors, and what was found."""
+"""Pages of `compare`, `diagnose`, `add`, `explain` and `identify`."""
 
 from __future__ import annotations
 
@@ -64,15 +64,15 @@ if TYPE_CHECKING:
     from geodrake.control.rollout import Rollout
 
 REST = "What the remaining error varies with"
-_EVEN = "No joint has a much larger error under any condition than elsewhere."
+_EVEN = "No joint has a much larger error under any one condition."
 _IDENTIFIED = Stage("identified", "after")
-_LEFT = Stage("left without it", "measured", look="wide")
+_RESIDUAL = Stage("residual without it", "measured", look="wide")
 _FORMULA = Stage("formula on held-out data", "after")
-_AGAINST = Stage("one against the other", "after", look="dots")
+_SCATTER = Stage("residual over formula", "after", look="dots")
 _MOST_DOTS = 400
-_MOST_LISTED = 7  # places of an effect; of more, their number
+_MOST_LISTED = 7  # places of an effect that are named rather than counted
 _MILLIMETRES = 1e3
-_FAR = 1e6  # mm, from which deviations are printed with a power of ten
+_FAR = 1e6  # mm; larger deviations are printed with a power of ten
 _NOTICED = (
     "A second ± is from uncertain effort gains and unexplained errors. More data do not reduce it; "
     "a log with a payload of known mass does (--known-payload)."
@@ -80,8 +80,9 @@ _NOTICED = (
 _PERCENT_COLUMNS = (
     "Blocks better is the share of held-out blocks in which the error falls at the joints of the "
     "effect.\n"
-    "Probability sums all explanations of the logs with the effect. The others have another "
-    "effect, an unknown one or none in its place; by chance is the probability of none."
+    "Probability is the sum over all explanations of the logs that have the effect. The others "
+    "have another effect, an unknown one or none in its place; by chance is the probability of "
+    "none."
 )
 
 
@@ -157,7 +158,7 @@ class _Errors:
             deep: Whether terminals show notes only with details.
             more: Further fields of the page.
         """
-        of, (start, *_) = next(iter(self.models.values())), self.stages.values()
+        comparison, (start, *_) = next(iter(self.models.values())), self.stages.values()
         ends = [self.last] if start.nrms == self.last.nrms else [start, self.last]
         worst = words.worst_joint(self.last).joint
         nrms = [next(j.nrms for j in table.joints if j.joint == worst) for table in ends]
@@ -171,8 +172,8 @@ class _Errors:
         elif removable:
             share = percent(words.removable_share(self.last))
             tiles.append(Tile("removable", share, removable))
-        folds = list(dict.fromkeys(series.block for series in of.series))
-        how = (
+        folds = list(dict.fromkeys(series.block for series in comparison.series))
+        method = (
             f"Errors of refitted models are on held-out data: each of the {len(folds)} folds (long "
             "blocks with gaps between them, or whole logs) was predicted with parameters fitted to "
             "the others. The model as it stands was not refitted."
@@ -180,7 +181,7 @@ class _Errors:
             else "Nothing was refitted, so all data are held-out data, unless the model was fitted "
             "to these logs before."
         )
-        last = (
+        closing = (
             Section(
                 "What the error varies with",
                 charts=(residual_chart(self.models, self.units),),
@@ -188,25 +189,24 @@ class _Errors:
             ),
             Section(
                 "How errors were measured",
-                how,
+                method,
                 "Measured and predicted efforts passed through the same zero-phase filter, and "
                 "were then decimated to the rate that its bandwidth allows. The noise floor is "
                 "estimated from the measured efforts.",
                 items=(f"Folds: {', '.join(folds)}.",),
                 detailed=True,
             ),
-            replace(notes_section(notes, of.first), deep=deep),
+            replace(notes_section(notes, comparison.first), deep=deep),
         )
-        shown, first = (*sections, *last), (first_section(of.first),)
-        more.setdefault("compared", {stage.label: found for stage, found in self.models.items()})
+        more.setdefault("compared", {stage.label: model for stage, model in self.models.items()})
         return Page(
             about,
             mark,
             headline,
-            shown,
+            (*sections, *closing),
             tiles=tuple(tiles),
-            footer=_footer(of),
-            first=first,
+            footer=_footer(comparison),
+            first=(first_section(comparison.first),),
             **more,
         )
 
@@ -252,7 +252,7 @@ def diagnosis_page(diagnosis: Diagnosis, about: About) -> Page:
         where = words.places_label(first.where, units.driven, most=words.MOST_NAMED)
         headline = f"Missing: {words.effect_label(first.effect)} ({where})."
     joints, failing = shown.sections()
-    with_it = [] if best is None else [Tile("with the effect", number(best), "held-out nrms")]
+    effect_tiles = [] if best is None else [Tile("with the effect", number(best), "held-out nrms")]
     return shown.page(
         about,
         diagnosis.verdict if best is None else "effect found",
@@ -261,7 +261,7 @@ def diagnosis_page(diagnosis: Diagnosis, about: About) -> Page:
         tiles=[
             _error_tile("as it stands", start, units),
             _error_tile("refitted", diagnosis.refitted, units, "held-out data"),
-            *with_it,
+            *effect_tiles,
         ],
         notes=diagnosis.notes,
         deep=True,
@@ -271,18 +271,18 @@ def diagnosis_page(diagnosis: Diagnosis, about: About) -> Page:
 
 
 def explanation_page(found: Explanation, about: About) -> Page:
-    """Return the page of an explanation; units are those of its own model."""
+    """Return the page of an explanation; units are those of its deviations model."""
     explanation = found if isinstance(found, Explained) else Explained.of(found)
     units = Units.of(found.model, [*about.units.effects.values()])
     start, end, steps = explanation.start, explanation.end, explanation.steps
-    gone, draft = words.explained_share(start.nrms, end.nrms), explanation.draft
+    removed, draft = words.explained_share(start.nrms, end.nrms), explanation.draft
     correlates = draft.correlates if draft else explanation.correlates
     signals = explanation.model.effort_signals
-    is_second = any(
+    has_systematic = any(
         is_noticed(step.deviations[place][name], systematic)
         for step in steps
-        for place, own in step.systematic.items()
-        for name, systematic in own.items()
+        for place, deviations in step.systematic.items()
+        for name, systematic in deviations.items()
     )
     shown = _Errors(
         {"start": start, "refitted": explanation.refitted, "end": end},
@@ -293,9 +293,11 @@ def explanation_page(found: Explanation, about: About) -> Page:
     )
     tiles = [_error_tile("as it stands", start, units)]
     if steps:
-        said = percent(gone) if gone > 0 else "none"
-        tiles.append(_error_tile("now", end, units, "held-out data"))
-        tiles.append(Tile("explained", said, "of the squared error"))
+        share = percent(removed) if removed > 0 else "none"
+        tiles += [
+            _error_tile("now", end, units, "held-out data"),
+            Tile("explained", share, "of the squared error"),
+        ]
     joints, failing = shown.sections()
     return shown.page(
         about,
@@ -306,7 +308,7 @@ def explanation_page(found: Explanation, about: About) -> Page:
                 "What is missing",
                 "nrms (RMS error / standard deviation of the measured effort) on held-out data, "
                 "before and after each step."
-                + (" A second ± is from uncertain effort gains." if is_second else ""),
+                + (" A second ± is from uncertain effort gains." if has_systematic else ""),
                 _PERCENT_COLUMNS,
                 (step_bars(explanation, units.driven),) if steps else (),
                 (steps_table(explanation, units),),
@@ -314,7 +316,7 @@ def explanation_page(found: Explanation, about: About) -> Page:
             settling_section(explanation, about),
             Section(
                 "Parameters",
-                f"Value ± standard deviation. {_NOTICED if is_second else ''}".rstrip(),
+                f"Value ± standard deviation. {_NOTICED if has_systematic else ''}".rstrip(),
                 tables=tuple(parameters_table(s, units) for s in steps if s.parameters),
                 deep=True,
             ),
@@ -361,13 +363,12 @@ def identification_page(found: ModelIdentification, about: About) -> Page:
     joints, failing = shown.sections()
     headline = f"nrms on held-out data {number(before.nrms)} → {number(after.nrms)}"
     noise = f"; sensor noise {number(after.floor_nrms)}" if after.shows_noise else ""
-    tried = f", chosen by held-out error from {len(found.sweep)}" if found.sweep else ""
-    lead = (
-        f"Fitted with the {found.regularizer} regularizer and gamma {_gamma(found.gamma)}{tried}."
-    )
-    bounded = (
+    gamma = _gamma(found.gamma)
+    gamma += f", chosen by held-out error from {len(found.sweep)}" if found.sweep else ""
+    lead = f"Fitted with the {found.regularizer} regularizer and gamma {gamma}."
+    boundary = (
         f"{words.listed(found.at_boundary)} ended at the boundary of physically valid inertias: "
-        "the data alone would ask for invalid ones."
+        "the data alone would give invalid ones."
     )
     return shown.page(
         about,
@@ -378,7 +379,7 @@ def identification_page(found: ModelIdentification, about: About) -> Page:
             Section(
                 "Bodies",
                 "Mass in kg and centre of mass in mm in the body frame, ± standard deviation.",
-                "A body at the boundary would have invalid inertias if the data alone decided.",
+                "A body at the boundary would have invalid inertias if fitted to the data alone.",
                 tables=(bodies_table(found.bodies),),
             ),
             Section("Effects", tables=(_effects_table(found, units),)),
@@ -398,12 +399,12 @@ def identification_page(found: ModelIdentification, about: About) -> Page:
             BEFORE.label: replace(found.comparison, errors=before),
             _IDENTIFIED.label: found.comparison,
         },
-        lead=(lead, bounded) if found.at_boundary else (lead,),
+        lead=(lead, boundary) if found.at_boundary else (lead,),
     )
 
 
 def settling_section(found: Diagnosis | Explanation, about: About) -> Section:
-    """Return the commands that design motions which tell ambiguous effects apart."""
+    """Return commands to design motions that tell ambiguous effects apart."""
     commands = tuple(
         f"{command.replace('MODEL', shlex.quote(about.saved))} --save motion_{k}.csv"
         for k, command in enumerate(distinguishing_commands(found), 1)
@@ -436,11 +437,11 @@ def _motions_section(motions: Sequence[Rollout] | None, units: Units) -> Section
 
 
 def _draft_section(draft: Draft, units: Units) -> Section:
-    """Return the formulas that were found, their errors, and effects that they replace."""
+    """Return the formulas, their errors, and the effects that they replace."""
     title = "Formulas for the remaining error"
     if not draft.effects:
-        said = "No formula removes a significant share of the error; no file was written."
-        return Section(title, items=(said,))
+        verdict = "No formula removes a significant share of the error; no file was written."
+        return Section(title, items=(verdict,))
     nrms = f"{number(draft.before.nrms)} -> {number(draft.after.nrms)}"
     needless = [f"{e.name} of {', '.join(e.where)}" for e in draft.needless]
     return Section(
@@ -462,23 +463,23 @@ def draft_chart(draft: Draft, units: Units) -> Chart:
     for effect in draft.effects:
         joint, unit = effect.formula.joint, units.effort([effect.formula.joint])
         steps = np.diff(effect.time)
-        usual = np.median(np.abs(steps)) if len(steps) else 1.0
-        breaks = 1 + np.flatnonzero((steps > GAP * usual) | (steps < 0))
-        at = np.insert(np.arange(len(effect.time), dtype=float), breaks, breaks - 0.5)
-        left, formula = (np.insert(x, breaks, np.nan) for x in (effect.residual, effect.effort))
-        few = np.linspace(0, len(effect.effort) - 1, min(_MOST_DOTS, len(effect.effort)))
-        order = np.argsort(effect.effort, kind="stable")[few.astype(int)]
+        period = np.median(np.abs(steps)) if len(steps) else 1.0
+        breaks = 1 + np.flatnonzero((steps > GAP * period) | (steps < 0))
+        index = np.insert(np.arange(len(effect.time), dtype=float), breaks, breaks - 0.5)
+        residual, formula = (np.insert(x, breaks, np.nan) for x in (effect.residual, effect.effort))
+        kept = np.linspace(0, len(effect.effort) - 1, min(_MOST_DOTS, len(effect.effort)))
+        order = np.argsort(effect.effort, kind="stable")[kept.astype(int)]
         plots = (
             Plot(
                 f"effort, {unit}",
-                {_LEFT: left, _FORMULA: formula},
+                {_RESIDUAL: residual, _FORMULA: formula},
                 floor=effect.floor,
-                over=at,
+                over=index,
                 axis="samples, block after block",
             ),
             Plot(
-                "left without it",
-                {_AGAINST: effect.residual[order]},
+                "residual without it",
+                {_SCATTER: effect.residual[order]},
                 over=effect.effort[order],
                 axis=f"formula, {unit}",
             ),
@@ -486,8 +487,8 @@ def draft_chart(draft: Draft, units: Units) -> Chart:
         change = f"RMS {number(effect.rms_before)} → {number(effect.rms_after)} {unit}"
         panels.append(Panel(joint, change, np.array([]), plots))
     caption = (
-        "Residual of a joint without the formula, and the effort of the formula: over time, and "
-        "one against the other."
+        "Residual of each joint without the formula, and the effort of the formula: over time, "
+        "and plotted against each other."
     )
     return Chart("draft", caption, tuple(panels), abreast=True)
 
@@ -518,7 +519,7 @@ def gains_section(signals: Sequence[EffortSignal], units: Units) -> Section:
 
 
 def limits_section(signals: Sequence[EffortSignal], units: Units) -> Section:
-    """Return the largest efforts of motors; empty where they are not limited."""
+    """Return the effort limits of motors; empty if there are none."""
     rows = [cells(each.joint, _limit(each, units)) for each in signals if each.kind == EFFORT]
     return Section(
         "Limits of motors",
@@ -528,7 +529,7 @@ def limits_section(signals: Sequence[EffortSignal], units: Units) -> Section:
 
 
 def first_section(words: Sequence[str]) -> Section:
-    """Return doubts about the logs and data that are left out, which come before all else."""
+    """Return the section on doubtful logs and omitted data, which comes first."""
     return Section("Check first: the logs", items=tuple(words))
 
 
@@ -538,7 +539,7 @@ def notes_section(notes: Sequence[str], first: Sequence[str] = ()) -> Section:
 
 
 def _footer(comparison: Comparison) -> str:
-    """Return the versions of geodrake and of the data."""
+    """Return the version of geodrake and the fingerprint of the data."""
     digest = hashlib.sha256()
     for series in comparison.series:
         digest.update(f"{series.joint}\n{series.block}\n".encode(errors="surrogateescape"))
@@ -548,15 +549,14 @@ def _footer(comparison: Comparison) -> str:
     return (
         f"Made by geodrake {version()}. Data: {samples} prepared samples of effort with "
         f"fingerprint {digest.hexdigest()[:12]}; the same logs, prepared in the same way, have the "
-        "same one."
+        "same fingerprint."
     )
 
 
 def errors_table(stages: Mapping[str, ErrorTable], units: Units) -> Table:
     """Return errors and noise of all joints, and the share that a better model could remove.
 
-    Errors in N·m or N come first, then nrms. Without noise in the logs, the noise floor and the
-    removable share are unknown.
+    Without noise in the logs, the noise floor and the removable share are unknown.
     """
     *_, last = stages.values()
     mixed = " or " in _unit(last, units)
@@ -581,7 +581,7 @@ def _share(share: float) -> Cell:
 
 
 def candidates_table(diagnosis: Diagnosis, units: Units) -> Table:
-    """Return the convincing candidates, the chosen one first; = marks those that are as good."""
+    """Return the convincing candidates, the chosen one first; = marks equally good ones."""
     rows = [
         cells(
             "=" if candidate.tied and count > 1 else count,
@@ -625,9 +625,9 @@ def steps_table(explanation: Explanation, units: Units) -> Table:
 
 
 def effect_cell(name: str, units: Units) -> Cell:
-    """Return the cell of an effect, or of two that were found together."""
-    known = [units.effects[part] for part in name.split(" + ") if part in units.effects]
-    signature = words.listed([kind.signature for kind in known if kind.signature])
+    """Return the cell of an effect, or of two added together."""
+    kinds = [units.effects[part] for part in name.split(" + ") if part in units.effects]
+    signature = words.listed([kind.signature for kind in kinds if kind.signature])
     return Cell(words.effect_label(name), signature, typed=name.replace(" + ", "\n+ "))
 
 
@@ -637,13 +637,13 @@ def parameters_table(step: Step, units: Units) -> Table:
     places = words.ordered_places(step)
     head, columns = ["where"], []
     for name in names:
-        found = [units.parameter(step.effect, name, place) for place in places]
-        shared = len(set(found)) == 1
+        place_units = [units.parameter(step.effect, name, place) for place in places]
+        shared = len(set(place_units)) == 1
         title = words.effect_label(name)
-        head.append(f"{title}, {found[0]}" if shared and found[0] else title)
+        head.append(f"{title}, {place_units[0]}" if shared and place_units[0] else title)
         column = [words.parameter_value(step, place, name, units) for place in places]
         if not shared:
-            column = [f"{text} {unit}" for text, unit in zip(column, found, strict=True)]
+            column = [f"{text} {unit}" for text, unit in zip(column, place_units, strict=True)]
         columns.append(column)
     rows = [cells(*row) for row in zip(places, *columns, strict=True)]
     title = words.capitalized(words.effect_label(step.effect))
@@ -652,28 +652,28 @@ def parameters_table(step: Step, units: Units) -> Table:
 
 def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
     """Return the gains from currents, voltages and commands to efforts."""
-    served = any(signal.kind == COMMAND for signal in signals)
-    summed = any(signal.integral for signal in signals)
-    limited = any(signal.limit < math.inf for signal in signals)
-    idle = any(signal.dead_band for signal in signals)
+    has_servo = any(signal.kind == COMMAND for signal in signals)
+    has_integral = any(signal.integral for signal in signals)
+    has_limit = any(signal.limit < math.inf for signal in signals)
+    has_dead_band = any(signal.dead_band for signal in signals)
     rows = []
     for signal in signals:
         joint, gain = signal.joint, if_known(signal.gain, signal.deviation)
         row = {"joint": joint, "logged signal": signal.kind, "gain": gain}
         row["unit"] = units.at(joint, signal.unit)
-        if served:
+        if has_servo:
             damping = if_known(signal.damping, signal.damping_deviation)
             rate = units.at(joint, "N·m·s/rad")
             of = f", of {signal.rate_share:.2g} dc/dt − v" if signal.rate_share < 1.0 else ""
             row["damping"] = f"{damping} {rate}{of}" if signal.damping else UNKNOWN
             row["delay"] = f"{1e3 * signal.delay:.2g} ms"
-        if summed:
+        if has_integral:
             integral = if_known(signal.integral, signal.integral_deviation)
             unit = units.at(joint, "N·m/(rad·s)")
             row["integral"] = f"{integral} {unit}" if signal.integral else UNKNOWN
-        if limited:
+        if has_limit:
             row["limit"] = _limit(signal, units)
-        if idle:
+        if has_dead_band:
             band = if_known(signal.dead_band, signal.dead_band_deviation)
             unit = units.at(joint, "rad")
             row["dead band"] = f"{band} {unit}" if signal.dead_band else UNKNOWN
@@ -683,13 +683,13 @@ def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
 
 
 def _limit(signal: EffortSignal, units: Units) -> str:
-    """Return the largest effort of a joint, and its no-load speed."""
+    """Return the effort limit of a joint, and its no-load speed."""
     if signal.limit == math.inf:
         return UNKNOWN
-    most = f"{number(signal.limit)} {units.at(signal.joint, 'N·m')}"
+    limit = f"{number(signal.limit)} {units.at(signal.joint, 'N·m')}"
     if signal.no_load_speed == math.inf:
-        return most
-    return f"{most}, 0 at {number(signal.no_load_speed)} {units.at(signal.joint, 'rad/s')}"
+        return limit
+    return f"{limit}, 0 at {number(signal.no_load_speed)} {units.at(signal.joint, 'rad/s')}"
 
 
 def formulas_table(draft: Draft) -> Table:
@@ -732,21 +732,21 @@ def _centre(body: BodyChange) -> Cell:
     """Return a centre of mass, and each coordinate with its deviation."""
     com, deviation = _MILLIMETRES * body.com[1], _MILLIMETRES * body.com_deviation
     pairs = zip(com.tolist(), deviation.tolist(), strict=True)
-    each = ", ".join(with_deviation(x, sigma) for x, sigma in pairs)
+    coordinates = ", ".join(with_deviation(x, sigma) for x, sigma in pairs)
     size = float(np.linalg.norm(deviation))
-    words = f"{size:.0f}" if size < _FAR else number(size)
-    return Cell(f"{_place(body.com[1])} ± {words}", note=each)
+    text = f"{size:.0f}" if size < _FAR else number(size)
+    return Cell(f"{_place(body.com[1])} ± {text}", note=coordinates)
 
 
 def _effects_table(found: ModelIdentification, units: Units) -> Table:
     """Return parameters of the fitted effects, except payloads, which are bodies."""
     rows = []
     for fitted in (each for each in found.model.effects if each.effect.role is not Role.BODY):
-        where, name, own = fitted.effect.where, fitted.effect.name, fitted.deviations
+        where, name, deviations = fitted.effect.where, fitted.effect.name, fitted.deviations
         place = words.places_label(where, units.driven)
         label = Cell(words.effect_label(name), typed=name), place
         for k, parameter in enumerate(fitted.effect.parameters):
-            deviation = math.nan if own is None else float(own[k])
+            deviation = math.nan if deviations is None else float(deviations[k])
             value = estimate(float(fitted.parameters[k]), deviation)
             unit = units.parameter(name, parameter.name, " & ".join(where))
             rows.append(cells(*(("", "") if k else label), parameter.name, value, unit))
@@ -754,7 +754,7 @@ def _effects_table(found: ModelIdentification, units: Units) -> Table:
 
 
 def _regularizers_table(found: ModelIdentification) -> Table:
-    """Return the results of all regularizers at the same training residual."""
+    """Return the results of all regularizers."""
     rows = [
         cells(
             *(other.regularizer, ", ".join(other.at_boundary) or UNKNOWN, _gamma(other.gamma)),
@@ -767,12 +767,12 @@ def _regularizers_table(found: ModelIdentification) -> Table:
 
 
 def _gamma(value: float) -> str:
-    """Return the weight of a regularizer, which is unbounded under a loose residual bound."""
+    """Return a regularizer's weight, which is unbounded under a loose residual bound."""
     return number(value) if math.isfinite(value) else "unbounded"
 
 
 def _explanation_values(found: Explanation) -> dict[str, Any]:
-    """Return the steps with their rivals, and what only the command computes."""
+    """Return the steps with their rivals, and the results that only the command computes."""
     steps = [
         record(
             "Step",
@@ -801,7 +801,7 @@ def _explanation_values(found: Explanation) -> dict[str, Any]:
 
 
 def motion_values(motions: Sequence[Rollout] | None) -> dict[str, Any]:
-    """Return rollouts under commands, before, after and between steps; nothing without any."""
+    """Return rollouts under commands before, after and between steps; empty without any."""
     if motions is None:
         return {}
     before, *between, after = motions

@@ -22,11 +22,10 @@ from geodrake.report.json_output import picked, record
 from geodrake.report.numbers import Units, number, percent
 from geodrake.report.page import About, Page, Section, Table, Tile, View, cells
 
-_NAMED = 3  # effects, at most, that a sentence names
-_FROM = {"stamps": "its time stamps", "option": "--date", "file": "when its file was changed"}
-_DIGITS = 12  # of a hash, in words
-_MOST_NAMED = 3  # gaps or rests that are named
-_SI = {"current": "A", "voltage": "V", "pwm": "share"}  # which names of quantities do not say
+_DATE_SOURCES = {"stamps": "its time stamps", "option": "--date", "file": "when its file changed"}
+_DIGITS = 12  # shown digits of a hash
+_MOST_NAMED = 3  # effects, gaps or rests named in a sentence
+_SI = {"current": "A", "voltage": "V", "pwm": "share"}  # units of quantities that are no SI names
 _POSITION, _COMMAND = Stage("position", "after"), Stage("command", "quiet")
 _EFFORT = Stage("effort", "before")
 
@@ -45,7 +44,7 @@ def export_page(found: ProvenExport, about: About) -> Page:
     names = [lost.effect for lost in found.lacks]
     headline, rest = "The files have the whole model", []
     if names:
-        lacks = ", ".join(names) if len(names) <= _NAMED else f"{len(names)} effects"
+        lacks = ", ".join(names) if len(names) <= _MOST_NAMED else f"{len(names)} effects"
         headline = f"The files have the model except {lacks}"
     if costs is not None:
         of_files = f"; nrms {number(costs.whole)} of the model, {number(costs.held)} of the files"
@@ -54,13 +53,13 @@ def export_page(found: ProvenExport, about: About) -> Page:
         engine = found.proof.differences[0].engine.partition(" ")[0]
         cost = "" if costs is None or costs.ignored is None else f": nrms {number(costs.ignored)}"
         rest.append(f"{engine} ignores {ignored} in them{cost}.")
-    off = [difference for difference in found.proof.differences if not difference.is_rounding]
-    if off:
-        rest.append(f"{off[0].engine} differs from geodrake by more than rounding.")
+    deviating = [difference for difference in found.proof.differences if not difference.is_rounding]
+    if deviating:
+        rest.append(f"{deviating[0].engine} differs from geodrake by more than rounding.")
     elif found.proof.differences:
         rest.append("The simulators that load them agree with geodrake to rounding.")
-    costed = "" if costs is None else f" nrms without each, {number(costs.whole)} with all."
-    on = f", on {', '.join(about.logs)}" if about.logs else ""
+    nrms_note = "" if costs is None else f" nrms without each, {number(costs.whole)} with all."
+    log_names = f", on {', '.join(about.logs)}" if about.logs else ""
     return Page(
         about,
         "exported",
@@ -71,11 +70,11 @@ def export_page(found: ProvenExport, about: About) -> Page:
                 "Values in the files, in addition to the inertias.",
                 "Friction that the format cannot express is approximated by least squares "
                 "over the motion.",
-                tables=(_holds_table(found, units),),
+                tables=(_values_table(found, units),),
             ),
             Section(
                 "Not exported",
-                f"Effects that are approximated or omitted.{costed}",
+                f"Effects that are approximated or omitted.{nrms_note}",
                 tables=(_lacks_table(found, units),),
             ),
             Section(
@@ -87,14 +86,14 @@ def export_page(found: ProvenExport, about: About) -> Page:
             ),
             notes_section(found.notes),
         ),
-        of=f"{about.model} to {found.form.name}{on}",
+        of=f"{about.model} to {found.form.name}{log_names}",
         lead=(" ".join(rest),) if rest else (),
         tiles=tuple(tiles),
         footer="Made by geodrake: a model written for a simulator, and loaded again.",
     )
 
 
-def _holds_table(found: ProvenExport, units: Units) -> Table:
+def _values_table(found: ProvenExport, units: Units) -> Table:
     """Return damping, dry friction, rotors and springs in the files, by joint."""
     rows = []
     for joint, values in exported_joints(found.held).items():
@@ -105,18 +104,18 @@ def _holds_table(found: ProvenExport, units: Units) -> Table:
             "N·m/rad": values.stiffness,
         }
         if any(terms.values()):
-            told = (
+            texts = (
                 f"{number(value)} {units.at(joint, unit)}" if value else "0"
                 for unit, value in terms.items()
             )
             rest = f"{number(values.rest)} {units.at(joint, 'rad')}" if values.stiffness else ""
-            rows.append(cells(joint, *told, rest))
+            rows.append(cells(joint, *texts, rest))
     head = ("joint", "damping", "dry friction", "rotor inertia", "spring", "at rest")
     return Table(head, tuple(rows))
 
 
 def _lacks_table(found: ProvenExport, units: Units) -> Table:
-    """Return the effects that the files lack, and the loss of accuracy of each."""
+    """Return the effects that the files lack, and the nrms without each."""
     rows = []
     for lost in found.lacks:
         where, into = lost.where, " and ".join(lost.into)
@@ -185,7 +184,7 @@ def _check_words(found: DynamicsCheck) -> str:
         parts += ["has forces or parts that geodrake does not model"] if found.left_out else []
         return (
             f"the file {' and '.join(parts)}, so the checked model differs from the file "
-            "(see Notes). Its largest relative difference to MultibodyPlant is "
+            "(see Notes). Its largest relative difference from MultibodyPlant is "
             f"{_largest(worst)}.{file}" + (" Correct the inertias in the file." if inertias else "")
         )
     if found.is_rounding and second is not None and not second.holds:
@@ -196,11 +195,11 @@ def _check_words(found: DynamicsCheck) -> str:
         )
     if found.holds:
         others = f", as does {found.by}, which reads the file itself" if second is not None else ""
-        alone = f" No other program could check the file: {found.by}." if second is None else ""
-        most = max((worst, *([second] if second else [])), key=lambda each: each.relative)
+        caveat = f" No other program could check the file: {found.by}." if second is None else ""
+        largest = max((worst, *([second] if second else [])), key=lambda each: each.relative)
         return (
             f"geodrake and MultibodyPlant agree{others}; the largest relative difference is "
-            f"{_largest(most)}.{alone}"
+            f"{_largest(largest)}.{caveat}"
         )
     return (
         f"geodrake and MultibodyPlant disagree: a relative difference is {_largest(worst)}, "
@@ -220,14 +219,20 @@ def digests_page(run: DigestRun, about: About) -> Page:
     headline += "exit code 1." if failed else f"every log has a digest in {run.folder}."
     rows = []
     for row in (row for row in run.rows if row.status != FAILED):
-        own, name = row.about, row.digest
-        if own is None or name is None:
+        about_log, name = row.about, row.digest
+        if about_log is None or name is None:
             rows.append(cells(row.file.name, *("",) * 7))
             continue
-        ends = [(f"{n.min():.0f}", f"{n.max():.0f}") for n in (own.samples, own.effective)]
-        counts = (least if least == most else f"{least} to {most}" for least, most in ends)
-        when = date_text(own.date), _FROM[own.date_from], f"{own.seconds:.3g}"
-        rows.append(cells(row.file.name, name.name[:_DIGITS] + "…", row.status, *when, *counts))
+        samples = about_log.samples, about_log.effective
+        ranges = [(f"{n.min():.0f}", f"{n.max():.0f}") for n in samples]
+        counts = (low if low == high else f"{low} to {high}" for low, high in ranges)
+        date = date_text(about_log.date), _DATE_SOURCES[about_log.date_from]
+        rows.append(
+            cells(
+                *(row.file.name, name.name[:_DIGITS] + "…", row.status, *date),
+                *(f"{about_log.seconds:.3g}", *counts),
+            )
+        )
     head = ("log", "digest", "", "began", "by", "s", "samples", "effective")
     failures = [f"{row.file}: {row.reason}" for row in run.rows if row.status == FAILED]
     return Page(
@@ -263,19 +268,18 @@ def digest_notes(run: DigestRun) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class InspectedLogs:
-    """Logs as they were read, by name, and the check of their columns."""
+    """Inspected logs by name, and the check of their columns."""
 
     logs: Sequence[tuple[str, LogInspection]]
-    columns: Sequence[ColumnFinding] = ()  # what is wrong with columns
-    # Why columns were not compared with the model; "" if they were, or there is none.
+    columns: Sequence[ColumnFinding] = ()  # mistakes in columns
+    # Why columns were not compared with the model; "" if they were, or there is no model.
     unchecked: str = ""
-    # What of the model's file is not believed; None without a model.
-    repairs: Sequence[str] | None = None
-    beyond: Sequence[str] = ()  # where positions are beyond the model's limits, in sentences
+    repairs: Sequence[str] | None = None  # of the model's file; None without a model
+    beyond: Sequence[str] = ()  # positions beyond the model's limits, in sentences
 
     @property
     def beside_model(self) -> dict[str, Any]:
-        """Return what was found beside a model, for JSON; nothing without one."""
+        """Return the findings that need a model, for JSON; empty without one."""
         if self.repairs is None:
             return {}
         notes = [*self.repairs, *self.beyond, *filter(None, [self.unchecked])]
@@ -316,13 +320,13 @@ def _columns_table(found: LogInspection) -> Table:
 
 
 def _row_words(found: LogInspection) -> tuple[str, ...]:
-    """Return rows, rates, gaps and rest, in sentences."""
-    log, mean = found.log, len(found.log) / found.seconds
+    """Return the rows, rates, gaps and rests of a log in words."""
+    log, rate = found.log, len(found.log) / found.seconds
     column = found.time_column
-    source = f"time from column {column}" if column else "no column of time, constant rate"
+    source = f"time from column {column}" if column else "no time column, constant rate"
     words = [
         f"{len(log)} rows in {number(found.seconds)} s, typically every "
-        f"{number(1e3 * found.period)} ms, {number(mean, 4)} Hz on average; {source}"
+        f"{number(1e3 * found.period)} ms, {number(rate, 4)} Hz on average; {source}"
     ]
     if found.jitter > 1e-3 * found.period:
         words.append(f"jitter {number(1e3 * found.jitter)} ms (standard deviation)")
@@ -343,7 +347,7 @@ def _named(words: Sequence[str]) -> str:
 def log_chart(found: LogInspection) -> Chart:
     """Return positions and efforts of every joint over time, with rest shaded.
 
-    Commands are beside positions; without efforts, how far they are from there.
+    Commands are drawn with the positions; joints without efforts show command − position.
     """
     log, panels = found.log, []
     rests = tuple(Shade(_POSITION, first, last, "no joint moves") for first, last in found.rests)
@@ -368,19 +372,19 @@ def _digest_values(run: DigestRun) -> dict[str, Any]:
     """Return the outcome for each log."""
     settings, logs = run.settings, []
     for row in run.rows:
-        about, said = row.about, {"log": row.file, "status": row.status, "reason": row.reason}
+        about, entry = row.about, {"log": row.file, "status": row.status, "reason": row.reason}
         if about is not None and settings is not None:
             values = (
                 *(about.samples, about.effective, about.noise_floor),
                 *(about.position.T, about.speed.T, about.temperature),
             )
-            said |= {
+            entry |= {
                 **picked(about, "date_from", "seconds", "notes"),
                 "digest": row.digest,
                 "date": date_text(about.date),
                 "joints": dict(zip(settings.joints, zip(*values, strict=True), strict=True)),
             }
-        logs.append(said)
+        logs.append(entry)
     return {
         "settings": settings and record("DigestSettings", settings, columns=len(settings.columns)),
         "counts": {status: run.count(status) for status in (MADE, THERE, FAILED)},
@@ -390,7 +394,7 @@ def _digest_values(run: DigestRun) -> dict[str, Any]:
 
 
 def _costs(found: ProvenExport) -> dict[str, float]:
-    """Return the nrms of the model and of its files by name."""
+    """Return the nrms of the model and of its files, by JSON key."""
     costs = found.costs
     if costs is None:
         return {}

@@ -1,7 +1,7 @@
 """Results of a fleet: the page of `fleet`, JSON, lines of findings, and tables in Parquet.
 
-Numbers have six significant digits, of themselves or of their deviation: more would be rounding,
-which differs from one machine to another, and files of one result are to be the same.
+Numbers are rounded to six significant digits of themselves or of their deviation. Further digits
+differ between machines, and files of the same result must not.
 """
 
 from __future__ import annotations
@@ -46,32 +46,32 @@ _INTERVAL = Stage("95 % interval", "measured")
 _LEVEL = Stage("mean before and after a change", "before", look="wide")
 
 _DIGITS = 6
-_LEAST_CHANCE = 1e-12  # what is less likely is told as this
-_MOST_PAGES = 12  # robots that are shown by themselves
-_MOST_PLACES = 12  # joints of the table of robots and joints
-_MOST_ROBOTS, _MOST_UNUSED = 20, 20  # that are listed
-_WITHIN = 1.96  # deviations of an interval of 95 %
-_FAR = 5.0  # spreads at which a bar is full
-_CERTAIN = 3.0  # deviations from 0 from which on a part of a change is told in a line
+_LEAST_CHANCE = 1e-12  # smallest reported probability
+_MOST_SECTIONS = 12  # robots with a section of their own
+_MOST_PLACES = 12  # joints in the overview
+_MOST_ROBOTS, _MOST_UNUSED = 20, 20  # listed robots and logs
+_HALF_INTERVAL = 1.96  # standard deviations, half a 95 % interval
+_FULL_BAR = 5.0  # spreads
+_SIGNIFICANT = 3.0  # standard deviations from 0 of the parts of a change that are listed
 
 
 def fleet_page(result: FleetResult, about: About) -> Page:
     """Return the page of a fleet."""
     changed = [robot for robot in result.robots if robot.findings]
     steady = [robot for robot in result.robots if not robot.findings]
-    shown = (changed or [robot for robot in steady if robot.logs][:1])[:_MOST_PAGES]
-    place = [f"All results are in {result.folder}."] if result.folder else []
+    shown = (changed or [robot for robot in steady if robot.logs][:1])[:_MOST_SECTIONS]
+    folder = [f"All results are in {result.folder}."] if result.folder else []
     logs = sum(robot.logs for robot in result.robots)
     count = f"{_counted(len(result.robots), 'robot')}, {_counted(logs, 'log')}"
-    surest = [
-        f"Most certain: {_change_label(each)} of {each.where} in {each.robot}, since "
-        f"{_since(each)}: {_size(each)}."
-        for each in result.findings[:1]
+    most_certain = [
+        f"Most certain: {_change_label(finding)} of {finding.where} in {finding.robot}, since "
+        f"{_since(finding)}: {_size(finding)}."
+        for finding in result.findings[:1]
     ]
-    last = max(result.findings, key=lambda each: each.date, default=None)
+    last = max(result.findings, key=lambda finding: finding.date, default=None)
     latest = [] if last is None else [Tile("latest", _since(last), last.robot, words=True)]
-    unused = [f"{each.robot}: {each.address}: {each.reason}" for each in result.unused]
-    more = [f"and {len(unused) - _MOST_UNUSED} more" + (f", in {result.folder}" if place else "")]
+    unused = [f"{log.robot}: {log.address}: {log.reason}" for log in result.unused]
+    more = [f"and {len(unused) - _MOST_UNUSED} more" + (f", in {result.folder}" if folder else "")]
     return Page(
         about,
         CHANGED if changed else STEADY,
@@ -80,7 +80,7 @@ def fleet_page(result: FleetResult, about: About) -> Page:
             Section(
                 "What changed",
                 "Robots with changes, worst first.",
-                "The rate of changes that are named falsely is at most "
+                "The rate of false alarms is at most "
                 f"{percent(result.false_alarms)} per robot and month.",
                 tables=(_findings_table(result.findings),),
             ),
@@ -89,10 +89,10 @@ def fleet_page(result: FleetResult, about: About) -> Page:
                 "Deviation of each robot from others of its type, in standard deviations "
                 "between robots.",
                 "At each joint the parameter with the largest deviation, without changes.",
-                tables=_glance_tables(result.robots),
+                tables=_overview_tables(result.robots),
                 detailed=True,
             ),
-            *(_robot_section(robot, at) for at, robot in enumerate(shown)),
+            *(_robot_section(robot, index) for index, robot in enumerate(shown)),
             Section(
                 "Robots without changes",
                 f"The largest deviation from others first, {_MOST_ROBOTS} at most.",
@@ -106,7 +106,7 @@ def fleet_page(result: FleetResult, about: About) -> Page:
         ),
         of=f"{about.model}: {count}, {result.made} digested now",
         verdict=CHANGED if changed else STEADY,
-        lead=(*surest, *place),
+        lead=(*most_certain, *folder),
         tiles=(
             Tile("changed", str(result.count(CHANGED)), f"of {len(result.robots)} robots"),
             Tile("steady", str(result.count(STEADY)), "without changes"),
@@ -134,19 +134,19 @@ def _counted(count: int, noun: str) -> str:
 
 
 def _day(seconds: float) -> str:
-    """Return a date to the minute, or to the day where it is at midnight: `2026-05-04 12:30`."""
+    """Return a date to the minute, or to the day if it is at midnight: `2026-05-04 12:30`."""
     return date_text(seconds)[:16].replace("T", " ").removesuffix(" 00:00")
 
 
 def _since(finding: FleetFinding) -> str:
-    """Return since when, with the interval where that is more than the day itself."""
+    """Return the date of a change, with its interval unless that is a single date."""
     low, high = map(_day, finding.interval)
     when = _day(finding.date)
     return when if low == high else f"{when} ({low} to {high})"
 
 
-def _changed(parameter: ChangedParameter) -> str:
-    """Return `mass + 0.60 ± 0.01 kg`, with the share where there is one."""
+def _parameter_change(parameter: ChangedParameter) -> str:
+    """Return a change in words, such as `mass +0.60 ± 0.01 kg, 12 %`."""
     size = with_deviation(parameter.size, parameter.deviation)
     sign = "" if size.startswith(("−", "(")) else "+"
     share = f", {percent(parameter.share)}" if parameter.share == parameter.share else ""
@@ -154,10 +154,10 @@ def _changed(parameter: ChangedParameter) -> str:
 
 
 def _size(finding: FleetFinding) -> str:
-    """Return the size of a change: the parts that are not negligible, at least the first."""
+    """Return the size of a change: its first part, and others that are significant."""
     first, *others = finding.parameters
-    told = [each for each in others if abs(each.size) > _CERTAIN * each.deviation]
-    return "; ".join(map(_changed, (first, *told)))
+    significant = [part for part in others if abs(part.size) > _SIGNIFICANT * part.deviation]
+    return "; ".join(map(_parameter_change, (first, *significant)))
 
 
 def _label(effect: str) -> str:
@@ -175,10 +175,10 @@ def _findings_table(findings: Sequence[FleetFinding]) -> Table:
         others = (
             f"{_label(r.effect)} of {r.where}, {percent(r.probability)}" for r in finding.rivals
         )
-        what = Cell(_change_label(finding), typed=finding.effect)
+        effect = Cell(_change_label(finding), typed=finding.effect)
         chances = map(chance, (finding.probability, finding.false_alarm_probability))
-        said = _since(finding), _size(finding), "; ".join(others)
-        rows.append(cells(finding.robot, what, finding.where, *said, *chances))
+        change = _since(finding), _size(finding), "; ".join(others)
+        rows.append(cells(finding.robot, effect, finding.where, *change, *chances))
     head = ("robot", "effect", "where", "since", "change", "or", "probability", "by chance")
     return Table(head, rows, words=6)
 
@@ -187,49 +187,49 @@ def _robots_table(robots: Sequence[RobotResult]) -> Table:
     """Return the robots, and their largest deviation from others."""
     rows = []
     for robot in robots:
-        ends = map(_day, robot.dates[[0, -1]].tolist()) if len(robot.dates) else ("", "")
-        name, apart = "", ""
+        dates = map(_day, robot.dates[[0, -1]].tolist()) if len(robot.dates) else ("", "")
+        name, spreads = "", ""
         if robot.farthest is not None:
             name = _parameter(robot.farthest.parameter)
-            apart = number(robot.farthest.apart, 2)
-        rows.append(cells(robot.robot, robot.type, robot.state, *ends, name, robot.logs, apart))
+            spreads = number(robot.farthest.apart, 2)
+        rows.append(cells(robot.robot, robot.type, robot.state, *dates, name, robot.logs, spreads))
     head = ("robot", "type", "state", "from", "to", "largest deviation", "logs", "spreads")
     return Table(head, rows, words=6)
 
 
 def _parameter(parameter: FleetParameter) -> str:
-    """Return, for example, `Coulomb friction of elbow, coulomb`; for bodies the combination."""
+    """Return a parameter in words, such as `Coulomb friction of elbow, coulomb`."""
     if parameter.effect == BODIES:
         return parameter.name
     return f"{effect_label(parameter.effect)} of {parameter.where}, {parameter.name}"
 
 
-def _glance_tables(robots: Sequence[RobotResult]) -> tuple[Table, ...]:
-    """Return robots × joints for each type: changes, or deviations from others."""
+def _overview_tables(robots: Sequence[RobotResult]) -> tuple[Table, ...]:
+    """Return changes and deviations from others by robot and joint, a table for each type."""
     tables = []
     for kind in dict.fromkeys(robot.type for robot in robots):
-        own = [robot for robot in robots if robot.type == kind]
+        members = [robot for robot in robots if robot.type == kind]
         places = list(
-            dict.fromkeys(each.parameter.where for robot in own for each in robot.histories)
+            dict.fromkeys(each.parameter.where for robot in members for each in robot.histories)
         )[:_MOST_PLACES]
         rows = []
-        for robot in own:
+        for robot in members:
             others = [f for f in robot.findings if f.where not in places]
             bodies = ", ".join(f"{_change_label(f)} of {f.where}" for f in others)
-            at = []
+            entries = []
             for place in places:
                 spreads = [abs(e.apart) for e in robot.own if e.parameter.where == place]
-                apart = max(spreads, default=0.0)
+                largest = max(spreads, default=0.0)
                 changes = ", ".join(_label(f.effect) for f in robot.findings if f.where == place)
-                bar = min(1.0, apart / _FAR)
-                at.append(Cell(number(apart, 2), note=changes, bar=bar))
-            rows.append(cells(robot.robot, robot.state, bodies, *at))
+                bar = min(1.0, largest / _FULL_BAR)
+                entries.append(Cell(number(largest, 2), note=changes, bar=bar))
+            rows.append(cells(robot.robot, robot.state, bodies, *entries))
         head = ("robot", "state", "bodies", *places)
         tables.append(Table(head, rows, words=3, title=kind))
     return tuple(tables)
 
 
-def _robot_section(robot: RobotResult, at: int) -> Section:
+def _robot_section(robot: RobotResult, index: int) -> Section:
     """Return the section of a robot: its joints over time, and its deviations from others."""
     farthest = sorted(robot.own, key=lambda each: -abs(each.apart))[:_MOST_PLACES]
     rows = [
@@ -237,7 +237,7 @@ def _robot_section(robot: RobotResult, at: int) -> Section:
             *(_parameter(each.parameter), each.parameter.unit),
             *(each.value, number(each.deviation, 2), each.common, number(each.spread, 2)),
             each.of_model,
-            Cell(number(each.apart, 2), bar=min(1.0, abs(each.apart) / _FAR)),
+            Cell(number(each.apart, 2), bar=min(1.0, abs(each.apart) / _FULL_BAR)),
         )
         for each in farthest
     ]
@@ -248,18 +248,18 @@ def _robot_section(robot: RobotResult, at: int) -> Section:
         "Values of each log; shaded: 95 % interval of the time of a change.",
         "Intervals include the scatter between logs of this robot.",
         tables=(_findings_table(robot.findings), others),
-        charts=(_chart(robot, at),),
+        charts=(_chart(robot, index),),
         detailed=True,
     )
 
 
-def _chart(robot: RobotResult, at: int) -> Chart:
-    """Return the joints of a robot over time, those that changed first."""
+def _chart(robot: RobotResult, index: int) -> Chart:
+    """Return the joints of a robot over time, those with changes first."""
     days = (robot.dates - robot.dates[0]) / DAY
     places = list(dict.fromkeys(each.parameter.where for each in robot.histories))
     changed = {finding.where for finding in robot.findings}
     return Chart(
-        f"robot-{at}",
+        f"robot-{index}",
         "Parameters of each joint over time, log by log.",
         tuple(
             _panel(robot, place, days)
@@ -274,29 +274,29 @@ def _panel(robot: RobotResult, place: str, days: Array) -> Panel:
     """Return the panel of a joint: its parameters, and the times of changes."""
     histories = [each for each in robot.histories if each.parameter.where == place]
     places = {each.parameter.where for each in robot.histories}
-    # Changes of bodies are seen by all joints.
-    seen = [each for each in robot.findings if each.where == place or each.where not in places]
+    # All joints feel changes of bodies.
+    felt = [each for each in robot.findings if each.where == place or each.where not in places]
     shades = tuple(
         Shade(
             _LEVEL,
-            *_begins(finding, robot.dates),
+            *_onset(finding, robot.dates),
             f"{_change_label(finding)} of {finding.where} since {_since(finding)}",
         )
-        for finding in seen
+        for finding in felt
     )
-    own = [finding for finding in robot.findings if finding.where == place]
+    changes = [finding for finding in robot.findings if finding.where == place]
     return Panel(
         place,
-        "; ".join(map(_size, own)),
+        "; ".join(map(_size, changes)),
         np.repeat(days, 3),
-        tuple(_plot(each, own, robot.dates) for each in histories),
+        tuple(_plot(each, changes, robot.dates) for each in histories),
         shades,
-        "changed" if own else "",
+        "changed" if changes else "",
     )
 
 
-def _begins(finding: FleetFinding, dates: Array) -> tuple[float, float]:
-    """Return days between which a change began, a step after the log before the first with it."""
+def _onset(finding: FleetFinding, dates: Array) -> tuple[float, float]:
+    """Return the interval (days) in which a change began; that of a step starts one log earlier."""
     low, high = finding.interval
     if finding.kind == STEP:
         low = max(dates[dates < low], default=low)
@@ -304,47 +304,46 @@ def _begins(finding: FleetFinding, dates: Array) -> tuple[float, float]:
 
 
 def _plot(history: ParameterHistory, changes: Sequence[FleetFinding], dates: Array) -> Plot:
-    """Return a parameter's plot: three points a log, the last of which ends its interval."""
+    """Return a parameter's plot: each log has three points, the last of which breaks the line."""
     parameter, values = history.parameter, history.values
-    half = _WITHIN * history.deviations
+    half = _HALF_INTERVAL * history.deviations
     interval = np.stack([values - half, values + half, np.full(len(values), np.nan)], -1)
     unit = f", {parameter.unit}" if parameter.unit else ", share"
-    of_it = [each for each in changes if parameter.effect in each.effect.split("+")]
+    related = [each for each in changes if parameter.effect in each.effect.split("+")]
     return Plot(
         f"{effect_label(parameter.effect)}: {parameter.name}{unit}",
         {
-            _LEVEL: np.repeat(_levels(history, of_it, dates), 3),
+            _LEVEL: np.repeat(_levels(history, related, dates), 3),
             _INTERVAL: interval.ravel(),
             _VALUE: np.repeat(values, 3),
         },
-        tall=len(of_it) > 0,
+        tall=len(related) > 0,
     )
 
 
 def _levels(history: ParameterHistory, changes: Sequence[FleetFinding], dates: Array) -> Array:
-    """Return (T,) weighted mean of a parameter between its changes."""
-    stretch = np.sum([dates >= each.date for each in changes], axis=0) if changes else 0
-    number_of = np.broadcast_to(stretch, dates.shape)
+    """Return the weighted means (T,) of a parameter between its changes."""
+    count = np.sum([dates >= change.date for change in changes], axis=0) if changes else 0
+    segments = np.broadcast_to(count, dates.shape)
     weights = 1.0 / np.maximum(history.deviations, 1e-300) ** 2
-    found = np.empty(len(dates))
-    for each in np.unique(number_of):
-        own = number_of == each
-        found[own] = np.average(history.values[own], weights=weights[own])
-    return found
+    means = np.empty(len(dates))
+    for segment in np.unique(segments):
+        rows = segments == segment
+        means[rows] = np.average(history.values[rows], weights=weights[rows])
+    return means
 
 
 def rounded(value: float, deviation: float = 0.0) -> float:
-    """Return a value to six digits of itself or of its deviation, whichever is larger."""
+    """Round a value to six digits of itself or of its deviation, whichever is larger."""
     largest = max(abs(value), abs(deviation) if math.isfinite(deviation) else 0.0)
     if not math.isfinite(value) or largest == 0.0:
         return value
     decimals = _DIGITS - 1 - math.floor(math.log10(largest))
-    # Of numbers with few digits before the point, rounding by decimals is that of their text.
-    return round(value, decimals) + 0.0
+    return round(value, decimals) + 0.0  # −0 becomes 0
 
 
 def _fleet_values(result: FleetResult) -> dict[str, Any]:
-    """Return robots worst first, with findings and parameters."""
+    """Return the robots, worst first, with findings and parameters."""
     return {
         "counts": {state: result.count(state) for state in (CHANGED, STEADY, UNKNOWN)},
         "findings": map(finding_dict, result.findings),
@@ -353,35 +352,34 @@ def _fleet_values(result: FleetResult) -> dict[str, Any]:
 
 
 def finding_dict(finding: FleetFinding) -> dict[str, Any]:
-    """Return a finding."""
-    chance = max(finding.false_alarm_probability, _LEAST_CHANCE)
+    """Return a finding for JSON."""
     return record(
         "Finding",
         finding,
         since=date_text(finding.date),
         interval=map(date_text, finding.interval),
         parameters={
-            each.name: {
-                "change": rounded(each.size, each.deviation),
-                "deviation": rounded(each.deviation),
-                "unit": each.unit,
-                "share": rounded(each.share),
+            parameter.name: {
+                "change": rounded(parameter.size, parameter.deviation),
+                "deviation": rounded(parameter.deviation),
+                "unit": parameter.unit,
+                "share": rounded(parameter.share),
             }
-            for each in finding.parameters
+            for parameter in finding.parameters
         },
         probability=rounded(finding.probability, 1.0),
         rivals=[
             record("ChangeRival", rival, probability=rounded(rival.probability, 1.0))
             for rival in finding.rivals
         ],
-        false_alarm_probability=rounded(chance),
+        false_alarm_probability=rounded(max(finding.false_alarm_probability, _LEAST_CHANCE)),
     )
 
 
 def finding_line(finding: FleetFinding) -> str:
     """Return a finding as one line of JSON."""
-    said = {"finding": plain_of(finding_dict(finding), "", {})}
-    return json_text(json.dumps(said, ensure_ascii=False, allow_nan=False))
+    line = {"finding": plain_of(finding_dict(finding), "", {})}
+    return json_text(json.dumps(line, ensure_ascii=False, allow_nan=False))
 
 
 def _robot(robot: RobotResult) -> dict[str, Any]:
@@ -419,7 +417,7 @@ def _history(history: ParameterHistory) -> dict[str, Any]:
 
 
 def parquet_contents(result: FleetResult, folder: Path) -> Mapping[Path, Content]:
-    """Return file -> content of tables: `findings`, `parameters` over time, and `unused_logs`."""
+    """Return the tables `findings`, `parameters` over time, and `unused_logs`, by their files."""
     arrow = optional_package("pyarrow", "fleet", "tables in Parquet", FleetError)
     parquet = optional_package("pyarrow.parquet", "fleet", "tables in Parquet", FleetError)
     instants = dict.fromkeys(
@@ -429,14 +427,14 @@ def parquet_contents(result: FleetResult, folder: Path) -> Mapping[Path, Content
     findings, parameters = list[dict[str, Any]](), list[dict[str, Any]]()
     for robot in result.robots:
         for finding in robot.findings:
-            said = plain_of(finding_dict(finding), "", {}) | {
+            row = plain_of(finding_dict(finding), "", {}) | {
                 "type": robot.type,
                 "since": round(finding.date),
                 "earliest": round(finding.interval[0]),
                 "latest": round(finding.interval[1]),
             }
-            own = said["parameters"].items()
-            findings += [{**said, "parameter": name, **change} for name, change in own]
+            changes = row["parameters"].items()
+            findings += [{**row, "parameter": name, **change} for name, change in changes]
         for each in map(_history, robot.histories):
             numbers = zip(
                 robot.dates, each["values"], each["deviations"], each["shown"], strict=True

@@ -1,4 +1,4 @@
-"""Pages of MeshCat's recordings: robots, efforts as arrows, effects as marks; replays and play."""
+"""MeshCat pages of recorded robots, with efforts as arrows and effects as marks."""
 
 from __future__ import annotations
 
@@ -52,19 +52,18 @@ from geodrake.robot.files.description import drake_messages
 
 MEASURED, PREDICTED, CONTACT = "#64748b", style.AFTER, "#c026a3"  # colours of arrows
 
-LEAST_THICKNESS = 0.002  # semi-axis that is drawn at least, m: a body at the boundary may be flat
+LEAST_THICKNESS = 0.002  # smallest drawn semi-axis, m: a body at the boundary may be flat
 
-_SMALLEST = 0.01  # scale of an arrow: one of no length has no direction
-_LARGEST = 1.6
+_SMALLEST, _LARGEST = 0.01, 1.6  # scales of arrows; one without length has no direction
 _FLOOR_THICKNESS = 0.004  # m
-_GHOSTLY, _INNER = 0.35, 0.99  # opacity and size of ghosts, which are seen where they depart
-_APART = 0.002  # of their size, by which robots at one place differ
+_GHOST_OPACITY, _GHOST_SIZE = 0.35, 0.99  # ghosts inside the robot are hidden
+_SIZE_STEP = 0.002  # difference in size of robots at the same place, so that they do not flicker
 _REPLAYED = ("measured", "#8a94a0", 0.35)
 _BEFORE, _AFTER = ("simulated before", style.BEFORE, 0.6), ("simulated", style.AFTER, 0.85)
 
 
 def clock(frame: int) -> float:
-    """Return the time of a frame in a recording, s: its middle, so that none is counted twice."""
+    """Return the time of a frame in a recording, s: its middle, as MeshCat rounds to frames."""
     return (frame + 0.5) / FRAMES
 
 
@@ -85,9 +84,9 @@ def recording(meshcat: Meshcat) -> Iterator[None]:
     meshcat.StartRecording(frames_per_second=FRAMES, set_visualizations_while_recording=False)
     yield
     meshcat.StopRecording()
-    made = meshcat.get_mutable_recording()
-    made.set_loop_mode(MeshcatAnimation.LoopMode.kLoopRepeat)
-    made.set_repetitions(1_000_000)
+    animation = meshcat.get_mutable_recording()
+    animation.set_loop_mode(MeshcatAnimation.LoopMode.kLoopRepeat)
+    animation.set_repetitions(1_000_000)
     meshcat.PublishRecording()
 
 
@@ -107,7 +106,7 @@ def legend(page: str, entries: Sequence[tuple[str, str]]) -> str:
 
 
 def link_path(robot: str, link: str) -> str:
-    """Return the folder of a link, whose frame is the link's, from that of its robot."""
+    """Return the folder of a link of a robot; its frame is the link's."""
     return f"{robot}/{path_part(link)}"
 
 
@@ -126,19 +125,19 @@ def draw_robot(
         color: One colour for all links instead of the file's.
     """
     for link in links:
-        own = link_path(path, link.name)
-        for k, one in enumerate(link.shapes):
-            meshcat.SetObject(f"{own}/shapes/{k}", one.shape, color or one.color)
-            meshcat.SetTransform(f"{own}/shapes/{k}", one.X_BG)
+        folder = link_path(path, link.name)
+        for k, shape in enumerate(link.shapes):
+            meshcat.SetObject(f"{folder}/shapes/{k}", shape.shape, color or shape.color)
+            meshcat.SetTransform(f"{folder}/shapes/{k}", shape.X_BG)
         if link.fixed:
-            meshcat.SetTransform(own, link.X_WB[0])
+            meshcat.SetTransform(folder, link.X_WB[0])
         else:
             for frame, time in times.items():
-                meshcat.SetTransform(own, link.X_WB[frame], time)
+                meshcat.SetTransform(folder, link.X_WB[frame], time)
 
 
 def draw_floor(meshcat: Meshcat, path: str, extent: Extent, place: Array) -> None:
-    """Draw a disc for a robot to stand on at a place (3,), m."""
+    """Draw a disc under a robot at a place (3,), m."""
     disc = Cylinder(0.3 * extent.size, _FLOOR_THICKNESS)
     meshcat.SetObject(f"{path}/floor", disc, Rgba(0.87, 0.89, 0.92, 1.0))
     below = RigidTransform(place - [0.0, 0.0, _FLOOR_THICKNESS])
@@ -148,8 +147,8 @@ def draw_floor(meshcat: Meshcat, path: str, extent: Extent, place: Array) -> Non
 def draw_efforts(meshcat: Meshcat, path: str, played: PlayedModel, size: float) -> None:
     """Record measured and predicted effort at every joint, as arrows along its axis.
 
-    The direction is that of the right hand for joints that turn. Arrows of a joint's largest
-    measured effort have one length at all joints, a share of the robot's size, m.
+    Arrows follow the right-hand rule. Their length is relative to the largest measured effort of
+    the joint, and proportional to the robot's size, m.
     """
     peak = np.nanmax(np.abs(played.measured), axis=0, initial=1e-12)
     kinds = (
@@ -162,8 +161,8 @@ def draw_efforts(meshcat: Meshcat, path: str, played: PlayedModel, size: float) 
         for joint, place in enumerate(own_joints(played.model)):
             folder = f"{link_path(path, place.link)}/efforts/{path_part(place.joint)}"
             meshcat.SetTransform(folder, place.X_BJ)
-            aside = RigidTransform([0.02 * size * side, 0.0, 0.0])
-            meshcat.SetTransform(f"{folder}/{name}", aside)
+            offset = RigidTransform([0.02 * size * side, 0.0, 0.0])
+            meshcat.SetTransform(f"{folder}/{name}", offset)
             _draw_arrow(meshcat, f"{folder}/{name}/arrow", 0.22 * size, color)
             for frame, length in enumerate(scale[:, joint].tolist()):
                 arrow = f"{folder}/{name}/arrow"
@@ -176,8 +175,8 @@ def draw_effects(
     """Draw the effects of a model: bodies, contacts, and discs at joints.
 
     Returns:
-        Of each effect the folder of the scene where it is, words, and the place that it is of; one
-        of the whole robot is at its foot.
+        The folder in the scene, description and place of each effect. Effects of the whole robot
+        are shown at its floor.
     """
     model, size = robot.played.model, found.extent.size
     places, bodies, marks = joint_places(model), body_links(model), list[tuple[str, str, str]]()
@@ -186,38 +185,40 @@ def draw_effects(
         effect, words = fitted.effect, effect_words(fitted, found.units)
         if effect.at_motor:
             for joint in effect.where:
-                own = f"{link_path(path, places[joint].link)}/disc {path_part(joint)}"
+                folder = f"{link_path(path, places[joint].link)}/disc {path_part(joint)}"
                 disc = Cylinder(0.06 * size, 0.01 * size)
-                meshcat.SetObject(own, disc, _rgba(style.AFTER, 0.9))
-                meshcat.SetTransform(own, places[joint].X_BJ)
-                marks.append((own, words, joint))
+                meshcat.SetObject(folder, disc, _rgba(style.AFTER, 0.9))
+                meshcat.SetTransform(folder, places[joint].X_BJ)
+                marks.append((folder, words, joint))
             continue
         if not bodies.keys() & set(effect.where):
             marks.append((f"{path}/floor", words, effect.place))
             continue
         link = by_name[bodies[effect.where[0]]]
-        turns = not isinstance(effect, PointEpisode) or effect.turning
-        own = f"effects/{k} {path_part(effect.name)}"
-        own = f"{link_path(path, link.name) if turns else path}/{own}"
+        is_turning = not isinstance(effect, PointEpisode) or effect.turning
+        folder = f"effects/{k} {path_part(effect.name)}"
+        folder = f"{link_path(path, link.name) if is_turning else path}/{folder}"
         if isinstance(effect, PointEpisode):
             force = fitted.parameters[:3]
             norm = float(np.linalg.norm(force))
             axis = force / norm if norm > 0.0 else np.array([0.0, 0.0, 1.0])
-            _draw_arrow(meshcat, f"{own}/arrow", 0.35 * size, CONTACT)
-            turned = RigidTransform(RotationMatrix.MakeFromOneVector(axis, 2))
-            meshcat.SetTransform(f"{own}/arrow", turned)
-            if turns:
-                meshcat.SetTransform(own, RigidTransform(effect.point))
+            _draw_arrow(meshcat, f"{folder}/arrow", 0.35 * size, CONTACT)
+            X = RigidTransform(RotationMatrix.MakeFromOneVector(axis, 2))
+            meshcat.SetTransform(f"{folder}/arrow", X)
+            if is_turning:
+                meshcat.SetTransform(folder, RigidTransform(effect.point))
             else:
                 for frame, X_WB in enumerate(link.X_WB):
                     place = RigidTransform(X_WB.multiply(effect.point))
-                    meshcat.SetTransform(own, place, clock(frame))
+                    meshcat.SetTransform(folder, place, clock(frame))
         elif is_body(effect) and is_physical(fitted.parameters):
             solid = equivalent_ellipsoid(fitted.parameters, least_semi_axis=LEAST_THICKNESS)
-            meshcat.SetObject(own, Ellipsoid(*solid.semi_axes), _rgba(style.AFTER, 0.6))
-            meshcat.SetTransform(own, RigidTransform(RotationMatrix(solid.rotation), solid.center))
+            meshcat.SetObject(folder, Ellipsoid(*solid.semi_axes), _rgba(style.AFTER, 0.6))
+            meshcat.SetTransform(
+                folder, RigidTransform(RotationMatrix(solid.rotation), solid.center)
+            )
         else:
-            meshcat.SetObject(own, Sphere(0.02 * size), _rgba(style.AFTER, 0.8))
+            meshcat.SetObject(folder, Sphere(0.02 * size), _rgba(style.AFTER, 0.8))
         if isinstance(effect, Episode):
             shown = np.concatenate(
                 [
@@ -227,13 +228,13 @@ def draw_effects(
             )
             last, changes = len(shown) - 1, 1 + np.flatnonzero(np.diff(shown))
             for frame in sorted({0, *changes.tolist(), last}):
-                meshcat.SetProperty(own, "visible", bool(shown[frame]), clock(frame))
-        marks.append((own, words, effect.place))
+                meshcat.SetProperty(folder, "visible", bool(shown[frame]), clock(frame))
+        marks.append((folder, words, effect.place))
     return marks
 
 
 def _draw_arrow(meshcat: Meshcat, path: str, length: float, color: str) -> None:
-    """Draw an arrow from the origin of a folder along its z."""
+    """Draw an arrow from the origin of a folder along its z axis."""
     head, width = 0.3 * length, 0.028 * length
     meshcat.SetObject(f"{path}/shaft", Cylinder(width, length - head), _rgba(color))
     middle = RigidTransform([0.0, 0.0, 0.5 * (length - head)])
@@ -249,34 +250,34 @@ def _rgba(color: str, opaque: float = 1.0) -> Rgba:
 
 @typed
 def replay_page(model: RobotModel, times: Array, q: Array) -> str:
-    """Return a self-contained HTML page that replays positions (N, nq) at instants (N,), s.
+    """Return a self-contained HTML page that replays positions (N, nq) at times (N,), s.
 
-    The robot looks as its file says, meshes included; links that cannot be shown are sticks.
+    The robot has the shapes of its file; links whose shapes cannot be read are sticks.
     """
-    return _replayed(model, times, {"robot": q}, {})
+    return _replay(model, times, {"robot": q}, {})
 
 
 @typed
 def rollout_replay_page(model: RobotModel, after: Rollout, before: Rollout | None = None) -> str:
     """Return an HTML page of a rollout's windows: the measured and the simulated robot.
 
-    A simulated robot that breaks off stays where it was.
+    A simulated robot stays where its simulation fails.
     """
     looks, motions = [_REPLAYED, _AFTER], [_frames(after, "measured"), _frames(after, "simulated")]
     if before is not None:
         looks.insert(1, _BEFORE)
         motions.insert(1, _frames(before, "simulated"))
-    named = {look[0]: model.positions(q) for look, q in zip(looks, motions, strict=True)}
+    positions = {look[0]: model.positions(q) for look, q in zip(looks, motions, strict=True)}
     times = np.array([clock(frame) for frame in range(len(motions[0]))])
-    colors = {name: _rgba(color, opaque) for name, color, opaque in looks}
-    page = _replayed(model, times, named, colors)
+    colors = {name: _rgba(color, opacity) for name, color, opacity in looks}
+    page = _replay(model, times, positions, colors)
     return legend(page, [(color, name) for name, color, _ in looks])
 
 
-def _replayed(
+def _replay(
     model: RobotModel, times: Array, motions: Mapping[str, Array], colors: Mapping[str, Rgba]
 ) -> str:
-    """Return a page with one robot for each motion, all at one place."""
+    """Return a page with a robot for each motion, all at the same place."""
     meshcat, shapes = calm_meshcat(), drawn_shapes(model)
     extent = Extent.of(model, np.concatenate(list(motions.values())))
     with recording(meshcat):
@@ -285,8 +286,7 @@ def _replayed(
             draw_robot(
                 meshcat, path, links, dict(enumerate(times.tolist())), color=colors.get(name)
             )
-            # So that surfaces at one place do not flicker.
-            meshcat.SetProperty(path, "scale", [1.0 - _APART * k] * 3)
+            meshcat.SetProperty(path, "scale", [1.0 - _SIZE_STEP * k] * 3)
     draw_floor(meshcat, "ground", extent, np.zeros(3))
     meshcat.SetCameraPose(*camera_place(extent))
     page = str(meshcat.StaticHtml())
@@ -294,23 +294,23 @@ def _replayed(
 
 
 def _frames(found: Rollout, name: str) -> Array:
-    """Return (F, nv) positions of all windows, one after another, at the rate of recordings."""
+    """Return the positions (F, nv) of successive windows at the frame rate of recordings."""
     parts = []
     for window in found.windows:
         values = getattr(window, name)
         known = np.isfinite(values).all(1)
         frames = np.arange(window.time[0], window.time[-1] + 1e-9, 1.0 / FRAMES)
-        last = values[known] if known.any() else window.measured[:1]
-        own = window.time[known] if known.any() else window.time[:1]
-        parts.append(np.stack([np.interp(frames, own, x) for x in last.T], -1))
+        q = values[known] if known.any() else window.measured[:1]
+        time = window.time[known] if known.any() else window.time[:1]
+        parts.append(np.stack([np.interp(frames, time, x) for x in q.T], -1))
     return np.concatenate(parts)
 
 
 def play_page(found: Playback, *, title: str, log_names: Sequence[str], speed: float = 1.0) -> str:
-    """Return one HTML page that loads nothing from elsewhere and plays logs over the robot.
+    """Return a self-contained HTML page that plays logs on the robot.
 
-    Links have the colour of the error of their joint. A panel names the worst moments, and jumps to
-    them; strips show the errors of all joints over time.
+    Links have the colour of their joint's error. A panel lists the worst moments and jumps to them;
+    strips show the errors of all joints over time.
     """
     meshcat = calm_meshcat()
     with recording(meshcat):
@@ -339,12 +339,12 @@ def play_page(found: Playback, *, title: str, log_names: Sequence[str], speed: f
             measured=MEASURED,
             predicted=style.AFTER,
             ghosts=any(map(_has_ghost, found.models)),
-            # JSON that may stand in a script of a page.
+            # Escaped for a script element.
             data=json.dumps(_data(found, marks, speed)).replace("<", "\\u003c"),
         )
     )
     view = '<meta name="viewport" content="width=device-width, initial-scale=1">'
-    icon = '<link rel="icon" href="data:,">'  # which browsers would ask a server for
+    icon = '<link rel="icon" href="data:,">'  # or browsers request one
     page = str(meshcat.StaticHtml())
     head, _, foot = page.rpartition("</body>")
     titled = f"<title>{html_text(title)}</title>{view}{icon}"
@@ -363,31 +363,31 @@ def _has_ghost(played: PlayedModel) -> bool:
 def _draw(
     meshcat: Meshcat, found: Playback, robot: PlayedRobot, k: int
 ) -> list[tuple[str, str, str]]:
-    """Record a robot and its ghost, and return what to say of its effects."""
+    """Record a robot and its ghost, and return its effects as from `draw_effects`."""
     played, path = robot.played, _path(robot.played, k)
     times = {frame: clock(frame) for frame in range(len(found.q))}
     draw_robot(meshcat, path, robot.links, times)
     draw_floor(meshcat, path, found.extent, robot.place)
     draw_efforts(meshcat, path, played, found.extent.size)
     if _has_ghost(played):
-        ghost, there = f"ghost/{k}", np.asarray(np.isfinite(played.simulated).all(1))
-        q = played.model.positions(np.where(there[:, None], played.simulated, found.q))
+        ghost, visible = f"ghost/{k}", np.asarray(np.isfinite(played.simulated).all(1))
+        q = played.model.positions(np.where(visible[:, None], played.simulated, found.q))
         links = posed_links(played.model, q, found.shapes, robot.place)
-        shown = {frame: time for frame, time in times.items() if there[frame]}
-        draw_robot(meshcat, ghost, links, shown, color=_rgba(style.AFTER, _GHOSTLY))
-        meshcat.SetProperty(ghost, "scale", [_INNER] * 3)
-        meshcat.SetTransform(ghost, RigidTransform((1.0 - _INNER) * robot.place))
+        shown = {frame: time for frame, time in times.items() if visible[frame]}
+        draw_robot(meshcat, ghost, links, shown, color=_rgba(style.AFTER, _GHOST_OPACITY))
+        meshcat.SetProperty(ghost, "scale", [_GHOST_SIZE] * 3)
+        meshcat.SetTransform(ghost, RigidTransform((1.0 - _GHOST_SIZE) * robot.place))
         for frame, time in times.items():
-            meshcat.SetProperty(ghost, "visible", bool(there[frame]), time)
+            meshcat.SetProperty(ghost, "visible", bool(visible[frame]), time)
     return draw_effects(meshcat, path, found, robot)
 
 
 def _grouped(pairs: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
-    """Return each place with all that is said of it."""
-    found: dict[str, list[str]] = {}
+    """Return the words for each place."""
+    groups: dict[str, list[str]] = {}
     for place, words in pairs:
-        found.setdefault(place, []).append(words)
-    return found
+        groups.setdefault(place, []).append(words)
+    return groups
 
 
 def _moments(played: PlayedModel, found: Playback) -> list[dict[str, Any]]:
@@ -408,7 +408,7 @@ def _moments(played: PlayedModel, found: Playback) -> list[dict[str, Any]]:
 def _data(
     found: Playback, marks: Sequence[Sequence[tuple[str, str, str]]], speed: float
 ) -> dict[str, Any]:
-    """Return what the page's script reads."""
+    """Return the data for the script of the page."""
     units = found.units
     curves = ("measured", "predicted", "simulated")
     moments = [moment for played in found.models for moment in played.moments]
@@ -439,7 +439,7 @@ def _data(
                     [f"{link_path(_path(played, k), link)}/shapes" for link in place.moved]
                     for place in own_joints(played.model)
                 ],
-                # One label a place: where several effects are, the first and how many more.
+                # One label for each place: the first effect, and the number of others.
                 "marks": [
                     {"path": path, "words": first + (f" + {len(more)} more" if more else "")}
                     for path, (first, *more) in _grouped(

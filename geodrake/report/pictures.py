@@ -55,47 +55,48 @@ from geodrake.robot.shapes import LinkShape
 Pixels = NDArray[np.uint8]
 Faces = NDArray[np.int32]
 
-RATES = {".mp4": 30, ".gif": 10}  # frames a second of a kind of video
+RATES = {".mp4": 30, ".gif": 10}  # frames per second
 
-_FARTHER = 1.3  # than a camera that sees the origins of all links, for shapes that reach beyond
-_CLOSER = 0.85  # than MeshCat's camera, beside whose view there are panels
-_STILL = 1200, 800  # pixels, before margins are cut
-_PALETTE = 128  # colours of a still
-_WIDTH, _HEIGHT, _PLOTS = 960, 540, 180  # pixels: of a video's view, and the plots below it
+_PICTURE_DISTANCE = 1.3  # over that of `camera_place`, as shapes reach beyond the links' origins
+_VIDEO_DISTANCE = 0.85  # over that of `camera_place`, which leaves room for panels
+_PICTURE_SIZE = 1200, 800  # pixels, before margins are cut
+_PALETTE = 128  # colours of a picture
+_WIDTH, _HEIGHT, _PLOTS = 960, 540, 180  # pixels of a video, and height of the plots below it
 _GROUND = (245, 247, 250)
-_AROUND = 24  # corners of what is round
-_FINER = 2  # pixels that are drawn for each one of the picture, along each side
-_NEAR = 0.01  # m, before the camera, from which on something is seen
+_CORNERS = 24  # of a circle
+_SUPERSAMPLING = 2  # drawn pixels for each pixel of the picture, along each side
+_NEAR = 0.01  # m, distance of the clipping plane from the camera
 _LIGHTS = np.array([[0.3, 0.5, 1.0], [-0.5, 0.2, 1.0]])  # to the right, up, and to the viewer
-_DARKEST = 0.45  # share of its colour that a surface has which no light meets
+_AMBIENT = 0.45  # brightness of a surface without light
 
 
 def error_pictures(model: RobotModel, compared: Mapping[str, Comparison]) -> Pictures | None:
-    """Draw a robot where the first of its models (by title) errs most, once for each of them.
+    """Return pictures of a robot, coloured by the errors of each model (by title).
 
-    None where it has no posture that a log says, or nothing is to be seen.
+    The posture is that of the first model's largest error. Return None if the logs or the shapes
+    cannot be drawn.
     """
     with suppress(GeodrakeError):
-        return _drawn(model, compared)
+        return _pictures(model, compared)
     return None
 
 
-def _drawn(model: RobotModel, compared: Mapping[str, Comparison]) -> Pictures | None:
+def _pictures(model: RobotModel, compared: Mapping[str, Comparison]) -> Pictures | None:
     first = next(iter(compared.values()), None)
-    some = [series for series in first.series if len(series.time)] if first else []
-    if first is None or not some:
+    series = [s for s in first.series if len(s.time)] if first else []
+    if first is None or not series:
         return None
-    sizes = {joint.joint: max(joint.std, 1e-300) for joint in first.errors.joints}
-    worst = max(some, key=lambda s: float(np.abs(s.residual).max()) / sizes[s.joint])
-    at = int(np.abs(worst.residual).argmax())
-    q, shapes = model.positions(_posture(model, some, worst, at)), drawn_shapes(model)
-    near, target = camera_place(Extent.of(model, q))
-    camera = Camera(target + _FARTHER * (near - target), target, *_STILL)
-    known = [{joint.joint: joint.nrms for joint in c.errors.joints} for c in compared.values()]
-    nrms = np.array([[own.get(joint, np.nan) for joint in model.joints] for own in known])
+    stds = {joint.joint: max(joint.std, 1e-300) for joint in first.errors.joints}
+    worst = max(series, key=lambda s: float(np.abs(s.residual).max()) / stds[s.joint])
+    index = int(np.abs(worst.residual).argmax())
+    q, shapes = model.positions(_posture(model, series, worst, index)), drawn_shapes(model)
+    place, target = camera_place(Extent.of(model, q))
+    camera = Camera(target + _PICTURE_DISTANCE * (place - target), target, *_PICTURE_SIZE)
+    tables = [{joint.joint: joint.nrms for joint in c.errors.joints} for c in compared.values()]
+    nrms = np.array([[table.get(joint, np.nan) for joint in model.joints] for table in tables])
     top, links = top_error(nrms, 1.0), posed_links(model, q, shapes)
     drawn = [
-        next(drawn_robots([(links, error_colors(own[None], top))], camera, [0])) for own in nrms
+        next(drawn_robots([(links, error_colors(row[None], top))], camera, [0])) for row in nrms
     ]
     if not drawn[0].any():
         return None
@@ -104,28 +105,28 @@ def _drawn(model: RobotModel, compared: Mapping[str, Comparison]) -> Pictures | 
     pictures = {}
     for (title, found), picture in zip(compared.items(), drawn, strict=True):
         buffer = io.BytesIO()
-        few = Image.fromarray(picture[inner]).quantize(_PALETTE, Image.Quantize.FASTOCTREE)
-        few.save(buffer, "PNG", optimize=True)
+        image = Image.fromarray(picture[inner]).quantize(_PALETTE, Image.Quantize.FASTOCTREE)
+        image.save(buffer, "PNG", optimize=True)
         words = ", ".join(filter(None, [title, f"nrms {number(found.errors.nrms)}"]))
         pictures[words] = buffer.getvalue()
     text = (
         "Links have the colour of their joint's error. The pose is that at "
-        f"{worst.time[at]:.2f} s, where the error of {worst.joint} was largest."
+        f"{worst.time[index]:.2f} s, where the error of {worst.joint} was largest."
     )
     notes = tuple(map(capitalized, shapes.notes))
     return Pictures(pictures, COLORS, percent(top), text, notes)
 
 
-def _posture(model: RobotModel, some: Sequence[Series], worst: Series, at: int) -> Array:
-    """Return the positions (1, nv) at a sample; those nearest in time of joints at rest there."""
+def _posture(model: RobotModel, series: Sequence[Series], worst: Series, index: int) -> Array:
+    """Return the positions (1, nv) at a sample; joints without it have the nearest in time."""
     q = np.zeros((1, len(model.joints)))
     for j, joint in enumerate(model.joints):
-        own = [series for series in some if series.joint == joint]
-        own = [series for series in own if series.block == worst.block] or own
-        if own:
-            time = np.concatenate([series.time for series in own])
-            position = np.concatenate([series.position for series in own])
-            q[0, j] = position[np.abs(time - worst.time[at]).argmin()]
+        parts = [s for s in series if s.joint == joint]
+        parts = [s for s in parts if s.block == worst.block] or parts
+        if parts:
+            time = np.concatenate([s.time for s in parts])
+            position = np.concatenate([s.position for s in parts])
+            q[0, j] = position[np.abs(time - worst.time[index]).argmin()]
     return q
 
 
@@ -140,7 +141,7 @@ def _encoder() -> Any:
         "imageio_ffmpeg", "viewers", "videos in MP4 (GIF needs none)", OutputError
     )
     try:
-        encoder.get_ffmpeg_version()  # by running it
+        encoder.get_ffmpeg_version()  # runs ffmpeg
     except (RuntimeError, OSError, LookupError, SubprocessError) as error:
         raise OutputError(
             "No working ffmpeg was found, which MP4 needs.",
@@ -150,7 +151,7 @@ def _encoder() -> Any:
 
 
 def video(found: Playback, suffix: str, *, speed: float = 1.0) -> bytes:
-    """Return a video, ".mp4" or ".gif", played at a speed."""
+    """Return a video in the format of a suffix, ".mp4" or ".gif"."""
     rate, count = RATES[suffix], len(found.q)
     step = FRAMES * speed / rate
     numbers = np.minimum(np.arange(0.0, count, step).round().astype(int), count - 1)
@@ -180,19 +181,19 @@ def video(found: Playback, suffix: str, *, speed: float = 1.0) -> bytes:
 
 def _frames(found: Playback, numbers: list[int]) -> Iterator[Pixels]:
     robots = found.robots
-    far, target = camera_place(found.extent, len(robots))
-    place = target + _CLOSER * (far - target)
+    place, target = camera_place(found.extent, len(robots))
+    place = target + _VIDEO_DISTANCE * (place - target)
     colored = [(robot.links, robot.colors) for robot in robots]
     views = drawn_robots(colored, Camera(place, target, _WIDTH, _HEIGHT), numbers)
     plot, left, right = _error_plot(found)
     titles = " | ".join(robot.played.title for robot in robots)
     for number_, drawn in zip(numbers, views, strict=True):
-        cover = drawn[..., 3:] / 255.0
-        seen = np.rint(drawn[..., :3] * cover + np.array(_GROUND) * (1.0 - cover))
-        picture = Image.fromarray(np.vstack([seen.astype(np.uint8), plot]))
+        alpha = drawn[..., 3:] / 255.0
+        blend = np.rint(drawn[..., :3] * alpha + np.array(_GROUND) * (1.0 - alpha))
+        picture = Image.fromarray(np.vstack([blend.astype(np.uint8), plot]))
         pen = ImageDraw.Draw(picture)
-        at = left + (right - left) * number_ / max(len(found.times) - 1, 1)
-        pen.line([(at, _HEIGHT + 8), (at, _HEIGHT + _PLOTS - 24)], fill="#1f2a37", width=2)
+        x = left + (right - left) * number_ / max(len(found.times) - 1, 1)
+        pen.line([(x, _HEIGHT + 8), (x, _HEIGHT + _PLOTS - 24)], fill="#1f2a37", width=2)
         log, time = found.instants[number_]
         pen.text((16, 12), f"{titles}    {time:.2f} s of {log}", fill="#1f2a37", font_size=18)
         yield np.asarray(picture)
@@ -200,7 +201,7 @@ def _frames(found: Playback, numbers: list[int]) -> Iterator[Pixels]:
 
 @style.own_look()
 def _error_plot(playback: Playback) -> tuple[Pixels, float, float]:
-    """Return a plot of the errors of all joints, and where its time begins and ends, pixels."""
+    """Return a plot of the errors of all joints, and the first and last pixel of its time axis."""
     figure = Figure(figsize=(_WIDTH / 100, _PLOTS / 100), dpi=100)
     axes = figure.add_subplot()
     rows = np.arange(len(playback.q))
@@ -230,25 +231,25 @@ class Camera:
     """The pose and size of a camera."""
 
     place: Array  # (3,) of the camera in the world, m
-    target: Array  # (3,) what is in the middle, m
+    target: Array  # (3,) point in the middle of the picture, m
     width: int  # in pixels
     height: int  # in pixels, for an angle of `VIEW`
 
     @property
     def R_WC(self) -> Array:
-        """(3, 3) axes of the camera in the world: to the right, up, and towards the viewer."""
+        """Axes (3, 3) of the camera in the world: to the right, up, and towards the viewer."""
         back = (self.place - self.target) / np.linalg.norm(self.place - self.target)
         right = np.cross([0.0, 0.0, 1.0], back)
         right /= np.linalg.norm(right)
         return np.column_stack([right, np.cross(back, right), back])
 
-    def seen(self, points: Array) -> Array:
+    def project(self, points: Array) -> Array:
         """Return points (..., 3) of the world as pixels from the left and top, and 1 / depth."""
-        at = (points - self.place) @ self.R_WC
-        nearness = 1.0 / np.maximum(-at[..., 2], _NEAR)
-        scale = 0.5 * self.height / np.tan(0.5 * VIEW) * nearness
-        x, y = 0.5 * self.width + scale * at[..., 0], 0.5 * self.height - scale * at[..., 1]
-        return np.stack([x, y, np.where(-at[..., 2] > _NEAR, nearness, -1.0)], -1)
+        p_CP = (points - self.place) @ self.R_WC
+        inverse_depth = 1.0 / np.maximum(-p_CP[..., 2], _NEAR)
+        scale = 0.5 * self.height / np.tan(0.5 * VIEW) * inverse_depth
+        x, y = 0.5 * self.width + scale * p_CP[..., 0], 0.5 * self.height - scale * p_CP[..., 1]
+        return np.stack([x, y, np.where(-p_CP[..., 2] > _NEAR, inverse_depth, -1.0)], -1)
 
 
 def drawn_robots(
@@ -262,33 +263,35 @@ def drawn_robots(
         robots: Links of each robot, and colours (F, nv, 4) of its joints, RGBA.
         frames: Numbers of the frames.
     """
-    fine = replace(camera, width=_FINER * camera.width, height=_FINER * camera.height)
+    factor = _SUPERSAMPLING
+    fine = replace(camera, width=factor * camera.width, height=factor * camera.height)
     parts = [(link, colors, *_surface(link.shapes)) for links, colors in robots for link in links]
     for frame in frames:
-        placed, painted = list[Array](), list[Array]()
-        for link, colors, corners, own in parts:
+        triangle_parts, color_parts = list[Array](), list[Array]()
+        for link, colors, corners, file_colors in parts:
             X_WB = link.X_WB[frame]
-            placed.append(corners @ X_WB.rotation().matrix().T + X_WB.translation())
-            color = own if link.joint is None else colors[frame, link.joint, :3]
-            painted.append(np.broadcast_to(color, own.shape))
-        points = np.concatenate(placed)
-        shaded = np.concatenate(painted) * _brightness(points @ fine.R_WC)[:, None]
+            triangle_parts.append(corners @ X_WB.rotation().matrix().T + X_WB.translation())
+            color = file_colors if link.joint is None else colors[frame, link.joint, :3]
+            color_parts.append(np.broadcast_to(color, file_colors.shape))
+        points = np.concatenate(triangle_parts)
+        shaded = np.concatenate(color_parts) * _brightness(points @ fine.R_WC)[:, None]
         image = np.zeros((fine.height, fine.width, 4), np.float32)
-        _draw(contiguous(fine.seen(points)), contiguous(shaded), image, np.zeros(image.shape[:2]))
-        some = [image[i::_FINER, j::_FINER] for i in range(_FINER) for j in range(_FINER)]
-        total = sum(some[1:], some[0])
+        buffer = np.zeros(image.shape[:2])
+        _draw(contiguous(fine.project(points)), contiguous(shaded), image, buffer)
+        samples = [image[i::factor, j::factor] for i in range(factor) for j in range(factor)]
+        total = sum(samples[1:], samples[0])
         total[..., :3] /= np.maximum(total[..., 3:], 1.0)
-        total[..., 3] *= 255.0 / len(some)
+        total[..., 3] *= 255.0 / len(samples)
         yield np.rint(total).astype(np.uint8)
 
 
 def _surface(shapes: Sequence[LinkShape]) -> tuple[Array, Array]:
     """Return the triangles of a link in its frame (m, 3, 3), m, and the file's colours (m, 3)."""
     corners, colors = [np.empty((0, 3, 3))], [np.empty((0, 3))]
-    for one in shapes:
-        vertices, faces = link_triangles([one])
+    for shape in shapes:
+        vertices, faces = link_triangles([shape])
         corners.append(vertices[faces])
-        rgb = 255.0 * np.array([one.color.r(), one.color.g(), one.color.b()])
+        rgb = 255.0 * np.array([shape.color.r(), shape.color.g(), shape.color.b()])
         colors.append(np.tile(rgb, (len(faces), 1)))
     return np.concatenate(corners), np.concatenate(colors)
 
@@ -297,16 +300,16 @@ def _brightness(corners: Array) -> Array:
     """Return the brightness (m,) of triangles with corners (m, 3, 3) in the camera's axes."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    normals *= np.where(normals[:, 2:] < 0.0, -1.0, 1.0)  # of the side that is seen
+    normals *= np.where(normals[:, 2:] < 0.0, -1.0, 1.0)  # towards the viewer
     lights = _LIGHTS / np.linalg.norm(_LIGHTS, axis=1, keepdims=True)
-    lit = np.maximum(normals @ lights.T, 0.0).mean(1)
-    return np.asarray(_DARKEST + (1.0 - _DARKEST) * lit)
+    diffuse = np.maximum(normals @ lights.T, 0.0).mean(1)
+    return np.asarray(_AMBIENT + (1.0 - _AMBIENT) * diffuse)
 
 
 @compiled
-def _draw(corners: Array, colors: Array, image: Any, nearest: Array) -> None:
-    """Draw triangles (m, 3, 3), each corner in pixels and 1 / depth, where nothing is nearer."""
-    height, width = nearest.shape
+def _draw(corners: Array, colors: Array, image: Any, buffer: Array) -> None:
+    """Rasterize triangles (m, 3, 3) of pixels and 1 / depth, with a buffer of 1 / depth."""
+    height, width = buffer.shape
     for k in range(len(corners)):
         a, b, c = corners[k]
         if min(a[2], b[2], c[2]) <= 0.0:
@@ -322,14 +325,14 @@ def _draw(corners: Array, colors: Array, image: Any, nearest: Array) -> None:
             y = row + 0.5
             for column in range(left, right + 1):
                 x = column + 0.5
-                of_b = ((x - a[0]) * (c[1] - a[1]) - (y - a[1]) * (c[0] - a[0])) / area
-                of_c = ((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])) / area
-                of_a = 1.0 - of_b - of_c
-                if of_a < 0.0 or of_b < 0.0 or of_c < 0.0:
+                weight_b = ((x - a[0]) * (c[1] - a[1]) - (y - a[1]) * (c[0] - a[0])) / area
+                weight_c = ((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])) / area
+                weight_a = 1.0 - weight_b - weight_c
+                if weight_a < 0.0 or weight_b < 0.0 or weight_c < 0.0:
                     continue
-                near = of_a * a[2] + of_b * b[2] + of_c * c[2]
-                if near > nearest[row, column]:
-                    nearest[row, column] = near
+                inverse_depth = weight_a * a[2] + weight_b * b[2] + weight_c * c[2]
+                if inverse_depth > buffer[row, column]:
+                    buffer[row, column] = inverse_depth
                     image[row, column, :3] = colors[k]
                     image[row, column, 3] = 1.0
 
@@ -337,11 +340,11 @@ def _draw(corners: Array, colors: Array, image: Any, nearest: Array) -> None:
 def link_triangles(shapes: Sequence[LinkShape]) -> tuple[Array, Faces]:
     """Return the shapes of a link as one mesh: (n, 3) vertices in its frame, m; (m, 3) corners."""
     vertices, faces, count = [np.empty((0, 3))], [np.empty((0, 3), np.int32)], 0
-    for one in shapes:
-        own, corners = triangles(one.shape)
-        vertices.append(own @ one.X_BG.rotation().matrix().T + one.X_BG.translation())
+    for shape in shapes:
+        points, corners = triangles(shape.shape)
+        vertices.append(points @ shape.X_BG.rotation().matrix().T + shape.X_BG.translation())
         faces.append(corners + count)
-        count += len(own)
+        count += len(points)
     return np.concatenate(vertices), np.concatenate(faces).astype(np.int32)
 
 
@@ -371,10 +374,10 @@ def triangles(shape: Shape) -> tuple[Array, Faces]:
 
 def _points(shape: Shape) -> Array:
     """Return points (n, 3) whose convex hull is a shape, or the hull of a mesh."""
-    angle = np.linspace(0.0, 2 * np.pi, _AROUND, endpoint=False)
-    circle = np.stack([np.cos(angle), np.sin(angle), np.zeros(_AROUND)], -1)
+    angle = np.linspace(0.0, 2 * np.pi, _CORNERS, endpoint=False)
+    circle = np.stack([np.cos(angle), np.sin(angle), np.zeros(_CORNERS)], -1)
     up = np.array([0.0, 0.0, 1.0])
-    polar = np.linspace(0.0, np.pi, _AROUND // 2 + 1)[1:-1]
+    polar = np.linspace(0.0, np.pi, _CORNERS // 2 + 1)[1:-1]
     ball = np.concatenate([*(np.sin(a) * circle + np.cos(a) * up for a in polar), [up, -up]])
     if isinstance(shape, Sphere):
         return shape.radius() * ball

@@ -44,55 +44,54 @@ MOST_SECONDS = 30.0
 """Maximum length of the excerpts, s."""
 
 _PART = 5.0  # s, length of the parts among which the worst are chosen
-_MEAN_OVER = 0.3  # s, over which an error is the RMS: residuals change their sign
-_APART = 1.0  # s, between two moments at one joint
-_APART_ANYWHERE = 0.25  # s, between two moments
+_RMS_WINDOW = 0.3  # s, as residuals change their sign
+_JOINT_SPACING = 1.0  # s, between two moments at the same joint
+_SPACING = 0.25  # s, between two moments at any joints
 _FARTHEST = 1.0  # rad or m, of a ghost's joint from the measured position
-_LEAST_TOP = 1e-6  # relative error that the last colour stands for at least
-_MOST_MOMENTS, _MOST_AT_ONE = 5, 2  # of a model, and at one joint
+_LEAST_TOP = 1e-6  # smallest relative error for the last colour
+_MOST_MOMENTS, _MOST_AT_JOINT = 5, 2  # for each model
 
 
 @dataclass(frozen=True, eq=False)
 class Excerpt:
-    """Part of a log that is played."""
+    """A played part of a log."""
 
     log: str
     began: float  # the log's first time stamp, s
-    time: Array  # (F,) instants of the frames in the log's own time, s
+    time: Array  # (F,) times of the frames in the log, s
     q: Array  # (F, nv) positions by joint, rad or m
 
 
 @dataclass(frozen=True)
 class Moment:
-    """An instant at which a model errs most."""
+    """An instant of large error."""
 
     joint: str
-    frame: int  # number of the frame
+    frame: int
     log: str
-    time: float  # in the log's own time, s
+    time: float  # in the log, s
     error: float  # RMS error around it, N·m or N
-    relative: float  # the same over the deviation of the joint's measured effort
+    relative: float  # the same over the standard deviation of the joint's measured effort
 
 
 @dataclass(frozen=True, eq=False)
 class PlayedModel:
     """A model and its errors in every frame."""
 
-    title: str  # what the copy of the robot is called
+    title: str  # of its copy of the robot
     model: RobotModel
-    comparison: Comparison  # its errors on the whole logs
-    # Whether the model was fitted to these logs, so that errors are those of training.
-    trained: bool
+    comparison: Comparison  # with the whole logs
+    trained: bool  # whether the model was fitted to these logs
     measured: Array  # (F, nv) filtered efforts, N·m or N; NaN where nothing is compared
-    predicted: Array  # (F, nv) what the model predicts
+    predicted: Array  # (F, nv) efforts
     error: Array  # (F, nv) RMS of measured − predicted around each frame
-    relative: Array  # (F, nv) the same over the deviation of the joint's measured effort
-    simulated: Array  # (F, nv) positions of its ghost by joint, rad or m; NaN where there is none
-    moments: tuple[Moment, ...]  # the worst ones, worst first
+    relative: Array  # (F, nv) the same over the standard deviation of the joint's measured effort
+    simulated: Array  # (F, nv) positions of its ghost by joint, rad or m; NaN without a ghost
+    moments: tuple[Moment, ...]  # worst first
 
     @property
     def data(self) -> str:
-        """Return the kind of data that its errors are on."""
+        """Return the kind of data for its errors."""
         return "training data" if self.trained else "held-out data"
 
 
@@ -102,11 +101,10 @@ class PlayedRobot:
 
     played: PlayedModel
     name: str  # its title, as part of a path
-    place: Array  # (3,) where it stands, m
+    place: Array  # (3,) position in the world, m
     links: list[PosedLink]
     colors: NDArray[np.uint8]  # (F, nv, 4) of the joints, RGBA
-    # What was found, and the link at which it is said; None for the whole robot.
-    findings: list[tuple[str, str | None]]
+    findings: list[tuple[str, str | None]]  # words, and their link; None for the whole robot
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,9 +112,9 @@ class Playback:
     """Motions and errors in all frames, and the shapes of the robot."""
 
     joints: tuple[str, ...]
-    excerpts: tuple[Excerpt, ...]  # what is played, one after another
-    models: tuple[PlayedModel, ...]  # one model, or that before and that after
-    seconds_left_out: float  # length of the logs that is not played, s
+    excerpts: tuple[Excerpt, ...]  # in the order of play
+    models: tuple[PlayedModel, ...]  # one model, or those before and after
+    seconds_left_out: float  # length of the unplayed parts, s
 
     @property
     def q(self) -> Array:
@@ -125,21 +123,18 @@ class Playback:
 
     @cached_property
     def instants(self) -> list[tuple[str, float]]:
-        """Return the log of each frame, and its time there, s."""
+        """Return the log of each frame, and the time in it, s."""
         return _instants(self.excerpts)
 
     @property
     def top(self) -> float:
-        """Relative error that has the last colour."""
-        every = np.concatenate([played.relative.ravel() for played in self.models])
-        return top_error(every, _LEAST_TOP)
+        """Relative error of the last colour."""
+        errors = np.concatenate([played.relative.ravel() for played in self.models])
+        return top_error(errors, _LEAST_TOP)
 
     @property
     def times(self) -> Array:
-        """Return the instants (F,) of the frames as they are played, s.
-
-        Those of one passage of one log are the log's own; several follow one another from 0.
-        """
+        """Return the times (F,) of the frames, s: those of the log, or from 0 for several parts."""
         if len(self.excerpts) == 1:
             return self.excerpts[0].time
         return np.arange(len(self.q)) / FRAMES
@@ -151,7 +146,7 @@ class Playback:
 
     @cached_property
     def shapes(self) -> RobotShapes:
-        """Return how the robot looks."""
+        """Return the shapes of the robot."""
         return drawn_shapes(self.models[-1].model)
 
     @cached_property
@@ -162,7 +157,7 @@ class Playback:
 
     @cached_property
     def robots(self) -> list[PlayedRobot]:
-        """Return a copy of the robot for each model, one beside the other."""
+        """Return a copy of the robot for each model, side by side."""
         robots = []
         for k, played in enumerate(self.models):
             model, place = played.model, k * self.extent.beside
@@ -171,8 +166,8 @@ class Playback:
             findings = []
             for fitted in model.effects:
                 effect = fitted.effect
-                at = next((where[name] for name in effect.where if name in where), None)
-                findings.append((f"{effect_words(fitted, self.units)} ({effect.place})", at))
+                link = next((where[name] for name in effect.where if name in where), None)
+                findings.append((f"{effect_words(fitted, self.units)} ({effect.place})", link))
             links = posed_links(model, model.positions(self.q), self.shapes, place)
             colors, name = error_colors(played.relative, self.top), path_part(played.title)
             robots.append(PlayedRobot(played, name, place, links, colors, findings))
@@ -180,13 +175,13 @@ class Playback:
 
     @property
     def left_out(self) -> list[str]:
-        """Return a note on what is not played."""
-        left = self.seconds_left_out
-        words = (
-            f"only the windows of largest error are played; {left:.0f} s of the logs are "
-            "not (--seconds)"
-        )
-        return [words] if left > 0.5 else []
+        """Return a note on unplayed parts, if there are any."""
+        if self.seconds_left_out <= 0.5:
+            return []
+        return [
+            f"only the windows of largest error are played; {self.seconds_left_out:.0f} s of the "
+            "logs are not (--seconds)"
+        ]
 
     def moment_words(self, moment: Moment) -> str:
         """Return a moment of large error, in words."""
@@ -208,17 +203,16 @@ def play_back(
     ghost: float | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Playback:
-    """Return what to play of logs: all of them, or the passages in which the models err most.
+    """Prepare logs for playing: all of them, or the parts of largest error.
 
-    A ghost is the model's robot alone with the measured efforts. It begins at the measured state
-    again and again, as a robot under efforts drifts away soon. Where a joint of it is
-    1 rad or 1 m off, it stays.
+    A ghost is the robot as simulated under the measured efforts. As it soon drifts away, it
+    repeatedly restarts from the measured state; once a joint is off by 1 rad or 1 m, it stays.
 
     Args:
         before: Another model of the same robot, to be played beside it.
-        seconds: Length of what is played at most, s.
-        ghost: For how long a ghost is alone each time, s; no ghosts if None.
-        progress: Called with what is simulated for ghosts, and the share that is done.
+        seconds: Maximum length of the played parts, s.
+        ghost: Length of each simulation of a ghost, s; no ghosts if None.
+        progress: Called with a description and the share that is done while ghosts are simulated.
 
     Raises:
         ArgumentError: The other model has other joints, or a number of seconds is not positive.
@@ -236,14 +230,14 @@ def play_back(
     case = open_case(model, logs, candidates=False, extra=extra, bandwidth=bandwidth)
     cases = {model.path.name if before is None else "after": case}
     if before is not None:
-        own, of_motion = case.trajectories[0].bandwidths
+        effort_bandwidth, motion_bandwidth = case.trajectories[0].bandwidths
         other = open_case(
             before,
             case.options.logs,
             candidates=False,
             extra=extra,
-            bandwidth=own,
-            motion_bandwidth=of_motion,
+            bandwidth=effort_bandwidth,
+            motion_bandwidth=motion_bandwidth,
         )
         cases = {"before": other, **cases}
     compared = {title: comparison(each) for title, each in cases.items()}
@@ -260,31 +254,32 @@ def _instants(excerpts: Sequence[Excerpt]) -> list[tuple[str, float]]:
 
 
 def _samples(found: Comparison, joint: str, log: str) -> Array:
-    """Return (3, K) time, measured and predicted effort of a joint in a log, in order of time."""
-    own = [s for s in found.series if s.joint == joint and s.log == log]
+    """Return time, measured and predicted effort (3, K) of a joint in a log, in order of time."""
+    series = [s for s in found.series if s.joint == joint and s.log == log]
     names = ("time", "measured", "predicted")
-    columns = np.array([np.concatenate([[], *(getattr(s, n) for s in own)]) for n in names])
+    columns = np.array([np.concatenate([[], *(getattr(s, n) for s in series)]) for n in names])
     return columns[:, np.argsort(columns[0], kind="stable")]
 
 
 def _excerpts(
     case: Case, found: Sequence[Comparison], seconds: float
 ) -> tuple[tuple[Excerpt, ...], float]:
-    """Return the excerpts, and the seconds that are not played."""
-    stretches = [(t, s) for t in case.trajectories for s in t.segments]
-    total = sum(len(s) * s.period for _, s in stretches)
+    """Return the excerpts, and the length of the unplayed parts, s."""
+    segments = [(t, s) for t in case.trajectories for s in t.segments]
+    total = sum(len(s) * s.period for _, s in segments)
     count = int(np.ceil(seconds / _PART))
-    parts = []  # (stretch, first sample, first one after it)
-    for k, (_, stretch) in enumerate(stretches):
-        most = max(2, int(seconds / count / stretch.period))
-        size = len(stretch) if total <= seconds else most
-        parts += [(k, at, min(at + size, len(stretch))) for at in range(0, len(stretch), size)]
+    parts = []  # (segment, first sample, stop)
+    for k, (_, segment) in enumerate(segments):
+        most = max(2, int(seconds / count / segment.period))
+        size = len(segment) if total <= seconds else most
+        starts = range(0, len(segment), size)
+        parts += [(k, first, min(first + size, len(segment))) for first in starts]
     if total > seconds:
 
         def score(part: tuple[int, int, int]) -> float:
-            (trajectory, stretch), (_, first, stop) = stretches[part[0]], part
-            start = float(stretch[first : first + 1].time[0])
-            return _score(trajectory.name, start, start + (stop - first) * stretch.period, found)
+            (trajectory, segment), (_, first, stop) = segments[part[0]], part
+            start = float(segment[first : first + 1].time[0])
+            return _score(trajectory.name, start, start + (stop - first) * segment.period, found)
 
         parts = sorted(sorted(parts, key=score, reverse=True)[:count])
     joined: list[tuple[int, int, int]] = []
@@ -294,23 +289,24 @@ def _excerpts(
         joined.append((k, first, stop))
     excerpts = []
     for k, first, stop in joined:
-        trajectory, segment = stretches[k][0], stretches[k][1][first:stop]
-        time = np.arange(segment.time[0], segment.time[-1] + 1e-9, 1.0 / FRAMES)
-        q = np.stack([np.interp(time, segment.time, x) for x in segment.position.T], -1)
+        trajectory, part = segments[k][0], segments[k][1][first:stop]
+        time = np.arange(part.time[0], part.time[-1] + 1e-9, 1.0 / FRAMES)
+        q = np.stack([np.interp(time, part.time, x) for x in part.position.T], -1)
         excerpts.append(Excerpt(trajectory.name, trajectory.began, time, q))
     return tuple(excerpts), max(0.0, total - sum(len(e.time) for e in excerpts) / FRAMES)
 
 
 def _score(log: str, start: float, end: float, found: Sequence[Comparison]) -> float:
-    """Return the errors between two instants, relative to each model's own error."""
+    """Return the errors between two instants, relative to the overall error of each model."""
     score = 0.0
-    for one in found:
-        stds, worst = {joint.joint: joint.std for joint in one.errors.joints}, 0.0
-        for s in (s for s in one.series if s.log == log):
+    for compared in found:
+        errors, worst = compared.errors, 0.0
+        stds = {joint.joint: joint.std for joint in errors.joints}
+        for s in (s for s in compared.series if s.log == log):
             inside = (s.time >= start) & (s.time < end)
             if inside.any():
                 worst = max(worst, float(((s.residual[inside] / stds[s.joint]) ** 2).mean()))
-        score += worst / max(one.errors.nrms, 1e-12) ** 2
+        score += worst / max(errors.nrms, 1e-12) ** 2
     return score
 
 
@@ -320,23 +316,22 @@ def _ghost(
     horizon: float | None,
     progress: Callable[[str, float], None] | None,
 ) -> Array:
-    """Return (F, nv) simulated positions under the measured efforts; NaN outside windows."""
+    """Return the positions (F, nv) simulated under the measured efforts; NaN outside windows."""
     parts = [np.full_like(excerpt.q, np.nan) for excerpt in excerpts]
     if horizon is None:
         return np.concatenate(parts)
     spans = [(e.log, float(e.time[0]), float(e.time[-1])) for e in excerpts]
     most = 1 + int(sum(last - first for _, first, last in spans) / horizon)
-    found = case_rollout(case, horizon=horizon, most=most, progress=progress, within=spans)
-    for window in found.windows:
-        # It stops once one joint is too far from the measured position.
-        near = np.nan_to_num(np.abs(window.departure), nan=np.inf).max(1) <= _FARTHEST
-        count = len(near) if near.all() else max(1, int(near.argmin()))
-        simulated = window.simulated[np.minimum(np.arange(len(near)), count - 1)]
+    rollout = case_rollout(case, horizon=horizon, most=most, progress=progress, within=spans)
+    for window in rollout.windows:
+        is_close = np.nan_to_num(np.abs(window.departure), nan=np.inf).max(1) <= _FARTHEST
+        count = len(is_close) if is_close.all() else max(1, int(is_close.argmin()))
+        simulated = window.simulated[np.minimum(np.arange(len(is_close)), count - 1)]
         for excerpt, part in zip(excerpts, parts, strict=True):
             shown = (window.time[0] <= excerpt.time) & (excerpt.time <= window.time[-1])
             if excerpt.log == window.log and shown.any():
-                at = excerpt.time[shown]
-                part[shown] = np.stack([np.interp(at, window.time, x) for x in simulated.T], -1)
+                time = excerpt.time[shown]
+                part[shown] = np.stack([np.interp(time, window.time, x) for x in simulated.T], -1)
     return np.concatenate(parts)
 
 
@@ -346,7 +341,7 @@ def _played(
     joints = case.model.joints
     measured, predicted, error = np.stack(
         [
-            np.concatenate([_around(e.time, *_samples(found, j, e.log)) for e in excerpts], axis=1)
+            np.concatenate([_at_frames(e.time, *_samples(found, j, e.log)) for e in excerpts], 1)
             for j in joints
         ],
         axis=-1,
@@ -357,22 +352,22 @@ def _played(
         title,
         case.model,
         found,
-        any(print_ in case.model.fitted_to for print_ in case.fingerprints),
+        any(fingerprint in case.model.fitted_to for fingerprint in case.fingerprints),
         measured,
         predicted,
         error,
         relative,
         simulated,
-        tuple(_worst(error, relative, joints, _instants(excerpts))),
+        tuple(_worst_moments(error, relative, joints, _instants(excerpts))),
     )
 
 
-def _around(frames: Array, time: Array, measured: Array, predicted: Array) -> Array:
-    """Return (3, F) efforts and the RMS of their difference at each frame; NaN without samples."""
+def _at_frames(frames: Array, time: Array, measured: Array, predicted: Array) -> Array:
+    """Return efforts and the RMS of their difference (3, F) at each frame; NaN without samples."""
     if not len(time):
         return np.full((3, len(frames)), np.nan)
-    period = float(np.median(np.diff(time))) if len(time) > 1 else _MEAN_OVER
-    half = max(0.5 * _MEAN_OVER, 1.01 * period)
+    period = float(np.median(np.diff(time))) if len(time) > 1 else _RMS_WINDOW
+    half = max(0.5 * _RMS_WINDOW, 1.01 * period)
     first, stop = (np.searchsorted(time, frames + sign * half) for sign in (-1.0, 1.0))
     sums = np.concatenate([[0.0], np.cumsum((measured - predicted) ** 2)])
     count = stop - first
@@ -381,23 +376,23 @@ def _around(frames: Array, time: Array, measured: Array, predicted: Array) -> Ar
     return np.where(count > 0, [*values, np.sqrt(mean)], np.nan)
 
 
-def _worst(
+def _worst_moments(
     error: Array, relative: Array, joints: Sequence[str], instants: Sequence[tuple[str, float]]
 ) -> Iterator[Moment]:
     """Yield well separated instants of largest relative error."""
-    left = np.nan_to_num(relative, nan=-1.0)
-    counts = np.zeros(left.shape[1], int)
-    near, close = round(_APART * FRAMES), round(_APART_ANYWHERE * FRAMES)
+    candidates = np.nan_to_num(relative, nan=-1.0)
+    counts = np.zeros(candidates.shape[1], int)
+    joint_spacing, spacing = round(_JOINT_SPACING * FRAMES), round(_SPACING * FRAMES)
     for _ in range(_MOST_MOMENTS):
-        frame, j = divmod(int(left.argmax()), left.shape[1])
-        if left[frame, j] <= 0.0:
+        frame, j = divmod(int(candidates.argmax()), candidates.shape[1])
+        if candidates[frame, j] <= 0.0:
             return
         (log, time), size = instants[frame], float(error[frame, j])
         yield Moment(joints[j], frame, log, time, size, float(relative[frame, j]))
-        left[max(0, frame - near) : frame + near + 1, j] = -1.0
-        left[max(0, frame - close) : frame + close + 1] = -1.0
+        candidates[max(0, frame - joint_spacing) : frame + joint_spacing + 1, j] = -1.0
+        candidates[max(0, frame - spacing) : frame + spacing + 1] = -1.0
         counts[j] += 1
-        left[:, counts >= _MOST_AT_ONE] = -1.0
+        candidates[:, counts >= _MOST_AT_JOINT] = -1.0
 
 
 def playback_page(playback: Playback, about: About) -> Page:
@@ -431,4 +426,5 @@ def effect_words(fitted: FittedEffect, units: Units) -> str:
     return f"{label} {shown} {units.parameter(effect.name, names[0], place)}".strip()
 
 
-VIEWS = {Playback: View(playback_page, "Played")}  # how to see this result
+VIEWS = {Playback: View(playback_page, "Played")}
+"""How each type of result is shown."""

@@ -1,4 +1,4 @@
-"""Results in sentences, and labels of effects, parameters and places."""
+"""Sentences about results, and labels of effects, parameters and places."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from geodrake.report.numbers import Units, estimate, number, percent
 
 MOST_NAMED = 4
 _MOST_VALUES = 2  # places whose values are listed one by one
-_LIKELY = 0.01  # probability from which on a rival is named
+_LIKELY = 0.01  # least probability of a rival that is named
 _NEARLY_ALL = 0.9995
 _NOTABLE = 0.05  # share of a joint's remaining squared error that its motion predicts
 _MOST_PLACES = 3
-_PRACTICAL = 1.5  # times the noise, up to which an error is noise for practical purposes
+_PRACTICAL = 1.5  # multiple of the noise that still counts as noise in practice
 _PROPER_NAMES = {"coulomb": "Coulomb", "stribeck": "Stribeck", "com": "CoM"}
 NOTHING = {
     "adequate": "No effect is worth adding.",
@@ -37,7 +37,7 @@ def listed(names: Sequence[str], last: str = "and") -> str:
 
 
 def capitalized(words: str) -> str:
-    """Return words whose first letter is a capital."""
+    """Return words with a capital first letter."""
     return words[:1].upper() + words[1:]
 
 
@@ -54,9 +54,9 @@ def effect_label(name: str) -> str:
 
 
 def places_label(where: Sequence[str], joints: Collection[str], *, most: int | None = None) -> str:
-    """Return where an effect acts, of the joints where it may: names or their number.
+    """Return the places of an effect, such as "a and b", "5 of 6 joints" or "the whole robot".
 
-    For example "5 of 6 joints", "all 6 joints", or "the whole robot" if there is no place.
+    `joints` are all at which it may act. More than `most` places are counted rather than named.
     """
     if not where:
         return "the whole robot"
@@ -76,9 +76,9 @@ def step_place(step: Step, joints: Collection[str], *, most: int | None = None) 
 
 def parameter_value(step: Step, place: str, name: str, units: Units) -> str:
     """Return a parameter of a step with its standard deviation, in the displayed unit."""
-    kinds = step.parameters, step.deviations, step.systematic
-    values = (kind.get(place, {}).get(name, np.nan) for kind in kinds)
-    return estimate(*(units.shown(step.effect, name, each) for each in values))
+    tables = step.parameters, step.deviations, step.systematic
+    values = (table.get(place, {}).get(name, np.nan) for table in tables)
+    return estimate(*(units.shown(step.effect, name, value) for value in values))
 
 
 def ordered_places(step: Step) -> list[str]:
@@ -88,7 +88,7 @@ def ordered_places(step: Step) -> list[str]:
 
 
 def step_parameters(step: Step, units: Units) -> tuple[str, ...]:
-    """Return the parameters of a step, a line each: values at few places, or their range."""
+    """Return a line for each parameter of a step: its values at few places, or their range."""
     values = _by_name(step)
     summary = units.effects[step.effect].summary if step.effect in units.effects else ""
     if summary in values:
@@ -106,8 +106,8 @@ def _amount(step: Step, name: str, units: Units) -> str:
     values = _by_name(step)[name]
     unit = units.parameter(step.effect, name, next(iter(values)))
     if len(values) > _MOST_VALUES:
-        nothing = 1e-9 * max(map(abs, values.values()))  # rounding errors at a bound
-        known = [0.0 if abs(value) <= nothing else value for value in values.values()]
+        rounding = 1e-9 * max(map(abs, values.values()))  # at a bound
+        known = [0.0 if abs(value) <= rounding else value for value in values.values()]
         low, high = (number(units.shown(step.effect, name, end(known))) for end in (min, max))
         text = low if low == high else f"{low} … {high}"
     else:
@@ -137,12 +137,12 @@ def found_words(step: FoundStep) -> str:
     """Return a step of the search: `payload on flange: nrms 0.703 -> 0.266`."""
     names, more = step.where[:_MOST_PLACES], len(step.where) - _MOST_PLACES
     where = listed([*names, f"{more} more"]) if more > 0 else places_label(names, ())
-    what = f"{step.effect or 'without ' + listed(step.instead_of)}"
+    change = step.effect or f"without {listed(step.instead_of)}"
     if step.where:
-        what += f" on {where}"
+        change += f" on {where}"
     if step.effect and step.instead_of:
-        what += f", instead of {listed(step.instead_of)}"
-    return f"{what}: nrms {number(step.before)} -> {number(step.after)}"
+        change += f", instead of {listed(step.instead_of)}"
+    return f"{change}: nrms {number(step.before)} -> {number(step.after)}"
 
 
 def lowers_error(step: Step) -> bool:
@@ -150,10 +150,10 @@ def lowers_error(step: Step) -> bool:
     return step.error_after < step.error_before
 
 
-def convincing(step: Step) -> bool:
+def is_convincing(step: Step) -> bool:
     """Return whether a step lowers held-out errors and is more probable than none or unknown."""
-    other = step.false_alarm_probability + step.unknown_probability
-    return lowers_error(step) and step.probability > other
+    doubt = step.false_alarm_probability + step.unknown_probability
+    return lowers_error(step) and step.probability > doubt
 
 
 def rivals(step: Step) -> str:
@@ -183,7 +183,7 @@ def failing_words(case: Failing) -> str:
 
 
 def failing_list(comparison: Comparison) -> tuple[str, ...]:
-    """Return where a model fails, in sentences; the worst joint is always among them."""
+    """Return where a model fails, in sentences that always include the worst joint."""
     words = tuple(map(failing_words, comparison.failing))
     worst = worst_joint(comparison.errors)
     named = {case.joint for case in comparison.failing}
@@ -194,7 +194,7 @@ def failing_list(comparison: Comparison) -> tuple[str, ...]:
 
 
 def correlate_words(found: Correlate) -> str:
-    """Return what the remaining error of a joint varies with, in a sentence."""
+    """Return a correlate of a joint's remaining error, in a sentence."""
     return (
         f"{found.joint}: {in_words(found.share)} of the remaining error varies with {found.words}."
     )
@@ -222,8 +222,8 @@ def explanation_mark(explanation: Explanation, *, added: bool = False) -> str:
         return "added"
     if explanation.verdict != "unexplained" or not steps:
         return explanation.verdict
-    near = end.shows_noise and end.nrms <= _PRACTICAL * end.floor_nrms
-    return "explained to practical noise" if near else "explained in part"
+    is_practical = end.shows_noise and end.nrms <= _PRACTICAL * end.floor_nrms
+    return "explained to practical noise" if is_practical else "explained in part"
 
 
 def explanation_headline(explanation: Explanation, units: Units, *, added: bool = False) -> str:
@@ -233,16 +233,16 @@ def explanation_headline(explanation: Explanation, units: Units, *, added: bool 
         return NOTHING[explanation.verdict]
     if added:
         return f"Added: {listed([finding(step, units) for step in steps])}."
-    real = [step for step in steps if convincing(step)]
-    doubtful = [step for step in steps if not convincing(step)]
-    parts = [f"Missing: {_list(real, units)}."] if real else []
+    certain = [step for step in steps if is_convincing(step)]
+    doubtful = [step for step in steps if not is_convincing(step)]
+    parts = [f"Missing: {_findings(certain, units)}."] if certain else []
     if doubtful:
-        parts.append(f"Less certain: {_list(doubtful, units)}.")
+        parts.append(f"Less certain: {_findings(doubtful, units)}.")
     return " ".join(parts)
 
 
-def _list(steps: Sequence[Step], units: Units) -> str:
-    """Return effects and their places, or the effects alone where that would be long."""
+def _findings(steps: Sequence[Step], units: Units) -> str:
+    """Return effects with their places, or without them if that would be long."""
     groups: dict[tuple[str, ...], list[Step]] = {}
     for step in steps:
         groups.setdefault(step.where, []).append(step)
@@ -258,7 +258,7 @@ def _list(steps: Sequence[Step], units: Units) -> str:
 
 
 def explanation_lead(explanation: Explanation, *, advised: bool) -> tuple[str, ...]:
-    """Return paragraphs that interpret an explanation, and what to do about the remaining error."""
+    """Return paragraphs that interpret an explanation, with advice on the remaining error."""
     start, end = explanation.start, explanation.end
     if not explanation.steps:
         first = f"The error of the model as it stands is {error_size(start)}."
@@ -272,47 +272,47 @@ def explanation_lead(explanation: Explanation, *, advised: bool) -> tuple[str, .
     if explanation.is_interrupted:
         first += " The search was interrupted: more may be missing."
     if explanation.verdict != "unexplained":
-        return first, f"{capitalized(_harmless(explanation))}."
+        return first, f"{capitalized(_error_cause(explanation))}."
     advice = "--draft-effect my_effect.py searches for a formula of the remaining error."
-    rest = " ".join((*_left(end), *_of_motion(explanation)))
+    rest = " ".join((*_remaining_error(end), *_motion_shares(explanation)))
     return (first, rest, advice) if advised else (first, rest)
 
 
-def _harmless(explanation: Explanation) -> str:
-    """Return what the remaining error is, where no effect is missing."""
-    end, gained = explanation.end, explanation.at_found_gains
+def _error_cause(explanation: Explanation) -> str:
+    """Return the cause of the remaining error if no effect is missing."""
+    end, calibrated = explanation.end, explanation.at_found_gains
     if end.is_noise or explanation.verdict == "undecided":
         return noise_alone(end)
-    left = f"the remaining error, nrms {number(end.nrms)}, is that of"
+    error = f"the remaining error, nrms {number(end.nrms)}, comes from"
     noise = f"sensor noise is {number(end.floor_nrms)}"
-    if gained is not None and gained.is_noise:
-        shown = f"with those that the logs show it is {number(gained.nrms)}"
-        return f"{left} gains of efforts: {shown}; {noise}"
-    also = "" if gained is None else ", and of gains of efforts"
-    return f"{left} reversals, where the logs do not show the direction of motion{also}; {noise}"
+    if calibrated is not None and calibrated.is_noise:
+        fitted = f"with gains fitted to the logs it is {number(calibrated.nrms)}"
+        return f"{error} the effort gains: {fitted}; {noise}"
+    gains = "" if calibrated is None else ", and from the effort gains"
+    return f"{error} reversals, where the logs do not show the direction of motion{gains}; {noise}"
 
 
 def _nrms_change(before: float, after: float) -> str:
-    """Return how an error on held-out data changed, in words."""
-    gone = explained_share(before, after)
-    share = in_words(gone) if gone > 0 else "none"
+    """Return the change of an error on held-out data, in words."""
+    removed = explained_share(before, after)
+    share = in_words(removed) if removed > 0 else "none"
     return (
         f"nrms on held-out data {number(before)} → {number(after)} ({share} of the squared error "
         "removed)"
     )
 
 
-def _left(end: ErrorTable) -> tuple[str, ...]:
+def _remaining_error(end: ErrorTable) -> tuple[str, ...]:
     if not end.shows_noise:
-        return ("The logs show no noise that the remaining error could be compared with.",)
+        return ("The logs show no noise to compare the remaining error with.",)
     return (
         f"The remaining error is {_times(end)}; a better model could remove "
         f"{_at_most(removable_share(end))} of its square.",
     )
 
 
-def _of_motion(explanation: Explanation) -> tuple[str, ...]:
-    """Return how much of the remaining error the motion predicts."""
+def _motion_shares(explanation: Explanation) -> tuple[str, ...]:
+    """Return the shares of the remaining error that the motion predicts, in a sentence."""
     shares = sorted(explanation.of_motion.items(), key=lambda joint: -joint[1])
     if not shares:
         return ()
@@ -333,7 +333,7 @@ def diagnosis_lead(diagnosis: Diagnosis) -> tuple[str, ...]:
         first = f"The error of the model as it stands is {error_size(diagnosis.start)}."
         if diagnosis.verdict != "unexplained":
             return first, f"{capitalized(noise_alone(diagnosis.refitted))}."
-        return (first, *_left(diagnosis.refitted))
+        return (first, *_remaining_error(diagnosis.refitted))
     best, *others = diagnosis.candidates
     first = f"With it, {_nrms_change(best.error_before, best.error_after)}."
     tied = [effect_label(e) for e in dict.fromkeys(o.effect for o in others if o.tied)]
@@ -370,17 +370,17 @@ def _times(errors: ErrorTable) -> str:
     """Return an error as a multiple of the noise, and the joints that stand out."""
     words = f"{number(errors.nrms / errors.floor_nrms)} times the sensor noise"
     words += f" ({number(errors.floor_nrms)})"
-    beyond = [
+    outliers = [
         f"{joint.joint} {number(joint.rms / joint.floor)} times its own"
         for joint in errors.above_noise
         if joint.floor > 0
     ]
-    # Where the whole is noise, those joints are why the verdict is another one.
-    return f"{words}, at {listed(beyond)}" if beyond and errors.whole_is_noise else words
+    # If the total is noise, these joints alone account for the verdict.
+    return f"{words}, at {listed(outliers)}" if outliers and errors.whole_is_noise else words
 
 
 def noise_alone(errors: ErrorTable) -> str:
-    """Return that an error is noise, or that the noise is too large or unknown."""
+    """Return the statement that an error is noise, or that the noise is too large or unknown."""
     if errors.is_mostly_noise:
         return (
             f"the sensor noise (nrms {number(errors.floor_nrms)}) is as large as the explained "

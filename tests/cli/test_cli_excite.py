@@ -274,7 +274,7 @@ class TestFeet:
         numbers = tmp_path / "n.json"
         plate = ("--feet", "l_foot", "--force-plate", "--friction", 0.7)
         output = excite(BIPED, *plate, *self.FAST, "--json", numbers)
-        assert "of a friction of 0.7" in output and "1 % of the weight" in output
+        assert "of the friction coefficient 0.7" in output and "1 % of the weight" in output
         noise = json.loads(numbers.read_text())["noise"]
         assert noise["fz"] == pytest.approx(0.01 * 9.81 * 57.5, rel=1e-3)
 

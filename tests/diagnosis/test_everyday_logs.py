@@ -128,7 +128,7 @@ def test_gains_of_efforts_are_no_missing_effect():
     assert places(found) == {"coulomb_friction": {*JOINTS}}
     assert found.verdict == "explained" and not found.end.is_noise
     assert found.at_found_gains.is_noise
-    assert "is that of gains of efforts" in page_of(found).sentence
+    assert "comes from the effort gains" in page_of(found).sentence
 
 
 @pytest.mark.parametrize("width", [0.008, 0.012])
