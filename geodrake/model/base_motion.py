@@ -307,15 +307,15 @@ def _usual_pose(log: JointLog, model: RobotModel) -> tuple[BasePose, str, dict[s
     if force is not None and gravity.any():
         _check_specific_force(force, gravity, log.name)
     known, rotations = np.ones(len(log), bool), dict[str, Rotation]()
-    if (found := orientation(columns)) is not None:
-        known = np.asarray(np.isfinite(found[1]).all(axis=1))
-        if found[0] != ANGLES:  # zeros mark missing values
-            known &= found[1].any(axis=1)
+    if (measured := orientation(columns)) is not None:
+        known = np.asarray(np.isfinite(measured[1]).all(axis=1))
+        if measured[0] != ANGLES:  # zeros mark missing values
+            known &= measured[1].any(axis=1)
         if not known.any():
             raise LogError(
                 f"Log {log.name!r} has no row with the orientation of the base.", advice=advice
             )
-        rotations = _rotations(*found, known, log.name)
+        rotations = _rotations(*measured, known, log.name)
     elif gyro is not None and force is not None:
         rotations = {_INTEGRATED: _integrated_orientation(log, gyro, force, gravity)}
     else:
@@ -324,7 +324,7 @@ def _usual_pose(log: JointLog, model: RobotModel) -> tuple[BasePose, str, dict[s
             f"{''.join(f'; {note}' for note in log.notes if note.startswith('columns ignored'))}.",
             advice=f"{advice} For a robot that is fixed to the world omit --floating.",
         )
-    if found is None:  # the yaw of an integrated orientation differs from that of positions
+    if measured is None:  # the yaw of an integrated orientation differs from that of positions
         position = None
     poses = {
         name: BasePose(log.time, known, R, position, spin, force) for name, R in rotations.items()
@@ -370,9 +370,9 @@ def _check_specific_force(force: Array, gravity: Array, name: str) -> None:
     felt = np.linalg.norm(force[np.isfinite(force).all(axis=1)], axis=1)
     g = float(np.linalg.norm(gravity))
     if felt.size == 0 or not 0.5 * g < np.mean(felt) < 2.0 * g:
-        found = f"{np.mean(felt):.3g} m/s² on average" if felt.size else "no value"
+        mean_force = f"{np.mean(felt):.3g} m/s² on average" if felt.size else "no value"
         raise LogError(
-            f"The IMU of log {name!r} has {found} of specific force, but at rest it must be "
+            f"The IMU of log {name!r} has {mean_force} of specific force, but at rest it must be "
             f"{g:.3g}.",
             advice="Log imu.linear_acceleration.x … including gravity, in m/s², or omit them and "
             "log base.orientation.w ….",
@@ -420,9 +420,9 @@ def _evidence(log: JointLog, model: RobotModel, pose: BasePose) -> Iterator[_Evi
         return _angle(felt[np.isfinite(felt).all(axis=1)].sum(axis=0), up)
 
     def off_rates(pose: BasePose) -> float:
-        seen, own = pose.rotations
-        size = np.square(seen).sum() + np.square(own).sum()
-        return float(np.square(seen - own).sum() / size) if size else np.nan
+        by_orientation, by_gyroscope = pose.rotations
+        size = np.square(by_orientation).sum() + np.square(by_gyroscope).sum()
+        return float(np.square(by_orientation - by_gyroscope).sum() / size) if size else np.nan
 
     yield _Evidence(
         off_vertical,
@@ -472,8 +472,8 @@ def _off_accelerations(pose: BasePose, gravity: Array) -> float:
     period = float(np.median(np.diff(pose.time)))
     step = max(1, round(_SWINGING / period))
     felt = np.hstack([pose.R_WB.apply(pose.force) + gravity, pose.position])
-    lost = uniform_filter1d((~np.isfinite(felt).all(axis=1)).astype(float), 2 * step + 1)
-    rows = np.flatnonzero(lost[step:-step] < 1e-9) + step
+    gaps = uniform_filter1d((~np.isfinite(felt).all(axis=1)).astype(float), 2 * step + 1)
+    rows = np.flatnonzero(gaps[step:-step] < 1e-9) + step
     own = np.nan_to_num(felt[:, :3])
     for _ in range(2):  # second differences are accelerations averaged twice
         own = uniform_filter1d(own, step, axis=0)
@@ -503,15 +503,15 @@ class _Feet:
         """Return the feet named in the log, or else the ends of limbs; None without legs."""
         names = (*frames_of(log.floating, FORCE), *frames_of(log.floating, FLAG))
         frames = contact_frames(model, [*dict.fromkeys(names)] or last_links(model))
-        own = [joint for joint in model.joints if joint not in model.base_joints]
-        if not frames or not set(own) <= set(log.joints):
+        legs = [joint for joint in model.joints if joint not in model.base_joints]
+        if not frames or not set(legs) <= set(log.joints):
             return None
         q = np.zeros((len(log), len(model.joints)))
-        q[:, np.isin(model.joints, own)] = log.position[:, [log.joints.index(j) for j in own]]
-        whole = pose.known & np.isfinite(q).all(axis=1)
+        q[:, np.isin(model.joints, legs)] = log.position[:, [log.joints.index(j) for j in legs]]
+        is_known = pose.known & np.isfinite(q).all(axis=1)
         if pose.position is not None:
-            whole &= np.isfinite(pose.position).all(axis=1)
-        rows = np.flatnonzero(whole)
+            is_known &= np.isfinite(pose.position).all(axis=1)
+        rows = np.flatnonzero(is_known)
         later = np.searchsorted(log.time[rows], log.time[rows] + _TURNING)
         near = later < len(rows)
         near[near] = (
@@ -522,8 +522,8 @@ class _Feet:
         bodies = RobotBodies(model.tree, model.positions(q[pairs.ravel()]), model.total_phi)
         places = np.stack([frame.middle(bodies) for frame in frames], 1)
         places = places.reshape(2, -1, len(frames), 3)
-        ways = np.linalg.norm(places[1] - places[0], axis=-1)
-        moves = np.median(ways, axis=0) > _MOVES if ways.size else np.zeros(len(frames), bool)
+        steps = np.linalg.norm(places[1] - places[0], axis=-1)
+        moves = np.median(steps, axis=0) > _MOVES if steps.size else np.zeros(len(frames), bool)
         return cls(pairs, places[:, :, moves], bool(names)) if moves.any() else None
 
     def _arms(self, pose: BasePose) -> Array:

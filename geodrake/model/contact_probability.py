@@ -174,13 +174,13 @@ def signs_of(
     for k, J in enumerate(np.moveaxis(jacobians, 1, 0)):
         speeds[known, k] = np.linalg.norm(times(J[:, :3], v[known]), axis=1)
     weight = float(model.total_phi[:, 0].sum() * np.linalg.norm(model.tree.gravity))
-    whole = np.asarray(np.isfinite(np.hstack([q, v, vd])).all(axis=1))
-    rows = whole[known]
+    is_known = np.asarray(np.isfinite(np.hstack([q, v, vd])).all(axis=1))
+    rows = is_known[known]
     if by_efforts and is_measured.any() and rows.any():
         at_base = np.isin(model.joints, model.base_joints)
-        motion = Motion(model.positions(q[whole]), v[whole], vd[whole])
-        missing = model.effort(motion) - tau[whole]
-        noise = _EFFORT * np.sqrt(np.nanmean(np.square(tau[whole]), axis=0))
+        motion = Motion(model.positions(q[is_known]), v[is_known], vd[is_known])
+        missing = model.effort(motion) - tau[is_known]
+        noise = _EFFORT * np.sqrt(np.nanmean(np.square(tau[is_known]), axis=0))
         for k, J in enumerate(np.moveaxis(jacobians, 1, 0)):
             limb = np.asarray(J.any(axis=(0, 1))) & ~at_base
             if not limb.any() or not is_measured[limb].all():
@@ -190,5 +190,5 @@ def signs_of(
             by_noise = np.square(solution * noise[limb]).sum(axis=2)
             deviations = np.sqrt((_LIGHT * weight / count) ** 2 + by_noise)
             force = times(solution, missing[:, limb])
-            loads[whole, k] = (np.abs(force) / deviations).max(axis=1)
+            loads[is_known, k] = (np.abs(force) / deviations).max(axis=1)
     return FrameSigns(log.time, all_heights, speeds, loads)

@@ -50,26 +50,26 @@ def second_opinion(model: RobotModel, states: States) -> tuple[str, Array, Array
     try:
         with drake_messages():
             texts = read_description(model.path, model.given).texts
-        alone = len(texts) == 1 and isinstance(texts[0], MjcfText)
-        own = alone and not is_of_file(model)
+        is_mjcf = len(texts) == 1 and isinstance(texts[0], MjcfText)
+        was_changed = is_mjcf and not is_of_file(model)
     except ModelError as error:
         return f"the model's file cannot be read again: {error.problem.rstrip('.')}"
     bodies_differ = not np.array_equal(model.total_phi, inertial_parameters(model.plant))
-    if own or bodies_differ or model.fitted_to:
+    if was_changed or bodies_differ or model.fitted_to:
         return "the model was changed after loading its file"
     held = {name: place for text in texts for name, place in _held(model, text).items()}
-    if alone and isinstance(texts[0], MjcfText):
+    if is_mjcf and isinstance(texts[0], MjcfText):
         return with_mujoco(model, texts[0].compiled, held, states)
     pinocchio: OtherProgram | str = ""
     if len(texts) == 1 and texts[0].kind == "urdf":
         pinocchio = by_pinocchio(model, texts[0], held, joint_units(model.plant))
     why = pinocchio if isinstance(pinocchio, str) else ""
-    found = by_drake(model) if isinstance(pinocchio, str) else pinocchio
-    if isinstance(found, str):
-        return why or found
+    other = by_drake(model) if isinstance(pinocchio, str) else pinocchio
+    if isinstance(other, str):
+        return why or other
     ours = inverse_dynamics(model.tree, *states, model.total_phi)
-    by = f"{found.by} ({why})" if why else found.by
-    return by, found.efforts_of(model.coordinates, states), ours
+    by = f"{other.by} ({why})" if why else other.by
+    return by, other.efforts_of(model.coordinates, states), ours
 
 
 def _held(model: RobotModel, text: ModelText) -> Places:
@@ -189,9 +189,9 @@ def check_dynamics(model: RobotModel, *, samples: int = 100, seed: int = 0) -> D
     of_model = model.joints, len(model.bodies), samples, seed, model.repairs, model.left_out
     second, by = None, second_opinion(model, states)
     if not isinstance(by, str):
-        by, efforts, own = by
+        by, efforts, by_model = by
         size = float(np.abs(efforts).max(initial=0.0))
-        second = _agreement(f"efforts by {by}", own - efforts, size, model.joints)
+        second = _agreement(f"efforts by {by}", by_model - efforts, size, model.joints)
     notes = tuple(dict.fromkeys((*model.repairs, *model.notes)))
     return DynamicsCheck(agreements, *of_model, second, by, notes)
 
@@ -235,7 +235,7 @@ def _by_plant(model: RobotModel, states: States, others: Array) -> Quantities:
     along = vd - times(jacobians, states[2])
     context, other = model.create_context(), plant.CreateDefaultContext()
     none = MultibodyForces(plant)
-    found: dict[str, list[Array]] = {name: [] for name in QUANTITIES}
+    result: dict[str, list[Array]] = {name: [] for name in QUANTITIES}
     for k, phi in enumerate(others):
         set_inertial_parameters(plant, other, phi)
         for at in (context, other):
@@ -252,8 +252,8 @@ def _by_plant(model: RobotModel, states: States, others: Array) -> Quantities:
             J.T @ M @ J,
         )
         for name, value in zip(QUANTITIES, values, strict=True):
-            found[name].append(value)
-    return {name: np.array(values) for name, values in found.items()}
+            result[name].append(value)
+    return {name: np.array(values) for name, values in result.items()}
 
 
 def _agreement(name: str, error: Array, size: float, joints: Sequence[str]) -> Agreement:

@@ -212,7 +212,7 @@ def distributed(body: LumpedBody, stated: Array, phi: Array) -> tuple[Array, str
         )
     else:
         parts = _mapped_bodies(parts, phi)
-        note = f"{', '.join(names)}: welded together, so all change to form the identified body"
+        note = f"{', '.join(names)}: welded together; all change alike to form the identified body"
     for k in np.flatnonzero(has_mass):
         after[k] = change_frame(parts[k], *inverse[k])
     return after, note

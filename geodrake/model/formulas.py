@@ -185,16 +185,16 @@ _SYMBOLS: WeakValueDictionary[tuple[Any, ...], Symbol] = WeakValueDictionary()
 
 def in_order(formulas: Iterable[Operand]) -> Iterator[Symbol]:
     """Yield each symbol of formulas once, operands first, without recursion."""
-    pending, seen = [x for x in formulas if isinstance(x, Symbol)][::-1], set[Symbol]()
+    pending, visited = [x for x in formulas if isinstance(x, Symbol)][::-1], set[Symbol]()
     while pending:
         symbol = pending[-1]
-        operands = () if symbol.operation == "input" or symbol in seen else symbol.operands
-        waiting = [x for x in operands if isinstance(x, Symbol) and x not in seen]
+        operands = () if symbol.operation == "input" or symbol in visited else symbol.operands
+        waiting = [x for x in operands if isinstance(x, Symbol) and x not in visited]
         pending += waiting
         if not waiting:
             pending.pop()
-            if symbol not in seen:
-                seen.add(symbol)
+            if symbol not in visited:
+                visited.add(symbol)
                 yield symbol
 
 
@@ -232,13 +232,13 @@ def _recorded(
 ) -> Operand:
     out = options.pop("out", None)
     if method == "__call__" and ufunc.signature is None:
-        found = _entrywise(ufunc.__name__, inputs)
+        result = _entrywise(ufunc.__name__, inputs)
     else:  # reductions and matrix products, which call this again for their entries
         plain = [np.asarray(x, object) if isinstance(x, np.ndarray) else x for x in inputs]
-        found = _as_symbols(getattr(ufunc, method)(*plain, **options))
+        result = _as_symbols(getattr(ufunc, method)(*plain, **options))
     if out is None:
-        return found
-    out[0][...] = found
+        return result
+    out[0][...] = result
     return out[0]
 
 
@@ -266,9 +266,9 @@ def _as_symbols(found: Any) -> Any:
 def recorded_rows(effect: Effect, motion: RobotMotion) -> Mapping[str, Formulas]:
     """Return joint -> steady-state columns (k,) of an effect for one sample of symbols."""
     try:
-        found: Any = effect.formula_rows(motion)
+        rows: Any = effect.formula_rows(motion)
         count = len(effect.parameters)
-        return {joint: np.asarray(x, object).reshape(count) for joint, x in found.items()}
+        return {joint: np.asarray(x, object).reshape(count) for joint, x in rows.items()}
     except Exception as error:  # NumPy may raise any type for symbols
         line = line_of(type(effect), "columns", "rows", "formula_rows")
         problem = error.problem if isinstance(error, ArgumentError) else str(error)

@@ -86,25 +86,25 @@ def contact_jacobians(
     With `soles`, which also transmit moments, angular rows follow: (N, c, 6, nv).
     """
     count, axes = len(bodies.q), 6 if soles else 3
-    found = np.zeros((count, len(frames), axes, bodies.tree.num_velocities))
+    jacobians = np.zeros((count, len(frames), axes, bodies.tree.num_velocities))
     for k, frame in enumerate(frames):
         motion = bodies.motion(frame.body)
         arm = motion.rotation @ frame.center - frame.radius * upwards(bodies.gravity)
-        own, dofs = (contiguous(motion.angular), contiguous(motion.linear)), np.array(motion.dofs)
-        _put_point_jacobian(own, arm, dofs, found, k)
-    return found
+        body, dofs = (contiguous(motion.angular), contiguous(motion.linear)), np.array(motion.dofs)
+        _put_point_jacobian(body, arm, dofs, jacobians, k)
+    return jacobians
 
 
 @compiled
 def _put_point_jacobian(
-    own: tuple[Array, Array], arm: Array, dofs: NDArray[np.intp], out: Array, k: int
+    body: tuple[Array, Array], arm: Array, dofs: NDArray[np.intp], out: Array, k: int
 ) -> None:
     """Write the k-th Jacobian, of points at (N, 3) from a body's origin, in W.
 
     `own` contains the Jacobians (N, 3, nv) of the body's rotation and of its origin. Only columns
     of the velocities `dofs`, which move the body, are written.
     """
-    angular, linear = own
+    angular, linear = body
     for n in range(len(arm)):
         x, y, z = arm[n, 0], arm[n, 1], arm[n, 2]
         for i in dofs:
@@ -135,7 +135,7 @@ def contact_frames(model: RobotModel, names: Sequence[str]) -> tuple[ContactFram
     if model.plant not in _BALLS:
         is_file = model.path.is_file()
         _BALLS[model.plant] = collision_balls(model.path, model.given) if is_file else {}
-    balls, found = _BALLS[model.plant], []
+    balls, frames = _BALLS[model.plant], []
     for name in names:
         if name not in links:
             raise LogError(
@@ -146,8 +146,8 @@ def contact_frames(model: RobotModel, names: Sequence[str]) -> tuple[ContactFram
         center, radius = balls.get(link.scoped_name, (np.zeros(3), 0.0))
         X_BL = link.X_RB
         frame = X_BL.translation(), X_BL.rotation().matrix(), X_BL.multiply(center), radius
-        found.append(ContactFrame(name, body, *frame))
-    return tuple(found)
+        frames.append(ContactFrame(name, body, *frame))
+    return tuple(frames)
 
 
 def with_ground(log: JointLog, model: RobotModel) -> JointLog:
@@ -230,8 +230,8 @@ def _with_contacts(
         may_touch = widened(log.time, np.nan_to_num(touching) > _DOUBT)
         doubtful = ((may_touch | flags) & ~(touching >= 1.0 - _DOUBT)).any(axis=1).mean()
         flags |= may_touch
-        whole = np.isfinite(touching).all(axis=1)
-        doubts += _check_airborne(log, touching[whole])
+        is_known = np.isfinite(touching).all(axis=1)
+        doubts += _check_airborne(log, touching[is_known])
         shares = zip(names, (touching > 0.5).mean(axis=0).tolist(), strict=True)
         frequent = [f"{name} in {x:.0%}" for name, x in shares if x > _DOUBT]
         doubts.append(
@@ -278,8 +278,8 @@ def _contact_probabilities(
     heights, probability = np.full((2, len(log), len(frames)), np.nan)
     if not known.any():
         return heights, probability
-    own = np.stack([frame.height(bodies) for frame in frames], -1)
-    heights[known] = own - np.percentile(own.min(axis=1), _LOWEST)
+    raw = np.stack([frame.height(bodies) for frame in frames], -1)
+    heights[known] = raw - np.percentile(raw.min(axis=1), _LOWEST)
     near = np.flatnonzero((heights[known] < HIGHEST).any(axis=0)).tolist()
     may_be_soles = sum(frames[k].radius == 0.0 for k in near) < _POINTS
     jacobians = contact_jacobians([frames[k] for k in near], bodies, soles=may_be_soles)
@@ -362,9 +362,9 @@ def _with_wrenches(log: JointLog, model: RobotModel, names: Sequence[str]) -> Jo
         motion = bodies.motion(frame.body)
         R_WL = motion.rotation @ frame.rotation
         wrench = np.stack([force[known], torque[known]], 1)  # (K, 2, 3)
-        own = np.concatenate([motion.jacobian_at(frame.origin), motion.angular], axis=1)
-        efforts += np.einsum("nij,ni->nj", own, (wrench @ np.swapaxes(R_WL, 1, 2)).reshape(-1, 6))
-        J[:, k], wrenches[:, k], turns[:, k] = own[few][:, :, is_base], wrench[few], R_WL[few]
+        J_L = np.concatenate([motion.jacobian_at(frame.origin), motion.angular], axis=1)
+        efforts += np.einsum("nij,ni->nj", J_L, (wrench @ np.swapaxes(R_WL, 1, 2)).reshape(-1, 6))
+        J[:, k], wrenches[:, k], turns[:, k] = J_L[few][:, :, is_base], wrench[few], R_WL[few]
     if bare:
         notes.append(f"no moments at {', '.join(bare)}: taken as zero, although soles carry them")
     needed = model.effort(Motion(bodies.q[few], v[few], vd[few]))[:, is_base]
@@ -374,9 +374,9 @@ def _with_wrenches(log: JointLog, model: RobotModel, names: Sequence[str]) -> Jo
     notes.append(
         f"wrenches at {', '.join(names)} are included in the efforts of the base and the joints"
     )
-    ground, whole = np.zeros(log.effort.shape), np.full((len(log), len(model.joints)), np.nan)
-    whole[known] = efforts
-    ground[:, [log.joints.index(joint) for joint in model.joints]] = whole
+    ground, total = np.zeros(log.effort.shape), np.full((len(log), len(model.joints)), np.nan)
+    total[known] = efforts
+    ground[:, [log.joints.index(joint) for joint in model.joints]] = total
     of_base = np.isin(log.joints, model.base_joints)  # these have no other measured effort
     return replace(
         log,
@@ -401,8 +401,8 @@ def _check_wrenches(
         seen: Base Jacobians (S, F, 6, 6) of F links in S samples, their wrenches (S, F, 2, 3), R_WL
             (S, F, 3, 3), and the required efforts of the base (S, 6).
     """
-    whole = np.isfinite(seen[1]).all(axis=(1, 2, 3))
-    J, wrenches, turns, needed = (each[whole] for each in seen)
+    is_known = np.isfinite(seen[1]).all(axis=(1, 2, 3))
+    J, wrenches, turns, needed = (each[is_known] for each in seen)
     size = float(model.total_phi[:, 0].sum() * np.linalg.norm(model.tree.gravity))
     if not len(J) or not size:
         return ()
@@ -471,7 +471,7 @@ def _fitted_axes(forces: Array, turns: Array, weight: Array) -> Rotation:
         return np.asarray(R @ np.append(turn.as_matrix(), -1.0))
 
     right = Rotation.create_group("O")
-    nearest = right[int(np.argmin([np.linalg.norm(misses(way)) for way in right]))]
+    nearest = right[int(np.argmin([np.linalg.norm(misses(axes)) for axes in right]))]
     fit = least_squares(lambda x: misses(Rotation.from_rotvec(x) * nearest), np.zeros(3))
     return Rotation.from_rotvec(fit.x) * nearest
 

@@ -84,12 +84,12 @@ class OtherProgram:
             unaccelerated = rpy.CalcRpyDDtFromRpyDtAndAngularAccelInParent(v[:2:-1], np.zeros(3))
             bias[:3] = -spin @ unaccelerated
             place, back = rpy.ToQuaternion().wxyz(), rpy.ToRotationMatrix().matrix().T
-            T, rest = np.zeros((6, 6)), np.zeros(6)
+            T, extra = np.zeros((6, 6)), np.zeros(6)
             T[:3, 3:], T[3:, :3] = np.eye(3), back
             if self.in_body:
                 angular, linear = (back @ each for each in np.split(B @ v, 2))
-                place, T[:3, 3:], rest[:3] = np.roll(place, -1), back, -np.cross(angular, linear)
-            return np.concatenate([q[:3], place]), T @ B, T @ bias + rest
+                place, T[:3, 3:], extra[:3] = np.roll(place, -1), back, -np.cross(angular, linear)
+            return np.concatenate([q[:3], place]), T @ B, T @ bias + extra
         if len(q) == 3:
             rpy = RollPitchYaw(q)
             turned = rpy.ToQuaternion().wxyz()
@@ -172,12 +172,12 @@ def with_mujoco(
 
     Dry friction is excluded.
     """
-    found = by_mujoco(theirs, held, joint_units(model.plant))
-    if isinstance(found, str):
-        return found
+    program = by_mujoco(theirs, held, joint_units(model.plant))
+    if isinstance(program, str):
+        return program
     smooth = [f for f in model.effects if not isinstance(f.effect, DryFriction | CoupledDry)]
     ours = replace(model, effects=tuple(smooth)).effort(Motion(*states))
-    return found.by, found.efforts_of(model.coordinates, states), ours
+    return program.by, program.efforts_of(model.coordinates, states), ours
 
 
 def joint_units(plant: MultibodyPlant) -> list[tuple[Joint, ...]]:
@@ -243,8 +243,8 @@ def by_pinocchio(model: Model, text: ModelText, held: Places, units: Units) -> O
     names = ["root_joint" if len(unit) > 1 else unit[-1].name() for unit in units]
     counts = [len(unit) - 1 + unit[-1].num_velocities() for unit in units]
     named = dict(zip(names, counts, strict=True))
-    there = [name for name in (*named, *held) if theirs.existJointName(name)]
-    joints = {name: theirs.joints[theirs.getJointId(name)] for name in there}
+    known = [name for name in (*named, *held) if theirs.existJointName(name)]
+    joints = {name: theirs.joints[theirs.getJointId(name)] for name in known}
     sizes = {**dict.fromkeys(held, 1), **named}
     if any(name not in joints or joints[name].nv != nv or nv == 3 for name, nv in sizes.items()):
         return "Pinocchio has other joints"
@@ -306,10 +306,10 @@ def _read_by_pinocchio(pinocchio: ModuleType, model: Model, text: ModelText) -> 
     xml = parse_xml_bytes(data, text.path)
     if b"<!ENTITY" in data:  # Pinocchio's parser does not expand entities
         data = numbered_text(xml)[0].encode()
-    scope, own = _root_of(xml, text).rsplit("::", 1)
+    scope, name = _root_of(xml, text).rsplit("::", 1)
     root, R = plant.world_body(), RotationMatrix()
-    if own != "world":
-        root = plant.GetBodyByName(own, plant.GetModelInstanceByName(scope))
+    if name != "world":
+        root = plant.GetBodyByName(name, plant.GetModelInstanceByName(scope))
     floats = any(base[-1].child_body().index() == root.index() for base in base_joints(plant))
     free = [pinocchio.JointModelFreeFlyer()] if floats else []
     if not floats:

@@ -376,14 +376,14 @@ class RobotModel(Short):
     def sliding_joints(self) -> tuple[str, ...]:
         """Return the names of the prismatic joints, with positions in m and efforts in N."""
         starts = self.single_places
-        own = tuple(self.joints[i] for i in starts if self._types[i] == "prismatic")
+        sliding = tuple(self.joints[i] for i in starts if self._types[i] == "prismatic")
         if not self.joints_behind:
-            return own
+            return sliding
         names, slides = joint_names(self.plant), moving_joints(self.plant)
         at = (int(j.velocity_start()) for j in slides if j.type_name() == "prismatic")
         loops = (d.map for d in self.transmission if isinstance(d.map, LoopTransmission))
         closing = (loop.joints[k] for loop in loops for k in loop.cut if loop.slides[k])
-        return (*own, *(names[k] for k in at if names[k] in self.joints_behind), *closing)
+        return (*sliding, *(names[k] for k in at if names[k] in self.joints_behind), *closing)
 
     @cached_property
     def single_places(self) -> list[int]:

@@ -349,8 +349,8 @@ def _given_with(path: Path, saved: SavedModel, given: Given) -> Given:
             advice=f"Use them with the model file {saved.base_model}.",
         )
     remembered = {name: folder / where for name, where in saved.packages.items()}
-    there = {name: where for name, where in remembered.items() if where.is_dir()}
-    packages = {**there, **given.packages}
+    existing = {name: where for name, where in remembered.items() if where.is_dir()}
+    packages = {**existing, **given.packages}
     return Given(robot, packages, saved.xacro, given.trust_xacro, tuple(saved.leading))
 
 
@@ -361,7 +361,7 @@ def _check_effects(path: Path, saved: SavedModel, extra: Sequence[type[Effect]])
             effect_class(effect.name, extra)
         except ArgumentError as error:
             near = error.evidence.get("nearest")
-            own = f", of the class {effect.class_name}" if effect.class_name else ""
+            class_words = f", of the class {effect.class_name}" if effect.class_name else ""
             file = path.parent / effect.file
             how = f"Give its file, which was {file.name!r}: --effects FILE.py"
             if not effect.file:
@@ -369,7 +369,7 @@ def _check_effects(path: Path, saved: SavedModel, extra: Sequence[type[Effect]])
             elif _is_file(file):
                 how = f"Give its file: --effects {shlex.quote(os.path.relpath(file))}"
             raise ModelError(
-                f"{path} has the effect {effect.name!r}{own}, which is unknown.",
+                f"{path} has the effect {effect.name!r}{class_words}, which is unknown.",
                 advice=f"{how} (from Python: load_model(path, extra=…))."
                 + (f" Or was {', '.join(near)} meant?" if near and not effect.file else ""),
             ) from error
@@ -384,9 +384,9 @@ def _base_of_saved(path: Path, saved: SavedModel) -> Path:
     folder, relative = path.resolve().parent, saved.base_model
     places = [folder / relative, folder / Path(relative).name]
     places += [Path(saved.base_absolute)] if saved.base_absolute else []
-    there = [place for place in places if _is_file(place)] or places[:1]
-    alike = [p for p in there if _digest(p) == saved.base_sha256] if there[1:] else []
-    base = [*alike, *there][0]
+    existing = [place for place in places if _is_file(place)] or places[:1]
+    alike = [p for p in existing if _digest(p) == saved.base_sha256] if existing[1:] else []
+    base = [*alike, *existing][0]
     try:
         base = regular_file(base, "file", ModelError)
     except ModelError as error:

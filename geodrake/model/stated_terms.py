@@ -166,7 +166,7 @@ def stated_effects(loaded: LoadedPlant, coordinates: RobotCoordinates) -> Stated
     return effects
 
 
-def _add_of_bodies(found: StatedEffects, loaded: LoadedPlant) -> None:
+def _add_of_bodies(effects: StatedEffects, loaded: LoadedPlant) -> None:
     """Add gravity compensation, struts and media, at the bodies of their links."""
     terms, plant = loaded.terms, loaded.plant
     places, still = stated.places_of_links(plant), (stated.WORLD, RigidTransform())
@@ -182,19 +182,19 @@ def _add_of_bodies(found: StatedEffects, loaded: LoadedPlant) -> None:
     for body, weight in weights.items():
         for by, sign in _carriers(loaded, body) if weight[0] else ():
             carried = Carried((body, by), *(weight[1:] / weight[0]).tolist())
-            found.add(carried, sign * weight[0])
+            effects.add(carried, sign * weight[0])
     for strut in terms.struts:
         (one, X), (two, Y) = (places.get(link, ("", RigidTransform())) for link in strut.bodies)
         if one and two and one != two:
             ends = (X @ strut.points[0]).tolist(), (Y @ strut.points[1]).tolist()
             preload = -strut.stiffness * strut.length
             effect = StrutEffect((one, two), *ends[0], *ends[1])
-            found.add(effect, strut.stiffness, preload, strut.damping)
+            effects.add(effect, strut.stiffness, preload, strut.damping)
     for ball in terms.balls:
         (one, X), (two, Y) = (places.get(link, ("", RigidTransform())) for link in ball.bodies)
         if one and two and one != two:
             turn = Y.rotation() @ ball.rest @ X.rotation().inverse()
-            found.add(Ball((one, two), *turn.ToQuaternion().wxyz()), ball.stiffness)
+            effects.add(Ball((one, two), *turn.ToQuaternion().wxyz()), ball.stiffness)
     for each in terms.in_medium:
         body, X = places.get(each.body, still)
         if body != stated.WORLD:
@@ -202,7 +202,7 @@ def _add_of_bodies(found: StatedEffects, loaded: LoadedPlant) -> None:
             turn = X_BP.rotation().ToQuaternion().wxyz()
             kind = Ellipsoid if each.coefficients else Medium
             values = *each.size, *X_BP.translation(), *turn, *each.wind, *each.coefficients
-            found.add(kind(body, *values), each.density, each.viscosity)
+            effects.add(kind(body, *values), each.density, each.viscosity)
 
 
 def _carriers(loaded: LoadedPlant, body: str) -> list[tuple[str, float]]:

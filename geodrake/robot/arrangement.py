@@ -185,13 +185,13 @@ def geared(plant: MultibodyPlant, box: Gearbox) -> tuple[str, Tie] | None:
             by_ends[frozenset(ends)] = joint, ends[1]
     for link, (frame, axis) in zip(box.links, box.axes, strict=True):
         scope, _, name = frame.rpartition("::")
-        where, found = (
+        where, entry = (
             plant.GetModelInstanceByName(scope),
             by_ends.get(frozenset((box.reference, link))),
         )
-        if found is None or not plant.HasFrameNamed(name, where):
+        if entry is None or not plant.HasFrameNamed(name, where):
             return None
-        joint, outer = found
+        joint, outer = entry
         R_WF = joint.frame_on_parent().CalcRotationMatrixInWorld(context)
         R_WA = plant.GetFrameByName(name, where).CalcRotationMatrixInWorld(context)
         cosine = R_WF.multiply(joint.revolute_axis()) @ R_WA.multiply(axis / np.linalg.norm(axis))
@@ -282,7 +282,7 @@ def checked_held(
     `joints`, of one degree of freedom, and `held`, rad or m, have user-visible names.
     """
     names = {scoped(joint): name for name, joint in joints.items()}
-    ties = {names[own]: tie for own, tie in followers.items()}
+    ties = {names[follower]: tie for follower, tie in followers.items()}
     places: dict[str, float] = {}
     for name, value in held.items():
         if name not in joints:
@@ -305,8 +305,8 @@ def checked_held(
                 advice="Fix it within them, or correct the limits.",
             )
         places[scoped(joint)] = value
-    leading = ((own, tie) for own, tie in followers.items() if tie.leader in places)
-    return {own: tie.at(places[tie.leader]) for own, tie in leading} | places
+    leading = ((follower, tie) for follower, tie in followers.items() if tie.leader in places)
+    return {follower: tie.at(places[tie.leader]) for follower, tie in leading} | places
 
 
 def poses_of(
@@ -317,13 +317,13 @@ def poses_of(
     Joints of one degree of freedom are at `places`, rad or m, others at their defaults.
     """
     context, places = plant.CreateDefaultContext(), places or {}
-    q, own = np.array(plant.GetPositions(context)), {scoped(j): j for j in moving_joints(plant)}
-    for name in own.keys() & places.keys():
-        q[own[name].position_start()] = places[name]
+    q, moving = np.array(plant.GetPositions(context)), {scoped(j): j for j in moving_joints(plant)}
+    for name in moving.keys() & places.keys():
+        q[moving[name].position_start()] = places[name]
     plant.SetPositions(context, q)
     return {
         name: joint.frame_on_child().CalcPose(context, joint.frame_on_parent())
-        for name, joint in own.items()
+        for name, joint in moving.items()
         if name in joints
     }
 

@@ -212,8 +212,8 @@ def _scales(factor: Array, bodies: int) -> Array:
     scales = np.empty_like(blocks)
     for kind, size in zip(_KINDS, sizes, strict=True):
         scales[:, kind] = size
-    every = np.concatenate([scales.ravel(), norms[split:]])
-    return np.where(every > 0, every, 1.0)
+    all_scales = np.concatenate([scales.ravel(), norms[split:]])
+    return np.where(all_scales > 0, all_scales, 1.0)
 
 
 def _independent(scaled: Array, rank: int, bodies: int, tolerance: float) -> Indices:

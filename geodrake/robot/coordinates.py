@@ -72,10 +72,10 @@ def _with_followers(drive: Drive, ties: Sequence[Tie], leaders: Sequence[int]) -
     unit = np.eye(len(drive.joints))
     copies = LinearTransmission.of(np.vstack([unit, unit[list(leaders)]]))
     laws = [power_series([tie.coefficients]) for tie in ties]
-    whole = InSequence((drive.map, copies, SideBySide((LinearTransmission.of(unit), *laws))))
-    if (J := whole.constant_jacobian) is None:
-        return whole
-    return LinearTransmission.of(J, whole.joint_positions(np.zeros((1, J.shape[1])))[0])
+    extended = InSequence((drive.map, copies, SideBySide((LinearTransmission.of(unit), *laws))))
+    if (J := extended.constant_jacobian) is None:
+        return extended
+    return LinearTransmission.of(J, extended.joint_positions(np.zeros((1, J.shape[1])))[0])
 
 
 class DrivenCoordinates(JointlyEvaluated):
@@ -152,27 +152,27 @@ class RobotCoordinates(DrivenCoordinates):
         by_name = {joints[at]: at for at in sorted(single.difference(leaders))}
         _check(drives, by_name)
         moving = {joint for drive in drives for joint in drive.joints}
-        alone = dict.fromkeys(joints[at] for at in leaders.values() if joints[at] not in moving)
-        drives = [*drives, *map(Drive.of_joint, alone)]
+        undriven = dict.fromkeys(joints[at] for at in leaders.values() if joints[at] not in moving)
+        drives = [*drives, *map(Drive.of_joint, undriven)]
         moved = [[by_name[joint] for joint in drive.joints] for drive in drives]
-        seated = [seated_at(drive, own) for drive, own in zip(drives, moved, strict=True)]
-        driven = {at for own in moved for at in own}
+        seated = [seated_at(drive, indices) for drive, indices in zip(drives, moved, strict=True)]
+        driven = {at for indices in moved for at in indices}
         gone = driven.difference(*seated).union(leaders)  # joints without an actuator of their own
-        there = np.setdiff1d(np.arange(len(joints)), [*gone])
-        kept = np.setdiff1d(there, [*driven])
+        coordinates = np.setdiff1d(np.arange(len(joints)), [*gone])
+        kept = np.setdiff1d(coordinates, [*driven])
         names, places = dict(enumerate(joints)), []
-        for drive, own, seats in zip(drives, moved, seated, strict=True):
+        for drive, indices, seats in zip(drives, moved, seated, strict=True):
             names |= dict(zip(seats, drive.actuators, strict=True))
-            led = [at for at, leader in leaders.items() if leader in own]
-            whole = _with_followers(
-                drive, [ties[at] for at in led], [own.index(leaders[at]) for at in led]
+            led = [at for at, leader in leaders.items() if leader in indices]
+            extended = _with_followers(
+                drive, [ties[at] for at in led], [indices.index(leaders[at]) for at in led]
             )
-            at = np.searchsorted(there, seats)
-            places.append(Places(drive, whole, np.array(seats), at, np.array([*own, *led])))
+            at = np.searchsorted(coordinates, seats)
+            places.append(Places(drive, extended, np.array(seats), at, np.array([*indices, *led])))
         return cls(
-            tuple(names[at] for at in there.tolist()),
+            tuple(names[at] for at in coordinates.tolist()),
             tuple(places),
-            np.array([np.searchsorted(there, kept), kept]),
+            np.array([np.searchsorted(coordinates, kept), kept]),
             joints,
             single,
             leaders,
@@ -212,16 +212,16 @@ class RobotCoordinates(DrivenCoordinates):
 
     def _along(self, q: Array, v: Array | None) -> tuple[Array, Array, Array]:
         shape = len(q), *self.shape
-        whole, J, rate = np.zeros((len(q), self.size)), np.zeros(shape), np.zeros(shape)
-        own, tree = self.kept
-        whole[:, tree] = q[:, own]
-        J[:, tree, own] = 1.0
+        theta, J, rate = np.zeros((len(q), self.size)), np.zeros(shape), np.zeros(shape)
+        robot, tree = self.kept
+        theta[:, tree] = q[:, robot]
+        J[:, tree, robot] = 1.0
         for place in self.places:
             block = np.ix_(np.arange(len(q)), place.joints, place.actuators)
             rates = None if v is None else v[:, place.actuators]
-            found = place.map.along(q[:, place.actuators], rates)
-            whole[:, place.joints], J[block], rate[block] = found
-        return whole, J, rate
+            parts = place.map.along(q[:, place.actuators], rates)
+            theta[:, place.joints], J[block], rate[block] = parts
+        return theta, J, rate
 
     @cached_property
     def driven(self) -> Indices:
@@ -245,11 +245,11 @@ class RobotCoordinates(DrivenCoordinates):
         """
         parts = [self.along(q, v)]
         for place, loop in self._loops:
-            at, own = list(loop.cut), place.actuators
-            theta, G, rate = loop.of_all(q[:, own], None if v is None else v[:, own])
-            rows = np.zeros((2, len(q), len(at), len(self.names)))
-            rows[0][:, :, own], rows[1][:, :, own] = G[:, at], rate[:, at]
-            parts.append((theta[:, at], *rows))
+            cut, actuators = list(loop.cut), place.actuators
+            theta, G, rate = loop.of_all(q[:, actuators], None if v is None else v[:, actuators])
+            rows = np.zeros((2, len(q), len(cut), len(self.names)))
+            rows[0][:, :, actuators], rows[1][:, :, actuators] = G[:, cut], rate[:, cut]
+            parts.append((theta[:, cut], *rows))
         theta, J, rate = (np.concatenate(each, axis=1) for each in zip(*parts, strict=True))
         return theta, J, rate
 
@@ -278,8 +278,8 @@ class RobotCoordinates(DrivenCoordinates):
     def nearest(self, theta: Array) -> Array:
         """Return the robot's positions (N, nq) with joints nearest to the tree's (N, ·)."""
         q = np.zeros((len(theta), len(self.names)))
-        own, tree = self.kept
-        q[:, own] = theta[:, tree]
+        robot, tree = self.kept
+        q[:, robot] = theta[:, tree]
         for place in self.places:
             J, at = place.drive.map.constant_jacobian, theta[:, place.own]
             if J is None:
@@ -391,8 +391,8 @@ class RobotCoordinates(DrivenCoordinates):
         the limits (k,) of its joints. Followers are included unless `of_drives`.
         """
         result = np.full(len(self.names), np.inf)
-        own, tree = self.kept
-        result[own] = limits[tree]
+        robot, tree = self.kept
+        result[robot] = limits[tree]
         for place in self.places:
             motion = place.drive.map if of_drives else place.map
             at, J, most = place.actuators, motion.constant_jacobian, limits[place.joints]

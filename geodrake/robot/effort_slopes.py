@@ -251,19 +251,19 @@ def put_inertia(
     R, p, m = pose.R_WB, vector(pose.p_WoBo_W), phi[body, 0]
     w, u = row(fields, i, 0), row(fields, i, 1)
     h = times(R, (phi[body, 1], phi[body, 2], phi[body, 3]))  # about Bo
-    whole = add(h, scale(m, p))
+    h_W = add(h, scale(m, p))
     trace = phi[body, 4] + phi[body, 5] + phi[body, 6]
     for x in range(3):
         axis = R[x, 0], R[x, 1], R[x, 2]
         second = subtract(scale(0.5 * trace, axis), inertia_times(phi, body, axis))
-        second = add(times(R, second), add(scale(p[x], h), scale(whole[x], p)))
+        second = add(times(R, second), add(scale(p[x], h), scale(h_W[x], p)))
         put_row(sums, i, _SECOND + x, second)
-        put_row(sums, i, _TURNING + x, add(scale(whole[x], u), cross(w, second)))
+        put_row(sums, i, _TURNING + x, add(scale(h_W[x], u), cross(w, second)))
     force, moment = wrench_of(phi, body, own)
     force = times(R, force)
     masses[i] = m
-    put_row(sums, i, 0, whole)
-    put_row(sums, i, _MOMENTUM, add(scale(m, u), cross(w, whole)))
+    put_row(sums, i, 0, h_W)
+    put_row(sums, i, _MOMENTUM, add(scale(m, u), cross(w, h_W)))
     put_row(sums, i, _FORCE, force)
     put_row(sums, i, _MOMENT, add(times(R, moment), cross(p, force)))
 

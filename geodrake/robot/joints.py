@@ -239,12 +239,12 @@ def resolved(stated: Mapping[str, Tie], joints: Collection[str]) -> dict[str, Ti
     }
     result = dict[str, Tie]()
     for joint, first in known.items():
-        tie, seen = first, {joint}
-        while tie.leader in known and tie.leader not in seen:
-            seen.add(tie.leader)
+        tie, visited = first, {joint}
+        while tie.leader in known and tie.leader not in visited:
+            visited.add(tie.leader)
             inner = known[tie.leader]
-            whole = Polynomial(tie.coefficients)(Polynomial(inner.coefficients))
-            tie = Tie(inner.leader, tuple(whole.coef.tolist()))
-        if tie.leader not in seen:
+            composed = Polynomial(tie.coefficients)(Polynomial(inner.coefficients))
+            tie = Tie(inner.leader, tuple(composed.coef.tolist()))
+        if tie.leader not in visited:
             result[joint] = tie
     return result

@@ -165,8 +165,8 @@ def _edges(plant: MultibodyPlant, bodies: tuple[LumpedBody, ...]) -> Iterator[_E
         body.index(): (_WORLD, body.body_frame().CalcPose(context, world))
         for body in plant.GetBodiesWeldedTo(plant.world_body())
     }
-    every = (plant.get_body(BodyIndex(i)) for i in range(plant.num_bodies()))
-    frames = [body.index() for body in every if is_base_frame(plant, body)]
+    all_bodies = (plant.get_body(BodyIndex(i)) for i in range(plant.num_bodies()))
+    frames = [body.index() for body in all_bodies if is_base_frame(plant, body)]
     places |= {body: (_MASSLESS - at, RigidTransform()) for at, body in enumerate(frames)}
     for index, lump in enumerate(bodies):
         places.update({member.index: (index, member.X_RB) for member in lump.members})

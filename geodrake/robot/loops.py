@@ -153,11 +153,11 @@ class _LoopFinder:
         stated = plant.GetPositions(plant.CreateDefaultContext())
         q = np.clip(stated, lower, upper)
         for name, tie in how.followers.items():
-            own, leader = self.at[name], self.at[tie.leader]
-            if q[own] != stated[own]:
-                q[leader] = tie.leader_at(float(q[own]))
+            follower, leader = self.at[name], self.at[tie.leader]
+            if q[follower] != stated[follower]:
+                q[leader] = tie.leader_at(float(q[follower]))
             else:
-                q[own] = tie.at(float(q[leader]))
+                q[follower] = tie.at(float(q[leader]))
         self.place = {at: how.start.get(self.names[at], float(q[at])) for at in self.at.values()}
         self.limits = {at: (float(lower[at]), float(upper[at])) for at in self.place}
         self.beyond = {at for at in self.place if not lower[at] <= stated[at] <= upper[at]}
@@ -239,14 +239,14 @@ class _LoopFinder:
             loop_shape = self._with_drive(loop_shape, drive)
         shape, x = loop_shape.records, loop_shape.records.reference
         joints, at = loop_shape.names, loop_shape.places
-        tied = {self.names[self.at[own]] for own in ties}
+        tied = {self.names[self.at[title]] for title in ties}
         leading = [n for n in at if n not in tied]
         driven = tuple(n for n in leading if n in self.how.driven)
         first = [n for n in at if n in self.how.first]
         sprung = [n for n in self.how.sprung if driven and n in leading]
         order = [[at[n] for n in rank] for rank in (first, driven, sprung, leading)]
         order.append(list(range(len(joints))))
-        own, start, count = f"{self.path}: the closed loop of {name}", x, len(velocities)
+        title, start, count = f"{self.path}: the closed loop of {name}", x, len(velocities)
         free_ends = [(-np.inf, np.inf)] * (len(joints) - count)
         limits = np.array([*(self.limits[v] for v in velocities), *free_ends]).T
         if self.beyond.intersection(velocities) and not self.how.start:
@@ -261,13 +261,13 @@ class _LoopFinder:
             where = ", ".join(f"{n} = {at:.4g}" for n, at in zip(joints, x, strict=True))
             or_turned = f" or {gap:.3g} rad" if any(x.closure.turns for x in links) else ""
             raise ModelError(
-                f"{own} cannot close near the posture of the file: the gap is "
+                f"{title} cannot close near the posture of the file: the gap is "
                 f"{gap * shape.units[-1]:.3g} m{or_turned}, and smallest at {where}.",
                 advice="Correct where its bodies are joined, or the joint positions.",
             )
         if free is None:
             raise ModelError(
-                f"{own} is singular at {', '.join(joints)} as in the file, so its motion is "
+                f"{title} is singular at {', '.join(joints)} as in the file, so its motion is "
                 "undetermined.",
                 advice="Use another posture in the file.",
             )
@@ -276,7 +276,7 @@ class _LoopFinder:
             at_limit = int(np.argmax(outside))
             low, high = limits[:, at_limit]
             raise ModelError(
-                f"{own} cannot move, with {joints[at_limit]} at {x[at_limit]:.4g} outside of its "
+                f"{title} cannot move, with {joints[at_limit]} at {x[at_limit]:.4g} outside of its "
                 f"limits {low:g} … {high:g}.",
                 advice="Correct the axes, which may not be parallel, or where bodies are joined.",
             )
@@ -295,9 +295,9 @@ class _LoopFinder:
 
     def _shape(self, velocities: list[int], links: Sequence[_Link], ties: Sequence[str]) -> _Shape:
         """Return a loop without drives and without a choice of free joints."""
-        own, mobilizers = sorted({i for link in links for i in link.apart}), list[Mobilizer]()
-        local = {-1: -1, **{i: at for at, i in enumerate(own)}}
-        for i in own:
+        indices, mobilizers = sorted({i for link in links for i in link.apart}), list[Mobilizer]()
+        local = {-1: -1, **{i: at for at, i in enumerate(indices)}}
+        for i in indices:
             mobilizer, at = self.tree.mobilizers[i], velocities.index(self._velocity(i))
             parent, motion = local.get(mobilizer.parent, -1), mobilizer.motion
             mobilizers.append(in_loop(mobilizers, parent, at, motion, mobilizer.p_MoBo_B))
@@ -334,13 +334,13 @@ class _LoopFinder:
         places = {name: k for k, name in enumerate(names)}
         return _Shape(records, tuple(names), tuple(slides), places)
 
-    def _with_drive(self, made: _Shape, drive: Drive) -> _Shape:
+    def _with_drive(self, shape: _Shape, drive: Drive) -> _Shape:
         """Return a loop with the actuators of a drive of its joints, or with the drive's loop."""
-        first, joints = len(made.names), [made.places[joint] for joint in drive.joints]
+        first, joints = len(shape.names), [shape.places[joint] for joint in drive.joints]
         start = np.array([[self.how.placed[name] for name in drive.actuators]])
         if isinstance(loop := drive.map, LoopTransmission):
             (x,), _, _ = solve_loop(loop.records, start)
-            own = loop.records._replace(reference=x)
+            records = loop.records._replace(reference=x)
             names, slides = loop.joints, loop.slides
             rows = np.zeros((len(joints), first + len(x), 2))
             for row, at, k in zip(rows, joints, loop.shown.tolist(), strict=True):
@@ -348,8 +348,8 @@ class _LoopFinder:
             more = [k for k in (*loop.cut, *loop.free.tolist()) if k not in loop.shown]
         elif (J := drive.map.constant_jacobian) is not None:
             names = drive.actuators
-            slides = drive.slides or tuple(made.slides[at] for at in joints[: len(names)])
-            own = uncoupled_records(start[0], slides, made.records.units[-1])
+            slides = drive.slides or tuple(shape.slides[at] for at in joints[: len(names)])
+            records = uncoupled_records(start[0], slides, shape.records.units[-1])
             rows = np.zeros((len(joints), first + len(names), 2))
             offsets = drive.map.joint_positions(np.zeros(start.shape))[0]
             for row, at, ratios, offset in zip(rows, joints, J, offsets, strict=True):
@@ -363,10 +363,10 @@ class _LoopFinder:
                 advice="Use the positions and efforts of these joints, without that transmission.",
             )
         return _Shape(
-            merged_loops(made.records, own, rows),
-            (*made.names, *names),
-            (*made.slides, *slides),
-            {**made.places, **{names[k]: first + k for k in more}},
+            merged_loops(shape.records, records, rows),
+            (*shape.names, *names),
+            (*shape.slides, *slides),
+            {**shape.places, **{names[k]: first + k for k in more}},
         )
 
 

@@ -286,13 +286,13 @@ def _loops(
             stiffness[single[joint]] = stiffness.get(single[joint], 0.0) + value
     sprung = sorted((n for n, k in stiffness.items() if k > 0.0), key=lambda n: -stiffness[n])
     how = replace(how, followers=followers, driven=driven, sprung=sprung)
-    found = closed_loops(plant, closures, path=description.path, how=how)
-    if found.left_out and built.opened:
+    loops = closed_loops(plant, closures, path=description.path, how=how)
+    if loops.left_out and built.opened:
         raise ModelError(
-            f"{description.path}: {found.left_out[0]}",
+            f"{description.path}: {loops.left_out[0]}",
             advice="Use loop joints that rotate about or slide along one axis.",
         )
-    return found
+    return loops
 
 
 def _single_joints(plant: MultibodyPlant) -> dict[str, Joint]:
@@ -304,15 +304,15 @@ def _single_joints(plant: MultibodyPlant) -> dict[str, Joint]:
 def _ignored_ties(description: ModelDescription, arrangement: Arrangement) -> list[str]:
     """Return notes on joints that cannot follow as the file requires."""
     still, stated = arrangement.held.keys(), description.terms.followers
-    apart = [
-        f"{_short_name(own)} (of {_short_name(tie.leader)})"
-        for own, tie in stated.items()
-        if own not in {*arrangement.followers, *arrangement.aside}
-        and not {own, tie.leader} <= still
+    ignored = [
+        f"{_short_name(follower)} (of {_short_name(tie.leader)})"
+        for follower, tie in stated.items()
+        if follower not in {*arrangement.followers, *arrangement.aside}
+        and not {follower, tie.leader} <= still
     ]
     what = "<equality>" if description.texts[0].kind == "xml" else "<mimic>"
-    words = f"{what} is ignored, as it has no joint to follow: {', '.join(apart)}."
-    return [words] if apart else []
+    words = f"{what} is ignored, as it has no joint to follow: {', '.join(ignored)}."
+    return [words] if ignored else []
 
 
 def _short_name(name: str) -> str:
@@ -328,9 +328,9 @@ def _build(
     with drake_errors(description.path):
         lengths = list[StatedLength]()
         for joint in joints_of(plant):
-            damping, own = joint.default_damping_vector().tolist(), scoped(joint)
+            damping, scoped_name = joint.default_damping_vector().tolist(), scoped(joint)
             for k, c in enumerate(damping):
-                name = own if len(damping) == 1 else f"{own}[{k}]"
+                name = scoped_name if len(damping) == 1 else f"{scoped_name}[{k}]"
                 lengths += [StatedLength({name: 1.0}, damping=(c, 0.0, 0.0))] if c else []
         for actuator in _actuators(plant):
             rotor = actuator.default_reflected_inertia()
@@ -387,13 +387,13 @@ def _check_inertias(plant: MultibodyPlant, phi: ArrayLike, path: Path) -> None:
 def _root_notes(plant: MultibodyPlant, arrangement: Arrangement) -> list[str]:
     """Weld free roots to the world unless they float; return notes."""
     robot, floating = arrangement.robot, arrangement.floating
-    own = [b for b in free_roots(plant) if robot is None or int(b.index()) in robot]
-    weld_roots(plant, lambda body: floating and body in own)
+    roots = [b for b in free_roots(plant) if robot is None or int(b.index()) in robot]
+    weld_roots(plant, lambda body: floating and body in roots)
     if floating:
-        return [] if own else ["The file attaches the robot to the world, so it cannot float."]
-    if not own[1:]:
+        return [] if roots else ["The file attaches the robot to the world, so it cannot float."]
+    if not roots[1:]:
         return []
-    names, robots = ", ".join(body.name() for body in own), [r.name for r in robots_of(plant)]
+    names, robots = ", ".join(body.name() for body in roots), [r.name for r in robots_of(plant)]
     note = f"{names} are not attached to anything; each is welded to the world."
     if robots[1:]:
         note += f" Robots in the file are {', '.join(robots)}; choose one by name."

@@ -120,9 +120,9 @@ def records_of(mobilizers: Sequence[Mobilizer], gravity: Array) -> TreeRecords:
     most = max((len(mobilizer.dofs) for mobilizer in mobilizers), default=0)
     dofs = np.zeros((len(mobilizers), most), np.int64)
     records = np.zeros(len(mobilizers), MOBILIZER)
-    for record, own, mobilizer in zip(records, dofs, mobilizers, strict=True):
+    for record, indices, mobilizer in zip(records, dofs, mobilizers, strict=True):
         joint, q, v = mobilizer.motion, mobilizer.positions, mobilizer.velocities
-        own[: len(mobilizer.dofs)] = mobilizer.dofs
+        indices[: len(mobilizer.dofs)] = mobilizer.dofs
         record["parent"], record["body"] = mobilizer.parent, mobilizer.body
         record["positions"], record["velocities"] = ((x.start, x.stop - x.start) for x in (q, v))
         record["count"], record["features"] = len(mobilizer.dofs), joint.features
@@ -201,15 +201,15 @@ def move(mobilizers: Record, samples: Samples, n: int, features: Array, motions:
     for i in range(len(mobilizers)):
         mobilizer, motion = mobilizers[i], motions[i]
         pose(mobilizer, q, n, features, motion)
-        own, R, p = mobilizer.velocities, motion.R_PB, vector(motion.p_PMo)
+        span, R, p = mobilizer.velocities, motion.R_PB, vector(motion.p_PMo)
         w_P, u_P, wd_P, a_P = inboard_motion(mobilizer, motions)
-        turned = combination(mobilizer.angular, v, n, own)
-        slid = combination(mobilizer.linear, v, n, own)
-        slide = combination(mobilizer.linear, qd, n, own)
+        turned = combination(mobilizer.angular, v, n, span)
+        slid = combination(mobilizer.linear, v, n, span)
+        slide = combination(mobilizer.linear, qd, n, span)
         # Motion of B about Mo, in P, with ṗ = ω_P × p + slide.
-        w, u = add(w_P, combination(mobilizer.angular, qd, n, own)), add(u_P, turned)
-        wd = add(add(wd_P, combination(mobilizer.angular, vd, n, own)), cross(w_P, turned))
-        a = add(add(a_P, combination(mobilizer.linear, vd, n, own)), cross(wd_P, p))
+        w, u = add(w_P, combination(mobilizer.angular, qd, n, span)), add(u_P, turned)
+        wd = add(add(wd_P, combination(mobilizer.angular, vd, n, span)), cross(w_P, turned))
+        a = add(add(a_P, combination(mobilizer.linear, vd, n, span)), cross(wd_P, p))
         a = add(a, add(cross(u_P, add(cross(w_P, p), slide)), cross(w_P, slid)))
         w, u = transposed_times(R, w), transposed_times(R, u)
         wd, a = transposed_times(R, wd), transposed_times(R, a)
@@ -342,19 +342,19 @@ def calc_inverse_dynamics(tree: TreeRecords, samples: Samples, phi: Array, out: 
 
 
 @inlined
-def put_pose(mobilizer: Record, motion: Record, world: Record, own: Record) -> None:
+def put_pose(mobilizer: Record, motion: Record, world: Record, out: Record) -> None:
     """Write R_WB and the position of Bo in W, from the pose of the inboard body."""
     place = add(vector(motion.p_PMo), times(motion.R_PB, vector(mobilizer.p_MoBo_B)))
     if mobilizer.parent < 0:
         for k in range(3):
-            own.R_WB[0, k], own.R_WB[1, k], own.R_WB[2, k] = column(motion.R_PB, k)
-        put(own.p_WoBo_W, place)
+            out.R_WB[0, k], out.R_WB[1, k], out.R_WB[2, k] = column(motion.R_PB, k)
+        put(out.p_WoBo_W, place)
     else:
         inboard = world[mobilizer.parent]
         for k in range(3):
             axis = times(inboard.R_WB, column(motion.R_PB, k))
-            own.R_WB[0, k], own.R_WB[1, k], own.R_WB[2, k] = axis
-        put(own.p_WoBo_W, add(vector(inboard.p_WoBo_W), times(inboard.R_WB, place)))
+            out.R_WB[0, k], out.R_WB[1, k], out.R_WB[2, k] = axis
+        put(out.p_WoBo_W, add(vector(inboard.p_WoBo_W), times(inboard.R_WB, place)))
 
 
 @inlined
@@ -381,17 +381,17 @@ def calc_places(tree: TreeRecords, q: Array, rotations: Array, lines: Array) -> 
     for n in range(len(q)):
         place_bodies(mobilizers, (q, n, features), motions, world)
         for i in range(bodies):
-            mobilizer, own = mobilizers[i], world[i]
+            mobilizer, pose_B = mobilizers[i], world[i]
             for k in range(3):
-                put_row(rotations[i], n, k, column(own.R_WB, k))
+                put_row(rotations[i], n, k, column(pose_B.R_WB, k))
             first, number = mobilizer.velocities
             for k in range(number):
                 s, t = column(mobilizer.angular, k), column(mobilizer.linear, k)
                 s, t = carried(mobilizer, motions[i], s, t)
                 line = lines[first + k]
-                put_row(line, n, 0, times(own.R_WB, s))
-                put_row(line, n, 1, times(own.R_WB, t))
-                put_row(line, n, 2, vector(own.p_WoBo_W))
+                put_row(line, n, 0, times(pose_B.R_WB, s))
+                put_row(line, n, 1, times(pose_B.R_WB, t))
+                put_row(line, n, 2, vector(pose_B.p_WoBo_W))
 
 
 @compiled
@@ -410,13 +410,13 @@ def calc_kinematics(
     for n in range(len(q)):
         place_bodies(mobilizers, (q, n, features), motions, world)
         for i in range(bodies):
-            body, own = mobilizers[i].body, world[i]
+            body, pose_B = mobilizers[i].body, world[i]
             if body >= 0:
                 poses[n, body, 3, 3] = 1.0
                 for j in range(3):
-                    poses[n, body, j, 3] = own.p_WoBo_W[j]
+                    poses[n, body, j, 3] = pose_B.p_WoBo_W[j]
                     for k in range(3):
-                        poses[n, body, j, k] = own.R_WB[j, k]
+                        poses[n, body, j, k] = pose_B.R_WB[j, k]
         if len(angular):
             find_subspaces(mobilizers, motions, turn, slide)
             for i in range(bodies):

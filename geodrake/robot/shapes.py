@@ -87,11 +87,11 @@ def regular_mesh(path: Path) -> Path:
 
     They must be regular files of limited size, or missing.
     """
-    waiting, seen = [path], set[Path]()
+    waiting, visited = [path], set[Path]()
     while waiting:
         file = waiting.pop()
-        if file not in seen:
-            seen.add(file)
+        if file not in visited:
+            visited.add(file)
             what = "mesh" if file == path else f"file that mesh {path} refers to,"
             data = read_regular(file, what, ModelError, largest=LARGEST_FILE, empty=True)
             pattern, named = _NAMED.get(file.suffix.lower()), list[str]()
@@ -177,9 +177,9 @@ def _merged(vertices: Array, faces: Faces, number: Faces) -> Surface:
     order = np.lexsort([far, number])
     central = order[np.cumsum(count) - count]
     faces = number[faces]
-    whole = (faces != np.roll(faces, 1, axis=1)).all(1)
-    _, first = np.unique(np.sort(faces[whole], axis=1), axis=0, return_index=True)
-    return vertices[central], faces[whole][np.sort(first)]
+    is_valid = (faces != np.roll(faces, 1, axis=1)).all(1)
+    _, first = np.unique(np.sort(faces[is_valid], axis=1), axis=0, return_index=True)
+    return vertices[central], faces[is_valid][np.sort(first)]
 
 
 def stl_vertices(path: Path) -> Array:
@@ -377,15 +377,15 @@ def robot_shapes(path: Path, given: Given) -> RobotShapes:
 
     STL and COLLADA meshes are read, too. A file with unreadable shapes yields none and a note.
     """
-    lost = dict[str, str]()  # mesh name in the file -> reason
+    missing = dict[str, str]()  # mesh name in the file -> reason
     try:
         with drake_messages(), TemporaryDirectory() as folder, drake_errors(path):
-            links, notes = _read(path, given, Path(folder), lost)
+            links, notes = _read(path, given, Path(folder), missing)
     except ModelError as error:
         return RobotShapes({}, (f"the shapes of {path.name} are not shown: {error.problem}",))
-    if lost:
-        mesh, reason = next(iter(lost.items()))
-        others = f" and {len(lost) - 1} more" if len(lost) > 1 else ""
+    if missing:
+        mesh, reason = next(iter(missing.items()))
+        others = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
         package = re.match(r"(?:package|model)://([^/]+)/", mesh)
         named = ""
         if package and "unknown package" in reason:
@@ -417,13 +417,13 @@ def _read(
     found, links = mjcf_geoms(path, given), dict[str, tuple[LinkShape, ...]]()
     if found is not None:  # of each body those that MuJoCo shows, or all
         geoms, notes = found
-        return {k: tuple(g for g in own if g.shown) or own for k, own in geoms.items()}, notes
+        return {k: tuple(g for g in ids if g.shown) or ids for k, ids in geoms.items()}, notes
     plant, scene = scene_of(path, given, lambda root, where: _prepare(root, where, folder, lost))
     inspector = scene.model_inspector()
     for role in (Role.kProximity, Role.kIllustration):  # the latter takes precedence
-        for link, own in geometries_of(plant, scene, role):
+        for link, ids in geometries_of(plant, scene, role):
             shapes = []
-            for geometry in own:
+            for geometry in ids:
                 shape = inspector.GetShape(geometry)
                 if isinstance(shape, HalfSpace):
                     continue  # the ground is not part of the robot

@@ -121,7 +121,7 @@ class SoftJoints:
     def held_by(self, gives: Sequence[Give]) -> list[Coupling]:
         """Return the couplings between motors and links for (m,) deflection laws."""
         against = 1.0 / (1.0 / self.link_inertia + 1.0 / self.motor_inertia)
-        found = []
+        couplings = []
         for i, (give, inertia) in enumerate(zip(gives, against.tolist(), strict=True)):
             if not give:
                 raise ArgumentError(
@@ -136,8 +136,8 @@ class SoftJoints:
             else:
                 stiffness, share = self.usual_load[i] / yields, _SIDE_DAMPING
             damping = 2.0 * share * (stiffness * inertia) ** 0.5
-            found.append(Coupling(stiffness, give.play, damping, _RAMP * yields))
-        return found
+            couplings.append(Coupling(stiffness, give.play, damping, _RAMP * yields))
+        return couplings
 
     def torques(self, mu: Array, lag: Array, rate: Array) -> Array:
         """Return (m,) torques on the links, N·m or N."""
@@ -622,15 +622,15 @@ class EffectForce(LeafSystem):
     def set_hidden_states(self, context: Context, states: Mapping[Effect, ArrayLike]) -> None:
         """Set hidden states (s,), such as those of `Effect.states_along`; others keep theirs."""
         check_context(self, context)
-        whole = np.array(context.get_continuous_state_vector().CopyToVector())
+        state_vector = np.array(context.get_continuous_state_vector().CopyToVector())
         for effect, values in states.items():
             count = effect.state_count if effect in self.law.states else 0
             name = f"the state of {effect.name} of {effect.place}"
             state = real_array(values, name, (count,))
             if not count:
                 raise ArgumentError(f"{effect.name} of {effect.place} has no hidden state here.")
-            whole[self.law.states[effect]] = state
-        context.SetContinuousState(whole)
+            state_vector[self.law.states[effect]] = state
+        context.SetContinuousState(state_vector)
 
     def set_motors(self, context: Context, lag: ArrayLike, speed: ArrayLike) -> None:
         """Set lags and speeds (m,) of the motors of `soft_joints`.
@@ -640,9 +640,9 @@ class EffectForce(LeafSystem):
         check_context(self, context)
         size = (len(self.law.soft),)
         both = [real_array(lag, "lag", size), real_array(speed, "speed", size)]
-        whole = np.array(context.get_continuous_state_vector().CopyToVector())
-        whole[self.law.state_count :] = np.concatenate(both)
-        context.SetContinuousState(whole)
+        state_vector = np.array(context.get_continuous_state_vector().CopyToVector())
+        state_vector[self.law.state_count :] = np.concatenate(both)
+        context.SetContinuousState(state_vector)
 
     def couplings(self, context: Context) -> list[Coupling]:
         """Return spring and damper of each elastic joint in a Context."""
@@ -670,10 +670,10 @@ class EffectForce(LeafSystem):
         soft, plant = self.law.soft, self.law.plant.plant
         if not soft:
             return
-        own, context = (s.GetMyMutableContextFromRoot(root) for s in (self, plant))
+        own_context, context = (s.GetMyMutableContextFromRoot(root) for s in (self, plant))
         q, v = plant.GetPositions(context), plant.GetVelocities(context)
-        lag = self.lags(own, q, v)
-        self.set_motors(own, lag, v[soft.velocities])
+        lag = self.lags(own_context, q, v)
+        self.set_motors(own_context, lag, v[soft.velocities])
         q[soft.positions] -= lag
         plant.SetPositions(context, q)
 

@@ -44,8 +44,8 @@ def by_differences(
     Differences are central, of fourth order, with relative errors of about 1e-9. Steps of small
     parameters are relative, because forces may be divided by them, as by a compliance.
     """
-    whole = scalars(x, AutoDiffXd)
-    value, slopes = ExtractValue(whole).ravel(), ExtractGradient(whole)
+    scalars_in = scalars(x, AutoDiffXd)
+    value, slopes = ExtractValue(scalars_in).ravel(), ExtractGradient(scalars_in)
     result = np.asarray(function(value), float)
     changes = np.zeros((len(result), slopes.shape[1]))
     known = np.isfinite(result)  # others have no derivatives
@@ -182,8 +182,8 @@ class _Differenced:
             return np.concatenate([after.value(i) for i in groups])
 
         sizes = [context.get_discrete_state(i).size() for i in groups]
-        whole = self._values(context, following)
-        for i, part in enumerate(np.split(whole, np.cumsum(sizes)[:-1])):
+        values = self._values(context, following)
+        for i, part in enumerate(np.split(values, np.cumsum(sizes)[:-1])):
             state.set_value(i, part)
 
     def _values(
@@ -224,9 +224,9 @@ class _Differenced:
             scratch.SetTime(float(next(pieces)[0]))
             return np.array(function(scratch), float)
 
-        whole = np.concatenate([scalars(part, AutoDiffXd) for part in parts])
+        variables = np.concatenate([scalars(part, AutoDiffXd) for part in parts])
         first, last = np.concatenate([[0], ends])[[len(known), len(known) + len(groups)]]
-        return by_differences(at, whole, slice(first, last))
+        return by_differences(at, variables, slice(first, last))
 
 
 def _vector(size_or_values: Any) -> Any:

@@ -190,8 +190,8 @@ def check_numbers(root: Element, numeric: Numeric, path: Path) -> None:
     """
     inside = {each for inertial in root.iter("inertial") for each in inertial.iter()}
     for element in (each for each in root.iter() if each not in inside):
-        every = {**numeric.get("", {}), **numeric.get(element.tag, {})}
-        for attribute, numbers in every.items():
+        requirements = {**numeric.get("", {}), **numeric.get(element.tag, {})}
+        for attribute, numbers in requirements.items():
             text = element.get(attribute, "") if attribute else (element.text or "")
             problem = numbers.problem(text) if numbers and (attribute or not len(element)) else ""
             if problem:

@@ -246,7 +246,7 @@ def _load_directives(
     with drake_errors(path):
         loaded = LoadModelDirectivesFromString(yaml_text(path))
     for each in loaded.directives:
-        own = [each]
+        expanded = [each]
         if each.add_model:
             files.append(includes.resolve(each.add_model.file, path.parent))
         if each.add_directives:
@@ -254,8 +254,8 @@ def _load_directives(
             inner, more = _load_directives(file, includes, includes.enter(chain, file))
             files += more
             each.add_directives.file = f"file://{file}"
-            own = own if each.add_directives.model_namespace else inner.directives
-        parts += own
+            expanded = expanded if each.add_directives.model_namespace else inner.directives
+        parts += expanded
     loaded.directives = parts
     return loaded, files
 

@@ -184,10 +184,10 @@ def add_packages(
     wanted = {name for name in names if not packages.Contains(name)}
     around = _around(path, sorted(wanted))
     while wanted and (place := next(around, None)):
-        found = package_name(place)
-        if found in wanted:
-            packages.Add(found, str(place))
-            wanted.remove(found)
+        name_there = package_name(place)
+        if name_there in wanted:
+            packages.Add(name_there, str(place))
+            wanted.remove(name_there)
     for place in path.resolve().parents:
         if place.name in wanted:
             packages.Add(place.name, str(place))
@@ -224,14 +224,14 @@ def _entries(*variables: str) -> list[Path]:
 
 def packages_below(entry: str | Path) -> Iterator[Path]:
     """Search folders recursively, but not inside packages and marked folders."""
-    seen: set[str] = set()
+    visited: set[str] = set()
     for folder, below, files in os.walk(entry, followlinks=True):
         real = os.path.realpath(folder)
-        if real in seen or "package.xml" in files or _MARKERS.intersection(files):
+        if real in visited or "package.xml" in files or _MARKERS.intersection(files):
             below.clear()
         else:
             below[:] = sorted(name for name in below if not name.startswith("."))
-        seen.add(real)
+        visited.add(real)
         yield Path(folder)
 
 

@@ -194,8 +194,8 @@ class MjcfTerms:
                 self.found.start[self._joint(joint)] = float(m.qpos0[m.jnt_qposadr[joint]])
             if count == 3:
                 damping, friction, armature = (_pop(has, key)[0] for key in _OF_BALLS)
-                own = {"friction": friction, "armature": armature}
-                self._add({joint: 1.0}, damping=_three([damping]), **own)
+                losses = {"friction": friction, "armature": armature}
+                self._add({joint: 1.0}, damping=_three([damping]), **losses)
                 if friction:
                     name = self._name("JOINT", joint)
                     what = f"The dry friction of ball joint {name} is that about axes of its parent"
@@ -246,8 +246,8 @@ class MjcfTerms:
         for one, other in pairs:
             chains = [set(chain_to_world(self.m, int(self.m.jnt_bodyid[j]))) for j in (one, other)]
             if chains[0] <= chains[1] or chains[1] <= chains[0]:  # MuJoCo omits other entries
-                own = self._joint(one), self._joint(other), inertia * shares[one] * shares[other]
-                self.found.coupled_inertia.append(own)
+                entry = self._joint(one), self._joint(other), inertia * shares[one] * shares[other]
+                self.found.coupled_inertia.append(entry)
         self._add(
             shares,
             spring=Spring(length or 0.0, (0.0, *_three(stiffness))),
@@ -393,8 +393,8 @@ class MjcfTerms:
         medium = np.array([option.density, option.viscosity], float)
         for body in np.flatnonzero(m.body_weldid).tolist() if medium.any() else ():
             first, mass = int(m.body_geomadr[body]), float(m.body_mass[body])
-            own = range(first, first + int(m.body_geomnum[body]))
-            ellipsoids = [geom for geom in own if m.geom_fluid[geom][0] > 0.0]
+            geoms = range(first, first + int(m.body_geomnum[body]))
+            ellipsoids = [geom for geom in geoms if m.geom_fluid[geom][0] > 0.0]
             for geom in ellipsoids:
                 share, *coefficients = m.geom_fluid[geom].tolist()
                 X = pose_of(m.geom_pos[geom], m.geom_quat[geom])
@@ -513,15 +513,17 @@ class MjcfTerms:
         leader, own = sorted(shares, key=lambda joint: joint not in driven)
         return self._tie(own, leader, length / shares[own], -shares[leader] / shares[own])
 
-    def _tie(self, own: int, leader: int, *coefficients: float) -> bool:
+    def _tie(self, joint: int, leader: int, *coefficients: float) -> bool:
         """Let a joint follow another one, or vice versa if the ratio is constant.
 
         Return False if both follow a joint already, or each other.
         """
-        ways = [(own, leader, coefficients)]
+        trials = [(joint, leader, coefficients)]
         if len(coefficients) == 2 and coefficients[1]:
-            ways.append((leader, own, (-coefficients[0] / coefficients[1], 1.0 / coefficients[1])))
-        for first, second, each in ways:
+            trials.append(
+                (leader, joint, (-coefficients[0] / coefficients[1], 1.0 / coefficients[1]))
+            )
+        for first, second, each in trials:
             name, end = self._joint(first), self._joint(second)
             ties = self.found.followers
             while end in ties:  # ties have no cycles
@@ -537,9 +539,9 @@ class MjcfTerms:
         if not data[1:].any():
             self.found.fixed[self._joint(first)] = starts[0] + float(data[0])
             return
-        own = data if data[2:].any() else data[:2]
-        moved = np.zeros(len(own))
-        polynomial = np.polynomial.Polynomial(own)(np.polynomial.Polynomial([-starts[1], 1.0]))
+        c = data if data[2:].any() else data[:2]
+        moved = np.zeros(len(c))
+        polynomial = np.polynomial.Polynomial(c)(np.polynomial.Polynomial([-starts[1], 1.0]))
         moved[: len(polynomial.coef)] = polynomial.coef
         moved[0] += starts[0]
         if not self._tie(first, second, *moved.tolist()):
@@ -647,19 +649,19 @@ def plain_tree(source: CompiledMjcf, name: str) -> Element:
         welded = int(m.body_weldid[at])
         massless[welded] = massless.get(welded, 0.0) + inertias[at]
     for at in range(1, m.nbody):
-        own, parent = m.body(at).name, elements[int(m.body_parentid[at])]
-        like, X_PB = source.elements.get(own), pose_of(m.body_pos[at], m.body_quat[at])
+        name_of_body, parent = m.body(at).name, elements[int(m.body_parentid[at])]
+        like, X_PB = source.elements.get(name_of_body), pose_of(m.body_pos[at], m.body_quat[at])
         joints = range(m.body_jntadr[at], m.body_jntadr[at] + m.body_jntnum[at])
         for joint in joints:
             X_PB, between = X_PB @ _back(m, joint), joint != joints[-1]
-            label = free(f"{own}_{m.joint(joint).name}") if between else own
+            label = free(f"{name_of_body}_{m.joint(joint).name}") if between else name_of_body
             parent = _body(parent, label, X_PB, like)
             if between:
                 parent.set("between", "true")
             _write_joint(parent, m, joint)
             X_PB = RigidTransform()
-        elements[at] = parent if joints else _body(parent, own, X_PB, like)
-        if m.body_mass[at] > 0.0 and own not in source.unknown:
+        elements[at] = parent if joints else _body(parent, name_of_body, X_PB, like)
+        if m.body_mass[at] > 0.0 and name_of_body not in source.unknown:
             inertia = inertias[at] + massless.pop(int(m.body_weldid[at]), 0.0)
             inertia = poses[at].T @ inertia @ poses[at]
             SubElement(
@@ -671,7 +673,7 @@ def plain_tree(source: CompiledMjcf, name: str) -> Element:
             )
     motors = SubElement(root, "actuator")
     for at, kind in enumerate(m.actuator_trntype):
-        named = {"name": own} if (own := m.actuator(at).name) else {}
+        named = {"name": name_of_body} if (name_of_body := m.actuator(at).name) else {}
         for joint in actuator_shares(m, at) if kind != load_mujoco().mjtTrn.mjTRN_TENDON else ():
             SubElement(motors, "motor", {**named, "joint": m.joint(joint).name})
     return root
@@ -740,14 +742,14 @@ def _motors(m: Any, path: Path) -> tuple[Gear | Coupled, ...]:
 
 def _coupled(pulled: Mapping[str, Mapping[str, float]], path: Path) -> Iterator[Coupled]:
     """Yield groups of joints that tendons move together, θ = C⁻¹ q for q = C θ."""
-    left = dict(pulled)
-    while left:
-        group, joints = [next(iter(left))], set(left[next(iter(left))])
-        while more := [n for n in left if n not in group and joints.intersection(left[n])]:
+    pending = dict(pulled)
+    while pending:
+        group, joints = [next(iter(pending))], set(pending[next(iter(pending))])
+        while more := [n for n in pending if n not in group and joints.intersection(pending[n])]:
             group += more
-            joints |= {joint for name in more for joint in left[name]}
-        names = list(dict.fromkeys(joint for name in group for joint in left[name]))
-        rows = [left.pop(name) for name in group]
+            joints |= {joint for name in more for joint in pending[name]}
+        names = list(dict.fromkeys(joint for name in group for joint in pending[name]))
+        rows = [pending.pop(name) for name in group]
         C = np.array([[row.get(joint, 0.0) for joint in names] for row in rows])
         if len(names) != len(group) or np.linalg.matrix_rank(C) < len(names):
             raise ModelError(

@@ -254,8 +254,8 @@ class CompiledMjcf:
             raise
         except Exception as error:  # ValueError, or MuJoCo's FatalError
             words = " ".join(str(error).split())[:400]
-            found = _LINE.findall(words)
-            at = int(found[-1]) - 1 if found else -1
+            lines = _LINE.findall(words)
+            at = int(lines[-1]) - 1 if lines else -1
             place = places[at] if 0 <= at < len(places) and not self.models else ""
             for key, file in self.meshes.items():
                 words = words.replace(key, str(file))
@@ -266,7 +266,7 @@ class CompiledMjcf:
     def _take_out(self, spec: Any, absent: dict[str, Path]) -> None:
         """Remove missing meshes and their geoms, with notes on inertias and shown shapes."""
         always = load_mujoco().mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
-        by_geoms, heavy, seen = spec.compiler.inertiafromgeom == always, list[str](), list[str]()
+        by_geoms, heavy, shown = spec.compiler.inertiafromgeom == always, list[str](), list[str]()
         low, high = spec.compiler.inertiagrouprange
 
         def weighs(geom: Any) -> bool:
@@ -282,7 +282,7 @@ class CompiledMjcf:
             stated = body.explicitinertial or body.name == "world"
             if gone:
                 follows = weighing and body.name != "world" and (by_geoms or not stated)
-                (heavy if follows else seen).append(body.name)
+                (heavy if follows else shown).append(body.name)
             if gone and not stated and not any(map(weighs, body.geoms)):
                 self.unknown.add(body.name)
                 body.explicitinertial = True
@@ -294,8 +294,8 @@ class CompiledMjcf:
         gone_ones = f"meshes that are missing or not .obj, .stl or .msh (in {where})"
         if heavy:
             self.lost.append(f"The inertia of {', '.join(heavy)} is computed without {gone_ones}.")
-        if seen and self.geoms:
-            self.lost.append(f"Some shapes of {', '.join(seen)} are {gone_ones}.")
+        if shown and self.geoms:
+            self.lost.append(f"Some shapes of {', '.join(shown)} are {gone_ones}.")
 
     def _split_balls(self, spec: Any) -> bool:
         """Replace ball joints of closed loops by three hinges; return whether there were any."""
@@ -316,12 +316,12 @@ class CompiledMjcf:
                     what = f"actuator {motor.name} of ball joint {name} of a closed loop"
                     # Motors of older versions have neither armature nor damping.
                     has = [np.any(getattr(motor, key, 0.0)) for key in ("armature", "damping")]
-                    said = self.left_out if any(has) else self.notes
-                    said.append(f"The {what} is ignored.")
-            for own, direction in zip(names, (*across, axis), strict=True):
-                made = holder.add_joint(name=own, type=hinge, axis=direction, pos=place)
+                    notes = self.left_out if any(has) else self.notes
+                    notes.append(f"The {what} is ignored.")
+            for hinge_name, direction in zip(names, (*across, axis), strict=True):
+                added = holder.add_joint(name=hinge_name, type=hinge, axis=direction, pos=place)
                 for key in _OF_BALLS:
-                    setattr(made, key, numbers[key] if numbers[key].ndim else float(numbers[key]))
+                    setattr(added, key, numbers[key] if numbers[key].ndim else float(numbers[key]))
             self.notes.append(
                 f"Ball joint {name} of a closed loop is read as the hinges {', '.join(names)}."
             )
@@ -352,10 +352,10 @@ def _take_folders(root: Element) -> tuple[str, str]:
 
 def _name_bodies(root: Element, prefix: str) -> None:
     """Name bodies and joints without names."""
-    every = [body for body in root.iter("body") if body.get("name") or len(body)]
-    taken = {body.get("name") for body in every}
+    bodies = [body for body in root.iter("body") if body.get("name") or len(body)]
+    taken = {body.get("name") for body in bodies}
     free = unused(taken)
-    joints = unused({joint.get("name") for body in every for joint in body.iter("joint")})
+    joints = unused({joint.get("name") for body in bodies for joint in body.iter("joint")})
     worlds = [body for world in root.findall("worldbody") for body in world.iter("body")]
     numbers = {id(body): k for k, body in enumerate(root.iter("body"))}
     for body in worlds:
@@ -402,17 +402,17 @@ def _bodies_of(root: Element, path: Path, sizes: Mapping[str, float]) -> float:
     """
     pending, total = [(root, 1.0)], 0.0  # elements and their numbers of copies
     while pending:
-        element, made = pending.pop()
+        element, copies = pending.pop()
         for word in element.get("count", "").split():
-            made *= abs(float(word)) if _COUNT.fullmatch(word) else 1.0
+            copies *= abs(float(word)) if _COUNT.fullmatch(word) else 1.0
         if element.tag in ("body", "attach"):
-            total += made * sizes.get(element.get("model", ""), 1.0)
-        what = f"<{element.tag}> makes {made:.0f} copies of its content"
-        if total > _MOST_MADE >= made:
+            total += copies * sizes.get(element.get("model", ""), 1.0)
+        what = f"<{element.tag}> makes {copies:.0f} copies of its content"
+        if total > _MOST_MADE >= copies:
             what = f"with <{element.tag}> there are {total:.0f} bodies"
-        if max(made, total) > _MOST_MADE:
+        if max(copies, total) > _MOST_MADE:
             raise wrong_at(element, path, f"{what}; geodrake reads up to {_MOST_MADE}.")
-        pending += [(child, made) for child in element]
+        pending += [(child, copies) for child in element]
     return total
 
 

@@ -105,13 +105,13 @@ class EditedFile:
         Numbers in `inertial` elements change, and missing elements are added. Orientations of
         inertial frames stay, except in MJCF, where a full inertia has none and is not in a <frame>.
         """
-        there = self.links
-        check_in_itself(inertias, there, self.path)
+        elements = self.links
+        check_in_itself(inertias, elements, self.path)
         for name, phi in inertias.items():
-            for frame in own_frames(there[name]):
+            for frame in own_frames(elements[name]):
                 for inertial in frame.findall("inertial"):
                     frame.remove(inertial)
-            self._format.put_inertia(there[name], phi)
+            self._format.put_inertia(elements[name], phi)
 
     def set_joint_numbers(self, changes: Mapping[str, Change]) -> None:
         """Change numbers of joints by scoped name."""
@@ -132,7 +132,7 @@ class EditedFile:
 
         Polynomial springs of joints are removed, too, and polynomial dampers become linear.
         """
-        found = False
+        has_changed = False
         for element in self.root.iter() if self.root.tag == "mujoco" else ():
             before = dict(element.attrib)
             for key in _PASSIVE.get(element.tag, ()):
@@ -142,8 +142,8 @@ class EditedFile:
                 element.set("stiffness", "0")
             if element.tag == "joint" and len(stated["damping"]) > 1:
                 element.set("damping", stated["damping"][0])
-            found |= before != element.attrib
-        return found
+            has_changed |= before != element.attrib
+        return has_changed
 
     def set_gravity(self, gravity: Array) -> None:
         """Change the gravity (3,) of an MJCF in the world's frame, m/s²."""
@@ -155,31 +155,31 @@ class EditedFile:
         self, sections: Mapping[str, Sequence[Element]], joints: Iterable[str]
     ) -> None:
         """Add nonempty sections, tag -> elements, at the end of an MJCF, and name `joints`."""
-        every = _mjcf_joints(self.root, self.path)
-        there = {name.rpartition("::")[2]: own for name, own in every}
-        check_in_itself(joints, there, self.path)
+        named = _mjcf_joints(self.root, self.path)
+        by_name = {name.rpartition("::")[2]: own for name, own in named}
+        check_in_itself(joints, by_name, self.path)
         for name in joints:
-            there[name].set("name", there[name].get("name") or name)
+            by_name[name].set("name", by_name[name].get("name") or name)
         for tag, elements in sections.items():
             if elements:
                 SubElement(self.root, tag).extend(elements)
 
     def move_references(self, folder: Path) -> bool:
         """Make relative paths relative to another folder; return whether any changed."""
-        base, there, found = self.path.resolve().parent, Path(os.path.realpath(folder)), False
+        base, target, changed = self.path.resolve().parent, Path(os.path.realpath(folder)), False
         for element, attribute in _references(self.root):
             named = element.attrib[attribute] if attribute else (element.text or "").strip()
             if not named or "://" in named or Path(named).is_absolute():
                 continue
-            moved = Path(os.path.relpath(base / named, there)).as_posix()
+            moved = Path(os.path.relpath(base / named, target)).as_posix()
             if Path(moved) == Path(named):
                 continue
-            found = True
+            changed = True
             if attribute:
                 element.set(attribute, moved)
             else:
                 element.text = moved
-        return found
+        return changed
 
     def add_comments(self, sentences: Sequence[str]) -> None:
         """Add comments at the beginning."""
@@ -237,20 +237,20 @@ def sdf_joints(root: Element, first: str = "") -> Iterator[tuple[str, str, Eleme
 
 def _home(scope: str, model: Element, frame: str) -> str:
     """Return the scoped name of the model that owns the link of a frame."""
-    own, tried, models = dict(_parts(model)), set[str](), ("model", "robot")
-    while frame not in tried:
-        tried.add(frame)
+    own, seen, models = dict(_parts(model)), set[str](), ("model", "robot")
+    while frame not in seen:
+        seen.add(frame)
         if frame in ("", "__model__"):
             links = (name for tags in (("link",), models) for name in own if own[name].tag in tags)
             frame = model.get("canonical_link") or next(links, "")
         head, _, rest = frame.partition("::")
-        there = own.get(head)
-        kind = "" if there is None else there.tag
-        if there is not None and kind in models:
-            return _home(f"{scope}::{head}", there, rest)
-        if there is not None and kind in ("frame", "joint"):
-            child = there.findtext("child", "").strip()
-            frame = there.get("attached_to", "") if kind == "frame" else child
+        part = own.get(head)
+        kind = "" if part is None else part.tag
+        if part is not None and kind in models:
+            return _home(f"{scope}::{head}", part, rest)
+        if part is not None and kind in ("frame", "joint"):
+            child = part.findtext("child", "").strip()
+            frame = part.get("attached_to", "") if kind == "frame" else child
     return scope
 
 
@@ -504,11 +504,11 @@ def edited(data: bytes, path: Path, root: Element) -> bytes:
             f"{path} is encoded in UTF-16 or UTF-32, which geodrake cannot edit.",
             advice="Save it in UTF-8.",
         )
-    there = {each.start: each for each in root.iter() if isinstance(each, LocatedElement)}
+    current = {each.start: each for each in root.iter() if isinstance(each, LocatedElement)}
     edits = list[tuple[int, int, bytes]]()
     for old in parse_xml_bytes(data, path).iter():
-        if isinstance(old, LocatedElement) and old.start in there:
-            edits += _edits_of(there[old.start], old, data)
+        if isinstance(old, LocatedElement) and old.start in current:
+            edits += _edits_of(current[old.start], old, data)
         elif isinstance(old, LocatedElement):
             end = _END.match(data, old.end)
             edits.append((old.start, end.end() if end else old.end, b""))

@@ -101,15 +101,15 @@ def _descriptions(path: Path) -> list[str]:
         advice = 'Check the path; names of robots need pip install "geodrake[robots]".'
         raise ModelError(f"{gone}.", advice=advice) from error
     name = str(path).lower().replace("-", "_").removesuffix(_END)
-    found = [each for each in (f"{name}{_END}", f"{name}_mj{_END}") if each in package.DESCRIPTIONS]
-    if not found:
+    names = [each for each in (f"{name}{_END}", f"{name}_mj{_END}") if each in package.DESCRIPTIONS]
+    if not names:
         known = sorted(each.removesuffix(_END) for each in package.DESCRIPTIONS)
         nearest = ", ".join(get_close_matches(name, known, 3, 0.0))
         raise ModelError(
             f"{gone}, and robot_descriptions has no robot of that name.",
             advice=f"Check the path; the nearest robot names are {nearest}.",
         )
-    return found[:1] if str(path).endswith(_END) else found
+    return names[:1] if str(path).endswith(_END) else names
 
 
 def _repository(module: str) -> tuple[str, Path]:

@@ -276,10 +276,10 @@ class ModelText(abc.ABC):
             model.remove(spring)
 
             def value(key: str, count: int = 1, spring: Element = spring) -> Array:
-                found = numbers(of_drake(spring, key) or "none", count)
-                if not np.isfinite(found).all():
+                values = numbers(of_drake(spring, key) or "none", count)
+                if not np.isfinite(values).all():
                     raise wrong_at(spring, self.path, f"<{spring.tag}> has no numbers as {key}.")
-                return found
+                return values
 
             if (rest := DRAKES_SPRINGS[spring.tag]) is None:
                 ends = [of_drake(spring, key) for key in ("body_A", "body_B")]
@@ -297,8 +297,8 @@ class ModelText(abc.ABC):
             if joints.get(name) not in CUT:
                 what = f"<{spring.tag}> names {name!r}, which is not a joint of a suitable type."
                 raise wrong_at(spring, self.path, what)
-            own = Spring.linear(float(value("stiffness")[0]), float(value(rest)[0]))
-            self.terms.lengths.append(StatedLength({f"{scope}::{name}": 1.0}, own))
+            law = Spring.linear(float(value("stiffness")[0]), float(value(rest)[0]))
+            self.terms.lengths.append(StatedLength({f"{scope}::{name}": 1.0}, law))
 
     def _drop_loops(self) -> None:
         tags = {f"{prefix}{tag}" for tag in _LOOPS for prefix in ("drake:", "")}
@@ -350,8 +350,8 @@ class ModelText(abc.ABC):
             xyz = numbers((axis is not None and axis.text) or "0 0 1", 3)
             axes.append((f"{scope}::{frame}", turn @ xyz))
         known = {each for text in self.every() for each in text.links}
-        whole = all(np.isfinite(axis).all() and axis.any() for _, axis in axes)
-        if whole and np.isfinite(ratio) and ratio and known.issuperset([reference, *links]):
+        is_finite = all(np.isfinite(axis).all() and axis.any() for _, axis in axes)
+        if is_finite and np.isfinite(ratio) and ratio and known.issuperset([reference, *links]):
             box = Gearbox(name, reference, (links[0], links[1]), (axes[0], axes[1]), ratio)
             self.terms.gearboxes.append(box)
         else:
@@ -369,15 +369,15 @@ class ModelText(abc.ABC):
     ) -> None:
         """Read further leaders of joints from Gazebo's plugins and ros2_control."""
         already = set(self.terms.followers)
-        found = [{each.tag: each.text or "" for each in plugin} for plugin in plugins]
+        mimics = [{each.tag: each.text or "" for each in plugin} for plugin in plugins]
         for joint in joints:
             given = {e.get("name", ""): e.text or "" for e in joint.findall("param")}
-            own = joint.get("name", "") if given.get("mimic") else ""
-            found.append({**given, "joint": given.get("mimic", ""), "mimicJoint": own})
-        for stated in found:
-            leader, own = (stated.get(key, "").strip() for key in ("joint", "mimicJoint"))
-            if own and f"{scope}::{own}" not in already | self.terms.fixed.keys():
-                self._follow(f"{scope}::{own}", f"{scope}::{leader}", stated)
+            follower = joint.get("name", "") if given.get("mimic") else ""
+            mimics.append({**given, "joint": given.get("mimic", ""), "mimicJoint": follower})
+        for stated in mimics:
+            leader, follower = (stated.get(key, "").strip() for key in ("joint", "mimicJoint"))
+            if follower and f"{scope}::{follower}" not in already | self.terms.fixed.keys():
+                self._follow(f"{scope}::{follower}", f"{scope}::{leader}", stated)
 
     def _follow(self, name: str, leader: str, stated: Mapping[str, str]) -> None:
         """Let a joint follow another one; it is fixed if the leader is."""
@@ -450,15 +450,15 @@ class SdfText(ModelText):
         for stated, name, joint in joints:
             self._take_mimic(stated, stated.rpartition("::")[0], joint)
             twice = joint.get("type") == "universal"
-            own = [f"{name}[{k}]" for k in range(2)] if twice else [name]
-            self._several |= set(own) if twice or joint.get("type") == "ball" else set()
-            self._take_axes(own, joint, damping=twice)
-        for name, found in plugins.items():
-            self._take_more_mimics(name, found)
+            axes = [f"{name}[{k}]" for k in range(2)] if twice else [name]
+            self._several |= set(axes) if twice or joint.get("type") == "ball" else set()
+            self._take_axes(axes, joint, damping=twice)
+        for name, elements in plugins.items():
+            self._take_more_mimics(name, elements)
         terms.fixed = {names.get(joint, joint): at for joint, at in terms.fixed.items()}
         terms.followers = {
-            names.get(own, own): Tie(names.get(tie.leader, tie.leader), tie.coefficients)
-            for own, tie in terms.followers.items()
+            names.get(axes, axes): Tie(names.get(tie.leader, tie.leader), tie.coefficients)
+            for axes, tie in terms.followers.items()
         }
         if nowhere and not any(text.links for text in self.every()):
             raise ModelError(
@@ -573,8 +573,8 @@ class UrdfText(ModelText):
         self._still = {f"{scope}::{e.get('name')}" for e in joints if e.get("type") == "fixed"}
         self._several = {f"{scope}::{e.get('name')}" for e in joints if e.get("type") in _SEVERAL}
         self._take_floating(scope, joints)
-        every = {e.get("name") for tag in ("joint", "drake:joint") for e in root.iter(tag)}
-        self._take_gazebo(scope, [e for e in gazebo if e.get("reference")], every)
+        joint_names = {e.get("name") for tag in ("joint", "drake:joint") for e in root.iter(tag)}
+        self._take_gazebo(scope, [e for e in gazebo if e.get("reference")], joint_names)
         self._take_drakes_springs(scope, root)
         self._take_pose(scope, gazebo)
         self._take_gazebo_joints(scope, gazebo)
@@ -663,8 +663,8 @@ class UrdfText(ModelText):
             cut = CutJoint.of(
                 f"{scope}::{name}", turn, kind, number(joint, "axis/limit/effort") > 0
             )
-            apart = stated is not None and stated.get("relative_to") is not None
-            if apart or not self._close(scope, cut, kind, {parent: X_PJ, child: X_CJ}):
+            is_relative = stated is not None and stated.get("relative_to") is not None
+            if is_relative or not self._close(scope, cut, kind, {parent: X_PJ, child: X_CJ}):
                 where = place_of(joint, self.path)
                 self.terms.left_out.append(f"{where}: <joint> {name} of <gazebo> is ignored.")
             else:
@@ -675,8 +675,8 @@ class UrdfText(ModelText):
         for joint in self.root.findall("loop_joint"):
             self.root.remove(joint)
             name, kind = joint.get("name", ""), joint.get("type") or "continuous"
-            found = [end for tag in ("link1", "link2") for end in joint.findall(tag)]
-            ends = {end.get("link", ""): _matrix(*_at(end)) for end in found}
+            end_elements = [end for tag in ("link1", "link2") for end in joint.findall(tag)]
+            ends = {end.get("link", ""): _matrix(*_at(end)) for end in end_elements}
             axis = joint.find("axis")
             turn = numbers("1 0 0" if axis is None else axis.get("xyz", ""), 3)
             if not self._close(scope, CutJoint.of(f"{scope}::{name}", turn, kind), kind, ends):

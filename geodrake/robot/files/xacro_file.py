@@ -105,8 +105,8 @@ def _expanded(path: Path, given: Given, read: dict[Path, bytes | None]) -> bytes
 
     with _private_xacro() as xacro, redirect_stderr(io.StringIO()):
         xacro.open = opened
-        own = xacro.substitution_args
-        own._eval_find = own._eval_dict["find"] = lambda name: str(
+        arguments = xacro.substitution_args
+        arguments._eval_find = arguments._eval_dict["find"] = lambda name: str(
             folder_of_package(name, path, given.packages)
         )
         _limit(xacro, _Limited(path, given.trust_xacro))
@@ -269,10 +269,10 @@ def _limit(xacro: Any, limited: _Limited) -> None:
     if not limited.trusted:
         symbols["python"].update({name: partial(refuse, name) for name in _WITHHELD})
         xacro.handle_macro_call = called
-    every = {**(vars(builtins) if limited.trusted else {}), **symbols["python"]}
-    every |= limited.functions
+    namespace = {**(vars(builtins) if limited.trusted else {}), **symbols["python"]}
+    namespace |= limited.functions
     xacro.safe_eval = counted
-    xacro.substitution_args.eval = lambda text, _, names: counted(text, dict(every), names)
+    xacro.substitution_args.eval = lambda text, _, names: counted(text, dict(namespace), names)
 
 
 def _words(error: Exception) -> str:

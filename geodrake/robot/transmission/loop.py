@@ -258,15 +258,15 @@ def _solve_least(A: Array, B: Array, T: Array, X: Array) -> None:
 def _solve_dependent(loop: Any, J: Array, B: Array, rooms: Any, out: Array) -> None:
     """Write the rows of dependent joints that solve J out = B, from those of the free joints."""
     free, following = loop.free, loop.following
-    A, rest, T, X = rooms
+    A, rhs, T, X = rooms
     for i in range(len(J)):
         for k in range(len(following)):
             A[i, k] = J[i, following[k]]
         for k in range(out.shape[1]):
-            rest[i, k] = B[i, k]
+            rhs[i, k] = B[i, k]
             for f in free:
-                rest[i, k] -= J[i, f] * out[f, k]
-    part = rest[:, : out.shape[1]]
+                rhs[i, k] -= J[i, f] * out[f, k]
+    part = rhs[:, : out.shape[1]]
     _solve_least(A, part, T, X)
     for k in range(len(following)):
         for x in range(out.shape[1]):
@@ -518,8 +518,8 @@ class LoopTransmission(JointlyEvaluated, Short):
         theta, G, reached = solve_loop(self.records, q)
         if (open_ := reached < 1.0).any():
             at = int(np.argmax(open_))
-            there = self.reference[self.free]
-            end = there + reached[at] * (q[at] - there)
+            start = self.reference[self.free]
+            end = start + reached[at] * (q[at] - start)
             raise ArgumentError(
                 f"The closed loop of {self.name} does not close at "
                 f"{_places(self.actuators, q[at])}: starting from the posture of the file, it "
@@ -549,25 +549,25 @@ class LoopTransmission(JointlyEvaluated, Short):
 
         With several free joints, the dependent joints respect their limits there, too.
         """
-        (lower, upper), there = self.limits[:, self.free], self.reference[self.free]
+        (lower, upper), start = self.limits[:, self.free], self.reference[self.free]
         units = self.records.units[self.free]
-        ends = [np.maximum(lower, there - _FAR * units), np.minimum(upper, there + _FAR * units)]
-        for k, (end, own) in enumerate(zip(ends, (lower, upper), strict=True)):
-            q = there + np.diag(end - there)  # one joint at a time
+        ends = [np.maximum(lower, start - _FAR * units), np.minimum(upper, start + _FAR * units)]
+        for k, (end, limit) in enumerate(zip(ends, (lower, upper), strict=True)):
+            q = start + np.diag(end - start)  # one joint at a time
             share = solve_loop(self.records, q)[2]
-            stops = there + (1.0 - _OFF_THE_END) * share * (end - there)
-            ends[k] = np.where(share < 1.0, stops, own)
-        if 1 < len(there) <= _CORNERS:
+            stops = start + (1.0 - _OFF_THE_END) * share * (end - start)
+            ends[k] = np.where(share < 1.0, stops, limit)
+        if 1 < len(start) <= _CORNERS:
             least, most = self.limits
             least, most = np.minimum(least, self.reference), np.maximum(most, self.reference)
             for _ in range(_MOST_TRIALS):
-                near = [np.clip(end, there - _FAR * units, there + _FAR * units) for end in ends]
+                near = [np.clip(end, start - _FAR * units, start + _FAR * units) for end in ends]
                 corners = np.array(list(product(*zip(*near, strict=True))))
                 theta, _, share = solve_loop(self.records, corners)
                 within = (theta >= least - _SAME) & (theta <= most + _SAME)
                 if (share == 1.0).all() and within.all():
                     break
-                ends = [there + _SMALLER * (end - there) for end in near]
+                ends = [start + _SMALLER * (end - start) for end in near]
         return ends[0], ends[1]
 
 
