@@ -65,6 +65,15 @@ def balanced(stance):
     return stance.motor_states(np.stack([q, 0 * q, 0 * q]))[0, 0]
 
 
+def few_states(stance, count=6):
+    """Some states within the limits, in balance at rest."""
+    limits, rng = stance.limits(), np.random.default_rng(0)
+    spread = rng.uniform(limits.lower, limits.upper, (count, len(limits.joints)))
+    q = stance.balanced(spread, limits)
+    v, vd = 0.3 * rng.uniform(-1.0, 1.0, (2, *q.shape)) * limits.reach
+    return Motion(q, v, vd)
+
+
 @cache
 def designed(*feet):
     stance = standing(*feet)
@@ -391,7 +400,7 @@ def left_of_efforts(stance, motion, needed, jacobians):
 def test_legs_with_transmissions_stand(feet):
     """Gears, two motors on one ankle, a cylinder and a linkage, by Pinocchio at the joints."""
     stance = geared_stance(*feet)
-    motion, coordinates = stance.random_motion()[:6], stance.model.coordinates
+    motion, coordinates = few_states(stance), stance.model.coordinates
     names = [coordinates.joints.index(name) for name in biped().joints]
     back = np.argsort(names)
     engine = FreeRobot(BIPED.read_text(), biped().joints[6:])
@@ -456,7 +465,7 @@ def test_legs_with_closed_loops_stand(tmp_path):
     points = [Foot(foot, np.zeros((1, 3))) for foot in feet]
     stance = make_stance(robot, points, posture=bent, limits=limits)
     assert stance.motors == motors and len(stance.following) == 9
-    motion = stance.random_motion()[:6]
+    motion = few_states(stance)
     check_excess(stance, motion)
     motion = at_rest(motion.q)
     m = mujoco.MjModel.from_xml_path(str(robot.path))
@@ -509,7 +518,7 @@ def test_effects_are_told_apart_on_two_feet(place):
     width = 0.02 * stance.limits().velocity
     separation = make_separation(stance.model, *rivals, noise=1.0, sign_width=width, stance=stance)
     assert {pair.truth for pair in separation.pairs} == {*names}
-    motion = stance.random_motion()[:40]
+    motion = few_states(stance, 12)
     gradient = separation.value_and_gradient(motion)[1]
 
     def value(there):
