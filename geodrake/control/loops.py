@@ -83,11 +83,7 @@ class AdaptiveLoop:
             self.effect_force.deflect(root)
 
     def simulated(self, diagram: Diagram, duration: float) -> tuple[Array, dict[str, Array]]:
-        """Simulate a duration, s, from the start of the motion.
-
-        Returns:
-            Times (N,), and logged signals (N, ·) by name.
-        """
+        """Simulate a duration, s; return times (N,) and logged signals (N, ·) by name."""
         simulator = Simulator(diagram, self.context(diagram))
         simulator.Initialize()
         simulator.AdvanceTo(duration)

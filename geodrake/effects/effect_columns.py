@@ -98,12 +98,7 @@ class EffectColumns:
         return Y
 
     def added_mass(self, motion: JointMotion, mu: Array, to_robot_motion: ToRobotMotion) -> Array:
-        """Return the contribution (nv, nv) of the effects to the mass matrix.
-
-        Args:
-            motion: Motion of all joints at one sample; its accelerations do not matter.
-            mu: (k,) parameters.
-        """
+        """Return the effects' part (nv, nv) of the mass matrix; accelerations do not matter."""
         zero, unit = (replace(motion, vd=np.full(len(self.joints), x)) for x in (0.0, 1.0))
         change = np.zeros((len(self.joints), self.count))
         put_signals((zero.vd, unit.vd, zero.vd), self.signals, 1.0, change)

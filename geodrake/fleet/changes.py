@@ -466,17 +466,11 @@ def find_changes(
     passes: int = 3,
     team: Workers = THIS_PROCESS,
 ) -> tuple[TypeModel, list[R]]:
-    """Find changes of the robots of a type: joint or body, effect and date.
+    """Return the model of a type, and the result of `report` for each robot's search for changes.
 
     The type model is learnt with the changes found so far, and changes are searched with the type
     model, in several passes. Among robots without changes, at most `false_alarms` are reported per
     robot-month.
-
-    Args:
-        report: Returns the result of a robot's search.
-
-    Returns:
-        The type model, and the results of `report`.
     """
     # Gains initially refer to the mean of all robots.
     mean = least_squares(*pooled(team, [replace(h, reference=None) for h in histories]))

@@ -129,9 +129,7 @@ class Fleet(Short):
 
 
 def read_fleet(path: str | Path) -> Fleet:
-    """Read a fleet file.
-
-    Paths are relative to the file.
+    """Read a fleet file, whose paths are relative to it.
 
     Raises:
         FleetError: It cannot be read, has invalid keys or values, or contains a robot twice.

@@ -271,11 +271,7 @@ def parameter_levels(
 def _robot_result(
     search: RobotSearch, *, kind: str, layout: TypeLayout, models: Mapping[str, Array]
 ) -> RobotResult:
-    """Return the result for a robot.
-
-    Args:
-        models: Robot -> (p,) values in its own model file.
-    """
+    """Return the result for a robot, given values (p,) in the robots' own model files."""
     places, history, model = search.find(), search.history, search.model
     state, findings = search.state(places), search.findings(places)
     # Without parameters of bodies, which a log determines only in combination.

@@ -241,10 +241,7 @@ def natural_adaptation(
 ) -> AdaptationLaw:
     """Return the natural law, [Lee2019] Eq. (5.4.51), independent of units.
 
-    Estimates remain physical.
-
-    Args:
-        manifold: Such as `parameter_manifold(model)`.
+    On a `parameter_manifold(model)`, estimates remain physical.
     """
     return AdaptationLaw(manifold, gamma, integrator)
 

@@ -60,11 +60,7 @@ class Engine(abc.ABC):
 
     @abc.abstractmethod
     def effort(self, q: Array, v: Array, vd: Array) -> tuple[Array, Mask]:
-        """Return the effort that a motion (N, nv) needs.
-
-        Returns:
-            (N, nv) efforts, N·m or N, and which of them are comparable to those of the model.
-        """
+        """Return the efforts (N, nv) of a motion, and which are comparable to the model's."""
 
     def roll_out(self, q: Array, v: Array, effort: Array, step: float) -> Array | None:
         """Simulate without dry friction and return positions (K + 1, nv); None if not supported.

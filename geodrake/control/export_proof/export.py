@@ -196,11 +196,7 @@ def check_folder(
 def write_files(
     export: ProvenExport, folder: Path, other_files: Mapping[Path, Content] | None = None
 ) -> list[Path]:
-    """Write all files or none; new folders are removed on failure.
-
-    Returns:
-        The files of the export.
-    """
+    """Write all files or none, and return those of the export; remove new folders on failure."""
     files: dict[Path, Content] = {folder / name: d for name, d in export.exported.files.items()}
     with ExitStack() as stack:
         for parent in sorted({folder, *(path.parent for path in files)}):

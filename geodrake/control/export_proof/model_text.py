@@ -272,11 +272,7 @@ _WRITERS: Mapping[str, Callable[[Sequence[Link], str, Array], Element]] = {
 
 
 def written_kind(model: RobotModel, kinds: Sequence[str]) -> str:
-    """Return the file format of an export: that of the robot's own file if possible.
-
-    Args:
-        kinds: Possible formats, the default first: urdf, sdf, xml for MJCF.
-    """
+    """Return the one of `kinds` that the robot's own file has, or else the first."""
     kind = own_kind(model)
     return kind if kind in kinds else kinds[0]
 

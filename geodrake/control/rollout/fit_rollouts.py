@@ -316,11 +316,7 @@ def _fit_servos(case: Case, before: Rollout, tested: Mask) -> Fit:
 
 
 def held_out(logs: Sequence[str]) -> Mask:
-    """Return (W,) which windows are held out: every other log, or block of a single log.
-
-    Args:
-        logs: (W,) names of the windows' logs, in order.
-    """
+    """Return (W,) which windows are held out: every other log, or block of a single log."""
     names = list(dict.fromkeys(logs))
     if len(names) > 1:
         return np.array([names.index(log) % 2 == 1 for log in logs])

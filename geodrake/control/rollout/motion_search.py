@@ -234,11 +234,7 @@ class MotionSearch:
         return x, self._deviations(x, self._projections(x))
 
     def linearized(self, x: Array, *, slopes: bool = False) -> list[tuple[Array, Array]]:
-        """Return each window's linearized departure, and its derivatives by the initial state.
-
-        Args:
-            x: (k,) steps of the values.
-        """
+        """Return each window's linearized departure, and its slopes by the initial state."""
         values = values_at(self.values, x)[0].tolist()
         model = with_values(self.model, self.values, values, values)
         # The windows of a log share its robot, which prepares its commands.
@@ -260,7 +256,6 @@ class MotionSearch:
         return start_projections([slopes for _, slopes in linearized], departures)
 
     def _residuals(self, x: Array, projections: Sequence[StartProjection]) -> list[Array]:
-        """Return the residuals of each window."""
         rows = zip(projections, self._offsets, self.linearized(x), strict=True)
         return [project(offset + departure) for project, offset, (departure, _) in rows]
 
@@ -377,12 +372,7 @@ def _rms(departures: Sequence[Array]) -> Array:
 
 
 def start_projection(slopes: Array, scale: Array) -> StartProjection:
-    """Return the projection of a window.
-
-    Args:
-        slopes: (N, nv, k) derivatives of its departure by its initial state.
-        scale: (nv,) size of departures, rad or m.
-    """
+    """Return the projection of a window, with slopes (N, nv, k) as in `start_projections`."""
     columns = (slopes / scale[:, None]).reshape(-1, slopes.shape[2])
     size = np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
     return StartProjection(scale, np.linalg.qr(columns / size)[0])

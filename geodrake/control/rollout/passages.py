@@ -69,11 +69,7 @@ class Passage:
         return self.stretch.piece[first : first + len(self.segment)].position
 
     def motion(self, model: RobotModel, most: int | None = None) -> Motion:
-        """Return the measured motion, with the preceding positions that effects need.
-
-        Args:
-            most: Number of samples to return; all if None.
-        """
+        """Return `most` measured samples, or all, with the preceding positions effects need."""
         first, before = self.segment[:most], self.stretch[max(0, self.start - MEMORY) : self.start]
         return Motion(
             model.positions(first.position),

@@ -211,11 +211,7 @@ def case_rollout(
     progress: Progress | None = None,
     within: Sequence[Span] | None = None,
 ) -> Rollout:
-    """Return the rollout of a case's model in its prepared logs; see `roll_out`.
-
-    Args:
-        within: Spans (log, first time, last time), s, that must contain the windows, if any.
-    """
+    """Return the rollout of a case's model; see `roll_out`, and `chosen_passages` for `within`."""
     model, logs = case.model, case.options.logs
     if commands and not any(commanded_joints(model, log).any() for log in logs):
         raise LogError(

@@ -38,9 +38,7 @@ _ROUGH = 0.5  # rad or m per step, above which a passage is simulated again by s
 _FINER, _FINEST = 4, 16  # refinement factor, and its largest product
 _LOST = 30.0  # rad or m per step, above which a simulation has diverged
 _GAMMA = 1.0 - np.sqrt(0.5)
-_TOLERANCE = (
-    3e-3  # of the speeds below which dry friction fades, by which velocities change at last
-)
+_TOLERANCE = 3e-3  # of velocities, relative to the speeds below which dry friction fades
 _MOST_ROUNDS, _CROSSING_ROUNDS = 40, 10  # of Newton, and in which friction is taken at rest
 _DIFFERENCE = 1e-6  # rad or m, and shares of efforts and of speeds, for slopes
 

@@ -152,13 +152,7 @@ class InputMonitor(NamedTuple):
     def observe(
         self, memory: Array, state: Array, desired: Array, acceleration: Array
     ) -> tuple[Observation, Array]:
-        """Return the observation, and the memory after the sample.
-
-        Args:
-            state: (2 n,) measured positions and velocities.
-            desired: (2 n,) desired positions and velocities.
-            acceleration: (n,) desired accelerations.
-        """
+        """Return the observation for states (2 n,), and the memory after the sample."""
         memory, motion = memory.copy(), np.empty((5, self.size))
         inputs = contiguous(state), contiguous(desired), contiguous(acceleration)
         q, qd, q_d, v_d, a_d = motion
@@ -230,10 +224,8 @@ def calc_observed(
         q[:], qd[:] = state[:n], state[n:]
     else:
         q[:], qd[:] = q_d, v_d
-    valid, plausible = (
-        measured and has_desired,
-        memory[-2] * monitor.period >= monitor.settling_time,
-    )
+    valid = measured and has_desired
+    plausible = memory[-2] * monitor.period >= monitor.settling_time
     return valid and new and plausible, valid and not new, known, memory[-1] >= 0.0
 
 
