@@ -1,4 +1,4 @@
-"""Finds what a model is missing: compare, diagnose, add, explain."""
+"""Diagnosis of effects that a model is missing: compare, diagnose, add, explain."""
 
 from geodrake.diagnosis.add import add
 from geodrake.diagnosis.beliefs import Beliefs

@@ -1,4 +1,4 @@
-"""Add one effect to a model and refit it."""
+"""Addition of one effect to a model, with a refit."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ def add(
 ) -> Explanation:
     """Add an effect to a model and refit, whatever the evidence for it.
 
-    Wrong bodies free the inertial parameters, and episodes act in windows that are found in the
-    residual. Places `where` are joints, bodies, or the two joints of a pair; by default all joints
-    (a delay then applies to all efforts), or the body or pair of neighbouring joints with the
-    largest improvement. Other arguments are those of `explain`. The explanation has one step, with
-    held-out errors before and after.
+    Wrong bodies free the inertial parameters, and episodes act in windows found in the residual.
+    Places `where` are joints, bodies, or the two joints of a pair; by default all joints (a delay
+    then applies to all efforts), or the body or pair of neighbouring joints with the largest
+    improvement. Other arguments are those of `explain`. The explanation has one step, with held-out
+    errors before and after.
 
     Raises:
         ArgumentError: There is no such effect or place, the effect takes no place, the model has it
@@ -49,7 +49,7 @@ def add(
     instance(model, "model", RobotModel)
     where = tuple(dict.fromkeys(instances(() if where is None else where, "where", str))) or None
     kind = effect_class(effect, extra)
-    _refuse_what_cannot_be(kind, model, where)
+    _check_effect(kind, model, where)
     case = open_case(
         model,
         logs,
@@ -59,23 +59,21 @@ def add(
         blocks=blocks,
         hold_resting=hold_resting,
     )
-    _refuse_what_cannot_be(kind, case.model, where)
-    found = Search(case).forced(kind, _places(kind, case, where), _further(kind, case, where))
-    findings = [finding for finding in findings_of(found) if finding.name == kind.name]
-    result = explained(case, found, findings, forced=True).explanation
-    added = {term.effect for term in found.fit.terms}
-    _refuse_unidentifiable(result.model, {each for each in added if each is not None})
+    _check_effect(kind, case.model, where)
+    search = Search(case).forced(kind, _places(kind, case, where), _further(kind, case, where))
+    findings = [finding for finding in findings_of(search) if finding.name == kind.name]
+    result = explained(case, search, findings, forced=True).explanation
+    added = {term.effect for term in search.fit.terms}
+    _check_identifiable(result.model, {e for e in added if e is not None})
     return result
 
 
-def _refuse_what_cannot_be(
-    kind: type[Effect], model: RobotModel, where: Sequence[str] | None
-) -> None:
+def _check_effect(kind: type[Effect], model: RobotModel, where: Sequence[str] | None) -> None:
     """Raise an ArgumentError for effects that cannot be added with any log."""
     if where and kind.role in (Role.INERTIA, Role.EPISODE):
-        shown = kind.role is Role.EPISODE
-        whose = "found in the residual" if shown else "one of the whole robot"
-        raise ArgumentError(f"{kind.name} is {whose}, so it has no place.")
+        is_episode = kind.role is Role.EPISODE
+        reason = "is found in the residual" if is_episode else "applies to the whole robot"
+        raise ArgumentError(f"{kind.name} {reason}, so it takes no place.")
     kinds = ["joint"] if kind.role is Role.DELAY else ["joint", "body"]
     check_places(model, where or (), kinds=kinds)
 
@@ -83,7 +81,7 @@ def _refuse_what_cannot_be(
 def check_places(
     model: RobotModel, where: Sequence[str], *, kinds: Sequence[str] = ("joint", "body")
 ) -> None:
-    """Raise an ArgumentError unless a model has all joints, or bodies, of some names."""
+    """Raise an ArgumentError unless a model has joints or bodies of all names."""
     places = {"joint": model.joints, "body": model.bodies}
     known = [name for kind in kinds for name in places[kind]]
     for name in where:
@@ -95,7 +93,7 @@ def check_places(
             )
 
 
-def _refuse_unidentifiable(fitted: RobotModel, added: set[Effect]) -> None:
+def _check_identifiable(fitted: RobotModel, added: set[Effect]) -> None:
     """Raise an ArgumentError for an effect without identifiable parameters."""
     missing = [
         f.effect
@@ -111,18 +109,18 @@ def _refuse_unidentifiable(fitted: RobotModel, added: set[Effect]) -> None:
 
 
 def _further(kind: type[Effect], case: Case, where: Sequence[str] | None) -> tuple[Effect, ...]:
-    """Return the wanted effects at joints that are not neighbours."""
+    """Return the requested effects at joints that are not neighbours."""
     if kind.places != "joint_pair":
         return ()
     pairs = other_pairs(case.model, case.model.single_joints)
-    asked = [pair for pair in pairs if sorted(pair) == sorted(where or ())]
-    return tuple(each for pair in asked for each in candidates_of(kind, pair))
+    requested = [pair for pair in pairs if sorted(pair) == sorted(where or ())]
+    return tuple(each for pair in requested for each in candidates_of(kind, pair))
 
 
 def _places(
     kind: type[Effect], case: Case, where: Sequence[str] | None
 ) -> tuple[tuple[str, ...], ...] | None:
-    """Return the places of the effect; None for all places, or the best one."""
+    """Return the places of the effect; None for all places, or for the best one."""
     offered = {e.name for e in case.dataset.effects}
     if kind.needs_known_inertia and kind.name not in offered:
         raise ArgumentError(

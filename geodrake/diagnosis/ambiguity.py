@@ -1,4 +1,4 @@
-"""Commands of `geodrake excite` that tell ambiguous effects apart."""
+"""Commands of `geodrake excite` that distinguish ambiguous effects."""
 
 from __future__ import annotations
 
@@ -13,34 +13,33 @@ from geodrake.model.robot_model import RobotModel
 _MOST = 4
 
 Finding = tuple[str, Sequence[str]]
-"""Name of an effect, two joined by " + ", and its joints or bodies."""
+"""Name of an effect, or names joined by " + ", and its joints or bodies."""
 
 
-def distinguishing_commands(found: Diagnosis | Explanation) -> tuple[str, ...]:
-    """Return commands that design motions which tell ambiguous findings apart.
+def distinguishing_commands(result: Diagnosis | Explanation) -> tuple[str, ...]:
+    """Return commands that design motions to distinguish ambiguous findings.
 
     They are `geodrake excite MODEL --tell-apart A,B[@PLACE]`, one for each pair that a motion can
-    tell apart, a few at most. Delays, wrong inertias, effects of one log and rivals without a known
-    place are excluded.
+    distinguish, a few at most. Delays, wrong inertias, effects of one log and rivals without a
+    known place are excluded.
     """
-    findings = _of_diagnosis(found) if isinstance(found, Diagnosis) else _of_explanation(found)
+    findings = _of_diagnosis(result) if isinstance(result, Diagnosis) else _of_explanation(result)
     pairs = dict.fromkeys(pair for one, other in findings for pair in _pair(one, other))
     return tuple(f"geodrake excite MODEL --tell-apart {pair}" for pair in [*pairs][:_MOST])
 
 
 def _of_diagnosis(diagnosis: Diagnosis) -> Iterator[tuple[list[Finding], list[Finding]]]:
-    """Yield the best candidate and those tied with it, effect by effect."""
+    """Yield the best candidate with each candidate tied with it."""
     if diagnosis.candidates:
         joints = {joint.joint for joint in diagnosis.start.joints}
         best, *others = ((_single(c.effect, c.where, joints), c.tied) for c in diagnosis.candidates)
         yield from ((best[0], other) for other, tied in others if tied)
 
 
-def _of_explanation(found: Explanation) -> Iterator[tuple[list[Finding], list[Finding]]]:
-    """Yield steps and their rivals."""
-    for step in found.steps:
+def _of_explanation(explanation: Explanation) -> Iterator[tuple[list[Finding], list[Finding]]]:
+    for step in explanation.steps:
         for rival in step.indistinguishable_from:
-            where = _rivals_place(step, rival, found.model)
+            where = _rivals_place(step, rival, explanation.model)
             if where is not None:
                 yield [(step.effect, step.where)], [(rival, where)]
 
@@ -60,31 +59,31 @@ def _rivals_place(step: Step, name: str, model: RobotModel) -> Sequence[str] | N
 
 def _single(names: str, where: Sequence[str], joints: set[str]) -> list[Finding]:
     """Return effects found together, each with the places of its own kind."""
-    found: list[Finding] = []
+    findings: list[Finding] = []
     for name in names.split(" + "):
-        cls, own = _class(name), where
+        cls, places = _class(name), where
         if cls is not None and names != name:
-            own = [place for place in where if (place in joints) == (cls.places != "body")]
-        found.append((name, own))
-    return found
+            places = [place for place in where if (place in joints) == (cls.places != "body")]
+        findings.append((name, places))
+    return findings
 
 
 def _pair(one: Sequence[Finding], other: Sequence[Finding]) -> list[str]:
     """Return `A,B@PLACE` of the effects in which two findings differ, or nothing."""
     first, second = [name for name, _ in one], [name for name, _ in other]
-    mine = [_placed(*finding) for finding in one if finding[0] not in second]
-    yours = [_placed(*finding) for finding in other if finding[0] not in first]
-    a, b = next(filter(None, mine), None), next(filter(None, yours), None)
+    own = [_placed(*finding) for finding in one if finding[0] not in second]
+    others = [_placed(*finding) for finding in other if finding[0] not in first]
+    a, b = next(filter(None, own), None), next(filter(None, others), None)
     if a is None or b is None:
         return []
-    (name, place, kind), (rival, there, other_kind) = a, b
-    if place == there and kind == other_kind:  # said once, it is that of both
+    (name, place, kind), (rival, rival_place, other_kind) = a, b
+    if place == rival_place and kind == other_kind:  # stated once, it applies to both
         place = ""
-    return [f"{name}{place},{rival}{there}"]
+    return [f"{name}{place},{rival}{rival_place}"]
 
 
 def _placed(name: str, where: Sequence[str]) -> tuple[str, str, str] | None:
-    """Name, `@place` and kind of place; no place if it is everywhere or at several joints."""
+    """Return name, `@place` and kind of place; no place for all or several joints."""
     cls = _class(name)
     if cls is None:
         return None
@@ -96,7 +95,7 @@ def _placed(name: str, where: Sequence[str]) -> tuple[str, str, str] | None:
 
 
 def _class(name: str) -> type[Effect] | None:
-    """Return the effect that a motion can be designed for; None if there is none."""
+    """Return the effect for which a motion can be designed; None if there is none."""
     try:
         cls = effect_class(name)
     except ArgumentError:  # an effect of the user's own

@@ -1,7 +1,8 @@
-"""Prior beliefs about a robot, before its logs are seen.
+"""Prior beliefs about a robot.
 
-A diagnosis compares explanations by their probability; these are the prior odds and widths. Those
-of mistakes in columns, such as usual zeros, gains and ranges of joints, are in `columns.evidence`.
+A diagnosis compares explanations by their posterior probability; these are its prior odds and
+widths. Those of mistakes in columns, such as usual zeros, gains and ranges of joints, are in
+`columns.evidence`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Hill climbing from one explanation to a more probable neighbour."""
+"""Hill climbing between neighbouring explanations."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ Array = NDArray[np.float64]
 _MOST_STEPS = 40
 _MOST_COUNTS = 4
 _OPTIMISTIC = 0.3
-"""On the way up, residuals are worth at least this share of their rows: what is missing still
-makes them look as if they were worth less."""
-_COUNTED = 20  # most promising neighbours, fitted with the present weights of the residuals
-_ANY = 10_000  # more neighbours than there are
+"""Least effective samples per row in an optimistic climb: effects that are still missing make
+residuals vary slowly, which lowers their effective sample size."""
+_COUNTED = 20  # best neighbours that are refitted with the present sample sizes
+_ANY = 10_000  # exceeds the number of neighbours
 _JUDGED = 5
-"""So many of the most promising neighbours have their residuals counted anew."""
+"""Number of best neighbours whose effective sample sizes are recomputed."""
 
 Watch = Callable[[Fit, Fit], None]
-"""Called with the explanation before and after each step."""
+"""Callback with the explanations before and after each step."""
 
 
 def climb(
     model: LogModel,
     fit: Fit,
     *,
-    hopeful: bool,
+    optimistic: bool,
     watch: Watch | None = None,
     pause: Callable[[Fit], bool] | None = None,
     joints: Collection[str] | None = None,
@@ -40,13 +40,13 @@ def climb(
 ) -> Fit:
     """Climb from neighbour to more probable neighbour.
 
-    Hopeful, residuals count for more than they do now, as terms may be missing still. `pause` tells
-    whether to return with what a step led to, as it is to be made exact first. If `joints` are
-    given, their own effects alone may change. `further` and `common` are as of `neighbours`.
+    An optimistic climb assumes larger effective sample sizes, as terms may still be missing.
+    `pause` returns whether to stop after a step, before the result is refined. If `joints` are
+    given, only their own effects may change. `further` and `common` are passed to `neighbours`.
     """
-    seen = {fit.choice.key}  # samples are counted anew at each step, which may lead back
+    seen = {fit.choice.key}  # changing sample sizes may lead back
     for _ in range(_MOST_STEPS):
-        better = _step(model, fit, seen, joints, further, hopeful=hopeful, common=common)
+        better = _step(model, fit, seen, joints, further, optimistic=optimistic, common=common)
         if better is None:
             break
         if watch is not None:
@@ -58,36 +58,36 @@ def climb(
     return fit
 
 
-def may_come(model: LogModel, fit: Fit, effects: Collection[Effect]) -> bool:
-    """Return whether one of some effects is in a more probable neighbour of an explanation."""
+def can_gain(model: LogModel, fit: Fit, effects: Collection[Effect]) -> bool:
+    """Return whether any of some effects is in a more probable neighbour of an explanation."""
     shares = model.shares(fit)
     fit = _refitted(model, fit, shares)
-    near = neighbours(model, fit, most=_ANY)
-    choices = [each for each in near if any(term.effect in effects for term in each.terms)]
-    tried = model.ranked(choices[:_COUNTED], shares, fit.noise)[:_JUDGED]
-    gains = (gain_of(model, fit, each) for each in tried)
-    return any(found is not None and found[0] > 0.0 for found in gains)
+    moves = neighbours(model, fit, most=_ANY)
+    choices = [each for each in moves if any(term.effect in effects for term in each.terms)]
+    fits = model.ranked(choices[:_COUNTED], shares, fit.noise)[:_JUDGED]
+    gains = (gain_of(model, fit, each) for each in fits)
+    return any(gain is not None and gain[0] > 0.0 for gain in gains)
 
 
 def settled(model: LogModel, fit: Fit) -> Fit:
-    """Climb until residuals count as those of the explanation that is reached.
+    """Climb until the sample sizes are those of the residuals of the result.
 
-    Probabilities are told by the samples that the residuals of the answer are worth. So nothing
-    nearby may be more probable by them.
+    Probabilities depend on the effective sample sizes of the answer's residuals, by which no
+    neighbour may be more probable.
     """
     for _ in range(_MOST_COUNTS):
         model.level_noise(fit)
-        shares, was = model.shares(fit), fit.choice.key
-        better, seen = _refitted(model, fit, shares), {was}
+        shares, previous = model.shares(fit), fit.choice.key
+        better, seen = _refitted(model, fit, shares), {previous}
         for _ in range(_MOST_STEPS):
             choices = [choice for choice in neighbours(model, better) if choice.key not in seen]
-            tried = model.ranked(choices, shares, better.noise)
-            gains = [model.lead(each, better, shares) for each in tried]
+            fits = model.ranked(choices, shares, better.noise)
+            gains = [model.lead(each, better, shares) for each in fits]
             if max(gains, default=0.0) <= 0.0:
                 break
-            better = tried[int(np.argmax(gains))]
+            better = fits[int(np.argmax(gains))]
             seen.add(better.choice.key)
-        if better.choice.key == was:
+        if better.choice.key == previous:
             break
         fit = better
     return fit
@@ -100,36 +100,36 @@ def _step(
     joints: Collection[str] | None,
     further: int,
     *,
-    hopeful: bool,
+    optimistic: bool,
     common: bool,
 ) -> Fit | None:
-    """Return the best neighbour of a fit not seen yet, if it is more probable."""
+    """Return the best new neighbour of a fit; None if none is more probable."""
     model.level_noise(fit)
-    own = model.shares(fit)
-    high = np.maximum(own, _OPTIMISTIC)
-    fit = _refitted(model, fit, high if hopeful else own)
+    shares = model.shares(fit)
+    high = np.maximum(shares, _OPTIMISTIC)
+    fit = _refitted(model, fit, high if optimistic else shares)
     choices = neighbours(model, fit, joints=joints, further=further, common=common)
     choices = [choice for choice in choices if choice.key not in seen]
-    tried = model.ranked(choices, high, fit.noise)
-    promising = tried[:_JUDGED]
-    if model.are_apart(fit.choice.delay, model.on_time):
-        promising += [each for each in tried if each.choice.delay == model.on_time]
-    if not hopeful:
-        choices = [each.choice for each in tried[:_COUNTED]]
-        promising += model.ranked(choices, own, fit.noise)[:_JUDGED]
-        promising += sorted(tried, key=lambda each: -_potential(model, fit, each, high))[:further]
+    fits = model.ranked(choices, high, fit.noise)
+    promising = fits[:_JUDGED]
+    if model.delays_differ(fit.choice.delay, model.on_time):
+        promising += [each for each in fits if each.choice.delay == model.on_time]
+    if not optimistic:
+        choices = [each.choice for each in fits[:_COUNTED]]
+        promising += model.ranked(choices, shares, fit.noise)[:_JUDGED]
+        promising += sorted(fits, key=lambda each: -_potential(model, fit, each, high))[:further]
     best, gain = None, 1e-6
     for other in {each.choice.key: each for each in promising}.values():
-        found = gain_of(model, fit, other, hopeful=hopeful)
-        if found is not None and found[0] > gain:
-            gain, best = found
+        result = gain_of(model, fit, other, optimistic=optimistic)
+        if result is not None and result[0] > gain:
+            gain, best = result
     return best
 
 
 def _potential(model: LogModel, fit: Fit, other: Fit, shares: Array) -> float:
-    """Return the score of another fit if its residuals, where it leaves less, were white noise."""
-    fallen = np.log(np.maximum(fit.noise / np.maximum(other.noise, 1e-300), 1.0))
-    return other.score + float(((1.0 - shares)[model.joint_of] * model.block_rows) @ fallen)
+    """Return the score of another fit if its residuals were white noise where it reduces them."""
+    reduction = np.log(np.maximum(fit.noise / np.maximum(other.noise, 1e-300), 1.0))
+    return other.score + float(((1.0 - shares)[model.joint_of] * model.block_rows) @ reduction)
 
 
 def _refitted(model: LogModel, fit: Fit, shares: Array) -> Fit:
@@ -138,14 +138,14 @@ def _refitted(model: LogModel, fit: Fit, shares: Array) -> Fit:
 
 
 def gain_of(
-    model: LogModel, fit: Fit, other: Fit, *, hopeful: bool = False
+    model: LogModel, fit: Fit, other: Fit, *, optimistic: bool = False
 ) -> tuple[float, Fit] | None:
-    """Return how much higher another fit scores, residuals counted alike, and that fit.
+    """Return the score of another fit relative to `fit`, and that fit, with equal sample sizes.
 
-    Residuals of either joint are worth as many samples as those of the fit that leaves less.
+    At each joint, the sample size is that of the fit with the smaller residual.
     """
     shares = np.where(other.variance < fit.variance, model.shares(other), model.shares(fit))
-    shares = np.maximum(shares, _OPTIMISTIC) if hopeful else shares
-    one = model.fit(fit.choice, shares, fit.noise) or fit
-    two = model.fit(other.choice, shares, other.noise)
-    return None if two is None else (model.lead(two, one, shares), two)
+    shares = np.maximum(shares, _OPTIMISTIC) if optimistic else shares
+    base = model.fit(fit.choice, shares, fit.noise) or fit
+    better = model.fit(other.choice, shares, other.noise)
+    return None if better is None else (model.lead(better, base, shares), better)

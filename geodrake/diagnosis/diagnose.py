@@ -1,4 +1,4 @@
-"""Rank the effects that a model may lack."""
+"""Ranking of the effects that a model may lack."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from geodrake.diagnosis.findings import (
 )
 from geodrake.diagnosis.moves import additions
 from geodrake.diagnosis.results import Candidate, Diagnosis
-from geodrake.diagnosis.search import Found, searched
+from geodrake.diagnosis.search import SearchResult, find_explanation
 from geodrake.diagnosis.terms import names_and_places
 from geodrake.effects import Effect
 from geodrake.identification.logs.case import Case, error_table, open_case
@@ -42,17 +42,16 @@ def diagnose(
 ) -> Diagnosis:
     """Rank the effects that a model may lack, each added alone.
 
-    Columns are assumed to be correct; `check_columns` finds mistakes in them.
-
-    Arguments are those of `explain`.
+    Columns are assumed to be correct; `check_columns` finds mistakes in them. Arguments are those
+    of `explain`.
 
     Returns:
-        Candidates. The first is the first step of the most probable explanation, as of `explain`;
+        Candidates. The first is the first step of the most probable explanation, as from `explain`;
         then come alternatives to it, and other effects that improve the model alone.
 
     Raises:
         LogError: A log cannot be used.
-        ArgumentError: There is no log, or a setting is no usable number.
+        ArgumentError: There is no log, or a setting is invalid.
     """
     if beliefs is not None:
         instance(beliefs, "beliefs", Beliefs)
@@ -65,10 +64,10 @@ def diagnose(
         blocks=blocks,
         hold_resting=hold_resting,
     )
-    found, findings, _ = named(searched(case, beliefs))
-    found, start, stages = probable(case, found, findings)
+    result, findings, _ = named(find_explanation(case, beliefs))
+    result, start, stages = probable(case, result, findings)
     refitted, before = error_table(case.dataset, start.held_out), comparison(case)
-    candidates = _candidates(case, found, start, stages) if stages else []
+    candidates = _candidates(case, result, start, stages) if stages else []
     return Diagnosis(
         "explained" if candidates else verdict_of(refitted, found=False),
         tuple(candidates),
@@ -80,37 +79,37 @@ def diagnose(
 
 
 def _candidates(
-    case: Case, found: Found, start: Hypothesis, stages: Sequence[StagedFinding]
+    case: Case, result: SearchResult, start: Hypothesis, stages: Sequence[StagedFinding]
 ) -> list[Candidate]:
-    """Return the first step, its rivals, and what else improves the model alone."""
+    """Return the first step, its rivals, and other effects that improve the model alone."""
     first, before = stages[0], start.nrms
     finding, certainty = first.finding, first.finding.certainty
-    data = found.case.dataset
+    data = result.case.dataset
     held_out = (start.held_out, first.validated.held_out, stages[-1].validated.held_out)
     errors = [error_table(data, each) for each in held_out]
-    known = 1.0 - unknown_probability(found, finding, errors)
-    bare = found.model.bare(found.model.shares(first.fit))
+    named = 1.0 - unknown_probability(result, finding, errors)
+    without = result.model.without_terms(result.model.shares(first.fit))
     candidates = [
         Candidate(
             finding.name,
-            where_of(found, finding, found.model.bodies(first.fit)),
+            where_of(result, finding, result.model.bodies(first.fit)),
             before,
             first.validated.nrms,
-            first.fit.score - bare.score,
-            1.0 - known * (1.0 - certainty.chance),
+            first.fit.score - without.score,
+            1.0 - named * (1.0 - certainty.chance),
             tied=True,
         )
     ]
     candidates += [
-        Candidate(r.effect, r.where, before, r.nrms, 0.0, 1.0 - known * r.probability, tied=True)
+        Candidate(r.effect, r.where, before, r.nrms, 0.0, 1.0 - named * r.probability, tied=True)
         for r in certainty.rivals
     ]
     seen = {candidate.effect for candidate in candidates}
-    for fit in additions(found.model, bare):
-        (name, places), gain = names_and_places(fit.terms), fit.score - bare.score
+    for fit in additions(result.model, without):
+        (name, places), gain = names_and_places(fit.terms), fit.score - without.score
         chance = float(np.exp(-0.5 * np.clip(gain, 0.0, 1400.0)))
         if name not in seen and chance <= ALARM:
             seen.add(name)
-            nrms = found.model.validated(fit).nrms  # of bodies that can be
+            nrms = result.model.validated(fit).nrms  # with physical bodies
             candidates.append(Candidate(name, places, before, nrms, gain, chance, tied=False))
     return candidates

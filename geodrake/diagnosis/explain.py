@@ -1,4 +1,4 @@
-"""Find what a model lacks: the most probable explanation of logs, step by step."""
+"""Search for missing effects: the most probable explanation of logs, step by step."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from geodrake.diagnosis.findings import (
 )
 from geodrake.diagnosis.notes import changed_notes, left_out_notes, notes_of, unnamed_notes
 from geodrake.diagnosis.results import Correlate, Explanation, Step
-from geodrake.diagnosis.search import Found, searched
+from geodrake.diagnosis.search import SearchResult, find_explanation
 from geodrake.diagnosis.search_progress import Progress
 from geodrake.diagnosis.steps import steps_of, vanished
 from geodrake.diagnosis.terms import Term
@@ -44,12 +44,12 @@ _STOPPED = "the search was interrupted: more effects or rivals may exist"
 
 @dataclass(frozen=True, eq=False)
 class Investigation(Short):
-    """An explanation, and the search behind it."""
+    """An explanation and the search behind it."""
 
     explanation: Explanation
-    case: Case  # the case, with the columns of what was found
-    found: Found  # what was found, without what no effect describes
-    correlates: tuple[Correlate, ...] = ()  # what that varies with
+    case: Case  # the case, with the columns of the findings
+    result: SearchResult  # the result of the search, without unknown functions
+    correlates: tuple[Correlate, ...] = ()  # signals of the unknown functions
 
 
 def explain(
@@ -68,8 +68,8 @@ def explain(
     Columns are assumed to be correct; `check_columns` finds mistakes in them.
 
     Args:
-        model: The model as it stands.
-        logs: Logs or their files; several logs are several trajectories.
+        model: The model.
+        logs: Logs or their files; each is a trajectory of its own.
         extra: User-defined effect classes to try in addition to the catalogue.
         bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
             or chosen from the data.
@@ -85,7 +85,7 @@ def explain(
 
     Raises:
         LogError: A log cannot be used.
-        ArgumentError: There is no log, or a setting is no usable number.
+        ArgumentError: There is no log, or a setting is invalid.
     """
     if progress is not None:
         function(progress, "progress")
@@ -107,34 +107,34 @@ def investigate(
     case: Case, *, beliefs: Beliefs | None = None, progress: Progress | None = None
 ) -> Investigation:
     """Explain a case that has columns for candidates; see `explain`."""
-    found, findings, rest = named(searched(case, beliefs, progress=progress))
-    made = explained(case, found, findings, notes=unnamed_notes(rest))
-    return replace(made, correlates=rest.motion)
+    result, findings, rest = named(find_explanation(case, beliefs, progress=progress))
+    investigation = explained(case, result, findings, notes=unnamed_notes(rest))
+    return replace(investigation, correlates=rest.motion)
 
 
 def explained(
     case: Case,
-    found: Found,
+    result: SearchResult,
     findings: Sequence[Finding],
     *,
     forced: bool = False,
     notes: Sequence[str] = (),
 ) -> Investigation:
     """Fit the result of a search, and validate it once on held-out data."""
-    found, after_case, fit, start, steps = _holding(case, found, findings, forced=forced)
+    result, after_case, fit, start, steps = _validated_steps(case, result, findings, forced=forced)
     before, model = comparison(case), case.model
-    fades = found.case.model.fading_speed is not model.fading_speed
-    changed = bool(steps) or fades  # where known friction fades is no step, and lowers the error
+    fades = result.case.model.fading_speed is not model.fading_speed
+    changed = bool(steps) or fades  # a fading speed is no step, but lowers the error
     after = comparison(after_case, fit.unknowns, fit.held_out) if changed else before
     bodies = changed_bodies(model, fit) if changed else ()
-    said = [*([_STOPPED] if found.is_stopped else []), *case.notes, *notes]
-    said += moved_base_notes(case)
+    all_notes = [*([_STOPPED] if result.is_stopped else []), *case.notes, *notes]
+    all_notes += moved_base_notes(case)
     if changed:
-        said += [*changed_notes(case.model, steps), *notes_of(found, case, fit, bodies)]
-    said += left_out_notes(findings, steps)
-    gained = at_found_gains(found) if steps else None
+        all_notes += [*changed_notes(case.model, steps), *notes_of(result, case, fit, bodies)]
+    all_notes += left_out_notes(findings, steps)
+    gained = at_found_gains(result) if steps else None
     explanation = Explanation(
-        verdict_of(gained or after.errors, bool(steps), left=largest_residual(found)),
+        verdict_of(gained or after.errors, bool(steps), left=largest_residual(result)),
         steps,
         before.errors,
         error_table(case.dataset, start.held_out),
@@ -142,44 +142,44 @@ def explained(
         with_settled_effects(fit.model) if changed else model,
         before,
         after,
-        tuple(dict.fromkeys(said)),
+        tuple(dict.fromkeys(all_notes)),
         bodies,
         dict(zip(case.dataset.joints, fit.of_motion.tolist(), strict=True)),
-        found.is_stopped,
+        result.is_stopped,
         fit.result.certificate if changed else None,
         gained,
     )
-    return Investigation(explanation, after_case, found)
+    return Investigation(explanation, after_case, result)
 
 
-def _holding(
-    case: Case, found: Found, findings: Sequence[Finding], *, forced: bool
-) -> tuple[Found, Case, ModelFit, Hypothesis, tuple[Step, ...]]:
+def _validated_steps(
+    case: Case, result: SearchResult, findings: Sequence[Finding], *, forced: bool
+) -> tuple[SearchResult, Case, ModelFit, Hypothesis, tuple[Step, ...]]:
     """Return the final fit and its steps, without last ones that lower no held-out error.
 
-    An effect of several joints that does not hold may still hold at some of them. New effects that
-    are zero in the final fit are left out, too.
+    An effect of several joints may be kept at some of them. New effects that are zero in the final
+    fit are removed, too.
     """
     while True:
         if forced:
-            start, stages = staged(found, findings)
+            start, stages = staged(result, findings)
         else:
-            found, start, stages = probable(case, found, findings)
-        after, fit = final_fit(case, found)
+            result, start, stages = probable(case, result, findings)
+        after, fit = final_fit(case, result)
         findings = [stage.finding for stage in stages]
-        if not forced and (gone := _vanished(case, findings, fit)) is not None:
-            found, findings = without_finding(found, findings, *gone)
+        if not forced and (zero := _vanished(case, findings, fit)) is not None:
+            result, findings = without_finding(result, findings, *zero)
             continue
         end = error_table(after.dataset, fit.held_out)
-        steps = steps_of(case, found, start, stages, fit=fit, end=end)
+        steps = steps_of(case, result, start, stages, fit=fit, end=end)
         if forced or not steps:
-            return found, after, fit, start, steps
+            return result, after, fit, start, steps
         before = (stages[-2].validated if len(stages) > 1 else start).held_out
         last = findings[-1]
-        if holds(found, last, before, fit.held_out):
-            return found, after, fit, start, steps
-        bad = terms_not_held(found, last, before, fit.held_out)
-        found, findings = without_finding(found, findings, last, bad)
+        if holds(result, last, before, fit.held_out):
+            return result, after, fit, start, steps
+        failing = terms_not_held(result, last, before, fit.held_out)
+        result, findings = without_finding(result, findings, last, failing)
 
 
 def _vanished(
@@ -187,10 +187,10 @@ def _vanished(
 ) -> tuple[Finding, Sequence[Term]] | None:
     """Return the first finding with terms that are zero in the final fit, and these terms.
 
-    One that others refine stays.
+    A finding that others refine is kept.
     """
     for finding in findings:
-        gone = vanished(case, finding, fit)
-        if gone is not None and not any(refines(other, [finding]) for other in findings):
-            return finding, gone
+        zero = vanished(case, finding, fit)
+        if zero is not None and not any(refines(other, [finding]) for other in findings):
+            return finding, zero
     return None

@@ -1,4 +1,4 @@
-"""The final fit of the effects that were found, physically consistent."""
+"""Final, physically consistent fit of the findings."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from geodrake.diagnosis.refinements import delays_of, fitted_delays
 from geodrake.diagnosis.rest import share_of_motion
-from geodrake.diagnosis.search import Found
+from geodrake.diagnosis.search import SearchResult
 from geodrake.effects import FittedEffect, Role
 from geodrake.identification.logs.case import Case, reduce_fitted
 from geodrake.identification.logs.dataset import Dataset
@@ -18,42 +18,43 @@ from geodrake.identification.logs.unknowns import Unknowns, effect_prior
 from geodrake.model.robot_model import RobotModel
 
 
-def final_fit(case: Case, found: Found) -> tuple[Case, ModelFit]:
-    """Fit the effects that were found, physically consistent, with updated loads and delays.
+def final_fit(case: Case, result: SearchResult) -> tuple[Case, ModelFit]:
+    """Fit the findings with physically consistent bodies and updated loads and delays.
 
-    Returned with the fit is the case with its columns.
+    The case with its columns is returned with the fit.
     """
-    search, was = found.model, found.fit
-    width, loads = search.likely_priors(was)
-    near = search.unbounded(replace(was.choice, width=width), search.shares(was), was.noise)
+    search, best = result.model, result.fit
+    width, loads = search.likely_priors(best)
+    near = search.unbounded(replace(best.choice, width=width), search.shares(best), best.noise)
     end = search.validated(near)
-    delays = found.case.model.delays + delays_of(found.model, found.fit)[0]
+    delays = result.case.model.delays + delays_of(result.model, result.fit)[0]
     lags = fitted_delays(delays, case.model.joints)
-    # With load-dependent columns by the fitted inertias.
-    model, known = searched_model(found.case.model, end), end.unknowns
-    if all(trajectory.is_grounded for trajectory in found.case.trajectories):
+    # Compute load-dependent columns with the fitted inertias.
+    model, previous = searched_model(result.case.model, end), end.unknowns
+    if all(trajectory.is_grounded for trajectory in result.case.trajectories):
         model = _with_gains_of_loads(model)
-    more = _with_companions(known, found.case.dataset).effects[len(known.effects) :]
-    beside = [FittedEffect(effect, np.zeros(1)) for effect in more]
-    reopened = reduce_fitted(found.case, replace(model, effects=(*model.effects, *beside, *lags)))
+    companions = _with_companions(previous, result.case.dataset).effects[len(previous.effects) :]
+    added = [FittedEffect(effect, np.zeros(1)) for effect in companions]
+    reopened = reduce_fitted(result.case, replace(model, effects=(*model.effects, *added, *lags)))
     dataset = reopened.dataset
-    unknowns = _with_companions(known.on(dataset), dataset)
-    if case.model.information is None:  # what no log shows to be another may be off all the same
-        stated, others = model_unknowns(dataset, case.model), found.fit.terms
+    unknowns = _with_companions(previous.on(dataset), dataset)
+    if case.model.information is None:  # stated effects may be off, even if no log shows it
+        stated, others = model_unknowns(dataset, case.model), result.fit.terms
         for effect in {*stated.effects} - {term.effect for term in others}:
             span = stated.span(effect)
             unknowns = unknowns.released(effect, stated.information[span, span], stated.mean[span])
     for effect, (mean, information) in loads.items():
         unknowns = unknowns.released(effect, information, mean)
-    # The search's noise has no errors of gains, so that a joint whose gain is off keeps its weight.
-    weights = search.shares(near) / np.maximum(search.seen_noise(near), search.floor)
+    # The search's noise excludes errors of gains, so that a wrong gain does not lower a weight.
+    noise = np.maximum(search.noise_without_reversals(near), search.floor)
+    weights = search.shares(near) / noise
     cv = CrossValidation(dataset, unknowns, weights)
     settled = replace(
         end, dataset=dataset, unknowns=unknowns, weights=weights, delay=cv.delay, cv=cv
     )
-    seen = tuple(dict.fromkeys((*case.model.fitted_to, *case.fingerprints)))
+    fingerprints = tuple(dict.fromkeys((*case.model.fitted_to, *case.fingerprints)))
     base = replace(reopened.model, effects=case.model.effects, information=case.model.information)
-    base = replace(base, phi=case.model.phi, fitted_to=seen, bandwidths=case.bandwidths)
+    base = replace(base, phi=case.model.phi, fitted_to=fingerprints, bandwidths=case.bandwidths)
     fit = fit_model(
         base,
         dataset,
@@ -78,7 +79,7 @@ def searched_model(model: RobotModel, found: Hypothesis) -> RobotModel:
 def _with_gains_of_loads(model: RobotModel) -> RobotModel:
     """Return a model whose gains apply to loads instead of logged efforts.
 
-    Of an effort (1 + ε) τ the part x = ε / (1 + ε) is too much.
+    Of an effort (1 + ε) τ, the part x = ε / (1 + ε) is too much.
     """
     effects = [
         replace(f, parameters=f.parameters / (1.0 - f.parameters))
@@ -90,16 +91,16 @@ def _with_gains_of_loads(model: RobotModel) -> RobotModel:
 
 
 def _with_companions(unknowns: Unknowns, dataset: Dataset) -> Unknowns:
-    """Return companions of effects, which are fitted with them to avoid bias.
+    """Return unknowns with companions of effects, which are fitted too to avoid bias.
 
-    Where dry friction was found and viscous friction was not worth a step, the viscous one is
-    fitted along all the same: left out, it would bias the dry one by all that it may be.
+    If viscous friction is not worth a step beside dry friction, for example, leaving it out would
+    bias the latter.
     """
     for effect in unknowns.effects:
-        kind, present = effect.companion, unknowns.effects
+        kind, effects = effect.companion, unknowns.effects
         offered = kind.shaped(*effect.where) if kind is not None else ()
         for companion in offered:
-            if companion not in dataset.effects or companion in present:
+            if companion not in dataset.effects or companion in effects:
                 continue
             mean, information = effect_prior(dataset, companion)
             unknowns = unknowns.with_effect(

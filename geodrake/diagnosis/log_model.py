@@ -1,16 +1,16 @@
-"""Logs as one linear Gaussian model: the evidence of any set of terms in closed form.
+"""Linear Gaussian model of logs: the evidence of any set of terms in closed form.
 
     b_j = A_j x + noise of joint j,   x ~ N(m, Λ⁻¹)
 
-with the rows of all logs and the parameters of bodies, effects and nuisances. Twice the logarithm
-of the evidence of a set of terms, at its own most probable noise, is
+The rows of A are those of all logs; x contains the parameters of bodies, effects and nuisances. At
+the most probable noise, twice the log-evidence of a set of terms is
 
     −Σ_k n_k log σ_k² − (x − m)ᵀ Λ (x − m) − log |Λ + Σ_k w_k A_kᵀA_k| + log |Λ|,
 
-w_k = n_k / (N_k σ_k²), for N_k rows that are worth n_k independent ones. A block k has the rows of
-a joint, or those of them in which it reverses: how much of a jump of dry friction a sample has is
-not known, so that they are noisier, but how much is told by what an explanation leaves of them.
-Normal matrices of all columns are formed once.
+where w_k = n_k / (N_k σ_k²), N_k is the number of rows and n_k their effective sample size. A block
+k has the rows of a joint, or those in which it reverses: samples resolve a jump of dry friction
+only partly, so that these rows have a noise variance of their own. Normal matrices of all columns
+are formed once.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from geodrake.diagnosis.normal_kernels import (
     calc_packed,
     calc_physical_share,
     calc_squares,
-    nothing_packed,
+    empty_packed,
 )
 from geodrake.diagnosis.terms import (
     Compatibility,
@@ -77,26 +77,26 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Delay = tuple[int, ...]
 
-_LEAST_SHARE = 1e-4
+_LEAST_SHARE = 1e-4  # of effective samples per row
 _SIMPLER = 0.5
-_FREE, _WIDTHS = 0.01, 15  # to hold the inertias, as a search may do, does not make them known
+_LEAST_WIDTH, _WIDTHS = 0.01, 15  # least prior width of inertias, and number of widths averaged
 _USUAL_SHARE = 0.3
 _ON_TIME = 1e-9  # s
-_UNSURE_DELAY = 0.01  # of the least difference of delays that are tried
-_ASYNCHRONOUS = 0.5  # of the least delay that is tried: no log is synchronous to the last bit
-_NOTABLE = 0.5  # of a squared error, that the error of a gain takes
+_UNSURE_DELAY = 0.01  # deviation of a fitted delay, over the least difference of candidates
+_ASYNCHRONOUS = 0.5  # deviation of the file's delays, over the least difference of candidates
+_NOTABLE = 0.5  # largest ratio of squared errors with and without the error of a gain
 _MOST_PINNED, _PINNED = 4, 1e15
-_STATED = 1e-4  # share to which a file knows the values of effects, unless they are others
+_STATED = 1e-4  # relative deviation of effects that the file states
 _PSEUDO = pseudo_inertia_basis()
-_REVERSING = 0.03, 0.1  # limits of the share of a row's time without a known direction
-_FEWEST_OTHERS = 0.25  # share of rows in which a joint does not reverse, to tell their noise
-_FARTHEST = 1e4  # squared distance of a body that cannot exist: farther is no less probable
+_REVERSING = 0.03, 0.1  # bounds of the share of a row with unknown direction, to be a reversal
+_FEWEST_OTHERS = 0.25  # least share of rows without a reversal
+_FARTHEST = 1e4  # largest squared distance that an unphysical body is penalized by
 _DRAWS = np.random.default_rng(0).normal(size=(200, PARAMETERS_PER_BODY))
 
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """An explanation: terms, how far bodies may be from the file, and delays."""
+    """An explanation: terms, the prior width of bodies, and delays."""
 
     terms: Terms  # the terms, in the order of their columns
     width: float  # width of the prior of all bodies, as a geometric distance
@@ -104,21 +104,21 @@ class Choice:
 
     @property
     def key(self) -> tuple[frozenset[Term], float, Delay]:
-        """Return what distinguishes it from other explanations."""
+        """Return its identity among explanations."""
         return frozenset(self.terms), self.width, self.delay
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """The most probable parameters and noise of an explanation."""
+    """Most probable parameters and noise of an explanation."""
 
     choice: Choice
-    columns: Indices  # (n,) its columns among those of the model
+    columns: Indices  # (n,) indices of its columns in the model
     x: Array  # (n,) parameters
     noise: Array  # (B,) mean squared residuals of blocks of rows, (N·m)² or N²
     weights: Array  # (B,) w_k
     hessian: Array  # (n, n) Λ + Σ_k w_k A_kᵀA_k
-    score: float  # twice the logarithm of the evidence and of the prior odds, but for a constant
+    score: float  # twice the log of evidence times prior odds, up to a constant
 
     @property
     def terms(self) -> Terms:
@@ -127,17 +127,16 @@ class Fit:
 
     @property
     def variance(self) -> Array:
-        """(nv,) mean squared residuals of each joint, reversals left aside, (N·m)² or N²."""
+        """(nv,) mean squared residuals of each joint outside of reversals, (N·m)² or N²."""
         return self.noise[: len(self.choice.delay)]
 
 
 class LogModel:
-    """The Gaussian model of reduced logs.
+    """Gaussian model of reduced logs.
 
-    `effects` are those that the model may lack, and `on_time` (nv,) is the index of the dataset's
-    delay that the model itself has. `loads` (nb, 10) are the bodies and what they carry, whose
-    efforts gains scale, and `file_delays` (nv,) are delays that the file states, s; those of the
-    model by default.
+    `effects` are candidates, and `on_time` (nv,) is the index of the dataset's delay that equals
+    the model's own. `loads` (nb, 10) are bodies with payloads, whose efforts scale with gains.
+    `file_delays` (nv,) are delays that the file states, s; by default those of the model.
     """
 
     def __init__(
@@ -158,13 +157,13 @@ class LogModel:
         keys = frozenset(
             key_of(effect, kind)
             for effect in self.unknowns.effects
-            if not is_payload(effect)  # it may have been put down, or changed
+            if not is_payload(effect)  # the payload may have changed
             for kind in (type(effect), *effect.contains)
         )
         known = {e for e in self.unknowns.effects if is_expandable(e) or isinstance(e, Episode)}
         self.terms = terms_of(model, dataset, [e for e in effects if e not in known], beliefs)
         self.compatibility = Compatibility(self.terms, keys)
-        # All shapes of an effect at a joint have the same odds, alone and beside others.
+        # All shapes of an effect at a joint have the same odds in any set.
         prices = dict[object, int]()
         self._prices = {
             term: prices.setdefault((term.price, term.parts), len(prices)) for term in self.terms
@@ -178,7 +177,7 @@ class LogModel:
         self._assemble()
         self._shares = dict[object, Array]()
 
-    # What there is to fit.
+    # Assembly.
 
     def _assemble(self) -> None:
         """Form the normal matrices over all columns: model, gains, reversals, terms."""
@@ -194,12 +193,12 @@ class LogModel:
         columns = np.concatenate([*sources, *(term.columns for term in self.terms)])
         self.mean = np.zeros(len(columns))
         self._inertias = data.passive_shares(columns)
-        # Several terms have the same columns with other priors, as the payloads of a body.
+        # Terms may share columns and differ in their priors, such as the payloads of a body.
         distinct = np.where(columns >= 0, columns, -1 - np.arange(len(columns)))
         _, first, which = np.unique(distinct, return_index=True, return_inverse=True)
         self.distinct, self.same_as = np.sort(first), np.argsort(np.argsort(first))[which]
-        # Of the terms alone: rows of Λ from a term's first column on, and of Λm; a term's
-        # log |Λ| − mᵀΛm stands at its first column.
+        # Priors of the terms: rows of Λ from a term's first column on, rows of Λm, and
+        # log |Λ| − mᵀΛm at a term's first column.
         widest = max((len(at) for at in self.at.values()), default=0)
         self.information, self.pull = np.zeros((len(columns), widest)), np.zeros(len(columns))
         self.prior_scores = np.zeros(len(columns))
@@ -211,8 +210,8 @@ class LogModel:
             self.owner[at], self.positive[at[term.positive]] = k, True
         rates, unsure_delay = self._rates()
         places = self._places(columns, rates)
-        # Of each block the normal matrix of the columns of its joint, efforts, load and rate of its
-        # efforts, and zeros for what it is not; and where in it every column of the model stands.
+        # Normal matrix of each block over its joint's columns, efforts, load and effort rate,
+        # padded with zeros; `places` are the indices of the model's columns in it.
         self._unsure = {effect.joint: self._unsure_column(effect) for effect in self._reversals}
         blocks = self._blocks()
         self.joint_of = np.array([j for j, _, _ in blocks])
@@ -225,15 +224,17 @@ class LogModel:
             block[:n, n : n + 2] = gram @ mixed
             block[n : n + 2, :n] = block[:n, n : n + 2].T
             block[n : n + 2, n : n + 2] = mixed.T @ block[:n, n : n + 2]
-        self.felt_by = {term: self._felt_by(term, places[:, at]) for term, at in self.at.items()}
+        self.only_joint = {
+            term: self._only_joint(term, places[:, at]) for term, at in self.at.items()
+        }
         self._groups = self._groups_of(places)
         self.places, self._inertias = places[self.joint_of], self._inertias[self.joint_of]
         self._ends = np.array([len(joint.columns) for joint in data.data])
-        late = self._ends[self.joint_of, None] + np.arange(len(data.delays))
-        self._powers = self.grams[np.arange(len(blocks))[:, None], late, late]  # bᵀb by delay
-        # What all fits share: the columns before those of terms.
+        lags = self._ends[self.joint_of, None] + np.arange(len(data.delays))
+        self._powers = self.grams[np.arange(len(blocks))[:, None], lags, lags]  # bᵀb by delay
+        # The columns before those of terms, which all fits share.
         first = self.places[:, : self.first_term].copy()
-        self._common = calc_packed(self.grams, first, nothing_packed(len(blocks)))
+        self._common = calc_packed(self.grams, first, empty_packed(len(blocks)))
         self.mean[: len(self.unknowns.columns)] = self.unknowns.mean
         gains = np.maximum(data.gain_uncertainty, 1e-6) ** -2.0
         unsure = [
@@ -244,43 +245,43 @@ class LogModel:
         self._nuisances = np.concatenate([gains, np.full(nv + 1, unsure_delay**-2.0), unsure])
 
     @staticmethod
-    def _felt_by(term: Term, places: Indices) -> int:
-        """Return the index of the joint that alone feels a term; −1 if bodies or several do.
+    def _only_joint(term: Term, places: Indices) -> int:
+        """Return the only joint that a term affects; −1 for bodies, or if it affects several.
 
-        `places` (nv, k) are where its columns stand in those of each joint, −1 where nowhere.
+        `places` (nv, k) are the indices of its columns in those of each joint, −1 if absent.
         """
         felt = np.flatnonzero((places >= 0).any(axis=1))
-        alone = len(felt) == 1 and term.effect is not None and not term.is_body
-        return int(felt[0]) if alone else -1
+        is_single = len(felt) == 1 and term.effect is not None and not term.is_body
+        return int(felt[0]) if is_single else -1
 
     def _groups_of(self, places: Indices) -> Indices:
-        """Return of each column (n,) the joint that alone feels it, −1 of the model's and others.
+        """Return the only joint each column (n,) affects; −1 for model and shared columns.
 
-        What joints of a free base feel alone has products with all bodies, and counts as shared, as
-        do payloads.
+        Columns of a free base's joint count as shared, as they have products with all bodies; so do
+        columns of payloads.
         """
         felt = places >= 0
-        alone = np.where(felt.sum(axis=0) == 1, felt.argmax(axis=0), -1)
-        alone[: len(self.unknowns.columns)] = -1
+        groups = np.where(felt.sum(axis=0) == 1, felt.argmax(axis=0), -1)
+        groups[: len(self.unknowns.columns)] = -1
         for term, at in self.at.items():
-            alone[at] = -1 if term.is_whole else self.felt_by[term]
+            groups[at] = -1 if term.is_whole else self.only_joint[term]
         base = [self.model.joints.index(joint) for joint in self.model.base_joints]
-        return np.where(np.isin(alone, base), -1, alone)
+        return np.where(np.isin(groups, base), -1, groups)
 
     def _places(self, columns: Indices, rates: Array) -> Indices:
-        """Return where all columns (n,) stand in those of each joint (nv, n), −1 where nowhere.
+        """Return the indices (nv, n) of columns (n,) in those of each joint, −1 if absent.
 
-        What gains and errors of the delay do, by the loads and `rates` (K, nv), comes after a
-        joint's own columns and efforts.
+        Columns for errors of gains (by the loads) and of delays (by effort `rates` (K, nv)) follow
+        a joint's own columns and efforts.
         """
         p, nv, first = len(self.unknowns.columns), len(self.dataset.joints), self._bodies
         loads = self.unknowns.mean[:first] if self.loads is None else self.loads.ravel()
-        known = np.concatenate([loads, self.unknowns.mean[first:]])
+        values = np.concatenate([loads, self.unknowns.mean[first:]])
         places, self._mixed, real = np.full((nv, len(columns)), -1), list[Array](), columns >= 0
         for j, joint in enumerate(self.dataset.data):
-            own, n = joint.local(self.unknowns.columns), joint.factors.shape[2]
+            local, n = joint.local(self.unknowns.columns), joint.factors.shape[2]
             mixed = np.zeros((n, 2))
-            mixed[own[own >= 0], 0] = known[own >= 0]
+            mixed[local[local >= 0], 0] = values[local >= 0]
             mixed[len(joint.columns) :, 1] = rates[:, j]
             self._mixed.append(mixed)
             places[j, real] = joint.local(columns[real])
@@ -288,17 +289,14 @@ class LogModel:
         return places
 
     def _blocks(self) -> list[tuple[int, int, Array]]:
-        """Return joint, number of rows and normal matrix of each block, those of all joints first.
-
-        Rows in which a joint reverses are blocks that follow.
-        """
+        """Return joint, row count and normal matrix of each block: joints, then reversals."""
         data = self.dataset
         blocks = [(j, int(self.rows[j]), joint.gram) for j, joint in enumerate(data.data)]
         for j, (name, joint) in enumerate(zip(data.joints, data.data, strict=True)):
             rows = _rows(joint)
             kept = sum(len(each.b) for each in rows)
             if name not in self._unsure or data.is_mixed or kept != joint.samples.sum():
-                continue  # of long logs some rows are kept
+                continue  # long logs keep only some rows
             turns = self._turns[j]
             count = int(sum(map(np.sum, turns)))
             if not count or kept - count < _FEWEST_OTHERS * kept:
@@ -311,45 +309,45 @@ class LogModel:
         return blocks
 
     def _unsure_column(self, effect: UnresolvedReversal) -> int:
-        """Return the column of a joint's rows that tells where its direction is not known."""
+        """Return the column of a joint's rows with the share of time of unknown direction."""
         joint = self.dataset.data[self.dataset.joints.index(effect.joint)]
         return int(joint.local(self.dataset.effect_columns(effect))[effect.unsure])
 
     def reverses(self, joint: int, rows: JointRows) -> NDArray[np.bool_]:
-        """Return (K,) in which rows the direction of a joint is unknown for part of the time.
+        """Return (K,) whether a joint's direction is unknown for a significant part of each row.
 
-        Such a part is long enough for dry friction, as large as the efforts, to differ by more than
+        The part is significant if dry friction as large as the efforts would differ by more than
         the noise.
         """
         at, data = self._unsure.get(self.dataset.joints[joint]), self.dataset
         if at is None:
             return np.zeros(len(rows.b), bool)
-        noise, most = data.noise_floor[joint], data.effort_std[joint]
-        share = np.clip(noise / most, *_REVERSING) if 0.0 < noise < most else _REVERSING[1]
-        return np.asarray(np.abs(rows.A[:, at]) > share)  # filters ring: it may be negative
+        noise, scale = data.noise_floor[joint], data.effort_std[joint]
+        share = np.clip(noise / scale, *_REVERSING) if 0.0 < noise < scale else _REVERSING[1]
+        return np.asarray(np.abs(rows.A[:, at]) > share)  # negative where the filter rings
 
     @cached_property
     def _turns(self) -> list[list[NDArray[np.bool_]]]:
-        """Of each joint and stretch of its rows, in which of them it reverses."""
+        """Return for each joint and stretch of its rows in which rows it reverses."""
         joints = enumerate(self.dataset.data)
         return [[self.reverses(j, rows) for rows in _rows(own)] for j, own in joints]
 
     def row_weights(self, fit: Fit, joint: int) -> list[Array]:
-        """Return weights (K_i,) of a fit's squared residuals in each stretch of a joint's rows."""
+        """Return the weights (K_i,) of a joint's squared residuals in each stretch of rows."""
         turning = fit.weights[self._reversing.get(joint, joint)]
         return [np.where(turns, turning, fit.weights[joint]) for turns in self._turns[joint]]
 
-    def even_hessian(self, fit: Fit) -> Array:
-        """Return the Hessian (n, n) of a fit if its joints were no noisier where they reverse."""
+    def uniform_noise_hessian(self, fit: Fit) -> Array:
+        """Return the Hessian (n, n) of a fit with the same noise in reversals as elsewhere."""
         hessian = fit.hessian.copy()
         packed = calc_packed(self.grams, self.places.take(fit.columns, axis=1), self._common)
         add_normal(packed, fit.weights[self.joint_of] - fit.weights, hessian)
         return hessian
 
-    def quieted(self, fit: Fit) -> Fit:
-        """Return an explanation fitted as if only the noise of sensors were left at each joint."""
-        known = np.maximum(np.square(self.dataset.noise_floor), self.floor)[self.joint_of]
-        noise = np.minimum(fit.noise, known)
+    def with_sensor_noise(self, fit: Fit) -> Fit:
+        """Return an explanation refitted with no more than sensor noise at each joint."""
+        floor = np.maximum(np.square(self.dataset.noise_floor), self.floor)[self.joint_of]
+        noise = np.minimum(fit.noise, floor)
         weights, (prior, _) = fit.weights * fit.noise / noise, self.prior(fit.choice)
         packed, moments, _ = self.normal(fit.columns, fit.choice.delay)
         hessian = prior.copy()
@@ -359,40 +357,40 @@ class LogModel:
         x = scale * solved(factor, scale * right)
         return replace(fit, x=x, noise=noise, weights=weights, hessian=hessian)
 
-    def of_joints(self, values: Array) -> Array:
-        """Return sums (nv,) over the blocks of each joint of values (B,)."""
+    def sum_by_joint(self, values: Array) -> Array:
+        """Return the sums (nv,) of block values (B,) over the blocks of each joint."""
         return np.bincount(self.joint_of, values, len(self.rows)).astype(float)
 
-    def seen_noise(self, fit: Fit) -> Array:
-        """Return (nv,) mean squared residuals of a fit without its terms of unresolved reversals.
+    def noise_without_reversals(self, fit: Fit) -> Array:
+        """Return the residual variances (nv,) without terms of unresolved reversals.
 
-        In (N·m)² or N². Errors of gains of efforts are left out.
+        Residuals exclude the errors of effort gains.
         """
         x = fit.x.copy()
         x[self._first_reversal : self.first_term] = 0.0
         squares = calc_squares(self.normal(fit.columns, fit.choice.delay), x)
-        return self.of_joints(squares) / np.maximum(self.of_joints(self.block_rows), 1.0)
+        return self.sum_by_joint(squares) / np.maximum(self.sum_by_joint(self.block_rows), 1.0)
 
     def _rates(self) -> tuple[Array, float]:
-        """Return weights (K, nv) that make rates of efforts of those at all delays, in 1/s.
+        """Return weights (K, nv), 1/s, that turn efforts at all delays into rates; a deviation.
 
-        With them comes the deviation of a delay that was found, or of one that is too short to be
-        tried, s. Without it, the error that an inexact delay leaves would look like an effect.
+        The deviation, s, is that of a fitted delay, or of one too short to be tried. The errors of
+        inexact delays would otherwise look like effects.
         """
-        apart = self.dataset.delays  # from those of the efforts as they are advanced
-        weights, found = np.zeros(apart.shape), np.abs(apart[np.abs(apart) > _ON_TIME])
-        if not len(found):
+        delays = self.dataset.delays  # relative to the efforts as advanced
+        weights, differences = np.zeros(delays.shape), np.abs(delays[np.abs(delays) > _ON_TIME])
+        if not len(differences):
             return weights, _ON_TIME
-        for j, late in enumerate(apart.T):
-            after, before = late > _ON_TIME, late < -_ON_TIME
+        for j, lags in enumerate(delays.T):
+            after, before = lags > _ON_TIME, lags < -_ON_TIME
             if after.any() and before.any():
                 ends = [
-                    np.argmin(np.where(after, late, np.inf)),
-                    np.argmax(np.where(before, late, -np.inf)),
+                    np.argmin(np.where(after, lags, np.inf)),
+                    np.argmax(np.where(before, lags, -np.inf)),
                 ]
-                weights[ends, j] = np.array([1.0, -1.0]) / (late[ends[0]] - late[ends[1]])
+                weights[ends, j] = np.array([1.0, -1.0]) / (lags[ends[0]] - lags[ends[1]])
         share = _UNSURE_DELAY if any(self.on_time) else _ASYNCHRONOUS
-        return weights, share * float(found.min())
+        return weights, share * float(differences.min())
 
     @property
     def delay_errors(self) -> Indices:
@@ -401,19 +399,19 @@ class LogModel:
         return np.arange(first + nv, first + 2 * nv + 1)
 
     def spans(self, terms: Terms) -> dict[Term, slice]:
-        """Return where the parameters of terms, in this order, are among those of a fit."""
+        """Return the slices of the terms' parameters in a fit with these terms in this order."""
         ends = np.cumsum([self.first_term, *(len(term.columns) for term in terms)]).tolist()
         return {t: slice(*ends) for t, ends in zip(terms, pairwise(ends), strict=True)}
 
     def prior(self, choice: Choice) -> tuple[Array, float]:
-        """Return the prior information Λ (n, n) of an explanation and log |Λ|, up to a constant."""
+        """Return the prior information Λ (n, n) of an explanation, and log |Λ| up to a constant."""
         p, first, spans = len(self.unknowns.columns), self.first_term, self.spans(choice.terms)
         information = np.zeros((first + sum(len(term.columns) for term in spans),) * 2)
         scale = np.ones(p)
         scale[: self._bodies] = self._spread / choice.width
         information[:p, :p] = self.unknowns.information * scale[:, None] * scale
-        own = np.arange(p, first)
-        information[own, own] = self._nuisances
+        nuisances = np.arange(p, first)
+        information[nuisances, nuisances] = self._nuisances
         logarithm = -2.0 * self._bodies * np.log(choice.width)
         for term, span in spans.items():
             information[span, span] = term.information
@@ -422,29 +420,29 @@ class LogModel:
 
     @property
     def _spread(self) -> float:
-        """Return the width of the prior of the model's unknowns."""
+        """Return the prior width of the model's bodies in `unknowns`."""
         return SPREAD if self.model.information is None else 1.0
 
     def odds_against(self, choice: Choice) -> float:
-        """Return twice the logarithm of the prior odds against an explanation."""
+        """Return twice the log prior odds against an explanation."""
         key = choice.width, choice.delay
         if key not in self._other_odds:
             self._other_odds[key] = self._odds_of_coordinates(choice)
-        alike = tuple(sorted([self._prices[term] for term in choice.terms]))
-        if alike not in self._odds:
-            self._odds[alike] = odds_against(choice.terms)
-        return self._odds[alike] + self._other_odds[key]
+        prices = tuple(sorted([self._prices[term] for term in choice.terms]))
+        if prices not in self._odds:
+            self._odds[prices] = odds_against(choice.terms)
+        return self._odds[prices] + self._other_odds[key]
 
     def _odds_of_coordinates(self, choice: Choice) -> float:
-        """Return twice the logarithm of the odds against its width and delays alone."""
+        """Return twice the log prior odds against the width and delays of an explanation."""
         beliefs, total = self.beliefs, 0.0
         delays = self._found_delays + self._seconds(choice.delay)
-        late = np.abs(delays) > _ON_TIME
-        if late.any():
+        differs = np.abs(delays) > _ON_TIME
+        if differs.any():
             total += 2.0 * np.log(beliefs.delays)
             if np.ptp(delays) > _ON_TIME:
-                total += 2.0 * int(late.sum()) * np.log(beliefs.again * beliefs.shape)
-        # Of widths that explain the same, the narrower one is the simpler one.
+                total += 2.0 * int(differs.sum()) * np.log(beliefs.again * beliefs.shape)
+        # Prefer the narrower of widths that explain the data equally well.
         total += 2.0 * np.log1p(_SIMPLER * np.searchsorted(self.widths, choice.width))
         if choice.width > self.wrong_beyond:
             total += 6.0 * np.log(beliefs.rarer)
@@ -452,23 +450,23 @@ class LogModel:
 
     @property
     def wrong_beyond(self) -> float:
-        """Return the width of the bodies' prior beyond which the model counts as wrong."""
+        """Return the largest width at which the model's bodies do not count as wrong."""
         return self.beliefs.wrong if self.model.information is None else 1.0
 
     def lateness(self, choice: Choice) -> Array:
-        """Return (nv,) delays of an explanation beyond those of the model, s."""
+        """Return the delays (nv,) of an explanation relative to the model's, s."""
         return self._seconds(choice.delay) - self._seconds(self.on_time)
 
-    def are_apart(self, delay: Delay, other: Delay) -> bool:
-        """Return whether two delays differ, as those at two indices need not."""
+    def delays_differ(self, delay: Delay, other: Delay) -> bool:
+        """Return whether two tuples of delay indices mean different delays."""
         return bool(np.any(np.abs(self._seconds(delay) - self._seconds(other)) > _ON_TIME))
 
     def _seconds(self, delay: Delay) -> Array:
-        """(nv,) delays beyond those of the dataset's model, s, by their indices."""
+        """Return the delays (nv,) at some indices, relative to the dataset's model, s."""
         return np.asarray(self.dataset.delays[list(delay), np.arange(len(delay))])
 
     def are_compatible(self, terms: Terms) -> bool:
-        """Return whether terms may stand together, beside what the model has."""
+        """Return whether terms can be in one explanation, given the effects of the model."""
         return self.compatibility.holds(terms)
 
     # Fits.
@@ -478,28 +476,29 @@ class LogModel:
         terms = tuple(sorted(terms, key=self._order.__getitem__))
         return replace(was, terms=terms, **changed)
 
-    def alike(self, terms: Terms, moved: Mapping[Effect, Effect] | None = None) -> list[Term]:
-        """Return the terms that stand for those of another model, effects moved, as far as any.
+    def matching(self, terms: Terms, moved: Mapping[Effect, Effect] | None = None) -> list[Term]:
+        """Return the terms that match those of another model, with effects replaced by `moved`.
 
-        A payload has one of several masses: of its terms it is the one with the nearest prior.
+        A payload matches the term of its effect with the closest prior.
         """
-        own, found, others = dict[object, list[Term]](), list[Term](), moved or {}
+        candidates, matches, replaced = dict[object, list[Term]](), list[Term](), moved or {}
         for term in self.terms:
-            own.setdefault(term.effect or term.where, []).append(term)
-        for was in terms:
-            effect = others.get(was.effect, was.effect) if was.effect else was.where
-            near = own.get(effect, [])
-            found += sorted(near, key=lambda t: abs(t.log_information - was.log_information))[:1]
-        return found
+            candidates.setdefault(term.effect or term.where, []).append(term)
+        for other in terms:
+            effect = replaced.get(other.effect, other.effect) if other.effect else other.where
+            same = candidates.get(effect, [])
+            size = other.log_information
+            matches += sorted(same, key=lambda t: abs(t.log_information - size))[:1]
+        return matches
 
     def fit(
         self, choice: Choice, shares: Array, noise: Array | None = None, *, is_timed: bool = False
     ) -> Fit | None:
         """Fit the most probable parameters and noise of an explanation.
 
-        `shares` (nv,) are independent samples over rows, and `noise` (B,), or (nv,), is the
-        variance of the noise to begin with. Delays are exact if `is_timed`. None if something is
-        less than it must be.
+        `shares` (nv,) are effective samples per row, and `noise` (B,) or (nv,) is the initial
+        variance. If `is_timed`, delays are exact. Return None if parameters would violate their
+        bounds.
         """
         prior, logarithm = self.prior(choice)
         if is_timed:
@@ -508,139 +507,139 @@ class LogModel:
         bounded = [(s.start + t.positive, t.least) for t, s in spans if len(t.positive)]
         free = np.ones(len(prior), bool)
         for _ in range(_MOST_PINNED):
-            found = self._solved(choice, shares, noise, (prior, logarithm))
-            low = [at[free[at] & (found.x[at] <= least)] for at, least in bounded]
-            below = np.concatenate([np.zeros(0, np.intp), *low])
+            solution = self._solved(choice, shares, noise, (prior, logarithm))
+            violated = [at[free[at] & (solution.x[at] <= least)] for at, least in bounded]
+            below = np.concatenate([np.zeros(0, np.intp), *violated])
             if not len(below):
-                return found
+                return solution
             free[below] = False
             if any(not free[at].any() for at, _ in bounded):
-                return None  # nothing of a term would be left
-            noise = found.noise
-            # Some parameters of a term stay at zero: as if it were without them.
+                return None  # a term has no free parameter left
+            noise = solution.noise
+            # Pin parameters of a term at zero, and compensate the evidence.
             logarithm += float(np.log1p(_PINNED / prior[below, below]).sum())
             prior[below, below] += _PINNED
         return None
 
     def lead(self, other: Fit, fit: Fit, shares: Array) -> float:
-        """Return how much higher another fit scores, at the same `shares` (nv,).
+        """Return the score of another fit relative to `fit`, at the same `shares` (nv,).
 
-        Errors that fits allow their delays average noise away, so that a small delay may seem more
-        probable than none. So one must be more probable as an exact delay, too.
+        Delay errors average noise away, which favours small delays. A delay must therefore also be
+        more probable if it is exact.
         """
         gain, delays = other.score - fit.score, (other.choice.delay, fit.choice.delay)
-        if not self.are_apart(*delays):
+        if not self.delays_differ(*delays):
             return gain
-        two, one = (self.fit(f.choice, shares, f.noise, is_timed=True) for f in (other, fit))
-        if one is None or two is None:
+        ahead, behind = (self.fit(f.choice, shares, f.noise, is_timed=True) for f in (other, fit))
+        if behind is None or ahead is None:
             return gain
-        exact = two.score - one.score
-        is_late, was_late = (self.are_apart(delay, self.on_time) for delay in delays)
+        exact = ahead.score - behind.score
+        is_late, was_late = (self.delays_differ(delay, self.on_time) for delay in delays)
         if not was_late:
             return min(gain, exact)
         return exact if is_late else max(gain, exact)
 
     def ranked(self, choices: Iterable[Choice], shares: Array, variance: Array) -> list[Fit]:
-        """Fit explanations, the most probable first, without those that `fit` refuses."""
+        """Return fits of explanations that satisfy their bounds, the most probable first."""
         fits = [self.fit(choice, shares, variance) for choice in choices]
         return sorted((fit for fit in fits if fit is not None), key=lambda fit: -fit.score)
 
     def unbounded(self, choice: Choice, shares: Array, noise: Array | None = None) -> Fit:
-        """Fit as `fit` does, whatever is negative."""
+        """Fit an explanation without bounds."""
         return self._solved(choice, shares, noise, self.prior(choice))
 
-    def bare(self, shares: Array) -> Fit:
-        """Fit nothing new, with bodies as near to those of the model as the logs say."""
+    def without_terms(self, shares: Array) -> Fit:
+        """Return the fit without terms, with the most probable prior width of bodies."""
         fits = [self.unbounded(Choice((), w, self.on_time), shares) for w in self.widths]
         return max(fits, key=lambda fit: fit.score)
 
     def _solved(
-        self, choice: Choice, shares: Array, noise: Array | None, known: tuple[Array, float]
+        self, choice: Choice, shares: Array, noise: Array | None, prior_terms: tuple[Array, float]
     ) -> Fit:
-        """Return the fit with a prior Λ (n, n) and log |Λ|, without regard to bounds."""
-        prior, logarithm = known
-        own = [self.at[term] for term in choice.terms]
-        columns, joint_of = np.concatenate([np.arange(self.first_term), *own]), self.joint_of
+        """Return the fit with a prior Λ (n, n) and log |Λ|, without bounds."""
+        prior, logarithm = prior_terms
+        indices = [self.at[term] for term in choice.terms]
+        columns, joint_of = np.concatenate([np.arange(self.first_term), *indices]), self.joint_of
         mean, inertias = self.mean[columns], self._inertias.take(columns, axis=1)
         blocks, samples = self.normal(columns, choice.delay), shares[joint_of] * self.block_rows
         if noise is None:
             passive, scale = inertias.any(axis=1), self.dataset.effort_std[joint_of]
             noise = np.where(passive, scale**2, blocks[-1] / self.block_rows)
-        elif len(noise) != len(joint_of):  # that of another model
+        elif len(noise) != len(joint_of):  # the noise of another model
             noise = noise[: len(shares)][joint_of]
-        of_noise, of_prior = (samples, self.block_rows, self.floor[joint_of]), (prior, prior @ mean)
-        of_joints = inertias, joint_of, self._groups[columns]
+        noise_args = samples, self.block_rows, self.floor[joint_of]
+        priors, joints = (prior, prior @ mean), (inertias, joint_of, self._groups[columns])
         try:
-            x, noise, found = calc_most_probable(blocks, of_prior, of_noise, of_joints, noise)
+            x, noise, rest = calc_most_probable(blocks, priors, noise_args, joints, noise)
         except np.linalg.LinAlgError as error:
             raise singular_error() from error
-        weights, inertia, hessian, factor, determinant = found
+        weights, inertia, hessian, factor, determinant = rest
         if not np.isfinite(determinant):
             raise singular_error()
-        way = x - mean
+        deviation = x - mean
         score = (
             -float(samples @ np.log(noise / inertia**2))
-            - float(way @ prior @ way)
+            - float(deviation @ prior @ deviation)
             - determinant
             + logarithm
-            + self._physical(choice, x, factor, of_joints[-1])
+            + self._physical(choice, x, factor, joints[-1])
             - self.odds_against(choice)
         )
         return Fit(choice, columns, x, noise, weights, hessian, score)
 
     def likely_priors(self, fit: Fit) -> tuple[float, dict[Effect, tuple[Array, Array]]]:
-        """Return the width of the prior of all bodies, and the prior of each payload.
+        """Return the width of the prior of bodies, and the prior of each payload.
 
-        The prior of a payload is a mean (10,) and an information (10, 10). Each of many widths and
-        masses of payloads counts by its probability. The least width is 1 %, or that of an earlier
-        fit of the model.
+        The prior of a payload is a mean (10,) and an information (10, 10). Priors are averaged over
+        widths and payload masses by probability. The least width is 1 %, or that of an earlier fit
+        of the model.
         """
-        least = _FREE if self.model.information is None else self.widths[0]
+        least = _LEAST_WIDTH if self.model.information is None else self.widths[0]
         shares, widths = self.shares(fit), np.geomspace(least, self.widths[-1], _WIDTHS)
         loads = [term.effect for term in fit.terms if term.effect is not None and term.is_whole]
         rest = [term for term in fit.terms if not term.is_whole]
         masses = [[term for term in self.terms if term.effect == load] for load in loads]
-        mixed = list(product(widths.tolist(), *masses))
-        choices = [self.choice(fit.choice, [*rest, *held], width=w) for w, *held in mixed]
+        grid = list(product(widths.tolist(), *masses))
+        choices = [self.choice(fit.choice, [*rest, *held], width=w) for w, *held in grid]
         fits = [self.unbounded(choice, shares, fit.noise) for choice in choices]
-        coordinates = [replace(fit.choice, terms=(), width=w) for w, *_ in mixed]
+        coordinates = [replace(fit.choice, terms=(), width=w) for w, *_ in grid]
         scores = np.array([f.score for f in fits])
-        scores += [self.odds_against(each) for each in coordinates]  # all widths are alike
+        scores += [self.odds_against(each) for each in coordinates]  # equal odds for all widths
         weights = np.exp(0.5 * (scores - scores.max()))
         weights /= weights.sum()
-        found = dict[Effect, tuple[Array, Array]]()
+        priors = dict[Effect, tuple[Array, Array]]()
         for k, load in enumerate(loads):
-            means = np.array([held[k].mean for _, *held in mixed])
-            covariances = np.array([np.linalg.inv(held[k].information) for _, *held in mixed])
+            means = np.array([held[k].mean for _, *held in grid])
+            covariances = np.array([np.linalg.inv(held[k].information) for _, *held in grid])
             spread = means - weights @ means
             covariance = np.tensordot(weights, covariances, 1) + (weights * spread.T) @ spread
-            found[load] = weights @ means, np.linalg.inv(covariance)
-        return float(np.sqrt(weights @ [w**2 for w, *_ in mixed])), found
+            priors[load] = weights @ means, np.linalg.inv(covariance)
+        return float(np.sqrt(weights @ [w**2 for w, *_ in grid])), priors
 
     def refitted(self, fit: Fit) -> Fit:
-        """Fit another model's terms to the columns of this one, without regard to bounds."""
-        choice = self.choice(fit.choice, self.alike(fit.terms))
+        """Return another model's explanation fitted with this model's terms, without bounds."""
+        choice = self.choice(fit.choice, self.matching(fit.terms))
         return self.unbounded(choice, np.full(len(self.rows), _USUAL_SHARE), fit.noise)
 
     def _physical(self, choice: Choice, x: Array, factor: Array, groups: Indices) -> float:
-        """Return twice the logarithm of the probability that what terms do to bodies is physical.
+        """Return twice the log probability that payloads and wrong bodies are physical.
 
-        Payloads that the model lacks must be, and bodies that are wrong as they are then. The
-        Hessian is L Lᵀ with the `factor` L (n, n), parameters of `groups` (n,) first.
+        The Hessian is L Lᵀ with the `factor` L (n, n), in which parameters of `groups` (n,) come
+        first.
         """
-        total, alone = 0.0, np.append(groups >= 0, False)
-        place = np.arange(len(alone)) + alone[::-1].cumsum()[::-1]  # of shared ones in the factor
+        total, is_grouped = 0.0, np.append(groups >= 0, False)
+        place = np.arange(len(is_grouped)) + is_grouped[::-1].cumsum()[::-1]  # shared ones
         for term, at in self.spans(choice.terms).items():
             if not (term.is_whole or term.effect is None):
                 continue
-            # Columns of L⁻¹ are zero above the diagonal, so that the last ones cost little.
-            own, first, mean, usual = at, place[at.start], x[at], term.mean
+            # L⁻¹ is lower triangular, so that the last columns cost little.
+            span, first, mean, usual = at, place[at.start], x[at], term.mean
             if term.effect is None:
                 body = PARAMETERS_PER_BODY * self.dataset.bodies.index(term.where[0])
-                own = slice(body, body + PARAMETERS_PER_BODY)
-                first, mean, usual = place[body], mean + x[own], self.mean[own]
+                span = slice(body, body + PARAMETERS_PER_BODY)
+                first, mean, usual = place[body], mean + x[span], self.mean[span]
             columns = np.zeros((len(x) - first, len(mean)))
-            for part in (at, own):
+            for part in (at, span):
                 columns[place[part] - first] = np.eye(len(mean))
             root, _ = dtrtrs(factor[first:, first:], columns, lower=1)
             scale = np.sqrt(np.square(root).sum(axis=0))
@@ -649,71 +648,71 @@ class LogModel:
             share = calc_physical_share(mean + scale * draws, _PSEUDO.reshape(len(_PSEUDO), -1))
             if share > 0.0:
                 total += 2.0 * np.log(share)
-            else:  # then it is as far away as the nearest body that can exist
+            else:  # use the distance to the nearest physical body
                 basis = scale[:, None, None] * _PSEUDO
                 bodies = mean / scale, usual / scale
-                far = calc_distance(*bodies, np.linalg.inv(correlations), basis)
-                total -= np.clip(far, 2.0 * np.log(2.0 * len(_DRAWS)), _FARTHEST)
+                distance = calc_distance(*bodies, np.linalg.inv(correlations), basis)
+                total -= np.clip(distance, 2.0 * np.log(2.0 * len(_DRAWS)), _FARTHEST)
         return total
 
     def efforts(self, delay: Delay) -> Indices:
-        """Return (B,) where the efforts of each block, later by a delay, stand in its matrix."""
+        """Return the indices (B,) of the efforts, shifted by a delay, in each block's matrix."""
         return np.asarray(self._ends + np.array(delay))[self.joint_of]
 
     def normal(self, columns: Indices, delay: Delay) -> Normal:
-        """Return the normal matrices of all blocks over columns (n,), efforts later by a delay.
+        """Return the blocks' normal matrices over columns (n,), efforts shifted by a delay.
 
-        The columns begin with those before the terms', which all fits have.
+        The first columns must be those before the terms'.
         """
         packed = calc_packed(self.grams, self.places.take(columns, axis=1), self._common)
         return packed, *self.moments(columns, delay)
 
     def moments(self, columns: Indices, delay: Delay) -> tuple[Array, Array]:
-        """Return Aᵀb (B, n) and bᵀb (B,) of efforts later by a delay."""
+        """Return Aᵀb (B, n) and bᵀb (B,), with efforts shifted by a delay."""
         blocks, efforts = np.arange(len(self.grams)), self.efforts(delay)
-        places = self.places.take(columns, axis=1)  # the last row is of zeros
+        places = self.places.take(columns, axis=1)  # −1 is the last row, of zeros
         own = self.grams[blocks[:, None], efforts[:, None], places]
         return own, self.grams[blocks, efforts, efforts]
 
     def shares(self, fit: Fit) -> Array:
-        """Return (nv,) how many independent samples each row of a fit's residuals is worth."""
+        """Return the effective samples per row (nv,) of a fit's residuals."""
         key = fit.choice.key
         if key not in self._shares:
             data, blocks = self.dataset, list[list[Array]]()
             for j in range(len(data.data)):
-                both = zip(self.row_weights(fit, j), self._residuals(fit, j), strict=True)
-                blocks.append([np.sqrt(w / fit.weights[j]) * left for w, left in both])
-            found = effective_of_rows(blocks, self.rows)
-            worth = np.minimum(found, self.beliefs.discrepancy)
-            # All but the noise of efforts varies with the motion, however often that repeats: so
-            # does the noise of a base's accelerations, which is in the columns, too.
+                pairs = zip(self.row_weights(fit, j), self._residuals(fit, j), strict=True)
+                blocks.append([np.sqrt(w / fit.weights[j]) * residual for w, residual in pairs])
+            effective = effective_of_rows(blocks, self.rows)
+            repeated = np.minimum(effective, self.beliefs.discrepancy)
+            # Errors beyond the noise of efforts vary with the motion, and repeat with it. So
+            # does the noise of a base's accelerations, which is in the columns.
             moving = np.square(self.dataset.motion_noise)
             noise = np.square(self.dataset.noise_floor) - moving
-            more = np.maximum(1.0 - noise / fit.variance, moving / fit.variance)
-            more = np.clip(more, 0.0, 1.0)
-            samples = 1.0 / ((1.0 - more) / found + more / worth)
+            excess = np.maximum(1.0 - noise / fit.variance, moving / fit.variance)
+            excess = np.clip(excess, 0.0, 1.0)
+            samples = 1.0 / ((1.0 - excess) / effective + excess / repeated)
             self._shares[key] = np.clip(samples / self.rows, _LEAST_SHARE, 1.0)
         return self._shares[key]
 
     def level_noise(self, fit: Fit) -> None:
-        """Keep other delays than those of a fit from gaining by noise that happens to be smaller.
+        """Prevent other delays than a fit's from gaining by smaller noise at their instants.
 
-        Efforts that are advanced by some milliseconds are sampled at other instants, where their
-        filtered noise may be smaller by chance. That is no evidence of a delay.
+        The filtered noise of efforts that are shifted by a few milliseconds may be smaller by
+        chance, which is no evidence of a delay.
         """
         if len(self.dataset.delays) < 2 or self.dataset.is_mixed:
             return
         for block, j in enumerate(self.joint_of.tolist()):
-            own, late = fit.choice.delay[j], self.dataset.delays[:, j]
-            rows, left = _rows(self.dataset.data[j]), self._residuals(fit, j)
-            if sum(map(len, left)) < 2:
+            index, lags = fit.choice.delay[j], self.dataset.delays[:, j]
+            rows, residuals = _rows(self.dataset.data[j]), self._residuals(fit, j)
+            if sum(map(len, residuals)) < 2:
                 continue
             time, efforts = (np.concatenate([getattr(r, f) for r in rows]) for f in ("time", "b"))
-            predicted = efforts[:, own] - np.concatenate(left)
+            predicted = efforts[:, index] - np.concatenate(residuals)
             turns = np.concatenate(self._turns[j])
             counted = turns == (block >= len(self.rows)) if j in self._reversing else turns | True
             signals = time, predicted, contiguous(efforts), counted
-            change = calc_noise_changes(signals, own, late - late[own])
+            change = calc_noise_changes(signals, index, lags - lags[index])
             at = self._ends[j] + np.arange(len(change))
             scale = self.block_rows[block] / counted.sum()
             self.grams[block, at, at] = self._powers[block] - change * scale
@@ -723,29 +722,29 @@ class LogModel:
         data, delay = self.dataset.data[joint], fit.choice.delay[joint]
         x, mixed = np.zeros(len(self.grams[joint])), self._mixed[joint]
         np.add.at(x, self.places[joint][fit.columns], fit.x)
-        own, ends = x[: len(mixed)] + mixed @ x[len(mixed) : len(mixed) + 2], len(data.columns)
-        used = np.flatnonzero(own[:ends])  # few of all columns
+        weights, count = x[: len(mixed)] + mixed @ x[len(mixed) : len(mixed) + 2], len(data.columns)
+        used = np.flatnonzero(weights[:count])  # only a few columns
         return [
-            rows.b[:, delay] - own[used] @ rows.A.T[used] - rows.b @ own[ends:]
+            rows.b[:, delay] - weights[used] @ rows.A.T[used] - rows.b @ weights[count:]
             for rows in _rows(data)
         ]
 
     def usual_gains(self, fit: Fit) -> dict[str, tuple[float, float]]:
-        """Return gain errors that explain most of what would be left at their joint.
+        """Return errors of gains that explain most of the error that would remain at their joints.
 
-        Joint -> the error, and the deviation of the gain by the log, both as shares.
+        The result is joint -> the error, and the gain's deviation stated by the log, both relative.
         """
-        blocks, found = self.normal(fit.columns, fit.choice.delay), dict[str, tuple[float, float]]()
-        now = self.of_joints(fit.noise * self.block_rows)
+        blocks, gains = self.normal(fit.columns, fit.choice.delay), dict[str, tuple[float, float]]()
+        errors = self.sum_by_joint(fit.noise * self.block_rows)
         for j, joint in enumerate(self.dataset.joints):
             at, x = len(self.unknowns.columns) + j, fit.x.copy()
             x[at] = 0.0
-            if self.of_joints(calc_squares(blocks, x))[j] * _NOTABLE > now[j]:
-                found[joint] = float(fit.x[at]), float(self.dataset.gain_uncertainty[j])
-        return found
+            if self.sum_by_joint(calc_squares(blocks, x))[j] * _NOTABLE > errors[j]:
+                gains[joint] = float(fit.x[at]), float(self.dataset.gain_uncertainty[j])
+        return gains
 
     def gain_moments(self, fit: Fit) -> Array:
-        """Return (nv, nv) second moments of the gains' errors, as prior and data have them."""
+        """Return the second moments (nv, nv) of the gains' errors in the posterior."""
         first = len(self.unknowns.columns)
         at = np.arange(first, first + len(self.rows))
         factor, scale = scaled_cholesky(fit.hessian, RIDGE)
@@ -757,32 +756,31 @@ class LogModel:
         return fit.x[self.spans(fit.terms)[term]]
 
     def row_columns(self, fit: Fit, joint: int, A: Array, b: Array) -> tuple[Array, Array]:
-        """Return the columns (…, n) of a fit, and the efforts (…), in rows of a joint.
+        """Return a fit's columns (…, n) and efforts (…) in rows of a joint.
 
-        A (…, p) are columns of the rows in the order of the joint's, and b (…, d) their efforts for
-        each delay.
+        A (…, p) contains the joint's columns, and b (…, d) its efforts at each delay.
         """
-        own = np.concatenate([A, b], axis=-1)
-        zeros = np.zeros((*own.shape[:-1], 1))
-        wide = np.concatenate([own, own @ self._mixed[joint], zeros], axis=-1)
-        return wide[..., self.places[joint][fit.columns]], b[..., fit.choice.delay[joint]]
+        joined = np.concatenate([A, b], axis=-1)
+        zeros = np.zeros((*joined.shape[:-1], 1))
+        extended = np.concatenate([joined, joined @ self._mixed[joint], zeros], axis=-1)
+        return extended[..., self.places[joint][fit.columns]], b[..., fit.choice.delay[joint]]
 
     def bodies(self, fit: Fit) -> Array:
-        """Return the bodies (nb, 10) of a fit, wrong ones as they were found, without payloads."""
+        """Return the bodies (nb, 10) of a fit, including wrong ones, without payloads."""
         phi = fit.x[: self._bodies].reshape(-1, PARAMETERS_PER_BODY).copy()
         for term in fit.terms:
             if term.effect is None:
                 phi[self.dataset.bodies.index(term.where[0])] += self.parameters(fit, term)
         return phi
 
-    # For what needs fits fold by fold.
+    # Cross-validation.
 
     def unknowns_of(self, choice: Choice) -> Unknowns:
         """Return the unknowns of an explanation with their prior, without nuisances."""
         unknowns = self.unknowns.loosened(choice.width / self._spread, self._bodies)
         wrong = [term for term in choice.terms if term.effect is None]
         if wrong:
-            covariance = np.linalg.inv(unknowns.information)  # effects may go with bodies
+            covariance = np.linalg.inv(unknowns.information)  # effects may correlate with bodies
             for term in wrong:
                 at = np.ix_(term.columns, term.columns)
                 covariance[at] += np.linalg.inv(term.information)
@@ -797,11 +795,11 @@ class LogModel:
         return unknowns
 
     def hypothesis(self, fit: Fit) -> Hypothesis:
-        """Return a fit as a validated one whose folds all have the same parameters."""
+        """Return a fit as a hypothesis with the same parameters in all folds."""
         unknowns, data, choice = self.unknowns_of(fit.choice), self.dataset, fit.choice
         for effect in self._reversals:
-            known = np.zeros((len(effect.parameters),) * 2)
-            unknowns = unknowns.with_effect(effect, data.effect_columns(effect), known)
+            zero = np.zeros((len(effect.parameters),) * 2)
+            unknowns = unknowns.with_effect(effect, data.effect_columns(effect), zero)
         x, p = np.zeros(len(unknowns.columns)), len(self.unknowns.columns)
         x[:p] = fit.x[:p]
         x[: self._bodies] = self.bodies(fit).ravel()
@@ -816,9 +814,9 @@ class LogModel:
         return self._hypothesis(choice, unknowns, fit, held_out)
 
     def held_out(self, fit: Fit, *, reversing: bool = True) -> HeldOut:
-        """Return the errors in each fold of a fit to the others, gains included.
+        """Return the errors in each fold of a fit to all other folds, including errors of gains.
 
-        Terms of unresolved reversals are left out of the predictions if not `reversing`.
+        Predictions omit terms of unresolved reversals if not `reversing`.
         """
         data, weights = self.dataset, fit.weights[: len(self.rows), None, None]
         systems = [
@@ -827,12 +825,12 @@ class LogModel:
         ]
         weighted = [w * np.swapaxes(A, 1, 2) for w, (A, _) in zip(weights, systems, strict=True)]
         pairs = [*zip(weighted, systems, strict=True)]
-        # Not by np.sum, which needs all at once.
+        # np.sum would need all products at once.
         gram = sum((own @ A for own, (A, _) in pairs), np.zeros(()))
         rhs = np.sum([(own @ b[..., None])[..., 0] for own, (_, b) in pairs], axis=0)
-        known = fit.hessian @ fit.x - fit.weights @ self.moments(fit.columns, fit.choice.delay)[0]
-        factor, scale = scaled_cholesky(self.even_hessian(fit) - gram)
-        rhs = known + rhs.sum(axis=0) - rhs
+        prior = fit.hessian @ fit.x - fit.weights @ self.moments(fit.columns, fit.choice.delay)[0]
+        factor, scale = scaled_cholesky(self.uniform_noise_hessian(fit) - gram)
+        rhs = prior + rhs.sum(axis=0) - rhs
         x = np.array([s * solved(L, s * b) for L, s, b in zip(factor, scale, rhs, strict=True)])
         if not reversing:
             x[:, self._first_reversal : self.first_term] = 0.0
@@ -841,7 +839,7 @@ class LogModel:
         return HeldOut(np.transpose(sse / inertias**2), data.samples, x)
 
     def validated(self, fit: Fit, *, physical: bool = True) -> Hypothesis:
-        """Validate a fit fold by fold, with the noise that it has, and bodies that can exist."""
+        """Return the cross-validated hypothesis of a fit, with its noise and physical bodies."""
         unknowns = self.unknowns_of(fit.choice)
         return self._hypothesis(fit.choice, unknowns, fit, None, physical=physical)
 
@@ -855,7 +853,7 @@ class LogModel:
         physical: bool = True,
     ) -> Hypothesis:
         effective, weights = self.shares(fit) * self.rows, fit.weights[: len(self.rows)]
-        # Bodies and payloads alone: all that have inertia.
+        # Only bodies and payloads have inertia.
         x = np.zeros(len(unknowns.columns))
         x[: self._bodies] = self.bodies(fit).ravel()
         for term, span in self.spans(fit.terms).items():
@@ -875,5 +873,4 @@ class LogModel:
 
 
 def _rows(data: JointData) -> list[JointRows]:
-    """Return the kept rows of a joint, by stretch."""
     return [rows for blocks in data.rows for rows in blocks]

@@ -1,4 +1,4 @@
-"""Moves from one explanation to its neighbours: terms that come, go, or take others' places."""
+"""Moves between neighbouring explanations: additions, removals and replacements of terms."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from geodrake.diagnosis.terms import Term, Terms
 from geodrake.diagnosis.unknown_efforts import UNKNOWN
 
 _MOST = 14
-"""So many neighbours, those that promise most, are fitted."""
+"""Number of most promising neighbours that are fitted."""
 _POOL = 18
-"""So many effects of a joint, and all simple ones, are tried in pairs there."""
+"""Number of effects of a joint that are tried in pairs, besides all simple ones."""
 _HOPE = -10.0
-"""A neighbour that promises less is not fitted: it has less than a hundredth of the probability."""
-_LOSS = -25.0
+"""Least gain of a neighbour to be fitted, at less than a hundredth of the probability."""
+_LOSS = -25.0  # least gain of a removal
 
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """A neighbour of an explanation."""
+    """Neighbour of an explanation."""
 
     choice: Choice
-    gain: float  # what it adds to the score, at the noise of the fit
-    come: Terms = ()  # the terms that come, where that is not plain
+    gain: float  # change of the score, at the noise of the fit
+    added: Terms = ()  # the added terms, if they are needed later
 
 
 def neighbours(
@@ -43,41 +43,40 @@ def neighbours(
 ) -> list[Choice]:
     """Find the most promising neighbours of an explanation.
 
-    `most` counts them beside other widths of the bodies and the best delays, and beside `further`
-    effects that promise most if they leave only white noise. If `joints` are given, their own
-    effects alone may change, and `further` does not count. If `common`, only what any joint may
-    have is added, and payloads.
+    `most` does not count other widths of the bodies, the best delays, and `further` effects that
+    gain most if they leave only white noise. If `joints` are given, only their own effects may
+    change, and `further` is ignored. If `common`, only common effects and payloads are added.
     """
-    finder = _Finder(model, fit, common=common)
-    moves = finder.moves() if joints is None else finder.rebuilt(joints)
+    finder = _MoveFinder(model, fit, common=common)
+    moves = finder.moves() if joints is None else finder.rebuilds(joints)
     promising = sorted(moves, key=lambda move: -move.gain)
     best = list({move.choice.key: move for move in promising}.values())[:most]
-    found = [move.choice for move in best]
+    choices = [move.choice for move in best]
     if joints is not None:
-        return found
-    found += finder.hopeful(further)
+        return choices
+    choices += finder.white_noise_additions(further)
     for move in best[: most // 2]:
         changed = set(move.choice.terms) ^ set(fit.terms)
-        if any(term.joint is None for term in changed):  # it may spare bodies their way
-            found += finder.other_widths(move)
-    found += other_widths(model, fit.choice)
-    for move in finder.sparing():
-        found += [move.choice, *finder.other_widths(move)]
-    for choice in finder.unspared():
-        found += [each for each in other_widths(model, choice) if each.width > fit.choice.width]
-    was, base = fit.choice, finder.base
+        if any(term.joint is None for term in changed):  # bodies may change less
+            choices += finder.other_widths(move)
+    choices += other_widths(model, fit.choice)
+    for move in finder.payload_additions():
+        choices += [move.choice, *finder.other_widths(move)]
+    for choice in finder.payload_removals():
+        choices += [each for each in other_widths(model, choice) if each.width > fit.choice.width]
+    previous, base = fit.choice, finder.base
     for delay, gain in finder.around.delays():
-        late = replace(was, delay=delay)
-        if gain + base - model.odds_against(late) > _HOPE:
-            found.append(late)
+        delayed = replace(previous, delay=delay)
+        if gain + base - model.odds_against(delayed) > _HOPE:
+            choices.append(delayed)
         if len({*delay}) == 1:
-            found += _without_needless(model, fit, late)
-    return found
+            choices += _without_needless(model, fit, delayed)
+    return choices
 
 
 def additions(model: LogModel, fit: Fit) -> list[Fit]:
-    """Add effects of one name to an explanation at every place where they gain, best first."""
-    moves = _Finder(model, fit).added()
+    """Return fits with effects of one name added at every place where they gain, best first."""
+    moves = _MoveFinder(model, fit).additions()
     choices = [
         move.choice
         for move in moves
@@ -86,38 +85,38 @@ def additions(model: LogModel, fit: Fit) -> list[Fit]:
     return model.ranked(choices, model.shares(fit), fit.noise)
 
 
-def alone(model: LogModel, fit: Fit) -> Terms:
+def single_replacements(model: LogModel, fit: Fit) -> Terms:
     """Return the shaped effect that best replaces all effects of each crowded joint.
 
-    A joint is crowded if several of its effects are not simple: together they may imitate one
+    A joint is crowded if it has several effects that are not simple: together they may imitate one
     effect whose shape is not on the grid.
     """
-    finder, best = _Finder(model, fit), list[Term]()
+    finder, best = _MoveFinder(model, fit), list[Term]()
     for joint, offered in finder.by_joint.items():
-        here = [term for term in fit.terms if term.joint == joint]
+        present = [term for term in fit.terms if term.joint == joint]
         shaped = [(t,) for t in offered if t.effect is not None and t.effect.free_shapes]
-        if sum(_complexity(term) > 0 for term in here) > 1 and shaped:
-            gains = finder.around.gains(shaped, finder.around.dropped(here))
+        if sum(_complexity(term) > 0 for term in present) > 1 and shaped:
+            gains = finder.around.gains(shaped, finder.around.dropped(present))
             best.append(shaped[int(np.argmax(gains))][0])
     return tuple(best)
 
 
 def other_widths(model: LogModel, choice: Choice) -> list[Choice]:
-    """Return an explanation with each other width of the bodies."""
+    """Return an explanation with each other prior width of the bodies."""
     others = [width for width in model.widths if width != choice.width]
     return [replace(choice, width=width) for width in others]
 
 
-def _without_needless(model: LogModel, fit: Fit, late: Choice) -> list[Choice]:
-    """Drop what may have made up for a delay of all efforts."""
-    finder = _Finder(model, model.unbounded(late, model.shares(fit), fit.noise))
-    needless = [term for term in late.terms if any(m.gain > 0.0 for m in finder.leaving(term))]
-    kept = tuple(term for term in late.terms if term not in needless)
-    return [model.choice(late, kept)] if needless and model.are_compatible(kept) else []
+def _without_needless(model: LogModel, fit: Fit, delayed: Choice) -> list[Choice]:
+    """Return a delayed explanation without terms that imitated the delay."""
+    finder = _MoveFinder(model, model.unbounded(delayed, model.shares(fit), fit.noise))
+    needless = [term for term in delayed.terms if any(m.gain > 0.0 for m in finder.removals(term))]
+    kept = tuple(term for term in delayed.terms if term not in needless)
+    return [model.choice(delayed, kept)] if needless and model.are_compatible(kept) else []
 
 
-class _Finder:
-    """Finds the neighbours of one fit."""
+class _MoveFinder:
+    """Generator of moves from one fit."""
 
     def __init__(self, model: LogModel, fit: Fit, *, common: bool = False) -> None:
         self.model, self.fit = model, fit
@@ -129,37 +128,37 @@ class _Finder:
             if term.joint is not None:
                 self.by_joint.setdefault(term.joint, []).append(term)
         kinds = dict[str, list[Term]]()
-        for here in self.by_joint.values():
+        for joint_terms in self.by_joint.values():
             named = dict[str, list[Term]]()
-            for term in here:
+            for term in joint_terms:
                 named.setdefault(term.name, []).append(term)
             for name, terms in named.items():
-                if len(terms) == 1:  # it has no shape, or one
+                if len(terms) == 1:  # it has at most one shape
                     kinds.setdefault(name, []).append(terms[0])
         self.everywhere = [*kinds.values()]
 
     def moves(self) -> Iterator[Move]:
-        """Return all moves that promise a gain."""
-        yield from self.added()
-        yield from self.rebuilt(self.by_joint)
+        """Yield all moves that may gain."""
+        yield from self.additions()
+        yield from self.rebuilds(self.by_joint)
         for term in self.fit.terms:
-            yield from self._replaced(term)
-        yield from self._kinds_replaced()
+            yield from self._replacements(term)
+        yield from self._kind_replacements()
 
     def _choice(self, terms: Iterable[Term]) -> Choice:
         return self.model.choice(self.fit.choice, terms)
 
-    def _move(self, terms: Iterable[Term], gain: float, come: Terms = ()) -> Move:
-        """Return a move by its gain without prior odds."""
+    def _move(self, terms: Iterable[Term], gain: float, added: Terms = ()) -> Move:
+        """Return a move, given its gain without prior odds."""
         choice = self._choice(terms)
-        return Move(choice, gain + self.base - self.model.odds_against(choice), come)
+        return Move(choice, gain + self.base - self.model.odds_against(choice), added)
 
     def _offers(
         self, rest: Terms, packages: Iterable[Terms], dropped: Dropped | None = None
     ) -> list[tuple[float, Terms]]:
-        """Return packages that may come to the rest, by their gains without prior odds."""
-        possible = self.model.compatibility.beside(rest, packages)
-        gains = self.around.promises(possible, dropped)
+        """Return packages that can be added to the rest, with their gains without prior odds."""
+        possible = self.model.compatibility.filter(rest, packages)
+        gains = self.around.profiled_gains(possible, dropped)
         order = [k for k in np.argsort(-gains, kind="stable") if np.isfinite(gains[k])]
         return [(float(gains[k]), possible[k]) for k in order]
 
@@ -171,122 +170,122 @@ class _Finder:
         *,
         most: int | None = _MOST,
     ) -> list[Move]:
-        """Return moves to packages beside the rest that may be worth a fit, the best first."""
+        """Return moves that add packages to the rest and may gain enough, the best first."""
         loss = 0.0 if dropped is None else dropped.loss
         moves = [
-            self._move((*rest, *come), gain + loss, come)
-            for gain, come in self._offers(rest, packages, dropped)[:most]
+            self._move((*rest, *added), gain + loss, added)
+            for gain, added in self._offers(rest, packages, dropped)[:most]
         ]
         return sorted((m for m in moves if m.gain > _HOPE), key=lambda move: -move.gain)
 
-    def added(self) -> Iterator[Move]:
-        """Add one term, the best at every joint together, or one kind at all joints together."""
+    def additions(self) -> Iterator[Move]:
+        """Add one term, the best of every joint together, or one kind at all joints."""
         present = self.fit.terms
         offered = [(term,) for term in self.terms if term not in present]
         moves = self._moves(present, offered, most=None)
         yield from moves[:_MOST]
         best, kinds = dict[str, tuple[Term, float]](), dict[str, dict[str, tuple[Term, float]]]()
         for move in moves:
-            (term,) = move.come
+            (term,) = move.added
             if term.joint is not None:
                 kinds.setdefault(term.name, {}).setdefault(term.joint, (term, move.gain))
                 if move.gain > 0.0:
                     best.setdefault(term.joint, (term, move.gain))
         for group in (best, *kinds.values()):
             if len(group) > 1:
-                terms, found = zip(*group.values(), strict=True)
-                yield Move(self._choice((*present, *terms)), sum(found))
+                terms, gains = zip(*group.values(), strict=True)
+                yield Move(self._choice((*present, *terms)), sum(gains))
 
-    def hopeful(self, most: int) -> list[Choice]:
-        """Add one effect of a joint that would gain if it left white noise, the best first.
+    def white_noise_additions(self, most: int) -> list[Choice]:
+        """Add an effect of a joint that would gain if it left white noise, the best first.
 
-        It takes the place of those that it contains.
+        It replaces the effects that it contains.
         """
         present, joints, offered = self.fit.terms, self.model.dataset.joints, dict[Terms, Terms]()
         for term in self.terms if most else ():
-            if term.joint in joints and term not in present and self.model.felt_by[term] >= 0:
-                gone = tuple(other for other in present if other.key in term.contains)
-                offered[gone] = (*offered.get(gone, ()), term)
-        found = list[tuple[float, Choice]]()
-        for gone, come in offered.items():
-            rest = tuple(term for term in present if term not in gone)
-            dropped = self.around.dropped(gone) if gone else None
+            if term.joint in joints and term not in present and self.model.only_joint[term] >= 0:
+                removed = tuple(other for other in present if other.key in term.contains)
+                offered[removed] = (*offered.get(removed, ()), term)
+        ranked = list[tuple[float, Choice]]()
+        for removed, added in offered.items():
+            rest = tuple(term for term in present if term not in removed)
+            dropped = self.around.dropped(removed) if removed else None
             loss = 0.0 if dropped is None else dropped.loss
-            possible = [t for (t,) in self.model.compatibility.beside(rest, [(t,) for t in come])]
-            hopes = self.around.hopes(possible, dropped) + self.base + loss
+            possible = [t for (t,) in self.model.compatibility.filter(rest, [(t,) for t in added])]
+            gains = self.around.white_noise_gains(possible, dropped) + self.base + loss
             choices = [self._choice((*rest, term)) for term in possible]
             odds = [self.model.odds_against(choice) for choice in choices]
-            found += zip((hopes - odds).tolist(), choices, strict=True)
-        found.sort(key=lambda each: -each[0])
-        return [choice for hope, choice in found[:most] if hope > 0.0]
+            ranked += zip((gains - odds).tolist(), choices, strict=True)
+        ranked.sort(key=lambda pair: -pair[0])
+        return [choice for gain, choice in ranked[:most] if gain > 0.0]
 
-    def rebuilt(self, joints: Collection[str]) -> Iterator[Move]:
-        """Choose the own effects of some joints anew: alone, as pairs, and beside simple ones."""
-        present, every, gone = self.fit.terms, list[Move](), set[Term]()
+    def rebuilds(self, joints: Collection[str]) -> Iterator[Move]:
+        """Choose the own effects of some joints again: one, a pair, or with simple ones."""
+        present, best, removed = self.fit.terms, list[Move](), set[Term]()
         for joint in joints:
-            here = [term for term in present if term.joint == joint]
-            rest = tuple(term for term in present if term not in here)
+            present_here = [term for term in present if term.joint == joint]
+            rest = tuple(term for term in present if term not in present_here)
             if not self.model.are_compatible(rest):
                 continue
-            dropped = self.around.dropped(here) if here else None
-            offered = self._packages(self.by_joint.get(joint, []), here, dropped)
+            dropped = self.around.dropped(present_here) if present_here else None
+            offered = self._packages(self.by_joint.get(joint, []), present_here, dropped)
             moves = self._moves(rest, offered, dropped)
             yield from moves
             if moves and moves[0].gain > 0.0:
-                every.append(moves[0])
-                gone.update(here)
-        if len(every) > 1:
-            kept = [term for term in present if term not in gone]
-            terms = (*kept, *(term for move in every for term in move.come))
+                best.append(moves[0])
+                removed.update(present_here)
+        if len(best) > 1:
+            kept = [term for term in present if term not in removed]
+            terms = (*kept, *(term for move in best for term in move.added))
             if self.model.are_compatible(terms):
-                yield Move(self._choice(terms), sum(move.gain for move in every))
+                yield Move(self._choice(terms), sum(move.gain for move in best))
 
     def _packages(
-        self, offered: list[Term], here: list[Term], dropped: Dropped | None
+        self, offered: list[Term], present: list[Term], dropped: Dropped | None
     ) -> list[Terms]:
-        """Return what may replace the effects at a joint."""
+        """Return the candidate replacements of the effects at a joint."""
         gains = self.around.gains([(term,) for term in offered], dropped)
         best = [offered[k] for k in np.argsort(-gains)[:_POOL]]
         simple = [t for t in offered if _complexity(t) <= 1 and len(t.columns) == 1]
-        pool = list(dict.fromkeys([*best, *simple, *here]))
+        pool = list(dict.fromkeys([*best, *simple, *present]))
         packages: list[Terms] = [(term,) for term in pool]
         packages += [pair for pair in combinations(pool, 2) if pair[0].key != pair[1].key]
         plain = [term for term in simple if _complexity(term) == 0]
         packages += [
             (*pair, term) for pair in combinations(plain, 2) for term in pool if term not in pair
         ]
-        if len(here) > 2:
-            packages += [tuple(t for t in here if t is not one) for one in here]
-        # One takes the place of one or of two, or two and more simple ones that of one.
-        trades: list[tuple[Terms, Terms]] = [((one,), (t,)) for one in here for t in pool]
-        for one in here:
-            for count in range(2, max(3, len(one.columns))):
-                trades += [((one,), simpler) for simpler in combinations(plain, count)]
-        trades += [(pair, (t,)) for pair in combinations(here, 2) for t in pool]
+        if len(present) > 2:
+            packages += [tuple(t for t in present if t is not old) for old in present]
+        # Replace one or two effects by one, or one by several simple ones.
+        trades: list[tuple[Terms, Terms]] = [((old,), (t,)) for old in present for t in pool]
+        for old in present:
+            for count in range(2, max(3, len(old.columns))):
+                trades += [((old,), simpler) for simpler in combinations(plain, count)]
+        trades += [(pair, (t,)) for pair in combinations(present, 2) for t in pool]
         packages += [
-            (*(t for t in here if t not in gone), *come)
-            for gone, come in trades
-            if not set(come) & set(here)
+            (*(t for t in present if t not in removed), *added)
+            for removed, added in trades
+            if not set(added) & set(present)
         ]
-        # Any other shape of an effect may take its place, without unknown functions.
-        known = [t for t in here if not isinstance(t.effect, UNKNOWN)]
+        # Replace an effect by any other shape of it, without unknown functions.
+        known = [t for t in present if not isinstance(t.effect, UNKNOWN)]
         packages += [
-            tuple(other if term is own else term for term in known)
-            for own in known
+            tuple(other if term is old else term for term in known)
+            for old in known
             for other in offered
-            if other.key == own.key
+            if other.key == old.key
         ]
         unique = {frozenset(package): package for package in packages}
-        unique.pop(frozenset(here), None)
+        unique.pop(frozenset(present), None)
         return [*unique.values()]
 
-    def leaving(self, term: Term) -> Iterator[Move]:
-        """Drop one term, if the others may be without it."""
+    def removals(self, term: Term) -> Iterator[Move]:
+        """Drop one term, if the others do not need it."""
         rest = tuple(other for other in self.fit.terms if other is not term)
         return self._without(rest, self.around.dropped([term]))
 
-    def _replaced(self, term: Term) -> Iterator[Move]:
-        """Drop one term, or replace it by others, one of which does not belong to one joint."""
+    def _replacements(self, term: Term) -> Iterator[Move]:
+        """Drop one term, or replace it; not both old and new terms belong to one joint."""
         present, dropped = self.fit.terms, self.around.dropped([term])
         rest = tuple(other for other in present if other is not term)
         yield from self._without(rest, dropped)
@@ -295,7 +294,7 @@ class _Finder:
             for other in self.terms
             if other not in present and (term.joint is None or other.joint is None)
         ]
-        if term.joint is None:  # what it does together may be of one kind at several joints
+        if term.joint is None:  # one kind at several joints may replace it
             for kind in self.everywhere:
                 free = [t for t in kind if t not in rest]
                 gains = self.around.gains([(t,) for t in free], dropped)
@@ -304,21 +303,21 @@ class _Finder:
         yield from self._moves(rest, others, dropped)
 
     def _without(self, rest: Terms, dropped: Dropped) -> Iterator[Move]:
-        """Drop what is not in the rest, if that may be without it."""
+        """Drop terms that are not in the rest, if the rest does not need them."""
         if self.model.are_compatible(rest):
             move = self._move(rest, dropped.loss)
             if move.gain > _LOSS:
                 yield move
 
-    def _kinds_replaced(self) -> Iterator[Move]:
-        """Drop all effects of one name, or replace them by another kind, or by one for all."""
+    def _kind_replacements(self) -> Iterator[Move]:
+        """Drop all effects of one name, or replace them by another kind or by one shared effect."""
         present = self.fit.terms
         for name in dict.fromkeys(term.name for term in present):
-            gone = [term for term in present if term.name == name]
+            removed = [term for term in present if term.name == name]
             rest = tuple(term for term in present if term.name != name)
-            if len(gone) < 2 or not self.model.are_compatible(rest):
+            if len(removed) < 2 or not self.model.are_compatible(rest):
                 continue
-            dropped, joints = self.around.dropped(gone), {term.joint for term in gone}
+            dropped, joints = self.around.dropped(removed), {term.joint for term in removed}
             yield from self._without(rest, dropped)
             if joints == {None}:
                 continue
@@ -326,39 +325,38 @@ class _Finder:
             shared = [(t,) for t in self.terms if t.joint is None and t not in present]
             yield from self._moves(rest, shared, dropped)
             best = dict[str, dict[str, tuple[float, Term]]]()
-            own = [(term,) for term in others if term.joint in joints]
-            for gain, (term,) in self._offers(rest, own, dropped):
+            candidates = [(term,) for term in others if term.joint in joints]
+            for gain, (term,) in self._offers(rest, candidates, dropped):
                 best.setdefault(term.name, {}).setdefault(term.where[0], (gain, term))
-            for at in best.values():
-                terms = (*rest, *(term for _, term in at.values()))
-                if len(at) == len(joints) and self.model.are_compatible(terms):
-                    yield self._move(terms, dropped.loss + sum(gain for gain, _ in at.values()))
+            for group in best.values():
+                terms = (*rest, *(term for _, term in group.values()))
+                if len(group) == len(joints) and self.model.are_compatible(terms):
+                    yield self._move(terms, dropped.loss + sum(gain for gain, _ in group.values()))
 
     def other_widths(self, move: Move) -> list[Choice]:
-        """Return where a move leads with other widths of the bodies, as far as they promise enough.
+        """Return a move's explanation with other widths of the bodies that may gain enough.
 
-        Where a term comes, wider bodies add no more than they do without it: it makes up for what
-        they would.
+        If a term is added, wider bodies gain no more than they do without it, as both explain the
+        same errors.
         """
-        choices, was = other_widths(self.model, move.choice), self.fit.choice.width
+        choices, old = other_widths(self.model, move.choice), self.fit.choice.width
         if not set(self.fit.terms) <= set(move.choice.terms):
             return choices
-        return [c for c in choices if c.width < was or move.gain + self._widening[c.width] > _HOPE]
+        return [c for c in choices if c.width < old or move.gain + self._widening[c.width] > _HOPE]
 
     @cached_property
     def _widening(self) -> dict[float, float]:
-        """Gain in the score of the fit by each width of the bodies."""
+        """Return the change of the fit's score by each width of the bodies."""
         model, fit = self.model, self.fit
         shares = (fit.weights * fit.noise)[: len(model.rows)]
-        tried = [replace(fit.choice, width=width) for width in model.widths]
+        choices = [replace(fit.choice, width=width) for width in model.widths]
         score = model.unbounded(fit.choice, shares, fit.noise).score
-        return {t.width: model.unbounded(t, shares, fit.noise).score - score for t in tried}
+        return {t.width: model.unbounded(t, shares, fit.noise).score - score for t in choices}
 
-    def sparing(self) -> Iterator[Move]:
-        """Add a payload, or another effect of the whole robot, which may let bodies stay put.
+    def payload_additions(self) -> Iterator[Move]:
+        """Add a payload, or another effect of the whole robot, in place of wider bodies.
 
-        With bodies as free as they are it may promise nothing, and much with bodies that stay: by
-        these its mass is chosen.
+        Its mass is chosen with the narrowest bodies: with wide ones it may seem to gain nothing.
         """
         model, present = self.model, self.fit.terms
         last, width, around = set(model.model.load_bodies), model.widths[0], self.around
@@ -370,16 +368,16 @@ class _Finder:
             if _spares_bodies(term) and (not term.is_body or term.where[0] in last):
                 kinds.setdefault(term.effect, []).append((term,))
         for offered in kinds.values():
-            possible = model.compatibility.beside(present, offered)
-            gains = around.promises(possible)
+            possible = model.compatibility.filter(present, offered)
+            gains = around.profiled_gains(possible)
             if np.isfinite(gains).any():
                 best = int(np.argmax(gains))
                 move = self._move((*present, *possible[best]), float(gains[best]))
-                if move.gain > _HOPE:  # with wider bodies it promises even less
+                if move.gain > _HOPE:  # wider bodies lower the gain
                     yield move
 
-    def unspared(self) -> Iterator[Choice]:
-        """Drop a payload, or another effect of the whole robot, which bodies may take in."""
+    def payload_removals(self) -> Iterator[Choice]:
+        """Drop a payload, or another effect of the whole robot, which wider bodies may replace."""
         for term in self.fit.terms:
             rest = tuple(other for other in self.fit.terms if other is not term)
             if _spares_bodies(term) and self.model.are_compatible(rest):
@@ -392,7 +390,7 @@ def _spares_bodies(term: Term) -> bool:
 
 
 def is_common(term: Term) -> bool:
-    """Return whether a term is what any joint may have, or a payload."""
+    """Return whether a term is an effect that any joint may have, or a payload."""
     return term.is_whole or (term.effect is not None and _complexity(term) == 0)
 
 

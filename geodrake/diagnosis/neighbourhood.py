@@ -1,7 +1,7 @@
-"""Changes of a fit where terms come and go, at its noise.
+"""Gains of neighbouring explanations at the noise of a fit.
 
-Terms that come, go or take the place of others are small Schur complements of the normal matrices
-of all columns, and all of them are tried at once.
+Terms that are added or replaced need only small Schur complements of the normal matrix of all
+columns, so that all of them are tried at once.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from scipy.linalg.lapack import dpotri, dtrtrs
 
 from geodrake.diagnosis.log_model import Delay, Fit, LogModel
 from geodrake.diagnosis.normal_kernels import (
-    Beside,
+    Schur,
     calc_gains,
     calc_products,
     calc_squares,
-    packed_of,
+    packed_blocks,
 )
 from geodrake.diagnosis.terms import Term, Terms
 from geodrake.identification.normal_equations import scaled_cholesky
@@ -29,25 +29,25 @@ from geodrake.model.servos import servos_of
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-_MOST_TAKEN = 1.0 - 1e-6  # share of a joint's squared errors
+_MOST_TAKEN = 1.0 - 1e-6  # largest reduction of a joint's squared errors
 _TINY = np.finfo(float).tiny
 
 
 @dataclass(frozen=True, eq=False)
 class Dropped:
-    """Changes of a fit that terms are left out of, at its noise."""
+    """Change of a fit when terms are dropped, at its noise."""
 
     around: Neighbourhood
-    loss: float  # what is lost of the score, prior odds left aside
+    loss: float  # change of the score without prior odds
     at: Indices  # (i,) the dropped parameters among those of the fit
     inverse: Array  # (i, i) inverse of their covariance
     x: Array  # (i,) their values
-    squares: float  # by how much weighted squared errors rise
-    joint: int  # the joint that alone feels the terms; −1 if several do
+    squares: float  # increase of the weighted squared errors
+    joint: int  # the only joint that the terms affect; −1 if several
 
     @cached_property
     def rows(self) -> Array:
-        """(i, D) rows of the dropped parameters in H⁻¹AᵀA, of distinct columns."""
+        """(i, D) rows of the dropped parameters in H⁻¹AᵀA, over distinct columns."""
         around = self.around
         return around.turned[self.at - around.first_term]
 
@@ -57,7 +57,7 @@ class Neighbourhood:
 
     def __init__(self, model: LogModel, fit: Fit) -> None:
         self._model, self.fit = model, fit
-        # The transpose is in Fortran's order, of which the upper triangle is written.
+        # The transpose is in Fortran order; LAPACK writes its upper triangle.
         factor, self._scale = scaled_cholesky(fit.hessian, ridge=0.0)
         self._root, self.first_term = factor.T, model.first_term
         upper, _ = dpotri(self._root, lower=0)
@@ -81,12 +81,12 @@ class Neighbourhood:
 
     @cached_property
     def turned(self) -> Array:
-        """(·, D) rows of all terms of the fit in H⁻¹AᵀA, of distinct columns."""
+        """(·, D) rows of all terms of the fit in H⁻¹AᵀA, over distinct columns."""
         return np.asarray(self.inverse[self.first_term :] @ self._cross)
 
     @cached_property
-    def beside(self) -> tuple[Beside, Array]:
-        """The Schur complement of all that may come, and its pull (P,)."""
+    def schur(self) -> tuple[Schur, Array]:
+        """Schur complement of all candidate columns, and their pull (P,)."""
         model, fit = self._model, self.fit
         moments, _ = model.moments(model.distinct, fit.choice.delay)
         scaled = self._scale[:, None] * self._cross
@@ -97,32 +97,28 @@ class Neighbourhood:
         return (known, normal, rows.T), right[model.same_as] + model.pull
 
     def delays(self) -> list[tuple[Delay, float]]:
-        """Return other delays of all joints, and of each joint alone, with their gains.
+        """Return the best other delay of all joints and of each single joint, with their gains.
 
-        Each time that is the best delay, and none where efforts are late now.
-
-        Delays are compared as exact ones. The small errors that a fit allows them are columns of
-        rates of efforts, which could average noise away.
-
-        Joints of a free base have no motor that could be late alone, and rows that have efforts of
-        several joints do not show one alone. A servo has a delay of its own, found with it: its
-        effort is not late once more.
+        The model's own delay is also returned. Delays are compared as exact ones, as the delay
+        errors of a fit average noise away. A single joint is not delayed if it belongs to a free
+        base, which has no motor, if rows mix the efforts of several joints, or if it has a servo,
+        whose delay was fitted with it.
         """
-        model, was = self._model, self.fit.choice.delay
-        columns, fit, joints = self.fit.columns, self.fit, [*range(len(was))]
+        model, current = self._model, self.fit.choice.delay
+        columns, fit, joints = self.fit.columns, self.fit, [*range(len(current))]
         count = len(model.dataset.delays)
         if count < 2:
             return []
-        packed, now, power = model.normal(columns, was)
-        late = [model.moments(columns, (k,) * len(was)) for k in range(count)]
+        packed, now, power = model.normal(columns, current)
+        shifted = [model.moments(columns, (k,) * len(current)) for k in range(count)]
         errors = self.inverse[:, model.delay_errors]
         solved = np.linalg.solve(errors[model.delay_errors], errors.T)
         inverse, exact = self.inverse - errors @ solved, fit.x - fit.x[model.delay_errors] @ solved
-        samples, own = self._samples(), np.maximum(calc_squares((packed, now, power), exact), _TINY)
+        samples, sse = self._samples(), np.maximum(calc_squares((packed, now, power), exact), _TINY)
         (prior, _), mean = model.prior(fit.choice), model.mean[columns]
-        found = list[tuple[Delay, float]]()
+        best = list[tuple[Delay, float]]()
 
-        def away(x: Array) -> float:
+        def distance(x: Array) -> float:
             return float((x - mean) @ prior @ (x - mean))
 
         def odds(delay: Delay) -> float:
@@ -136,27 +132,29 @@ class Neighbourhood:
         ]
         for moved in free if any(servos) else (joints, *free):
             tried, at = [], np.flatnonzero(np.isin(model.joint_of, moved))
-            alone = packed if len(at) == len(own) else packed_of(packed, at)
-            for k, (moments, powers) in enumerate(late):
+            part = packed if len(at) == len(sse) else packed_blocks(packed, at)
+            for k, (moments, powers) in enumerate(shifted):
                 x = exact + inverse @ (fit.weights[at] @ (moments[at] - now[at]))
-                left = calc_squares((alone, moments[at], powers[at]), x)
-                ratio = np.maximum(left / own[at], 1e-12)
-                delay = tuple(k if j in moved else was[j] for j in joints)
-                tried.append((delay, away(exact) - away(x) - float(samples[at] @ np.log(ratio))))
-            tried = [each for each in tried if model.are_apart(each[0], was)]
-            found.append(max(tried, key=lambda each: each[1] - odds(each[0])))
-            on_time = tuple(model.on_time[j] if j in moved else was[j] for j in joints)
-            found += [each for each in tried if each[0] == on_time and each != found[-1]]
-        return found
+                residual = calc_squares((part, moments[at], powers[at]), x)
+                ratio = np.maximum(residual / sse[at], 1e-12)
+                delay = tuple(k if j in moved else current[j] for j in joints)
+                tried.append(
+                    (delay, distance(exact) - distance(x) - float(samples[at] @ np.log(ratio)))
+                )
+            tried = [each for each in tried if model.delays_differ(each[0], current)]
+            best.append(max(tried, key=lambda each: each[1] - odds(each[0])))
+            on_time = tuple(model.on_time[j] if j in moved else current[j] for j in joints)
+            best += [each for each in tried if each[0] == on_time and each != best[-1]]
+        return best
 
     def _samples(self) -> Array:
-        """Return (B,) how many independent samples each block of rows is worth."""
+        """Return the effective sample size (B,) of each block of rows."""
         fit, model = self.fit, self._model
         floor = model.floor[model.joint_of]
         return np.asarray(fit.weights * np.maximum(fit.noise, floor) * model.block_rows)
 
     def dropped(self, terms: Sequence[Term]) -> Dropped:
-        """Return what leaving some of the fit's terms out changes."""
+        """Return the change when some of the fit's terms are dropped."""
         at = np.concatenate([self._at[term] for term in terms])
         covariance, x = self.inverse[np.ix_(at, at)], self.fit.x[at]
         inverse = np.linalg.inv(covariance)
@@ -166,68 +164,67 @@ class Neighbourhood:
         return Dropped(self, float(loss), at, inverse, x, squares, self._joint(terms))
 
     def gains(self, packages: Sequence[Terms], dropped: Dropped | None = None) -> Array:
-        """Return (m,) what each package of terms adds to the score, without prior odds.
+        """Return the gain (m,) in score of each package of terms, without prior odds.
 
-        No term of a package is in the fit, or only in `dropped`, which is left out first. Gains are
-        without `dropped.loss`, and −∞ where something is negative that cannot be.
+        Packages contain no terms of the fit, except those in `dropped`, which are dropped first.
+        Gains exclude `dropped.loss`; they are −∞ where a positive parameter would be negative.
         """
         return self._gained(packages, dropped)[0]
 
-    def promises(self, packages: Sequence[Terms], dropped: Dropped | None = None) -> Array:
-        """Return gains (m,) as after the noise has fallen, where one joint alone feels the change.
+    def profiled_gains(self, packages: Sequence[Terms], dropped: Dropped | None = None) -> Array:
+        """Return gains (m,) with updated noise where only one joint is affected.
 
-        Elsewhere they are those of `gains`. At the old noise, two effects that help only together
-        would promise too little.
+        Other gains are those of `gains`. At the old noise, two effects that explain the error only
+        together would gain too little.
         """
         gains, falls = self._gained(packages, dropped)
-        at = np.array([self._joint(package) for package in packages], int)
+        joints = np.array([self._joint(package) for package in packages], int)
         if dropped is not None:
-            at, falls = np.where(at == dropped.joint, at, -1), falls - dropped.squares
-        samples = self._model.of_joints(self._samples())
-        return np.where(at >= 0, self._quieter(gains, falls, at, samples), gains)
+            joints, falls = np.where(joints == dropped.joint, joints, -1), falls - dropped.squares
+        samples = self._model.sum_by_joint(self._samples())
+        return np.where(joints >= 0, self._profiled(gains, falls, joints, samples), gains)
 
-    def hopes(self, terms: Sequence[Term], dropped: Dropped | None = None) -> Array:
-        """Return gains (m,) of effects that one joint feels, if they left only white noise.
+    def white_noise_gains(self, terms: Sequence[Term], dropped: Dropped | None = None) -> Array:
+        """Return gains (m,) of effects of single joints, if they left only white noise.
 
-        They are without `dropped.loss`, of what that joint alone feels and is left out first.
-
-        What is missing makes residuals vary slowly, so that they count for few samples.
+        Gains exclude `dropped.loss`, of dropped terms of the same joint. Missing effects make
+        residuals vary slowly, which lowers their effective sample size.
         """
         gains, falls = self._gained([(term,) for term in terms], dropped)
         falls = falls if dropped is None else falls - dropped.squares
-        at = np.array([self._joint([term]) for term in terms], int)
-        return self._quieter(gains, falls, at, self._model.rows)
+        joints = np.array([self._joint([term]) for term in terms], int)
+        return self._profiled(gains, falls, joints, self._model.rows)
 
-    def _quieter(self, gains: Array, falls: Array, at: Indices, worth: Array) -> Array:
-        """Return gains (m,) with the noise that is left at joints `at` (m,), worth (nv,) samples.
+    def _profiled(self, gains: Array, falls: Array, at: Indices, samples: Array) -> Array:
+        """Return gains (m,) with the remaining noise of joints `at` (m,), of `samples` (nv,).
 
-        Weighted squared errors there fall by `falls` (m,).
+        `falls` (m,) are those of the weighted squared errors.
         """
-        share = falls / self._model.of_joints(self._samples())[at]
-        return gains - falls - worth[at] * np.log1p(-np.minimum(share, self._most_taken[at]))
+        share = falls / self._model.sum_by_joint(self._samples())[at]
+        return gains - falls - samples[at] * np.log1p(-np.minimum(share, self._most_taken[at]))
 
     def _joint(self, terms: Sequence[Term]) -> int:
-        """Return the joint that alone feels terms; −1 if several feel them."""
-        felt = {self._model.felt_by[term] for term in terms}
+        """Return the only joint that terms affect; −1 if several."""
+        felt = {self._model.only_joint[term] for term in terms}
         return felt.pop() if len(felt) == 1 else -1
 
     def _gained(self, packages: Sequence[Terms], dropped: Dropped | None) -> tuple[Array, Array]:
-        """Return gains (m,) and by how much weighted squared errors fall (m,)."""
+        """Return gains (m,) and the reductions (m,) of weighted squared errors."""
         model = self._model
         if not packages:
             return np.zeros(0), np.zeros(0)
-        own = [[model.at[term] for term in package] for package in packages]
-        columns = np.concatenate([at for each in own for at in each])
-        counts = [sum(map(len, each)) for each in own]
-        beside, pull = self.beside
-        gone = (np.zeros((0, len(model.distinct))), np.zeros((0, 0)), np.zeros(0))
+        indices = [[model.at[term] for term in package] for package in packages]
+        columns = np.concatenate([at for terms in indices for at in terms])
+        counts = [sum(map(len, terms)) for terms in indices]
+        schur, pull = self.schur
+        dropped_rows = (np.zeros((0, len(model.distinct))), np.zeros((0, 0)), np.zeros(0))
         if dropped is not None:
-            gone = (dropped.rows, dropped.inverse, dropped.x)
-        found: tuple[Array, Array] = calc_gains(
-            beside,
+            dropped_rows = (dropped.rows, dropped.inverse, dropped.x)
+        result: tuple[Array, Array] = calc_gains(
+            schur,
             (pull, model.prior_scores),
             (model.owner, model.positive),
-            ((model.same_as, model.information), gone),
+            ((model.same_as, model.information), dropped_rows),
             (columns, np.cumsum([0, *counts])),
         )
-        return found
+        return result

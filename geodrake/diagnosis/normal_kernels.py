@@ -1,7 +1,8 @@
-"""Kernels of `LogModel`: weighted normal matrices of all joints, and the most probable parameters.
+"""Compiled kernels of `LogModel`: weighted normal matrices and the most probable parameters.
 
-Block j, rows of one joint, has a normal matrix G_j of all that the joint may feel, and column a of
-a fit stands at its place (j, a) in there; places are negative where the joint does not feel it.
+Block j contains rows of one joint. Its normal matrix G_j covers all columns that affect the joint,
+and `places` (j, a) is the index in G_j of column a of a fit, negative if the column does not affect
+the joint.
 """
 
 from __future__ import annotations
@@ -17,47 +18,47 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 Packed = tuple[Indices, Indices, Array]
-"""Columns that blocks feel, ascending, where those of each end, and lower triangles, row by row."""
+"""Columns of all blocks, ascending, the end of each block, and lower triangles, row by row."""
 Normal = tuple[Packed, Array, Array]
-"""With these, Aᵀb (J, n) and bᵀb (J,) of all joints."""
+"""Packed normal matrices, with Aᵀb (J, n) and bᵀb (J,) of all blocks."""
 
 RIDGE = 1e-11
-_ALIKE = 0.02  # noise is settled if no logarithm of a variance changes by more
+_TOLERANCE = 0.02  # change of the logarithm of a variance at convergence
 _MOST_FITS = 8
-# Three deviations of how much the sum of squares of K rows of white noise, of unit variance and as
-# `design_filter` filters them, changes over √K if they are half of a period later.
+# Three deviations of the change in the sum of squares, over √K, of K rows of unit white noise,
+# filtered by `design_filter`, if they are shifted by half a period.
 _MOST_NOISE = 1.07
-_LEAST_BARRIER = 0.05  # weight of log det at the end of a path, which is off by its fourfold
-_NEAR = 0.3  # Newton decrement below which the next barrier follows
+_LEAST_BARRIER = 0.05  # weight of log det at the end of a path, whose error is four times that
+_NEAR = 0.3  # Newton decrement below which the barrier is reduced
 _MOST_STEPS, _MOST_BARRIERS, _MOST_HALVINGS = 30, 20, 60
-_ROUNDING = 1e-12  # least pivot of a pseudo-inertia over its trace; least step of one
-_LATE_ROW = 0.1  # of a period: rows that are farther apart are not consecutive
+_ROUNDING = 1e-12  # least pivot of a pseudo-inertia over its trace; least step
+_LATE_ROW = 0.1  # of a period, by which the instants of consecutive rows may be off
 
 
 @compiled
 def calc_packed(grams: Array, places: Indices, known: Packed) -> Packed:
-    """Return what normal matrices (J, M, M) hold of columns at places (J, n), close together.
+    """Gather the normal-matrix entries of columns at places (J, n) into contiguous storage.
 
-    Fits go through it again and again, and do not have to gather it each time; nor do they gather
-    what is `known` of their first columns, which many of them share.
+    Repeated fits then avoid the gather. Entries of the first columns, which many fits share, are
+    copied from `known`.
     """
     _, known_ends, known_lower = known
     count, size = 0, 0
     for j in range(len(places)):
-        felt = np.sum(places[j] >= 0)
-        count, size = count + felt, size + felt * (felt + 1) // 2
+        affected = np.sum(places[j] >= 0)
+        count, size = count + affected, size + affected * (affected + 1) // 2
     columns, ends = np.empty(count, np.intp), np.zeros(len(places) + 1, np.intp)
     lower, at, known_at = np.empty(size), 0, 0
     for j in range(len(places)):
-        own = np.flatnonzero(places[j] >= 0)
-        local = places[j][own]
-        ends[j + 1] = ends[j] + len(own)
-        columns[ends[j] : ends[j + 1]] = own
+        indices = np.flatnonzero(places[j] >= 0)
+        local = places[j][indices]
+        ends[j + 1] = ends[j] + len(indices)
+        columns[ends[j] : ends[j + 1]] = indices
         first = known_ends[j + 1] - known_ends[j]
-        same = first * (first + 1) // 2
-        lower[at : at + same] = known_lower[known_at : known_at + same]
-        at, known_at = at + same, known_at + same
-        for i in range(first, len(own)):
+        shared = first * (first + 1) // 2
+        lower[at : at + shared] = known_lower[known_at : known_at + shared]
+        at, known_at = at + shared, known_at + shared
+        for i in range(first, len(indices)):
             row = grams[j, local[i]]
             for k in range(i + 1):
                 lower[at + k] = row[local[k]]
@@ -65,35 +66,35 @@ def calc_packed(grams: Array, places: Indices, known: Packed) -> Packed:
     return columns, ends, lower
 
 
-def nothing_packed(blocks: int) -> Packed:
-    """Return what is there of no column."""
+def empty_packed(blocks: int) -> Packed:
+    """Return packed normal matrices without columns."""
     return np.empty(0, np.intp), np.zeros(blocks + 1, np.intp), np.empty(0)
 
 
-def packed_of(packed: Packed, blocks: Indices) -> Packed:
-    """Return what is there of some blocks."""
+def packed_blocks(packed: Packed, blocks: Indices) -> Packed:
+    """Return the packed normal matrices of some blocks."""
     columns, ends, lower = packed
     counts = np.diff(ends)
     sizes = np.concatenate([[0], np.cumsum(counts * (counts + 1) // 2)])
-    own = [columns[ends[k] : ends[k + 1]] for k in blocks]
+    parts = [columns[ends[k] : ends[k + 1]] for k in blocks]
     return (
-        np.concatenate(own),
-        np.cumsum([0, *map(len, own)]),
+        np.concatenate(parts),
+        np.cumsum([0, *map(len, parts)]),
         np.concatenate([lower[sizes[k] : sizes[k + 1]] for k in blocks]),
     )
 
 
 @compiled
 def add_normal(packed: Packed, weights: Array, gram: Array) -> None:
-    """Add the weighted AᵀA of all joints to a symmetric matrix (n, n)."""
+    """Add the weighted AᵀA of all blocks to a symmetric matrix (n, n)."""
     columns, ends, lower = packed
     at = 0
     for j in range(len(weights)):
-        own = columns[ends[j] : ends[j + 1]]
-        for i in range(len(own)):
-            row = gram[own[i]]
+        indices = columns[ends[j] : ends[j + 1]]
+        for i in range(len(indices)):
+            row = gram[indices[i]]
             for k in range(i + 1):
-                row[own[k]] += weights[j] * lower[at + k]
+                row[indices[k]] += weights[j] * lower[at + k]
             at += i + 1
     for i in range(len(gram)):
         for k in range(i):
@@ -102,16 +103,16 @@ def add_normal(packed: Packed, weights: Array, gram: Array) -> None:
 
 @compiled
 def calc_squares(joints: Normal, x: Array) -> Array:
-    """Return sums (J,) of squared residuals with parameters (n,)."""
+    """Return the sums (J,) of squared residuals with parameters (n,)."""
     (columns, ends, lower), moments, powers = joints
     squares, at = np.empty(len(powers)), 0
     for j in range(len(powers)):
-        own = columns[ends[j] : ends[j + 1]]
-        values = x[own]
+        indices = columns[ends[j] : ends[j + 1]]
+        values = x[indices]
         squares[j] = powers[j]
-        for i in range(len(own)):
+        for i in range(len(indices)):
             product = lower[at : at + i] @ values[:i]
-            product = 2.0 * (product - moments[j, own[i]]) + lower[at + i] * values[i]
+            product = 2.0 * (product - moments[j, indices[i]]) + lower[at + i] * values[i]
             squares[j] += product * values[i]
             at += i + 1
     return squares
@@ -122,15 +123,15 @@ def calc_most_probable(
     blocks: Normal,
     prior: tuple[Array, Array],  # information (n, n), and its product with the mean (n,)
     noise: tuple[Array, Array, Array],  # (J,) independent samples, rows, least variance
-    # (J, n) as `Dataset.passive_shares`; (J,) a block that has no more noise, or the block itself;
-    # (n,) groups as of `calc_solution`
+    # (J, n) `Dataset.passive_shares`; (J,) a block with no more noise, or the block itself;
+    # (n,) groups of `calc_solution`
     joints: tuple[Array, Indices, Indices],
-    variance: Array,  # (J,) to begin with
+    variance: Array,  # (J,) initial variances
 ) -> tuple[Array, Array, tuple[Array, Array, Array, Array, float]]:
-    """Return the parameters (n,) and variances (J,), and what they follow from.
+    """Return the parameters (n,), variances (J,), and the intermediate results.
 
-    That are weights (J,), the inertias of joints without motors (J,), the normal matrix (n, n) with
-    the prior, its Cholesky factor, shared parameters last, and the logarithm of its determinant.
+    These are weights (J,), inertias of joints without motors (J,), the normal matrix (n, n)
+    including the prior, its Cholesky factor with shared parameters last, and its log-determinant.
     """
     (information, pull), (samples, rows, floor) = prior, noise
     (inertias, quieter, groups), (packed, moments, _) = joints, blocks
@@ -159,7 +160,7 @@ def calc_most_probable(
             if passive[j]:
                 inertia[j] = max(np.sum(inertias[j] * x), LEAST_INERTIA)
             variance[j] = max(variance[j], floor[j])
-            settled = settled and abs(np.log(variance[j] / before[j])) < _ALIKE
+            settled = settled and abs(np.log(variance[j] / before[j])) < _TOLERANCE
         if settled:
             break
     return x, variance, (weights, inertia, gram, factor, logarithm)
@@ -169,7 +170,7 @@ def calc_most_probable(
 def _solve_positive(gram: Array, x: Array) -> tuple[float, float]:
     """Replace x (n,) by G⁻¹x, and the lower triangle of G (n, n) by its Cholesky factor.
 
-    Return xᵀG⁻¹x and log |G|; a determinant that is not positive has none.
+    Return xᵀG⁻¹x and log |G|; the latter is NaN if G is not positive definite.
     """
     n, square, logarithm = len(x), 0.0, 0.0
     for a in range(n):
@@ -193,13 +194,13 @@ def _solve_positive(gram: Array, x: Array) -> tuple[float, float]:
 
 
 @inlined
-def _has_nothing(x: Array, owner: Indices, positive: NDArray[np.bool_]) -> bool:
-    """Return whether all that must be positive of some term is not."""
+def _is_infeasible(x: Array, owner: Indices, positive: NDArray[np.bool_]) -> bool:
+    """Return whether all positive parameters of some term are negative."""
     for a in range(len(x)):
-        left = not positive[a]
+        is_feasible = not positive[a]
         for b in range(len(x)):
-            left = left or (positive[b] and owner[b] == owner[a] and x[b] > 0.0)
-        if not left:
+            is_feasible = is_feasible or (positive[b] and owner[b] == owner[a] and x[b] > 0.0)
+        if not is_feasible:
             return True
     return False
 
@@ -219,15 +220,14 @@ def calc_products(grams: Array, weights: Array, places: tuple[Indices, Indices])
     return products
 
 
-Beside = tuple[Array, tuple[Array, Array, Indices], Array]
-"""Schur complement (D, D) of distinct columns beside a fit, NaN where nobody asked for it yet; the
-normal matrices, weights (J,) and places (J, D) that it is of; and rows (D, n) whose products are
-what the fit takes away."""
+Schur = tuple[Array, tuple[Array, Array, Indices], Array]
+"""Schur complement (D, D) of distinct columns beside a fit, NaN where not computed yet; its normal
+matrices, weights (J,) and places (J, D); and rows (D, n), whose products are subtracted."""
 
 
 @inlined
-def _schur_complement(beside: Beside, a: int, b: int) -> float:
-    known, (grams, weights, places), rows = beside
+def _schur_complement(schur: Schur, a: int, b: int) -> float:
+    known, (grams, weights, places), rows = schur
     if np.isnan(known[a, b]):
         total = 0.0
         for j in range(len(weights)):
@@ -239,23 +239,23 @@ def _schur_complement(beside: Beside, a: int, b: int) -> float:
 
 @compiled
 def calc_gains(
-    beside: Beside,
-    around: tuple[Array, Array],  # the pull (P,) of all columns, and prior scores (P,)
-    owners: tuple[Indices, NDArray[np.bool_]],  # (P,) term of each column; what must be positive
-    # (P,) which distinct column each is; (P, w) its information, from its term's first column on;
-    # (i, D) rows of what is dropped, (i, i) inverse, (i,) values; i may be 0
+    schur: Schur,
+    scores_of: tuple[Array, Array],  # pull (P,) of all columns, and prior scores (P,)
+    owners: tuple[Indices, NDArray[np.bool_]],  # (P,) term of each column; whether it is positive
+    # (P,) index of its distinct column; (P, w) its information, from its term's first column on;
+    # (i, D) rows of dropped parameters, (i, i) inverse, (i,) values; i may be 0
     priors: tuple[tuple[Indices, Array], tuple[Array, Array, Array]],
-    packages: tuple[Indices, Indices],  # columns of all packages, and where those of each end
+    packages: tuple[Indices, Indices],  # columns of all packages, and the end of each
 ) -> tuple[Array, Array]:
-    """Return what each package of columns adds to the score of a fit, without prior odds.
+    """Return the gain in score of each package of columns, without prior odds, and xᵀG⁻¹x.
 
-    It is −∞ where a term has nothing left that is positive as it must be. Returned with it is by
-    how much weighted squared errors fall.
+    The latter is the reduction of the weighted squared errors. A gain is −∞ if all positive
+    parameters of a term would be negative.
     """
-    (pull, scores), (owner, positive), (columns, ends) = around, owners, packages
+    (pull, scores), (owner, positive), (columns, ends) = scores_of, owners, packages
     (same_as, information), (rows, inverse, values) = priors
-    gone = len(values)
-    turned, shift = inverse @ rows, inverse @ values
+    dropped = len(values)
+    scaled_rows, shift = inverse @ rows, inverse @ values
     gains, squares = np.full(len(ends) - 1, -np.inf), np.zeros(len(ends) - 1)
     for p in range(len(gains)):
         at = columns[ends[p] : ends[p + 1]]
@@ -265,45 +265,45 @@ def calc_gains(
             prior += scores[at[a]]
             if owner[at[a]] != owner[at[first]]:
                 first = a
-            for i in range(gone):
+            for i in range(dropped):
                 x[a] += rows[i, same[a]] * shift[i]
             for b in range(a + 1):
-                gram[a, b] = _schur_complement(beside, same[a], same[b])
+                gram[a, b] = _schur_complement(schur, same[a], same[b])
                 if b >= first:
                     gram[a, b] += information[at[a], b - first]
-                for i in range(gone):
-                    gram[a, b] += rows[i, same[a]] * turned[i, same[b]]
+                for i in range(dropped):
+                    gram[a, b] += rows[i, same[a]] * scaled_rows[i, same[b]]
         square, logarithm = _solve_positive(gram, x)
-        if not np.isnan(logarithm) and not _has_nothing(x, owner[at], positive[at]):
+        if not np.isnan(logarithm) and not _is_infeasible(x, owner[at], positive[at]):
             gains[p], squares[p] = square - logarithm + prior, square
     return gains, squares
 
 
 @compiled
 def calc_noise_changes(
-    signals: tuple[Array, Array, Array, NDArray[np.bool_]], own: int, lags: Array
+    signals: tuple[Array, Array, Array, NDArray[np.bool_]], current: int, lags: Array
 ) -> Array:
-    """Return (d,) how much of a fall in squared errors is due to noise at other instants; ≤ 0.
+    """Return (d,) the part of each fall in squared errors due to noise at other instants; ≤ 0.
 
-    Rows are at instants (K,), s, with predictions (K,), efforts (K, d), each later by a lag (d,),
-    s, than those in column `own`, and whether they count (K,). To keep the noise the same, those
-    efforts are compared with predictions that are earlier by the lag, interpolated between four
-    consecutive rows.
+    Rows have instants (K,), s, predictions (K,), efforts (K, d) at each lag (d,), s, relative to
+    column `own`, and flags (K,) of whether they count. For equal noise, the efforts of column `own`
+    are compared with predictions that are earlier by the lag, interpolated between four consecutive
+    rows.
     """
     time, predicted, efforts, counted = signals
-    found, errors = np.zeros(len(lags)), np.square(efforts[:, own] - predicted)
+    changes, errors = np.zeros(len(lags)), np.square(efforts[:, current] - predicted)
     rows = np.flatnonzero(counted)
-    usual = np.median(np.diff(time))
-    most = _MOST_NOISE * np.sqrt(len(rows)) * np.mean(errors[rows])
+    typical_period = np.median(np.diff(time))
+    bound = _MOST_NOISE * np.sqrt(len(rows)) * np.mean(errors[rows])
     for d in range(len(lags)):
         if lags[d] == 0.0:
             continue
-        seen, change = 0, 0.0
+        count, change = 0, 0.0
         for i in rows:
             if i == 0:
                 continue
             period = time[i] - time[i - 1]
-            if period <= 0.0:  # another stretch
+            if period <= 0.0:  # the next stretch
                 continue
             steps = int(np.floor(lags[d] / period))
             first, x = i - steps - 2, 1.0 + steps - lags[d] / period
@@ -314,14 +314,14 @@ def calc_noise_changes(
                 continue
             p, q, r, s = predicted[first : first + 4]
             inner = (x - 2.0) * ((x + 1.0) * (x - 1.0) * q - (x + 1.0) * x * r) / 2.0
-            moved = inner + x * (x - 1.0) * ((x + 1.0) * s - (x - 2.0) * p) / 6.0
-            change += (efforts[i, own] - moved) ** 2 - errors[i]
-            seen += 1
-        if seen:
+            shifted = inner + x * (x - 1.0) * ((x + 1.0) * s - (x - 2.0) * p) / 6.0
+            change += (efforts[i, current] - shifted) ** 2 - errors[i]
+            count += 1
+        if count:
             all_rows = np.sum((np.square(efforts[:, d] - predicted) - errors)[rows])
-            limit = most * abs(np.sin(np.pi * lags[d] / usual))
-            found[d] = min(max(all_rows - change * len(rows) / seen, -limit), 0.0)
-    return found
+            limit = bound * abs(np.sin(np.pi * lags[d] / typical_period))
+            changes[d] = min(max(all_rows - change * len(rows) / count, -limit), 0.0)
+    return changes
 
 
 @inlined
@@ -340,7 +340,7 @@ def _is_body(matrix: Array) -> bool:
 
 @compiled
 def calc_physical_share(parameters: Array, basis: Array) -> float:
-    """Return the share of parameters (N, 10) with which bodies can exist.
+    """Return the share of parameters (N, 10) of physical bodies.
 
     Parameters times a basis (10, 16) are pseudo-inertias.
     """
@@ -352,25 +352,25 @@ def calc_physical_share(parameters: Array, basis: Array) -> float:
 
 @compiled
 def calc_distance(mean: Array, inside: Array, precision: Array, basis: Array) -> float:
-    """Return the squared distance from parameters (10,) to the nearest body that can exist.
+    """Return the squared distance from parameters (10,) to the nearest physical body.
 
-    Distances are by a precision (10, 10). Newton's method follows the central path of log det, from
-    parameters `inside` (10,) of a body, to within some tenths; their own distance is the largest
-    that is returned. Parameters times a basis (10, 4, 4) are pseudo-inertias.
+    The metric is a precision (10, 10). Newton's method follows the central path of log det from
+    parameters `inside` (10,) of a physical body, to within some tenths; the distance of `inside` is
+    the upper bound. Parameters times a basis (10, 4, 4) are pseudo-inertias.
     """
-    x, way = inside.copy(), inside - mean
-    farthest = float(way @ (precision @ way))
+    x, offset = inside.copy(), inside - mean
+    farthest = float(offset @ (precision @ offset))
     flat, barrier = basis.copy().reshape(len(x), -1), max(farthest, _LEAST_BARRIER)
     if not _is_body((x @ flat).reshape(4, 4)):
         return farthest
     for _ in range(_MOST_BARRIERS):
         for _ in range(_MOST_STEPS):
             inverse = np.linalg.inv((x @ flat).reshape(4, 4))
-            turned = np.empty_like(flat)
+            curvature = np.empty_like(flat)
             for a in range(len(x)):
-                turned[a] = (inverse @ basis[a] @ inverse).copy().reshape(-1)
+                curvature[a] = (inverse @ basis[a] @ inverse).copy().reshape(-1)
             slope = precision @ (x - mean) - barrier * (flat @ inverse.copy().reshape(-1))
-            step = -np.linalg.solve(precision + barrier * (turned @ flat.T), slope)
+            step = -np.linalg.solve(precision + barrier * (curvature @ flat.T), slope)
             decrement = np.sqrt(max(-float(slope @ step) / barrier, 0.0))
             step /= 1.0 + decrement
             for _ in range(_MOST_HALVINGS):
@@ -383,5 +383,5 @@ def calc_distance(mean: Array, inside: Array, precision: Array, basis: Array) ->
         if barrier <= _LEAST_BARRIER:
             break
         barrier = max(0.1 * barrier, _LEAST_BARRIER)
-    way = x - mean
-    return min(float(way @ (precision @ way)), farthest)
+    offset = x - mean
+    return min(float(offset @ (precision @ offset)), farthest)

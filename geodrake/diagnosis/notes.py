@@ -8,7 +8,7 @@ import numpy as np
 
 from geodrake.diagnosis.findings import Finding, Unnamed
 from geodrake.diagnosis.results import Step
-from geodrake.diagnosis.search import Found
+from geodrake.diagnosis.search import SearchResult
 from geodrake.effects import Role
 from geodrake.effects.declarations import when_sliding
 from geodrake.effects.episode import Episode
@@ -21,15 +21,17 @@ from geodrake.identification.models.results import BodyChange
 from geodrake.model.carried_payloads import joints_with_known_gain
 from geodrake.model.robot_model import RobotModel
 
-_LATE = 0.005  # s, by which the clock of a log that begins is said not to be at zero
+_LATE = 0.005  # s, least start time on a log's clock to be reported
 _ALIKE = 0.01
-"""Gains are equal if they differ by less than this."""
+"""Largest difference of equal gains."""
 
 
-def notes_of(found: Found, case: Case, fit: ModelFit, bodies: Sequence[BodyChange]) -> list[str]:
+def notes_of(
+    result: SearchResult, case: Case, fit: ModelFit, bodies: Sequence[BodyChange]
+) -> list[str]:
     """Return notes on a final fit to a case, and on its bodies."""
     return [
-        *_companions(found.model.unknowns_of(found.fit.choice), fit),
+        *_companions(result.model.unknowns_of(result.fit.choice), fit),
         *fit.result.notes,
         *_fading(case.model, fit.model),
         *_episodes(case, fit.model),
@@ -60,18 +62,18 @@ def unnamed_notes(rest: Unnamed) -> list[str]:
 
 
 def left_out_notes(findings: Sequence[Finding], steps: Sequence[Step]) -> list[str]:
-    """Return notes on findings, or places of them, that are not in steps."""
-    told, notes = dict[str, set[str]](), []
+    """Return notes on findings, or their places, that are not in the steps."""
+    places, notes = dict[str, set[str]](), []
     for step in steps:
-        told.setdefault(step.effect, set()).update(step.where)
+        places.setdefault(step.effect, set()).update(step.where)
     for finding in findings:
-        left = [place for place in finding.places if place not in told.get(finding.name, ())]
-        if left or finding.name not in told:
-            where = f" at {', '.join(left)}" if left else ""
-            why = "is zero in the final fit, or removes too little of the held-out error"
-            if finding.name in told:
-                why = "does not lower the held-out error there"
-            notes.append(f"{finding.name}{where} was found, but {why}")
+        missing = [place for place in finding.places if place not in places.get(finding.name, ())]
+        if missing or finding.name not in places:
+            where = f" at {', '.join(missing)}" if missing else ""
+            reason = "is zero in the final fit, or removes too little of the held-out error"
+            if finding.name in places:
+                reason = "does not lower the held-out error there"
+            notes.append(f"{finding.name}{where} was found, but {reason}")
     return notes
 
 
@@ -79,14 +81,14 @@ def changed_notes(model: RobotModel, steps: Sequence[Step]) -> list[str]:
     """Return notes on effects of the model whose values changed."""
     notes = list[str]()
     for step in steps:
-        known = [f for f in model.effects if f.effect.name == step.effect]
-        was = [f for f in known if f.effect.place in step.parameters and len(f.parameters)]
-        told = [
+        fitted = [f for f in model.effects if f.effect.name == step.effect]
+        changed = [f for f in fitted if f.effect.place in step.parameters and len(f.parameters)]
+        shown = [
             f"{f.effect.place} {' and '.join(f'{value:.3g}' for value in f.parameters)}"
-            for f in was
+            for f in changed
         ]
-        if told and was[0].effect.role is not Role.BODY:
-            notes.append(f"the model had {step.effect} with other values: {', '.join(told)}")
+        if shown and changed[0].effect.role is not Role.BODY:
+            notes.append(f"the model had {step.effect} with other values: {', '.join(shown)}")
     return notes
 
 
@@ -118,8 +120,8 @@ def _fading(before: RobotModel, after: RobotModel) -> list[str]:
 
 
 def _episodes(case: Case, model: RobotModel) -> list[str]:
-    """Return notes on the log of episodes, and their times on its clock."""
-    found = list[str]()
+    """Return notes on the logs of episodes, and their times on the logs' clocks."""
+    notes = list[str]()
     for effect in [f.effect for f in model.effects if isinstance(f.effect, Episode)]:
         for log in case.trajectories:
             if effect.window[3] != log_number(log.name):
@@ -127,23 +129,23 @@ def _episodes(case: Case, model: RobotModel) -> list[str]:
             where = f" of {log.name}" if len(case.trajectories) > 1 else ""
             edges = [edge for edge in effect.window[:2] if edge is not None]
             if not edges:
-                found.append(f"{effect.name} of {effect.where[0]} is present throughout {log.name}")
+                notes.append(f"{effect.name} of {effect.where[0]} is present throughout {log.name}")
                 continue
             clock = " and ".join(f"{log.began + edge:.2f} s" for edge in edges)
             by_clock = f"; {clock} on its clock" if abs(log.began) >= _LATE else ""
             if where or by_clock:
-                what = f"{effect.name} of {effect.place}"
-                found.append(
-                    f"times of {what} are relative to the start{where or ' of the log'}{by_clock}"
+                name = f"{effect.name} of {effect.place}"
+                notes.append(
+                    f"times of {name} are relative to the start{where or ' of the log'}{by_clock}"
                 )
-    return found
+    return notes
 
 
 def _stated_mass(case: Case, fitted: RobotModel) -> list[str]:
     """Return a note if a wrong known mass explains the fitted gains.
 
-    It does where all joints that bear it have one gain, or all but one, as the bodies take in the
-    rest. Where bodies are known from other logs, they cannot.
+    It does if all joints that bear it, or all but one, have the same gain, as the bodies absorb the
+    rest. Bodies known from other logs cannot.
     """
     known = joints_with_known_gain(
         case.model, [trajectory.payloads for trajectory in case.trajectories]
@@ -153,10 +155,10 @@ def _stated_mass(case: Case, fitted: RobotModel) -> list[str]:
     if case.model.information is not None or not len(gains):
         return []
     common = float(np.median(gains))
-    alike = int(np.sum(np.abs(gains - common) <= _ALIKE))
-    if alike < max(2, len(known) - 1):
+    count = int(np.sum(np.abs(gains - common) <= _ALIKE))
+    if count < max(2, len(known) - 1):
         return []
     return [
-        f"{alike} of {len(known)} joints that bear the known payload have gain {common:.3g}: "
+        f"{count} of {len(known)} joints that bear the known payload have gain {common:.3g}: "
         f"all are right if its mass is {common:.3g} times the stated one, so weigh it again"
     ]

@@ -1,6 +1,6 @@
 """Refinement of nonlinear parameters: delays, shapes, expansion points, loads.
 
-Each is a coordinate of the explanation. Columns are made anew for its neighbouring values.
+Each is a coordinate of the explanation; columns are recomputed for neighbouring values.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from geodrake.inertia import is_physical
 
 Array = NDArray[np.float64]
 
-_SHARES = (0.75, 0.5, 0.25, 0.0)  # of a step to bodies that are not physical
-_MARGIN = 1.5  # of the noise, above which other speeds at which friction fades are tried
-_MOST = 0.5  # of the squared error is what another speed must leave at most
-_SAME = 1e-9  # delays that differ by less are the same, s
+_SHARES = (0.75, 0.5, 0.25, 0.0)  # of a step that leads to unphysical bodies
+_MARGIN = 1.5  # least residual over the noise, to try fading speeds
+_MOST = 0.5  # largest ratio of squared errors with and without a fading speed
+_SAME = 1e-9  # largest difference of equal delays, s
 _OTHER_LOADS = 0.02
-"""Columns are made anew if a load changes by more than this share of the effort's deviation."""
+"""Least change of loads, over the effort's deviation, to recompute columns."""
 
 
-def least_between(offsets: Array, errors: Array) -> tuple[float, float]:
-    """Return where the parabola through three errors is least, and the deviation of that place.
+def parabola_minimum(offsets: Array, errors: Array) -> tuple[float, float]:
+    """Return the minimum of the parabola through three errors, and its standard deviation.
 
-    `offsets` (3,) are in order, from the middle one on, which is zero, and `errors` (3,) are those
-    there, twice log-likelihoods. Without a minimum it stays, and its deviation is infinite.
+    `offsets` (3,) are in order and relative to the middle one, and `errors` (3,) are −2
+    log-likelihoods. Without a minimum, the result is zero with an infinite deviation.
     """
-    (first, _, last), (low, middle, high) = offsets.tolist(), errors.tolist()
-    slopes = (low - middle) / first, (high - middle) / last
+    (first, _, last), (left, middle, right) = offsets.tolist(), errors.tolist()
+    slopes = (left - middle) / first, (right - middle) / last
     curvature = (slopes[1] - slopes[0]) / (last - first)
     slope = slopes[0] - curvature * first
     if curvature <= 0.0:
@@ -52,66 +52,66 @@ def least_between(offsets: Array, errors: Array) -> tuple[float, float]:
 
 
 def delays_of(model: LogModel, fit: Fit) -> tuple[Array, Array]:
-    """Find the delays near those of a fit at which it is most probable.
+    """Return the most probable delays close to those of a fit, and their standard deviations.
 
-    Returned are those (nv,) on top of the model's, s, and their standard deviations (nv,), s;
-    infinite where unknown.
+    Delays (nv,), s, are relative to the model's; deviations (nv,), s, are infinite where unknown.
     """
     dataset, delay = model.dataset, fit.choice.delay
     joints = np.arange(len(delay))
     seconds = dataset.delays[list(delay), joints].copy()
     deviations = np.full(len(delay), np.inf)
-    late = model.lateness(fit.choice)
-    alone = [[j] for j in np.flatnonzero(np.abs(late) > _SAME).tolist()]
-    alike = len(alone) == len(late) and np.ptp(late) < _SAME
-    for moved in [joints.tolist()] if alike else alone:
-        grid, own = dataset.delays[:, moved[0]], delay[moved[0]]
+    delays = model.lateness(fit.choice)
+    singles = [[j] for j in np.flatnonzero(np.abs(delays) > _SAME).tolist()]
+    is_common = len(singles) == len(delays) and np.ptp(delays) < _SAME
+    for moved in [joints.tolist()] if is_common else singles:
+        grid, current = dataset.delays[:, moved[0]], delay[moved[0]]
         order = np.argsort(grid)
-        if alike:  # each joint may have been advanced by another delay
-            apart = np.ptp(dataset.delays - dataset.delays[own], axis=1)
-            order = order[apart[order] < _SAME]
-        order = order[(np.abs(grid[order] - grid[own]) > _SAME) | (order == own)]
+        if is_common:  # joints may have been advanced by different delays
+            spread = np.ptp(dataset.delays - dataset.delays[current], axis=1)
+            order = order[spread[order] < _SAME]
+        order = order[(np.abs(grid[order] - grid[current]) > _SAME) | (order == current)]
         order = order[np.diff(grid[order], prepend=-np.inf) > _SAME]
-        at = int(np.flatnonzero(order == own)[0])
-        while 0 < at < len(order) - 1:
-            near = order[at - 1 : at + 2]
+        index = int(np.flatnonzero(order == current)[0])
+        while 0 < index < len(order) - 1:
+            near = order[index - 1 : index + 2]
             scores = [_score_at(model, fit, moved, int(k)) for k in near]
             if any(score is None for score in scores):
                 break
             errors = -np.array(scores, float)
             better = int(np.argmin(errors)) - 1
             if errors[1] <= errors[1 + better] + 1e-9:
-                step, deviations[moved] = least_between(grid[near] - grid[order[at]], errors)
+                offsets = grid[near] - grid[order[index]]
+                step, deviations[moved] = parabola_minimum(offsets, errors)
                 seconds[moved] += step
                 break
-            at += better
-            seconds[moved] = dataset.delays[order[at], moved]
+            index += better
+            seconds[moved] = dataset.delays[order[index], moved]
     return seconds, deviations
 
 
 def common_delay(delays: Array, deviations: Array) -> float | None:
     """Return the mean, s, of the delays (nv,) found at some joints; None if all joints have one.
 
-    Each counts by its deviation (nv,), s.
+    Delays are weighted by their deviations (nv,), s.
     """
-    late = np.abs(delays) > _SAME
+    differs = np.abs(delays) > _SAME
     if np.ptp(delays) < _SAME:
         return None
-    known = deviations[late]  # infinite where unknown
+    known = deviations[differs]  # infinite where unknown
     weights = known**-2.0 if np.isfinite(known).any() else None
-    return float(np.average(delays[late], weights=weights))
+    return float(np.average(delays[differs], weights=weights))
 
 
 def _score_at(model: LogModel, fit: Fit, joints: list[int], delay: int) -> float | None:
-    """Return the score of a fit with another delay of some joints, prior odds left aside."""
-    late = tuple(delay if j in joints else own for j, own in enumerate(fit.choice.delay))
-    choice = Choice(fit.terms, fit.choice.width, late)
-    found = model.fit(choice, model.shares(fit), fit.noise, is_timed=True)
-    return None if found is None else found.score + model.odds_against(choice)
+    """Return the score of a fit with another delay of some joints, without prior odds."""
+    delays = tuple(delay if j in joints else own for j, own in enumerate(fit.choice.delay))
+    choice = Choice(fit.terms, fit.choice.width, delays)
+    other_fit = model.fit(choice, model.shares(fit), fit.noise, is_timed=True)
+    return None if other_fit is None else other_fit.score + model.odds_against(choice)
 
 
 def fitted_delays(delays: Array, joints: Sequence[str]) -> list[FittedEffect]:
-    """Return the effects of a fitted model that make delays (nv,), s, at its joints."""
+    """Return the effects of delays (nv,), s, at the joints of a fitted model."""
     none = np.empty(0)
     return [FittedEffect(effect, none, none) for effect in effort_delays(delays, joints)]
 
@@ -122,10 +122,9 @@ def fitted_delays(delays: Array, joints: Sequence[str]) -> list[FittedEffect]:
 def finer_shapes(
     effect: Effect, grid: Sequence[Effect], tried: Container[Effect], level: int
 ) -> tuple[list[Effect], int]:
-    """Return shapes around that of an effect that are not tried yet, and the level after theirs.
+    """Return untried shapes around an effect's shape, and the next level.
 
-    They are between those of a grid, the finer the higher the level is. Where there are none, all
-    levels are done.
+    They refine a grid, more finely at higher levels. If there are none, all levels are done.
     """
     near = list[Effect]()
     while not near and level < LEVELS:
@@ -135,15 +134,15 @@ def finer_shapes(
 
 
 _STEPS = (1.0 / 3.0, 1.0 / 12.0, 1.0 / 48.0)
-"""Steps of finer and finer grids of a shape, in steps of the coarse one."""
+"""Steps of refined grids of a shape, relative to the coarse one."""
 LEVELS = len(_STEPS)
 
 
 def _finer(effect: Effect, grid: Sequence[Effect], share: float) -> list[Effect]:
-    """Return neighbours of an effect's shape, two to either side where they make sense.
+    """Return neighbours of an effect's shape, up to two on either side.
 
-    There are none where no parameter varies on the grid, more than one does, or not continuously:
-    one of two values is a choice.
+    The result is empty unless exactly one parameter varies continuously on the grid; one with two
+    values is a choice.
     """
     values = _values(effect, grid)
     varied = [(name, found) for name, found in values.items() if len(found) > 2]
@@ -151,24 +150,24 @@ def _finer(effect: Effect, grid: Sequence[Effect], share: float) -> list[Effect]
         return []
     name, known = varied[0][0], np.sort(np.array([*varied[0][1]]))
     value, gaps = getattr(effect, name), np.diff(np.log(known))
-    at = int(np.clip(np.searchsorted(known, value) - 1, 0, len(gaps) - 1))
-    steps = share * gaps[at] * np.array([-2.0, -1.0, 1.0, 2.0])
-    # Rounded, so that shapes around two others are the same where they meet.
+    index = int(np.clip(np.searchsorted(known, value) - 1, 0, len(gaps) - 1))
+    steps = share * gaps[index] * np.array([-2.0, -1.0, 1.0, 2.0])
+    # Rounding makes neighbours of different shapes equal where they meet.
     values_near = [float(f"{value * factor:.9g}") for factor in np.exp(steps)]
-    near = [replace(effect, **{name: each}) for each in values_near]  # type: ignore[type-var]
-    return [e for e in near if e.distinct and bool(e.refines) == bool(effect.refines)]
+    neighbours = [replace(effect, **{name: each}) for each in values_near]  # type: ignore[type-var]
+    return [e for e in neighbours if e.distinct and bool(e.refines) == bool(effect.refines)]
 
 
 def _values(effect: Effect, grid: Sequence[Effect]) -> dict[str, set[Any]]:
-    """Return the values of each field that an effect has on a grid at its place."""
+    """Return the values of each field of an effect on a grid at its place."""
     tried = [e for e in grid if e.name == effect.name and e.where == effect.where]
     return {f.name: {getattr(e, f.name) for e in tried} for f in fields(effect)}  # type: ignore[arg-type]
 
 
 def other_choices(model: LogModel, fit: Fit, grid: Sequence[Effect]) -> Iterator[Term]:
-    """Yield, for each term of a fit, the most probable one with the other of two possible values.
+    """Yield, for each term of a fit, the most probable term with the other of two values.
 
-    The wrong value may look better while the other shape parameters are on a coarse grid.
+    The wrong value may be more probable while the other shape parameters are on a coarse grid.
     """
     for term in fit.terms:
         if term.effect is None:
@@ -184,16 +183,16 @@ def other_choices(model: LogModel, fit: Fit, grid: Sequence[Effect]) -> Iterator
             yield next(each for each in best.terms if each.key == term.key)
 
 
-# What columns are slopes of.
+# Expansion points.
 
 
 def expansions(case: Case, model: LogModel, fit: Fit) -> dict[Effect, Effect]:
-    """Return the effects whose columns are slopes, moved to the fitted point, by effect."""
-    slopes = {t.effect: t for t in fit.terms if t.effect is not None and is_expandable(t.effect)}
-    if not slopes:
+    """Return effects whose columns are slopes -> the same, expanded about the fitted point."""
+    terms = {t.effect: t for t in fit.terms if t.effect is not None and is_expandable(t.effect)}
+    if not terms:
         return {}
     bodies = case.model.bodies_at_rest
-    moved = {e: e.expanded_about(model.parameters(fit, t), bodies) for e, t in slopes.items()}
+    moved = {e: e.expanded_about(model.parameters(fit, t), bodies) for e, t in terms.items()}
     return {effect: other for effect, other in moved.items() if other != effect}
 
 
@@ -203,100 +202,98 @@ def expansions(case: Case, model: LogModel, fit: Fit) -> dict[Effect, Effect]:
 def fitted_loads(
     case: Case, model: LogModel, fit: Fit, before: Array | None = None
 ) -> Array | None:
-    """Return the bodies (nb, 10) of a fit with what they carry; None if loads barely change.
+    """Return the bodies (nb, 10) of a fit with payloads; None if loads barely change.
 
-    They are compared with those of the columns, and with others from `before`.
+    They are compared with those of the columns, and with `before`.
 
-    Friction that grows with the load, gears that give way or have play: what they do is known at
-    the right instants only if the load is. Where the ground pushes, motors say what it is.
+    The load determines friction that grows with it, and deflections and play of gears. On the
+    ground, it follows from the motors' efforts.
     """
     if all(trajectory.is_grounded for trajectory in case.trajectories):
         return None
-    robot, was = case.model, case.load_model.phi
+    robot, current = case.model, case.load_model.phi
     phi = model.bodies(fit)
     for term in fit.terms:
         if term.is_body and term.effect is not None:
             phi[robot.bodies.index(term.where[0])] += model.parameters(fit, term)
     step = phi - robot.phi
     for share in _SHARES:
-        beyond = ~is_physical(phi)
-        phi[beyond] = robot.phi[beyond] + share * step[beyond]
-    known = [was] if before is None else [was, before]
-    changes = [_change_of_load(model.dataset, (phi - each).ravel()) for each in known]
+        unphysical = ~is_physical(phi)
+        phi[unphysical] = robot.phi[unphysical] + share * step[unphysical]
+    others = [current] if before is None else [current, before]
+    changes = [_change_of_load(model.dataset, (phi - other).ravel()) for other in others]
     return phi if min(changes) >= _OTHER_LOADS else None
 
 
 def _change_of_load(dataset: Dataset, step: Array) -> float:
-    """Return how much a step of all inertial parameters changes a joint's effort, by its RMS."""
+    """Return the largest RMS change of a joint's effort by a step, over the effort's deviation."""
     most = 0.0
     for data, deviation in zip(dataset.data, dataset.effort_std, strict=True):
         local = data.local(np.arange(len(step)))
-        seen = local >= 0
+        used = local >= 0
         rows, moved = int(data.samples.sum()), np.zeros(len(data.columns))
-        moved[local[seen]] = step[seen]
+        moved[local[used]] = step[used]
         power = float(np.square(data.factors[:, :, : len(moved)] @ moved).sum())
         if rows and deviation > 0.0:
             most = max(most, float(np.sqrt(power / rows)) / deviation)
     return most
 
 
-# The speed below which dry friction fades.
+# Speeds below which dry friction fades.
 
 
 def fading_speeds(case: Case, model: LogModel, fit: Fit) -> Array | None:
-    """Find the speeds (nv,) below which the dry friction of each joint fades, rad/s or m/s.
+    """Return the speeds (nv,) below which the dry friction of each joint fades, rad/s or m/s.
 
-    Surfaces that touch give way a little before they slide, so that measured dry friction does not
-    jump where a joint turns round.
-
-    None where no joint has less than half of its squared error with another speed than now.
-    Friction that fades with the way from a reversal on, as real friction does, has more: a speed
-    found for it does not hold where joints creep.
+    Surfaces deform before they slide, so that dry friction does not jump at a reversal. The result
+    is None unless the squared error of some joint falls by half. Real friction fades with
+    displacement from a reversal rather than with speed, and leaves more error: a fitted speed would
+    be wrong in slow motion.
     """
     robot, logs = case.model, case.trajectories
     effects = [*model.unknowns.effects, *(t.effect for t in fit.terms if t.effect is not None)]
     rubbing = {place for effect in effects if effect.jumps for place in effect.where}
     least = sign_widths(replace(robot, fading_speed=None), logs)
-    most = _FASTEST * peak_speeds(logs)
-    known = np.zeros(len(least)) if robot.fading_speed is None else robot.fading_speed
+    largest = _FASTEST * peak_speeds(logs)
+    current = np.zeros(len(least)) if robot.fading_speed is None else robot.fading_speed
 
     def errors(speeds: Array) -> Array:
-        """Return (nv,) mean squared residuals, what is not known of reversals left aside."""
+        """Return (nv,) mean squared residuals outside of reversals."""
         other = replace(robot, fading_speed=speeds)
-        there = replace(case, model=other, shared=case.shared.read_only())
-        dataset = reduced(there, list(dict.fromkeys(effects)))
+        faded_case = replace(case, model=other, shared=case.shared.read_only())
+        dataset = reduced(faded_case, list(dict.fromkeys(effects)))
         bare = LogModel(other, dataset, effects, model.beliefs, model.on_time, loads=case.loads)
         return bare.refitted(fit).variance
 
-    before = errors(known)
-    tried = np.array([joint in rubbing for joint in robot.joints]) & (least < most)
-    tried &= before > np.square(_MARGIN * model.dataset.noise_floor)
-    if not tried.any():
+    before = errors(current)
+    candidates = np.array([joint in rubbing for joint in robot.joints]) & (least < largest)
+    candidates &= before > np.square(_MARGIN * model.dataset.noise_floor)
+    if not candidates.any():
         return None
-    speeds, left = [known], [before]
+    speeds, errors_at = [current], [before]
     for power in range(1, _DOUBLINGS + 1):
-        speeds.append(np.where(tried, np.minimum(least * 2.0**power, most), known))
-        left.append(errors(speeds[-1]))
-        if np.all(speeds[-1][tried] >= most[tried]):
+        speeds.append(np.where(candidates, np.minimum(least * 2.0**power, largest), current))
+        errors_at.append(errors(speeds[-1]))
+        if np.all(speeds[-1][candidates] >= largest[candidates]):
             break
-    best, joints = np.argmin(left, axis=0), np.arange(len(known))
-    hopeful = tried & (np.min(left, axis=0) <= _HOPEFUL * before) & (best > 0)
+    best, joints = np.argmin(errors_at, axis=0), np.arange(len(current))
+    hopeful = candidates & (np.min(errors_at, axis=0) <= _HOPEFUL * before) & (best > 0)
     if not hopeful.any():
         return None
-    found, least_left = np.where(hopeful, np.array(speeds)[best, joints], known), before
+    fitted, least_left = np.where(hopeful, np.array(speeds)[best, joints], current), before
     for ratio in _NEARER:
         factors = np.array([1.0 / ratio, 1.0, ratio])
-        left = [errors(np.where(hopeful, found * each, known)) for each in factors]
-        least_left = np.min([least_left, *left], axis=0)
+        errors_at = [errors(np.where(hopeful, fitted * each, current)) for each in factors]
+        least_left = np.min([least_left, *errors_at], axis=0)
         for j in np.flatnonzero(hopeful).tolist():
-            near = np.log([each[j] for each in left])
-            found[j] *= np.exp(least_between(np.log(factors), near)[0])
+            local_errors = np.log([each[j] for each in errors_at])
+            fitted[j] *= np.exp(parabola_minimum(np.log(factors), local_errors)[0])
     clear = hopeful & (least_left <= _MOST * before)
-    return np.where(clear, found, known) if clear.any() else None
+    return np.where(clear, fitted, current) if clear.any() else None
 
 
 _FASTEST = 0.1
-"""Dry friction fades below this share of a joint's peak speed at most."""
+"""Largest speed at which dry friction fades, over a joint's peak speed."""
 _DOUBLINGS = 7
 _HOPEFUL, _NEARER = 0.75, (1.7, 1.2)
-"""Where no more than this share of the squared error is left, speeds of these ratios are tried."""
+"""Largest ratio of squared errors to refine a speed, and the ratios of refined speeds."""

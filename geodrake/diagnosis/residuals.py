@@ -1,4 +1,4 @@
-"""Residuals of a hypothesis by joint, for proposals of effects."""
+"""Residuals of a hypothesis by joint, as a source of proposals."""
 
 from __future__ import annotations
 
@@ -17,49 +17,49 @@ from geodrake.logs.smoothing import Segment, Stretch
 
 Array = NDArray[np.float64]
 
-_SAMPLES = 100_000  # of a segment that are looked at, and of all together that are kept
+_SAMPLES = 100_000  # most samples of a segment, and of all segments that are cached
 SLOW = 0.01
-"""Below this share of a joint's peak speed its direction of motion is doubtful."""
+"""Share of a joint's peak speed below which its direction of motion is doubtful."""
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """An effect proposed by a residual."""
+    """Effect proposed by a residual."""
 
     effects: tuple[Effect, ...]  # the effect with the shapes to try
     share: float  # of the squared error at its joint that it explains
-    alarm: float  # probability that noise alone suggests as much
+    alarm: float  # false alarm probability
 
 
 @dataclass(frozen=True, eq=False)
 class JointResidual:
-    """Residuals of a joint, held out or not, the kept rows of all folds one after another."""
+    """Residuals of a joint, with the stored rows of all folds in order."""
 
     joint: str
     time: Array  # (K,) instants since the row's log began, s
     log: NDArray[np.int_]  # (K,) index of the row's log
     q: Array  # (K,) position, rad or m
     v: Array  # (K,) velocity, rad/s or m/s
-    residual: Array  # (K,) measured less predicted effort, filtered
-    effective: float  # how many independent samples these are worth
+    residual: Array  # (K,) measured minus predicted effort, filtered
+    effective: float  # effective sample size
 
     def direction(self, v: Array) -> Array:
-        """Return the direction of motion at velocities v of the joint, smoothed at the slowest."""
+        """Return the direction of motion at velocities v, smoothed at low speeds."""
         return np.tanh(v / max(SLOW * float(np.abs(self.v).max()), np.finfo(float).tiny))
 
     def part(self, rows: NDArray[np.bool_]) -> JointResidual:
-        """Return some of its rows."""
+        """Return the residuals of some rows."""
         kept = {name: getattr(self, name)[rows] for name in ("time", "log", "q", "v", "residual")}
         share = float(np.mean(rows))
         return replace(self, **kept, effective=max(1.0, share * self.effective))
 
 
 def joint_residuals(case: Case, hypothesis: Hypothesis) -> list[JointResidual]:
-    """Return the residuals of all joints that have rows."""
+    """Return the residuals of all joints with rows."""
     dataset, x = hypothesis.dataset, hypothesis.held_out.x
     blocks = residual_blocks(dataset, hypothesis.unknowns.columns, x, delay=hypothesis.delay)
     began = [trajectory.began for trajectory in case.trajectories]
-    found = []
+    residuals = []
     for name, data, residual in zip(dataset.joints, dataset.data, blocks, strict=True):
         if not data.samples.any():
             continue
@@ -69,7 +69,7 @@ def joint_residuals(case: Case, hypothesis: Hypothesis) -> list[JointResidual]:
             for block, rows in zip(fold.blocks, kept, strict=False)
         ]
         q, v, _ = np.concatenate([part.motion for part, _ in rows]).T
-        found.append(
+        residuals.append(
             JointResidual(
                 name,
                 np.concatenate([part.time - began[log] for part, log in rows]),
@@ -80,21 +80,21 @@ def joint_residuals(case: Case, hypothesis: Hypothesis) -> list[JointResidual]:
                 effective_samples(residual),
             )
         )
-    return found
+    return residuals
 
 
 def full_motion(case: Case) -> list[tuple[int, Segment]]:
-    """Return the segments of all logs, in memory, each with the index of its log."""
+    """Return the segments of all logs in memory, each with the index of its log."""
     if case.segments:
         return list(case.segments)
-    found = [
+    segments = [
         (log, segment[:_SAMPLES])
         for log, trajectory in enumerate(case.trajectories)
         for segment in trajectory.segments
     ]
-    if sum(len(segment) for _, segment in found) <= _SAMPLES:
-        case.segments.extend(found)
-    return found
+    if sum(len(segment) for _, segment in segments) <= _SAMPLES:
+        case.segments.extend(segments)
+    return segments
 
 
 def filtered_columns(
@@ -103,10 +103,10 @@ def filtered_columns(
     joint: JointResidual,
     columns: Iterable[Array],
 ) -> Array:
-    """Return columns of the motion at its full rate, filtered as the residual is.
+    """Return columns of the full-rate motion, filtered like the residual, at its rows (K, k).
 
-    `motion` is `full_motion` of the case, with columns (N, k) of each segment. Returned are (K, k)
-    columns at the residual's rows, NaN where the motion was not looked at.
+    `motion` is `full_motion` of the case, and `columns` has (N, k) columns of each segment. Rows
+    outside of the motion are NaN.
     """
     began = [trajectory.began for trajectory in case.trajectories]
     parts: list[tuple[NDArray[np.bool_], Array]] = []
@@ -120,10 +120,10 @@ def filtered_columns(
             rows &= (joint.time >= time[0] - slack) & (joint.time <= time[-1] + slack)
             at = np.rint((joint.time[rows] - time[0]) / low_pass.output_period).astype(int)
             parts.append((rows, values[np.clip(at, 0, len(values) - 1)]))
-    found = np.full((len(joint.time), parts[0][1].shape[1] if parts else 0), np.nan)
+    columns_at_rows = np.full((len(joint.time), parts[0][1].shape[1] if parts else 0), np.nan)
     for rows, values in parts:
-        found[rows] = values
-    return found
+        columns_at_rows[rows] = values
+    return columns_at_rows
 
 
 def cut_out(
@@ -132,17 +132,17 @@ def cut_out(
     window: tuple[float, float],
     pad: float,
 ) -> tuple[Segment, Array, Array] | None:
-    """Return the samples around a window, with their instants and those of filtered samples.
+    """Return the samples around a window, their instants, and the instants of filtered samples.
 
-    Instants are s since the log began, and filtered samples those of the whole segment. None where
-    the log has a gap there.
+    Instants are in s since the log began. The filtered samples are aligned with those of the whole
+    segment. Return None if the log has a gap in the window.
     """
     low_pass, step = trajectory.filter, trajectory.filter.decimation
     for segment in segments:
         time = segment[:].time - trajectory.began
         if time[0] <= window[0] and window[1] <= time[-1]:
             first, last = np.searchsorted(time, [window[0] - pad, window[1] + pad]).tolist()
-            near = slice(first // step * step, last)
-            at = time[near]
-            return segment[near], at, at[low_pass.output_indices(len(at))]
+            padded = slice(first // step * step, last)
+            instants = time[padded]
+            return segment[padded], instants, instants[low_pass.output_indices(len(instants))]
     return None

@@ -29,23 +29,23 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _FREQUENCIES = 60  # of random features
-_WIDTHS = (1.0, 3.0)  # over which functions vary, in deviations of the signals
-_RIDGES = (1e-3, 1e-2, 1e-1, 1.0)  # over the mean square of the features
+_WIDTHS = (1.0, 3.0)  # length scales of functions, in deviations of the signals
+_RIDGES = (1e-3, 1e-2, 1e-1, 1.0)  # relative to the mean square of the features
 _FIRST_RIDGE = 1e-2
-_PROMISING = 3  # functions, by what they leave with the first ridge, are fitted with all of them
-_MOST = 4_000  # samples that are looked at
+_PROMISING = 3  # functions that are fitted with all ridges, the best by the first one
+_MOST = 4_000  # samples
 
 
 def share_of_motion(case: Case, hypothesis: Hypothesis) -> Array:
     """Return (nv,) shares of squared errors that a smooth function of the motion could remove.
 
-    Functions of all positions, and of position, velocity and direction of the joint itself and one
-    other, are fitted without each fold and predict it: sums of waves of random frequencies with a
-    ridge, which approximate a Gaussian process (Rahimi and Recht, 2007). The best one counts,
-    chosen by every other fold for the rest, if that is no chance. No function of the motion
-    predicts noise, whatever its colour.
+    Candidates are functions of all positions, and functions of position, velocity and direction of
+    the joint and one other joint. They are sums of waves of random frequencies, fitted with a
+    ridge, which approximate a Gaussian process (Rahimi and Recht, 2007), and predict held-out
+    folds. Even folds choose the best candidate for odd ones, and the reverse. Noise is not
+    predictable, whatever its spectrum.
 
-    Shares are from 0 to 1, and 0 where only sensor noise is left.
+    Shares are 0 if only sensor noise is left, or if the prediction may be by chance.
     """
     motion, speeds = full_motion(case), peak_speeds(case.trajectories)
     with_rows = np.flatnonzero(case.dataset.has_rows).tolist()
@@ -75,49 +75,49 @@ def _predictable(
 ) -> float:
     """Return the share of a joint's squared residual that the best function of motion predicts.
 
-    `motion` is `full_motion` of the case, `folds` (K,) has the fold of each row, and `speeds` (nv,)
-    are peak speeds, rad/s or m/s; 0 for a joint that does not move.
+    `motion` is `full_motion` of the case, `folds` (K,) is the fold of each row, and `speeds` (nv,)
+    are peak speeds, rad/s or m/s; 0 for a joint at rest.
     """
-    own = case.model.joints.index(joint.joint)
+    index = case.model.joints.index(joint.joint)
     columns = filtered_columns(case, motion, joint, (_signals(s, speeds) for _, s in motion))
-    seen = np.flatnonzero(np.isfinite(columns).all(axis=1))
-    seen = seen[:: max(1, len(seen) // _MOST)]
-    if len(seen) < 2 * len(np.unique(folds)):
+    valid = np.flatnonzero(np.isfinite(columns).all(axis=1))
+    valid = valid[:: max(1, len(valid) // _MOST)]
+    if len(valid) < 2 * len(np.unique(folds)):
         return 0.0
-    b, at = joint.residual[seen], folds[seen]
-    signals = columns[seen].reshape(len(seen), 3, -1)
+    b, row_folds = joint.residual[valid], folds[valid]
+    signals = columns[valid].reshape(len(valid), 3, -1)
     deviations, largest = signals.std(axis=0), np.abs(signals).max(axis=0)
     varying = deviations > np.sqrt(np.finfo(float).eps) * largest  # a direction may be constant
     scaled = signals / np.where(varying, deviations, np.inf)
     moving = np.flatnonzero(speeds)
-    groups = [scaled[:, 0, moving], *(scaled[:, :, sorted({own, k})] for k in moving.tolist())]
-    offered = [
-        _Folds.of(features, b, at)
+    groups = [scaled[:, 0, moving], *(scaled[:, :, sorted({index, k})] for k in moving.tolist())]
+    candidates = [
+        _Folds.of(features, b, row_folds)
         for group in groups
-        for features in _waves(group.reshape(len(seen), -1))
+        for features in _waves(group.reshape(len(valid), -1))
     ]
-    held_out = cache(lambda k, ridge: offered[k].held_out(ridge))
-    rough = np.array([held_out(k, _FIRST_RIDGE) for k in range(len(offered))])
-    left = np.empty(rough.shape[1])
+    held_out = cache(lambda k, ridge: candidates[k].held_out(ridge))
+    first_losses = np.array([held_out(k, _FIRST_RIDGE) for k in range(len(candidates))])
+    remainder = np.empty(first_losses.shape[1])
     even, odd = slice(0, None, 2), slice(1, None, 2)
-    for held, judges in ((even, odd), (odd, even)):
-        promising = np.argsort(rough[:, judges].sum(axis=1))[:_PROMISING].tolist()
+    for judged, judges in ((even, odd), (odd, even)):
+        promising = np.argsort(first_losses[:, judges].sum(axis=1))[:_PROMISING].tolist()
         losses = np.array([held_out(k, ridge) for k in promising for ridge in _RIDGES])
-        left[held] = losses[losses[:, judges].sum(axis=1).argmin(), held]
-    share = float(1.0 - left.sum() / np.square(b).sum())
+        remainder[judged] = losses[losses[:, judges].sum(axis=1).argmin(), judged]
+    share = float(1.0 - remainder.sum() / np.square(b).sum())
     gain = -joint.effective * np.log1p(-max(share, 0.0))
-    tried = len(offered) * len(_RIDGES)
-    return share if false_alarm_probability(gain, 1, tried) <= ALARM else 0.0
+    count = len(candidates) * len(_RIDGES)
+    return share if false_alarm_probability(gain, 1, count) <= ALARM else 0.0
 
 
 def _signals(segment: Segment, speeds: Array) -> Array:
-    """Return (N, 3 n) position, velocity and direction of all joints, with peak speeds (n,)."""
+    """Return (N, 3 n) positions, velocities and directions of joints with peak speeds (n,)."""
     v, slow = segment.velocity, np.maximum(SLOW * speeds, np.finfo(float).tiny)
     return np.concatenate([segment.position, v, np.tanh(v / slow)], axis=1)
 
 
 def _waves(signals: Array) -> Iterator[Array]:
-    """Yield (N, 2 m + 1) waves of random frequencies over signals (N, k), narrow ones first."""
+    """Yield (N, 2 m + 1) waves of random frequencies over signals (N, k), short ones first."""
     rng = np.random.default_rng(0)
     frequencies = rng.normal(size=(signals.shape[1], _FREQUENCIES))
     for width in _WIDTHS:
@@ -127,7 +127,7 @@ def _waves(signals: Array) -> Iterator[Array]:
 
 @dataclass(frozen=True, eq=False)
 class _Folds:
-    """A residual and features of it, with the products of the features and the folds."""
+    """Ridge regression of a residual on features, with folds for cross-validation."""
 
     features: Array  # (N, k)
     residual: Array  # (N,)
@@ -136,23 +136,23 @@ class _Folds:
 
     @classmethod
     def of(cls, features: Array, b: Array, folds: Indices) -> _Folds:
-        """From features (N, k), a residual (N,) and the fold (N,) of each sample."""
+        """Return the regression of features (N, k), a residual (N,) and folds (N,)."""
         parts = [np.flatnonzero(folds == fold) for fold in np.unique(folds)]
         return cls(features, b, parts, features.T @ features)
 
     def held_out(self, ridge: float) -> Array:
-        """Return (F,) squared errors in each fold by a ridge regression on all others.
+        """Return (F,) squared errors in each fold of a ridge regression on all other folds.
 
-        With the smoother WᵀW of all folds, that of a fold is (I − W_fᵀW_f)⁻¹ times the residual.
+        With the smoother WᵀW of all folds, they are those of (I − W_fᵀW_f)⁻¹ times the residual.
         """
         factor = cholesky(self.gram, ridge * len(self.residual))
         W = solve_triangular(factor, self.features.T, lower=True)
-        left, found = self.residual - (W @ self.residual) @ W, list[float]()
+        residual, errors = self.residual - (W @ self.residual) @ W, list[float]()
         for part in self.parts:
-            own, e = W[:, part], left[part]
-            if len(part) <= len(own):
-                e = np.linalg.solve(np.eye(len(part)) - own.T @ own, e)
+            W_f, e = W[:, part], residual[part]
+            if len(part) <= len(W_f):
+                e = np.linalg.solve(np.eye(len(part)) - W_f.T @ W_f, e)
             else:
-                e = e + np.linalg.solve(np.eye(len(own)) - own @ own.T, own @ e) @ own
-            found.append(float(e @ e))
-        return np.array(found)
+                e = e + np.linalg.solve(np.eye(len(W_f)) - W_f @ W_f.T, W_f @ e) @ W_f
+            errors.append(float(e @ e))
+        return np.array(errors)

@@ -31,15 +31,15 @@ class Correlate:
 
 @dataclass(frozen=True, eq=False)
 class Candidate(Short):
-    """An effect that may be missing.
+    """Effect that may be missing.
 
     Attributes:
-        effect: Name; two names joined by " + " for effects found together.
+        effect: Name; names joined by " + " for effects found together.
         error_after: Held-out nrms with it, with all parameters refitted.
-        evidence: Twice the log posterior odds of the model with it alone; 0 for alternatives to
-            the first one.
+        evidence: Twice the log posterior odds of the model with only this effect; 0 for
+            alternatives to the first candidate.
         false_alarm_probability: Probability that it is not needed.
-        tied: Whether it is the first one, or an alternative to it in other explanations.
+        tied: Whether it is the first candidate, or an alternative to it in other explanations.
     """
 
     effect: str
@@ -59,10 +59,10 @@ class Diagnosis(Shown):
         verdict: "explained" if there is a candidate; otherwise "adequate" if only noise is left,
             "unexplained" if the error is larger, and "undecided" if the noise is unknown.
         candidates: Convincing candidates, the chosen one first.
-        start: The model as it stands.
+        start: Errors of the unchanged model.
         refitted: Held-out errors of the model with its parameters refitted within their prior.
-        comparison: Comparison with the model as it stands.
-        notes: What was done to the logs and noticed about the model.
+        comparison: Comparison with the unchanged model.
+        notes: Notes on the preparation of the logs and on the model.
     """
 
     verdict: Verdict
@@ -77,14 +77,14 @@ class Diagnosis(Shown):
 class FittedRival:
     """An alternative to a finding in other explanations of the logs."""
 
-    effect: str  # name; two names joined by " + " for effects found together
+    effect: str  # name; names joined by " + " for effects found together
     where: tuple[str, ...]  # joints or bodies
     instead_of: tuple[str, ...]  # names of the effects that were added
-    # The nrms with the rival, everything that may move refitted, beside all else that was found.
+    # The nrms with the rival and all other findings, with all parameters refitted.
     error: float
-    error_of_choice: float  # the same with what was added
-    tie_probability: float  # how probable the rival is, if it is either that or what was added
-    odds: float = 1.0  # odds of the rival against what was added
+    error_of_choice: float  # the same with the added effects
+    tie_probability: float  # probability of the rival, if it or the added effects are right
+    odds: float = 1.0  # odds of the rival against the added effects
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -94,25 +94,25 @@ class FittedRival:
 
 @dataclass(frozen=True, eq=False)
 class Step(Short):
-    """One effect added to a model.
+    """Effect added to a model.
 
     Attributes:
-        where: Joints or bodies it was added at.
+        where: Joints or bodies at which it was added.
         parameters: Place -> parameter name -> value, SI units.
         deviations: The same for the standard deviations.
-        indistinguishable_from: Alternatives in other explanations, of a probability above 1 %.
+        indistinguishable_from: Alternatives in other explanations with probabilities above 1 %.
         false_alarm_probability: Probability that no effect is needed there.
         agreement: Share of the held-out blocks in which it lowers the error where it acts; a block
-            that hardly changes may count half.
+            with hardly any change may count half.
         rms_before: Joint -> held-out RMS before, N·m or N.
         rms_after: Joint -> held-out RMS after, N·m or N.
-        rivals: These effects with their places, the most probable first.
+        rivals: The alternatives with their places, the most probable first.
         unknown_probability: Probability that it is part of an effect outside the catalogue, as it
             removes little compared with the remaining error.
-        systematic: Further deviations that more data do not reduce: from effort gains, known to the
-            logs' `effort_uncertainty`, and from unexplained errors.
-        series: Measured and predicted efforts after it, on held-out data; none for the last step,
-            for which the explanation's `after` has them.
+        systematic: Further deviations that more data do not reduce: by effort gains, known to the
+            logs' `effort_uncertainty`, and by unexplained errors.
+        series: Measured and predicted efforts after it, on held-out data; empty for the last step,
+            for which the explanation's `after` contains them.
         model: The model after it; None for the last step, for which it is the explanation's.
     """
 
@@ -135,9 +135,9 @@ class Step(Short):
 
     @property
     def probability(self) -> float:
-        """Return its probability: the sum over all explanations that have it.
+        """Return its probability: the sum over all explanations that contain it.
 
-        With what stands in its place in others, something unknown, and nothing, it adds up to one.
+        Together with its rivals, something unknown, and no effect, it adds up to one.
         """
         odds = sum(rival.odds for rival in self.rivals)
         return (1.0 - self.false_alarm_probability - self.unknown_probability) / (1.0 + odds)
@@ -153,25 +153,25 @@ class Explanation(Shown):
     """Effects added to a model until only noise is left, or nothing explains the rest.
 
     Attributes:
-        verdict: "adequate" or "explained" if only noise is left, and errors of gains of efforts;
-            "unexplained" if more is, and "undecided" if noise is not known, or hides everything.
-        steps: The effects added, in order.
-        start: Errors of the model as it stands.
+        verdict: "adequate" or "explained" if only noise and errors of effort gains are left;
+            "unexplained" if more is left; "undecided" if the noise is unknown, or hides everything.
+        steps: The added effects, in order.
+        start: Errors of the unchanged model.
         refitted: Held-out errors with the parameters refitted within their prior, before any step.
-        end: Held-out errors of the final model; without a step, those of the model as it stands.
-        model: The final, physically consistent model; without a step, the model as it stands.
-        before: Comparison with the model as it stands.
+        end: Held-out errors of the final model; without a step, those of the unchanged model.
+        model: The final, physically consistent model; without a step, the unchanged model.
+        before: Comparison with the unchanged model.
         after: Comparison with held-out predictions of the final model.
-        notes: What was done to the logs and noticed about the model.
-        bodies: Changes of the model's bodies, the largest first; none if the model is unchanged.
+        notes: Notes on the preparation of the logs, the model and the fit.
+        bodies: Changes of the model's bodies, the largest first; empty if the model is unchanged.
         of_motion: Joint -> share of its squared error that a smooth function of positions and
-            velocities predicts on held-out data. Of the final model; without a step, of the model
+            velocities predicts on held-out data, for the final model; without a step, for the model
             refitted within its prior.
         is_interrupted: Whether the search was stopped before its end.
         certificate: Certificate of the final fit by its MathematicalProgram; None if the model is
             unchanged.
-        at_found_gains: Errors as in `end`, but with the gains of efforts that the logs show, within
-            their uncertainty; None where they show none that matters, or there is no step.
+        at_found_gains: Errors like `end`, but with effort gains as the logs show, within their
+            uncertainty; None if these are negligible, or without a step.
     """
 
     verdict: Verdict
@@ -191,5 +191,5 @@ class Explanation(Shown):
 
     @property
     def at_found_gains_nrms(self) -> float | None:
-        """The nrms of `at_found_gains`."""
+        """Return the nrms of `at_found_gains`."""
         return None if self.at_found_gains is None else self.at_found_gains.nrms

@@ -1,4 +1,4 @@
-"""The search for what a model lacks: climb, make exact what was found, and look once more."""
+"""Search for the most probable explanation: climb, refine the result, and look for more."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from geodrake.boundary.interrupts import StopSearch
 from geodrake.diagnosis.beliefs import Beliefs
-from geodrake.diagnosis.climbing import climb, gain_of, may_come, settled
+from geodrake.diagnosis.climbing import can_gain, climb, gain_of, settled
 from geodrake.diagnosis.contact_window import PIECES
 from geodrake.diagnosis.episodes import find_episodes
-from geodrake.diagnosis.handling import instants, is_short
+from geodrake.diagnosis.handling import is_short, refined_instants
 from geodrake.diagnosis.log_model import Choice, Delay, Fit, LogModel
-from geodrake.diagnosis.moves import alone, is_common
+from geodrake.diagnosis.moves import is_common, single_replacements
 from geodrake.diagnosis.proposals import proposed
 from geodrake.diagnosis.refinements import (
     LEVELS,
@@ -46,148 +46,150 @@ from geodrake.logs.folds import assign_folds
 
 Array = NDArray[np.float64]
 Places = tuple[tuple[str, ...], ...]
-Named = frozenset[object]
-"""Names that identify an explanation in any columns: terms are made anew with these."""
+Names = frozenset[object]
+"""Names of an explanation, which are independent of its columns."""
 
 _MOST_ROUNDS = 12
-_MOST_VISITS = 3  # of an explanation that is made exact
+_MOST_VISITS = 3  # of an explanation during refinement
 _FIRST_SHARE = 0.05
 _FORCED_SHARE = 0.3
 _MOST_FADINGS = 3
-_FURTHER = 5  # effects that would gain if they left white noise, at each step of one more climb
-_OTHER_CARRIED = 0.2  # change of an effect of accelerations, as a share, that changes the noise
-_OTHER_DELAY, _ALIKE = 3.0, 0.125  # deviations, and steps, within which delays are alike
+_FURTHER = 5  # effects that would gain if they left white noise, in each step of the last climb
+_CHANGED = 0.2  # relative change of an effect of accelerations that updates the noise
+_OTHER_DELAY, _ALIKE = 3.0, 0.125  # largest difference of equal delays: deviations, and steps
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
-    """The most probable explanation that a search found."""
+class SearchResult:
+    """The most probable explanation of a search."""
 
-    case: Case  # the case, with the columns of what was tried last
+    case: Case  # the case, with the last columns
     model: LogModel  # the Gaussian model of its logs
     fit: Fit
-    start: Fit  # the model without anything new, with bodies that may move
+    start: Fit  # the model without new terms, its bodies refitted
     is_stopped: bool = False  # whether the search was stopped before its end
 
 
-def searched(
+def find_explanation(
     case: Case, beliefs: Beliefs | None = None, *, progress: Progress | None = None
-) -> Found:
+) -> SearchResult:
     """Find the most probable explanation of the logs of a case.
 
     Raises:
-        StopSearch: It was stopped before it had found anything.
+        StopSearch: The search was stopped before the first step.
     """
-    return Search(case, beliefs, progress).found()
+    return Search(case, beliefs, progress).run()
 
 
 class Search:
-    """A search for what a model lacks, and where it is."""
+    """Search for the terms that a model lacks."""
 
     def __init__(
         self, case: Case, beliefs: Beliefs | None = None, progress: Progress | None = None
     ) -> None:
         self.case, self._beliefs, self._progress = case, beliefs or Beliefs(), progress
-        self._accelerated = dict[Effect, Array]()  # effects by accelerations, with their values
-        self._noise_of = case.model, case.loads, self._accelerated  # what gave the noise floor
+        self._accelerated = dict[Effect, Array]()  # effects of accelerations -> their values
+        self._noise_of = case.model, case.loads, self._accelerated  # sources of the noise floor
         self._effects = list(dict.fromkeys(case.dataset.effects))
         self._grid = tuple(self._effects)
         self._origin = case.model.delays
         self._step = float(np.abs(case.dataset.delays[1:, 0]).min(initial=np.inf))
         self._delays: list[ArrayLike] = [*case.dataset.delays]
         self._on_time: Delay = (0,) * len(case.model.joints)
-        self._levels = dict[Effect, int]()  # of finer shapes around an effect, that come next
-        self._is_timed = False
-        self._tried = [self._origin]  # delays (nv,) that have columns: the file's come first
-        # Explanations for which speeds, shapes and further effects were looked for.
-        self._faded, self._crowded, self._looked = set[Named](), set[Named](), set[Named]()
-        self._climbed_far, self._doubted = False, False
-        # Loads of explanations that had columns, one after the other: two may lead to each other.
-        self._loaded = dict[tuple[Named, float], Array]()
-        self._told: FoundStep | None = None
-        self.model = self._made()
+        self._levels = dict[Effect, int]()  # effect -> next level of finer shapes
+        self._has_fitted_delays = False
+        self._tried_delays = [self._origin]  # delays (nv,) with columns, the file's first
+        # Explanations whose fading speeds, shapes and further effects were searched.
+        self._fading_for, self._simplified_for = set[Names](), set[Names]()
+        self._suggested_for = set[Names]()
+        self._has_climbed_far, self._has_tried_unknowns = False, False
+        # Previous loads of explanations, as two may lead to each other.
+        self._loads_tried = dict[tuple[Names, float], Array]()
+        self._last_step: FoundStep | None = None
+        self.model = self._build_model()
         self.fit = self._common = self._start()
 
-    def found(self) -> Found:
+    def run(self) -> SearchResult:
         """Search to the end."""
         search, is_stopped = self, False
         try:
-            self._turn()
-            more = proposed(self.case, self.model, self.fit)
-            if more:  # before anything else makes up for them
-                self._offer(more)
-            begun = self._copied()
+            self._start_with_turned_base()
+            effects = proposed(self.case, self.model, self.fit)
+            if effects:  # before other effects imitate them
+                self._add_candidates(effects)
+            direct = self._copy()
             self._climb_by_common_first()
-            if not self._is_all_common():
-                search = self._or_by_all_at_once(begun)
+            if not self._has_only_common_effects():
+                search = self._better_of_direct_climb(direct)
             for _ in range(_MOST_ROUNDS):
-                if not search._goes_on():
+                if not search._continue():
                     break
             search.fit = settled(search.model, search.fit)
         except StopSearch:
             if not search.fit.terms:
                 raise
             is_stopped = True
-            if search._progress is not None and search._told is not None:
-                search._progress(replace(search._told, is_last=True))
-        return Found(search.case, search.model, search.fit, search._start(), is_stopped)
+            if search._progress is not None and search._last_step is not None:
+                search._progress(replace(search._last_step, is_last=True))
+        return SearchResult(search.case, search.model, search.fit, search._start(), is_stopped)
 
-    def _turn(self) -> None:
-        """Begin with a base that is mounted otherwise, if that explains most errors."""
-        turned = self._with_turned_bases()
+    def _start_with_turned_base(self) -> None:
+        """Start with a base that is mounted differently, if that explains most errors."""
+        turned = self._offer_turned_bases()
         if not turned:
             return
-        self._anew()
+        self._rebuild()
         terms = [term for term in self.model.terms if term.effect in turned]
         widths = [w for w in self.model.widths if w <= self.model.wrong_beyond]
         choices = [self.model.choice(self.fit.choice, (t,), width=w) for t in terms for w in widths]
         self.fit = self._best(choices, self.fit)
 
-    def _with_turned_bases(self) -> set[Effect]:
-        """Try far turns of gravity if they explain most errors; return the turned effects."""
+    def _offer_turned_bases(self) -> set[Effect]:
+        """Replace effects by large turns of gravity if they explain most errors; return those."""
         turned = turned_bases(self.case, self._effects)
         self._effects = [turned.get(effect, effect) for effect in self._effects]
         return {*turned.values()}
 
-    def _copied(self) -> Search:
-        """Return a search that goes on from here by itself."""
+    def _copy(self) -> Search:
         other = copy(self)
         for name, value in vars(self).items():
             if isinstance(value, list | dict | set):
                 setattr(other, name, copy(value))
         return other
 
-    def _is_all_common(self) -> bool:
-        """Return whether only noise is left, bodies are near the file, and all found is common."""
+    def _has_only_common_effects(self) -> bool:
+        """Return whether common effects leave only noise, with bodies close to the file."""
         model, fit = self.model, self.fit
-        left = np.sqrt(model.seen_noise(fit)) > NOISE_MARGIN * model.dataset.noise_floor
+        exceeds_noise = (
+            np.sqrt(model.noise_without_reversals(fit)) > NOISE_MARGIN * model.dataset.noise_floor
+        )
         near = fit.choice.width <= model.wrong_beyond
-        return near and all(map(is_common, fit.terms)) and not left.any()
+        return near and all(map(is_common, fit.terms)) and not exceeds_noise.any()
 
-    def _or_by_all_at_once(self, other: Search) -> Search:
-        """Climb from the beginning by all effects at once; return the better search.
+    def _better_of_direct_climb(self, other: Search) -> Search:
+        """Climb from the start with all effects at once; return the better search.
 
-        Common effects that came first may be in the way of a rare one.
+        Common effects that come first may prevent a rare one.
         """
-        other._climb(hopeful=True)
-        other._climb(hopeful=False)
-        other._keep_bodies_near()
+        other._climb(optimistic=True)
+        other._climb(optimistic=False)
+        other._try_bodies_near_file()
         fewer = np.minimum(self.model.shares(self.fit), other.model.shares(other.fit))
         if other._evidence(fewer) <= self._evidence(fewer):
             return self
         return other if other._held_out_score(fewer) > self._held_out_score(fewer) else self
 
     def _evidence(self, shares: Array) -> float:
-        """Return the evidence of the explanation, where rows are worth some samples (nv,)."""
+        """Return the evidence of the explanation with effective samples per row (nv,)."""
         return self.model.unbounded(self.fit.choice, shares, self.fit.noise).score
 
     def _held_out_score(self, shares: Array) -> float:
-        """Return twice the logarithm of how probable held-out efforts and what was found are.
+        """Return twice the log of the probability of held-out efforts times the prior odds.
 
-        `shares` (nv,) are independent samples over rows, the same for all that is compared. Unlike
-        in the evidence, errors where joints reverse count in full, and a term that stands in for an
-        inertia gains nothing by having no noise of accelerations. But what a fold leaves unknown
-        counts as an error here.
+        `shares` (nv,) are effective samples per row, equal for all searches that are compared.
+        Unlike in the evidence, errors at reversals count in full, and a term that imitates an
+        inertia does not gain by its lower noise of accelerations. The uncertainty of each fold
+        counts as error, however.
         """
         errors = np.maximum(self.model.held_out(self.fit, reversing=False).mse, self.model.floor)
         samples = shares * self.model.rows
@@ -195,46 +197,46 @@ class Search:
 
     def forced(
         self, kind: type[Effect], places: Places | None, further: Sequence[Effect] = ()
-    ) -> Found:
+    ) -> SearchResult:
         """Return the explanation with one effect, whatever the evidence for it.
 
-        Places are all joints if None, or the place that helps most. `further` instances are tried
-        beside those that the case has columns for.
+        If `places` is None, they are all joints, or the best place. `further` instances are tried
+        beside those with columns in the case.
 
         Raises:
-            ArgumentError: It is one of an episode, and the residual shows none.
+            ArgumentError: The effect is an episode, and the residual shows none.
         """
         if kind.role is Role.EPISODE or kind.proposer is Proposer.WAVES:
-            further = [e for e in self._suggested() if isinstance(e, kind)] or further
+            further = [e for e in self._suggestions() if isinstance(e, kind)] or further
             if kind.role is Role.EPISODE and not further:
                 raise ArgumentError(
                     f"These logs show no {kind.name}.",
                     advice="Friction may hide it: explain the logs, or add other missing "
                     "effects first.",
                 )
-        own, tried = effects_of(self.case.model), (*self._effects, *further)
-        self._effects = [e for e in tried if isinstance(e, kind) or e in own]
-        self._with_turned_bases()
+        known, candidates = effects_of(self.case.model), (*self._effects, *further)
+        self._effects = [e for e in candidates if isinstance(e, kind) or e in known]
+        self._offer_turned_bases()
         self._grid = tuple(self._effects)
-        self._anew()
-        self.fit = self._with_best(kind, places)
+        self._rebuild()
+        self.fit = self._best_fit_with(kind, places)
         for _ in range(_MOST_ROUNDS):
-            if not self._refined():
+            if not self._refine():
                 break
-            self.fit = self._with_best(kind, places)
-        return Found(self.case, self.model, self.fit, self._start())
+            self.fit = self._best_fit_with(kind, places)
+        return SearchResult(self.case, self.model, self.fit, self._start())
 
-    def _with_best(self, kind: type[Effect], places: Places | None) -> Fit:
+    def _best_fit_with(self, kind: type[Effect], places: Places | None) -> Fit:
         """Return the most probable fit with one effect at some places, in its best shape."""
-        model, was = self.model, self._start()
+        model, start = self.model, self._start()
         if kind.role is Role.DELAY:
-            return self._latest(was, places)
+            return self._best_delays(start, places)
         if kind.role is Role.INERTIA:
             wrong = model.beliefs.wrong
             widths = [w for w in model.widths if w > wrong] or [model.widths[-1]]
             choices = [Choice((), width, self._on_time) for width in widths]
-            return self._best(choices, was)
-        known = [w for w in model.widths if w <= model.wrong_beyond]
+            return self._best(choices, start)
+        near = [w for w in model.widths if w <= model.wrong_beyond]
         options = dict[tuple[str, ...], list[Term]]()
         for term in model.terms:
             if term.effect is not None and isinstance(term.effect, kind):
@@ -244,40 +246,40 @@ class Search:
         best = dict[tuple[str, ...], Fit]()
         for place, terms in chosen.items():
             choices = [
-                model.choice(was.choice, (term,), width=width) for term in terms for width in known
+                model.choice(start.choice, (term,), width=width) for term in terms for width in near
             ]
-            best[place] = self._best(choices, was)
+            best[place] = self._best(choices, start)
         if single:
             return max(best.values(), key=lambda fit: fit.score)
         together = tuple(fit.terms[0] for fit in best.values())
-        return self._best([model.choice(was.choice, together, width=w) for w in known], was)
+        return self._best([model.choice(start.choice, together, width=w) for w in near], start)
 
-    def _latest(self, was: Fit, places: Places | None) -> Fit:
+    def _best_delays(self, start: Fit, places: Places | None) -> Fit:
         """Return the best delay of all efforts, or of those of each of some joints."""
-        fit, every = was, [[*range(len(self._on_time))]]
+        fit, groups = start, [[*range(len(self._on_time))]]
         if places is not None:
-            every = [[self.case.model.joints.index(name)] for (name,) in places]
-        for moved in every:
+            groups = [[self.case.model.joints.index(name)] for (name,) in places]
+        for moved in groups:
             delays = [
-                tuple(k if j in moved else own for j, own in enumerate(fit.choice.delay))
+                tuple(k if j in moved else index for j, index in enumerate(fit.choice.delay))
                 for k in range(len(self.case.dataset.delays))
             ]
-            late = [d for d in delays if any(d[j] != self._on_time[j] for j in moved)]
-            fit = self._best([Choice((), was.choice.width, delay) for delay in late], was)
+            delayed = [d for d in delays if any(d[j] != self._on_time[j] for j in moved)]
+            fit = self._best([Choice((), start.choice.width, delay) for delay in delayed], start)
         return fit
 
-    def _best(self, choices: Sequence[Choice], was: Fit) -> Fit:
-        """Return the most probable of some explanations, even where it is not physical."""
+    def _best(self, choices: Sequence[Choice], previous: Fit) -> Fit:
+        """Return the most probable of some explanations, physical if possible."""
         shares = np.full(len(self.model.rows), _FORCED_SHARE)
-        if ranked := self.model.ranked(choices, shares, was.noise):
+        if ranked := self.model.ranked(choices, shares, previous.noise):
             return ranked[0]
-        fits = [self.model.unbounded(choice, shares, was.noise) for choice in choices]
+        fits = [self.model.unbounded(choice, shares, previous.noise) for choice in choices]
         return max(fits, key=lambda fit: fit.score)
 
-    def _suggested(self) -> list[Effect]:
-        """Return what the residual suggests: shared actuators, ripples, contacts."""
-        found = proposed(self.case, self.model, self.fit)
-        hypothesis = self.model.hypothesis(self._without_short_loads())
+    def _suggestions(self) -> list[Effect]:
+        """Return effects that the residual suggests, such as ripples, payloads and contacts."""
+        proposals = proposed(self.case, self.model, self.fit)
+        hypothesis = self.model.hypothesis(self._without_short_payloads())
         contacts = find_episodes(self.case, hypothesis, self._on_time)
         if contacts:
             numbers = [log_number(trajectory.name) for trajectory in self.case.trajectories]
@@ -290,118 +292,118 @@ class Search:
                     windows.append((log, c.start, c.end))
             folds = assign_folds(self.case.folds, self.case.trajectories, windows, pieces=PIECES)
             self.case = replace(self.case, folds=folds)
-        return [e for e in (*found, *contacts) if e not in self._effects]
+        return [e for e in (*proposals, *contacts) if e not in self._effects]
 
-    def _without_short_loads(self) -> Fit:
-        """Return the explanation without what is held for a short while: it may be a contact."""
-        was, model = self.fit, self.model
-        kept = [term for term in was.terms if not is_short(self.case, term.effect)]
-        if len(kept) == len(was.terms):
-            return was
-        return model.unbounded(model.choice(was.choice, kept), model.shares(was), was.noise)
+    def _without_short_payloads(self) -> Fit:
+        """Return the explanation without short payloads, which may be contacts."""
+        fit, model = self.fit, self.model
+        kept = [term for term in fit.terms if not is_short(self.case, term.effect)]
+        if len(kept) == len(fit.terms):
+            return fit
+        return model.unbounded(model.choice(fit.choice, kept), model.shares(fit), fit.noise)
 
     def _start(self) -> Fit:
-        """Return the model with nothing new, its bodies as near to the file as the logs say."""
-        return self.model.bare(np.full(len(self.model.rows), _FIRST_SHARE))
+        """Return the fit without new terms, with the most probable width of bodies."""
+        return self.model.without_terms(np.full(len(self.model.rows), _FIRST_SHARE))
 
-    def _climb(self, *, hopeful: bool, further: int = 0, common: bool = False) -> None:
+    def _climb(self, *, optimistic: bool, further: int = 0, common: bool = False) -> None:
         def watch(before: Fit, after: Fit) -> None:
             self.fit = after
             if self._progress is not None:
-                self._told = progress_of(self.model, before, after)
-                self._progress(self._told)
+                self._last_step = progress_of(self.model, before, after)
+                self._progress(self._last_step)
 
-        visited = list[Named]()  # two explanations may lead to each other, each in its own columns
-        while visited.count(self._named) < _MOST_VISITS and len(visited) < _MOST_ROUNDS:
-            visited.append(self._named)
+        visited = list[Names]()  # explanations may lead to each other with changing columns
+        while visited.count(self._names) < _MOST_VISITS and len(visited) < _MOST_ROUNDS:
+            visited.append(self._names)
             self.fit = climb(
                 self.model,
                 self.fit,
-                hopeful=hopeful,
+                optimistic=optimistic,
                 watch=watch,
-                pause=self._is_coarse if hopeful else self._is_inexact,
+                pause=self._is_coarse if optimistic else self._needs_refinement,
                 further=further,
                 common=common,
             )
-            if not self._is_inexact(self.fit):
+            if not self._needs_refinement(self.fit):
                 break
-            # A shape may make up for friction that fades.
-            faded = bool(self._finer(self.fit.terms)) and self._fades()
-            if not faded and not self._refined():
+            # A shape may imitate fading friction.
+            has_faded = bool(self._finer_shapes(self.fit.terms)) and self._update_fading()
+            if not has_faded and not self._refine():
                 break
             shaped = {term.where[0] for term in self.fit.terms if term.effect in self._levels}
-            if shaped:  # before anything else makes up for a shape that is not exact
-                self.fit = climb(self.model, self.fit, hopeful=hopeful, joints=shaped)
+            if shaped:  # before other effects compensate an inexact shape
+                self.fit = climb(self.model, self.fit, optimistic=optimistic, joints=shaped)
 
     def _climb_by_common_first(self) -> None:
-        """Climb by what any joint may have, and payloads; then by all effects.
+        """Climb with common effects and payloads only, then with all effects.
 
-        Rare effects of several joints together may take the place of common ones and of a payload,
-        most easily where joints move little or one after the other. No single step leads back.
+        Rare effects of several joints may replace common ones and a payload, most easily if joints
+        move little or one after the other; no single step leads back.
         """
-        self._climb(hopeful=True, common=True)
+        self._climb(optimistic=True, common=True)
         self._common = self.fit
-        self._climb(hopeful=True)
-        self._climb(hopeful=False)
+        self._climb(optimistic=True)
+        self._climb(optimistic=False)
 
-    def _keep_bodies_near(self) -> None:
-        """Climb once more with bodies near the file, if they are far from it; keep the better.
+    def _try_bodies_near_file(self) -> None:
+        """Climb again with bodies close to the file if they are not; keep the better explanation.
 
-        Bodies that are free to change may explain an effect by themselves, such as a rotor at the
-        first joint. Adding the effect then gains nothing until the bodies are held near the file.
+        Free bodies may explain an effect, such as a rotor at the first joint. The effect then gains
+        nothing until the bodies are held close to the file.
         """
-        far, delays, most = self.fit, self._delays_of_fit(), self.model.wrong_beyond
-        if far.choice.width <= most:
+        wide, delays, limit = self.fit, self._delays_of_fit(), self.model.wrong_beyond
+        if wide.choice.width <= limit:
             return
-        near = [width for width in self.model.widths if width <= most]
-        self.fit = self._best([replace(far.choice, width=width) for width in near], far)
-        self._climb(hopeful=True)
-        self._climb(hopeful=False)
-        self._keep_more_probable(far, delays)
+        narrow = [width for width in self.model.widths if width <= limit]
+        self.fit = self._best([replace(wide.choice, width=width) for width in narrow], wide)
+        self._climb(optimistic=True)
+        self._climb(optimistic=False)
+        self._keep_more_probable(wide, delays)
 
     def _delays_of_fit(self) -> Array:
-        """Return (nv,) delays of the explanation, s."""
+        """Return the delays (nv,) of the explanation, s."""
         at = [*self.fit.choice.delay], np.arange(len(self._on_time))
         return np.asarray(self.case.model.delays + self.case.dataset.delays[at])
 
     def _keep_more_probable(self, was: Fit, delays: Array) -> None:
-        """Go back to an earlier explanation, of some delays (nv,), unless the new one is better."""
-        apart = np.abs(self.case.model.delays + self.case.dataset.delays - delays)
-        nearest = tuple(apart.argmin(axis=0).tolist())  # columns may have been made anew since
+        """Restore an earlier explanation with some delays (nv,), unless the new one is better."""
+        differences = np.abs(self.case.model.delays + self.case.dataset.delays - delays)
+        nearest = tuple(differences.argmin(axis=0).tolist())  # columns may have changed since
         was = self.model.refitted(replace(was, choice=replace(was.choice, delay=nearest)))
         better = gain_of(self.model, was, self.fit)
         if better is None or better[0] <= 0.0:
             self.fit = was
 
-    def _is_inexact(self, fit: Fit) -> bool:
-        """Return whether what was found is to be made exact before anything else is looked for.
+    def _needs_refinement(self, fit: Fit) -> bool:
+        """Return whether a fit must be refined before anything else is tried, including its loads.
 
-        So it is with other loads, but not in a hopeful climb, in which every step changes them.
+        An optimistic climb ignores loads, which every step changes.
         """
-        return self._is_coarse(fit) or self._other_loads(fit) is not None
+        return self._is_coarse(fit) or self._changed_loads(fit) is not None
 
     def _is_coarse(self, fit: Fit) -> bool:
-        """Return whether a delay or a slope is about another point, or a shape on a coarse grid.
+        """Return whether a delay, expansion point or shape is inexact.
 
-        The error that this leaves looks like further effects.
+        The remaining error would look like further effects.
         """
-        if self._is_between(fit) and self._has_other_delays(fit):
+        if self._is_on_delay_grid(fit) and self._has_new_delays(fit):
             return True
         if expansions(self.case, self.model, fit):
             return True
-        return bool(self._finer(fit.terms))
+        return bool(self._finer_shapes(fit.terms))
 
-    def _made(self) -> LogModel:
-        """Return the Gaussian model of the case with columns for all that is tried."""
+    def _build_model(self) -> LogModel:
+        """Return the Gaussian model of the case with columns for all candidates."""
         model, logs = self.case.model, self.case.trajectories
         unsure = reversals(model, logs)
-        own = effects_of(model)
-        self._effects = [e for e in self._effects if e in own or is_resolved(e, unsure)]
+        known = effects_of(model)
+        self._effects = [e for e in self._effects if e in known or is_resolved(e, unsure)]
         columns = [*self._effects, *unsure]
         noise_of, robot = (model, self.case.loads, self._accelerated), None
         if any(one is not other for one, other in zip(noise_of, self._noise_of, strict=True)):
-            carried = (FittedEffect(*each) for each in self._accelerated.items())
-            robot = replace(self.case.load_model, effects=(*model.effects, *carried))
+            accelerated = (FittedEffect(*each) for each in self._accelerated.items())
+            robot = replace(self.case.load_model, effects=(*model.effects, *accelerated))
         self._noise_of = noise_of
         dataset = reduced(self.case, columns, delays=self._delays, noise_of=robot)
         self.case = replace(self.case, dataset=dataset)
@@ -415,15 +417,15 @@ class Search:
             file_delays=self._origin,
         )
 
-    def _anew(self, moved: dict[Effect, Effect] | None = None, *, retimed: bool = False) -> None:
-        """Make columns for what is tried now, and carry the explanation over.
+    def _rebuild(self, moved: dict[Effect, Effect] | None = None, *, retimed: bool = False) -> None:
+        """Recompute the columns of all candidates, and transfer the explanation.
 
-        `moved` are effects that others take the place of, and `retimed` tells whether the model has
-        the delays of the explanation now.
+        `moved` maps replaced effects to new ones; `retimed` states whether the model has the
+        explanation's delays now.
         """
-        self.model, was = self._made(), self.fit
-        terms = self.model.alike(was.terms, moved)
-        delay = was.choice.delay
+        self.model, previous = self._build_model(), self.fit
+        terms = self.model.matching(previous.terms, moved)
+        delay = previous.choice.delay
         if retimed:
             delay = tuple(
                 np.where(
@@ -432,219 +434,220 @@ class Search:
             )
         shares = np.full(len(self.model.rows), _FORCED_SHARE)
         for kept in (terms, [term for term in terms if not len(term.positive)]):
-            choice = self.model.choice(was.choice, kept, delay=delay)
-            fit = self.model.fit(choice, shares, was.noise)
+            choice = self.model.choice(previous.choice, kept, delay=delay)
+            fit = self.model.fit(choice, shares, previous.noise)
             if fit is not None:
                 break
-        self.fit = fit or self._start()  # something became negative
+        self.fit = fit or self._start()  # None if parameters violate their bounds
 
-    def _offer(self, more: Sequence[Effect]) -> None:
-        """Try more effects from now on."""
-        self._loaded.clear()
+    def _add_candidates(self, more: Sequence[Effect]) -> None:
+        self._loads_tried.clear()
         self._effects += more
         self._grid = (*self._grid, *more)
-        self._anew()
+        self._rebuild()
 
-    def _has_more(self) -> bool:
-        """Climb with what the residual suggests; return whether there is anything to climb with.
+    def _climb_with_suggestions(self) -> bool:
+        """Climb with effects that the residual suggests; return whether there are any.
 
-        What was found may have followed an episode, so that it is found anew with it. Episodes
-        alone change nothing unless they make something more probable.
+        The explanation may have imitated an episode, so that it is searched again with the episode.
+        Episodes are ignored if they gain nothing.
         """
         before = self.case, self.model, self.fit, [*self._effects], self._grid
-        more = self._suggested()
+        more = self._suggestions()
         if not more:
             return False
-        self._offer(more)
-        was, delays = self.fit, self._delays_of_fit()
+        self._add_candidates(more)
+        previous, delays = self.fit, self._delays_of_fit()
         episodes = [effect for effect in more if effect.role is Role.EPISODE]
         common = self.model.refitted(self._common)
-        helps = may_come(self.model, was, more) or may_come(self.model, common, episodes)
+        helps = can_gain(self.model, previous, more) or can_gain(self.model, common, episodes)
         if not helps and len(episodes) == len(more):
             self.case, self.model, self.fit, self._effects, self._grid = before
             return False
         if not episodes:
-            self._climb(hopeful=True)
-            self._climb(hopeful=False)
+            self._climb(optimistic=True)
+            self._climb(optimistic=False)
             return True
         self.fit = self._start()
         try:
             self._climb_by_common_first()
         finally:  # a stop keeps the best explanation so far
-            self._keep_more_probable(was, delays)
+            self._keep_more_probable(previous, delays)
         return True
 
-    def _goes_on(self) -> bool:
-        """Make exact what was found, or find more to try; whether there is anything to search."""
-        if self._refined() or self._fades() or self._simplified():
-            self._climb(hopeful=False)
+    def _continue(self) -> bool:
+        """Refine the explanation, or find more candidates; return whether the search goes on."""
+        if self._refine() or self._update_fading() or self._offer_simpler():
+            self._climb(optimistic=False)
             return True
-        if self._named not in self._looked:  # the last digits of a contact differ each time
-            self._looked.add(self._named)
-            if self._has_more():
+        if self._names not in self._suggested_for:  # contacts differ each time by rounding
+            self._suggested_for.add(self._names)
+            if self._climb_with_suggestions():
                 return True
         before = self.fit.choice.key
-        if not self._doubted:
-            self._doubted = True
-            joints = self._doubtful()
+        if not self._has_tried_unknowns:
+            self._has_tried_unknowns = True
+            joints = self._doubtful_joints()
             if not joints:
                 return False
             functions = unknown_functions(self.case, self.model.hypothesis(self.fit), joints)
             self._effects += functions
-            self._anew()
+            self._rebuild()
             before = self.fit.choice.key
-            self._climb(hopeful=False)
-            kept = {term.effect for term in self.fit.terms}  # others get no columns anew
+            self._climb(optimistic=False)
+            kept = {term.effect for term in self.fit.terms}  # the others lose their columns
             self._effects = [e for e in self._effects if e in kept or e not in functions]
             if self.fit.choice.key != before:
                 return True
-        if not self._climbed_far:
-            self._climbed_far = True
+        if not self._has_climbed_far:
+            self._has_climbed_far = True
             if any(term.effect and term.effect not in self._effects for term in self.model.terms):
-                self._anew()
+                self._rebuild()
                 before = self.fit.choice.key
-            self._climb(hopeful=False, further=_FURTHER)
+            self._climb(optimistic=False, further=_FURTHER)
         return self.fit.choice.key != before
 
     @property
-    def _named(self) -> Named:
-        return _names(self.fit)
+    def _names(self) -> Names:
+        return _names_of(self.fit)
 
-    def _doubtful(self) -> set[str]:
-        """Return joints with more than noise left, or with something found at their motors."""
-        left = np.sqrt(self.fit.variance) > NOISE_MARGIN * self.case.dataset.noise_floor
+    def _doubtful_joints(self) -> set[str]:
+        """Return joints with more than noise left, or with a finding at their motors."""
+        exceeds_noise = np.sqrt(self.fit.variance) > NOISE_MARGIN * self.case.dataset.noise_floor
         effects = [term.effect for term in self.fit.terms]
-        felt = [self.case.dataset.felt(e) for e in effects if e is not None and e.at_motor]
-        joints = np.logical_or.reduce([left, *felt])
-        model = self.case.model  # nothing acts in the joints of a free base
+        affected = [self.case.dataset.felt(e) for e in effects if e is not None and e.at_motor]
+        joints = np.logical_or.reduce([exceeds_noise, *affected])
+        model = self.case.model  # joints of a free base have no own effects
         return {model.joints[j] for j in np.flatnonzero(joints)} - set(model.base_joints)
 
-    def _refined(self) -> bool:
-        """Return whether delays, shapes, slopes or loads were made anew."""
-        retimed = self._retimed()
+    def _refine(self) -> bool:
+        """Update delays, shapes, expansion points and loads; return whether any changed."""
+        retimed = self._update_delays()
         changed = retimed
         shaped = (*self.fit.terms, *other_choices(self.model, self.fit, self._grid))
-        near = self._finer(shaped)
+        near = self._finer_shapes(shaped)
         self._levels |= near
         self._effects += [effect for effect in near if effect not in self._effects]
         moved = expansions(self.case, self.model, self.fit)
-        moved |= instants(self.case, self.model, self.fit)
+        moved |= refined_instants(self.case, self.model, self.fit)
         if moved:
             self._effects = [moved.get(effect, effect) for effect in self._effects]
             self._levels = {moved.get(e, e): level for e, level in self._levels.items()}
-        loads = self._other_loads(self.fit)
-        changed |= self._has_other_noise()
+        loads = self._changed_loads(self.fit)
+        changed |= self._update_noise()
         if changed or near or moved:
-            self._loaded.clear()
+            self._loads_tried.clear()
         if loads is not None:
             self.case = replace(self.case, loads=loads)
-            self._loaded[(_names(self.fit), self.fit.choice.width)] = loads
+            self._loads_tried[(_names_of(self.fit), self.fit.choice.width)] = loads
         if changed or near or moved or loads is not None:
-            self._anew(moved, retimed=retimed)
+            self._rebuild(moved, retimed=retimed)
             return True
         return False
 
-    def _finer(self, terms: Sequence[Term]) -> dict[Effect, int]:
-        """Return each term's shape and the untried ones around it, by the level to try next."""
-        found = dict[Effect, int]()
+    def _finer_shapes(self, terms: Sequence[Term]) -> dict[Effect, int]:
+        """Return each term's shape and the untried ones around it, with the next level."""
+        shapes = dict[Effect, int]()
         for effect in (term.effect for term in terms if term.effect is not None):
             level = self._levels.get(effect, 0)
             near, level = finer_shapes(effect, self._grid, self._effects, level)
-            found |= dict.fromkeys([effect, *near], level) if near else {}
-        return found
+            shapes |= dict.fromkeys([effect, *near], level) if near else {}
+        return shapes
 
-    def _has_other_noise(self) -> bool:
-        """Return whether other effects than before carry noise of accelerations into efforts."""
-        model, own = self.model, set(effects_of(self.case.model))
-        found = {
+    def _update_noise(self) -> bool:
+        """Update effects that add noise of accelerations; return whether they changed."""
+        model, known = self.model, set(effects_of(self.case.model))
+        current = {
             term.effect: model.parameters(self.fit, term)
             for term in self.fit.terms
-            if term.effect and term.effect.depends_on == {"vd"} and term.effect not in own
+            if term.effect and term.effect.depends_on == {"vd"} and term.effect not in known
         }
-        was = self._accelerated
-        if was.keys() == found.keys() and all(
-            np.allclose(was[e], x, rtol=_OTHER_CARRIED, atol=0.0) for e, x in found.items()
+        previous = self._accelerated
+        if previous.keys() == current.keys() and all(
+            np.allclose(previous[e], x, rtol=_CHANGED, atol=0.0) for e, x in current.items()
         ):
             return False
-        self._accelerated = found
+        self._accelerated = current
         return True
 
-    def _other_loads(self, fit: Fit) -> Array | None:
-        """Return the loads (nb, 10) of a fit if what scales with them is to be made anew."""
+    def _changed_loads(self, fit: Fit) -> Array | None:
+        """Return the loads (nb, 10) of a fit if load-dependent columns must be recomputed."""
         effects = [term.effect for term in fit.terms if not term.is_body]
         loaded = any(e and "load" in e.depends_on for e in effects)
         if not loaded and not self.case.dataset.gain_uncertainty.any():
             return None
         return fitted_loads(
-            self.case, self.model, fit, self._loaded.get((_names(fit), fit.choice.width))
+            self.case, self.model, fit, self._loads_tried.get((_names_of(fit), fit.choice.width))
         )
 
-    def _simplified(self) -> bool:
-        """Offer finer shapes of one effect for crowded joints; return whether any was new."""
-        if self._named in self._crowded:
+    def _offer_simpler(self) -> bool:
+        """Offer finer shapes of single effects for crowded joints; return whether any is new."""
+        if self._names in self._simplified_for:
             return False
-        self._crowded.add(self._named)
+        self._simplified_for.add(self._names)
         offered = False
         for level in range(LEVELS):
-            single = [term.effect for term in alone(self.model, self.fit) if term.effect]
+            terms = single_replacements(self.model, self.fit)
+            single = [term.effect for term in terms if term.effect]
             finer = [finer_shapes(e, self._grid, self._effects, level)[0] for e in single]
             if any(finer):
                 self._effects += chain.from_iterable(finer)
-                self._anew()
+                self._rebuild()
                 offered = True
         return offered
 
-    def _fades(self) -> bool:
-        """Return whether dry friction fades at other speeds than assumed, as fits the finding."""
-        if len(self._faded) >= _MOST_FADINGS or self._named in self._faded:
+    def _update_fading(self) -> bool:
+        """Update the speeds at which friction fades; return whether they changed."""
+        if len(self._fading_for) >= _MOST_FADINGS or self._names in self._fading_for:
             return False
-        self._faded.add(self._named)
+        self._fading_for.add(self._names)
         speeds = fading_speeds(self.case, self.model, self.fit)
         if speeds is None:
             return False
         faded = replace(self.case.model, fading_speed=speeds)
         self.case = replace(self.case, model=faded)
-        self._anew()
+        self._rebuild()
         return True
 
-    def _is_between(self, fit: Fit) -> bool:
-        """Return whether a joint has a delay of the grid, about which it was not made exact."""
-        return max(fit.choice.delay) >= len(self._tried)
+    def _is_on_delay_grid(self, fit: Fit) -> bool:
+        """Return whether a joint has a delay of the grid that was not refined."""
+        return max(fit.choice.delay) >= len(self._tried_delays)
 
-    def _has_other_delays(self, fit: Fit) -> bool:
-        """Return whether a joint has another delay than those that have columns."""
+    def _has_new_delays(self, fit: Fit) -> bool:
+        """Return whether a joint has a delay without exact columns."""
         seconds, deviations = delays_of(self.model, fit)
-        apart = np.abs(self.case.model.delays + seconds - np.array(self._tried)).min(axis=0)
-        known = np.where(np.isfinite(deviations), deviations, 0.0)
-        return bool(np.any(apart > np.maximum(_OTHER_DELAY * known, _ALIKE * self._step)))
+        delays = self.case.model.delays + seconds
+        differences = np.abs(delays - np.array(self._tried_delays)).min(axis=0)
+        spreads = np.where(np.isfinite(deviations), deviations, 0.0)
+        return bool(np.any(differences > np.maximum(_OTHER_DELAY * spreads, _ALIKE * self._step)))
 
-    def _retimed(self) -> bool:
-        """Advance the efforts by the delay that was found, if it is another one than before."""
+    def _update_delays(self) -> bool:
+        """Advance the efforts by the fitted delays; return whether these changed."""
         delay, model = self.fit.choice.delay, self.case.model
-        if not self._is_timed and delay == self._on_time:
+        if not self._has_fitted_delays and delay == self._on_time:
             return False
-        if not self._has_other_delays(self.fit):
+        if not self._has_new_delays(self.fit):
             return False
         seconds, deviations = delays_of(self.model, self.fit)
         lags = fitted_delays(model.delays + seconds, model.joints)
         kept = [each for each in model.effects if each.effect.parameters]
         self.case = replace(self.case, model=replace(model, effects=(*kept, *lags)))
-        half = 0.25 * self._step if self._is_timed else 0.5 * self._step
+        half = 0.25 * self._step if self._has_fitted_delays else 0.5 * self._step
         grid = np.unique(np.concatenate([self._step * np.arange(-3, 4), [half, -half]]))
         others: list[ArrayLike] = [x for x in grid.tolist() if abs(x) > 1e-12]
-        found = self.case.model.delays
-        known = [delays - found for delays in self._tried]
-        common = common_delay(found - self._origin, deviations)
-        if common is not None:  # joints that show none by themselves may have it, too
+        advanced = self.case.model.delays
+        known = [delays - advanced for delays in self._tried_delays]
+        common = common_delay(advanced - self._origin, deviations)
+        if common is not None:  # joints that show no delay of their own may have it, too
             near = grid[np.abs(grid) <= self._step]
-            others += [self._origin + common + x - found for x in near.tolist()]
+            others += [self._origin + common + x - advanced for x in near.tolist()]
         self._delays = [0.0, *known, *others]
-        self._tried.append(found)
+        self._tried_delays.append(advanced)
         self._on_time = (1,) * len(delay)
-        self._is_timed = True
+        self._has_fitted_delays = True
         return True
 
 
-def _names(fit: Fit) -> Named:
-    """Return what was found, which columns that are made anew do not change."""
+def _names_of(fit: Fit) -> Names:
+    """Return the names of an explanation, independent of its columns."""
     return frozenset(term.effect or term.key for term in fit.terms)

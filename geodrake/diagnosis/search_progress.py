@@ -16,23 +16,23 @@ from geodrake.effects.lookup import effect_of
 
 @dataclass(frozen=True)
 class FoundStep:
-    """A step of a search when it is taken; later steps may change it."""
+    """Step of a search when it is taken; later steps may change it."""
 
-    effect: str  # name of what was found; several joined by " + "; empty if something only went
-    where: tuple[str, ...]  # joints or bodies; of what went, if nothing was found
+    effect: str  # names of added effects, joined by " + "; empty if effects were only removed
+    where: tuple[str, ...]  # joints or bodies; those of removed effects if none was added
     before: float  # held-out nrms before
     after: float  # held-out nrms after
     floor: float  # nrms of the sensor noise; zero if the logs show none
-    instead_of: tuple[str, ...] = ()  # names of what went
-    # Whether the search was stopped here; what was found is being fitted once more.
+    instead_of: tuple[str, ...] = ()  # names of removed effects
+    # Whether the search was stopped here, and only the final fit follows.
     is_last: bool = False
 
 
 Progress = Callable[[FoundStep], None]
-"""Called with each step. It may raise `StopSearch`: what was found by then is the result."""
+"""Callback for each step. It may raise `StopSearch` to return the steps found so far."""
 
 
-def _told(term: Term) -> str:
+def _name(term: Term) -> str:
     return "something unknown" if isinstance(term.effect, UNKNOWN) else term.name
 
 
@@ -40,21 +40,21 @@ def progress_of(model: LogModel, before: Fit, after: Fit) -> FoundStep:
     """Return the step from one explanation to another."""
     data = model.dataset
     deviation = np.where(data.effort_std > 0.0, data.effort_std, np.inf)
-    new = [term for term in after.terms if term not in before.terms]
-    old = [term for term in before.terms if term not in after.terms]
-    names = dict.fromkeys(_told(term) for term in new)
-    gone = tuple(dict.fromkeys(_told(term) for term in old if _told(term) not in names))
+    added = [term for term in after.terms if term not in before.terms]
+    dropped = [term for term in before.terms if term not in after.terms]
+    names = dict.fromkeys(_name(term) for term in added)
+    removed = tuple(dict.fromkeys(_name(term) for term in dropped if _name(term) not in names))
     if after.choice.delay != before.choice.delay:
         names[effect_of(Role.DELAY).name] = None
-    if not names and not gone:
+    if not names and not removed:
         names["bodies"] = None
     errors = np.sqrt(before.variance), np.sqrt(after.variance), data.noise_floor
     first, last, floor = (float(np.sqrt(np.mean(np.square(e / deviation)))) for e in errors)
     return FoundStep(
         " + ".join(names),
-        tuple(dict.fromkeys(name for term in new or old for name in term.where)),
+        tuple(dict.fromkeys(name for term in added or dropped for name in term.where)),
         first,
         last,
         floor,
-        gone,
+        removed,
     )

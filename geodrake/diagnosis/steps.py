@@ -1,4 +1,4 @@
-"""The steps of an explanation: its findings in order, with errors and values."""
+"""Steps of an explanation: its findings in order, with errors and values."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from geodrake.diagnosis.findings import (
     INERTIA,
     Finding,
     StagedFinding,
-    felt,
+    affected_joints,
     late_joints,
     moved_bodies,
     unknown_probabilities,
@@ -23,7 +23,7 @@ from geodrake.diagnosis.findings import (
 from geodrake.diagnosis.posterior import Certainty, nrms_of
 from geodrake.diagnosis.refinements import delays_of
 from geodrake.diagnosis.results import FittedRival, Step
-from geodrake.diagnosis.search import Found
+from geodrake.diagnosis.search import SearchResult
 from geodrake.diagnosis.terms import Term
 from geodrake.effects import FittedEffect, Role
 from geodrake.effects.body_motion import RobotBodies
@@ -39,13 +39,13 @@ Array = NDArray[np.float64]
 Values = dict[str, dict[str, float]]
 
 _SMALL = 1e-4
-"""Share of a change at which what is reported is differentiated."""
-_LEAST_SIZE, _LEAST_DELAY = 1e-6, 1e-9  # deviations of a parameter, and s: less is zero
+"""Relative step of numerical derivatives of reported values."""
+_LEAST_SIZE, _LEAST_DELAY = 1e-6, 1e-9  # deviations of a parameter, and s, that count as zero
 
 
 def steps_of(
     case: Case,
-    found: Found,
+    result: SearchResult,
     start: Hypothesis,
     stages: Sequence[StagedFinding],
     *,
@@ -54,25 +54,25 @@ def steps_of(
 ) -> tuple[Step, ...]:
     """Return the steps from the model refitted within its prior to the final fit.
 
-    `start` is what comes before the first step, and `end` the physically consistent held-out errors
-    of the final fit, at which the last step ends.
+    `start` is the state before the first step, and `end` the held-out errors of the physically
+    consistent final fit.
     """
     hypotheses = [start, *(stage.validated for stage in stages)]
     errors = [*(h.held_out for h in hypotheses[:-1]), fit.held_out]
     tables = [*(error_table(case.dataset, held_out) for held_out in errors[:-1]), end]
-    parts = unknown_probabilities(found, [stage.finding for stage in stages], tables)
+    parts = unknown_probabilities(result, [stage.finding for stage in stages], tables)
     steps = []
     for i, stage in enumerate(stages):
         finding, before, after = stage.finding, tables[i], tables[i + 1]
         certainty, h, last = finding.certainty, stage.validated, i == len(stages) - 1
-        weight = felt(found, finding) / np.maximum(errors[i].mse, np.finfo(float).tiny)
-        values, deviations = _values(found, finding, fit)
-        rivals = _rivals(certainty, finding, found)
+        weight = affected_joints(result, finding) / np.maximum(errors[i].mse, np.finfo(float).tiny)
+        values, deviations = _values(result, finding, fit)
+        rivals = _rivals(certainty, finding, result)
         unknown = parts[i]
         steps.append(
             Step(
                 finding.name,
-                where_of(found, finding, fit.model.phi),
+                where_of(result, finding, fit.model.phi),
                 before.nrms,
                 after.nrms,
                 values,
@@ -84,7 +84,7 @@ def steps_of(
                 after.by_joint(),
                 rivals,
                 unknown,
-                _systematic(found, finding, fit),
+                _systematic(result, finding, fit),
                 () if last else series(h.dataset, h.unknowns, h.held_out, delay=h.delay),
                 None if last else _model(case, h, fit),
             )
@@ -92,15 +92,15 @@ def steps_of(
     return tuple(steps)
 
 
-def _rivals(certainty: Certainty, finding: Finding, found: Found) -> tuple[FittedRival, ...]:
-    own = nrms_of(found.model, found.fit)
+def _rivals(certainty: Certainty, finding: Finding, found: SearchResult) -> tuple[FittedRival, ...]:
+    nrms = nrms_of(found.model, found.fit)
     return tuple(
         FittedRival(
             rival.effect,
             rival.where,
             (finding.name,),
             rival.nrms,
-            own,
+            nrms,
             rival.probability / max(rival.probability + certainty.probability, 1e-300),
             rival.probability / max(certainty.probability, 1e-300),
         )
@@ -109,55 +109,56 @@ def _rivals(certainty: Certainty, finding: Finding, found: Found) -> tuple[Fitte
 
 
 def _model(case: Case, after: Hypothesis, fit: ModelFit) -> RobotModel:
-    """Return the model after a step, efforts as late as they are in the end."""
-    late = tuple(each for each in fit.model.effects if each.effect.role is Role.DELAY)
+    """Return the model after a step, with the final delays."""
+    delays = tuple(each for each in fit.model.effects if each.effect.role is Role.DELAY)
     model = with_settled_effects(searched_model(case.model, after))
-    return replace(model, effects=(*model.effects, *late))
+    return replace(model, effects=(*model.effects, *delays))
 
 
-def _values(found: Found, finding: Finding, fit: ModelFit) -> tuple[Values, Values]:
+def _values(result: SearchResult, finding: Finding, fit: ModelFit) -> tuple[Values, Values]:
     """Return place -> parameter -> value, and the same of standard deviations, SI units."""
     if finding.name == INERTIA:
         masses = dict(zip(fit.model.bodies, fit.model.phi[:, 0].tolist(), strict=True))
-        moved = moved_bodies(found.case, fit.model.phi, finding)
+        moved = moved_bodies(result.case, fit.model.phi, finding)
         return {b: {"mass": masses[b], "distance_from_prior": d} for b, d in moved.items()}, {}
     if finding.name == DELAY:
-        _, spread = delays_of(found.model, found.fit)
-        joints = found.model.dataset.joints
-        at = {joint: joints.index(joint) for joint in late_joints(found)} or {"all joints": 0}
+        _, spread = delays_of(result.model, result.fit)
+        joints = result.model.dataset.joints
+        joint_of = {joint: joints.index(joint) for joint in late_joints(result)}
+        joint_of = joint_of or {"all joints": 0}
         delays = fit.model.delays
-        values = {place: {"delay": float(delays[j])} for place, j in at.items()}
-        return values, {place: {"delay": float(spread[j])} for place, j in at.items()}
+        values = {place: {"delay": float(delays[j])} for place, j in joint_of.items()}
+        return values, {place: {"delay": float(spread[j])} for place, j in joint_of.items()}
     values, deviations = Values(), Values()
     for fitted in _fitted_of(finding, fit):
-        own, unsure = _reported(fitted, fit.model.bodies_at_rest)
-        values.setdefault(fitted.effect.place, {}).update(own)
-        deviations.setdefault(fitted.effect.place, {}).update(unsure)
+        reported, spreads = _reported(fitted, fit.model.bodies_at_rest)
+        values.setdefault(fitted.effect.place, {}).update(reported)
+        deviations.setdefault(fitted.effect.place, {}).update(spreads)
     return values, deviations
 
 
-def _systematic(found: Found, finding: Finding, fit: ModelFit) -> Values:
-    """Return what gains of efforts and what is unexplained add to deviations of parameters."""
+def _systematic(result: SearchResult, finding: Finding, fit: ModelFit) -> Values:
+    """Return deviations of parameters by effort gains and unexplained errors."""
     values = Values()
     for fitted in _fitted_of(finding, fit):
         effect, span = fitted.effect, fit.unknowns.span(fitted.effect)
         shifts = [_factor(fit.unexplained_covariance[span, span])]
         if effect.role is not Role.SCALE:
-            gains = _factor(found.model.gain_moments(found.fit))
+            gains = _factor(result.model.gain_moments(result.fit))
             shifts.append(gains @ fit.gain_shifts[:, span])
-        # What is not known of the delay and damping of a joint's servo is not known of these.
+        # Uncertainty of a servo's delay and damping is uncertainty of these effects.
         for place in effect.where:
-            signal = signal_of(found.case.model.effort_signals, place)
+            signal = signal_of(result.case.model.effort_signals, place)
             if signal is not None and effect.name in signal.effect_deviations:
                 shifts.append(np.array([[signal.effect_deviations[effect.name]]]))
-        if any(each.any() for each in shifts):
-            own = _deviations_by(fitted, np.concatenate(shifts), fit.model.bodies_at_rest)
-            values.setdefault(effect.place, {}).update(own)
+        if any(shift.any() for shift in shifts):
+            extra = _deviations_by(fitted, np.concatenate(shifts), fit.model.bodies_at_rest)
+            values.setdefault(effect.place, {}).update(extra)
     return values
 
 
 def vanished(case: Case, finding: Finding, fit: ModelFit) -> Sequence[Term] | None:
-    """Return the terms of a finding that are zero in the final fit; None if nothing is.
+    """Return the terms of a finding that are zero in the final fit; None if there is none.
 
     A delay has no terms. A term of the model itself is a change of its value, which may be to zero.
     """
@@ -180,7 +181,7 @@ def _fitted_of(finding: Finding, fit: ModelFit) -> list[FittedEffect]:
 def _reported(
     fitted: FittedEffect, bodies: RobotBodies
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Return values and standard deviations of what an effect reports, by name, SI units."""
+    """Return reported values and standard deviations of an effect, by name, SI units."""
     fitted = settled_effect(fitted, bodies)
     unknown = np.full(len(fitted.parameters), np.nan)
     deviations = unknown if fitted.deviations is None else fitted.deviations
@@ -188,12 +189,10 @@ def _reported(
 
 
 def _deviations_by(fitted: FittedEffect, shifts: Array, bodies: RobotBodies) -> dict[str, float]:
-    """Return standard deviations of what an effect reports that do not come from noise.
+    """Return first-order deviations of an effect's reported values by causes other than noise.
 
-    To first order, as the shifts are; shapes and what else has no deviation are left out.
-
-    `shifts` (s, k) are what its parameters change by with each of s independent causes, such as the
-    gain of a joint's efforts that is off by one standard deviation.
+    `shifts` (s, k) are the changes of its parameters by s independent causes, such as a gain that
+    is off by one standard deviation. Values without a deviation, such as shapes, are left out.
     """
     values, deviations = _reported(fitted, bodies)
     squares = {name: 0.0 for name in values if name in deviations}
@@ -205,6 +204,6 @@ def _deviations_by(fitted: FittedEffect, shifts: Array, bodies: RobotBodies) -> 
 
 
 def _factor(covariance: Array) -> Array:
-    """Return (k, k) independent shifts, row by row, that have a covariance (k, k)."""
+    """Return (k, k) independent shifts as rows, with a covariance (k, k)."""
     values, axes = np.linalg.eigh(covariance)
     return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * axes.T)

@@ -1,4 +1,4 @@
-"""Terms that a model may lack, each with columns, a prior and prior odds."""
+"""Candidate terms of an explanation, with their columns, priors and prior odds."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ from geodrake.robot.joints import joints_of
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Key = tuple[str, tuple[str, ...]]
-"""Name and place of an effect; one of an episode is of one log, and about an instant of it."""
+"""Name and place of an effect; that of an episode includes its log and time."""
 
-_REACH = 2.0  # of a tool, over that of a dataset's payload: two thirds of the size of a link
-_COMPACT = np.repeat([1.0, 0.5, 0.25], [1, 3, 6])  # parameters at half the width
-_SPREAD = 2.0 / 3.0  # of a load's inertia about an axis, over its mass times its square distance
+_REACH = 2.0  # of a tool's center of mass, over that of the dataset's payload
+_COMPACT = np.repeat([1.0, 0.5, 0.25], [1, 3, 6])  # factors of a payload of half the size
+_SPREAD = 2.0 / 3.0  # inertia of a load about an axis, over its mass times squared distance
 _USUAL = -3
-"""Index of the payload that an inner body may carry, ordered by mass, then by width."""
+"""Index of the prior of a payload on an inner body, in the order of mass, then size."""
 _PHYSICAL = 0.1
-"""Share of the prior of a payload that is physical, by the geometric metric: of any mass."""
+"""Share of a payload's prior that is physical, for any mass."""
 _FURTHEST = 3.0
-"""A parameter may be this many deviations below its usual value: below that a smaller shape is the
-right one. The smallest shape has no such bound."""
+"""Largest number of deviations by which a parameter may be below its usual value. Smaller values
+belong to a smaller shape; the smallest shape has no such bound."""
 
 
 @dataclass(frozen=True)
@@ -49,39 +49,39 @@ class Price:
     """Prior odds against an effect of one kind at a place."""
 
     name: str
-    first: float  # twice the logarithm of the odds against it in a robot that has it nowhere
-    again: float  # the same in a robot that has it elsewhere, apart from the odds of its joints
-    joint: str = ""  # that has it, where that says something of others
-    joints: int = 0  # how many may have it; 0 where that says nothing of others
+    first: float  # twice the log-odds against it in a robot without such an effect
+    again: float  # the same in a robot with one elsewhere, without the odds of its joints
+    joint: str = ""  # its joint, if other joints are likely to have it too
+    joints: int = 0  # number of joints that may have it; 0 if joints are independent
 
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """Something that a model may lack at one place: an effect, or a wrong body."""
+    """A candidate that a model may lack at one place: an effect, or a wrong body."""
 
     name: str
     where: tuple[str, ...]
-    effect: Effect | None  # the effect; None for a body that is wrong
+    effect: Effect | None  # the effect; None for a wrong body
     columns: Indices  # (k,) its columns in the dataset
     mean: Array  # (k,) prior mean of its parameters
-    information: Array  # (k, k) their prior information
-    price: Price  # its own
-    parts: tuple[Price, ...]  # of what it contains, with fewer parameters
-    positive: Indices  # which of its parameters cannot be negative, nor far below a usual value
-    says: frozenset[Key]  # names and places of what it contains, itself included
-    # Sets of such keys, one of which must be there already; none for most.
+    information: Array  # (k, k) prior information
+    price: Price  # prior odds against it
+    parts: tuple[Price, ...]  # prices of contained effects with fewer parameters
+    positive: Indices  # indices of its parameters with lower bounds
+    covers: frozenset[Key]  # keys of itself and of contained effects
+    # Alternative sets of keys, one of which must be present.
     needs: tuple[frozenset[Key], ...] = ()
-    is_own: bool = False  # whether the model has the effect, whose values may be others by now
-    is_least: bool = False  # whether no smaller shape of the effect is tried there
+    is_own: bool = False  # whether the model has the effect, whose values may have changed
+    is_least: bool = False  # whether it is the smallest shape of the effect at its place
 
     def __repr__(self) -> str:
         return f"{self.name}@{'+'.join(self.where)}"
 
     @cached_property
     def log_information(self) -> float:
-        """Log |Λ| of the prior, by what is left of it where things are as they must be."""
+        """Log |Λ| of the prior, normalized over the values within bounds."""
         share = _PHYSICAL if self.is_whole else float(np.prod(ndtr(self._reach)))
-        if len(self.information) == 1:  # as of most
+        if len(self.information) == 1:  # the common case
             return float(np.log(self.information[0, 0]) - 2.0 * np.log(share))
         return float(np.linalg.slogdet(self.information)[1]) - 2.0 * float(np.log(share))
 
@@ -96,7 +96,7 @@ class Term:
 
     @property
     def _reach(self) -> Array:
-        """(b,) how many deviations below their mean `positive` parameters may be."""
+        """(b,) largest number of deviations of `positive` parameters below their mean."""
         far = self.mean[self.positive] / self._spread
         return far if self.is_body or self.is_least else np.minimum(far, _FURTHEST)
 
@@ -107,42 +107,42 @@ class Term:
 
     @cached_property
     def key(self) -> Key:
-        """Its name and place."""
+        """Return its name and place."""
         return (self.name, self.where) if self.effect is None else key_of(self.effect)
 
     @cached_property
     def is_body(self) -> bool:
-        """Return whether it moves ten inertial parameters: a payload, or a body that is wrong."""
+        """Return whether it has ten inertial parameters: a payload, or a wrong body."""
         return self.effect is None or is_payload(self.effect)
 
     @cached_property
     def is_whole(self) -> bool:
-        """Return whether it is a payload that the model lacks, which must be physical."""
+        """Return whether it is an additional payload, which must be physical."""
         return self.effect is not None and is_body(self.effect) and len(self.positive) > 0
 
     @cached_property
     def joint(self) -> str | None:
-        """Return the joint whose own motion it is a function of; None for all others."""
-        own = self.effect is not None and self.effect.places == "joint"
-        return self.where[0] if own else None
+        """Return the joint if it depends on that joint's motion only; None otherwise."""
+        is_of_joint = self.effect is not None and self.effect.places == "joint"
+        return self.where[0] if is_of_joint else None
 
     @cached_property
     def contains(self) -> frozenset[Key]:
-        """Names and places of what it replaces."""
-        return self.says - {self.key}
+        """Return the keys of effects that it replaces."""
+        return self.covers - {self.key}
 
 
 def is_expandable(effect: Effect) -> bool:
-    """Return whether the columns of an effect are slopes about a point that may be moved."""
+    """Return whether an effect's columns are slopes about an expansion point."""
     return type(effect).expanded_about is not Effect.expanded_about
 
 
 def key_of(effect: Effect, kind: type[Effect] | None = None) -> Key:
-    """Return the key of an effect, or of one of another kind at its place."""
+    """Return the key of an effect, or of another kind at its place."""
     when = [str(effect.window[3])] if isinstance(effect, Episode) else []
     if isinstance(effect, CURVES):
         when.append(effect.curve.words())
-    if isinstance(effect, PointEpisode):  # of which a log may have several
+    if isinstance(effect, PointEpisode):  # a log may have several
         when.append(f"{0.5 * (effect.start + effect.end):.0f} s")
     return (kind or effect).name, (*effect.where, *when)
 
@@ -150,11 +150,11 @@ def key_of(effect: Effect, kind: type[Effect] | None = None) -> Key:
 def terms_of(
     model: RobotModel, dataset: Dataset, effects: Sequence[Effect], beliefs: Beliefs
 ) -> tuple[Term, ...]:
-    """Return what a model may lack: some effects, and every body being wrong."""
+    """Return the terms of some effects, and of every body being wrong."""
     places: dict[type[Effect], set[tuple[str, ...]]] = {}
     for effect in effects:
         places.setdefault(type(effect), set()).add(effect.where)
-    sizes, terms, own = _column_sizes(dataset), list[Term](), {f.effect for f in model.effects}
+    sizes, terms, fitted = _column_sizes(dataset), list[Term](), {f.effect for f in model.effects}
     smallest = dict[tuple[type[Effect], tuple[str, ...]], float]()
     for effect in effects:
         key = type(effect), effect.where
@@ -163,7 +163,7 @@ def terms_of(
     sides, loads = _square_reaches(model), dict[tuple[float, bool], list[tuple[Array, Array]]]()
     priced = list[tuple[Effect, list[tuple[Array, Array]], Price]]()
     for effect in effects:
-        everywhere, is_own = places[type(effect)], effect in own
+        everywhere, is_own = places[type(effect)], effect in fitted
         if is_body(effect):
             side = sides.get(effect.where[0], 0.0)
             last = effect.where[0] in model.load_bodies
@@ -180,37 +180,38 @@ def terms_of(
             odds = float(len(everywhere) * len(slabs))
             usual = np.array([parameter.usual for parameter in effect.parameters])
             priors = [(usual, slab) for slab in slabs]
-            if is_own:  # what a file states is as likely wrong as right
+            if is_own:  # the values in a file are as likely wrong as right
                 odds = 1.0 if model.information is None else odds * beliefs.fitted
-        # What motors and gears do at one joint is likely at others; a spring, or an effect at a
-        # pair or a body, says little about others.
+        # Effects of motors and gears at one joint are likely at others; springs and effects at a
+        # pair or a body are not.
         likely = effect.places == "joint" and not is_body(effect) and not _is_spring(effect)
         peers = len(everywhere) if likely else 0
-        if peers:  # where it is counts with all that are there
+        if peers:  # `_odds_of_joints` adds the odds of the set
             odds /= peers**2 if is_own else peers
         priced.append((effect, priors, _price(effect, odds, beliefs, peers)))
-    known = {(type(effect), effect.where) for effect in own}
+    fitted_keys = {(type(effect), effect.where) for effect in fitted}
     prices = {(type(e), e.where): price for e, _, price in priced}
     for effect, priors, price in priced:
-        is_own, count = effect in own, len(effect.parameters)
+        is_own, count = effect in fitted, len(effect.parameters)
         fewer = [kind for kind in effect.contains if len(kind.parameters) < count and not is_own]
         inside = [(kind, effect.where) for kind in fewer]
-        parts = tuple(prices[at] for at in inside if at in prices and at not in known)
+        parts = tuple(prices[at] for at in inside if at in prices and at not in fitted_keys)
         bounded = [k for k, p in enumerate(effect.parameters) if p.lower == 0.0]
         bounded = [0] if is_body(effect) else bounded
-        least = np.array([] if is_own else bounded, np.intp)  # what a model has may have shrunk
-        says = frozenset(key_of(effect, kind) for kind in (None, *effect.contains))
+        least = np.array([] if is_own else bounded, np.intp)  # a known effect may have shrunk
+        covers = frozenset(key_of(effect, kind) for kind in (None, *effect.contains))
         needs = tuple(frozenset((e.name, effect.where) for e in bases) for bases in effect.refines)
         is_least = _first_shape(effect) == smallest[type(effect), effect.where]
-        what = effect.name, effect.where, effect, dataset.effect_columns(effect)
+        identity = effect.name, effect.where, effect, dataset.effect_columns(effect)
         terms += [
-            Term(*what, *p, price, parts, least, says, needs, is_own, is_least) for p in priors
+            Term(*identity, *p, price, parts, least, covers, needs, is_own, is_least)
+            for p in priors
         ]
     return (*terms, *_wrong_bodies(model, dataset, beliefs))
 
 
 def _first_shape(effect: Effect) -> float:
-    """Return the first shape of an effect; infinite where it has none that is a number."""
+    """Return the first shape of an effect; infinity if it has no numeric shape."""
     value = getattr(effect, effect.shapes[0].name) if effect.shapes else None
     return float(value) if isinstance(value, int | float) else np.inf
 
@@ -220,9 +221,9 @@ def _load_priors(
 ) -> list[tuple[Array, Array]]:
     """Return prior means (10,) and informations (10, 10) of a body's payloads, light to heavy.
 
-    Each mass comes with the width of the usual `load` (10,) and with half of it. Where limbs branch
-    off farther away, at a mean `square` distance, m², that width takes the place of the half. What
-    the model has already (`is_own`) may have changed either way.
+    Each mass comes with the size of the usual `load` (10,) and with half of it. If limbs branch off
+    at a larger mean squared distance (m², `square`), a payload of that size replaces the half-size
+    one. A payload of the model (`is_own`) may have changed either way.
     """
     shapes, wide = [load * _COMPACT, load], load.copy()
     wide[4:7] = np.maximum(load[4:7], _SPREAD * load[0] * square)
@@ -234,11 +235,11 @@ def _load_priors(
 
 
 def _square_reaches(model: RobotModel) -> dict[str, float]:
-    """Return for each body from which limbs branch, such as a trunk, their mean square distance.
+    """Return the mean squared distance of limbs from each body with several limbs, such as a trunk.
 
     Distances, m², are those of the limbs' joints from Bo.
     """
-    found = dict[str, float]()
+    reaches = dict[str, float]()
     for lump in lumped_bodies(model.plant):
         frames = {member.index: member.X_RB for member in lump.members}
         limbs = [
@@ -248,12 +249,12 @@ def _square_reaches(model: RobotModel) -> dict[str, float]:
             if joint.parent_body().index() in frames and joint.num_velocities()
         ]
         if len(limbs) > 1 and lump.name in model.load_bodies:
-            found[lump.name] = float(np.mean(np.square(limbs).sum(axis=1)))
-    return found
+            reaches[lump.name] = float(np.mean(np.square(limbs).sum(axis=1)))
+    return reaches
 
 
 def _slabs(effect: Effect, sizes: Array, beliefs: Beliefs) -> list[Array]:
-    """Prior informations (k, k) of parameters whose columns have sizes (k,): each is tried."""
+    """Return candidate prior informations (k, k) of parameters with column RMS `sizes` (k,)."""
     spread = np.array([parameter.spread for parameter in effect.parameters])
     shares = [np.full(len(sizes), beliefs.size)]
     if isinstance(effect, UnknownFunction):
@@ -271,11 +272,11 @@ def _slabs(effect: Effect, sizes: Array, beliefs: Beliefs) -> list[Array]:
 _IN_MANY = Proposer.WAVES, Proposer.HANDLING
 """Proposers of effects of one of many orders or instants."""
 _ODD_SHAPE = 4.0
-"""Price of an exponent that is no multiple of one half, as those of laws are."""
+"""Price of an exponent that is not a multiple of one half, unlike those of physical laws."""
 
 
 def _price(effect: Effect, odds: float, beliefs: Beliefs, peers: int) -> Price:
-    """Return the price of an effect, by the odds of its place."""
+    """Return the price of an effect, given the odds of its place."""
     exponent = effect.shape.get("exponent")
     odd = isinstance(exponent, float) and not (2.0 * exponent).is_integer()
     shape = beliefs.order if effect.proposer in _IN_MANY else beliefs.shape
@@ -286,12 +287,12 @@ def _price(effect: Effect, odds: float, beliefs: Beliefs, peers: int) -> Price:
 
 
 def _is_spring(effect: Effect) -> bool:
-    """Return whether an effect is one of the position alone that is put on a joint, as springs."""
+    """Return whether an effect depends only on the position of a joint, like a spring."""
     return effect.depends_on == {"q"} and effect.proposer is not Proposer.WAVES
 
 
 def _wrong_bodies(model: RobotModel, dataset: Dataset, beliefs: Beliefs) -> list[Term]:
-    """Return the terms of each body being wrong alone, by each of some widths."""
+    """Return the terms of each single body being wrong, for each prior width."""
     kind = effect_of(Role.INERTIA)
     odds = 2.0 * (
         np.log(len(model.bodies) * len(beliefs.free)) + kind.complexity * np.log(beliefs.rarer)
@@ -302,18 +303,18 @@ def _wrong_bodies(model: RobotModel, dataset: Dataset, beliefs: Beliefs) -> list
         metric = pullback_information(model.phi, width)
         for k, body in enumerate(model.bodies):
             at = PARAMETERS_PER_BODY * k + np.arange(PARAMETERS_PER_BODY)
-            says, own = frozenset({(kind.name, (body,))}), metric[np.ix_(at, at)]
-            # A last body is rarely wrong by itself: it holds something.
+            covers, own = frozenset({(kind.name, (body,))}), metric[np.ix_(at, at)]
+            # A last body is rarely wrong by itself: more likely it carries a payload.
             against = odds + (2.0 * np.log(beliefs.inner) if body in model.load_bodies else 0.0)
             price = Price(kind.name, float(against), float(against))
-            terms.append(Term(kind.name, (body,), None, at, zero, own, price, (), none, says))
+            terms.append(Term(kind.name, (body,), None, at, zero, own, price, (), none, covers))
     return terms
 
 
 def _column_sizes(dataset: Dataset) -> Array:
-    """Return (p,) largest RMS of every column, over that of the joint's effort.
+    """Return the RMS (p,) of every column relative to its joint's effort; the largest over joints.
 
-    Where nothing drives a joint, its effort is what its motion needs.
+    The effort of a joint without a motor is the effort that its motion needs.
     """
     width = 1 + max(int(data.columns.max(initial=0)) for data in dataset.data)
     sizes = np.zeros(width)
@@ -335,75 +336,77 @@ def names_and_places(terms: Iterable[Term]) -> tuple[str, tuple[str, ...]]:
     return " + ".join(dict.fromkeys(names)), tuple(dict.fromkeys(places))
 
 
-Ways = list[list[int]]
-"""Sets of what is needed, one of which must be there: each as terms that say it, as bits."""
+Options = list[list[int]]
+"""Alternative requirements: each is a list of bit sets, of which one term must be present."""
 
 
 class Compatibility:
-    """Which terms may stand together, beside what a model has: sets of terms as bits.
+    """Compatibility of terms with each other and with the model's effects, by bit sets of terms.
 
-    Each place may be taken once, by an effect or by one that contains it, and what an effect needs
-    must be there. What a body holds for a while and what it pushes against meanwhile are
-    alternatives. `known` are the keys of what the model has.
+    Each place can be taken once, by an effect or by one that contains it, and the effects that a
+    term refines must be present. A payload during an episode and a simultaneous contact of the body
+    are alternatives. `known` are the keys of the model's effects.
     """
 
     def __init__(self, terms: Terms, known: frozenset[Key]) -> None:
         self._bit = {term: 1 << k for k, term in enumerate(terms)}
-        at, containing, bodies, says = (defaultdict[Any, int](int) for _ in range(4))
+        at, containing, bodies, covers = (defaultdict[Any, int](int) for _ in range(4))
         for term, bit in self._bit.items():
             at[term.key] |= bit
             for key in term.contains:
                 containing[key] |= bit
-            for key in term.says:
-                says[key] |= bit
+            for key in term.covers:
+                covers[key] |= bit
             if term.is_body:
                 bodies[term.where] |= bit
         episodes = {term for term in terms if isinstance(term.effect, Episode)}
-        self._against, self._needs = dict[Term, int](), dict[Term, Ways]()
+        self._against, self._needs = dict[Term, int](), dict[Term, Options]()
         for term in terms:
             against = at[term.key] | containing[term.key]
             against |= reduce(or_, (at[key] for key in term.contains), 0)
             against |= bodies[term.where] if term.is_body else 0
-            alike = (
-                [self._bit[o] for o in episodes if _is_alike(term, o)] if term in episodes else []
+            overlapping = (
+                [self._bit[o] for o in episodes if _overlaps(term, o)] if term in episodes else []
             )
-            against |= reduce(or_, alike, 0)
+            against |= reduce(or_, overlapping, 0)
             self._against[term] = -1 if term.key in known and not term.is_own else against
             if term.needs:
-                self._needs[term] = [[says[key] for key in way - known] for way in term.needs]
+                self._needs[term] = [
+                    [covers[key] for key in option - known] for option in term.needs
+                ]
 
     def holds(self, terms: Iterable[Term]) -> bool:
-        """Return whether terms may stand together."""
-        return bool(self.beside((), [tuple(terms)]))
+        """Return whether terms are compatible."""
+        return bool(self.filter((), [tuple(terms)]))
 
-    def beside(self, rest: Iterable[Term], packages: Iterable[Terms]) -> list[Terms]:
-        """Return the packages of terms that may stand beside the rest."""
-        present, needing = 0, list[Ways]()
+    def filter(self, rest: Iterable[Term], packages: Iterable[Terms]) -> list[Terms]:
+        """Return the packages of terms that are compatible with the rest."""
+        present, needing = 0, list[Options]()
         for term in rest:
             if self._against[term] < 0 or self._against[term] & present:
                 return []
             present |= self._bit[term]
             needing += [self._needs[term]] if term in self._needs else []
-        needing = [ways for ways in needing if not _is_met(ways, present)]
-        return [each for each in packages if self._may_come(each, present, needing)]
+        needing = [options for options in needing if not _is_met(options, present)]
+        return [each for each in packages if self._fits(each, present, needing)]
 
-    def _may_come(self, come: Terms, present: int, needing: list[Ways]) -> bool:
+    def _fits(self, added: Terms, present: int, needing: list[Options]) -> bool:
         needs = needing
-        for term in come:
+        for term in added:
             if self._against[term] < 0 or self._against[term] & present:
                 return False
             present |= self._bit[term]
             if term in self._needs:
                 needs = [*needs, self._needs[term]]
-        return not needs or all(_is_met(ways, present) for ways in needs)
+        return not needs or all(_is_met(options, present) for options in needs)
 
 
-def _is_alike(one: Term, other: Term) -> bool:
-    """Return whether two episodes of a body are there at about the same time of a log."""
-    a, b = one.effect, other.effect
-    if not isinstance(a, Episode) or not isinstance(b, Episode) or one.where[0] != other.where[0]:
+def _overlaps(term: Term, other: Term) -> bool:
+    """Return whether two episodes of a body overlap mostly in time."""
+    a, b = term.effect, other.effect
+    if not isinstance(a, Episode) or not isinstance(b, Episode) or term.where[0] != other.where[0]:
         return False
-    if one is other or one.key == other.key or not a.is_of(b.window[3]):
+    if term is other or term.key == other.key or not a.is_of(b.window[3]):
         return False
     (start, end), (other_start, other_end) = a.window[:2], b.window[:2]
     if start is None or end is None or other_start is None or other_end is None:
@@ -412,14 +415,14 @@ def _is_alike(one: Term, other: Term) -> bool:
     return 2.0 * shared > max(end, other_end) - min(start, other_start)
 
 
-def _is_met(ways: Ways, present: int) -> bool:
-    return any(all(present & key for key in way) for way in ways)
+def _is_met(options: Options, present: int) -> bool:
+    return any(all(present & key for key in option) for option in options)
 
 
 def odds_against(terms: Iterable[Term]) -> float:
-    """Return twice the logarithm of the prior odds against terms.
+    """Return twice the log prior odds against terms.
 
-    A joint also has what its terms contain: that counts where other joints have it.
+    A joint also counts as having the effects that its terms contain, if other joints have them.
     """
     terms, total = tuple(terms), 0.0
     joints, most = dict[str, set[str]](), dict[str, int]()
@@ -436,28 +439,28 @@ def odds_against(terms: Iterable[Term]) -> float:
         for part in term.parts:
             if part.name in joints:
                 joints[part.name].add(part.joint)
-    return total + _odds_of_joints([(found, most[name]) for name, found in joints.items()])
+    return total + _odds_of_joints([(places, most[name]) for name, places in joints.items()])
 
 
 def _odds_of_joints(kinds: Sequence[tuple[set[str], int]]) -> float:
-    """Return twice the logarithm of the odds against kinds being at some joints, of so many each.
+    """Return twice the log-odds against kinds at sets of joints, with numbers of possible joints.
 
-    Any number of joints is as likely as any other, and so are all sets of as many. Beside a kind
-    that more joints have, another is at some of these only with a probability of one half: a motor
-    or gear that rubs in one way rubs in others.
+    All numbers of joints are equally likely, and so are all sets of one size. If another kind is at
+    more joints, a kind is at some of these only with probability 1/2, as a motor or gear with one
+    kind of friction often has others.
     """
-    total, others = 0.0, list[set[str]]()
-    for found, most in sorted(kinds, key=lambda each: -len(each[0])):
-        share = _share(most, len(found))
-        if others:
-            alike = sum(_share(len(other), len(found)) for other in others if found <= other)
-            share = 0.5 * (share + alike / len(others))
+    total, previous = 0.0, list[set[str]]()
+    for joints, most in sorted(kinds, key=lambda each: -len(each[0])):
+        share = _share(most, len(joints))
+        if previous:
+            nested = sum(_share(len(other), len(joints)) for other in previous if joints <= other)
+            share = 0.5 * (share + nested / len(previous))
         total -= 2.0 * log(share)
-        others.append(found)
+        previous.append(joints)
     return total
 
 
 @cache
 def _share(most: int, count: int) -> float:
-    """Return the probability of some joints, where any number of `most` is as likely as another."""
+    """Return the probability of `count` of `most` joints, if all counts are equally likely."""
     return 1.0 / (most * comb(most, count))

@@ -1,4 +1,4 @@
-"""A base that is mounted otherwise than the model says, as on a wall or a ceiling."""
+"""Detection of a base that is mounted differently from the model, such as on a wall or ceiling."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from geodrake.model.carried_payloads import carrying
 
 Array = NDArray[np.float64]
 
-_POSES = 400  # of each log at which gravity is looked at
-_LEAST = 0.5  # rad; turns of less are found from the slope about the model's gravity
-_LEAST_MOVED = 4.0  # degrees; gains that are off by 20 % look like half of it
-_OTHER_SIZE = 0.3  # by which gravity may seem larger or smaller, as bodies and gains are off
-_SHARE = 0.5  # of the squared errors that friction and rotors leave
-_START = 2.0  # rad, about each axis in turn, from where a turn is looked for
-_ALIKE = 1e-6  # half of the squared distance of two directions that are the same
+_POSES = 400  # of each log
+_LEAST = 0.5  # rad; smaller turns are found by linearization about the model's gravity
+_LEAST_MOVED = 4.0  # degrees; gain errors of 20 % look like half of it
+_OTHER_SIZE = 0.3  # relative error of gravity's magnitude, due to errors of bodies and gains
+_SHARE = 0.5  # least share of the squared errors that gravity must explain
+_START = 2.0  # rad, initial turns about each axis
+_ALIKE = 1e-6  # half of the squared distance of equal directions
 
 
 def turned_bases(case: Case, effects: Iterable[Effect]) -> dict[Effect, Effect]:
-    """Return those effects that turn gravity, far turned if that explains most errors.
+    """Return effects that turn gravity -> the same with large turns that explain most errors.
 
     Efforts are linear in gravity, but not in large angles: upside down, a small turn to either side
-    changes nothing. A model that is turned already keeps its effect, which is fitted along.
+    changes nothing. A model with such an effect keeps it, as the fit includes it.
     """
     turning = [effect for effect in effects if _turns(effect)]
     if not turning or any(map(_turns, effects_of(case.model))):
@@ -43,19 +43,19 @@ def turned_bases(case: Case, effects: Iterable[Effect]) -> dict[Effect, Effect]:
 
 
 def moved_base_notes(case: Case) -> list[str]:
-    """Return a note on a model with an effect that turns gravity, if the base stands otherwise.
+    """Return a note if a model has a turned base, and the logs show another direction of gravity.
 
-    Its angles are known from other logs, and do not follow.
+    The angles are known from other logs, and the fit would hardly change them.
     """
     turning = [f for f in case.model.effects if _turns(f.effect)]
     if len(turning) != 1 or (felt := _felt(case)) is None:
         return []
-    (own,) = turning
+    (fitted,) = turning
     angle = np.degrees(_angle(felt, _gravity(case)))
     if angle < _LEAST_MOVED:
         return []
     return [
-        f"these logs show gravity {angle:.0f}° from where the model's {own.effect.name} has it: "
+        f"these logs show gravity {angle:.0f}° away from the model's {fitted.effect.name}: "
         "if the base was moved, explain them with the model without that effect"
     ]
 
@@ -65,7 +65,7 @@ def _turns(effect: Effect) -> bool:
 
 
 def _gravity(case: Case) -> Array:
-    """Return the gravity of a model with its effects (3,), m/s²."""
+    """Return the gravity (3,) of a model with its effects, m/s²."""
     gravity, bodies = case.model.tree.gravity, case.model.bodies_at_rest
     for fitted in case.model.effects:
         if _turns(fitted.effect):
@@ -76,7 +76,7 @@ def _gravity(case: Case) -> Array:
 
 
 def _felt(case: Case) -> Array | None:
-    """Return gravity (3,), m/s², as another one would explain most errors; None if none would."""
+    """Return the gravity (3,) that explains most errors, m/s²; None if a change does not."""
     if not _is_fixed(case):
         return None
     change, removed = _change_of_gravity(case)
@@ -95,25 +95,25 @@ def _angle(one: Array, other: Array) -> float:
 
 
 def _turned(effect: Effect, felt: Array, bodies: RobotBodies) -> Effect:
-    """Return an effect under which gravity points as it is felt (3,), or nearly."""
-    size, wanted = float(np.linalg.norm(bodies.gravity)), felt / np.linalg.norm(felt)
+    """Return an effect that turns gravity to the direction of `felt` (3,), or close to it."""
+    size, direction = float(np.linalg.norm(bodies.gravity)), felt / np.linalg.norm(felt)
 
-    def apart(parameters: Array) -> Array:
+    def error(parameters: Array) -> Array:
         turned = effect.expanded_about(parameters, bodies).gravity_of_bodies(bodies.gravity)
-        return (bodies.gravity if turned is None else turned) / size - wanted
+        return (bodies.gravity if turned is None else turned) / size - direction
 
     starts = _START * np.eye(len(effect.parameters))
-    tried = [least_squares(apart, start) for start in (*starts, *-starts)]
-    least = min(each.cost for each in tried) + _ALIKE
-    found = [each.x for each in tried if each.cost <= least]  # whole turns further are the same
-    return effect.expanded_about(min(found, key=np.linalg.norm), bodies)
+    fits = [least_squares(error, start) for start in (*starts, *-starts)]
+    least = min(fit.cost for fit in fits) + _ALIKE
+    best = [fit.x for fit in fits if fit.cost <= least]  # whole turns further are the same
+    return effect.expanded_about(min(best, key=np.linalg.norm), bodies)
 
 
 def _change_of_gravity(case: Case) -> tuple[Array, float]:
-    """Return the change of gravity (3,) that explains the model's errors best, m/s².
+    """Return the change of gravity (3,) that explains the model's errors best, m/s², and its share.
 
-    The second result is the share of their squares that it explains, of what is left by friction,
-    a rotor and an offset of each joint.
+    The share is of the squared errors that are left by friction, a rotor and an offset of each
+    joint.
     """
     parts = list[tuple[Array, Array]]()
     widths = sign_widths(case.load_model, case.trajectories)
@@ -121,9 +121,9 @@ def _change_of_gravity(case: Case) -> tuple[Array, float]:
         robot = carrying(case.load_model, log.payloads)
         step = max(1, sum(map(len, log.segments)) // _POSES)
         for segment in log.segments:
-            some = segment[::step]
-            motion = motion_of(some, robot, log)
-            left = some.effort - robot.effort(motion, sign_width=widths)
+            poses = segment[::step]
+            motion = motion_of(poses, robot, log)
+            left = poses.effort - robot.effort(motion, sign_width=widths)
             bodies = RobotBodies(robot.tree, motion.q, robot.total_phi)
             direction = np.tanh(motion.v / np.maximum(widths, 1e-9))
             own = np.stack([direction, motion.v, motion.vd, np.ones_like(motion.v)], axis=2)
@@ -131,9 +131,9 @@ def _change_of_gravity(case: Case) -> tuple[Array, float]:
     left, columns = (np.concatenate(each) for each in zip(*parts, strict=True))
     rows = [np.zeros((1, 4))]
     for j in np.flatnonzero(np.isfinite(left).all(axis=0) & (left.std(axis=0) > 0.0)).tolist():
-        own, both = columns[:, j, :4], np.column_stack([columns[:, j, 4:], left[:, j]])
-        both = both - own @ np.linalg.lstsq(own, both, rcond=1e-9)[0]
-        rows.append(both / left[:, j].std())
+        own, signals = columns[:, j, :4], np.column_stack([columns[:, j, 4:], left[:, j]])
+        signals = signals - own @ np.linalg.lstsq(own, signals, rcond=1e-9)[0]
+        rows.append(signals / left[:, j].std())
     gravities, errors = np.split(np.concatenate(rows), [3], axis=1)
     change, *_ = np.linalg.lstsq(gravities, errors[:, 0], rcond=1e-6)
     after = errors[:, 0] - gravities @ change

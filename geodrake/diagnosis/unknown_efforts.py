@@ -1,4 +1,4 @@
-"""Efforts that no effect of the catalogue describes, as rivals of every explanation."""
+"""Efforts outside the catalogue of effects, as rivals of every explanation."""
 
 from __future__ import annotations
 
@@ -34,25 +34,24 @@ from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
-_SAMPLES = 100_000  # of a segment that are looked at, at a time
-_RESOLVED = 2.0  # times the speed below which the direction is not known
-_MOST_COUPLED = 6  # curves of other joints' motions at a joint, those that promise most
-_LOOKED_AT = 4_000  # samples to choose them by
+_SAMPLES = 100_000  # of a segment that are loaded at a time
+_RESOLVED = 2.0  # least speed of a shape, over that below which the direction is unknown
+_MOST_COUPLED = 6  # curves of other joints' motions at a joint
+_CHOSEN_BY = 4_000  # samples to choose them
 _DEGREES = 7  # polynomials of a curve
-_WIDER = 3.0  # than speeds at which directions are not known: up to these, friction may differ
-_SLIP = 0.02  # of a joint's peak speed, below which surfaces may give way before they slide
+_WIDER = 3.0  # speed up to which friction may differ, over that of unknown directions
+_SLIP = 0.02  # of a joint's peak speed, below which presliding may occur
 
 
 @dataclass(frozen=True)
 class UnresolvedReversal(JointEffect):
-    """Dry friction at speeds at which a log hardly tells the direction of motion.
+    """Dry friction at speeds at which a log hardly shows the direction of motion.
 
-    effort = h₀ (sgn v − d) + h₁ (tanh(2v/w) − d) + Σ_k e_k e^{−|v|/s_k} d
+    effort = h₀ (sgn v − d) + Σ_k h_k (tanh(2^k v/w) − d) + Σ_k e_k e^{−|v|/s_k} d
              + Σ_k j_k (v/√(v² + s_k²) − d) + Σ_k m_k (1 − |tanh(v/s_k)|), with d = tanh(v/w):
     friction that jumps more sharply than the direction d of other effects, or less, or that
-    is another one there, or whose mean over both directions is not zero. Speeds below w pass
-    within a sample, or are noise; how surfaces give way before they slide, below the speeds s_k,
-    no log of ordinary motions tells.
+    differs there, or whose mean over both directions is not zero. Speeds below w pass within
+    a sample, or are noise. Ordinary motions do not show presliding, below the speeds s_k.
     """
 
     speed: float  # w, rad/s or m/s
@@ -68,7 +67,7 @@ class UnresolvedReversal(JointEffect):
     shapes: ClassVar[tuple[Shape, ...]] = (Shape("speed", "rad/s"), Shape("slip", "rad/s"))
     depends_on: ClassVar[frozenset[str]] = frozenset({"v"})
     unsure: ClassVar[int] = [each.name for each in parameters].index("mean_0")
-    """Which column is the share of time in which the direction of motion is not known."""
+    """Index of the column with the share of time of unknown direction."""
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """Return one column for each parameter, in the order of the equation."""
@@ -83,7 +82,7 @@ class UnresolvedReversal(JointEffect):
 
 @dataclass(frozen=True)
 class UnknownFunction(JointEffect):
-    """A smooth function of a joint's own motion, which no effect describes."""
+    """Smooth function of a joint's own motion that no effect describes."""
 
     center: float  # middle of the joint's range of motion, rad or m
     reach: float  # half that range
@@ -101,11 +100,11 @@ class UnknownFunction(JointEffect):
 
     @property
     def free_shapes(self) -> int:
-        """None: the scales are those of the motion."""
+        """Return zero: the scales are those of the motion."""
         return 0
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
-        """Polynomials of position and speed, and the direction of motion times the position."""
+        """Return polynomials of position and velocity, and the direction times the position."""
         q, v = (joint.q - self.center) / self.reach, joint.v / self.speed
         even, odd = q * q - 1.0 / 3.0, q**3 - 0.6 * q
         return [
@@ -139,20 +138,20 @@ _FACTORS = {
 
 @dataclass(frozen=True)
 class Curve:
-    """A smooth curve of a signal, times one or how the joint that feels it moves."""
+    """Smooth curve of a signal, times a function of the motion of the joint it acts on."""
 
     # Position "q" or velocity "v" of the other joint; "q+", "v-": its sum with, or difference from,
-    # that of the joint that feels it.
+    # that of the joint it acts on.
     of: str
-    times: str  # "1", "v", "sgn v", or "its sign", that of the signal
+    times: str  # "1", "v", "sgn v", or "its sign", the sign of the signal
     center: float  # middle of the signal's range, rad or m, or per second
     reach: float  # half that range
-    speed: float  # peak speed of the joint that feels it, rad/s or m/s
+    speed: float  # peak speed of the joint it acts on, rad/s or m/s
 
     def columns(self, own: JointMotion, other: JointMotion, unsure: float = 0.0) -> list[Array]:
         """Return Legendre polynomials of the signal, times its factor.
 
-        `unsure` is the speed below which the direction of a sum of speeds is not known.
+        `unsure` is the speed below which the direction of a sum of speeds is unknown.
         """
         signal = (other.q if self.of[0] == "q" else other.v) - self.center
         if self.of[1:]:
@@ -168,29 +167,29 @@ class Curve:
         return [*(factor * legvander(scaled, _DEGREES - 1).T)]
 
     def words(self, other: str = "") -> str:
-        """Return what it is a curve of, for a joint's name other than its own."""
+        """Return its signal in words, given the name of a joint other than its own."""
         signal = "position" if self.of[0] == "q" else "velocity"
-        whose = f"the {signal} of {other}" if other else f"its {signal}"
+        phrase = f"the {signal} of {other}" if other else f"its {signal}"
         if self.of[1:]:
             kind = "sum of" if self.of[1] == "+" else "difference between"
-            whose = f"the {kind} its {signal} and {whose}"
-        return _FACTORS[self.times].format(whose)
+            phrase = f"the {kind} its {signal} and {phrase}"
+        return _FACTORS[self.times].format(phrase)
 
 
 class _Unknown(Effect):
-    """A curve of one signal: it costs less than a function of all the motion."""
+    """Curve of one signal, which is less complex than a function of all the motion."""
 
     parameters: ClassVar[tuple[Parameter, ...]] = tuple(
         Parameter(f"coefficient_{k}", "N·m") for k in range(_DEGREES)
     )
     depends_on: ClassVar[frozenset[str]] = frozenset({"q", "v"})
     complexity: ClassVar[int] = 3
-    free_shapes: ClassVar[int] = 1  # which curve it is; its scales are those of the motion
+    free_shapes: ClassVar[int] = 1  # the kind of curve; its scales are those of the motion
 
 
 @dataclass(frozen=True)
 class UnknownCurve(_Unknown, JointEffect):
-    """An unknown curve of a joint's own position or velocity."""
+    """Unknown curve of a joint's own position or velocity."""
 
     curve: Curve
 
@@ -203,7 +202,7 @@ class UnknownCurve(_Unknown, JointEffect):
 
 @dataclass(frozen=True)
 class UnknownCoupling(_Unknown, JointPairEffect):
-    """An unknown curve at the first joint, of the position or velocity of the second."""
+    """Unknown curve at the first joint, of the position or velocity of the second."""
 
     curve: Curve
 
@@ -219,34 +218,34 @@ class UnknownCoupling(_Unknown, JointPairEffect):
 
 CURVES = UnknownCurve, UnknownCoupling
 UNKNOWN = UnknownFunction, *CURVES
-"""Kinds of functions of the motion that no effect describes."""
+"""Types of unknown functions of the motion."""
 
 
 def reversals(
     model: RobotModel, trajectories: Sequence[Trajectory]
 ) -> tuple[UnresolvedReversal, ...]:
-    """Return an unresolved reversal for every joint that moves and that a motor was measured at."""
+    """Return an unresolved reversal for every moving joint with a measured motor effort."""
     peaks, steps = peak_speeds(trajectories), np.zeros(len(model.joints))
-    aside = {joint for trajectory in trajectories for joint in trajectory.unmeasured}
-    aside.update(model.base_joints)
+    excluded = {joint for trajectory in trajectories for joint in trajectory.unmeasured}
+    excluded.update(model.base_joints)
     for trajectory in trajectories:
         for segment in trajectory.segments:
-            seen = segment[:_SAMPLES]
-            step = np.sqrt(np.mean(np.square(seen.acceleration), axis=0)) * seen.period
+            samples = segment[:_SAMPLES]
+            step = np.sqrt(np.mean(np.square(samples.acceleration), axis=0)) * samples.period
             steps = np.maximum(steps, 0.5 * step)
-    # Where friction was found to fade, the log tells directions at lower speeds.
+    # Where friction fades, the log shows directions at lower speeds.
     unsure = np.maximum(sign_widths(replace(model, fading_speed=None), trajectories), steps)
     speeds = model.sign_widths(unsure)
     slips = np.maximum(speeds, np.maximum(_WIDER * unsure, _SLIP * peaks))
     return tuple(
         UnresolvedReversal(joint, float(speeds[j]), float(slips[j]))
         for j, joint in enumerate(model.joints)
-        if peaks[j] > 0.0 and joint in model.single_joints and joint not in aside
+        if peaks[j] > 0.0 and joint in model.single_joints and joint not in excluded
     )
 
 
 def is_resolved(effect: Effect, unsure: Sequence[UnresolvedReversal]) -> bool:
-    """Return whether shapes of an effect that are speeds are some at which logs tell directions."""
+    """Return whether all speeds among an effect's shapes are high enough to show directions."""
     least = {each.joint: _RESOLVED * each.speed for each in unsure}
     names = [shape.name for shape in effect.shapes if shape.scale == "speed"]
     values = [getattr(effect, name) for name in names]
@@ -256,12 +255,12 @@ def is_resolved(effect: Effect, unsure: Sequence[UnresolvedReversal]) -> bool:
 def unknown_functions(case: Case, hypothesis: Hypothesis, joints: Collection[str]) -> list[Effect]:
     """Return functions of the motion for some joints: of their own, and of others' motions.
 
-    Those of others are the ones that, beside functions of its own motion, would take most of the
-    residual of a hypothesis away.
+    Functions of other joints' motions are those that remove most of the residual, beside functions
+    of the joint's own motion.
     """
     model, peaks = case.model, peak_speeds(case.trajectories)
-    low, high = range_of_motion(case.trajectories)
-    center, reach = 0.5 * (low + high), np.maximum(0.5 * (high - low), 1e-9)
+    lowest, highest = range_of_motion(case.trajectories)
+    center, reach = 0.5 * (lowest + highest), np.maximum(0.5 * (highest - lowest), 1e-9)
     moving = [j for j, name in enumerate(model.joints) if peaks[j] and name in model.single_joints]
     scales = {"q": (center, reach), "v": (np.zeros_like(peaks), peaks)}
 
@@ -291,27 +290,27 @@ def unknown_functions(case: Case, hypothesis: Hypothesis, joints: Collection[str
         found.append(function)
         found += [UnknownCurve(residual.joint, curve) for curve in curves(own, own)]
         signals = filtered_columns(case, motion, residual, raw)
-        seen = np.flatnonzero(np.isfinite(signals).all(axis=1))
-        seen = seen[:: 1 + len(seen) // _LOOKED_AT]
-        moved = {
+        valid = np.flatnonzero(np.isfinite(signals).all(axis=1))
+        valid = valid[:: 1 + len(valid) // _CHOSEN_BY]
+        motions = {
             j: JointMotion(q, v, q, q, residual.direction(v))
-            for j, q, v in zip(moving, *np.split(signals[seen].T, 2), strict=True)
+            for j, q, v in zip(moving, *np.split(signals[valid].T, 2), strict=True)
         }
         pairs = [(o, curve) for o in moving if o != own for curve in curves(own, o)]
-        alone = function.columns(moved[own])  # what the joint's own motion may do
-        left = [
-            _left([*alone, *curve.columns(moved[own], moved[o], SLOW * curve.reach)], b)
-            for b in [residual.residual[seen]]
+        own_columns = function.columns(motions[own])  # what the joint's own motion may do
+        b = residual.residual[valid]
+        sse = [
+            _sse([*own_columns, *curve.columns(motions[own], motions[o], SLOW * curve.reach)], b)
             for o, curve in pairs
         ]
-        for k in np.argsort(left)[:_MOST_COUPLED].tolist():
+        for k in np.argsort(sse)[:_MOST_COUPLED].tolist():
             other, curve = pairs[k]
             found.append(UnknownCoupling((residual.joint, model.joints[other]), curve))
     return found
 
 
-def _left(columns: list[Array], b: Array) -> float:
-    """Return the squares that columns leave of b (K,)."""
+def _sse(columns: list[Array], b: Array) -> float:
+    """Return the squared residual of the least-squares fit of b (K,) by columns."""
     A = np.stack(columns, -1)
     return float(np.square(b - A @ np.linalg.lstsq(A, b, rcond=None)[0]).sum())
 

@@ -162,7 +162,7 @@ def test_a_draft_is_code_of_one_meaning(what, tmp_path, monkeypatch):
     assert len({effect.name for effect in effects}) == len(joints)
     assert not (tmp_path / "PWNED").exists()
     docstring = ast.get_docstring(ast.parse(source), clean=False)
-    assert printable(f"What is missing at {', '.join(joints)}.") in docstring
+    assert printable(f"Missing effects at {', '.join(joints)}.") in docstring
     for log in logs:
         assert printable(log) in docstring
 

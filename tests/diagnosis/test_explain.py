@@ -295,9 +295,9 @@ def test_add_to_all_joints_by_default(logs):
         ("payload", ["elbow"], "cannot be added at elbow.*places: upper_link, lower_link"),
         ("coupled_friction", ["elbow"], "cannot be added at elbow.*places: shoulder & elbow"),
         ("effort_delay", ["lower_link"], "no joint 'lower_link'.*shoulder, elbow"),
-        ("wrong_inertia", ["elbow"], "one of the whole robot, so it has no place"),
+        ("wrong_inertia", ["elbow"], "applies to the whole robot, so it takes no place"),
         ("effort_scale", None, "known inertias or payloads"),
-        ("contact", ["lower_link"], "found in the residual, so it has no place"),
+        ("contact", ["lower_link"], "found in the residual, so it takes no place"),
         ("contact", None, "These logs show no contact"),
     ],
 )

@@ -30,7 +30,7 @@ from geodrake.diagnosis.neighbourhood import Neighbourhood
 from geodrake.diagnosis.normal_kernels import calc_distance, calc_noise_changes
 from geodrake.diagnosis.notes import left_out_notes, unnamed_notes
 from geodrake.diagnosis.posterior import Posterior
-from geodrake.diagnosis.search import searched
+from geodrake.diagnosis.search import find_explanation
 from geodrake.effects import (
     CoulombFriction,
     EffortOffset,
@@ -270,7 +270,7 @@ def rubbing(seen):
 @pytest.fixture(scope="module")
 def found():
     log = effort_log("double_pendulum", 4, rubbing, duration=16.0, share=0.01).log
-    return searched(open_case(load_model(PENDULUM_FILE), [log], candidates=True))
+    return find_explanation(open_case(load_model(PENDULUM_FILE), [log], candidates=True))
 
 
 def with_terms(found, *names, width=None):
@@ -295,7 +295,9 @@ def test_what_holds_at_one_joint_alone_stays_there(found):
     )
     findings = findings_of(both)
     finding = named(findings, "coulomb_friction")
-    before, after = (model.held_out(fit) for fit in (model.bare(model.shares(was)), both.fit))
+    before, after = (
+        model.held_out(fit) for fit in (model.without_terms(model.shares(was)), both.fit)
+    )
     worse = np.array([[1.1 if name == "shoulder" else 0.5 for name in model.dataset.joints]])
     changed = replace(after, sse=before.sse * worse)
     (gone,) = terms_not_held(both, finding, before, changed)
@@ -376,7 +378,7 @@ def heavier(seen, mass=0.3):
 @pytest.fixture(scope="module")
 def loaded():
     log = effort_log("double_pendulum", 5, heavier, duration=16.0, share=0.01).log
-    return searched(open_case(load_model(PENDULUM_FILE), [log], candidates=True))
+    return find_explanation(open_case(load_model(PENDULUM_FILE), [log], candidates=True))
 
 
 def with_load(found, *, width, has_load=True):

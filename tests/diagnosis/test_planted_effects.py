@@ -409,8 +409,8 @@ def test_a_base_that_was_moved_is_told(known, turn):
     logs = ([mounted(each, 1, PENDULUM)] for each in (turn, known))
     model = with_tilt(PENDULUM, known)
     moved, same = (explain(model, log, progress=stop).notes for log in logs)
-    assert any("gravity 172° from where the model's gravity_tilt has it" in note for note in moved)
-    assert not any("from where the model's gravity_tilt" in note for note in same)
+    assert any("gravity 172° away from the model's gravity_tilt" in note for note in moved)
+    assert not any("away from the model's gravity_tilt" in note for note in same)
 
 
 def test_a_far_turned_base_is_identified_as_its_efforts_say():

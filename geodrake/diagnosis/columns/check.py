@@ -48,7 +48,7 @@ def check_columns(
 
     Returns:
         Mistakes, in the order in which to correct them. Empty if the columns are right, if the
-        logs do not tell, if an effort never changes (fits refuse that), or if there are more than
+        logs do not show it, if an effort never changes (fits refuse that), or if there are over
         30 joints (the comparison would take minutes).
 
     Raises:
@@ -66,21 +66,21 @@ def check_columns(
     return tuple(_finding(gaussian, step) for step in steps if step.best.mistake.kind)
 
 
-def _finding(gaussian: ColumnModel, found: MistakeFound) -> ColumnFinding:
-    model, best, before = gaussian.samples.model, found.best, found.before
+def _finding(gaussian: ColumnModel, step: MistakeFound) -> ColumnFinding:
+    model, best, before = gaussian.samples.model, step.best, step.before
     kind, joints, values = _correction(model, before, best)
     words, advice = words_of(kind, joints, values, all_joints=not best.mistake.joints)
     rivals = [
         (_rival_words(model, before, rival), chance)
-        for rival, chance in found.rivals
+        for rival, chance in step.rivals
         if chance >= _LEAST_RIVAL
     ]
     return ColumnFinding(
         kind,
         joints,
         values,
-        found.gain,
-        found.probability,
+        step.gain,
+        step.probability,
         tuple(rivals),
         gaussian.nrms(before),
         gaussian.nrms(best.fit),

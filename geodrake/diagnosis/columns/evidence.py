@@ -196,7 +196,6 @@ class ColumnModel:
         return score - float(counts[source] @ np.log(errors))
 
     def _joints(self, assignment: Assignment) -> list[JointEquations]:
-        """Return the equations of all joints."""
         joints, effects = list[JointEquations](), self.samples.model.phi.size
         for j, design in enumerate(self.designs(assignment)):
             indices, local = [design.columns, self.tilt, self.zeros], np.arange(design.linear)

@@ -144,7 +144,7 @@ def words_of(
 
 
 def _is_thousandth(values: Sequence[float]) -> bool:
-    """Return whether gains are about 1/1000, as far as an incomplete model tells."""
+    """Return whether gains are about 1/1000, within the error of an incomplete model."""
     typical = median(map(abs, values))
     return THOUSAND[0] / _UNSURE < typical < THOUSAND[0] * _UNSURE
 

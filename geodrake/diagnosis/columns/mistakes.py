@@ -99,7 +99,7 @@ _QUICKLY_SCORED = ("effort_unit", "swapped", "position", "velocity", "time")
 
 
 class Mistakes:
-    """Generator of all candidate mistakes beside those that a fit corrects."""
+    """Generator of candidate mistakes in addition to those that a fit corrects."""
 
     def __init__(
         self, model: ColumnModel, base: ColumnFit, quick: QuickScores, zeros: Mapping[Joints, Array]
@@ -120,8 +120,8 @@ class Mistakes:
         All kinds are equally likely, and so are the places of each. The odds of a payload or a
         tilted base are even; those of unknown efforts are in `Beliefs`.
         """
-        every = self._factors, self._magnitudes, self._gains, self._subtractions, self._limits
-        kinds = (*every, self._swaps, self._zeros, self._velocities, self._others)
+        first = self._factors, self._magnitudes, self._gains, self._subtractions, self._limits
+        kinds = (*first, self._swaps, self._zeros, self._velocities, self._others)
         mistakes = [m for kind in ((self._others,) if others else kinds) for m in kind()]
         places, beliefs = dict[str, set[Joints]](), self._model.beliefs
         for mistake in mistakes:

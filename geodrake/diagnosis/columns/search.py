@@ -103,8 +103,8 @@ class ColumnSearch:
                 places.setdefault((fit.mistake.place, fit.mistake.sizes), fit)
             return list(places.values())
 
-        tried = [each for each in promising if each.kind and each.place not in self._hopeless]
-        first = [each for each in judged(tried) if each.mistake.place not in settled]
+        candidates = [each for each in promising if each.kind and each.place not in self._hopeless]
+        first = [each for each in judged(candidates) if each.mistake.place not in settled]
         plain = self._plain(base, counts, None)
         least, floor = plain.score + _HOPELESS, plain.score + _HOPELESS_FOR_GOOD * counts.mean()
         self._hopeless |= {each.mistake.place for each in first if each.score < floor}
@@ -139,9 +139,9 @@ class ColumnSearch:
         total = weights.sum() + np.exp(0.5 * (plain.score - best.score))
         chances = sorted(zip(last, (weights / total).tolist(), strict=True), key=lambda c: -c[1])
         place = best.mistake.place
-        same = sum(chance for each, chance in chances if each.mistake.place == place)
+        probability = sum(chance for each, chance in chances if each.mistake.place == place)
         others = tuple(c for c in chances if c[0].mistake.place != place)
-        return MistakeFound(base, best, best.score - plain.score, same, others)
+        return MistakeFound(base, best, best.score - plain.score, probability, others)
 
     def _together(self, first: Judged, counts: Array) -> list[Judged]:
         """Return combined explanations with right columns, as long as each addition gains."""
@@ -165,7 +165,6 @@ class ColumnSearch:
         return Mistakes(self.model, base, self._quick, self._zeros).priced(others=others)
 
     def _promising(self, mistakes: Mapping[Mistake, float], base: ColumnFit) -> list[Mistake]:
-        """Return the mistakes to fit."""
         is_likely, motion = self._likely(base), base.assignment.motion_key
         scored = [mistake for mistake in mistakes if mistake.has_quick_score]
         scored.sort(key=lambda m: -self._quick.score(m.assignment))

@@ -26,7 +26,7 @@ from geodrake.diagnosis.moves import neighbours
 from geodrake.diagnosis.posterior import Certainty
 from geodrake.diagnosis.residuals import filtered_columns, full_motion, joint_residuals
 from geodrake.diagnosis.results import Correlate, Explanation
-from geodrake.diagnosis.search import Found
+from geodrake.diagnosis.search import SearchResult
 from geodrake.diagnosis.search_progress import FoundStep, Progress
 from geodrake.diagnosis.unknown_efforts import range_of_motion, reversals
 from geodrake.effects.base import Effect
@@ -67,19 +67,8 @@ def draft_effects(
 
     A formula is a sum of terms at a joint, each a product of up to two simple functions of
     positions, velocities, directions, accelerations and loads of any joints. It is selected by its
-    evidence, as effects are, and judged once by held-out error.
-
-    Args:
-        model: The model.
-        logs: Logs or their files; each is a trajectory of its own.
-        extra: Effect classes of the user's own to try beside the catalogue's.
-        bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
-            or chosen from the data.
-        blocks: Number of blocks into which every log is split for validation.
-        hold_resting: Whether joints that hardly move in any log are held; see
-            `geodrake.model.logged_joints.holding_resting`.
-        beliefs: Prior odds and widths of effects.
-        progress: Called with each `FoundStep` and each formula.
+    evidence, as effects are, and judged once by held-out error. Arguments are those of `explain`;
+    `progress` is also called with each formula.
 
     Returns:
         The explanation, as from `explain`, and formulas for the remaining error.
@@ -111,7 +100,7 @@ def rest_correlates(investigation: Investigation) -> tuple[Correlate, ...]:
     No formulas are searched. The result contains signals and products of two signals, for the
     joints with the largest errors beyond noise.
     """
-    state, hypothesis = _where_fewest_joints_err(investigation.found)
+    state, hypothesis = _where_fewest_joints_err(investigation.result)
     erring, known = _erring(hypothesis)[:_MOST_JOINTS], investigation.correlates
     joints = [joint for joint in erring if joint not in {each.joint for each in known}]
     if not joints:
@@ -123,7 +112,7 @@ def rest_correlates(investigation: Investigation) -> tuple[Correlate, ...]:
 
 def draft_rest(investigation: Investigation, *, progress: Progress | None = None) -> Draft:
     """Draft formulas for the error left by an investigation, largest errors first."""
-    state, start = _where_fewest_joints_err(investigation.found)
+    state, start = _where_fewest_joints_err(investigation.result)
     model, hypothesis = state.case.model, start
     low, high = range_of_motion(state.case.trajectories)
     ranges = zip(model.joints, low.tolist(), high.tolist(), strict=True)
@@ -158,7 +147,7 @@ def draft_rest(investigation: Investigation, *, progress: Progress | None = None
     )
 
 
-def _where_fewest_joints_err(state: Found) -> tuple[Found, Hypothesis]:
+def _where_fewest_joints_err(state: SearchResult) -> tuple[SearchResult, Hypothesis]:
     """Return the state, or the same with the narrowest prior of bodies if fewer joints err.
 
     With a wide prior, bodies absorb part of an unknown effort and spread it over the inner joints:
@@ -183,7 +172,7 @@ def _effects(fit: Fit) -> list[Effect]:
     return [term.effect for term in fit.terms if term.effect is not None]
 
 
-def _offered(state: Found, added: Sequence[Effect]) -> Found:
+def _offered(state: SearchResult, added: Sequence[Effect]) -> SearchResult:
     """Return the state in a model with columns of further effects."""
     case = state.case
     effects = [*dict.fromkeys([*effects_of(case.model), *_effects(state.fit), *added])]
@@ -194,10 +183,12 @@ def _offered(state: Found, added: Sequence[Effect]) -> Found:
     return replace(state, case=case, model=model, fit=model.refitted(state.fit))
 
 
-def _with_formula(state: Found, joint: str, reach: dict[str, tuple[float, float]]) -> Found:
+def _with_formula(
+    state: SearchResult, joint: str, reach: dict[str, tuple[float, float]]
+) -> SearchResult:
     """Return the state after climbing with the terms at a joint, with refined breakpoints."""
     spacing, effects = float(TURNS[1] - TURNS[0]), _effects(state.fit)
-    fit = climb(state.model, state.fit, hopeful=True)
+    fit = climb(state.model, state.fit, optimistic=True)
     state = replace(state, fit=fit)
     for _ in range(_ROUNDS):
         refined = list[Effect]()
@@ -212,9 +203,9 @@ def _with_formula(state: Found, joint: str, reach: dict[str, tuple[float, float]
         if not refined:
             break
         state = _offered(state, [*effects, *refined])
-        state = replace(state, fit=climb(state.model, state.fit, hopeful=True, joints=[joint]))
+        state = replace(state, fit=climb(state.model, state.fit, optimistic=True, joints=[joint]))
         spacing *= 2.0 / (len(_STEPS) - 1)
-    fit = climb(state.model, state.fit, hopeful=False)
+    fit = climb(state.model, state.fit, optimistic=False)
     return replace(state, fit=_without_needless(state.model, fit))
 
 
@@ -231,7 +222,6 @@ def _without_needless(model: LogModel, fit: Fit) -> Fit:
 
 
 def _better(model: LogModel, fit: Fit, choice: Choice) -> Fit:
-    """Return the more probable of a fit and another explanation."""
     alternative = model.fit(choice, model.shares(fit), fit.variance)
     gain = None if alternative is None else gain_of(model, fit, alternative)
     return gain[1] if gain is not None and gain[0] > 0.0 else fit
@@ -243,7 +233,7 @@ def _terms(fit: Fit, joint: str) -> list[FormulaTerm]:
     ]
 
 
-def _finding(before: Found, after: Found, joint: str) -> Finding | None:
+def _finding(before: SearchResult, after: SearchResult, joint: str) -> Finding | None:
     """Return the formula at a joint with its probability; None if there is none."""
     model, fit = after.model, after.fit
     terms = tuple(t for t in fit.terms if isinstance(t.effect, Formula) and t.joint == joint)
@@ -257,7 +247,7 @@ def _finding(before: Found, after: Found, joint: str) -> Finding | None:
     return Finding(name, terms, Certainty(1.0 - chance, chance, ()))
 
 
-def _rivals(state: Found, joint: str) -> list[str]:
+def _rivals(state: SearchResult, joint: str) -> list[str]:
     """Return formulas of at most as many terms that the logs hardly distinguish."""
     model, shares = state.model, state.model.shares(state.fit)
     choices = neighbours(model, state.fit, joints=[joint])
@@ -271,7 +261,7 @@ def _rivals(state: Found, joint: str) -> list[str]:
     return [f.words() for f in formulas if 0 < len(f.terms) <= count]
 
 
-def _correlates(start: Found, joint: str, terms: Sequence[FormulaTerm]) -> list[Correlate]:
+def _correlates(start: SearchResult, joint: str, terms: Sequence[FormulaTerm]) -> list[Correlate]:
     """Return the strongest correlates of the error at a joint, one for each set of signals.
 
     Their fits are not kept, and need no physical bodies.
@@ -304,7 +294,7 @@ def _correlates(start: Found, joint: str, terms: Sequence[FormulaTerm]) -> list[
     return sorted([*signals[:_MOST_CORRELATES], *clock], key=lambda correlate: -correlate.share)
 
 
-def _gains(state: Found, joint: str, terms: Sequence[FormulaTerm]) -> Array:
+def _gains(state: SearchResult, joint: str, terms: Sequence[FormulaTerm]) -> Array:
     """Return (m,) gains in evidence by each single term at a joint, from the joint's own rows."""
     case, model, fit = state.case, state.model, state.fit
     j = model.dataset.joints.index(joint)
@@ -341,7 +331,7 @@ def _seen(case: Case, log: int, segment: Segment) -> RobotMotion:
 
 
 def _drafted(
-    state: Found, finding: Finding, before: Hypothesis, after: Hypothesis
+    state: SearchResult, finding: Finding, before: Hypothesis, after: Hypothesis
 ) -> DraftedEffect:
     """Return the drafted effect, with coefficients fitted to all logs."""
     effects = [term.effect for term in finding.terms if isinstance(term.effect, Formula)]

@@ -66,7 +66,7 @@ def source_of(draft: Draft) -> str:
     joints, names = ", ".join(draft.names), draft.names
     titles = identifiers(names.values(), style=_title)
     head = _HEAD.format(
-        title=docstring_text(f"What is missing at {joints}."),
+        title=docstring_text(f"Missing effects at {joints}."),
         logs=docstring_text(", ".join(draft.logs)),
     )
     classes = []
