@@ -34,7 +34,6 @@ from geodrake.logs.files.table import (
 )
 from geodrake.logs.time_stamps import longest_step
 
-_NUMBERS = frozenset([int, float])
 _MOST_PARTS = 200  # more records are samples, and no joints
 UNIT_OF = re.compile(r"(?:^|[._/])units?(?:[._/]|$)", re.IGNORECASE)
 """The part of a name by which a text is the unit of an array."""
@@ -167,11 +166,7 @@ def records_table(
             columns[name] += [None] * (k - len(columns[name])) + [value]
     for values in columns.values():
         values.extend([None] * (len(content) - len(values)))
-    arrays = dict[str, Any](columns)
-    for name, values in columns.items():
-        if not {*map(type, values)} <= _NUMBERS and not any(isinstance(x, list) for x in values):
-            arrays[name] = np.array(values, object)
-    return numeric_table(path, {**(said or {}), **arrays}, len(content))
+    return numeric_table(path, {**(said or {}), **columns}, len(content))
 
 
 def grouped_table(path: Path, content: Any, reading: Reading) -> LogTable | None:

@@ -352,6 +352,7 @@ def numbered(cells: Sequence[str]) -> list[str]:
     return [str(k) for k in range(1, len(cells) + 1)]
 
 
+_NUMBERS_OR_NONE = frozenset([int, float, type(None)])
 _ONE_SECOND = np.timedelta64(1, "s")
 _MOST_NAMES = 8
 _MOST_NAMED = 1000  # columns of a matrix
@@ -609,6 +610,8 @@ def array_of(values: Any) -> NDArray[Any]:
 
 def _of_objects(array: NDArray[Any]) -> tuple[Array | None, int | None, str]:
     """Return numbers from lists, or from objects that are numbers, dates or None; see `numbers`."""
+    if {*map(type, array.flat)} <= _NUMBERS_OR_NONE:
+        return array.astype(float), None, ""
     first = next((value for value in array.flat if not is_nothing(value)), np.nan)
     dates = array.flat if is_date(_date_text(first)) else ()
     day_first, note = order_of_days(map(_date_text, dates))
