@@ -1,4 +1,4 @@
-"""Charts as plain data, curves over an axis and bars, which pages and matplotlib draw."""
+"""Charts as plain data, curves and bars, which pages and matplotlib draw."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from geodrake.inertia import Array
 from geodrake.report.json_output import picked
 from geodrake.report.numbers import number
 
-MOST_PANELS = 8  # panels that are shown at first, and that figures have
-MOST_POINTS = 2000  # largest number of points of a curve that a page holds
-CUT = 3.0  # residuals are cut off at so many times the largest of the best model
+MOST_PANELS = 8  # panels shown at first, and in figures
+MOST_POINTS = 2000  # points of a curve on a page
+CUT = 3.0  # residuals are cut off at this multiple of the best model's largest
 
 _MOST_NUMBERS = 16_000  # points of all curves of a panel together
 _LARGEST, _MISSING = 32767, -32768
-_LEAST = 1e-6  # nrms, so that a perfect model has a place on a logarithmic axis
+_LEAST = 1e-6  # nrms of a perfect model on a logarithmic axis
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,8 @@ class Stage:
 
     label: str  # the same in all charts of a page that show it
     color: str  # name of the colour in the page's style sheet
-    # "line", "wide", which is behind the others, or "dots"; of bars "thin", for a mark across them.
-    look: str = "line"
-    shown: bool = field(default=True, compare=False)  # whether it is shown at first
+    look: str = "line"  # or "wide", "dots", or for a mark across bars "thin"
+    shown: bool = field(default=True, compare=False)  # at first
     opacity: float = 1.0  # of bars, from 0 to 1
 
     @property
@@ -45,7 +44,7 @@ class Stage:
 
 @dataclass(frozen=True, eq=False)
 class Trend:
-    """Mean and RMS of samples in bins: (B,) middles of the bins, mean and RMS there."""
+    """Mean and RMS of samples in bins (B,), and the middles of the bins."""
 
     middle: Array
     mean: Array
@@ -56,20 +55,16 @@ class Trend:
 class Plot:
     """One axis with curves."""
 
-    label: str  # what is shown, with its unit
+    label: str  # quantity and unit
     curves: Mapping[Stage, Array]  # (K,) values of each stage; NaN where a line breaks
     limits: tuple[float, ...] = ()
-    floor: float = 0.0  # half the width of a band about zero, the noise; 0 for none
-    # Whether zero is in the middle, and what is far larger than the best is cut off.
-    centred: bool = False
-    # Lowest and highest value shown; None for those of the curves.
-    span: tuple[float, float] | None = None
-    tall: bool = True  # whether the plot is the taller one of its panel
+    floor: float = 0.0  # half the width of a noise band about zero; 0 for none
+    centred: bool = False  # whether zero is in the middle, and values are cut off; see `CUT`
+    span: tuple[float, float] | None = None  # shown range; None for that of the curves
+    tall: bool = True  # whether it is the taller plot of its panel
     log: bool = False  # whether the axis is logarithmic
-    # (K,) increasing values that it is drawn over; None for the time of its panel.
-    over: Array | None = None
-    axis: str = ""  # what these are, with their unit
-    # Mean and RMS of the curve of a stage.
+    over: Array | None = None  # (K,) increasing abscissae; None for the time of its panel
+    axis: str = ""  # quantity and unit of `over`
     trends: Mapping[Stage, Trend] = field(default_factory=dict)
 
 
@@ -89,28 +84,26 @@ class Panel:
 
     title: str
     detail: str  # its errors, in words
-    time: Array  # (K,) increasing instants on the chart's axis, s
+    time: Array  # (K,) increasing, on the chart's axis, s
     plots: tuple[Plot, ...]
     shades: tuple[Shade, ...] = ()
-    badge: str = ""  # what is special about the joint, in words; "" for nothing
-    shown: bool = True  # whether the panel is shown at first
+    badge: str = ""  # a remark such as "worst joint"
+    shown: bool = True  # at first
 
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """Panels with one common axis, or with plots side by side that have their own."""
+    """Panels with a common axis, or with plots side by side that have their own."""
 
-    name: str  # short name, different from those of other charts of a page
+    name: str  # unique on a page
     caption: str
     panels: tuple[Panel, ...]
-    # Name, first and last instant, and shift to the common axis, of every log, s; none if the
-    # curves are of one stretch.
+    # Name, first and last instant, and shift to the common axis of every log, s; may be empty.
     spans: tuple[tuple[str, float, float, float], ...] = ()
-    axis: str = "time in the log, s"  # what the common axis is, with its unit
-    parts: str = "Joints"  # what the panels are of
-    unit: str = "s"  # unit of the common axis
-    # Whether the plots of a panel stand side by side, each over an axis of its own.
-    abreast: bool = False
+    axis: str = "time in the log, s"  # quantity and unit of the common axis
+    parts: str = "Joints"  # heading of the list of panels
+    unit: str = "s"  # of the common axis
+    abreast: bool = False  # whether plots of a panel are side by side, each with its own axis
 
     @property
     def ends(self) -> tuple[float, float]:
@@ -121,7 +114,7 @@ class Chart:
 
     @property
     def stretches(self) -> tuple[tuple[str, float, float, float], ...]:
-        """Return the spans; without any, one from the first to the last instant of a panel."""
+        """Return the spans, or if there are none, that of the first panel."""
         time = self.panels[0].time if self.panels else np.array([])
         if self.spans or self.abreast or not len(time):
             return self.spans
@@ -150,14 +143,14 @@ class Chart:
 
 
 def _panel(panel: Panel) -> dict[str, Any]:
-    on_time = [plot for plot in panel.plots if plot.over is None]
+    time_plots = [plot for plot in panel.plots if plot.over is None]
     time, rows, derived = panel.time, iter(()), list[str]()
-    if on_time:
-        curves = np.array([values for plot in on_time for values in plot.curves.values()])
+    if time_plots:
+        curves = np.array([values for plot in time_plots for values in plot.curves.values()])
         time, thinned = decimated(time, curves, min(MOST_POINTS, _MOST_NUMBERS // len(curves)))
         rows = iter(thinned)
-    if on_time and len(time) == len(panel.time):
-        # Curves that are the first one minus the residuals, which the page computes.
+    if time_plots and len(time) == len(panel.time):
+        # The page computes curves that are the first one minus the residuals.
         residuals = next((plot.curves for plot in panel.plots if plot.centred), {})
         first, *others = panel.plots[0].curves.items()
         derived = [
@@ -201,24 +194,24 @@ def _encoded(values: NDArray[Any]) -> str:
 
 
 def packed(values: Array) -> tuple[float, float, str]:
-    """Return values as 16 bit integers: offset and scale to float, and the integers in base64.
+    """Return values as offset, scale, and 16 bit integers in base64.
 
-    A value is offset + scale · integer; −32768 stands for a missing one.
+    A value is offset + scale · integer; −32768 stands for NaN.
     """
     known = np.isfinite(values)
     finite = values[known]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
     offset, scale = 0.5 * (low + high), 0.5 * (high - low) / _LARGEST
-    whole = np.full(len(values), _MISSING, "<i2")
-    whole[known] = np.round((finite - offset) / scale) if scale > 0 else 0
-    return offset, scale, _encoded(whole)
+    integers = np.full(len(values), _MISSING, "<i2")
+    integers[known] = np.round((finite - offset) / scale) if scale > 0 else 0
+    return offset, scale, _encoded(integers)
 
 
 def decimated(time: Array, curves: Array, most: int) -> tuple[Array, Array]:
-    """Return (M,) instants and (C, M) values of curves (C, K), at most so many, at least four.
+    """Reduce times (K,) and curves (C, K) to at most so many points, at least four.
 
-    Two points stand for a bucket of instants (K,): its least and largest value, the least first
-    where the curve rises. NaN stay where lines break.
+    Each bucket of samples becomes its smallest and largest value, in the order in which the curve
+    passes them. NaN stay where lines break.
     """
     count = len(time)
     if count <= most:
@@ -230,7 +223,7 @@ def decimated(time: Array, curves: Array, most: int) -> tuple[Array, Array]:
     starts = np.unique(np.concatenate([even, breaks, breaks + 1]))
     starts = starts[starts < count]
     stops = np.append(starts[1:], count)
-    low, high = (of.reduceat(curves, starts, axis=1) for of in (np.fmin, np.fmax))
+    low, high = (ufunc.reduceat(curves, starts, axis=1) for ufunc in (np.fmin, np.fmax))
     rises = curves[:, starts] <= curves[:, stops - 1]
     values = np.stack([np.where(rises, low, high), np.where(rises, high, low)], -1)
     times = np.stack([time[starts], time[np.minimum((starts + stops) // 2, count - 1)]], -1)
@@ -239,7 +232,7 @@ def decimated(time: Array, curves: Array, most: int) -> tuple[Array, Array]:
 
 
 def gap_filled(time: Array) -> Array:
-    """Put instants that are missing, where a line breaks, between their neighbours."""
+    """Interpolate the missing times, at which lines break."""
     missing = np.isnan(time)
     index = np.arange(len(time))
     return np.interp(index, index[~missing], time[~missing]) if (~missing).any() else time[:0]
@@ -250,19 +243,16 @@ NOISE = Stage("sensor noise", "noise", look="thin")
 
 @dataclass(frozen=True)
 class BarRow:
-    """Bars of one name, and marks across them, by what they are of; NaN where not known.
-
-    Marks without a value are not drawn.
-    """
+    """Bars with a label, and marks across them; NaN if unknown."""
 
     label: str
     bars: Mapping[Stage, float]
     marks: Mapping[Stage, float]
-    note: str = ""  # behind the numbers
+    note: str = ""  # after the numbers
 
     @property
     def shown_marks(self) -> Mapping[Stage, float]:
-        """Return the marks that have a value."""
+        """Return the marks with a positive, finite value."""
         return {stage: value for stage, value in self.marks.items() if 0.0 < value < inf}
 
     def text(self, value: float) -> str:
@@ -293,7 +283,7 @@ class Bars:
         return max(map(len, texts), default=0)
 
     def end(self, value: float) -> float:
-        """Return the end of a bar, from 0 to 1; 0 without a value."""
+        """Return the end of a bar, from 0 to 1; 0 for NaN."""
         values = [x for row in self.rows for x in (*row.bars.values(), *row.shown_marks.values())]
         known = [max(x, _LEAST) for x in values if isfinite(x)] or [1.0]
         if not isfinite(value):

@@ -1,4 +1,4 @@
-"""Bodies as uniform ellipsoids with the same inertia: figures, pages, and a view of adaptation."""
+"""Figures, pages and a live view of bodies as uniform ellipsoids with the same inertia."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ BOUNDARY, AT_BOUNDARY = "#c8322b", "at the boundary of physically valid inertias
 OTHERS = ("#7a4fa3", "#c78a1e", "#2a8f8f", "#a34f6e", "#5b7a2a")
 """Colours of prior, identified, truth, bodies at the boundary, and regularizers."""
 
-FRAME_PERIOD = 1.0 / 32.0  # time between two pictures, s: that of MeshCat's recordings, nearly
+FRAME_PERIOD = 1.0 / 32.0  # time between two pictures, s, close to that of MeshCat's recordings
 
 _POINT = np.array([1.0, 0.0, 0.0, 0.0, 1e-6, 1e-6, 1e-6, 0.0, 0.0, 0.0])
 """Replaces bodies that cannot be drawn."""
@@ -54,7 +54,7 @@ _LINE_WIDTH, _SHORTEST = 0.006, 1e-4  # m
 _LEAST_GAP = 0.3  # m
 _LIGHT = LightSource(azdeg=143.0, altdeg=41.0)
 _MOST_COLUMNS = 3
-_OPAQUE, _ZOOM, _VIEW = 0.62, 1.15, (18.0, -62.0)  # of elevation and azimuth, degrees
+_OPACITY, _ZOOM, _VIEW = 0.62, 1.15, (18.0, -62.0)  # elevation and azimuth, degrees
 _WORDS = (
     "Each body as the uniform ellipsoid with the same mass, centre of mass and inertia; axes in m."
 )
@@ -64,7 +64,7 @@ _WORDS = (
 class EllipsoidSet:
     """The bodies of one model of a robot."""
 
-    name: str  # what the model is called, such as "prior" or "truth"
+    name: str  # such as "prior" or "truth"
     color: str  # colour of its bodies, #rrggbb
     phi: Array  # (nb, 10) physical inertial parameters, bodies in the order of `lumped_bodies`
     # (nb,) whether a body is at the boundary of physical consistency.
@@ -88,7 +88,7 @@ class EllipsoidSet:
 
 
 def surface(bodies: Ellipsoid, around: int = 20) -> Array:
-    """Return points (nb, around // 2 + 1, around + 1, 3) of the surfaces, a net of angles."""
+    """Return a grid of points (nb, around // 2 + 1, around + 1, 3) on the surfaces."""
     polar = np.linspace(0.0, np.pi, around // 2 + 1)[:, None]
     azimuth = np.linspace(0.0, 2 * np.pi, around + 1)
     sides = np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)
@@ -100,33 +100,33 @@ def surface(bodies: Ellipsoid, around: int = 20) -> Array:
 
 
 def placed(plant: MultibodyPlant, context: Context, phi: Array) -> Ellipsoid:
-    """Return the ellipsoids of physical φ (nb, 10) in the world, in a plant's configuration."""
+    """Return the ellipsoids of physical φ (nb, 10) in the world, in the posture of a context."""
     bodies = lumped_bodies(plant)
     if len(phi) != len(bodies):
         raise ArgumentError(f"phi has {len(phi)} bodies, but the plant has {len(bodies)}.")
     poses = [plant.EvalBodyPoseInWorld(context, plant.get_body(b.body_index)) for b in bodies]
     R_WB = np.array([pose.rotation().matrix() for pose in poses])
     p_WB = np.array([pose.translation() for pose in poses])
-    own = equivalent_ellipsoid(phi, least_semi_axis=LEAST_THICKNESS)
-    center = p_WB + np.einsum("bij,bj->bi", R_WB, own.center)
-    return Ellipsoid(center, own.semi_axes, R_WB @ own.rotation)
+    local = equivalent_ellipsoid(phi, least_semi_axis=LEAST_THICKNESS)
+    center = p_WB + np.einsum("bij,bj->bi", R_WB, local.center)
+    return Ellipsoid(center, local.semi_axes, R_WB @ local.rotation)
 
 
 def skeleton(plant: MultibodyPlant, context: Context) -> Array:
-    """Return the robot as lines: (k, 2, 3) ends in the world, m, from joint to joint."""
-    lines = []
+    """Return the robot as lines from joint to joint, by their ends (k, 2, 3) in the world, m."""
+    ends = []
     for joint in joints_of(plant):
         parent = plant.EvalBodyPoseInWorld(context, joint.parent_body()).translation()
         child = plant.EvalBodyPoseInWorld(context, joint.child_body()).translation()
-        middle = joint.frame_on_parent().CalcPoseInWorld(context).translation()
-        other = joint.frame_on_child().CalcPoseInWorld(context).translation()
-        lines += [(parent, middle), (middle, other), (other, child)]
-    found = np.array(lines).reshape(-1, 2, 3)
-    return found[np.linalg.norm(found[:, 1] - found[:, 0], axis=-1) > 1e-6]
+        on_parent = joint.frame_on_parent().CalcPoseInWorld(context).translation()
+        on_child = joint.frame_on_child().CalcPoseInWorld(context).translation()
+        ends += [(parent, on_parent), (on_parent, on_child), (on_child, child)]
+    lines = np.array(ends).reshape(-1, 2, 3)
+    return lines[np.linalg.norm(lines[:, 1] - lines[:, 0], axis=-1) > 1e-6]
 
 
 class SkeletonLines:
-    """A robot's lines in a MeshCat, each with a ball at its beginning."""
+    """Lines of a robot in MeshCat, each with a ball at its start."""
 
     def __init__(self, meshcat: Meshcat, path: str, count: int, color: Rgba) -> None:
         self._meshcat, self._path = meshcat, path
@@ -135,7 +135,7 @@ class SkeletonLines:
             meshcat.SetObject(f"{path}/{k}/end", Sphere(2 * _LINE_WIDTH), color)
 
     def move(self, lines: Array, time: float | None = None) -> None:
-        """Move lines, (k, 2, 3) ends as from `skeleton`, optionally at a time."""
+        """Move the lines to ends (k, 2, 3) as from `skeleton`, optionally at a time, s."""
         for k, (start, end) in enumerate(lines):
             length = float(np.linalg.norm(end - start))
             direction = (end - start) / length if length > 0 else np.array([0.0, 0.0, 1.0])
@@ -149,17 +149,16 @@ class SkeletonLines:
 
 
 def identification_sets(found: ModelIdentification) -> tuple[EllipsoidSet, ...]:
-    """Return prior and identified bodies, and those of the other regularizers in the comparison."""
+    """Return the prior and identified bodies, and those of the other compared regularizers."""
     others = [other for other in found.alternatives if other.regularizer != found.regularizer]
-    own, bodies = found.model, found.model.bodies
     models = [
-        (f"identified, {found.regularizer}", own.phi, found.at_boundary),
+        (f"identified, {found.regularizer}", found.model.phi, found.at_boundary),
         *((other.regularizer, other.phi, other.at_boundary) for other in others),
     ]
     sets = [EllipsoidSet.of("prior", found.prior.phi, color=PRIOR)]
-    for (name, phi, flat), color in zip(models, cycle((IDENTIFIED, *OTHERS)), strict=False):
-        at = [k for k, body in enumerate(bodies) if body in flat]
-        sets.append(EllipsoidSet.of(name, phi, color=color, at_boundary=at))
+    for (name, phi, boundary), color in zip(models, cycle((IDENTIFIED, *OTHERS)), strict=False):
+        indices = [k for k, body in enumerate(found.model.bodies) if body in boundary]
+        sets.append(EllipsoidSet.of(name, phi, color=color, at_boundary=indices))
     return tuple(sets)
 
 
@@ -170,17 +169,19 @@ def ellipsoid_page(
     context = plant.CreateDefaultContext() if context is None else context
     lines = skeleton(plant, context)
     ends = lines.reshape(-1, 3)
-    clouds = [surface(placed(plant, context, one.phi), 8).reshape(-1, 3) for one in sets]
+    clouds = [
+        surface(placed(plant, context, ellipsoids.phi), 8).reshape(-1, 3) for ellipsoids in sets
+    ]
     # Distance at which the sets do not overlap, m.
     spacing = float(1.1 * np.ptp(np.concatenate([*clouds, ends])[:, 1]) + _LEAST_GAP)
     meshcat = calm_meshcat()
-    for k, one in enumerate(sets):
-        name, shift = path_part(one.name), np.array([0.0, k * spacing, 0.0])
-        bodies = placed(plant, context, one.phi)
+    for k, ellipsoids in enumerate(sets):
+        name, shift = path_part(ellipsoids.name), np.array([0.0, k * spacing, 0.0])
+        bodies = placed(plant, context, ellipsoids.phi)
         for body, lump in enumerate(lumped_bodies(plant)):
             path = f"ellipsoids/{name}/{path_part(lump.name)}"
-            opaque = 0.8 if one.at_boundary[body] else 0.55
-            color = Rgba(*to_rgb(one.body_color(body)), opaque)
+            opacity = 0.8 if ellipsoids.at_boundary[body] else 0.55
+            color = Rgba(*to_rgb(ellipsoids.body_color(body)), opacity)
             meshcat.SetObject(path, geometry.Ellipsoid(*bodies.semi_axes[body]), color)
             R_WE = RotationMatrix(bodies.rotation[body])
             meshcat.SetTransform(path, RigidTransform(R_WE, bodies.center[body] + shift))
@@ -188,10 +189,10 @@ def ellipsoid_page(
         robot.move(lines + shift)
     middle = ends.mean(0) + np.array([0.0, 0.5 * (len(sets) - 1) * spacing, 0.0])
     size = np.ptp(ends, axis=0).max()
-    far = max(0.55 * spacing * len(sets), 0.6 * size) + 0.5 * size
-    meshcat.SetCameraPose(middle + far * np.array([0.9, -0.2, 0.4]), middle)
-    entries = [(one.color, one.name) for one in sets]
-    if any(one.at_boundary.any() for one in sets):
+    distance = max(0.55 * spacing * len(sets), 0.6 * size) + 0.5 * size
+    meshcat.SetCameraPose(middle + distance * np.array([0.9, -0.2, 0.4]), middle)
+    entries = [(ellipsoids.color, ellipsoids.name) for ellipsoids in sets]
+    if any(ellipsoids.at_boundary.any() for ellipsoids in sets):
         entries.append((BOUNDARY, AT_BOUNDARY))
     return legend(meshcat.StaticHtml(), entries)
 
@@ -200,16 +201,16 @@ def ellipsoid_page(
 def ellipsoid_figure(
     plant: MultibodyPlant, sets: Sequence[EllipsoidSet], *, context: Context | None = None
 ) -> Figure:
-    """Return the equivalent uniform ellipsoids of every body over the robot, a panel for each set.
+    """Return the equivalent uniform ellipsoids of every body on the robot, a panel for each set.
 
-    Bodies at the boundary of physical consistency are red, with their edges drawn. All panels have
-    the same scale. Without a context, the robot is in its default posture.
+    Bodies at the boundary of physical consistency are red with drawn edges. Without a context, the
+    robot is in its default posture.
     """
     if not sets:
         raise ArgumentError("There is nothing to draw.", advice="Give at least one set.")
     context = plant.CreateDefaultContext() if context is None else context
     lines = skeleton(plant, context)
-    drawn = [placed(plant, context, one.phi) for one in sets]
+    drawn = [placed(plant, context, ellipsoids.phi) for ellipsoids in sets]
     points = np.concatenate([*(surface(e, 8).reshape(-1, 3) for e in drawn), lines.reshape(-1, 3)])
     low, high = points.min(0), points.max(0)
     reach = 1.03 * np.maximum(0.5 * (high - low), 0.15 * (high - low).max())
@@ -219,8 +220,8 @@ def ellipsoid_figure(
     grid = figure.subplots(rows, columns, squeeze=False, subplot_kw={"projection": "3d"}).ravel()
     for ax in grid[len(sets) :]:
         ax.remove()
-    for ax, one, bodies in zip(grid, sets, drawn, strict=False):
-        _draw_panel(ax, one, bodies, lines)
+    for ax, ellipsoids, bodies in zip(grid, sets, drawn, strict=False):
+        _draw_panel(ax, ellipsoids, bodies, lines)
         for axis, middle, half in zip("xyz", 0.5 * (low + high), reach, strict=True):
             getattr(ax, f"set_{axis}lim")(middle - half, middle + half)
             getattr(ax, f"{axis}axis").set_pane_color((1.0, 1.0, 1.0, 0.0))
@@ -229,11 +230,12 @@ def ellipsoid_figure(
         ax.locator_params(nbins=4)
         ax.tick_params(labelsize=6.5, labelcolor=style.QUIET, pad=-1)
         ax.set_box_aspect(tuple(reach), zoom=_ZOOM)
-        ax.set_title(one.name, **style.plain(fontweight="bold"))
+        ax.set_title(ellipsoids.name, **style.plain(fontweight="bold"))
     handles: list[Patch | Line2D] = [
-        Patch(facecolor=one.color, alpha=_OPAQUE, label=one.name) for one in sets
+        Patch(facecolor=ellipsoids.color, alpha=_OPACITY, label=ellipsoids.name)
+        for ellipsoids in sets
     ]
-    if any(one.at_boundary.any() for one in sets):
+    if any(ellipsoids.at_boundary.any() for ellipsoids in sets):
         patch = Patch(facecolor=BOUNDARY, edgecolor=style.INK, hatch="////", label=AT_BOUNDARY)
         handles.append(patch)
     handles.append(Line2D([], [], color=style.INK, linewidth=1.6, label="robot"))
@@ -242,17 +244,15 @@ def ellipsoid_figure(
     return figure
 
 
-def _draw_panel(ax: Axes3D, one: EllipsoidSet, bodies: Ellipsoid, lines: Array) -> None:
-    """Draw the bodies and the robot in a panel."""
+def _draw_panel(ax: Axes3D, ellipsoids: EllipsoidSet, bodies: Ellipsoid, lines: Array) -> None:
     for body, points in enumerate(surface(bodies)):
-        flat = bool(one.at_boundary[body])
         ax.plot_surface(
             *points[::-1].transpose(2, 0, 1),
             rstride=1,
             cstride=1,
-            color=one.body_color(body),
-            alpha=_OPAQUE,
-            edgecolor=BOUNDARY if flat else "none",
+            color=ellipsoids.body_color(body),
+            alpha=_OPACITY,
+            edgecolor=BOUNDARY if ellipsoids.at_boundary[body] else "none",
             lightsource=_LIGHT,
         )
     ax.add_collection3d(Line3DCollection(lines, colors=style.INK, linewidths=1.6))
@@ -269,18 +269,18 @@ class AdaptationView(LeafSystem):
         - desired_state
         - parameters
 
-    Every body is drawn as the uniform ellipsoid that has its estimated inertia; it turns red, and
-    keeps its last shape, where the estimate is not physical. The robot is drawn as lines, the
-    desired pose as paler ones; what is not finite stays where it was last. While MeshCat records,
-    all of it is recorded.
+    Every body is drawn as the uniform ellipsoid that has its estimated inertia. If an estimate is
+    not physical, the body turns red and keeps its last shape. The robot is drawn as lines, the
+    desired pose as paler ones; poses that are not finite are not drawn. MeshCat can record the
+    view.
 
     Args:
         parameters: Length of the port `parameters`, inertial parameters first.
-        path: Folder of the scene to draw in; what was in it is deleted.
+        path: Folder of the scene to draw in; its content is deleted.
         period: Time between two pictures, s.
 
     Raises:
-        ArgumentError: The parameters are fewer than ten a body.
+        ArgumentError: There are fewer than ten parameters for each body.
     """
 
     @typed
@@ -314,8 +314,8 @@ class AdaptationView(LeafSystem):
         middle, size = points.mean(0), float(np.ptp(points, axis=0).max())
         meshcat.SetCameraPose(middle + size * np.array([1.4, -1.1, 0.7]), middle)
         self._lines = {
-            name: SkeletonLines(meshcat, f"{path}/{name}", len(ends), Rgba(*to_rgb(color), opaque))
-            for name, color, opaque in (("robot", style.INK, 1.0), ("desired", IDENTIFIED, 0.25))
+            name: SkeletonLines(meshcat, f"{path}/{name}", len(ends), Rgba(*to_rgb(color), opacity))
+            for name, color, opacity in (("robot", style.INK, 1.0), ("desired", IDENTIFIED, 0.25))
         }
         for name in self._bodies:
             for shape, color in (("shape", IDENTIFIED), ("unphysical", BOUNDARY)):
@@ -337,11 +337,11 @@ class AdaptationView(LeafSystem):
             period: Time between two pictures, s.
 
         Raises:
-            ArgumentError: The plant holds more than the robot.
+            ArgumentError: The plant has more than one robot.
         """
         if loop.robot is None or loop.robot.name is not None:
             raise ArgumentError(
-                "A view of adaptation needs a plant with one robot only.",
+                "A view of adaptation needs a plant with a single robot.",
                 advice="Show the whole scene with MeshcatVisualizer.AddToBuilder.",
             )
         size = loop.parameters.size()

@@ -36,7 +36,7 @@ MEASURED = Stage("measured", "measured", look="wide")
 BEFORE = Stage("as it stands", "before")
 AFTER = Stage("final model", "after")
 
-GAP = 1.5  # samples farther apart than so many times the usual are not joined by a line
+GAP = 1.5  # multiple of the usual sampling period above which a line breaks
 _MOST_CANDIDATES, _MOST_LETTERS = 14, 80
 _MOST_DOTS, _BINS = 160, 20
 _SIGNALS = (
@@ -45,23 +45,23 @@ _SIGNALS = (
     ("predicted", "load (predicted effort)", "N·m"),
 )
 _EFFORTS = (
-    "Measured and predicted effort of every joint, and under it measured − predicted; the band is "
-    "sensor noise. Shaded: where the error is largest. Lines break where samples were left out."
+    "Measured and predicted effort of every joint, and below them measured − predicted; the band "
+    "is sensor noise. Shaded: where the error is largest. Lines break where samples are missing."
 )
 _RESIDUALS = (
-    "Measured − predicted effort over velocity, position and load; joints have their own "
-    "scales. Line: mean in bins of equal size; dashed: RMS; band: sensor noise."
+    "Measured − predicted effort over velocity, position and load; each joint has its own "
+    "scale. Line: mean in bins of equal size; dashed: RMS; band: sensor noise."
 )
 _END = Stage("refitted on the logs", "after")
 _WITHOUT = Stage("without it", "before", look="thin")
-_CHOSEN, _LESS = Stage("chosen", "after"), Stage("less likely", "measured")
+_CHOSEN, _UNLIKELY = Stage("chosen", "after"), Stage("less likely", "measured")
 _TIED = Stage("tied", "tied")
 
 
 def worst_joints(errors: ErrorTable) -> tuple[str, ...]:
-    """Return the joints of largest error over standard deviation, in the table's order.
+    """Return the joints of largest nrms, in the table's order.
 
-    The joint of largest RMS is always among them, and one whose error is no number counts as worst.
+    They always include the joint of largest RMS. NaN counts as the largest.
     """
     nrms = np.array([joint.nrms for joint in errors.joints])
     rms = np.array([joint.rms for joint in errors.joints])
@@ -75,7 +75,7 @@ def worst_joints(errors: ErrorTable) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class _Timeline:
-    """Logs laid out one after the other: first and last instant of each, and its shift, s."""
+    """Logs in a row on one axis: first and last instant of each, and its shift, s."""
 
     spans: Mapping[str, tuple[float, float]]
     shifts: Mapping[str, float]
@@ -83,14 +83,14 @@ class _Timeline:
     @classmethod
     def of(cls, series: Sequence[Series]) -> _Timeline:
         spans: dict[str, tuple[float, float]] = {}
-        for s in (s for s in series if len(s.time)):  # not where a joint stands still throughout
+        for s in (s for s in series if len(s.time)):  # joints at rest have no samples
             low, high = spans.get(s.log, (np.inf, -np.inf))
             spans[s.log] = min(low, float(s.time[0])), max(high, float(s.time[-1]))
         gap = 0.02 * sum(high - low for low, high in spans.values())
-        shifts, at = {}, 0.0
+        shifts, start = {}, 0.0
         for log, (low, high) in spans.items():
-            shifts[log] = at - low
-            at += high - low + gap
+            shifts[log] = start - low
+            start += high - low + gap
         return cls(spans, shifts)
 
     def broken(self, series: Sequence[Series], name: str) -> tuple[Array, Array]:
@@ -98,8 +98,8 @@ class _Timeline:
         time, values = [np.array([])], [np.array([])]
         for s in series:
             steps = np.diff(s.time)
-            late = 1 + np.flatnonzero(steps > GAP * np.median(steps)) if len(steps) else steps
-            breaks = np.append(late.astype(int), len(s.time))
+            gaps = 1 + np.flatnonzero(steps > GAP * np.median(steps)) if len(steps) else steps
+            breaks = np.append(gaps.astype(int), len(s.time))
             time.append(np.insert(s.time + self.shifts[s.log], breaks, np.nan))
             values.append(np.insert(getattr(s, name), breaks, np.nan))
         return np.concatenate(time), np.concatenate(values)
@@ -110,7 +110,7 @@ def effort_chart(
     units: Units,
     between: Mapping[Stage, Sequence[Series]] | None = None,
 ) -> Chart:
-    """Return efforts over time as predicted by one or two models and those between them."""
+    """Return efforts over time, as predicted by one or two models and intermediate ones."""
     (first, before), *others = models.items()
     predicted = {first: before.series, **(between or {})}
     predicted |= {stage: found.series for stage, found in others}
@@ -123,11 +123,11 @@ def effort_chart(
     shown, panels = {*worst_joints(tables[-1]), *badges}, []
     for entries in zip(*(table.joints for table in tables), strict=True):
         joint, unit = entries[0].joint, units.effort([entries[0].joint])
-        own = {stage: _of(series, joint) for stage, series in predicted.items()}
-        if not any(own.values()):
+        joint_series = {stage: _of(series, joint) for stage, series in predicted.items()}
+        if not any(joint_series.values()):
             continue
         rms, nrms = (" → ".join(number(getattr(e, n)) for e in entries) for n in ("rms", "nrms"))
-        time, plots = _plots(timeline, own, unit, entries[-1].floor)
+        time, plots = _plots(timeline, joint_series, unit, entries[-1].floor)
         shades = tuple(
             Shade(
                 stage,
@@ -137,7 +137,7 @@ def effort_chart(
                 f"{window.start:.1f}–{window.end:.1f} s: RMS {number(window.rms)} {unit}",
             )
             for stage in models
-            for window in worst_windows(own[stage])
+            for window in worst_windows(joint_series[stage])
         )
         words, badge = f"RMS {rms} {unit}, nrms {nrms}", badges.get(joint, "")
         panels.append(Panel(joint, words, time, plots, shades, badge, joint in shown))
@@ -163,53 +163,53 @@ def _of(series: Sequence[Series], joint: str) -> list[Series]:
 
 
 def _plots(
-    timeline: _Timeline, own: Mapping[Stage, Sequence[Series]], unit: str, floor: float
+    timeline: _Timeline, joint_series: Mapping[Stage, Sequence[Series]], unit: str, floor: float
 ) -> tuple[Array, tuple[Plot, ...]]:
-    """Return instants of a joint, and its efforts and residuals at every stage on them."""
-    *_, last = (series for series in own.values() if series)
-    broken, measured = timeline.broken(last, "measured")
+    """Return the sample times of a joint, and its efforts and residuals at every stage."""
+    *_, last = (series for series in joint_series.values() if series)
+    time, measured = timeline.broken(last, "measured")
     efforts: dict[Stage, Array] = {MEASURED: measured}
     residuals: dict[Stage, Array] = {}
-    for stage, series in own.items():
+    for stage, series in joint_series.items():
         for signal, curves in (("predicted", efforts), ("residual", residuals)):
             at, values = timeline.broken(series, signal)
-            if not np.array_equal(broken, at, equal_nan=True):  # prepared in another way
+            if not np.array_equal(time, at, equal_nan=True):  # prepared differently
                 known = np.isfinite(at)
                 at, values = (
                     (at[known], values[known]) if known.any() else np.array([[0.0], [np.nan]])
                 )
-                values = np.interp(broken, at, values)  # NaN where the instant is
+                values = np.interp(time, at, values)  # NaN where the instant is
             curves[stage] = values
-    return gap_filled(broken), (
+    return gap_filled(time), (
         Plot(f"effort, {unit}", efforts),
         Plot("residual", residuals, floor=floor, centred=True, tall=False),
     )
 
 
 def residual_chart(models: Mapping[Stage, Comparison], units: Units) -> Chart:
-    """Return residuals of models over velocity, position and load; the last model is shown first.
+    """Return residuals of models over velocity, position and load.
 
-    Samples are thinned to a few hundred, and are those of each model with its own load.
+    A few hundred samples are drawn. Only the last model is shown at first.
     """
     *_, final = models.values()
     shown = worst_joints(final.errors)
     panels = []
     for entry in final.errors.joints:
-        own = {
+        joint_series = {
             replace(stage, look="dots", shown=found is final): _of(found.series, entry.joint)
             for stage, found in models.items()
         }
-        own = {stage: series for stage, series in own.items() if series}
-        if own:
+        joint_series = {stage: series for stage, series in joint_series.items() if series}
+        if joint_series:
             detail = f"RMS {number(entry.rms)} {units.effort([entry.joint])}"
-            plots = tuple(_over(own, entry, signal, units) for signal in _SIGNALS)
-            seen = entry.joint in shown
-            panels.append(Panel(entry.joint, detail, np.array([]), plots, shown=seen))
+            plots = tuple(_over(joint_series, entry, signal, units) for signal in _SIGNALS)
+            is_shown = entry.joint in shown
+            panels.append(Panel(entry.joint, detail, np.array([]), plots, shown=is_shown))
     return Chart("residuals", _RESIDUALS, tuple(panels), abreast=True)
 
 
 def _over(
-    own: Mapping[Stage, Sequence[Series]],
+    joint_series: Mapping[Stage, Sequence[Series]],
     entry: JointError,
     signal: tuple[str, str, str],
     units: Units,
@@ -218,7 +218,7 @@ def _over(
     name, words, unit = signal
     dots: dict[Stage, tuple[Array, Array]] = {}
     trends = {}
-    for stage, series in own.items():
+    for stage, series in joint_series.items():
         values = np.concatenate([getattr(s, name) for s in series])
         residual = np.concatenate([s.residual for s in series])
         known = np.isfinite(values) & np.isfinite(residual)
@@ -226,7 +226,6 @@ def _over(
         kept = np.linspace(0, len(values) - 1, min(_MOST_DOTS, len(values))).astype(int)
         dots[stage] = values[kept], residual[kept]
         if len(values) >= 2:
-            # In bins of equally many samples.
             order = np.argsort(values, kind="stable")
             bins = np.array_split(order, min(_BINS, max(1, len(order) // 8)))
             middle, mean = (np.array([x[b].mean() for b in bins]) for x in (values, residual))
@@ -248,10 +247,7 @@ def _over(
 
 
 def step_bars(explanation: Explanation, joints: Collection[str]) -> Bars:
-    """Return how the held-out nrms falls with each step, on a logarithmic axis.
-
-    `joints` are all at which an effect may act.
-    """
+    """Return the held-out nrms after each step; `joints` are all at which an effect may act."""
     errors = [
         ("the model as it stands", BEFORE, explanation.start.nrms),
         ("refitted without a new effect", _END, explanation.refitted.nrms),
@@ -266,16 +262,13 @@ def step_bars(explanation: Explanation, joints: Collection[str]) -> Bars:
 
 
 def candidate_bars(diagnosis: Diagnosis, joints: Collection[str]) -> Bars:
-    """Return the held-out nrms that each candidate would leave, the chosen one first.
-
-    `joints` are all at which an effect may act.
-    """
+    """Return the held-out nrms with each candidate, the chosen one first; see `step_bars`."""
     shown, refitted = diagnosis.candidates[:_MOST_CANDIDATES], diagnosis.refitted
     marks = {_WITHOUT: refitted.nrms, NOISE: refitted.floor_nrms}
     rows = []
     for i, candidate in enumerate(shown):
         words = f"{effect_label(candidate.effect)}, {places_label(candidate.where, joints, most=3)}"
-        stage = _CHOSEN if i == 0 else _TIED if candidate.tied else _LESS
+        stage = _CHOSEN if i == 0 else _TIED if candidate.tied else _UNLIKELY
         note = ", tied" if i and candidate.tied else ""
         bar = {stage: candidate.error_after}
         rows.append(BarRow(shortened(words, _MOST_LETTERS), bar, marks, note))
@@ -290,7 +283,7 @@ def candidate_bars(diagnosis: Diagnosis, joints: Collection[str]) -> Bars:
 
 
 def joint_bars(errors: ErrorTable, stages: Sequence[tuple[str, Mapping[str, float]]] = ()) -> Bars:
-    """Return the RMS of each joint, at first and after stages, over its effort's deviation."""
+    """Return the RMS error of each joint over the std of its effort, first and after stages."""
     shades = np.linspace(0.25, 1.0, len(stages)) if len(stages) > 1 else np.ones(len(stages))
     names, rows = set(worst_joints(errors)), []
     for joint in (joint for joint in errors.joints if joint.joint in names):
@@ -308,6 +301,6 @@ def joint_bars(errors: ErrorTable, stages: Sequence[tuple[str, Mapping[str, floa
 
 
 def step_joint_bars(explanation: Explanation) -> Bars:
-    """Return the errors of joints at the start, and after each step of an explanation."""
+    """Return the errors of joints at the start and after each step of an explanation."""
     stages = [(f"+ {effect_label(step.effect)}", step.rms_after) for step in explanation.steps]
     return joint_bars(explanation.start, stages)

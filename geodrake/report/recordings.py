@@ -20,7 +20,7 @@ from geodrake.report.pictures import link_triangles
 from geodrake.report.playback import Playback, PlayedModel, PlayedRobot
 from geodrake.report.robot_scene import GRAYS, PosedLink
 
-_MARK = 0.05  # m, of the balls whose colour is a joint's error
+_BALL = 0.05  # m, diameter of the balls with the colour of a joint's error
 
 
 def check_viewer(to: str, file: Path) -> None:
@@ -51,13 +51,13 @@ def _shown(robot: PlayedRobot) -> list[PosedLink]:
 
 def _poses(poses: Sequence[RigidTransform]) -> tuple[Array, Array]:
     """Return positions (F, 3), m, and quaternions (F, 4), x y z w, of poses in the world."""
-    turned: list[Quaternion] = [X_WB.rotation().ToQuaternion() for X_WB in poses]
-    wxyz = np.array([each.wxyz() for each in turned])
+    rotations: list[Quaternion] = [X_WB.rotation().ToQuaternion() for X_WB in poses]
+    wxyz = np.array([rotation.wxyz() for rotation in rotations])
     return np.array([X.translation() for X in poses]), np.roll(wxyz, -1, axis=1)
 
 
 def _joint_values(played: PlayedModel) -> dict[str, Array]:
-    """Return what is plotted of a model, by name: (F, nv) arrays, NaN where nothing is compared."""
+    """Return the plotted efforts (F, nv) of a model by name; NaN where nothing is compared."""
     return {
         "measured": played.measured,
         "predicted": played.predicted,
@@ -66,13 +66,13 @@ def _joint_values(played: PlayedModel) -> dict[str, Array]:
 
 
 def _moments(found: Playback) -> list[tuple[int, str]]:
-    """Return the frames of the worst moments, and what to say of them, in order of time."""
-    said = [
+    """Return the frames and descriptions of the worst moments, in order of time."""
+    moments = [
         (moment.frame, f"{played.title}: {found.moment_words(moment)}")
         for played in found.models
         for moment in played.moments
     ]
-    return sorted(said, key=lambda moment: moment[0])
+    return sorted(moments, key=lambda moment: moment[0])
 
 
 def _write_rerun(rr: Any, path: Path, found: Playback, title: str) -> None:
@@ -97,13 +97,13 @@ def _write_rerun(rr: Any, path: Path, found: Playback, title: str) -> None:
                 vertex_positions=vertices, triangle_indices=faces, albedo_factor=GRAYS[0]
             )
             record.log(entity, mesh, static=True)
-            where, turned = _poses(link.X_WB)
-            send(entity, rr.Transform3D.columns(translation=where, quaternion=turned))
+            positions, rotations = _poses(link.X_WB)
+            send(entity, rr.Transform3D.columns(translation=positions, quaternion=rotations))
             if link.joint is not None:
                 send(entity, rr.Mesh3D.columns(albedo_factor=robot.colors[:, link.joint]))
-            said = [words for words, at in robot.findings if at == link.name]
-            if said:
-                label = rr.Points3D([[0.0, 0.0, 0.0]], labels=["; ".join(said)], radii=[0.01])
+            words = [words for words, place in robot.findings if place == link.name]
+            if words:
+                label = rr.Points3D([[0.0, 0.0, 0.0]], labels=["; ".join(words)], radii=[0.01])
                 record.log(f"{entity}/findings", label, static=True)
         for name, values in _joint_values(robot.played).items():
             for joint, column in zip(found.joints, values.T, strict=True):
@@ -115,10 +115,10 @@ def _write_rerun(rr: Any, path: Path, found: Playback, title: str) -> None:
     for joint, q in zip(found.joints, found.q.T, strict=True):
         send(path_of("positions", joint), rr.Scalars.columns(scalars=q))
     if moments := _moments(found):
-        at = found.times[[frame for frame, _ in moments]]
+        instants = found.times[[frame for frame, _ in moments]]
         rr.send_columns(
             "worst_moments",
-            indexes=[rr.TimeColumn("time", duration=at)],
+            indexes=[rr.TimeColumn("time", duration=instants)],
             columns=rr.TextLog.columns(
                 text=[words for _, words in moments],
                 level=["WARN"] * len(moments),
@@ -168,19 +168,19 @@ def _write_mcap(foxglove: Any, path: Path, found: Playback, title: str) -> None:
             )
             for robot in robots
         ]
-        size = kinds.Vector3(x=_MARK, y=_MARK, z=_MARK)
+        size = kinds.Vector3(x=_BALL, y=_BALL, z=_BALL)
         for frame, instant in enumerate(instants.tolist()):
             stamp, transforms, balls = _stamp(kinds, instant), [], []
             for robot, plot, values, links in parts:
-                for link, where, turned in links:
-                    own = _frame_id(robot, link)
+                for link, positions, rotations in links:
+                    frame_id = _frame_id(robot, link)
                     transforms.append(
                         kinds.FrameTransform(
                             timestamp=stamp,
                             parent_frame_id="world",
-                            child_frame_id=own,
-                            translation=kinds.Vector3(**_xyz(where[frame])),
-                            rotation=kinds.Quaternion(**_xyz(turned[frame])),
+                            child_frame_id=frame_id,
+                            translation=kinds.Vector3(**_xyz(positions[frame])),
+                            rotation=kinds.Quaternion(**_xyz(rotations[frame])),
                         )
                     )
                     if link.joint is not None:
@@ -188,15 +188,15 @@ def _write_mcap(foxglove: Any, path: Path, found: Playback, title: str) -> None:
                         balls.append(
                             kinds.SceneEntity(
                                 timestamp=stamp,
-                                frame_id=own,
-                                id=f"error of {own}",
+                                frame_id=frame_id,
+                                id=f"error of {frame_id}",
                                 frame_locked=True,
                                 spheres=[kinds.SpherePrimitive(size=size, color=color)],
                             )
                         )
                 now = {name: column[frame].tolist() for name, column in values.items()}
                 known = {
-                    joint: {name: own[j] for name, own in now.items() if np.isfinite(own[j])}
+                    joint: {name: row[j] for name, row in now.items() if np.isfinite(row[j])}
                     for j, joint in enumerate(joints)
                 }
                 plot.log(known, log_time=instant)
@@ -221,24 +221,24 @@ def _color(kinds: Any, rgba: Any) -> Any:
 
 
 def _entity(kinds: Any, robot: PlayedRobot, link: PosedLink) -> Any:
-    """Return a link as entity of a scene, and what was found there."""
+    """Return a link as an entity of a scene, labelled with its findings."""
     vertices, faces = link_triangles(link.shapes)
     mesh = kinds.TriangleListPrimitive(
         points=[kinds.Point3(**_xyz(vertex)) for vertex in vertices],
         indices=faces.ravel().tolist(),
         color=_color(kinds, GRAYS[0]),
     )
-    said = "; ".join(words for words, at in robot.findings if at == link.name)
+    findings = "; ".join(words for words, place in robot.findings if place == link.name)
     black = kinds.Color(r=0.1, g=0.1, b=0.1, a=1.0)
     label = kinds.TextPrimitive(
-        text=said, billboard=True, font_size=14.0, scale_invariant=True, color=black
+        text=findings, billboard=True, font_size=14.0, scale_invariant=True, color=black
     )
     return kinds.SceneEntity(
         frame_id=_frame_id(robot, link),
         id=_frame_id(robot, link),
         frame_locked=True,
         triangles=[mesh],
-        texts=[label] if said else [],
+        texts=[label] if findings else [],
     )
 
 
@@ -248,4 +248,4 @@ _VIEWERS: dict[str, tuple[str, str, _Writer]] = {
     "rerun": (".rrd", "rerun", _write_rerun),
     "mcap": (".mcap", "foxglove", _write_mcap),
 }
-"""Viewer -> suffix of its files, its module, and what writes them."""
+"""Viewer -> suffix of its files, its module, and their writer."""

@@ -1,4 +1,4 @@
-"""Geometry of a drawn robot: links, poses, joints, colours of errors, and the camera."""
+"""Geometry of drawn robots: links, poses, joints, colours of errors, and the camera."""
 
 from __future__ import annotations
 
@@ -19,24 +19,25 @@ from geodrake.robot.arrangement import base_joints
 from geodrake.robot.joints import joint_names, joints_of
 from geodrake.robot.shapes import GRAY, LinkShape, RobotShapes, robot_shapes
 
-FRAMES = 30.0  # frames a second of recordings
+FRAMES = 30.0  # frames per second of recordings
 
 COLORS = ("#d3d9e0", "#f2d27a", "#ee9d3d", "#d8492f", "#8f1239")
 """Colours of errors from none to the largest."""
 
-UNKNOWN = 255  # level of a joint in a frame where nothing is compared
+UNKNOWN = 255  # level of a joint where nothing is compared
 
 GRAYS = np.array([[209, 214, 220, 255], [225, 228, 233, 255]], np.uint8)
 """Colours (RGBA) of links without a joint, and of joints where nothing is compared."""
 
-_AWAY = np.array([0.9, -0.65, 0.4]) / np.linalg.norm([0.9, -0.65, 0.4])
-_RIGHT = np.array([0.65, 0.9, 0.0]) / np.linalg.norm([0.65, 0.9])  # to the camera, in the world
+# Directions to the camera, and to its right, in the world.
+_BACKWARD = np.array([0.9, -0.65, 0.4]) / np.linalg.norm([0.9, -0.65, 0.4])
+_RIGHT = np.array([0.65, 0.9, 0.0]) / np.linalg.norm([0.65, 0.9])
 
-VIEW = np.radians(75.0)  # angle of MeshCat's view from top to bottom
+VIEW = np.radians(75.0)  # MeshCat's vertical field of view
 
-_ASPECT = 1.4  # of the view, width over height, at which everything fits
+_ASPECT = 1.4  # smallest width over height of a view in which everything fits
 _STICK, _JOINT = 0.012, 0.03  # radii, over the size of the robot
-_LONGEST = 0.3  # of a stick to a centre of mass, over the size of the robot
+_LONGEST = 0.3  # stick to a centre of mass, over the size of the robot
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,25 +46,24 @@ class PosedLink:
 
     name: str
     shapes: tuple[LinkShape, ...]  # its shapes, in its own frame
-    # Place, among the model's joints, of the one that moves it; None if none does.
-    joint: int | None
+    joint: int | None  # index of the model's joint that moves it; None without one
     X_WB: tuple[RigidTransform, ...]  # its pose in the world at each instant
     fixed: bool = False  # whether it never moves
 
 
 @dataclass(frozen=True, eq=False)
 class JointPlace:
-    """Where a joint of one degree of freedom is, and what it moves."""
+    """The pose of a joint of one degree of freedom, and the links it moves."""
 
     joint: str
-    at: int | None  # its place among the model's joints; None of one that follows others
-    link: str  # the link that the joint moves
+    index: int | None  # among the model's joints; None if it follows others
+    link: str  # the joint's child
     X_BJ: RigidTransform  # pose of the joint in the link, z along its axis
-    moved: tuple[str, ...]  # all links that it moves as one
+    moved: tuple[str, ...]  # the link, and others welded to it
 
 
 def top_error(relative: Array, least: float) -> float:
-    """Return the error of the last colour, which hardly any exceeds."""
+    """Return the error of the last colour, the 99th percentile."""
     known = relative[np.isfinite(relative)]
     return max(float(np.quantile(known, 0.99)), least) if len(known) else 1.0
 
@@ -76,67 +76,66 @@ def levels(relative: Array, top: float) -> NDArray[np.uint8]:
 
 def error_colors(relative: Array, top: float) -> NDArray[np.uint8]:
     """Return colours (F, nv, 4) of errors (F, nv), RGBA."""
-    shades = LinearSegmentedColormap.from_list("error", COLORS, N=UNKNOWN)
-    found = levels(relative, top)
-    colors = np.asarray(shades(np.minimum(found, UNKNOWN - 1).astype(int), bytes=True))
-    return np.where((found == UNKNOWN)[..., None], GRAYS[1], colors).astype(np.uint8)
+    colormap = LinearSegmentedColormap.from_list("error", COLORS, N=UNKNOWN)
+    level = levels(relative, top)
+    colors = np.asarray(colormap(np.minimum(level, UNKNOWN - 1).astype(int), bytes=True))
+    return np.where((level == UNKNOWN)[..., None], GRAYS[1], colors).astype(np.uint8)
 
 
 def drawn_shapes(model: RobotModel) -> RobotShapes:
-    """Return the shapes of a model's links; sticks and joints where its file has none to show."""
-    plant, found = model.plant, robot_shapes(model.path, model.given)
-    names = set(map(_full, _bodies(plant)))
-    links = {name: shapes for name, shapes in found.links.items() if name in names}
-    if links and not found.notes:
+    """Return the shapes of a model's links; sticks and joints if its file has none to show."""
+    plant, shapes = model.plant, robot_shapes(model.path, model.given)
+    names = set(map(_full_name, _bodies(plant)))
+    links = {name: own for name, own in shapes.links.items() if name in names}
+    if links and not shapes.notes:
         return RobotShapes(links)
-    drawn = {name for own in _lumps(plant) if not links.keys().isdisjoint(own) for name in own}
+    drawn = {name for lump in _lumps(plant) if not links.keys().isdisjoint(lump) for name in lump}
     sticks = {name: own for name, own in _sticks(plant).items() if name not in drawn}
-    notes = found.notes or ("the file has no shapes, so links are drawn as sticks",)
+    notes = shapes.notes or ("the file has no shapes, so links are drawn as sticks",)
     return RobotShapes({**sticks, **links}, notes)
 
 
 def posed_links(
     model: RobotModel, q: Array, shapes: RobotShapes, p_WR: Array | None = None
 ) -> list[PosedLink]:
-    """Return the links, those without shapes too, in postures (N, nq) of the model.
+    """Return all links, with or without shapes, in postures (N, nq) of the model.
 
-    A robot that stands elsewhere is moved by (3,) p_WR, m.
+    The robot is moved by p_WR (3,), m.
     """
     plant, context = model.plant, model.plant.CreateDefaultContext()
-    bodies, moving = _bodies(plant), {name for own in _lumps(plant) for name in own}
-    movers, X_WR = link_joints(model), RigidTransform(np.zeros(3) if p_WR is None else p_WR)
+    bodies, moving = _bodies(plant), {name for lump in _lumps(plant) for name in lump}
+    joints, X_WR = link_joints(model), RigidTransform(np.zeros(3) if p_WR is None else p_WR)
     poses: list[list[RigidTransform]] = [[] for _ in bodies]
     for posture in model.plant_positions(q):
         plant.SetPositions(context, posture)
-        for body, own in zip(bodies, poses, strict=True):
-            own.append(X_WR @ plant.EvalBodyPoseInWorld(context, body))
-    named = zip(map(_full, bodies), poses, strict=True)
+        for body, X_WB in zip(bodies, poses, strict=True):
+            X_WB.append(X_WR @ plant.EvalBodyPoseInWorld(context, body))
     return [
         PosedLink(
-            name, shapes.links.get(name, ()), movers.get(name), tuple(own), name not in moving
+            name, shapes.links.get(name, ()), joints.get(name), tuple(X_WB), name not in moving
         )
-        for name, own in named
+        for name, X_WB in zip(map(_full_name, bodies), poses, strict=True)
     ]
 
 
 def joint_places(model: RobotModel) -> dict[str, JointPlace]:
-    """Return the joints of one degree of freedom by name, those that follow others as well."""
-    plant, names, found = model.plant, joint_names(model.plant), dict[str, JointPlace]()
+    """Return the joints of one degree of freedom by name, including those that follow others."""
+    plant, names, places = model.plant, joint_names(model.plant), dict[str, JointPlace]()
     lumps, bases = _lumps(plant), base_joints(plant)
     for joint in joints_of(plant):
-        # Of a free base's joints, between which are frames, the root is moved.
-        base = next((own for own in bases if joint.index() in [o.index() for o in own]), [joint])
-        child = _full(base[-1].child_body())
-        moved = next((own for own in lumps if child in own), None)
+        # All joints of a free base move the root.
+        base = next((b for b in bases if joint.index() in [j.index() for j in b]), [joint])
+        child = _full_name(base[-1].child_body())
+        moved = next((lump for lump in lumps if child in lump), None)
         if joint.num_velocities() != 1 or moved is None:
             continue
-        at = model.coordinates.standing.get(int(joint.velocity_start()))
-        name = names[joint.velocity_start()] if at is None else model.joints[at]
+        index = model.coordinates.standing.get(int(joint.velocity_start()))
+        name = names[joint.velocity_start()] if index is None else model.joints[index]
         X_BM = joint.frame_on_child().GetFixedPoseInBodyFrame()
         R_BJ = RotationMatrix.MakeFromOneVector(X_BM.rotation() @ joint_axis(joint), 2)
         X_BJ = RigidTransform(R_BJ, X_BM.translation())
-        found[name] = JointPlace(name, at, child, X_BJ, moved)
-    return found
+        places[name] = JointPlace(name, index, child, X_BJ, moved)
+    return places
 
 
 def own_joints(model: RobotModel) -> list[JointPlace]:
@@ -146,20 +145,20 @@ def own_joints(model: RobotModel) -> list[JointPlace]:
 
 
 def link_joints(model: RobotModel) -> dict[str, int]:
-    """Return, by scoped link name, the place of the model's joint that moves a link."""
+    """Return the index of the model's joint that moves each link, by scoped link name."""
     places = joint_places(model).values()
-    return {link: place.at for place in places if place.at is not None for link in place.moved}
+    return {link: p.index for p in places if p.index is not None for link in p.moved}
 
 
 def body_links(model: RobotModel) -> dict[str, str]:
-    """Return, by the name of a body of the model, the scoped name of the link in its frame."""
+    """Return the scoped name of the link in whose frame each body of the model is, by body."""
     frames = (lump.body_index for lump in lumped_bodies(model.plant))
-    links = (_full(model.plant.get_body(index)) for index in frames)
+    links = (_full_name(model.plant.get_body(index)) for index in frames)
     return dict(zip(model.bodies, links, strict=True))
 
 
 def joint_axis(joint: Joint) -> Array:
-    """Return the axis (3,) of a joint in its own frame; z of a joint without one."""
+    """Return the axis (3,) of a joint in its frame; z if it has none."""
     for name in ("revolute_axis", "translation_axis", "screw_axis"):
         if hasattr(joint, name):
             return np.asarray(getattr(joint, name)())
@@ -167,43 +166,43 @@ def joint_axis(joint: Joint) -> Array:
 
 
 def _sticks(plant: MultibodyPlant) -> dict[str, tuple[LinkShape, ...]]:
-    """Return a stick from each link's origin to each joint on it, and a mark of its own joint."""
+    """Return sticks from each link's origin to the joints on it, and a mark of its own joint."""
     context = plant.CreateDefaultContext()
     origins = [plant.EvalBodyPoseInWorld(context, body).translation() for body in _bodies(plant)]
     size = max(float(np.linalg.norm(np.ptp(np.array(origins), axis=0))), 0.1)
-    found: dict[str, list[LinkShape]] = {_full(body): [] for body in _bodies(plant)}
-    ends = dict.fromkeys(found, True)
+    sticks: dict[str, list[LinkShape]] = {_full_name(body): [] for body in _bodies(plant)}
+    is_end = dict.fromkeys(sticks, True)
     for joint in joints_of(plant):
         parent, child = joint.parent_body(), joint.child_body()
         if joint.num_velocities():
             X_BJ = joint.frame_on_child().GetFixedPoseInBodyFrame()
             R_BJ = RotationMatrix.MakeFromOneVector(X_BJ.rotation() @ joint_axis(joint), 2)
             side = _JOINT * size
-            slides = hasattr(joint, "translation_axis")
-            mark = Box(side, side, 3 * side) if slides else Cylinder(side, 3 * side)
+            is_prismatic = hasattr(joint, "translation_axis")
+            mark = Box(side, side, 3 * side) if is_prismatic else Cylinder(side, 3 * side)
             X_BG = RigidTransform(R_BJ, X_BJ.translation())
-            found[_full(child)].append(LinkShape(mark, X_BG, GRAY))
+            sticks[_full_name(child)].append(LinkShape(mark, X_BG, GRAY))
         if int(parent.index()):
             p_PJ = joint.frame_on_parent().GetFixedPoseInBodyFrame().translation()
-            found[_full(parent)] += _stick(p_PJ, _STICK * size)
-            ends[_full(parent)] = False
+            sticks[_full_name(parent)] += _stick(p_PJ, _STICK * size)
+            is_end[_full_name(parent)] = False
     for body in _bodies(plant):
-        if ends[_full(body)] and body.default_mass() > 0.0:
+        if is_end[_full_name(body)] and body.default_mass() > 0.0:
             center = np.nan_to_num(body.default_com())
-            far = float(np.linalg.norm(center))
-            tip = center * min(1.0, _LONGEST * size / max(far, 1e-12))
-            found[_full(body)] += _stick(tip, _STICK * size)
-    return {name: tuple(shapes) for name, shapes in found.items() if shapes}
+            length = float(np.linalg.norm(center))
+            tip = center * min(1.0, _LONGEST * size / max(length, 1e-12))
+            sticks[_full_name(body)] += _stick(tip, _STICK * size)
+    return {name: tuple(shapes) for name, shapes in sticks.items() if shapes}
 
 
 def _stick(p_BE: Array, radius: float) -> list[LinkShape]:
-    """Return a stick from the origin to a point, round at its end; nothing if that is there."""
+    """Return a stick from the origin to a point, with a ball at its end; empty if too short."""
     length = float(np.linalg.norm(p_BE))
     if length <= radius:
         return []
-    turned = RigidTransform(RotationMatrix.MakeFromOneVector(p_BE, 2), 0.5 * p_BE)
+    X_BG = RigidTransform(RotationMatrix.MakeFromOneVector(p_BE, 2), 0.5 * p_BE)
     ball = LinkShape(Sphere(radius), RigidTransform(p_BE), GRAY)
-    return [LinkShape(Cylinder(radius, length), turned, GRAY), ball]
+    return [LinkShape(Cylinder(radius, length), X_BG, GRAY), ball]
 
 
 def _bodies(plant: MultibodyPlant) -> list[RigidBody]:
@@ -212,46 +211,46 @@ def _bodies(plant: MultibodyPlant) -> list[RigidBody]:
 
 
 def _lumps(plant: MultibodyPlant) -> list[tuple[str, ...]]:
-    """Return the links that move, those welded together in one tuple."""
+    """Return the moving links, those welded together in one tuple."""
     return [
-        tuple(_full(plant.get_body(member.index)) for member in lump.members)
+        tuple(_full_name(plant.get_body(member.index)) for member in lump.members)
         for lump in lumped_bodies(plant)
     ]
 
 
-def _full(body: RigidBody) -> str:
+def _full_name(body: RigidBody) -> str:
     return str(body.scoped_name().get_full())
 
 
 @dataclass(frozen=True, eq=False)
 class Extent:
-    """Where a robot goes."""
+    """The region of a robot's motion."""
 
-    low: Array  # (3,) least coordinates of its links' origins in the world, m
-    high: Array  # (3,) largest ones
-    size: float  # its largest side in any one posture with a margin for links, m
+    low: Array  # (3,) smallest coordinates of its links' origins in the world, m
+    high: Array  # (3,) largest coordinates
+    size: float  # largest side in any one posture, with a margin for links, m
 
     @classmethod
     def of(cls, model: RobotModel, q: Array) -> Extent:
-        """Return the extent of some postures, (N, nq) positions of the model."""
+        """Return the extent of a motion, positions (N, nq) of the model."""
         links = posed_links(model, q[:: max(1, len(q) // 60)], RobotShapes({}))
-        places = np.array([[X.translation() for X in link.X_WB] for link in links])
-        cloud = np.concatenate([np.zeros((1, *places.shape[1:])), places])
-        size = 1.15 * float(np.ptp(cloud, axis=0).max()) + 0.1
-        return cls(cloud.min((0, 1)), cloud.max((0, 1)), size)
+        origins = np.array([[X.translation() for X in link.X_WB] for link in links])
+        points = np.concatenate([np.zeros((1, *origins.shape[1:])), origins])
+        size = 1.15 * float(np.ptp(points, axis=0).max()) + 0.1
+        return cls(points.min((0, 1)), points.max((0, 1)), size)
 
     @property
     def beside(self) -> Array:
-        """Return where a copy stands (3,), to the right of the camera and clear of the robot, m."""
+        """Return the position (3,) of a copy to the right of the robot, m."""
         return self.size * _RIGHT
 
 
 def camera_place(extent: Extent, copies: int = 1) -> tuple[Array, Array]:
-    """Return where a camera of MeshCat's view stands (3,), and what it looks at (3,), m."""
+    """Return the positions of a MeshCat camera (3,) and of its target (3,), m."""
     side = extent.high - extent.low
-    further = (copies - 1) * extent.beside
-    middle = extent.low + 0.5 * (side + further)
+    shift = (copies - 1) * extent.beside
+    target = extent.low + 0.5 * (side + shift)
     margin = 0.12 * extent.size
-    width = 0.5 * float(_RIGHT @ (side + further)) + margin
-    far = max(0.5 * side[2] + margin, width / _ASPECT) / np.tan(0.5 * VIEW)
-    return middle + (far + 0.2 * float(np.abs(_AWAY) @ side)) * _AWAY, middle
+    width = 0.5 * float(_RIGHT @ (side + shift)) + margin
+    distance = max(0.5 * side[2] + margin, width / _ASPECT) / np.tan(0.5 * VIEW)
+    return target + (distance + 0.2 * float(np.abs(_BACKWARD) @ side)) * _BACKWARD, target

@@ -1,4 +1,4 @@
-"""Pages of `rollout`: measured and simulated motion, window by window, and what a fit found."""
+"""Pages of `rollout`: measured and simulated motion in windows, and fits to it."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ _MEASURED = Stage("measured", "measured", look="wide")
 _SIMULATED = Stage("simulated", "after")
 _BEFORE = Stage("before", "before")
 _CAPTION = (
-    "Positions in successive windows. Each starts at the measured state, from which on only "
-    "the logged {under} act on the simulated robot. Lines are cut where they leave the axes."
+    "Positions in successive windows. Each starts at the measured state; after that, only the "
+    "logged {under} act on the simulated robot. Lines are cut where they leave the axes."
 )
 
 
 @dataclass(frozen=True, eq=False)
 class Simulated:
-    """A rollout, and that of the model before on the same windows, if there is one."""
+    """A rollout, and optionally that of the previous model in the same windows."""
 
     after: Rollout
     before: Rollout | None = None
@@ -39,7 +39,7 @@ class Simulated:
 
 
 def rollout_page(found: Simulated | Rollout, about: About) -> Page:
-    """Say how far a simulated model departs from the measured motion."""
+    """Return the page of a rollout."""
     if isinstance(found, Rollout):
         found = Simulated(found)
     after, before, units = found.after, found.before, about.units
@@ -62,18 +62,18 @@ def rollout_page(found: Simulated | Rollout, about: About) -> Page:
     tiles.append(Tile("departure", departure(after.relative), "of the motion"))
     sections = motion, Section("Notes", items=after.notes)
     page = Page(about, "simulated", f"{headline}.", sections, tiles=tuple(tiles))
-    return _of_rollout(page, after)
+    return _with_rollout(page, after)
 
 
 def rollout_fit_page(found: RolloutFit, about: About) -> Page:
-    """Say what a fit of rollouts found, and whether it is taken."""
+    """Return the page of a fit to rollouts."""
     units, (before, after) = about.units, found.held_out
     tested = sum(found.tested)
-    free = "Elastic joints and backlash"
+    fitted = "Elastic joints and backlash"
     if not is_soft(found.model):
-        free = "Servos, elasticity and backlash"
+        fitted = "Servos, elasticity and backlash"
     elif any(value.effect == SERVO for value in found.values):
-        free = "Elastic joints, backlash, servos and motors"
+        fitted = "Elastic joints, backlash, servos and motors"
     sections = (
         Section(
             "Fitted values",
@@ -97,14 +97,14 @@ def rollout_fit_page(found: RolloutFit, about: About) -> Page:
         "fitted" if found.taken else "stays",
         capitalized(rollout_fit_words(found)),
         (*sections, Section("Notes", items=found.notes)),
-        lead=(f"{free} were fitted to the motion; all else is unchanged.",),
+        lead=(f"{fitted} were fitted to the motion; all else is unchanged.",),
         tiles=tiles,
     )
-    return _of_rollout(page, after)
+    return _with_rollout(page, after)
 
 
-def _of_rollout(page: Page, after: Rollout) -> Page:
-    """Return a page with what all pages of rollouts say."""
+def _with_rollout(page: Page, after: Rollout) -> Page:
+    """Return a page with the parts common to all pages of rollouts."""
     horizon = Tile("horizon", f"{after.horizon:g} s", "from a measured state on")
     return replace(
         page,
@@ -125,9 +125,9 @@ def departure(share: float) -> str:
 
 
 def departure_words(share: float) -> str:
-    """Return the same for use in a sentence."""
-    told = departure(share)
-    return told if np.isinf(share) else f"{told} of the motion".replace("× of", "times")
+    """Return `departure` for use in a sentence."""
+    text = departure(share)
+    return text if np.isinf(share) else f"{text} of the motion".replace("× of", "times")
 
 
 def rollout_fit_words(found: RolloutFit) -> str:
@@ -139,15 +139,15 @@ def rollout_fit_words(found: RolloutFit) -> str:
             f"the fit is accepted: the error in held-out windows falls {shares} (p = "
             f"{chance(found.chance)})."
         )
-    why = f"is not significant (p = {chance(found.chance)}, {sum(found.tested)} windows); add logs "
-    why += "or --windows"
+    reason = f"is not significant (p = {chance(found.chance)}, {sum(found.tested)} windows); "
+    reason += "add logs or --windows"
     if after.relative > before.relative:
-        why = "is an increase"
-    return f"the fit is rejected: its change in held-out windows, {shares}, {why}."
+        reason = "is an increase"
+    return f"the fit is rejected: its change in held-out windows, {shares}, {reason}."
 
 
 def departures_table(after: Rollout, before: Rollout | None, units: Units) -> Table:
-    """Return how far every joint departs from its measured motion."""
+    """Return the position error of every joint."""
     rows = []
     for j, joint in enumerate(after.joints):
         log, instant = joint.worst
@@ -160,7 +160,7 @@ def departures_table(after: Rollout, before: Rollout | None, units: Units) -> Ta
 
 
 def stages_table(stages: Sequence[Rollout], units: Units) -> Table:
-    """Return how far every joint departs before any step, and after each."""
+    """Return the position error of every joint before the first and after each step."""
     steps = [f"after step {k}" for k in range(1, len(stages))]
     rows = [
         cells(
@@ -177,7 +177,7 @@ def _with_unit(joint: JointDeparture, units: Units) -> str:
 
 
 def _values_table(found: RolloutFit, units: Units) -> Table:
-    """Return what a fit of rollouts found, before and after."""
+    """Return the fitted values, before and after."""
     rows = []
     for value in found.values:
         unit = units.parameter(value.effect, value.name, value.joint)
@@ -192,7 +192,7 @@ def _values_table(found: RolloutFit, units: Units) -> Table:
 
 
 def _fit_table(found: RolloutFit, units: Units) -> Table:
-    """Return departures of every joint before and after a fit, in windows it saw and in others."""
+    """Return the position errors before and after a fit, in fitted and held-out windows."""
     stages = (*found.fitted, *found.held_out)
     rows = [
         cells(
@@ -208,7 +208,7 @@ def _fit_table(found: RolloutFit, units: Units) -> Table:
 
 
 def rollout_chart(after: Rollout, before: Rollout | None, units: Units) -> Chart:
-    """Return measured and simulated positions of every joint over time, window after window."""
+    """Return measured and simulated positions of every joint in successive windows."""
     starts = np.arange(len(after.windows)) * 1.1 * after.horizon
     times = [s + w.time - w.time[0] for s, w in zip(starts, after.windows, strict=True)]
     time = gap_filled(_joined(times))
@@ -225,9 +225,8 @@ def rollout_chart(after: Rollout, before: Rollout | None, units: Units) -> Chart
         low, high = float(known.min()) - margin, float(known.max()) + margin
         curves = {_MEASURED: measured[:, j]}
         for stage, q in simulated.items():
-            # Those far away leave the plot anyway.
-            near = np.abs(q[:, j] - 0.5 * (low + high)) < 2.0 * (high - low)
-            curves[stage] = np.where(near, q[:, j], np.nan)
+            is_close = np.abs(q[:, j] - 0.5 * (low + high)) < 2.0 * (high - low)
+            curves[stage] = np.where(is_close, q[:, j], np.nan)  # others leave the plot
         plot = Plot(f"position, {unit}", curves, span=(low, high))
         worst = "departs most" if j == order[0] and len(order) > 1 else ""
         detail, shown = f"RMS {number(joint.rms)} {unit}", j in order[:MOST_PANELS]
@@ -241,7 +240,7 @@ def rollout_chart(after: Rollout, before: Rollout | None, units: Units) -> Chart
 
 
 def _joined(parts: Sequence[Array]) -> Array:
-    """Return the rows of all windows, one after the other, with a NaN behind each."""
+    """Return the rows of all windows, with a row of NaN after each."""
     gap = np.full((1, *parts[0].shape[1:]), np.nan)
     return np.concatenate([each for part in parts for each in (part, gap)])
 
@@ -273,4 +272,4 @@ VIEWS = {
         figure="rollout",
     ),
 }
-"""How to see each of these results."""
+"""How each type of result is shown."""
