@@ -60,7 +60,7 @@ class Maker:
                 f'<origin xyz="{place}"/></joint></robot>'
             )
             text = text.replace("</robot>", load + weld)
-        self.time = np.arange(0.0, 12.0, 1 / RATE)
+        self.time = np.arange(0.0, 9.0, 1 / RATE)
         self.place = waves(self.time, np.array([0.04, 0.03, 0.03]), rng)
         self.place[0, :, 2] += 0.38
         self.angles = waves(self.time, np.array([0.12, 0.15, 0.12]), rng)  # yaw, pitch, roll
