@@ -9,7 +9,7 @@ import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -136,13 +136,14 @@ def read_yaml(path: Path, reading: Reading) -> LogTable:
 
 
 _LONG = 1_000_000  # letters of JSON
-_FIRST = 100_000  # fields
+_FIRST = 3000  # fields
 
 
 def _check_told(path: Path, content: Any, advice: str) -> None:
     """Raise for content whose first fields are neither of joints nor of time."""
-    fields = islice(fields_of({"log": content}, lists=True), _FIRST)
-    names = {re.sub(r"\[\d+\]", "", name) for name, _ in fields}
+    fields = fields_of({"log": content}, lists=True)
+    inside = (re.sub(r"\[\d+\]", "", name) for name, _ in fields)
+    names = islice(chain(content if isinstance(content, Mapping) else (), inside), _FIRST)
     if not any(meaning_of(part) for name in names for part in (name, name.rpartition(".")[2])):
         raise LogError(f"Log {str(path)!r} has neither time nor joints.", advice=advice)
 

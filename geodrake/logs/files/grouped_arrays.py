@@ -163,7 +163,9 @@ def records_table(
                 columns[name] = []
                 width += len(value) if isinstance(value, list) else 1
                 check_room(path, len(content) * width, f"{width} fields")
-            columns[name] += [None] * (k - len(columns[name])) + [value]
+            if len(columns[name]) < k:
+                columns[name] += [None] * (k - len(columns[name]))
+            columns[name].append(value)
     for values in columns.values():
         values.extend([None] * (len(content) - len(values)))
     return numeric_table(path, {**(said or {}), **columns}, len(content))
