@@ -347,3 +347,13 @@ def test_efforts_without_their_sign_are_said(kinds):
     assert hint(waves) is None
     assert hint(2.0 + waves) is None
     assert hint(np.zeros_like(waves)) is None
+
+
+@pytest.mark.parametrize(
+    ("scale", "kind"), [(3000.0, "current"), (30.0, "current"), (3e3, "effort")]
+)
+def test_currents_of_hundreds_of_amperes_are_counts(scale, kind):
+    counts = np.rint(scale * np.sin(np.arange(len(WITHIN))))[:, None] * np.ones(2)
+    kinds = dict.fromkeys(log(WITHIN).joints, kind)
+    hint = effort_hint(replace(log(WITHIN), effort=counts, effort_kinds=kinds))
+    assert (hint is not None and "counts or mA" in hint) == (scale > 300.0 and kind == "current")

@@ -934,6 +934,7 @@ def test_many_lines_are_read_by_arrow_as_without_it(tmp_path, monkeypatch, odd):
         ),
         ("a.json", '{"a": 1', "not a readable JSON file"),
         ("a.json", "3", "neither a JSON object nor a list of records"),
+        ("a.json", json.dumps([{"id": k, "box": [1] * 9} for k in range(40_000)]), "neither time"),
         ("a.jsonl", "[1]\n[2]", "neither a JSON object nor a list of records"),
         ("deep.json", '{"a":' * 5000 + "1" + "}" * 5000, "maximum recursion depth exceeded"),
         ("a.h5", "no archive", "not a readable HDF5 file"),
