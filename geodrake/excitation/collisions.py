@@ -1,7 +1,7 @@
-"""Collision geometry of robots, scenes and obstacles, distances, and how they depend on postures.
+"""Collision geometry of robots, scenes and obstacles, and distances and their gradients.
 
-Drake takes a mesh for its convex hull wherever it measures distances, so meshes become convex hulls
-in memory; those of STL files too, which Drake does not read.
+Drake measures distances to the convex hulls of meshes, so meshes become convex hulls in memory.
+This also admits STL files, which Drake does not read.
 """
 
 from __future__ import annotations
@@ -56,12 +56,12 @@ from geodrake.robot.shapes import (
 )
 
 FLOOR, ITSELF = "floor", "itself"
-_HALF = 10.0, 0.5  # m, of the sides and the depth of a floor
-_CONTACT = CoulombFriction(0.5, 0.5)  # which nothing here uses, but Drake asks for
-_FEW, _GRID = 1000, 2e-4  # corners of a hull, and where those of one with more are, m
-_INFLUENCE = 0.05  # m beyond the clearance at which the constraint begins to feel a distance
+_HALF = 10.0, 0.5  # half the width and the depth of a floor, m
+_CONTACT = CoulombFriction(0.5, 0.5)  # unused here, but required by Drake
+_MAX_CORNERS, _GRID = 1000, 2e-4  # hulls with more corners are rounded to a grid, m
+_INFLUENCE = 0.05  # m beyond the clearance at which the constraint becomes active
 _POSTURES = 40
-_ALWAYS = 0.9  # share of random postures in which parts overlap that are made to
+_ALWAYS = 0.9  # share of random postures from which an overlap counts as intended
 _SHAPES = {"box": (Box, 3), "sphere": (Sphere, 1), "cylinder": (Cylinder, 2), FLOOR: (None, 1)}
 _SCENES, _MESHES = (".urdf", ".sdf", ".xml", ".xacro", ".yaml", ".yml"), (".obj", ".stl", ".vtk")
 _FORMS = (
@@ -78,7 +78,7 @@ class Solid:
 
     Attributes:
         shape: Drake's shape, such as `Box(0.5, 0.5, 0.1)`.
-        X_BG: Its pose in the link's frame; for an obstacle, in the world.
+        X_BG: Pose in the link's frame; for an obstacle, in the world.
     """
 
     name: str
@@ -93,9 +93,9 @@ class Solid:
 
 @typed
 def floor_of(model: RobotModel, *, below: float = 0.0) -> Solid:
-    """Return a floor at the height of the origin of the robot's base, level in the world.
+    """Return a level floor at the height of the robot's base, lowered by `below`, m.
 
-    Of a robot on its feet it is on the ground; `below`, m, moves it down.
+    For a robot on its feet the floor is the ground.
     """
     plant = model.plant
     context = plant.CreateDefaultContext()
@@ -111,30 +111,31 @@ def _floor(name: str, height: float) -> Solid:
 
 
 def read_obstacles(texts: Iterable[str]) -> tuple[Solid, ...]:
-    """Return obstacles as people write them: `table=box:0.6,0.8,0.05@0.5,0,0.4`, or a file.
+    """Return obstacles from texts such as `table=box:0.6,0.8,0.05@0.5,0,0.4`, or from files.
 
     Args:
-        texts: Shapes with their sizes and poses in the world, m and rad; meshes; scenes, of which
-            all collision geometry stands in the way, where it is in the file.
+        texts: Shapes with their sizes and poses in the world, m and rad; meshes; or scenes, all of
+            whose collision geometry becomes obstacles at its place in the file.
     """
-    found: list[Solid] = []
+    obstacles: list[Solid] = []
     for k, text in enumerate(instances(texts, "texts", str), 1):
         body, at, place = text.rpartition("@") if "@" in text else (text, "", "")
-        label, named, what = body.partition("=")
-        label, what = (label.strip(), what.strip()) if named else ("", body.strip())
+        label, equals, source = body.partition("=")
+        label, source = (label.strip(), source.strip()) if equals else ("", body.strip())
         pose = _pose(place, text) if at else RigidTransform()
-        kind, colon, sizes = what.partition(":")
-        suffix = Path(what).suffix.lower()
+        kind, colon, sizes = source.partition(":")
+        path = Path(source)
+        suffix = path.suffix.lower()
         if colon and kind in _SHAPES:
-            found.append(_plain(label or f"{kind} {k}", kind, _numbers(sizes, text), pose))
+            obstacles.append(_plain(label or f"{kind} {k}", kind, _numbers(sizes, text), pose))
         elif suffix in _MESHES:
-            shape = Convex(points=_points(Path(what)).T, label=label or Path(what).stem)
-            found.append(Solid(label or Path(what).stem, shape, pose))
+            shape = Convex(points=_points(path).T, label=label or path.stem)
+            obstacles.append(Solid(label or path.stem, shape, pose))
         elif suffix in _SCENES:
-            found += _scene(Path(what), label or Path(what).stem, pose)
+            obstacles += _scene(path, label or path.stem, pose)
         else:
             raise ArgumentError(f"{text!r} is not an obstacle.", advice=_FORMS)
-    return tuple(found)
+    return tuple(obstacles)
 
 
 def _numbers(text: str, whole: str) -> list[float]:
@@ -170,7 +171,7 @@ def _plain(name: str, kind: str, sizes: list[float], pose: RigidTransform) -> So
 
 
 def _points(path: Path) -> Array:
-    """Return points (n, 3) of a mesh whose hull is that of the mesh."""
+    """Return points (n, 3) with the same convex hull as a mesh."""
     if path.suffix.lower() == ".stl":
         return stl_vertices(path)
     regular_mesh(path)
@@ -185,64 +186,66 @@ def corners_of(shape: Mesh | Convex) -> Array:
 
 
 def _scene(path: Path, name: str, X_WS: RigidTransform) -> list[Solid]:
-    """Return all collision geometry of a file, where its bodies are by default."""
+    """Return all collision geometry of a file in its default posture."""
     plant = MultibodyPlant(0.0)
     with drake_messages(), drake_errors(path):
         read_description(path).add_to(plant)
         plant.Finalize()
-    context, found = plant.CreateDefaultContext(), []
+    context, scene = plant.CreateDefaultContext(), []
     poses = {plant.world_body().scoped_name().get_full(): RigidTransform()}
     for i in range(plant.num_bodies()):
         body = plant.get_body(BodyIndex(i))
         poses[body.scoped_name().get_full()] = plant.EvalBodyPoseInWorld(context, body)
     for scope, solids in solids_of_file(path, Given()).items():
         for solid in solids if scope in poses else ():
-            own = f"{name}: {solid.name.partition('_')[2] or scope.rpartition('::')[2]}"
-            found.append(Solid(own, solid.shape, X_WS @ poses[scope] @ solid.X_BG))
-    if not found:
+            label = f"{name}: {solid.name.partition('_')[2] or scope.rpartition('::')[2]}"
+            scene.append(Solid(label, solid.shape, X_WS @ poses[scope] @ solid.X_BG))
+    if not scene:
         raise ArgumentError(
             f"Scene {path} has no collision geometry.",
             advice="Add <collision> elements to its links, or use boxes instead.",
         )
-    return found
+    return scene
 
 
 def solids_of_file(path: Path, given: Given) -> dict[str, list[Solid]]:
-    """Return collision geometry by scoped link name: of MJCF by MuJoCo, otherwise by Drake."""
-    of_mjcf = mjcf_geoms(path, given, hulls=True)
-    if of_mjcf is not None:
-        geoms, _ = of_mjcf
+    """Return collision geometry by scoped link name, read by MuJoCo from MJCF, else by Drake."""
+    mjcf = mjcf_geoms(path, given, hulls=True)
+    if mjcf is not None:
+        geoms, _ = mjcf
         return {
-            link: [Solid(f"{k}_{g.name}", g.shape, g.X_BG) for k, g in enumerate(own) if g.collides]
-            for link, own in geoms.items()
+            link: [
+                Solid(f"{k}_{g.name}", g.shape, g.X_BG) for k, g in enumerate(geom) if g.collides
+            ]
+            for link, geom in geoms.items()
         }
-    found, how = dict[str, list[Solid]](), " with its collision geometry"
+    solids, how = dict[str, list[Solid]](), " with its collision geometry"
     errors = drake_errors(path, how=how, advice=SHAPES_ADVICE)
     with drake_messages(), errors, TemporaryDirectory() as folder:
         files = (Path(folder) / f"{at}.obj" for at in count())
         plant, scene = scene_of(path, given, lambda root, where: _prepare(root, where, files))
         inspector = scene.model_inspector()
-        for link, own in geometries_of(plant, scene, Role.kProximity):
-            found[link] = []
-            for k, geometry in enumerate(own):
+        for link, geometries in geometries_of(plant, scene, Role.kProximity):
+            solids[link] = []
+            for k, geometry in enumerate(geometries):
                 name = f"{k}_{inspector.GetName(geometry).split('::')[-1]}"
                 shape = _in_memory(inspector.GetShape(geometry), name)
-                found[link].append(Solid(name, shape, inspector.GetPoseInFrame(geometry)))
-    return found
+                solids[link].append(Solid(name, shape, inspector.GetPoseInFrame(geometry)))
+    return solids
 
 
 def _prepare(root: Element, where: Where, files: Iterator[Path]) -> None:
-    """Keep collision geometry only; hulls of STL files are written to OBJ files."""
+    """Keep only the collision geometry, and replace STL files by OBJ files of their hulls."""
     drop(root, "visual")
     move_meshes(root, lambda name: _readable(name, where, next(files)))
 
 
 def _in_memory(shape: Shape, label: str) -> Shape:
-    """Return a shape that needs no file: of a mesh, its convex hull."""
+    """Return a shape that needs no file, the convex hull of a mesh."""
     if not isinstance(shape, Mesh | Convex):
         return shape.Clone()
     corners = corners_of(shape)
-    if len(corners) > _FEW:
+    if len(corners) > _MAX_CORNERS:
         corners = np.unique(_GRID * np.round(corners / _GRID), axis=0)
     return Convex(points=corners.T, label=label)
 
@@ -264,7 +267,7 @@ def _readable(name: str, where: Where, replacement: Path) -> Path:
             mesh=str(path),
         ) from error
     faces = np.arange(len(vertices)).reshape(-1, 3)
-    with suppress(QhullError):  # what is flat has no hull
+    with suppress(QhullError):  # a flat mesh has no hull
         hull = ConvexHull(vertices)
         corners = np.sort(hull.vertices)
         vertices, faces = vertices[corners], np.searchsorted(corners, hull.simplices)
@@ -277,13 +280,13 @@ def _readable(name: str, where: Where, replacement: Path) -> Path:
 class CollisionWorld:
     """A robot with collision geometry among obstacles.
 
-    Neighbours in the tree may touch, and so may links that overlap in nearly all postures, since
-    they are drawn so; `notes` says which.
+    Neighbours in the tree may touch, and so may links that overlap in nearly all postures, as this
+    is presumably intended; `notes` lists these.
 
     Args:
         links: Body name -> further shapes of the link.
         clearance: Least distance to keep, m.
-        use_file: Whether the file's own geometry counts.
+        use_file: Whether to use the collision geometry of the model's file.
     """
 
     @typed
@@ -299,7 +302,7 @@ class CollisionWorld:
         instance(model, "model", RobotModel)
         obstacles = instances(obstacles, "obstacles", Solid)
         links = {} if links is None else instance(links, "links", Mapping)
-        links = {body: instances(each, f"links[{body!r}]", Solid) for body, each in links.items()}
+        links = {body: instances(s, f"links[{body!r}]", Solid) for body, s in links.items()}
         number(clearance, "clearance", lower=0.0)
         own = solids_of_file(model.path, model.given) if use_file else {}
         self.clearance, self._model, self._solids = clearance, model, (own, links)
@@ -307,7 +310,7 @@ class CollisionWorld:
 
     @typed
     def among(self, obstacles: Sequence[Solid]) -> CollisionWorld:
-        """Return the same robot among other obstacles; its meshes are not read again."""
+        """Return the robot among other obstacles, without reading its meshes again."""
         world = copy(self)
         world._place(instances(obstacles, "obstacles", Solid))
         return world
@@ -326,15 +329,15 @@ class CollisionWorld:
             (plant.world_body(), obstacles),
         ]
         for name, further in links.items():
-            found = [
+            matches = [
                 body for body in bodies if name in (body.name(), body.scoped_name().get_full())
             ]
-            if not found:
+            if not matches:
                 raise ArgumentError(
                     f"There is no link {name!r}.",
                     advice=f"Links are: {', '.join(body.name() for body in bodies[1:])}.",
                 )
-            shapes.append((found[0], further))
+            shapes.append((matches[0], further))
         for body, solids in shapes:
             for solid in solids:
                 geometry = solid.X_BG, solid.shape, solid.name, _CONTACT
@@ -359,21 +362,24 @@ class CollisionWorld:
     def distances(self, q: Array) -> tuple[Array, tuple[str, ...]]:
         """Return the least signed distances (N,), m, and N pairs of names such as "hand and table".
 
-        No more than `clearance` + 0.05 m is distinguished from infinity.
+        Distances beyond `clearance` + 0.05 m are infinite.
         """
-        found, names = np.full(len(q), np.inf), [""] * len(q)
+        distances, names = np.full(len(q), np.inf), [""] * len(q)
         for i, pairs in enumerate(self._near(q)):
             if pairs:
                 nearest = min(pairs, key=lambda pair: pair.distance)
-                found[i], names[i] = nearest.distance, " and ".join(self._names(nearest))
-        return found, tuple(names)
+                distances[i], names[i] = nearest.distance, " and ".join(self._names(nearest))
+        return distances, tuple(names)
 
     def nearest(self, q: Array) -> dict[str, tuple[float, str]]:
-        """Return by how much a robot clears itself and each obstacle over postures (N, nq).
+        """Return the least distances of a robot to itself and to each obstacle.
+
+        Args:
+            q: (N, nq) postures.
 
         Returns:
-            "itself" or an obstacle's name -> least distance, m, and between what it is. What is
-            never within `clearance` + 0.05 m is left out.
+            "itself" or an obstacle's name -> least distance, m, and the names of the pair.
+            Obstacles beyond `clearance` + 0.05 m are omitted.
         """
         found: dict[str, tuple[float, str]] = {}
         for pairs in self._near(q):
@@ -385,13 +391,13 @@ class CollisionWorld:
         return found
 
     def constraint(self, q: Array) -> tuple[Array, Array]:
-        """Return smooth numbers (N,), at most 1 where the clearance is kept; gradients (N, nq).
+        """Return smooth values (N,), at most 1 where the clearance is kept, and gradients (N, nq).
 
-        These are those of `MinimumDistanceLowerBoundConstraint` at positions (N, nq) of the model.
+        They are those of Drake's `MinimumDistanceLowerBoundConstraint`.
         """
-        whole = self._model.plant_positions(q)
-        values, gradients = np.empty(len(q)), np.zeros(whole.shape)
-        for i, posture in enumerate(whole):
+        postures = self._model.plant_positions(q)
+        values, gradients = np.empty(len(q)), np.zeros(postures.shape)
+        for i, posture in enumerate(postures):
             result = self._constraint.Eval(InitializeAutoDiff(posture).ravel())
             values[i] = ExtractValue(result).item()
             gradient = ExtractGradient(result).ravel()
@@ -401,11 +407,11 @@ class CollisionWorld:
         return values, np.einsum("nij,ni->nj", J, gradients)
 
     def _near(self, q: Array) -> Iterator[list[SignedDistancePair]]:
-        """Yield Drake's signed distances of pairs that matter, for each posture of the model."""
+        """Yield Drake's signed distances of close pairs, for each posture of the model."""
         return self._pairs(self._model.plant_positions(q), self.clearance + _INFLUENCE)
 
     def _pairs(self, q: Array, within: float) -> Iterator[list[SignedDistancePair]]:
-        """Yield Drake's signed distances of pairs that are so near, for each of the plant's."""
+        """Yield Drake's signed distances up to `within`, for each posture of the plant."""
         for posture in q:
             self._plant.SetPositions(self._context, posture)
             query = self._plant.get_geometry_query_input_port().Eval(self._context)
@@ -425,7 +431,7 @@ class CollisionWorld:
         return names[0], names[1]
 
     def _allow_overlaps(self) -> tuple[str, ...]:
-        """Allow collisions of links that always overlap, with notes."""
+        """Ignore collisions of links that nearly always overlap, and return notes."""
         plant, world = self._plant, self._plant.world_body().index()
         lower, upper = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
         bounded = np.isfinite(lower) & np.isfinite(upper)
@@ -439,7 +445,7 @@ class CollisionWorld:
         context = self._scene.GetMyMutableContextFromRoot(self._root)
         manager, notes = self._scene.collision_filter_manager(context), []
         for key, times in count.items():
-            if times < _ALWAYS * _POSTURES or int(world) in key:  # such as an obstacle
+            if times < _ALWAYS * _POSTURES or int(world) in key:  # obstacles are in the world
                 continue
             bodies = (plant.get_body(BodyIndex(index)) for index in key)
             sets = (GeometrySet(plant.GetCollisionGeometriesForBody(body)) for body in bodies)

@@ -1,20 +1,19 @@
 """Identifiable directions of motions, and reduced identification, [Lee2019] §4.5.1.
 
-The normalized covariance of an estimate has eigenvalues λ₁ ≤ … ≤ λ_n: variances along principal
-directions, in squares of relative changes, whatever frames and units are. Directions of a variance
-above a threshold keep their prior values; the others are found by least squares. That takes one
-singular value decomposition of the whitened regressor A K (`geodrake.excitation.objective`):
+The normalized covariance of an estimate has eigenvalues λ₁ ≤ … ≤ λ_n: variances of relative changes
+along principal directions, independent of frames and units. Directions with a variance above a
+threshold keep their prior values; the others are estimated by least squares, from one singular
+value decomposition of the whitened regressor A K (`geodrake.excitation.objective`):
 
     A K = U S Wᵀ,   λᵢ = 1/sᵢ²,   φ* = φ⁰ + K W₋ S₋⁻¹ U₋ᵀ (b − A φ⁰)
 
-which has the base parameters of Eq. (4.5.60), and of all φ with those is the one nearest to φ⁰.
+Its base parameters are those of Eq. (4.5.60); among all φ with these, φ* is closest to φ⁰.
 
     found = log_identifiability(load_model("arm.urdf"), ["log.csv"])
     print(f"{found.count} of {found.possible} directions are identifiable")
 
-Logs are prepared and reduced as for every fit, so that what is counted are filtered samples of
-independent noise. The noise is what the model, refitted, leaves on held-out data: whatever else is
-in there, an estimate has to live with it.
+Logs are filtered and reduced as for every fit, so samples have independent noise. The noise is the
+held-out residual of the refitted model, which includes all unmodelled error.
 """
 
 from __future__ import annotations
@@ -49,23 +48,23 @@ from geodrake.logs.motion import JointLog, Motion
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.reduction import triangular_factor
 
-_SAMPLES = 2000  # of which there is a regressor in memory at once
-_ITERATIONS = 6  # refits until the weights of the joints stay
-_NOTHING = 1e-9  # share of a direction, or parameters of a block, that are rounding
-_HALF = 0.5  # share of a block above which it counts as identifiable
+_SAMPLES = 2000  # whose regressor is in memory at once
+_ITERATIONS = 6  # refits until the weights of the joints converge
+_NEGLIGIBLE = 1e-9  # share of a direction, or parameters of a block, attributed to rounding
+_HALF = 0.5  # share of a block from which it counts as identifiable
 
 
 @dataclass(frozen=True, eq=False)
 class IdentifiableParameters(Short):
-    """Which combinations of p parameters are identifiable to within a threshold.
+    """Combinations of p parameters that are identifiable within a threshold.
 
     Attributes:
-        variances: (n_B,) λ, ascending; infinite where the data say nothing. 10⁻² means a relative
-            deviation of about a tenth.
-        directions: (p, n_B) columns K W: the changes of parameters, of length one in the metric
-            G₀, that the variances are of.
+        variances: (n_B,) λ, ascending; infinite where the data carry no information. 10⁻² means a
+            relative deviation of about a tenth.
+        directions: (p, n_B) columns K W: the parameter changes, of unit length in the metric G₀,
+            that have these variances.
         kept: Number r of directions with a variance of at most the threshold.
-        threshold: ε_λ; λ_r where r was given.
+        threshold: ε_λ; λ_r if r was given.
     """
 
     variances: Array
@@ -76,14 +75,14 @@ class IdentifiableParameters(Short):
 
     @property
     def base_directions(self) -> Array:
-        """(n_B, n_B) v of [Lee2019] step a.3, columns, for `target.base`."""
+        """(n_B, n_B) columns v of [Lee2019] step a.3, for `target.base`."""
         return np.asarray(self.target.base.matrix @ self.directions)
 
     @property
     def shares(self) -> Array:
         """(blocks, n_B) share of every body, payload and further parameter in each direction.
 
-        Shares of a direction add up to one. They do not depend on frames and units.
+        The shares of a direction sum to one and do not depend on frames and units.
         """
         whitened = np.linalg.solve(self.target.metric_root, self.directions) ** 2
         inertial = len(self.target.columns)
@@ -92,16 +91,16 @@ class IdentifiableParameters(Short):
 
     @property
     def counts(self) -> Array:
-        """(blocks,) identifiable parameters of every body, payload and effect: 0 to 10 or 1.
+        """(blocks,) number of identifiable parameters of every body, payload and effect.
 
-        They add up to `kept`, and need not be whole: part of one can be.
+        At most 10, or 1 for an effect's parameter. They sum to `kept` and need not be integers.
         """
         return np.asarray(self.shares[:, : self.kept].sum(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
 class ReducedIdentification(Short):
-    """Parameters found along the directions that data identify.
+    """Parameters estimated along the identifiable directions.
 
     Attributes:
         parameters: (p,) φ*: bodies, payloads, further effects, in the target's order.
@@ -126,28 +125,28 @@ def measurement_factor(
 
     Args:
         motions: Motions, (N, ·) each.
-        measured: For each motion (N, m) efforts (N·m or N), or base wrenches (N·m and N), less
-            those of bodies and effects that the target takes as known. None for what could be
-            identified.
+        measured: For each motion, efforts (N, m) in N·m or N, or base wrenches in N·m and N, minus
+            those of bodies and effects that the target takes as known. Omit them to analyse
+            identifiability only.
 
     Returns:
-        (p, p) R with RᵀR = AᵀA of the whitened regressor; (p + 1, p + 1) of [A b] with
-        measurements.
+        (p, p) R with RᵀR = AᵀA of the whitened regressor; with measurements (p + 1, p + 1), of
+        [A b].
     """
     noise = instance(target, "target", Target).noise[:, None]
-    given = (motions,) if isinstance(motions, Motion) else motions
-    every = instances(given, "motions", Motion)
-    outputs: Sequence[object] = [None] * len(every)
+    inputs = (motions,) if isinstance(motions, Motion) else motions
+    inputs = instances(inputs, "motions", Motion)
+    outputs: Sequence[object] = [None] * len(inputs)
     if measured is not None:
         outputs = instances(measured, "measured", object)
-    if len(outputs) != len(every) or not every:
+    if len(outputs) != len(inputs) or not inputs:
         raise ArgumentError(
-            f"There are {len(every)} motions, but measurements of {len(outputs)}.",
+            f"There are {len(inputs)} motions, but measurements of {len(outputs)}.",
             advice="Pass one array of measurements for each motion.",
         )
 
     def whitened() -> Iterator[Array]:
-        for motion, output in zip(every, outputs, strict=True):
+        for motion, output in zip(inputs, outputs, strict=True):
             shape = len(motion), len(noise)
             b = np.zeros((*shape, 0))
             if output is not None:
@@ -163,18 +162,18 @@ def measurement_factor(
 def identifiable_parameters(
     target: Target, factor: ArrayLike, *, threshold: float = 1e-2, kept: int | None = None
 ) -> IdentifiableParameters:
-    """Return the identifiable directions of data, [Lee2019] steps a.1 to a.4.
+    """Return the directions that data identify, [Lee2019] steps a.1 to a.4.
 
     Args:
-        factor: `measurement_factor` of the data, with or without what was measured.
-        threshold: ε_λ, largest variance of what counts as identifiable; 10⁻² is a deviation of
-            a tenth.
+        factor: `measurement_factor` of the data, with or without measurements.
+        threshold: ε_λ, largest variance of an identifiable direction; 10⁻² is a deviation of a
+            tenth.
         kept: Number of directions instead of the threshold, as in step b.4.
     """
     array, size = real_array(factor, "factor"), instance(target, "target", Target).size
     if array.shape not in ((size, size), (size + 1, size + 1)):
         raise ArgumentError(
-            f"The factor has shape {array.shape}, but the target {size} parameters.",
+            f"The factor has shape {array.shape}, but the target has {size} parameters.",
             advice="Compute it with `measurement_factor` of the same target.",
         )
     return _decompose(target, array[:, :size], threshold, kept)[0]
@@ -183,24 +182,24 @@ def identifiable_parameters(
 def reduced_identification(
     target: Target, factor: ArrayLike, *, threshold: float = 1e-2, kept: int | None = None
 ) -> ReducedIdentification:
-    """Return least squares along identifiable directions, with the prior elsewhere, step a.5.
+    """Return the least-squares estimate along identifiable directions, the prior elsewhere (a.5).
 
     Args:
-        factor: (p + 1, p + 1) `measurement_factor` with what was measured.
+        factor: (p + 1, p + 1) `measurement_factor` with measurements.
         threshold: ε_λ; infinite for least squares of all base parameters.
         kept: Number of directions instead of the threshold.
     """
     size = instance(target, "target", Target).size
-    both = real_array(factor, "factor", (size + 1, size + 1))  # with what was measured
-    found, U, singular = _decompose(target, both[:, :size], threshold, kept)
-    r, seen = found.kept, _seen(singular)
-    if r > seen:
+    augmented = real_array(factor, "factor", (size + 1, size + 1))
+    found, U, singular = _decompose(target, augmented[:, :size], threshold, kept)
+    r, rank = found.kept, _rank(singular)
+    if r > rank:
         raise ArgumentError(
-            f"{r} directions cannot be estimated: the data identify only {seen}.",
+            f"{r} directions cannot be estimated: the data identify only {rank}.",
             advice="Keep fewer, lower the threshold, or move more joints.",
         )
-    rest = both[:, size] - both[:, :size] @ target.prior
-    step = found.directions[:, :r] @ ((U[:, :r].T @ rest) / singular[:r])
+    residual = augmented[:, size] - augmented[:, :size] @ target.prior
+    step = found.directions[:, :r] @ ((U[:, :r].T @ residual) / singular[:r])
     parameters = target.prior + step
     return ReducedIdentification(parameters, target.base.values(parameters), found)
 
@@ -218,7 +217,7 @@ def _decompose(
         variances = singular**-2.0
     count = int(np.count_nonzero(variances <= threshold)) if kept is None else kept
     if np.isinf(threshold) and kept is None:
-        count = _seen(singular)
+        count = _rank(singular)
     if not 1 <= count <= len(variances) or not singular[0] > 0:
         raise ArgumentError(
             f"No direction is within the threshold of {threshold:g}: the most certain one "
@@ -233,23 +232,23 @@ def _decompose(
     return found, U, singular
 
 
-def _seen(singular: Array) -> int:
-    """Return how many singular values, descending, are more than rounding."""
+def _rank(singular: Array) -> int:
+    """Return the number of singular values, in descending order, above rounding."""
     least = np.finfo(float).eps * singular.max(initial=0.0) * len(singular)
     return int(np.count_nonzero(singular > least))
 
 
 @dataclass(frozen=True)
 class IdentifiableBlock:
-    """How much of a body, or of a parameter of an effect, is identifiable."""
+    """The identifiable part of a body, or of a parameter of an effect."""
 
-    name: str  # of the body, or of the effect: "<parameter> of <effect>" if it has several
+    name: str  # body, effect, or "<parameter> of <effect>" if the effect has several parameters
     where: tuple[str, ...]  # joints or body of the effect; () for a body
-    # How many of its parameters are, 0 to 10 for a body and 0 to 1 for an effect, part of one too.
+    # Identifiable parameters, 0 to 10 for a body and 0 to 1 for an effect, not always an integer.
     count: float
-    possible: float  # how many are from the best of motions
-    # Of an effect: its value in the model, or that of a fit to the logs, and the deviation of an
-    # estimate from these logs alone, infinite where they do not determine it.
+    possible: float  # identifiable parameters with ideal motions
+    # For an effect, the value in the model or of a fit to the logs, and the standard deviation of
+    # an estimate from these logs alone, infinite where they do not determine it.
     value: float = np.nan
     deviation: float = np.nan
     effect: str = ""
@@ -257,31 +256,30 @@ class IdentifiableBlock:
 
     @property
     def label(self) -> str:
-        """Its name, and of an effect where it acts."""
+        """The name, and the place of an effect."""
         place = "/".join(self.where) or "the robot"
         return f"{self.name} of {place}" if self.effect else self.name
 
     @property
     def share(self) -> float:
-        """Identifiable over possible; zero if nothing is possible."""
-        return self.count / self.possible if self.possible > _NOTHING else 0.0
+        """The ratio of `count` and `possible`; zero if nothing is possible."""
+        return self.count / self.possible if self.possible > _NEGLIGIBLE else 0.0
 
     @property
     def is_identifiable(self) -> bool:
-        """Whether most of it is identifiable."""
+        """Whether at least half of it is identifiable."""
         return self.share >= _HALF
 
 
 @dataclass(frozen=True)
 class ParameterCombination:
-    """A base parameter."""
+    """A base parameter and its uncertainty."""
 
     words: str  # the combination, such as "Izz of column + Iyy of arm"
-    value: float  # its value in the model, SI units
+    value: float  # in the model, SI units
     # Deviation of an estimate from the logs alone; infinite where they do not determine it.
     deviation: float
-    # The deviation over the size that such a parameter has, which is geometric: it depends neither
-    # on frames nor on units.
+    # The deviation relative to a geometric scale, independent of frames and units.
     relative: float
 
 
@@ -294,20 +292,20 @@ class LogIdentifiability(Shown):
     bodies: tuple[IdentifiableBlock, ...]
     effects: tuple[IdentifiableBlock, ...]
     combinations: tuple[ParameterCombination, ...]
-    noise: Array  # (nv,) deviation that a filtered sample counts with, N·m or N
+    noise: Array  # (nv,) standard deviation of a filtered sample, N·m or N
     floor: Array  # (nv,) estimated sensor noise after filtering, N·m or N
-    floor_variances: Array  # (n_B,) variances if the sensor noise were all there is, ascending
+    floor_variances: Array  # (n_B,) variances with sensor noise only, ascending
     samples: NDArray[np.int_]  # (nv,) filtered samples of each joint
     notes: tuple[str, ...]
 
     @property
     def count(self) -> int:
-        """How many directions are identifiable."""
+        """Number of identifiable directions."""
         return self.identifiable.kept
 
     @property
     def possible(self) -> int:
-        """How many are from the best of motions."""
+        """Number of directions that are identifiable with ideal motions."""
         return len(self.identifiable.variances)
 
     @property
@@ -327,10 +325,10 @@ class LogIdentifiability(Shown):
 
     @property
     def unidentifiable(self) -> tuple[ParameterCombination, ...]:
-        """The base parameters whose relative deviation is above the threshold, worst first."""
-        most = np.sqrt(self.identifiable.threshold)
-        rest = [c for c in self.combinations if not c.relative <= most]
-        return tuple(sorted(rest, key=lambda c: -c.relative))
+        """Base parameters with a relative deviation above the threshold, worst first."""
+        limit = np.sqrt(self.identifiable.threshold)
+        uncertain = [c for c in self.combinations if not c.relative <= limit]
+        return tuple(sorted(uncertain, key=lambda c: -c.relative))
 
 
 def log_identifiability(
@@ -347,20 +345,20 @@ def log_identifiability(
     """Return the identifiability of a model's inertias and effects from logs.
 
     Args:
-        threshold: ε_λ, largest variance of what counts as identifiable; 10⁻² is a deviation of
-            a tenth.
-        noise: Deviation of a filtered effort: one, or one a joint, N·m or N. By default what the
-            refitted model leaves on held-out data, counted by effective samples.
+        threshold: ε_λ, largest variance of an identifiable direction; 10⁻² is a deviation of a
+            tenth.
+        noise: Standard deviation of a filtered effort, one or one per joint, N·m or N; by default
+            the held-out residual of the refitted model, scaled by effective sample size.
         bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
             or chosen from the data.
-        blocks: Blocks into which every log is cut for validation.
+        blocks: Number of blocks into which every log is split for validation.
     """
     function(progress, "progress")
-    wanted = with_effects(instance(model, "model", RobotModel).with_volume, effects)
-    case = open_case(wanted, logs, candidates=False, bandwidth=bandwidth, blocks=blocks)
+    extended = with_effects(instance(model, "model", RobotModel).with_volume, effects)
+    case = open_case(extended, logs, candidates=False, bandwidth=bandwidth, blocks=blocks)
     progress("Fitting, for noise and sizes of effects")
-    fitted, left = _fitted(case)
-    target = make_target(fitted, noise=left if noise is None else noise)
+    fitted, residual_noise = _fitted(case)
+    target = make_target(fitted, noise=residual_noise if noise is None else noise)
     progress("Decomposing")
     factor = _factor(case, target, target.noise)
     found = identifiable_parameters(target, factor, threshold=threshold)
@@ -384,7 +382,7 @@ def log_identifiability(
 def _fitted(case: Case) -> tuple[RobotModel, Array]:
     """Return the model with effects of unknown size fitted, and the noise (nv,) of a sample.
 
-    The noise is the RMS of what the refitted model leaves, as if every sample were independent.
+    The noise is the RMS residual of the refitted model, scaled as if samples were independent.
     """
     dataset, model = case.dataset, case.model
     unknowns = log_unknowns(dataset, model)
@@ -392,15 +390,15 @@ def _fitted(case: Case) -> tuple[RobotModel, Array]:
     mse = np.maximum(found.held_out.mse, dataset.noise_floor**2)
     mse = np.maximum(mse, 1e-12 * dataset.effort_std**2)
     samples, has = dataset.samples.sum(0), dataset.has_rows
-    noise = np.ones(len(mse))  # of joints without rows, where it weighs nothing
+    noise = np.ones(len(mse))  # irrelevant for joints without rows
     noise[has] = np.sqrt((mse * samples)[has] / np.minimum(found.effective, samples)[has])
     x = found.cv.fit_all
     effects = []
-    for known in model.effects:
-        values = known.parameters
-        if known.effect in unknowns.effects and not is_payload(known.effect):
-            values = np.where(values, values, x[unknowns.span(known.effect)])
-        effects.append(replace(known, parameters=values))
+    for f in model.effects:
+        values = f.parameters
+        if f.effect in unknowns.effects and not is_payload(f.effect):
+            values = np.where(values, values, x[unknowns.span(f.effect)])
+        effects.append(replace(f, parameters=values))
     return replace(model, effects=tuple(effects)), np.asarray(noise)
 
 
@@ -408,32 +406,32 @@ def _factor(case: Case, target: Target, noise: Array) -> Array:
     """Return the triangular factor (p, p) of the whitened regressor in the target's columns."""
     dataset = case.dataset
     columns = [target.columns, *(dataset.effect_columns(f.effect) for f in target.further)]
-    wanted = np.concatenate(columns)
+    indices = np.concatenate(columns)
     rows = []
     for data, deviation in zip(dataset.data, noise, strict=True):
-        local = data.local(wanted)
+        local = data.local(indices)
         stacked = data.factors.reshape(-1, data.factors.shape[2])
-        here = np.zeros((len(stacked), len(wanted)))
-        here[:, local >= 0] = stacked[:, local[local >= 0]]
-        rows.append(here / deviation)
+        regressor = np.zeros((len(stacked), len(indices)))
+        regressor[:, local >= 0] = stacked[:, local[local >= 0]]
+        rows.append(regressor / deviation)
     return triangular_factor(rows)
 
 
 def _blocks(
     found: IdentifiableParameters,
 ) -> tuple[tuple[IdentifiableBlock, ...], tuple[IdentifiableBlock, ...]]:
-    """Return bodies, and parameters of effects."""
+    """Return the blocks of bodies, and of parameters of effects."""
     target, bodies = found.target, found.target.bodies
-    numbers = np.stack([found.counts, found.shares.sum(axis=1)], axis=1).tolist()
-    parameters, of_effects = [], iter(numbers[len(target.columns) // PARAMETERS_PER_BODY :])
+    counts = np.stack([found.counts, found.shares.sum(axis=1)], axis=1).tolist()
+    parameters, effect_counts = [], iter(counts[len(target.columns) // PARAMETERS_PER_BODY :])
     for f, span in target.further_spans:
         rows = found.directions[span]
-        each = zip(f.effect.parameters, f.parameters.tolist(), rows, of_effects, strict=False)
-        for parameter, value, row, (count, possible) in each:
-            several = f"{parameter.name} of {f.effect.name}"
+        entries = zip(f.effect.parameters, f.parameters.tolist(), rows, effect_counts, strict=False)
+        for parameter, value, row, (count, possible) in entries:
+            full_name = f"{parameter.name} of {f.effect.name}"
             parameters.append(
                 IdentifiableBlock(
-                    several if len(rows) > 1 else f.effect.name,
+                    full_name if len(rows) > 1 else f.effect.name,
                     f.effect.where,
                     count=count,
                     possible=possible,
@@ -443,14 +441,14 @@ def _blocks(
                     parameter=parameter.name,
                 )
             )
-    pairs = zip(bodies, numbers, strict=False)
-    return tuple(IdentifiableBlock(name, (), *own) for name, own in pairs), tuple(parameters)
+    pairs = zip(bodies, counts, strict=False)
+    return tuple(IdentifiableBlock(name, (), *both) for name, both in pairs), tuple(parameters)
 
 
 def _combinations(found: IdentifiableParameters) -> tuple[ParameterCombination, ...]:
-    """Return base parameters with their deviations."""
+    """Return the base parameters with their deviations."""
     target, rows = found.target, found.base_directions
-    sizes = np.linalg.norm(rows, axis=1)  # (H₀⁻¹)ᵢᵢ is what one unit of length allows
+    sizes = np.linalg.norm(rows, axis=1)  # (H₀⁻¹)ᵢᵢ^½, the change per unit of length
     values = target.base.values(target.prior)
     deviations = [_deviation(row, found.variances) for row in rows]
     return tuple(
@@ -462,6 +460,6 @@ def _combinations(found: IdentifiableParameters) -> tuple[ParameterCombination, 
 
 
 def _deviation(row: Array, variances: Array) -> float:
-    """Return the deviation of row · w for independent w; infinite variances count if seen."""
-    seen = np.abs(row) > _NOTHING * np.abs(row).max(initial=0.0)
-    return float(np.sqrt(np.sum(row[seen] ** 2 * variances[seen])))
+    """Return the standard deviation of row · w for independent w, ignoring negligible entries."""
+    relevant = np.abs(row) > _NEGLIGIBLE * np.abs(row).max(initial=0.0)
+    return float(np.sqrt(np.sum(row[relevant] ** 2 * variances[relevant])))

@@ -1,17 +1,18 @@
-"""Gradients of regressors with respect to the motion, by one pass back through the recursion.
+"""Gradients of regressors with respect to the motion, by reverse-mode recursion.
 
-What an excitation criterion needs of the derivatives of a regressor is their sum with weights W of
-its size, of every sample apart:
+An excitation criterion needs, for every sample, the derivatives of a regressor summed with weights
+W of its size:
 
     ∂/∂(q, v, v̇)  Σ W ∘ Y(q, v, v̇)
 
-[Lee2019] Appendix B.3 (Algorithms 2 to 4) carries the derivatives with respect to every parameter
-of a trajectory outwards and wrenches inwards. Reversed, the same chain of products carries one
-covector a body inwards, whatever the number of trajectory parameters is: the cost is that of a few
-regressors, linear in samples. What trajectories make of it is a linear map (`MotionFamily`).
+[Lee2019] Appendix B.3 (Algorithms 2 to 4) propagates the derivatives with respect to every
+trajectory parameter outwards and wrenches inwards. Reversed, the same chain of products propagates
+one covector per body inwards, independent of the number of trajectory parameters. The cost is that
+of a few regressors, linear in the samples. A trajectory's parameters enter by a linear map
+(`MotionFamily`).
 
-Per body, W's block is a regressor's inner product with "parameters" c (m, h, I) of its own for
-every velocity, so that with the row τ = t·f + s·n of `geodrake.robot.recursion`
+For each body and velocity, the block of W acts as "parameters" c (m, h, I) in an inner product with
+the regressor, so with the row τ = t·f + s·n of `geodrake.robot.recursion`
 
     ∂τ/∂t = m a + α × h + ω × (ω × h),       ∂τ/∂s = I α + ω × I ω + h × a,
     ∂τ/∂a = m t + s × h,                     ∂τ/∂α = h × t + I s,
@@ -75,19 +76,19 @@ from geodrake.robot.vectors import (
     vector,
 )
 
-_STEP = 1e-5  # of differences, of the largest value there is
-_IMAGINARY_STEP = 1e-30  # so small that its square is nothing: the derivative is exact
+_STEP = 1e-5  # of finite differences, relative to the largest value
+_IMAGINARY_STEP = 1e-30  # its square underflows, so the derivative is exact
 
 
 class MotionGradient(NamedTuple):
-    """Gradient of a number with respect to the motion, sample by sample."""
+    """Gradient of a scalar with respect to the motion, sample by sample."""
 
     q: Array  # (N, nq) with respect to the positions
     v: Array  # (N, nv) with respect to the velocities
     vd: Array  # (N, nv) with respect to the accelerations
 
     def plus(self, *others: MotionGradient) -> MotionGradient:
-        """Return the gradient of the sum of several numbers."""
+        """Return the sum of several gradients."""
         return MotionGradient(*(sum(parts) for parts in zip(self, *others, strict=True)))
 
 
@@ -100,7 +101,7 @@ def inverse_dynamics_regressor_gradient(
 ) -> MotionGradient:
     """Return the gradient of Σ W ∘ Y, with Y (N, nv, 10 nb) the regressor of inverse dynamics.
 
-    With W = λ φᵀ it is the gradient of λᵀ τ, of efforts.
+    With W = λ φᵀ it is the gradient of λᵀ τ.
     """
     robot = checked_tree(plant)
     tree, samples, J = checked_samples(robot, q, v, vd)
@@ -110,13 +111,13 @@ def inverse_dynamics_regressor_gradient(
         return reverse_recursion(tree, samples, weights)
     inner = J @ weights  # Σ W ∘ (Jᵀ Y) = Σ (J W) ∘ Y
     motion = Motion(*(np.asarray(x, float) for x in (q, v, vd)))
-    found = at_actuators(robot.actuation, J, motion, reverse_recursion(tree, samples, inner))
-    if robot.actuation.constant is None:  # and J itself depends on q
+    gradient = at_actuators(robot.actuation, J, motion, reverse_recursion(tree, samples, inner))
+    if robot.actuation.constant is None:  # J itself depends on q
         Y = np.zeros_like(inner)
         put_regressor(tree, samples, Y)
         products = Y @ np.swapaxes(weights, 1, 2)
-        found.q[:] += robot.actuation.bend(motion.q, products)
-    return found
+        gradient.q[:] += robot.actuation.bend(motion.q, products)
+    return gradient
 
 
 def base_wrench_regressor_gradient(
@@ -131,7 +132,7 @@ def base_wrench_regressor_gradient(
     """Return the gradient of Σ W ∘ Y, with Y (N, 6, 10 nb) the regressor of the base wrench.
 
     The plant may have any base. X_WP is the frame of the wrench as in `base_wrench_regressor`, one
-    pose or (N, 4, 4), which does not depend on the motion, such as a force plate's.
+    pose or (N, 4, 4), independent of the motion, such as that of a force plate.
     """
     robot = checked_tree(plant)
     tree, (theta, rate, _, rated), J = checked_samples(robot, q, v, vd)
@@ -144,37 +145,37 @@ def base_wrench_regressor_gradient(
     samples = (theta, rate, rate, np.hstack([rated, resting]))
     rows = np.concatenate([np.zeros((len(theta), nv, weights.shape[-1])), weights], axis=1)
     gradient = reverse_recursion(on_a_free_world(tree), samples, rows)
-    own = MotionGradient(gradient.q, gradient.v[:, :nv], gradient.vd[:, :nv])
+    gradient = MotionGradient(gradient.q, gradient.v[:, :nv], gradient.vd[:, :nv])
     if J is None or robot.actuation is None:
-        return own
+        return gradient
     motion = Motion(*(np.asarray(x, float) for x in (q, v, vd)))
-    return at_actuators(robot.actuation, J, motion, own)
+    return at_actuators(robot.actuation, J, motion, gradient)
 
 
 def at_actuators(
     actuation: DrivenCoordinates, J: Array, motion: Motion, gradient: MotionGradient
 ) -> MotionGradient:
-    """Return the gradient with the motion of actuators, of that with the motion of joints.
+    """Convert a gradient from the motion of joints to that of actuators.
 
-    By θ̇ = J q̇ and θ̈ = J q̈ + J̇ q̇, with the slopes that `effort_slopes` has as well.
+    The chain rule uses θ̇ = J q̇ and θ̈ = J q̈ + J̇ q̇, as in `effort_slopes`.
     """
     JT, q, v, vd = np.swapaxes(J, 1, 2), motion.q, motion.v, motion.vd
-    found = MotionGradient(*(transmission.times(JT, x) for x in gradient))
+    converted = MotionGradient(*(transmission.times(JT, x) for x in gradient))
     if actuation.constant is None:
         rate = np.swapaxes(actuation.jacobian_rate(q, v), 1, 2)
         bent = actuation.jacobian_rate(q, vd) + actuation.jacobian_rate_slope(q, v)
         by_q = transmission.times(rate, gradient.v) + transmission.times(
             np.swapaxes(bent, 1, 2), gradient.vd
         )
-        found.q[:, actuation.driven] += by_q[:, actuation.driven]
-        found.v[:] += transmission.times(2.0 * rate, gradient.vd)
-    return found
+        converted.q[:, actuation.driven] += by_q[:, actuation.driven]
+        converted.v[:] += transmission.times(2.0 * rate, gradient.vd)
+    return converted
 
 
 def regressor_motion_gradient(
     target: Target, measurement: Measurement, weights: Array
 ) -> MotionGradient:
-    """Return the gradient of Σ W ∘ X, X (N, m, p) the regressor of a target's unknowns."""
+    """Return the gradient of Σ W ∘ X, with X (N, m, p) the regressor of a target's unknowns."""
     tree, motion = target.model.tree, measurement.motion
     rows = np.zeros((*weights.shape[:2], PARAMETERS_PER_BODY * len(tree.bodies)))
     for start in range(0, len(target.columns), PARAMETERS_PER_BODY):
@@ -190,7 +191,7 @@ def regressor_motion_gradient(
 def effort_gradient(
     model: RobotModel, motion: Motion, seen: RobotMotion, weights: Array
 ) -> MotionGradient:
-    """Return the gradient of Σ w ∘ τ, with τ (N, nv) the efforts of the model, effects included."""
+    """Return the gradient of Σ w ∘ τ, with τ (N, nv) the model's efforts including effects."""
     rows = weights[:, :, None] * model.total_phi.ravel()
     parts = [
         (fitted.effect, weights[:, :, None] * fitted.parameters)
@@ -207,15 +208,15 @@ def _with_effects(
     rows: Array,
     parts: Sequence[tuple[Effect, Array]],
 ) -> MotionGradient:
-    """Return the gradient of Σ rows ∘ Y + Σ weights ∘ Y_e; `rows` is changed."""
+    """Return the gradient of Σ rows ∘ Y + Σ weights ∘ Y_e; `rows` is modified in place."""
     at, load = model.single_places, np.zeros(motion.v.shape)
-    known, unknown = [], []
+    gradients, remaining = [], []
     for effect, weights in parts:
         gradient = effect.gradient(seen, weights)
         if gradient is None:
-            unknown.append((effect, weights))
+            remaining.append((effect, weights))
             continue
-        known.append(gradient)
+        gradients.append(gradient)
         load += gradient.load
         for body, by_columns in gradient.bodies.items():
             first = PARAMETERS_PER_BODY * model.bodies.index(body)
@@ -223,13 +224,13 @@ def _with_effects(
     if load.any():
         rows += load[:, :, None] * model.total_phi.ravel()
     total = inverse_dynamics_regressor_gradient(model.tree, motion.q, motion.v, motion.vd, rows)
-    for gradient in known:
+    for gradient in gradients:
         total.q[:, at] += gradient.q[:, at]
         total.v[:] += gradient.v
         total.vd[:] += gradient.vd
-    if not unknown:
+    if not remaining:
         return total
-    return total.plus(_by_differences(model, motion, unknown, seen.sign_width))
+    return total.plus(_by_differences(model, motion, remaining, seen.sign_width))
 
 
 def _by_differences(
@@ -238,9 +239,9 @@ def _by_differences(
     parts: Sequence[tuple[Effect, Array]],
     sign_width: Array,
 ) -> MotionGradient:
-    """Take central differences for effects without a gradient, one coordinate at a time.
+    """Return gradients by central differences, for effects without analytic ones.
 
-    Every sample moves at once: an effect's columns depend on their own sample only.
+    All samples are varied together, since an effect's rows depend on their own sample only.
     """
 
     def values(moved: Motion) -> Array:
@@ -248,16 +249,16 @@ def _by_differences(
         shares = [np.einsum("nik,nik->n", w, effect.regressor(seen)) for effect, w in parts]
         return np.asarray(sum(shares))
 
-    found = []
+    gradients = []
     for name in MotionGradient._fields:
         samples = getattr(motion, name)
         step = _STEP * np.maximum(np.abs(samples).max(axis=0, initial=0.0), 1e-3)
         ahead, behind = (
-            [values(replace(motion, **{name: samples + s * way})) for way in np.diag(step)]
+            [values(replace(motion, **{name: samples + s * delta})) for delta in np.diag(step)]
             for s in (1, -1)
         )
-        found.append((np.array(ahead) - np.array(behind)).T / (2.0 * step))
-    return MotionGradient(*found)
+        gradients.append((np.array(ahead) - np.array(behind)).T / (2.0 * step))
+    return MotionGradient(*gradients)
 
 
 def reverse_recursion(tree: KinematicTree, samples: Samples, weights: Array) -> MotionGradient:
@@ -329,15 +330,15 @@ def calc_motion_gradient(
 
 @inlined
 def clear(by: Record, by_turn: Array, by_slide: Array) -> None:
-    """Set the gradients with motions and subspaces to zero."""
+    """Set the gradients with respect to motions and subspaces to zero."""
     for i in range(len(by)):
-        nothing = (0.0, 0.0, 0.0)
-        put(by[i].w, nothing)
-        put(by[i].wd, nothing)
-        put(by[i].a, nothing)
+        zero = (0.0, 0.0, 0.0)
+        put(by[i].w, zero)
+        put(by[i].wd, zero)
+        put(by[i].a, zero)
         for k in range(by_turn.shape[1]):
-            put_row(by_turn, i, k, nothing)
-            put_row(by_slide, i, k, nothing)
+            put_row(by_turn, i, k, zero)
+            put_row(by_slide, i, k, zero)
 
 
 @inlined
@@ -348,10 +349,10 @@ def shift_back(
     i: int,
     count: int,
 ) -> Vector:
-    """Turn the gradient with a body's motion about Bo into that about Mo.
+    """Shift the gradient with respect to a body's motion from Bo to Mo.
 
-    The covector is the motion, the gradient with it, and the position of Bo from Mo. Returns the
-    gradient with a rotation of B.
+    The covector contains the motion, its gradient, and the position of Bo from Mo. Returns the
+    gradient with respect to a rotation of B.
     """
     (turn, slide), (by_turn, by_slide), (motion, by, shift) = subspaces, by_subspaces, covector
     p, by_a, w, wd = vector(shift), vector(by.a), vector(motion.w), vector(motion.wd)
@@ -374,10 +375,10 @@ def add_block(
     weights: tuple[Array, tuple[int, int, int]],
     by: Record,
 ) -> tuple[Vector, Vector]:
-    """Add the gradient of a block's inner product with "parameters" c to that with the motion.
+    """Add the gradient of a block's inner product with "parameters" c with respect to the motion.
 
-    The weights (N, nv, 10 nb) come with the place of the first of c. Returns the gradient with s
-    and t.
+    The weights (N, nv, 10 nb) come with the index of the first of c. Returns the gradients with
+    respect to s and t.
     """
     (s, t), (W, (n, line, first)) = subspace, weights
     c = W[n, line : line + 1, first : first + PARAMETERS_PER_BODY]
@@ -397,7 +398,7 @@ def add_block(
 
 @inlined
 def turning_rate(mobilizer: Record, motion: Record, q: Array, n: int, j: int) -> Vector:
-    """Return B's angular rate, in B, per change of its joint's position j."""
+    """Return the rotation rate of B, in B, per unit change of its joint's position j."""
     moved, slopes = np.empty((1, q.shape[1]), np.complex128), np.empty(9, np.complex128)
     for k in range(q.shape[1]):
         moved[0, k] = q[n, k]
@@ -408,7 +409,7 @@ def turning_rate(mobilizer: Record, motion: Record, q: Array, n: int, j: int) ->
         for k in range(number):
             slope = slopes[k].imag / _IMAGINARY_STEP
             rates[entry // 3, entry % 3] += C[entry, k] * slope
-    # Rᵀ ∂R/∂q is the cross product of the rate.
+    # Rᵀ ∂R/∂q is the cross-product matrix of the rate.
     return (
         dot(column(R, 2), column(rates, 1)),
         dot(column(R, 0), column(rates, 2)),

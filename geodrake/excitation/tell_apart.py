@@ -1,28 +1,25 @@
-"""Motions that distinguish two effects which logs so far could not.
+"""Motions that distinguish two effects when existing logs cannot.
 
     limits = motion_limits(model, bounded=True)
     rivals = [make_rival(name, model, limits) for name in ("coulomb_friction", "viscous_friction")]
     separation = make_separation(model, *rivals, noise=0.1)
     result = design_excitation(separation, limits, trajectory=FourierMotion(10.0, 5))
 
-If a robot has effect A, of parameters α, and is thought to have B instead, the best that B can do
-on a motion is
+If a robot has effect A with parameters α, the best explanation by effect B leaves the residual
 
     Δ = min over θ, β of ‖X_A α − X θ − X_B β‖² + θᵀ Λ θ     (T-optimality)
 
-with regressors whitened by the noise, everything else that may move in θ (the inertias, near what
-is known of them, and all other effects of the model), and what is known of it in Λ. As a function
-of α this is αᵀ S α with the Schur complement S of the information matrix of (θ, β, α), as long as
-no bound holds β. √Δ is by how many deviations of the noise A and B differ.
+with regressors whitened by the noise. θ contains all other parameters (the inertias and the other
+effects of the model), Λ their prior precision. While no bound on β is active, Δ = αᵀ S α with the
+Schur complement S of the information matrix of (θ, β, α). A and B differ by √Δ standard deviations.
 
-Since θ and β are at a minimum, only the regressors' own change counts: with the residual e and the
-coefficients x = (−θ, −β, α) of all columns, ∂Δ/∂X = 2 e xᵀ. So one gradient costs as much as that
-of a criterion of information.
+At the minimum over θ and β, only the explicit change of the regressors matters: with the residual e
+and the coefficients x = (−θ, −β, α) of all columns, ∂Δ/∂X = 2 e xᵀ. A gradient therefore costs as
+much as that of an information criterion.
 
-Samples at which a joint's direction of motion is hardly known count less, by sgn²: no model says
-what dry friction is there, and a diagnosis leaves them out. Efforts at the base of a robot on
-several feet include those of all legs, so that the signs of all joints that may have the effects
-count there.
+Samples where the direction of a joint is uncertain are weighted by sgn², as dry friction is not
+modelled there and a diagnosis excludes them. Efforts at the base of a robot on several feet include
+those of all legs, so the signs of all joints that may have the effects count there.
 """
 
 from __future__ import annotations
@@ -62,28 +59,28 @@ from geodrake.robot.transmission import times
 Indices = NDArray[np.intp]
 
 CLEAR = 5.0
-"""Standard deviations by which effects must differ for a log to distinguish them reliably."""
+"""Separation √Δ from which a log distinguishes effects reliably."""
 
 Placed = tuple[str, tuple[str, ...]]  # an effect's name and place, which may be empty
 
-_SIGN_SHARE = 0.02  # of the fastest that is allowed, over which friction changes sign
-_LEAST = 1e-12  # separation that counts as none, per sample
-_ALIKE = 0.1  # share of an effect's effort that an imitation must have
-_LOOSE = 1e-4  # of what is known, where that shall not matter
-_SAME = 1e-8  # share of an effect's squared effort that is rounding alone
+_SIGN_SHARE = 0.02  # of the velocity limit, over which friction changes sign
+_LEAST = 1e-12  # negligible separation per sample
+_ALIKE = 0.1  # least share of an effect's effort that an imitation must produce
+_LOOSE = 1e-4  # factor on the prior rows where the prior should not matter
+_SAME = 1e-8  # share of an effect's squared effort attributed to rounding
 
 
 @dataclass(frozen=True)
 class Rival(Short):
-    """One of two effects that are to be distinguished."""
+    """One of two effects to distinguish."""
 
     name: str
-    # For each shape that it may have, the effect at each of its places.
+    # For each candidate shape, the effect at each of its places.
     alternatives: tuple[tuple[Effect, ...], ...]
 
     @property
     def effects(self) -> tuple[Effect, ...]:
-        """All of them."""
+        """The effects of all alternatives."""
         return tuple(effect for alternative in self.alternatives for effect in alternative)
 
 
@@ -96,14 +93,14 @@ def make_rival(
     shape: Mapping[str, Any] | None = None,
     extra: Sequence[type[Effect]] = (),
 ) -> Rival:
-    """Return an effect by name, at a place or wherever it can be.
+    """Return the named effect at one place or at all possible places.
 
     Args:
-        model: The robot; an effect that it has keeps its shape.
-        limits: Whose speeds the shapes scale with that a diagnosis would try.
+        model: The robot; an effect of the model keeps its shape.
+        limits: Limits whose velocities scale the candidate shapes.
         where: One place; all joints, or pairs of joints, if empty.
-        shape: Shape parameters by name. If it is None, those of the model, else the defaults, else
-            all that a diagnosis would try.
+        shape: Shape parameters by name. If None, those of the model, otherwise the defaults,
+            otherwise all candidates of a diagnosis.
     """
     instance(model, "model", RobotModel)
     instance(limits, "limits", MotionLimits)
@@ -111,47 +108,47 @@ def make_rival(
     cls = effect_class(name, extra)
     if not getattr(cls, "parameters", ()):
         raise ArgumentError(
-            f"{name} has no linear parameters, so no motion is better for it than another.",
-            advice="Let geodrake diagnose find it.",
+            f"{name} has no linear parameters, so no motion can be designed for it.",
+            advice="Use geodrake diagnose to find it.",
         )
     places = [tuple(where)] if where else every_place(cls, model)
     speed = dict(zip(limits.joints, limits.velocity.tolist(), strict=True))
     known = {(f.effect.name, f.effect.where): f.effect for f in model.effects}
     body = cls.places == "body"
-    what, known_names = ("body", model.bodies) if body else ("joint", model.joints)
+    kind, known_names = ("body", model.bodies) if body else ("joint", model.joints)
     per_place: list[tuple[Effect, ...]] = []
     for place in places:
         if shape is None and (name, place) in known:
             per_place.append((known[name, place],))
             continue
-        for each in place:
-            one_of(each, what, known_names)
+        for part in place:
+            one_of(part, kind, known_names)
         try:
             per_place.append((make_effect(name, place, shape, extra),))
         except ArgumentError:
             if shape is not None or cls.places != "joint":
                 raise
             per_place.append(candidates_of(cls, place[0], speed[place[0]]))
-    most = max(len(effects) for effects in per_place)
-    every = [effects * most if len(effects) == 1 else effects for effects in per_place]
-    if any(len(effects) != most for effects in every):
+    count = max(len(effects) for effects in per_place)
+    padded = [effects * count if len(effects) == 1 else effects for effects in per_place]
+    if any(len(effects) != count for effects in padded):
         raise ArgumentError(
             f"{name} has different shapes at different joints.",
             advice=f"Use one joint at a time, such as {name}@{places[0][0]}.",
         )
-    return Rival(name, tuple(zip(*every, strict=True)))
+    return Rival(name, tuple(zip(*padded, strict=True)))
 
 
 def every_place(cls: type[Effect], model: RobotModel) -> list[tuple[str, ...]]:
-    """Return the places where a robot can have an effect that no place is given for."""
+    """Return all places where the robot can have the effect."""
     if cls.places == "robot":
         return [()]
     if cls.places == "joint":
-        left_out = (*model.base_joints, *(model.sliding_joints if cls.turning_only else ()))
-        return [(joint,) for joint in model.single_joints if joint not in left_out]
+        excluded = (*model.base_joints, *(model.sliding_joints if cls.turning_only else ()))
+        return [(joint,) for joint in model.single_joints if joint not in excluded]
     if cls.places == "joint_pair":
         return [pair for pair in model.joint_pairs if not {*pair}.intersection(model.base_joints)]
-    advice = f"Let geodrake find it: geodrake add {cls.name} MODEL LOG --save model.yaml."
+    advice = f"Find it with geodrake add {cls.name} MODEL LOG --save model.yaml."
     if cls.places == "body":
         advice = f"Give its body: {cls.name}@{model.bodies[-1]}."
     raise ArgumentError(f"{cls.name} needs a place.", advice=advice)
@@ -159,30 +156,30 @@ def every_place(cls: type[Effect], model: RobotModel) -> list[tuple[str, ...]]:
 
 @dataclass(frozen=True, eq=False)
 class Pair(Short):
-    """A robot with one effect at a place, explained by another one."""
+    """A true effect at a place and a rival that may explain it."""
 
-    truth: str  # name of the effect that the robot has
-    rival: str  # name of the effect that is to explain it
+    truth: str  # name of the true effect
+    rival: str  # name of the effect fitted to it
     where: tuple[str, ...]
-    # (r, p) columns' coefficients of r robots, whose separations are added: one if the parameters
-    # are known, and one for each parameter if not.
+    # (r, p) coefficients of r robots, whose separations are summed: one robot if the parameters
+    # are known, otherwise one for each parameter.
     effects: Array
-    columns: Indices  # (c,) columns that an explanation may use: what may move, and the rival
+    columns: Indices  # (c,) columns of the explanation: common parameters and the rival
 
 
 @dataclass(frozen=True, eq=False)
 class Separation(Objective):
-    """The separations of pairs as a criterion: the least of them, as large as can be.
+    """A criterion that maximizes the smallest separation of several pairs.
 
-    They stand in for the eigenvalues of an information matrix: E-optimality is 1/Δ of the pair that
-    is hardest to distinguish, with the smooth form of `Criterion`.
+    Separations take the place of the eigenvalues of an information matrix: E-optimality is 1/Δ of
+    the pair that is hardest to distinguish, smoothed as in `Criterion`.
 
     Attributes:
-        prior: (q, p) rows Λ^½ of what is known of each column's parameter.
-        lower: (p,) least change of each column's parameter from its nominal value.
-        upper: (p,) greatest change.
-        fading: Joint that may have the effects and follows a base on its feet -> speed over which
-            its friction changes sign.
+        prior: (q, p) rows Λ^½ of the prior precision.
+        lower: (p,) lower bounds of each column's parameter, relative to its nominal value.
+        upper: (p,) upper bounds.
+        fading: Speeds over which friction changes sign, for the joints that may have the effects
+            and follow a base on its feet.
     """
 
     pairs: tuple[Pair, ...] = ()
@@ -200,44 +197,44 @@ class Separation(Objective):
         upper = real_array(self.upper, "upper", ("p",), sizes, finite=False)
         if not (lower <= upper).all():
             raise ArgumentError(
-                "lower must not exceed upper, and neither may be NaN, at every column."
+                "In every column, lower must not exceed upper, and neither may be NaN."
             )
 
     def separations(self, motion: Motion) -> Array:
-        """Return Δ (K,) of every pair, in squared standard deviations of all samples together."""
+        """Return Δ (K,) of every pair over all samples, in squared standard deviations."""
         measurement = self.target.measure(motion)
         return self._solve(measurement)[0]
 
     def efforts(self, motion: Motion) -> Array:
-        """Return the RMS (K,) of what no rival explains, at the joint where it is most."""
+        """Return the RMS unexplained effort (K,) of every pair, at the worst joint."""
         measurement = self.target.measure(motion)
-        known, values = np.abs(self._known(measurement))[..., None], []
+        signs, values = np.abs(self._signs(measurement))[..., None], []
         for solutions in self._solve(measurement)[1]:
-            left = measurement.regressor @ solutions.T * known
-            values.append(float(np.sqrt(np.mean(np.square(left).sum(2), axis=0)).max()))
+            residual = measurement.regressor @ solutions.T * signs
+            values.append(float(np.sqrt(np.mean(np.square(residual).sum(2), axis=0)).max()))
         return np.array(values)
 
     def imitation(self, motion: Motion, pair: int) -> tuple[Array, Array]:
-        """Return a pair's true effort (N, nv), and the most that its rival makes of it.
+        """Return a pair's true effort (N, nv), and the rival's best imitation of it.
 
-        Of several robots, that one's which the rival explains worst.
+        If the pair has several robots, these belong to the one that the rival explains worst.
         """
         measurement = self.target.measure(motion)
         solutions = self._solve(measurement)[1][pair]
-        left = measurement.regressor @ solutions.T
-        worst = int(np.argmax(np.square(left / self.target.noise[:, None]).sum((0, 1))))
+        residual = measurement.regressor @ solutions.T
+        worst = int(np.argmax(np.square(residual / self.target.noise[:, None]).sum((0, 1))))
         truth = measurement.regressor @ self.pairs[pair].effects[worst]
-        return truth, truth - left[:, :, worst]
+        return truth, truth - residual[:, :, worst]
 
     def eigenvalues(self, motion: Motion) -> Array:
         """Return the separations (K,), ascending."""
         return np.sort(self.separations(motion))
 
     def value_and_gradient(self, motion: Motion) -> tuple[float, MotionGradient]:
-        """Return what a solver minimizes, and its gradient by the motion.
+        """Return the criterion to minimize, and its gradient with respect to the motion.
 
         Raises:
-            ArgumentError: The motion distinguishes some pair not at all, whatever the noise.
+            ArgumentError: Some pair is indistinguishable on this motion.
         """
         measurement = self.target.measure(motion)
         separations, solutions = self._solve(measurement)
@@ -251,21 +248,21 @@ class Separation(Objective):
             )
         value, slope = self.criterion.objective(np.log(separations))
         gains = np.repeat(slope / separations, [len(x) for x in solutions])
-        x, known, noise = np.concatenate(solutions), self._known(measurement), self.target.noise
-        left = (measurement.regressor / noise[:, None]) @ x.T  # (N, nv, robots)
-        weights = (left * known[..., None] ** 2) @ (2.0 * gains[:, None] * x)
+        x, signs, noise = np.concatenate(solutions), self._signs(measurement), self.target.noise
+        residual = (measurement.regressor / noise[:, None]) @ x.T  # (N, nv, robots)
+        weights = (residual * signs[..., None] ** 2) @ (2.0 * gains[:, None] * x)
         gradient = regressor_motion_gradient(self.target, measurement, weights / noise[:, None])
-        slope = 2.0 * known * (np.square(left) @ gains)  # by signs
-        own = 1.0 - known**2
-        own[:, self._base] = 0.0
-        gradient.v[:] += slope * own / self.target.sign_width
+        by_signs = 2.0 * signs * (np.square(residual) @ gains)
+        sign_slope = 1.0 - signs**2
+        sign_slope[:, self._base] = 0.0
+        gradient.v[:] += by_signs * sign_slope / self.target.sign_width
         if self.fading:
-            by_legs = (slope * known)[:, self._base].sum(axis=1)
+            by_legs = (by_signs * signs)[:, self._base].sum(axis=1)
             gradient = gradient.plus(self._by_legs(motion, by_legs))
         return value, gradient
 
     def _by_legs(self, motion: Motion, weights: Array) -> MotionGradient:
-        """Return the gradient of Σ w log Π s, w (N,), with the signs s of joints that follow."""
+        """Return the gradient of Σ w log Π s, w (N,), with the signs s of dependent joints."""
         (legs, width), rows = self._legs, np.zeros((3, len(motion), len(self.fading)))
         G = legs.jacobian(motion.q)
         sign = np.tanh(times(G, motion.v) / width)
@@ -275,76 +272,76 @@ class Separation(Objective):
 
     @cached_property
     def _legs(self) -> tuple[MotorCoordinates, Array]:
-        """The map to joints that follow, and their fading speeds."""
+        """The map to the dependent joints, and their fading speeds."""
         joints = MotorCoordinates(self.target.model.coordinates, tuple(self.fading))
         return joints, np.array([*self.fading.values()])
 
     @cached_property
     def _base(self) -> Indices:
-        """Which joints are those of a base on its feet."""
+        """Indices of the joints of a base on its feet."""
         model = self.target.model
         return np.flatnonzero(np.isin(model.joints, model.base_joints))
 
-    def _known(self, measurement: Measurement) -> Array:
-        """Return smoothed signs (N, nv) of joints' speeds, the roots of samples' weights."""
+    def _signs(self, measurement: Measurement) -> Array:
+        """Return the smoothed signs (N, nv) of joint velocities, the roots of sample weights."""
         motion, (legs, width) = measurement.motion, self._legs
-        known = np.tanh(motion.v / self.target.sign_width)
-        known[:, self._base] = 1.0
+        signs = np.tanh(motion.v / self.target.sign_width)
+        signs[:, self._base] = 1.0
         if self.fading:
             v = times(legs.jacobian(motion.q), motion.v)
-            known[:, self._base] = np.tanh(v / width).prod(axis=1, keepdims=True)
-        return known
+            signs[:, self._base] = np.tanh(v / width).prod(axis=1, keepdims=True)
+        return signs
 
     def _solve(self, measurement: Measurement) -> tuple[Array, list[Array]]:
-        """Return separations (K,), and of each pair the coefficients (r, p) of what is left."""
-        known = self._known(measurement)[..., None]
-        rows = measurement.regressor * (known / self.target.noise[:, None])
+        """Return separations (K,), and each pair's coefficients (r, p) of the residual."""
+        signs = self._signs(measurement)[..., None]
+        rows = measurement.regressor * (signs / self.target.noise[:, None])
         rows = rows.reshape(-1, rows.shape[2])
         R = np.asarray(np.linalg.qr(np.concatenate([rows, self.prior]), mode="r"))
-        first, none = self._robots, np.zeros((0, R.shape[1]))
-        robots = np.concatenate([none, *(pair.effects for pair in self.pairs)])
+        first, empty = self._robots, np.zeros((0, R.shape[1]))
+        robots = np.concatenate([empty, *(pair.effects for pair in self.pairs)])
         for columns, members in self._groups.items():
-            at = np.array(columns, np.intp)
-            own = np.array(members)[:, None], at
-            robots[own] -= self._explained(R, at, R @ robots[members].T)
-        left = np.square(R @ robots.T).sum(axis=0)
-        return np.add.reduceat(left, first[:-1]), np.split(robots, first[1:-1])
+            index = np.array(columns, np.intp)
+            entries = np.array(members)[:, None], index
+            robots[entries] -= self._explained(R, index, R @ robots[members].T)
+        squares = np.square(R @ robots.T).sum(axis=0)
+        return np.add.reduceat(squares, first[:-1]), np.split(robots, first[1:-1])
 
     @cached_property
     def _robots(self) -> Indices:
-        """(K + 1,) numbers of the first robot of every pair, and of all robots."""
+        """(K + 1,) index of the first robot of every pair, and the number of robots."""
         return np.cumsum([0, *(len(pair.effects) for pair in self.pairs)])
 
     @cached_property
     def _groups(self) -> dict[tuple[int, ...], list[int]]:
-        """Columns -> numbers of the robots whose explanations use them."""
-        found: dict[tuple[int, ...], list[int]] = {}
+        """Columns -> indices of the robots whose explanations use them."""
+        groups: dict[tuple[int, ...], list[int]] = {}
         for pair, first in zip(self.pairs, self._robots.tolist(), strict=False):
-            numbers = range(first, first + len(pair.effects))
-            found.setdefault(tuple(pair.columns.tolist()), []).extend(numbers)
-        return found
+            indices = range(first, first + len(pair.effects))
+            groups.setdefault(tuple(pair.columns.tolist()), []).extend(indices)
+        return groups
 
     def _explained(self, R: Array, columns: Indices, targets: Array) -> Array:
-        """Return coefficients (r, c) of columns nearest to targets (q, r), within bounds."""
+        """Return the bounded least-squares coefficients (r, c) of columns for targets (q, r)."""
         A = R[:, columns]
         sizes = np.linalg.norm(A, axis=0)
         sizes = np.where(sizes > 0, sizes, 1.0)
         A, low, high = A / sizes, self.lower[columns] * sizes, self.upper[columns] * sizes
-        found = np.asarray(np.linalg.lstsq(A, targets)[0].T)
-        outside = np.flatnonzero(((found < low) | (found > high)).any(axis=1))
+        solution = np.asarray(np.linalg.lstsq(A, targets)[0].T)
+        outside = np.flatnonzero(((solution < low) | (solution > high)).any(axis=1))
         if not len(outside):
-            return found / sizes
-        # Columns without bounds are eliminated first, so that the bounded problem is small.
+            return solution / sizes
+        # Eliminate the unbounded columns first: the bounded problem is then small.
         bound = np.isfinite(low) | np.isfinite(high)
-        free, held, count = A[:, ~bound], A[:, bound], int(np.count_nonzero(bound))
-        wanted = np.concatenate([held, targets[:, outside]], axis=1)
-        shares = np.linalg.lstsq(free, wanted)[0]
-        factor = np.asarray(np.linalg.qr(wanted - free @ shares, mode="r"))
+        free, count = A[:, ~bound], int(np.count_nonzero(bound))
+        outputs = np.concatenate([A[:, bound], targets[:, outside]], axis=1)
+        shares = np.linalg.lstsq(free, outputs)[0]
+        factor = np.asarray(np.linalg.qr(outputs - free @ shares, mode="r"))
         for row, k in enumerate(outside, count):
             bounds = low[bound], high[bound]
             x = lsq_linear(factor[:, :count], factor[:, row], bounds, method="bvls").x
-            found[k, bound], found[k, ~bound] = x, shares[:, row] - shares[:, :count] @ x
-        return found / sizes
+            solution[k, bound], solution[k, ~bound] = x, shares[:, row] - shares[:, :count] @ x
+        return solution / sizes
 
 
 def make_separation(
@@ -360,12 +357,12 @@ def make_separation(
     """Return the objective that distinguishes two effects of a robot.
 
     Args:
-        model: The robot. Its other effects may be refitted within what is known of them; if it has
-            one of the rivals, that one's parameters say how large it is, and the other one is as
-            large as it must be to be taken for it. Rivals of unknown size have a usual one.
+        model: The robot. Its other effects may be refitted within their priors. A rival that the
+            model has keeps its parameters, and the other rival is fitted to it. Rivals of unknown
+            size get typical parameters.
         sign_width: Speed over which friction changes sign, as for `make_target`.
         spread: Relative uncertainty of a model file's inertias, as a geometric distance.
-        stance: The feet on which the robot stands; the model is that of the stance then.
+        stance: The feet on which the robot stands; the model is then that of the stance.
     """
     instance(model, "model", RobotModel)
     for name, rival in (("first", first), ("second", second)):
@@ -384,11 +381,11 @@ def make_separation(
     if stance is not None:
         target = replace(target, trial=stance.random_motion())
         fading = _fading(stance, rivals)
-    every = np.arange(target.size)
+    indices = np.arange(target.size)
     spans = zip(target.effects, target.spans, strict=True)
-    columns = {fitted.effect: every[span] for fitted, span in spans}
+    columns = {fitted.effect: indices[span] for fitted, span in spans}
     sizes = _sizes(target, model, (first, second))
-    bodies = every[: PARAMETERS_PER_BODY * len(target.bodies)]
+    bodies = indices[: PARAMETERS_PER_BODY * len(target.bodies)]
     base = np.concatenate([bodies, *(columns[fitted.effect] for fitted in common)])
     pairs = []
     for truth, rival in ((first, second), (second, first)):
@@ -409,8 +406,8 @@ def make_separation(
 
 
 def _fading(stance: Stance, effects: Sequence[Effect]) -> dict[str, float]:
-    """Return speeds over which friction of joints that follow a base changes sign, by joint."""
-    behind, found = stance.model.coordinates.behind, dict[str, float]()
+    """Return the speed over which friction changes sign for each joint that follows a base."""
+    behind, fading = stance.model.coordinates.behind, dict[str, float]()
     speeds = dict(zip(stance.motors, stance.motor_limits.velocity.tolist(), strict=True))
     for effect in effects:
         joints = [joint for joint in effect.where if joint in behind]
@@ -420,8 +417,8 @@ def _fading(stance: Stance, effects: Sequence[Effect]) -> dict[str, float]:
                 "of a robot on several feet share.",
                 advice="Name one foot, or use effects of positions, speeds and accelerations.",
             )
-        found |= {joint: _SIGN_SHARE * speeds[joint] for joint in joints if joint in speeds}
-    return found
+        fading |= {joint: _SIGN_SHARE * speeds[joint] for joint in joints if joint in speeds}
+    return fading
 
 
 def placed_rivals(
@@ -432,13 +429,13 @@ def placed_rivals(
     *,
     extra: Sequence[type[Effect]] = (),
 ) -> tuple[Rival, Rival]:
-    """Return two effects at their places; that of one counts for both, if both have such places."""
-    (one, there), (other, here) = first, second
-    if effect_class(one, extra).places == effect_class(other, extra).places:
-        there, here = there or here, here or there
+    """Return two effects at their places; a place given once counts for both if it suits both."""
+    (name, place), (other, other_place) = first, second
+    if effect_class(name, extra).places == effect_class(other, extra).places:
+        place, other_place = place or other_place, other_place or place
     return (
-        make_rival(one, model, limits, where=there, extra=extra),
-        make_rival(other, model, limits, where=here, extra=extra),
+        make_rival(name, model, limits, where=place, extra=extra),
+        make_rival(other, model, limits, where=other_place, extra=extra),
     )
 
 
@@ -452,10 +449,10 @@ def separation_of(
     extra: Sequence[type[Effect]] = (),
     stance: Stance | None = None,
 ) -> tuple[Separation, tuple[str, ...]]:
-    """Return what distinguishing two effects amounts to, and what to say of it.
+    """Return the objective that distinguishes two effects, and notes for the user.
 
     Args:
-        limits: Of the robot's motors.
+        limits: Limits of the robot's motors.
         stance: The feet on which it stands.
     """
     rivals = placed_rivals(model, first, second, limits, extra=extra)
@@ -465,8 +462,7 @@ def separation_of(
     separation = make_separation(model, *rivals, noise=noise, sign_width=width, stance=stance)
     named = {pair.truth.partition(" (")[0] for pair in separation.pairs}
     notes = [
-        f"{other.name} explains everything that {rival.name} does: only the reverse can be "
-        "distinguished"
+        f"{other.name} can explain any effort of {rival.name}, so only the reverse can be tested"
         for rival, other in (rivals, rivals[::-1])
         if rival.name not in named
     ]
@@ -479,14 +475,14 @@ def separation_of(
 
 
 def _different(separation: Separation) -> tuple[Pair, ...]:
-    """Return the pairs of which one is not wholly explained by the other, whatever the motion.
+    """Return the pairs whose rival does not fully explain the truth on every motion.
 
-    An effect that contains another one explains it: these can be distinguished one way only.
+    An effect that contains another one explains it, so such a pair is kept in one direction only.
     """
     motion = separation.target.random_motion
     loose = replace(separation, prior=_LOOSE * separation.prior)
-    alone = replace(loose, pairs=tuple(replace(p, columns=p.columns[:0]) for p in loose.pairs))
-    shares = loose.separations(motion) / np.maximum(alone.separations(motion), 1e-300)
+    total = replace(loose, pairs=tuple(replace(p, columns=p.columns[:0]) for p in loose.pairs))
+    shares = loose.separations(motion) / np.maximum(total.separations(motion), 1e-300)
     kept = tuple(p for p, share in zip(loose.pairs, shares, strict=True) if share > _SAME)
     if not kept:
         pair = separation.pairs[0]
@@ -498,7 +494,7 @@ def _different(separation: Separation) -> tuple[Pair, ...]:
 
 
 def _words(rival: Rival, effect: Effect) -> str:
-    """Return the name of an effect, with its shape if it may have several."""
+    """Return the name of an effect, with its shape if it has several candidates."""
     if len(rival.alternatives) == 1:
         return rival.name
     shape = ", ".join(f"{name} {value:.3g}" for name, value in effect.shape.items())
@@ -506,85 +502,84 @@ def _words(rival: Rival, effect: Effect) -> str:
 
 
 def _sizes(target: Target, model: RobotModel, rivals: Sequence[Rival]) -> dict[Effect, Array]:
-    """Return parameters (r, k) of r robots that have an effect, for every rival effect."""
+    """Return the parameters (r, k) of r robots for every rival effect."""
     known = {f.effect: f.parameters for f in model.effects if np.any(f.parameters)}
     typical = {fitted.effect: fitted.parameters for fitted in sized_effects(target)}
-    found = {}
+    sizes = {}
     for rival, other in zip(rivals, reversed(rivals), strict=True):
         for effect in rival.effects:
-            alone = known.get(effect, typical[effect] if is_payload(effect) else None)
-            found[effect] = np.diag(typical[effect]) if alone is None else alone[None]
+            size = known.get(effect, typical[effect] if is_payload(effect) else None)
+            sizes[effect] = np.diag(typical[effect]) if size is None else size[None]
             for counterpart in other.effects if effect not in known else ():
                 shared = set(effect.where) & set(counterpart.where) or not effect.where
                 if counterpart in known and shared:
-                    like = _imitations(target, counterpart, known[counterpart], effect)
-                    found[effect] = found[effect] if like is None else like[None]
-    return found
+                    size = _imitation(target, counterpart, known[counterpart], effect)
+                    sizes[effect] = sizes[effect] if size is None else size[None]
+    return sizes
 
 
 def _bounds(
     target: Target, columns: dict[Effect, NDArray[np.intp]], common: Sequence[FittedEffect]
 ) -> tuple[Array, Array]:
-    """Return the least and greatest change (p,) of every parameter from its nominal value."""
+    """Return the bounds (p,) of every parameter relative to its nominal value."""
     lower, upper = np.full(target.size, -np.inf), np.full(target.size, np.inf)
     nominal = {fitted.effect: fitted.parameters for fitted in common}
-    for effect, at in columns.items():
-        value = nominal.get(effect, np.zeros(len(at)))
-        lower[at] = np.minimum([p.lower for p in effect.parameters] - value, 0.0)
-        upper[at] = np.maximum([p.upper for p in effect.parameters] - value, 0.0)
+    for effect, index in columns.items():
+        value = nominal.get(effect, np.zeros(len(index)))
+        lower[index] = np.minimum([p.lower for p in effect.parameters] - value, 0.0)
+        upper[index] = np.maximum([p.upper for p in effect.parameters] - value, 0.0)
     return lower, upper
 
 
 def _information(model: RobotModel, common: Sequence[FittedEffect], spread: float) -> Array:
-    """Return what is known (b, b) of the inertias and common effects, whatever the others are."""
-    wanted = {fitted.effect for fitted in common}
+    """Return the prior precision (b, b) of inertias and common effects, the others marginalized."""
+    selected = {fitted.effect for fitted in common}
     counts = [model.phi.size, *(len(fitted.effect.parameters) for fitted in model.effects)]
-    kept = np.repeat([True, *(fitted.effect in wanted for fitted in model.effects)], counts)
+    kept = np.repeat([True, *(fitted.effect in selected for fitted in model.effects)], counts)
     information = known_information(model, spread=spread)
-    known, rest = (information[np.ix_(at, at)] for at in (kept, ~kept))
+    common_block, other_block = (information[np.ix_(mask, mask)] for mask in (kept, ~kept))
     cross = information[np.ix_(kept, ~kept)]
-    return np.asarray(known - cross @ np.linalg.pinv(rest, hermitian=True) @ cross.T)
+    return np.asarray(common_block - cross @ np.linalg.pinv(other_block, hermitian=True) @ cross.T)
 
 
 def _root(information: Array) -> Array:
-    """Return rows whose product RᵀR is an information matrix; units are scaled out first."""
+    """Return R with RᵀR the information matrix, whose units are scaled out first."""
     diagonal = np.diag(information)
     sizes = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     values, vectors = np.linalg.eigh(information / sizes[:, None] / sizes)
     return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T * sizes)
 
 
-def _imitations(target: Target, truth: Effect, size: Array, rival: Effect) -> Array | None:
-    """Return parameters (k,) with which a rival is most like a known effect, on random motion.
+def _imitation(target: Target, truth: Effect, size: Array, rival: Effect) -> Array | None:
+    """Return the rival's parameters (k,) that best imitate a known effect on random motion.
 
-    They are within bounds; None if the effects have nothing to do with each other.
+    They are within bounds; None if the effects are unrelated.
     """
     seen = target.measure(target.random_motion).seen
     if seen is None:
         return None
-    wanted = (truth.regressor(seen) @ size).ravel()
-    columns = rival.regressor(seen).reshape(len(wanted), -1)
+    effort = (truth.regressor(seen) @ size).ravel()
+    columns = rival.regressor(seen).reshape(len(effort), -1)
     bounds = tuple(np.array([getattr(p, s) for p in rival.parameters]) for s in ("lower", "upper"))
-    found = np.asarray(lsq_linear(columns, wanted, bounds).x)
-    return found if np.linalg.norm(columns @ found) > _ALIKE * np.linalg.norm(wanted) else None
+    x = np.asarray(lsq_linear(columns, effort, bounds).x)
+    return x if np.linalg.norm(columns @ x) > _ALIKE * np.linalg.norm(effort) else None
 
 
 @dataclass(frozen=True)
 class DistinguishedPair:
-    """A pair of effects on a designed motion."""
+    """The separation of a pair of effects on a designed motion."""
 
     pair: Pair
-    deviations: float  # √Δ, by how many standard deviations of the noise of all samples together
-    # RMS effort that the rival does not explain, at the worst joint, N·m or N.
-    effort: float
+    deviations: float  # √Δ over all samples, in standard deviations of the noise
+    effort: float  # RMS unexplained effort at the worst joint, N·m or N
 
 
-@lru_cache(maxsize=1)  # what is told of a result asks for them again and again
+@lru_cache(maxsize=1)  # summaries of a result call it repeatedly
 def distinguished_pairs(result: ExcitationResult) -> tuple[DistinguishedPair, ...]:
-    """Return the pairs of a motion that is to distinguish effects, the hardest first; else none."""
+    """Return the pairs of a motion designed to distinguish effects, the hardest first."""
     objective, motion = result.objective, result.motion
     if not isinstance(objective, Separation):
         return ()
     values = np.sqrt(objective.separations(motion)).tolist(), objective.efforts(motion).tolist()
-    found = [DistinguishedPair(*entry) for entry in zip(objective.pairs, *values, strict=True)]
-    return tuple(sorted(found, key=lambda pair: pair.deviations))
+    pairs = [DistinguishedPair(*entry) for entry in zip(objective.pairs, *values, strict=True)]
+    return tuple(sorted(pairs, key=lambda pair: pair.deviations))
