@@ -39,38 +39,37 @@ from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
 
 THRESHOLD = 1e-2
-"""Largest relative variance of a direction that counts as identifiable, as for given logs."""
+"""Largest relative variance of an identifiable direction, as for logs."""
 
 _MOST_SEEDS = 1000
-_FOR_STARTS, _FOR_STAGE, _FOR_SOLVER = 0.9, 0.85, 0.8  # of the time; the rest is for closer looks
-_FOR_WAY = 0.5  # of what is left of a stage; the rest is for motions that the solver saw
-_A_MOMENT = 1.0  # s
+_FOR_STARTS, _FOR_STAGE, _FOR_SOLVER = 0.9, 0.85, 0.8  # shares of time; the rest is for checks
+_FOR_REPAIR = 0.5  # of the rest of a stage; the remainder is for motions that the solver visited
+_LEAST_TIME = 1.0  # s, for a random motion
 _ONE_STAGE, _STAGES = 24.0, (8.0, 64.0)
-_AFTER_STOP = 2.0  # s, for the way back to the limits of a motion that was stopped
-_LOOKED_AT = 200  # most of the motions that a solver saw
-_NEAREST_POSTURES = 50  # to the middle, out of which seeds take theirs
-_BALANCED_POSTURES = 400  # of a robot on its feet, through which seeds lead
+_AFTER_STOP = 2.0  # s, to bring an interrupted motion within the limits
+_MAX_CHECKED = 200  # motions visited by the solver
+_NEAREST_POSTURES = 50  # closest to the middle, from which seeds choose
+_BALANCED_POSTURES = 400  # of a robot on its feet, from which seeds choose
 
 
 @dataclass(frozen=True)
 class DesignProgress:
-    """Where a design is."""
+    """The progress of a design."""
 
     seed: int  # number of the start, from zero
     seeds: int
     evaluations: int  # evaluations of the criterion since the design began
-    value: float  # what is minimized, now: the criterion's logarithm; limits may not yet be kept
-    # Whether the design was stopped, and only the best motion is looked at.
-    is_stopped: bool = False
+    value: float  # current cost, the criterion's logarithm; limits may still be violated
+    is_stopped: bool = False  # whether the design was stopped and only checks its best motion
 
 
 @dataclass(frozen=True)
 class SeedOutcome:
     """Outcome of one initial motion."""
 
-    seed: int | None  # of the random motion that it began with; None for a given motion
-    random_value: float  # criterion of the motion that it began with, which keeps the limits
-    value: float  # criterion of the motion that it ended with, which keeps them too
+    seed: int | None  # of the random initial motion; None for a given one
+    random_value: float  # criterion of the initial motion, which is within the limits
+    value: float  # criterion of the final motion, which is within the limits
     evaluations: int
     seconds: float
     status: str
@@ -82,35 +81,35 @@ class ExcitationResult(Shown):
 
     trajectory: ExcitationTrajectory
     objective: Objective
-    value: float  # its value, as the source defines it (not the logarithm)
+    value: float  # the criterion as the source defines it (not the logarithm)
     # (n_B,) of the normalized information matrix, ascending: the inverse variances of an estimate
     # from `samples` samples, along its principal directions.
     eigenvalues: Array
     samples: int
-    use: LimitUse  # what it uses of its limits, all of which it keeps, ramps included
+    use: LimitUse  # use of the limits, ramps included
     limits: MotionLimits
     outcomes: tuple[SeedOutcome, ...]
     notes: tuple[str, ...] = ()
     is_interrupted: bool = False
-    # The motion with ramps from and to where the robot stands; None if nobody said where.
+    # The motion with ramps from and to where the robot stands; None without `DesignOptions.stand`.
     ramps: ExcitationTrajectory | None = None
-    seconds: float = 0.0  # how long the search took, s
+    seconds: float = 0.0  # duration of the search, s
 
     @property
     def executed(self) -> ExcitationTrajectory:
-        """The motion to execute and to save, with its ramps if any."""
+        """The motion to execute and save, with its ramps if any."""
         return self.ramps or self.trajectory
 
     @property
     def motion(self) -> Motion:
-        """The samples that the value is of."""
+        """The samples from which the value was computed."""
         return self.trajectory.motion(self.trajectory.family.times(self.samples))
 
 
 def identifiable_directions(result: ExcitationResult) -> int:
-    """Return how many directions the motion's samples identify to within `THRESHOLD`.
+    """Return the number of directions that the motion's samples identify within `THRESHOLD`.
 
-    Meaningful for the geometric normalization, whose variances are relative.
+    It is meaningful for the geometric normalization, whose variances are relative.
     """
     return int(np.count_nonzero(result.eigenvalues * THRESHOLD >= 1.0))
 
@@ -118,7 +117,7 @@ def identifiable_directions(result: ExcitationResult) -> int:
 def improvement(result: ExcitationResult) -> float:
     """Return the ratio of the best initial motion's criterion to the result's.
 
-    Of D-optimality, the factor of the geometric mean of the variances.
+    For D-optimality, it is the ratio of the geometric means of the variances.
     """
     random = min(outcome.random_value for outcome in result.outcomes)
     if result.objective.criterion.name == "d_optimality":
@@ -140,36 +139,36 @@ def design_excitation(
     """Return the most informative motion of a robot within its limits.
 
     Args:
-        what: A robot, of which all inertias and the model's effects are to be identified from
-            efforts; or a `Target`: what is unknown, what is measured and with which noise; or an
-            `Objective`, such as a `Separation`, which has a criterion of its own.
-        limits: What the robot may do; those of `motion_limits(model, bounded=True)` if None. Of a
-            robot on its feet (`DesignOptions.stance`), those of its motors.
+        what: A robot whose inertias and effects should all be identified from efforts; or a
+            `Target` with the unknowns, measurements and noise; or an `Objective` with its own
+            criterion, such as a `Separation`.
+        limits: Limits of the robot, or of the motors of a robot on its feet
+            (`DesignOptions.stance`); `motion_limits(model, bounded=True)` if None.
         criterion: One of `CRITERIA`, or a `Criterion`.
         normalization: One of `NORMALIZATIONS`.
         trajectory: The family of motions; a Fourier series of 10 s if None.
         seeds: Number of random starts, or their seeds.
-        progress: Called after every evaluation of the criterion. It may raise `StopSearch`, as a
-            handler of signals may: then the best motion so far is the result.
+        progress: Called after every evaluation of the criterion. It or a signal handler may raise
+            `StopSearch`: the result is then the best motion so far.
     """
     if progress is not None:
         function(progress, "progress")
-    given = DesignOptions() if options is None else instance(options, "options", DesignOptions)
-    budget = Budget.of(given.seconds)
-    asked: Sequence[int]
+    options = DesignOptions() if options is None else instance(options, "options", DesignOptions)
+    budget = Budget.of(options.seconds)
+    numbers: Sequence[int]
     if isinstance(seeds, int | np.integer):
-        asked = range(integer(seeds, "seeds"))
+        numbers = range(integer(seeds, "seeds"))
     else:
-        asked = integers(seeds, "seeds", lower=0)
-    check_solver(given.solver)
-    if not 1 <= len(asked) <= _MOST_SEEDS or given.sharpness == ():
+        numbers = integers(seeds, "seeds", lower=0)
+    check_solver(options.solver)
+    if not 1 <= len(numbers) <= _MOST_SEEDS or options.sharpness == ():
         raise ArgumentError(
             f"A design needs 1 to {_MOST_SEEDS} seeds and at least one stage; got "
-            f"{len(asked)} seeds and the stages {given.sharpness}."
+            f"{len(numbers)} seeds and the stages {options.sharpness}."
         )
-    starts = [*asked, *([] if given.guess is None else [None])]
+    starts = [*numbers, *([] if options.guess is None else [None])]
     objective = _objective_of(what, criterion, normalization)
-    problem, postures = _prepared(objective, limits, trajectory, given)
+    problem, postures = _prepared(objective, limits, trajectory, options)
     stand, collisions = problem.stand, problem.collisions
     if stand is not None:
         check_start(problem, stand, name="robot's stand")
@@ -197,7 +196,7 @@ def design_excitation(
         notes=tuple(notes),
         is_interrupted=run.is_stopped,
         ramps=ramps,
-        seconds=given.seconds - budget.left,
+        seconds=options.seconds - budget.left,
     )
 
 
@@ -209,15 +208,15 @@ def random_excitation(
     options: DesignOptions | None = None,
     seed: int = 0,
 ) -> ExcitationTrajectory:
-    """Return a random motion within a robot's limits, such as one that validates what is found.
+    """Return a random motion within a robot's limits, for example for validation.
 
-    Arguments and errors are those of `design_excitation`, which begins with such motions.
+    Arguments and errors are those of `design_excitation`, which starts from such motions.
     """
-    given = DesignOptions() if options is None else instance(options, "options", DesignOptions)
+    options = DesignOptions() if options is None else instance(options, "options", DesignOptions)
     objective = _objective_of(what, "e_optimality", "geometric")
-    problem, postures = _prepared(objective, limits, trajectory, given)
+    problem, postures = _prepared(objective, limits, trajectory, options)
     rng = np.random.default_rng(integer(seed, "seed", lower=0))
-    return problem.trajectory(random_guess(problem, postures, rng, Budget.of(given.seconds)))
+    return problem.trajectory(random_guess(problem, postures, rng, Budget.of(options.seconds)))
 
 
 def _objective_of(
@@ -236,7 +235,7 @@ def _prepared(
     trajectory: MotionFamily | None,
     options: DesignOptions,
 ) -> tuple[DesignProblem, Array]:
-    """Return the problem, and postures (n, nv) in which motions may begin."""
+    """Return the problem, and postures (n, nv) from which motions may start."""
     if limits is not None:
         instance(limits, "limits", MotionLimits)
     family = FourierMotion() if trajectory is None else trajectory
@@ -246,14 +245,14 @@ def _prepared(
         check_start(problem, problem.start)
         if problem.stance is None:
             return problem, problem.start[None]
-    own = problem.model, problem.limits, options.collisions
+    robot = problem.model, problem.limits, options.collisions
     most = _NEAREST_POSTURES if problem.stance is None else _BALANCED_POSTURES
-    return problem, possible_postures(*own, stance=problem.stance, most=most)
+    return problem, possible_postures(*robot, stance=problem.stance, most=most)
 
 
 @dataclass
 class _Design:
-    """The starts of one design, one after the other."""
+    """The sequence of starts of one design."""
 
     problem: DesignProblem
     postures: Array
@@ -266,42 +265,43 @@ class _Design:
     def from_starts(
         self, seeds: Sequence[int | None], budget: Budget
     ) -> list[tuple[Array, SeedOutcome]]:
-        """Return the best motions (f, nv) from random ones, and from the guess, a seed of None.
+        """Return the best motions (f, nv) of all starts; the seed None stands for the guess.
 
-        A start has half of the time that is left, the last one all of it; those that it does not
-        reach are left out.
+        Each start gets half of the remaining time, the last one all of it. Starts that are not
+        reached are omitted.
         """
         ends: list[tuple[Array, SeedOutcome]] = []
         for number, seed in enumerate(seeds):
-            own = budget.part(1.0 / min(self.starts - number, 2))  # few that end beat many
-            if ends and (own.left <= 0.0 or self.is_stopped):
+            # A few finished starts are better than many unfinished ones.
+            part = budget.part(1.0 / min(self.starts - number, 2))
+            if ends and (part.left <= 0.0 or self.is_stopped):
                 break
             begin, before, status = time.monotonic(), self.evaluations, "not solved"
             guess: Array | None = None
             try:
-                guess = found = self._begin(seed, own if ends else budget)
+                guess = best = self._begin(seed, part if ends else budget)
                 for stage in self._stages():
-                    if own.left <= 0.0 or self.is_stopped:
+                    if part.left <= 0.0 or self.is_stopped:
                         break
-                    found, status = self._improved(number, stage, found, own)
+                    best, status = self._improved(number, stage, best, part)
             except SearchEndError:
                 continue
             except BaseException as error:
                 if self.first is None or not is_stop(error):
                     raise
-                self._stop(number, ends[-1][1].value if guess is None else self._value(found))
+                self._stop(number, ends[-1][1].value if guess is None else self._value(best))
                 if guess is None:
                     break
                 status = INTERRUPTED
             outcome = SeedOutcome(
                 seed=seed,
                 random_value=self._value(guess),
-                value=self._value(found),
+                value=self._value(best),
                 evaluations=self.evaluations - before,
                 seconds=time.monotonic() - begin,
                 status=status,
             )
-            ends.append((found, outcome))
+            ends.append((best, outcome))
         if not ends:
             raise ArgumentError(
                 f"No motion within the limits was found in {self.problem.options.seconds:g} s.",
@@ -310,18 +310,18 @@ class _Design:
         return ends
 
     def _begin(self, seed: int | None, budget: Budget) -> Array:
-        """Return a random motion within the limits, or the one nearest to the guess."""
+        """Return a random motion within the limits, or the one closest to the guess."""
         problem = self.problem
         if seed is None and self.first is not None:
-            given = real_array(problem.options.guess, "guess", problem.offset.shape)
-            return within_limits(problem, problem.variables(given), self.first, budget)
-        least = Budget.of(max(budget.left, _A_MOMENT))
-        guess = random_guess(problem, self.postures, np.random.default_rng(seed), least)
+            coefficients = real_array(problem.options.guess, "guess", problem.offset.shape)
+            return within_limits(problem, problem.variables(coefficients), self.first, budget)
+        budget = Budget.of(max(budget.left, _LEAST_TIME))
+        guess = random_guess(problem, self.postures, np.random.default_rng(seed), budget)
         self.first = guess if self.first is None else self.first
         return guess
 
     def _stages(self) -> list[Criterion]:
-        """Return the criterion, ever less smoothed if it is."""
+        """Return the criteria of all stages, with decreasing smoothing."""
         criterion, options = self.problem.objective.criterion, self.problem.options
         if criterion.name in ("a_optimality", "d_optimality"):
             return [criterion]
@@ -333,9 +333,9 @@ class _Design:
     ) -> tuple[Array, str]:
         """Return the better of a motion and its improvement by a stage, and the solver's status.
 
-        Solvers keep linear limits on their way, those of efforts and collisions in the end only. A
-        solver that is stopped may be beyond these, and the way back long. So the improvement is the
-        solution, one near it that keeps the limits, or the best seen on the way.
+        Solvers keep linear limits at every step, but those of efforts and collisions only at the
+        end. A stopped solver may violate these. The improvement is therefore the solution, one
+        close to it within the limits, or the best one visited.
         """
         problem = replace(self.problem, objective=replace(self.problem.objective, criterion=stage))
         reached, status, seen = solve(
@@ -347,11 +347,11 @@ class _Design:
         if status == INTERRUPTED:
             self._stop(number, self._value(guess))
             budget = Budget.of(min(budget.left, _AFTER_STOP))
-        way, reached = budget.part(_FOR_WAY), reached.reshape(guess.shape)
-        nearest = within_limits(problem, reached, guess, way, stride=COARSE)
+        repair, reached = budget.part(_FOR_REPAIR), reached.reshape(guess.shape)
+        nearest = within_limits(problem, reached, guess, repair, stride=COARSE)
         value = problem.cost(nearest)[0]
         with suppress(SearchEndError):
-            for better, y in sorted(seen, key=lambda one: one[0])[:_LOOKED_AT]:
+            for better, y in sorted(seen, key=lambda pair: pair[0])[:_MAX_CHECKED]:
                 if better >= value:
                     break
                 if keeps_limits(problem, y, stride=COARSE, budget=budget):
@@ -370,9 +370,9 @@ class _Design:
             self.progress(DesignProgress(number, self.starts, self.evaluations, value))
 
     def _stop(self, number: int, value: float) -> None:
-        """Start nothing more, and report it."""
+        """Prevent further starts, and report it."""
         self.is_stopped = True
         if self.progress is not None:
             now = DesignProgress(number, self.starts, self.evaluations, value, is_stopped=True)
-            with suppress(StopSearch):  # of one who goes on asking
+            with suppress(StopSearch):  # from repeated requests to stop
                 self.progress(now)

@@ -1,4 +1,4 @@
-"""Where a motion can begin: postures that a robot can hold, ramps, first motions within limits."""
+"""Initial motions of a design: postures that a robot can hold, random motions and ramps."""
 
 from __future__ import annotations
 
@@ -25,26 +25,26 @@ from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
 
-_POSTURES, _TRIED = 400, 5
-_ROUNDING, _NOTHING = 1e-9, 1e-9
+_POSTURES, _TRIALS = 400, 5
+_ROUNDING, _NEGLIGIBLE = 1e-9, 1e-9
 _FILL = (0.6, 0.95)  # share of the limits that a random motion uses
 _CORNERS = 2
-_ROUNDS, _INNER = 3, 0.9  # of moving a random motion into balance, and how far inside
+_ROUNDS, _INNER = 3, 0.9  # steps to balance a random motion, and target share of the margin
 _SHRINK, _STEPS = 0.8, 20
-_FIRST_STEP_BACK, _NEAR = 1e-3, 1.1e-3  # of the way from one motion to the other
+_FIRST_STEP_BACK, _CLOSE = 1e-3, 1.1e-3  # shares of the line between two motions
 
 
 def at_rest(postures: Array) -> Motion:
-    """Return the motion of a robot that is still in postures (N, nv) by joint."""
+    """Return the motion of a robot at rest in postures (N, nv) by joint."""
     still = np.zeros_like(postures)
     return Motion(postures, still, still)
 
 
 def _held(model: RobotModel, stance: Stance | None, postures: Array) -> tuple[Array, Array, Array]:
-    """Return motors' positions and efforts (N, m), and shares of the polygon (N,), of rest.
+    """Return motor positions and efforts (N, m), and used shares of the polygon (N,), at rest.
 
-    Postures (N, nv) are by joint of the model. Dry friction is no help: what it would hold depends
-    on how the robot came there.
+    Postures (N, nv) are by joint of the model. Dry friction is ignored, as its static value is
+    unknown.
     """
     still = at_rest(postures)
     if stance is None:
@@ -54,27 +54,28 @@ def _held(model: RobotModel, stance: Stance | None, postures: Array) -> tuple[Ar
 
 
 def check_start(problem: DesignProblem, start: Array, *, name: str = "start") -> None:
-    """Refuse a start (nv,) by joint, rad or m, that the robot cannot hold."""
+    """Raise if the robot cannot hold a start (nv,) by joint, rad or m."""
     stance, collisions = problem.stance, problem.collisions
     real_array(start, name, (len(problem.limits.joints),))
     (q,), (effort,), (polygon,) = _held(problem.model, stance, start[None])
-    for limits, at in ((problem.limits, start), (problem.motor_limits, q)):
+    for limits, position in ((problem.limits, start), (problem.motor_limits, q)):
         slack = _ROUNDING * (1.0 + limits.reach)
-        outside = (at < limits.lower - slack) | (at > limits.upper + slack)
+        outside = (position < limits.lower - slack) | (position > limits.upper + slack)
         if outside.any():
             i = int(np.argmax(outside))
             raise ArgumentError(
-                f"The {name} is outside the limits: joint {limits.joints[i]!r} is at {at[i]:.4g}, "
-                f"but its range is {limits.lower[i]:.4g} to {limits.upper[i]:.4g}.",
+                f"The {name} is outside the limits: joint {limits.joints[i]!r} is at "
+                f"{position[i]:.4g}, but its range is {limits.lower[i]:.4g} to "
+                f"{limits.upper[i]:.4g}.",
                 advice="Move the robot inside first, or omit the start.",
                 joint=limits.joints[i],
             )
     if stance is not None and not polygon <= stance.margin:
         raise ArgumentError(
             f"The robot falls over at the {name}: its centre of mass is over "
-            f"{100 * polygon:.0f} % of the way from the middle of its feet to their edge, "
-            f"of which {100 * stance.margin:.0f} % are allowed.",
-            advice="Let it stand so that its centre of mass is over its feet.",
+            f"{100 * polygon:.0f} % of the way from the middle of its feet to their edge; "
+            f"{100 * stance.margin:.0f} % are allowed.",
+            advice="Choose a posture with the centre of mass over the feet.",
         )
     limits, effort = problem.motor_limits, np.abs(effort)
     if (effort > limits.effort).any():
@@ -103,18 +104,18 @@ def possible_postures(
     stance: Stance | None = None,
     most: int = _POSTURES,
 ) -> Array:
-    """Return postures (n, nv) by joint that a robot can hold, the middle of its ranges first.
+    """Return postures (n, nv) by joint that a robot can hold, from the middle of its ranges.
 
-    Those of a robot on its feet are about its posture, with the centre of mass over them.
+    Postures of a robot on its feet start from its stance, with the centre of mass over the feet.
     """
     random = np.random.default_rng(0)
-    shares = np.linspace(0.0, 0.95, _POSTURES)[:, None]  # the middle, and then further out
+    shares = np.linspace(0.0, 0.95, _POSTURES)[:, None]  # from the middle outwards
     shares = shares * random.uniform(-1.0, 1.0, (_POSTURES, len(limits.joints)))
     postures = limits.middle + limits.reach * shares
     if stance is not None:
-        there = np.clip(stance.posture, limits.lower, limits.upper)
+        center = np.clip(stance.posture, limits.lower, limits.upper)
         shares = np.linspace(0.0, 1.0, _POSTURES)[:, None]
-        postures = stance.balanced(there + shares * (postures - there), limits)
+        postures = stance.balanced(center + shares * (postures - center), limits)
         limits = stance.motor_limits
     q, efforts, polygon = _held(model, stance, postures)
     efforts = np.abs(efforts)
@@ -125,8 +126,8 @@ def possible_postures(
             raise ArgumentError(
                 f"The robot is in balance in none of {_POSTURES} postures within its limits: in "
                 f"the best, its centre of mass is {100 * float(polygon.min()):.0f} % of the way "
-                f"from the middle of its feet to their edge, of which {100 * stance.margin:.0f} % "
-                "are allowed.",
+                f"from the middle of its feet to their edge; {100 * stance.margin:.0f} % are "
+                "allowed.",
                 advice="Let it stand in another posture (--stand), or on more feet.",
             )
         postures, efforts = postures[inside], efforts[inside]
@@ -151,7 +152,7 @@ def possible_postures(
 def below_floor(
     world: CollisionWorld, model: RobotModel, limits: MotionLimits, start: Array | None
 ) -> str:
-    """Say why the floor of a world cannot be: the robot hangs below it, or starts there (nv,)."""
+    """Return why a floor at the base is impossible, or "": the robot hangs or starts below it."""
     if start is not None:
         distance, (names, *_) = world.distances(start[None])
         pair = names.split(" and ")
@@ -166,7 +167,7 @@ def below_floor(
 
 
 def _apart(postures: Array, collisions: CollisionWorld, most: int) -> Array:
-    """Return the first postures in which nothing collides; the others are not looked at."""
+    """Return the first postures without collisions, without checking the others."""
     free: list[Array] = []
     best, nearest = -np.inf, ""
     for posture in postures:
@@ -182,8 +183,8 @@ def _apart(postures: Array, collisions: CollisionWorld, most: int) -> Array:
             f"The robot collides in all of {len(postures)} postures; in the best one, "
             f"{nearest} are {best:.4g} m apart, less than the clearance of "
             f"{collisions.clearance:g} m.",
-            advice="Check the geometry and the poses of obstacles. The floor that a command "
-            "assumes is left out with --no-floor.",
+            advice="Check the geometry and the poses of obstacles. Use --no-floor to omit the "
+            "assumed floor.",
         )
     return np.array(free)
 
@@ -194,8 +195,8 @@ def random_guess(
     rng: np.random.Generator,
     budget: Budget = UNLIMITED,
 ) -> Array:
-    """Return variables (f, nv) of a random motion within limits about one of postures (n, nv)."""
-    for _ in range(_TRIED):
+    """Return variables (f, nv) of a random motion within limits around one of the postures."""
+    for _ in range(_TRIALS):
         posture = postures[int(rng.integers(len(postures)))]
         resting = problem.resting(posture)
         if problem.stance is not None and problem.family.timed:
@@ -214,7 +215,7 @@ def random_guess(
             share *= _SHRINK
     raise ArgumentError(
         "The robot can rest within its limits, but hardly move: no random motion around "
-        f"{_TRIED} postures satisfies them.",
+        f"{_TRIALS} postures satisfies them.",
         advice="Widen the limits that are nearly reached at rest, or start elsewhere.",
     )
 
@@ -226,44 +227,44 @@ def _through(
     postures: Array,
     rng: np.random.Generator,
 ) -> Array:
-    """Return a motion (f, nv) from a posture (nv,) through others in balance, and nearly in it.
+    """Return a nearly balanced motion (f, nv) from a posture (nv,) through other postures.
 
-    Most random directions lead out of balance at once. At each instant the joints move as they
-    would at rest, which changes accelerations as well: a few times will do.
+    Most random directions lose balance at once. Each round balances all instants with the current
+    accelerations, which the new positions change again.
     """
     count = max(2, int(problem.family.length / problem.family.fastest))
-    at, basis = np.linspace(0.0, 1.0, count + 1), problem.effort_basis
+    knots, basis = np.linspace(0.0, 1.0, count + 1), problem.effort_basis
     position = basis[0] @ problem.free
 
-    def nearest(q: Array) -> Array:
-        """Return the motion nearest to positions at the instants of efforts."""
-        left = q - basis[0] @ problem.offset
-        return np.asarray(np.linalg.lstsq(position, left, rcond=1e-6)[0] / problem.scale)
+    def fit(q: Array) -> Array:
+        """Return the motion closest to positions at the instants of the basis."""
+        change = q - basis[0] @ problem.offset
+        return np.asarray(np.linalg.lstsq(position, change, rcond=1e-6)[0] / problem.scale)
 
     q = postures[rng.integers(len(postures), size=count + 1)]
     q[0] = begin
-    found = nearest(PchipInterpolator(at, q)(np.linspace(0.0, 1.0, len(position))))
+    variables = fit(PchipInterpolator(knots, q)(np.linspace(0.0, 1.0, len(position))))
     for _ in range(_ROUNDS):
-        motion = problem.motion(found, basis)
+        motion = problem.motion(variables, basis)
         share = _INNER * stance.margin
-        found = nearest(stance.balanced(motion.q, problem.limits, motion, share=share))
-    return found
+        variables = fit(stance.balanced(motion.q, problem.limits, motion, share=share))
+    return variables
 
 
 def _from_corners(problem: DesignProblem, rng: np.random.Generator) -> Array:
-    """Return a random mean (f, nv) of a few motions that go as far as joint limits let them.
+    """Return a random mean (f, nv) of a few motions at the limits of the joints.
 
-    A start may be at a limit, from where most random directions lead out at once. A linear program
-    finds motions that do not.
+    From a start at a limit most random directions leave the limits at once. A linear program finds
+    motions that do not.
     """
     program = MathematicalProgram()
     variables = program.NewContinuousVariables(*problem.scale.shape)
     limit_motion(program, problem, variables)
     cost = program.AddLinearCost(np.zeros(variables.size), variables.ravel())
     corners = []
-    aims = rng.normal(size=(_CORNERS, variables.size))
-    for aim in (*aims, *-aims):  # one of the two ways may be none, from a start at a limit
-        cost.evaluator().UpdateCoefficients(aim)
+    directions = rng.normal(size=(_CORNERS, variables.size))
+    for direction in (*directions, *-directions):  # one sign may be blocked at a limit
+        cost.evaluator().UpdateCoefficients(direction)
         result = ClpSolver().Solve(program)
         if not result.is_success():
             raise ArgumentError(
@@ -271,17 +272,17 @@ def _from_corners(problem: DesignProblem, rng: np.random.Generator) -> Array:
                 advice="Use more coefficients or a longer motion, or start elsewhere.",
             )
         corners.append(result.GetSolution(variables))
-    weights = rng.dirichlet(np.ones(len(corners)), size=problem.scale.shape[1])  # a joint
+    weights = rng.dirichlet(np.ones(len(corners)), size=problem.scale.shape[1])  # per joint
     return np.asarray(np.einsum("jc,cfj->fj", weights, np.array(corners)))
 
 
 def _room(problem: DesignProblem, around: Array, direction: Array) -> Array:
-    """Return (nv,) multiples of a direction by which each joint can move within its limits."""
+    """Return the multiples (nv,) of a direction by which each joint can move within its limits."""
     states = problem.limit_basis @ problem.coefficients(around)
     change = problem.limit_basis @ (problem.free @ (problem.scale * direction))
     lower, upper = (np.stack(side)[:, None] for side in zip(*problem.bounds, strict=True))
     room, size = np.where(change > 0, upper - states, states - lower), np.abs(change)
-    moving = size > _NOTHING * size.max(axis=1, keepdims=True)
+    moving = size > _NEGLIGIBLE * size.max(axis=1, keepdims=True)
     ratio = np.where(moving, room, np.inf) / np.where(moving, size, 1.0)
     return np.asarray(np.maximum(ratio.min(axis=(0, 1)), 0.0))
 
@@ -294,21 +295,22 @@ def within_limits(
     *,
     stride: int = 1,
 ) -> Array:
-    """Return the motion nearest to one, on the way from another within limits, that keeps them too.
+    """Return the last motion within limits on the line from one inside them to another.
 
     Args:
-        variables: (f, nv) variables of a motion that keeps the limits, or nearly so.
-        budget: When it is up, the nearest one found by then counts.
+        variables: (f, nv) variables of the other motion, within the limits or close to them.
+        inside: (f, nv) variables of the motion within the limits.
+        budget: When time is up, the last one found so far is returned.
     """
     least, step = 0.0, _FIRST_STEP_BACK
     most = 1.0
     with suppress(SearchEndError):
         if keeps_limits(problem, variables, stride=stride, budget=budget):
             return variables
-        while most - least > _NEAR:
+        while most - least > _CLOSE:
             share = most - step if most - step > least else 0.5 * (least + most)
-            tried = inside + share * (variables - inside)
-            if keeps_limits(problem, tried, stride=stride, budget=budget):
+            candidate = inside + share * (variables - inside)
+            if keeps_limits(problem, candidate, stride=stride, budget=budget):
                 least = share
             else:
                 most, step = share, 4.0 * step
@@ -316,11 +318,11 @@ def within_limits(
 
 
 _SHARE = 0.5  # of the limits of speed, acceleration and jerk
-# Of derivatives of 10 x³ − 15 x⁴ + 6 x⁵, a spline with thrice the same point at either end.
+# Maxima of the derivatives of 10 x³ − 15 x⁴ + 6 x⁵, a spline with triple end points.
 _PEAKS = 1.875, 10.0 / np.sqrt(3.0), 60.0
-_LEAST = 1.0  # s, of a way
-_SLOWER, _TIMES = 1.5, 8  # where efforts are too large
-_VIA = 100  # postures by way of which a ramp may lead
+_LEAST = 1.0  # s, duration of a ramp segment
+_SLOWER, _TIMES = 1.5, 8  # slow-down factor if efforts are too large, and maximum count
+_VIA = 100  # candidates for an intermediate posture of a ramp
 
 
 def with_ramps(
@@ -328,13 +330,13 @@ def with_ramps(
 ) -> ExcitationTrajectory:
     """Return a motion with ramps from and to where the robot stands, (nv,) by joint.
 
-    They take half of the limits of speed, acceleration and jerk, and at least a second. A ramp is
-    straight in the joints; where something is in the way, it goes by way of one more posture.
+    They use half of the limits of speed, acceleration and jerk, and take at least a second. A ramp
+    is straight in joint space; if that violates a limit, it passes through another posture.
     """
     begin, end = trajectory.free_states([0.0, trajectory.length])[0]
-    there = _ramp(problem, trajectory, stand, begin)
-    back = _ramp(problem, trajectory, end, stand)
-    parts = [part for part in (there, trajectory, back) if part is not None]
+    ramp_in = _ramp(problem, trajectory, stand, begin)
+    ramp_out = _ramp(problem, trajectory, end, stand)
+    parts = [part for part in (ramp_in, trajectory, ramp_out) if part is not None]
     return parts[0].followed_by(*parts[1:])
 
 
@@ -346,24 +348,24 @@ def _ramp(
         return None
     limits, world = problem.limits, problem.collisions
     bounds = limits.velocity, limits.acceleration, limits.jerk
-    for postures in _ways(problem, begin, end):
+    for postures in _paths(problem, begin, end):
         changes = np.abs(np.diff(postures, axis=0))
-        needed = [
+        times = [
             (peak * changes / (_SHARE * bound)) ** (1.0 / order)
             for order, (peak, bound) in enumerate(zip(_PEAKS, bounds, strict=True), 1)
         ]
-        durations = np.maximum(np.max(needed, axis=(0, 2)), _LEAST)
+        durations = np.maximum(np.max(times, axis=(0, 2)), _LEAST)
         for slower in _SLOWER ** np.arange(_TIMES):
             families = [SplineMotion(slower * duration, 6) for duration in durations]
-            ways = [
+            segments = [
                 replace(like, family=family, coefficients=np.repeat(ends, 3, axis=0))
                 for family, ends in zip(families, pairwise(postures), strict=True)
             ]
-            way = ways[0].followed_by(*ways[1:])
-            use, motion = joint_use(problem, way)
+            ramp = segments[0].followed_by(*segments[1:])
+            use, motion = joint_use(problem, ramp)
             if use.is_within:
                 if world is None or stays_clear(world, motion.q):
-                    return way
+                    return ramp
                 break
     raise ArgumentError(
         "No ramp leads from the rest position to the start of the motion: neither a "
@@ -373,8 +375,8 @@ def _ramp(
     )
 
 
-def _ways(problem: DesignProblem, begin: Array, end: Array) -> Iterator[Array]:
-    """Yield the straight way, and then those by way of another posture, the shortest first."""
+def _paths(problem: DesignProblem, begin: Array, end: Array) -> Iterator[Array]:
+    """Yield the straight path, and then paths through another posture, the shortest first."""
     yield np.array([begin, end])
     limits = problem.limits
     via = possible_postures(
